@@ -29,9 +29,11 @@ from bus.session import open_session
 from outrider.bridges.ros2.conversion import header
 from outrider.bridges.ros2.interfaces import decode, encode, make
 from outrider.bridges.ros2.ros_node import RosNode
-from outrider.bridges.ros2.ros_pilot import RosLink, RosPilot
+from outrider.bridges.ros2.ros_pilot import RosPilot
 from outrider.bridges.ros2.topics import BRIEFING, OBSERVATION, PILOT_COMMANDS, wire_topic
 from outrider.bridges.ros2.wire import Attachment
+from sim.engine.briefing import briefing
+from sim.scenario.loading import load_scenario
 
 GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], ros2=True)
 TEXT, ACCEL = PILOT_COMMANDS
@@ -103,17 +105,17 @@ def accelerate(seconds: float, value: tuple[float, float], frame: str = "map") -
     return make(ACCEL.interface, header=header(seconds, frame), accel=accel)
 
 
-def bridge(endpoint: str, vehicle: str, links: list[RosLink]) -> None:
+def bridge(endpoint: str, vehicle: str, links: list[RosPilot]) -> None:
     """The process `outrider ros2 --vehicle`, as a thread."""
     credential = GIVEN.of(vehicle)
     with open_session(credential.party, "run", connect=endpoint, credential=credential) as session:
         node = RosNode(session, domain=3, name="outrider", namespace=f"/{vehicle}")
-        link = RosLink(node, credential.party)
+        link = RosPilot(node, credential.party)
         links.append(link)
         wait_until(lambda: link.there)
         fly(
             credential.party,
-            lambda told: RosPilot(link, told),
+            link.make,
             connect=endpoint,
             run="run",
             credential=credential,
@@ -131,7 +133,7 @@ def test_a_ros_2_node_flies_the_trajectory_of_the_pilot_in_this_process(
     for role in (Role.UAV, Role.UGV):
         warm_up(role)  # nobody must wait for a compiler
     with staging.stage(tmp_path, 60) as stage:
-        links: list[RosLink] = []
+        links: list[RosPilot] = []
         thread = threading.Thread(target=bridge, args=(stage.endpoint, vehicle, links))
         thread.start()
         foreign = Foreign(stage.endpoint, vehicle, exact=exact)
@@ -167,12 +169,11 @@ def test_a_node_that_is_late_keeps_nobody_waiting_and_one_that_has_gone_ends_the
     )
     with session as opened:
         node = RosNode(opened, domain=3, name="outrider")
-        link = RosLink(node, PLAIN.of("uav_0").party, patience=0.05)
-        link.tell(
-            msgspec.convert(
-                {"tick": 4, "time": 0.2, "position": [0, 0], "velocity": [0, 0]}, UavObservation
-            )
+        link = RosPilot(node, PLAIN.of("uav_0").party, patience=0.05)
+        seen = msgspec.convert(
+            {"tick": 4, "time": 0.2, "position": [0, 0], "velocity": [0, 0]}, UavObservation
         )
+        link.perceive(seen)
         assert link.answer(lambda: False) is None
         with pytest.raises(PeerLost, match="the ROS 2 node that flew uav_0 has gone"):
             link.answer(lambda: True)
@@ -190,6 +191,9 @@ def test_a_node_that_is_late_keeps_nobody_waiting_and_one_that_has_gone_ends_the
         assert answer is not None
         assert (answer.tick, answer.acceleration) == (4, (0.1, 0.0))
         assert seconds_of(header(0.2).stamp) == 0.2
+        link.attend(lambda: True)
+        again = link.make(briefing(load_scenario("escort"), "uav_0", 0))
+        assert again.act(seen) is None  # of its past, which nobody waits for
         link.close()
         node.close()
 

@@ -11,9 +11,9 @@ from tabular import rows, words
 from worlds import SCENARIOS
 
 from bus.messages import Command
+from outrider.envs import vector
 from outrider.envs.closed_loop import ClosedLoop, pilot_names
 from outrider.envs.vector import OutriderVectorEnv
-from outrider.experiments.suite import scoring
 from outrider.experiments.suite.board import BASELINES, leaderboard
 from outrider.experiments.suite.scoring import evaluate
 from outrider.experiments.suite.tasks import SEEDS, TASKS, Suite, Task, suite
@@ -154,7 +154,7 @@ def test_what_is_certified_out_of_sight_is_told_with_the_score(monkeypatch):
             super().begin(seeds, worlds)
 
     assert SLOW.evaluate("certified", seeds=[9000], secret=SECRET).certified_while_lost == 0
-    monkeypatch.setattr(scoring, "ClosedLoop", Near)
+    monkeypatch.setattr(vector, "ClosedLoop", Near)
     result = SLOW.evaluate("certified", seeds=[9000], secret=SECRET)
     # at the tick at which sight is lost; then the task is over
     assert (result.lost, result.certified_while_lost) == (1, 1)

@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,50 +24,28 @@ FLAGS = ("-O3", "-march=native", "-std=c11", "-ffp-contract=off", "-shared", "-f
 """Strict floating point: no -ffast-math, and no contraction to fused operations, which would round otherwise."""
 
 _DOUBLE, _LONG, _INT = ctypes.c_double, ctypes.c_long, ctypes.c_int
-_ARRAY = ctypes.POINTER(ctypes.c_double)
+_ARRAY = np.ctypeslib.ndpointer(np.float64, flags="C_CONTIGUOUS")
 _CLOSE = 1e-12
 """The largest relative difference of one running sum from eight: they round differently."""
 
 
-def _pointer(array: FloatArray) -> object:
-    return array.ctypes.data_as(_ARRAY)
-
-
 class CKernels:
-    """`kernels.c`, compiled and loaded.
+    """`kernels.c`, compiled and loaded; its functions take the arguments of ours, in their order.
 
     Args:
         path: Of the shared library.
     """
 
     def __init__(self, path: Path) -> None:
-        library = ctypes.CDLL(str(path))
-        grid: list[Any] = [_ARRAY, _LONG, _LONG]
-        place: list[Any] = [_DOUBLE, _DOUBLE]
-        sensor: list[Any] = [_INT, _DOUBLE, _DOUBLE]
-        self._accumulate, self._error = library.accumulate, library.coverage_error
-        self._gradient, self._passes = library.coverage_gradient, library.passes
-        self._accumulate.argtypes, self._accumulate.restype = (
-            [*grid, *place, *sensor, _DOUBLE, _DOUBLE],
-            None,
-        )
-        self._error.argtypes, self._error.restype = (
-            [_INT, *grid, *place, _DOUBLE, _DOUBLE, _DOUBLE],
-            _DOUBLE,
-        )
-        self._gradient.argtypes = [
-            _INT,
-            *grid,
-            *place,
-            *place,
-            _DOUBLE,
-            _DOUBLE,
-            *sensor,
-            _DOUBLE,
-            _ARRAY,
-        ]
-        self._gradient.restype = None
-        self._passes.argtypes, self._passes.restype = [_INT, *grid, _LONG], _DOUBLE
+        self._library = library = ctypes.CDLL(str(path))
+        grid, sensor = (_ARRAY, _LONG, _LONG), (_INT, _DOUBLE, _DOUBLE)
+        places = 6 * (_DOUBLE,)  # of UAV and UGV, and what counts around the UGV
+        library.accumulate.argtypes = (*grid, *places[:2], *sensor, _DOUBLE, _DOUBLE)
+        library.coverage_error.argtypes = (_INT, *grid, *places[2:], _DOUBLE)
+        library.coverage_gradient.argtypes = (_INT, *grid, *places, *sensor, _DOUBLE, _ARRAY)
+        library.passes.argtypes = (_INT, *grid, _LONG)
+        library.accumulate.restype = library.coverage_gradient.restype = None
+        library.coverage_error.restype = library.passes.restype = _DOUBLE
 
     @classmethod
     @contextmanager
@@ -91,65 +68,25 @@ class CKernels:
             )
             yield cls(library) if built.returncode == 0 else None
 
-    def accumulate(
-        self,
-        coverage: FloatArray,
-        p_x: float,
-        p_y: float,
-        sensor: int,
-        peak: float,
-        reach: float,
-        cell: float,
-        duration: float,
-    ) -> None:
+    def accumulate(self, coverage: FloatArray, *look: float) -> None:
         """`sim.models.field.accumulate`."""
-        self._accumulate(
-            _pointer(coverage), *coverage.shape, p_x, p_y, sensor, peak, reach, cell, duration
-        )
+        self._library.accumulate(coverage, *coverage.shape, *look)
 
-    def coverage_error(
-        self,
-        coverage: FloatArray,
-        p_gx: float,
-        p_gy: float,
-        r_o: float,
-        desired: float,
-        cell: float,
-        *,
-        lanes: bool,
-    ) -> float:
+    def coverage_error(self, coverage: FloatArray, *around: float, lanes: bool) -> float:
         """`sim.models.field.coverage_error`, with one running sum or with eight lanes."""
-        found: float = self._error(
-            lanes, _pointer(coverage), *coverage.shape, p_gx, p_gy, r_o, desired, cell
-        )
-        return found
+        return float(self._library.coverage_error(lanes, coverage, *coverage.shape, *around))
 
     def coverage_gradient(
-        self,
-        coverage: FloatArray,
-        p_ax: float,
-        p_ay: float,
-        p_gx: float,
-        p_gy: float,
-        r_o: float,
-        desired: float,
-        sensor: int,
-        peak: float,
-        reach: float,
-        cell: float,
-        *,
-        lanes: bool,
+        self, coverage: FloatArray, *around: float, lanes: bool
     ) -> tuple[float, float, float]:
         """`sim.models.field.coverage_gradient`, likewise."""
         found = np.zeros(3)
-        place = (p_ax, p_ay, p_gx, p_gy, r_o, desired, sensor, peak, reach, cell)
-        self._gradient(lanes, _pointer(coverage), *coverage.shape, *place, _pointer(found))
+        self._library.coverage_gradient(lanes, coverage, *coverage.shape, *around, found)
         return float(found[0]), float(found[1]), float(found[2])
 
     def passes(self, coverage: FloatArray, count: int, *, lanes: bool) -> float:
         """All three in a loop, as `outrider.bench.kernels.passes`."""
-        total: float = self._passes(lanes, _pointer(coverage), *coverage.shape, count)
-        return total
+        return float(self._library.passes(lanes, coverage, *coverage.shape, count))
 
     def check(self, places: int = 50) -> None:
         """True if they compute what ours do: a benchmark that computes something else is no reference.

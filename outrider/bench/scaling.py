@@ -1,7 +1,7 @@
 """The speed of many worlds over their number, the grid and the vehicles: numbers, and a picture of them."""
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -70,20 +70,17 @@ def _fitting(scenario: Scenario, worlds: int) -> int:
     return min(worlds, int(_BYTES / each))
 
 
-def _cases(most: int) -> list[_Case]:
-    escort = load_scenario("escort")
-    found = [_Case("worlds", count, escort, count) for count in COUNTS if count <= most]
-    usual = min(WORLDS, most)
-    found += [
-        _Case("cells", cell, grid, _fitting(grid, usual))
-        for cell in CELLS
-        for grid in (_grid(cell),)
-    ]
-    return found + [
-        _Case("pairs", count, many, _fitting(many, usual))
-        for count in PAIRS
-        for many in (_pairs(count),)
-    ]
+def _cases(most: int) -> Iterator[_Case]:
+    escort, usual = load_scenario("escort"), min(WORLDS, most)
+    for count in COUNTS:
+        if count <= most:
+            yield _Case("worlds", count, escort, count)
+    for cell in CELLS:
+        grid = _grid(cell)
+        yield _Case("cells", cell, grid, _fitting(grid, usual))
+    for count in PAIRS:
+        many = _pairs(count)
+        yield _Case("pairs", count, many, _fitting(many, usual))
 
 
 def measure_scaling(

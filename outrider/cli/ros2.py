@@ -205,34 +205,34 @@ def _fly(
     from agents.process import fly
     from bus.session import open_session
     from outrider.bridges.ros2.ros_node import RosNode
-    from outrider.bridges.ros2.ros_pilot import RosLink, RosPilot
+    from outrider.bridges.ros2.ros_pilot import RosPilot
     from outrider.cli.console import ERR, print_json
 
     options.check_endpoint(connect)
     party, credential = _party_of(name, credentials)
     with open_session(party, run, connect=connect, credential=credential) as session:
         node = RosNode(session, domain=domain, name="outrider", namespace=f"/{name}")
-        link = RosLink(node, party)
+        pilot = RosPilot(node, party)
         with stop_on_signals() as stop:
-            if not link.there:
+            if not pilot.there:
                 ERR.tell(f"waiting for a ROS 2 node that reads /{name}/pilot/observation")
-            while not link.there and not stop:
+            while not pilot.there and not stop:
                 time.sleep(0.05)
         if stop:
             raise typer.Exit(stop.exit_code)
         try:
             sent = fly(
                 party,
-                lambda told: RosPilot(link, told),
+                pilot.make,
                 connect=connect,
                 run=run,
                 credential=credential,
                 join_timeout=patience,
             )
         finally:
-            link.close()
+            pilot.close()
             node.close()
-    found = {"vehicle": name, "commands": sent, "refused": dict(link.refusals.counts)}
+    found = {"vehicle": name, "commands": sent, "refused": dict(pilot.refusals.counts)}
     if json:
         print_json(found)
     else:

@@ -77,24 +77,21 @@ def claims_1(low: Flight, high: Flight, bounded: Flight) -> list[Claim]:
 def _claims_1b(low: Flight, high: Flight) -> list[Claim]:
     (e_low, w_low), (e_high, w_high) = velocity_errors(low), velocity_errors(high)
     n_low, n_high = np.linalg.norm(e_low, axis=1), np.linalg.norm(e_high, axis=1)
-    rms_low, rms_high = (
-        float(np.sqrt((n[searching(w)] ** 2).mean())) for n, w in ((n_low, w_low), (n_high, w_high))
-    )
-    mean_low, mean_high = (
-        float(n_low[searching(w_low)].mean()),
-        float(n_high[searching(w_high)].mean()),
-    )
+    searches = searching(w_high)
+    off_low, off_high = n_low[searching(w_low)], n_high[searches]
+    rms_low, rms_high = (float(np.sqrt((n**2).mean())) for n in (off_low, off_high))
+    mean_low, mean_high = float(off_low.mean()), float(off_high.mean())
     gains = f"k_v {low.scenario.law.speed_gain:g} and {high.scenario.law.speed_gain:g}"
     v_ref = float(np.linalg.norm(w_high, axis=1).max())
     found = [
         k
         for k in peaks(n_high, v_ref).tolist()
-        if k >= WINDOW and searching(w_high)[k - WINDOW : k + 1].all()
+        if k >= WINDOW and searches[k - WINDOW : k + 1].all()
     ]
     turned = turns(w_high)
     least, usual = (
         math.degrees(min(turned[found], default=0.0)),
-        math.degrees(float(np.quantile(turned[searching(w_high)], 0.95))),
+        math.degrees(float(np.quantile(turned[searches], 0.95))),
     )
     return [
         Claim(

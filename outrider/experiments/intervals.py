@@ -7,8 +7,6 @@ from statistics import fmean, stdev
 import numpy as np
 from scipy import stats
 
-from sim.kernels.compile import FloatArray
-
 _RESAMPLES = 2000
 
 
@@ -47,13 +45,8 @@ def mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
     return mean, mean - half, mean + half
 
 
-def interquartile_mean(scores: FloatArray) -> float:
-    """The mean of the middle half of all scores. Agarwal et al. 2021 (rliable)."""
-    return float(stats.trim_mean(scores, 0.25, axis=None))
-
-
 def interquartile_interval(tasks: Sequence[Sequence[float]]) -> tuple[float, float, float]:
-    """The interquartile mean over all tasks and seeds, and its interval by the stratified bootstrap.
+    """The interquartile mean, of the middle half of all scores, and its interval by the stratified bootstrap.
 
     As Agarwal et al. 2021 (rliable) define it: seeds are drawn anew within each task, with percentiles of 2000 such
     draws, the same ones for the same scores. Of a single seed, itself thrice.
@@ -69,7 +62,7 @@ def interquartile_interval(tasks: Sequence[Sequence[float]]) -> tuple[float, flo
             "the scores: allowed is one task or more, each with as many seeds, one or more"
         )
     scores = np.array(tasks, dtype=np.float64)
-    middle, count = interquartile_mean(scores), scores.shape[1]
+    middle, count = float(stats.trim_mean(scores, 0.25, axis=None)), scores.shape[1]
     if count == 1:
         return middle, middle, middle
     draws = np.random.default_rng(0).integers(0, count, (_RESAMPLES, *scores.shape))

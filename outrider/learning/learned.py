@@ -109,7 +109,7 @@ class LearnedPolicy:
         if self._held.shape != (len(tick), 2):
             self._held, begun = np.zeros((len(tick), 2)), np.ones(len(tick), dtype=np.bool_)
         if begun.any():
-            shown = self._view.start(observation, begun)
+            shown = self._view.begin(observation, begun)
         if (due & ~begun).any():
             shown = self._view.see(observation, due & ~begun)
         due |= begun

@@ -87,12 +87,8 @@ class EscortView(Transformation):
         """A square of shares of v_max."""
         return spaces.Box(-1.0, 1.0, (2,), np.float32)
 
-    def begin(self, observation: Observation, worlds: Worlds) -> Observation:
+    def begin(self, observation: Observation, worlds: Worlds) -> Array:
         """Begin in these worlds."""
-        return self.start(observation, worlds)
-
-    def start(self, observation: Observation, worlds: Worlds) -> Array:
-        """`begin`, of which it is known that an array comes."""
         if self._known.shape != worlds.shape:
             self._known = np.zeros(worlds.shape, dtype=np.bool_)
             self._track = np.zeros((self._lag + 1, *worlds.shape, 2))
@@ -102,7 +98,7 @@ class EscortView(Transformation):
         self._axis[worlds] = (1.0, 0.0)
         return self.see(observation, worlds)
 
-    def apply(self, observation: Observation) -> Observation:
+    def apply(self, observation: Observation) -> Array:
         """The observation of the next step."""
         return self.see(observation, np.ones(self._known.shape, dtype=np.bool_))
 

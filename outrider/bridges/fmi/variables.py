@@ -12,54 +12,47 @@ class Variable(NamedTuple):
     about: str
 
 
-OWN_STATE = (
-    Variable("position.x", "m", "Own position, east"),
-    Variable("position.y", "m", "Own position, north"),
-    Variable("velocity.x", "m/s", "Own velocity, east"),
-    Variable("velocity.y", "m/s", "Own velocity, north"),
-)
+def _plane(name: str, unit: str, about: str) -> tuple[Variable, ...]:
+    """Two variables, x to the east and y to the north."""
+    return (
+        Variable(f"{name}.x", unit, f"{about}, east"),
+        Variable(f"{name}.y", unit, f"{about}, north"),
+    )
+
+
+OWN_STATE = _plane("position", "m", "Own position") + _plane("velocity", "m/s", "Own velocity")
 DETECTION = (
     Variable("detection.new", "", "True at a step to which a detection has come"),
     Variable("detection.time", "s", "When it was taken: a tick times the step size"),
-    Variable("detection.x", "m", "UAV relative to UGV as detected, with noise, east"),
-    Variable("detection.y", "m", "UAV relative to UGV as detected, with noise, north"),
+    *_plane("detection", "m", "UAV relative to UGV as detected, with noise"),
 )
 RADIO = (
     Variable("radio.new", "", "True at a step with a message from the UAV to its UGV"),
     Variable("radio.time", "s", "When it was estimated: a tick times the step size"),
-    Variable("radio.x", "m", "UAV relative to UGV as the UAV estimates it, east"),
-    Variable("radio.y", "m", "UAV relative to UGV as the UAV estimates it, north"),
+    *_plane("radio", "m", "UAV relative to UGV as the UAV estimates it"),
     Variable("radio.coverage_error", "m2", "e(t) on the UAV's own map"),
 )
 OPERATOR = (
     Variable("operator.new", "", "True at a step to which a word of the operator has come"),
-    Variable("operator.velocity.x", "m/s", "Velocity that the operator wants, east"),
-    Variable("operator.velocity.y", "m/s", "Velocity that the operator wants, north"),
+    *_plane("operator.velocity", "m/s", "Velocity that the operator wants"),
 )
 GOAL = (
     Variable("underway", "", "True while a goal is still to be reached"),
     Variable("goal.x", "m", "Goal, east; the last one stays when reached"),
     Variable("goal.y", "m", "Goal, north"),
 )
-ACCELERATION = (
-    Variable("acceleration.x", "m/s2", "Commanded acceleration from this step on, east"),
-    Variable("acceleration.y", "m/s2", "Commanded acceleration from this step on, north"),
-)
+ACCELERATION = _plane("acceleration", "m/s2", "Commanded acceleration from this step on")
 ESCORT = (
     Variable("certified", "", "True if sight is certified to be kept from here on"),
     Variable("margin", "m", "Visibility radius less the farthest that the UGV may be; or -inf"),
     Variable("estimate.valid", "", "True once the UGV has been detected"),
-    Variable("estimate.x", "m", "Place at which the UAV believes its UGV to be, east"),
-    Variable("estimate.y", "m", "Place at which the UAV believes its UGV to be, north"),
+    *_plane("estimate", "m", "Place at which the UAV believes its UGV to be"),
 )
 
 TRUE_STATE = (
-    Variable("position.x", "m", "True position, east"),
-    Variable("position.y", "m", "True position, north"),
-    Variable("velocity.x", "m/s", "True velocity, east"),
-    Variable("velocity.y", "m/s", "True velocity, north"),
-    Variable("acceleration.x", "m/s2", "Acceleration applied in the step before, east"),
-    Variable("acceleration.y", "m/s2", "Acceleration applied in the step before, north"),
+    *_plane("position", "m", "True position"),
+    *_plane("velocity", "m/s", "True velocity"),
+    *_plane("acceleration", "m/s2", "Acceleration applied in the step before"),
 )
 TRUE_ESCORT = (
     Variable("distance", "m", "True distance from its UGV"),

@@ -5,6 +5,7 @@ There is an input for what the vehicle perceives itself and for nothing else.
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 from agents.control.laws import law_parameters
 from agents.control.visibility import promise_of
@@ -20,6 +21,7 @@ from bus.messages import (
     UavObservation,
     UgvBriefing,
     UgvObservation,
+    Vector,
 )
 from bus.registry import DRIVERS, LAWS
 from bus.ticks import tick_of
@@ -61,6 +63,11 @@ def tick_at(time: float, size: float, dt: float) -> int:
             "from whole multiples of it"
         )
     return tick
+
+
+def pair(values: Values, name: str) -> Vector:
+    """The variables x and y of this name."""
+    return values[f"{name}.x"], values[f"{name}.y"]
 
 
 def check_inputs(values: Values) -> None:
@@ -155,24 +162,22 @@ class VehicleUnit:
         """
         tick = tick_at(time, size, self.dt)
         check_inputs(values)
+        own = {
+            "tick": tick,
+            "time": tick * self.dt,
+            "position": pair(values, "position"),
+            "velocity": pair(values, "velocity"),
+        }
         if isinstance(self._pilot, UavPilot):
-            return self._fly(self._pilot, tick, values)
-        return self._drive(self._pilot, tick, values)
+            return self._fly(self._pilot, own, values)
+        return self._drive(self._pilot, own, values)
 
-    def _fly(self, pilot: UavPilot, tick: int, values: Values) -> dict[str, float]:
+    def _fly(self, pilot: UavPilot, own: dict[str, Any], values: Values) -> dict[str, float]:
         looks: tuple[Detection, ...] = ()
         if values["detection.new"]:
-            relative = values["detection.x"], values["detection.y"]
+            relative = pair(values, "detection")
             looks = (Detection(time=values["detection.time"], relative_position=relative),)
-        command = pilot.act(
-            UavObservation(
-                tick=tick,
-                time=tick * self.dt,
-                position=(values["position.x"], values["position.y"]),
-                velocity=(values["velocity.x"], values["velocity.y"]),
-                detections=looks,
-            )
-        )
+        command = pilot.act(UavObservation(**own, detections=looks))
         pilot.prepare()
         return self._told(command)
 
@@ -192,27 +197,18 @@ class VehicleUnit:
             told["radio.coverage_error"] = message.coverage_error
         return told
 
-    def _drive(self, pilot: UgvPilot, tick: int, values: Values) -> dict[str, float]:
+    def _drive(self, pilot: UgvPilot, own: dict[str, Any], values: Values) -> dict[str, float]:
         radio: tuple[RelativeInformation, ...] = ()
         operator: tuple[Drive, ...] = ()
         if values.get("radio.new"):
             message = RelativeInformation(
                 time=values["radio.time"],
-                relative_position=(values["radio.x"], values["radio.y"]),
+                relative_position=pair(values, "radio"),
                 coverage_error=values["radio.coverage_error"],
             )
             radio = (message,)
         if values.get("operator.new"):
-            wanted = values["operator.velocity.x"], values["operator.velocity.y"]
+            wanted = pair(values, "operator.velocity")
             operator = (Drive(driver="fmi", velocity=wanted),)
-        command = pilot.act(
-            UgvObservation(
-                tick=tick,
-                time=tick * self.dt,
-                position=(values["position.x"], values["position.y"]),
-                velocity=(values["velocity.x"], values["velocity.y"]),
-                radio=radio,
-                operator=operator,
-            )
-        )
+        command = pilot.act(UgvObservation(**own, radio=radio, operator=operator))
         return dict(zip(("acceleration.x", "acceleration.y"), command.acceleration, strict=True))

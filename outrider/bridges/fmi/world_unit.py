@@ -7,7 +7,7 @@ from bus.errors import ScenarioError
 from bus.messages import Drive
 from bus.registry import DRIVERS
 from outrider.bridges.fmi.variables import OPERATOR, TRUE_ESCORT, TRUE_STATE, Variable, of
-from outrider.bridges.fmi.vehicle_unit import Values, check_inputs, tick_at
+from outrider.bridges.fmi.vehicle_unit import Values, check_inputs, pair, tick_at
 from outrider.running.flying import InProcess, make_pilots
 from outrider.running.user_code import own_code
 from sim.scenario.types import Scenario
@@ -82,8 +82,8 @@ class WorldUnit:
             )
         for name in self._driven:
             if values[f"{name}.operator.new"]:
-                x, y = (values[f"{name}.operator.velocity.{axis}"] for axis in "xy")
-                flight.say(name, Drive(driver="fmi", velocity=(x, y)))
+                wanted = pair(values, f"{name}.operator.velocity")
+                flight.say(name, Drive(driver="fmi", velocity=wanted))
         flight.fly_tick(self._exchange)
         return self._told()
 

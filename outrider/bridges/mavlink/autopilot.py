@@ -18,7 +18,7 @@ import msgspec
 from agents.uav import UavPilot
 from bus.errors import ScenarioError
 from bus.messages import UavBriefing, UavCommand, UavObservation, Vector
-from outrider.bridges.mavlink.dialect import MavMessage, mavlink
+from outrider.bridges.mavlink.dialect import MavMessage, mavlink, packed
 from outrider.bridges.mavlink.gateway import BEYOND_BOUNDS, NOT_FINITE
 from outrider.bridges.mavlink.identity import AUTOPILOT
 from outrider.bridges.mavlink.setpoints import REST, bounds, setpoint_control
@@ -142,11 +142,8 @@ class AutopilotLink:
         )
 
     def _send(self, message: MavMessage) -> None:
-        packed = bytes(message.pack(self._packer))
-        self._packer.seq = (self._packer.seq + 1) % 256
-        self.network.send(
-            packed, message.get_type(), None if self.peer is None else self.peer.address
-        )
+        to = None if self.peer is None else self.peer.address
+        self.network.send(packed(message, self._packer), message.get_type(), to)
 
     def _refuse(self, cause: str, what: str, count: int = 1) -> None:
         before = self.refused[cause]

@@ -11,7 +11,14 @@ except ImportError as error:
         "mavlink: needs pymavlink: pip install 'outrider[mavlink]', or -e '.[mavlink]' in the clone"
     ) from error
 
-__all__ = ["MavMessage", "mavlink"]
+__all__ = ["MavMessage", "mavlink", "packed"]
 
 MavMessage = Any
 """A message of pymavlink's, which has no types."""
+
+
+def packed(message: MavMessage, sender: Any) -> bytes:  # noqa: ANN401 - pymavlink's MAVLink, likewise
+    """The bytes of a message, numbered among those of its sender."""
+    data = bytes(message.pack(sender))
+    sender.seq = (sender.seq + 1) % 256
+    return data

@@ -4,9 +4,8 @@ import math
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
-from outrider.bridges.mavlink.dialect import MavMessage, mavlink
+from outrider.bridges.mavlink.dialect import MavMessage, mavlink, packed
 from outrider.bridges.mavlink.identity import AUTOPILOT, VehicleSystem
 from outrider.bridges.mavlink.udp import UNREADABLE, Network, Peer
 
@@ -41,17 +40,13 @@ RATES: Mapping[int, float] = {
 }
 """Rate of each message about each system, by its number [1/s] of wall time."""
 
+Numbers = tuple[int | None, int | None]
+"""Of a mode, main and sub, as somebody wants them; None where it is no whole number."""
 
-class Order(NamedTuple):
-    """A command: its number and its parameters, the same for both messages that carry one."""
 
-    number: int
-    parameters: tuple[float, ...]
-
-    def whole(self, place: int) -> int | None:
-        """A parameter, counted from 1, as a whole number; None where it is none."""
-        value = self.parameters[place - 1]
-        return int(value) if math.isfinite(value) and value == int(value) else None
+def _whole(value: float) -> int | None:
+    """A command's parameter as a whole number; None where it is none."""
+    return int(value) if math.isfinite(value) and value == int(value) else None
 
 
 class _Timer:
@@ -122,9 +117,9 @@ class Gateway:
         del peer, system, value
         self.refuse(NOT_ALLOWED, f"parameter {name} can only be read")
 
-    def order(self, peer: Peer, system: VehicleSystem, order: Order) -> int:
-        """Obey a command; MAVLink's result."""
-        del peer, system, order
+    def change_mode(self, peer: Peer, system: VehicleSystem, mode: Numbers) -> int:
+        """Change the mode to the one of these numbers, main and sub; MAVLink's result."""
+        del peer, system, mode
         return UNSUPPORTED
 
     def setpoint(self, peer: Peer, system: VehicleSystem, message: MavMessage) -> None:
@@ -166,7 +161,7 @@ class Gateway:
     def send(self, system: VehicleSystem, message: MavMessage, peer: Peer | None = None) -> None:
         """Send a message from a system, to one party or to all."""
         to = None if peer is None else peer.address
-        self.network.send(system.packed(message), message.get_type(), to)
+        self.network.send(packed(message, system.sender), message.get_type(), to)
 
     def say(self, system: VehicleSystem, text: str, *, warns: bool = False) -> None:
         """Say a text for people."""
@@ -248,8 +243,7 @@ class Gateway:
                 self._answer_command(peer, system, message)
             case "SET_MODE":
                 mode = message.custom_mode
-                parts = (1.0, float(mode >> 16 & 255), float(mode >> 24), 0.0, 0.0, 0.0, 0.0)
-                self.order(peer, system, Order(mavlink.MAV_CMD_DO_SET_MODE, parts))
+                self.change_mode(peer, system, (mode >> 16 & 255, mode >> 24))
             case "PARAM_REQUEST_LIST" | "PARAM_REQUEST_READ":
                 self._tell_parameters(peer, system, message)
             case "PARAM_SET":
@@ -272,25 +266,24 @@ class Gateway:
             self.send(system, reply, peer)
 
     def _answer_command(self, peer: Peer, system: VehicleSystem, message: MavMessage) -> None:
-        first = (message.param1, message.param2, message.param3, message.param4)
-        if message.get_type() == "COMMAND_LONG":
-            rest = (message.param5, message.param6, message.param7)
-        else:
-            rest = (float(message.x), float(message.y), message.z)
-        order = Order(message.command, (*first, *rest))
-        match order.number:
+        match message.command:
             case mavlink.MAV_CMD_REQUEST_MESSAGE:
-                result = self._request(peer, system, order.whole(1))
+                result = self._request(peer, system, _whole(message.param1))
             case mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
                 result = self._request(peer, system, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
-                result = self._pace(system, order)
+                result = self._pace(system, _whole(message.param1), message.param2)
+            case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:  # it moves as long as the run
+                result = ACCEPTED if message.param1 == 1.0 else DENIED
+            case mavlink.MAV_CMD_DO_SET_MODE:
+                mode = _whole(message.param2), _whole(message.param3)
+                result = self.change_mode(peer, system, mode)
             case _:
-                result = self.order(peer, system, order)
+                result = UNSUPPORTED
         if result == UNSUPPORTED:
             self.refused[f"command {NOT_SUPPORTED}"] += 1  # the answer says it
         answer = mavlink.MAVLink_command_ack_message(
-            order.number, result, 0, 0, peer.system, peer.component
+            message.command, result, 0, 0, peer.system, peer.component
         )
         self.send(system, answer, peer)
 
@@ -300,8 +293,8 @@ class Gateway:
         told = self.tell(system, kind, peer)
         return ACCEPTED if told else int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
 
-    def _pace(self, system: VehicleSystem, order: Order) -> int:
-        kind, interval = order.whole(1), order.parameters[1]  # [µs]; -1: never, 0: as it was
+    def _pace(self, system: VehicleSystem, kind: int | None, interval: float) -> int:
+        """Tell a message at another interval [µs]; -1: never, 0: as it was."""
         if kind is None or kind not in RATES or not math.isfinite(interval):
             return UNSUPPORTED
         if interval > 0.0 and 1e6 / interval > _FASTEST:

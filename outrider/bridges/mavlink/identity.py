@@ -94,21 +94,22 @@ class VehicleSystem:
         self._heading = 0.0  # [rad], from north over east
         self.capabilities = 0
         """Flags of MAVLink's beyond those that all have."""
-        self._packer = mavlink.MAVLink(None, srcSystem=number, srcComponent=AUTOPILOT)
+        self.sender = mavlink.MAVLink(None, srcSystem=number, srcComponent=AUTOPILOT)
+        """Numbers its messages."""
         self._texts = 0
-        self._builders: dict[int, Callable[[Moving], MavMessage | None]] = {
+        self._always: dict[int, Callable[[], MavMessage]] = {
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
+            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._landed,
+            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._version,
+            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._global_origin,
+        }
+        self._once_known: dict[int, Callable[[Moving], MavMessage | None]] = {
             mavlink.MAVLINK_MSG_ID_ATTITUDE: self._attitude,
             mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._global_position,
             mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._local_position,
             mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET: self._follow_target,
             mavlink.MAVLINK_MSG_ID_HOME_POSITION: self._home,
         }
-
-    def packed(self, message: MavMessage) -> bytes:
-        """The bytes of a message from this system."""
-        data: bytes = bytes(message.pack(self._packer))
-        self._packer.seq = (self._packer.seq + 1) % 256
-        return data
 
     def move(self, moving: Moving) -> None:
         """Take in where it is."""
@@ -119,33 +120,14 @@ class VehicleSystem:
 
     def build(self, number: int) -> MavMessage | None:
         """The message of this number; None where there is none, or nothing is known to be told yet."""
-        match number:
-            case mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-                return self._heartbeat()
-            case mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
-                landed = (
-                    mavlink.MAV_LANDED_STATE_IN_AIR
-                    if self.flies
-                    else mavlink.MAV_LANDED_STATE_ON_GROUND
-                )
-                return mavlink.MAVLink_extended_sys_state_message(0, landed)
-            case mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
-                return self._version()
-            case mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN:
-                place = self._degrees((0.0, 0.0), 0.0)
-                return mavlink.MAVLink_gps_global_origin_message(*place)
-        builder = self._builders.get(number)
+        if number in self._always:
+            return self._always[number]()
+        builder = self._once_known.get(number)
         return None if builder is None or self.moving is None else builder(self.moving)
 
     def knows(self, number: int) -> bool:
         """True if it can tell a message of this number."""
-        others = (
-            mavlink.MAVLINK_MSG_ID_HEARTBEAT,
-            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
-            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
-            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
-        )
-        return number in self._builders or number in others
+        return number in self._always or number in self._once_known
 
     def texts(self, text: str, *, warns: bool) -> Iterator[MavMessage]:
         """A text for people, in as many messages as it needs."""
@@ -168,6 +150,13 @@ class VehicleSystem:
             mavlink.MAV_STATE_CRITICAL if self.critical else mavlink.MAV_STATE_ACTIVE,
             3,
         )
+
+    def _landed(self) -> MavMessage:
+        air, ground = mavlink.MAV_LANDED_STATE_IN_AIR, mavlink.MAV_LANDED_STATE_ON_GROUND
+        return mavlink.MAVLink_extended_sys_state_message(0, air if self.flies else ground)
+
+    def _global_origin(self) -> MavMessage:
+        return mavlink.MAVLink_gps_global_origin_message(*self._degrees((0.0, 0.0), 0.0))
 
     def _version(self) -> MavMessage:
         capabilities = (

@@ -10,8 +10,8 @@ from agents.uav import UavPilot
 from bus.messages import UavBriefing, UavCommand, UavObservation, Vector
 from bus.registry import LAWS
 from bus.ticks import ticks_within
-from outrider.bridges.mavlink.dialect import MavMessage, mavlink
-from outrider.bridges.mavlink.gateway import ACCEPTED, DENIED, UNSUPPORTED, Gateway, Order
+from outrider.bridges.mavlink.dialect import MavMessage
+from outrider.bridges.mavlink.gateway import ACCEPTED, DENIED, UNSUPPORTED, Gateway, Numbers
 from outrider.bridges.mavlink.identity import (
     HOLD,
     MISSION,
@@ -182,23 +182,19 @@ class OffboardGateway(Gateway):
         if self.holds(peer):
             self._pilot.want(wanted)
 
-    def order(self, peer: Peer, system: VehicleSystem, order: Order) -> int:
-        """Arming, which it is, and modes."""
-        match order.number:
-            case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
-                return ACCEPTED if order.whole(1) == 1 else DENIED  # in the air
-            case mavlink.MAV_CMD_DO_SET_MODE:
-                mode = _MODES.get((order.whole(2) or 0, order.whole(3) or 0))
-                if mode is None:
-                    return UNSUPPORTED
-                if mode is self._pilot.mode:
-                    return ACCEPTED
-                if not self.holds(peer):
-                    return DENIED
-                self._pilot.mode = system.mode = mode
-                self.say(system, f"mode {mode.name}")
-                return ACCEPTED
-        return UNSUPPORTED
+    def change_mode(self, peer: Peer, system: VehicleSystem, mode: Numbers) -> int:
+        """Let the law fly, setpoints, or stay."""
+        main, sub = mode
+        wanted = _MODES.get((main or 0, sub or 0))
+        if wanted is None:
+            return UNSUPPORTED
+        if wanted is self._pilot.mode:
+            return ACCEPTED
+        if not self.holds(peer):
+            return DENIED
+        self._pilot.mode = system.mode = wanted
+        self.say(system, f"mode {wanted.name}")
+        return ACCEPTED
 
     def parameters(self, system: VehicleSystem) -> Mapping[str, float]:
         """The briefing of the UAV when it joined."""

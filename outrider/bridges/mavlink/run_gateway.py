@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from bus.messages import Action, Control, Law, Limits, Message, Status, Truth, Vector
 from bus.registry import LAWS, TELEOP
-from outrider.bridges.mavlink.dialect import MavMessage, mavlink
+from outrider.bridges.mavlink.dialect import MavMessage
 from outrider.bridges.mavlink.gateway import (
     ACCEPTED,
     BEYOND_BOUNDS,
@@ -14,7 +14,7 @@ from outrider.bridges.mavlink.gateway import (
     NOT_ALLOWED,
     UNSUPPORTED,
     Gateway,
-    Order,
+    Numbers,
 )
 from outrider.bridges.mavlink.identity import MANUAL, MISSION, Moving, VehicleSystem
 from outrider.bridges.mavlink.udp import Network, Peer
@@ -176,21 +176,10 @@ class RunGateway(Gateway):
             self.refuse(NOT_ALLOWED, f"{what}: needs the operator's credentials, and")
         return self._client.may_steer
 
-    def order(self, peer: Peer, system: VehicleSystem, order: Order) -> int:
-        """Arming and modes: a UGV's wheel is taken in MANUAL and handed back in AUTO."""
-        match order.number:
-            case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
-                return ACCEPTED if order.whole(1) == 1 else DENIED  # it moves as long as the run
-            case mavlink.MAV_CMD_DO_SET_MODE:
-                mode = (order.whole(2), order.whole(3))
-                if mode == (system.mode.main, system.mode.sub):
-                    return ACCEPTED
-                return self._change_mode(peer, system, mode)
-        return UNSUPPORTED
-
-    def _change_mode(
-        self, peer: Peer, system: VehicleSystem, mode: tuple[int | None, int | None]
-    ) -> int:
+    def change_mode(self, peer: Peer, system: VehicleSystem, mode: Numbers) -> int:
+        """A UGV's wheel is taken in MANUAL and handed back in AUTO."""
+        if mode == (system.mode.main, system.mode.sub):
+            return ACCEPTED
         if system.flies:
             self.refuse(
                 NOT_ALLOWED, f"a mode: {system.name} is flown by its own process, and another"

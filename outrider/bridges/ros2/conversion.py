@@ -12,6 +12,7 @@ from functools import partial
 from itertools import pairwise
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from bus.messages import (
@@ -34,6 +35,8 @@ from sim.scene.model import Scene, observed_scene
 MAP = "map"
 _FLAT = 0.02
 """Thickness of what lies on the ground [m]."""
+_CORNERS = 72
+"""Of a circle."""
 _CYLINDER, _LINE_STRIP, _TRIANGLES = 3, 4, 11
 _OK, _WARN, _ERROR = b"\x00", b"\x01", b"\x02"
 _LATE, _MISSING_SHARE = 1.0, 0.05
@@ -131,12 +134,12 @@ def header(seconds: float, frame: str = MAP) -> Any:  # noqa: ANN401 - likewise
     return make("std_msgs/msg/Header", stamp=stamp(seconds), frame_id=frame)
 
 
-def _point(position: Vector, z: float = 0.0) -> Any:  # noqa: ANN401
-    return make("geometry_msgs/msg/Point", x=position[0], y=position[1], z=z)
+def _point(position: Vector) -> Any:  # noqa: ANN401
+    return make("geometry_msgs/msg/Point", x=position[0], y=position[1], z=0.0)
 
 
-def _vector(value: Vector, z: float = 0.0) -> Any:  # noqa: ANN401
-    return make("geometry_msgs/msg/Vector3", x=value[0], y=value[1], z=z)
+def _vector(x: float, y: float, z: float = 0.0) -> Any:  # noqa: ANN401
+    return make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
 
 
 def _upright() -> Any:  # noqa: ANN401
@@ -165,7 +168,7 @@ def transform(seconds: float, parent: str, child: str, position: Vector) -> Any:
         header=header(seconds, parent),
         child_frame_id=child,
         transform=make(
-            "geometry_msgs/msg/Transform", translation=_vector(position), rotation=_upright()
+            "geometry_msgs/msg/Transform", translation=_vector(*position), rotation=_upright()
         ),
     )
 
@@ -201,7 +204,7 @@ def odometry(seconds: float, vehicle: str, position: Vector, velocity: Vector) -
         position: In `map` [m].
         velocity: In its base_link, which is never turned [m/s].
     """
-    twist = make("geometry_msgs/msg/Twist", linear=_vector(velocity), angular=_vector((0.0, 0.0)))
+    twist = make("geometry_msgs/msg/Twist", linear=_vector(*velocity), angular=_vector(0.0, 0.0))
     return make(
         "nav_msgs/msg/Odometry",
         header=header(seconds),
@@ -226,8 +229,8 @@ def acceleration(truth: Truth, vehicle: str) -> Any:  # noqa: ANN401
         header=header(truth.time, base_link(vehicle)),
         accel=make(
             "geometry_msgs/msg/Accel",
-            linear=_vector(truth.vehicles[vehicle].acceleration),
-            angular=_vector((0.0, 0.0)),
+            linear=_vector(*truth.vehicles[vehicle].acceleration),
+            angular=_vector(0.0, 0.0),
         ),
     )
 
@@ -359,7 +362,7 @@ def marker(
         type=shape,
         action=0,
         pose=_pose(position),
-        scale=make("geometry_msgs/msg/Vector3", x=scale[0], y=scale[1], z=scale[2]),
+        scale=_vector(*scale),
         color=colour,
         lifetime=make("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
         frame_locked=True,
@@ -424,8 +427,8 @@ def discs(view: RunView) -> Any:  # noqa: ANN401
     return make("visualization_msgs/msg/MarkerArray", markers=found)
 
 
-def _circle(radius: float, corners: int = 72) -> list[Vector]:
-    angles = [2.0 * math.pi * k / corners for k in range(corners + 1)]
+def _circle(radius: float) -> list[Vector]:
+    angles = [2.0 * math.pi * k / _CORNERS for k in range(_CORNERS + 1)]
     return [(radius * math.cos(angle), radius * math.sin(angle)) for angle in angles]
 
 
@@ -445,11 +448,9 @@ def hazards(view: RunView, told: GroundMap) -> Any:  # noqa: ANN401
     return make("visualization_msgs/msg/MarkerArray", markers=found)
 
 
-def _values(pairs: Mapping[str, object]) -> list[Any]:
-    return [
-        make("diagnostic_msgs/msg/KeyValue", key=key, value=_told(value))
-        for key, value in pairs.items()
-    ]
+def _fields(message: Message, *names: str) -> dict[str, object]:
+    """Some fields of one of our messages, by their names."""
+    return {name: getattr(message, name) for name in names}
 
 
 def _told(value: object) -> str:
@@ -475,25 +476,20 @@ def diagnostic(
         name=f"outrider: {name}",
         message=message,
         hardware_id="outrider",
-        values=_values(values),
+        values=[
+            make("diagnostic_msgs/msg/KeyValue", key=key, value=_told(value))
+            for key, value in values.items()
+        ],
     )
 
 
 def _run_diagnostic(status: Status) -> Any:  # noqa: ANN401
     warnings = (*status.warnings, *status.refusals[-1:])
     words = "over" if status.over else "paused" if status.paused else "flying"
+    pace = ("realtime_factor", "wanted_factor", "late_ticks")
     return diagnostic(
         "run",
-        {
-            "scenario": status.scenario,
-            "seed": status.seed,
-            "tick": status.tick,
-            "ticks": status.ticks,
-            "law": status.law,
-            "realtime_factor": status.realtime_factor,
-            "wanted_factor": status.wanted_factor,
-            "late_ticks": status.late_ticks,
-        }
+        _fields(status, "scenario", "seed", "tick", "ticks", "law", *pace)
         | {f"driver of {name}": driver for name, driver in status.drivers.items()},
         level=_WARN if warnings else _OK,
         message="; ".join((words, *warnings)),
@@ -508,18 +504,10 @@ def _link_diagnostic(name: str, link: LinkStatus) -> Any:  # noqa: ANN401
         *(("loses messages",) if bad else ()),
         *((f"its newest is {link.age:.1f} s old",) if late and link.age is not None else ()),
     ]
+    counts, ages = ("sent", "delivered", "waiting", "flying"), ("age", "mean_age", "max_age")
     return diagnostic(
         f"link {name}",
-        {
-            "sent": link.sent,
-            "delivered": link.delivered,
-            "waiting": link.waiting,
-            "flying": link.flying,
-            "delivery_ratio": ratio,
-            "age": link.age,
-            "mean_age": link.mean_age,
-            "max_age": link.max_age,
-        }
+        _fields(link, *counts, "delivery_ratio", *ages)
         | {f"lost: {cause}": count for cause, count in link.lost.items()},
         level=_WARN if words else _OK,
         message=", ".join(words) or "ok",
@@ -529,16 +517,10 @@ def _link_diagnostic(name: str, link: LinkStatus) -> Any:  # noqa: ANN401
 def _vehicle_diagnostic(name: str, vehicle: VehicleStatus, *, over: bool) -> Any:  # noqa: ANN401
     gone = not vehicle.present and not over
     faulty = bool(vehicle.missing_commands or vehicle.refused or vehicle.last_fault)
+    faults = ("missing_commands", "stale_commands", "shortened_commands", "lost", "rejoined")
     return diagnostic(
         f"vehicle {name}",
-        {
-            "present": vehicle.present,
-            "missing_commands": vehicle.missing_commands,
-            "stale_commands": vehicle.stale_commands,
-            "shortened_commands": vehicle.shortened_commands,
-            "lost": vehicle.lost,
-            "rejoined": vehicle.rejoined,
-        }
+        _fields(vehicle, "present", *faults)
         | {f"refused: {cause}": count for cause, count in vehicle.refused.items()},
         level=_ERROR if gone else _WARN if faulty else _OK,
         message="its process is away" if gone else vehicle.last_fault or "ok",
@@ -565,9 +547,8 @@ def diagnostics(status: Status, own: Iterable[Any] = ()) -> Any:  # noqa: ANN401
         for name, certified in status.certified.items()
     ]
     if status.mission is not None:
-        mission = status.mission
-        told = {name: getattr(mission, name) for name in mission.__struct_fields__}
-        found.append(diagnostic("mission", told, level=_WARN if mission.hazards_hit else _OK))
+        told, hits = msgspec.structs.asdict(status.mission), status.mission.hazards_hit
+        found.append(diagnostic("mission", told, level=_WARN if hits else _OK))
     found += [
         _vehicle_diagnostic(name, vehicle, over=status.over)
         for name, vehicle in status.vehicles.items()

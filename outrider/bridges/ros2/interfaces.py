@@ -60,14 +60,9 @@ def response_of(service: str) -> str:
     return f"{service.replace('/srv/', '/msg/')}_Response"
 
 
-@cache
-def _message_class(name: str) -> Any:  # noqa: ANN401 - a generated class
-    return type_store().types[name]
-
-
 def make(interface: str, /, **fields: object) -> Any:  # noqa: ANN401 - an object of a generated class
     """A message of a type, such as `geometry_msgs/msg/Point`, with all its fields."""
-    return _message_class(interface)(**fields)
+    return type_store().types[interface](**fields)
 
 
 @cache

@@ -247,14 +247,13 @@ class RosBag:
             ScenarioError: If there is nothing to be told to ROS 2, or somebody has taken the name.
             OSError: If it does not take all there is.
         """
-        if self._open:
-            self.write_waiting()
-        if self._open and self._view is None:
+        if not self._open:
+            return
+        self.write_waiting()
+        if self._view is None:
             why = "no status has told the geometry" if self._waiting else "no tick came"
             self.abort()
             raise ScenarioError(f"{self.folder}: not written: {why}")
-        if not self._open:
-            return
         try:
             self._writer.close()
         except BaseException:

@@ -3,7 +3,6 @@
 The process joins as that vehicle, with that vehicle's credentials, and knows what that vehicle may know.
 """
 
-import logging
 import math
 import threading
 import time
@@ -39,15 +38,14 @@ from outrider.bridges.ros2.topics import (
 )
 from outrider.bridges.ros2.wire import dds_type
 
-_LOG = logging.getLogger("outrider.ros2")
 _LOOK = 0.01
 """While it waits for an answer, it looks this often whether it need not wait any longer [s]."""
 _TEXT, _ACCEL = PILOT_COMMANDS
 _COMMAND = {Role.UAV: UavCommand, Role.UGV: UgvCommand}
 
 
-class RosLink:
-    """The topics of one vehicle: what it is told goes out, what its node answers comes in.
+class RosPilot:
+    """A vehicle's pilot that passes on what a ROS 2 node answers: what it is told goes out, the answer comes in.
 
     Args:
         node: On a session with the vehicle's credentials.
@@ -61,6 +59,7 @@ class RosLink:
         self._news = threading.Condition()
         self._awaited: Observation | None = None
         self._answer: Command | None = None
+        self._waits: Callable[[], bool] | None = None
         self.refusals = Refusals()
         self.answered = 0
         """Commands that were passed on."""
@@ -84,11 +83,26 @@ class RosLink:
         if publisher.wanted or row is BRIEFING:
             publisher.send(encode(row.interface, message))
 
-    def brief(self, told: Briefing) -> None:
-        """Tell the node what the vehicle was told."""
-        self._send(BRIEFING, _text(told))
+    def make(self, briefing: Briefing) -> "RosPilot":
+        """Join: the node is told what the vehicle was told."""
+        self._waits = None
+        self._send(BRIEFING, _text(briefing))
+        return self
 
-    def tell(self, seen: Observation) -> None:
+    def attend(self, waits: Callable[[], bool]) -> None:
+        """From here on answers are awaited; before, what is acted on is past.
+
+        Args:
+            waits: Tells whether the answer to the newest observation is still awaited.
+        """
+        self._waits = waits
+
+    def act(self, observation: Observation) -> Command | None:
+        """The node's command; None: it had none in time."""
+        self.perceive(observation)
+        return None if self._waits is None else self.answer(self._waits)
+
+    def perceive(self, seen: Observation) -> None:
         """Tell the node what the vehicle sees; the lossless form comes last, when all else is there."""
         with self._news:
             self._awaited, self._answer = seen, None
@@ -127,7 +141,7 @@ class RosLink:
             now = sum(one.found for one in self._publishers.values())
             if now != found and awaited is not None:  # a node that has come meanwhile
                 found = now
-                self.tell(awaited)
+                self.perceive(awaited)
 
     def _receive(self, key: str, payload: bytes, _sender: bytes) -> None:
         try:
@@ -198,34 +212,3 @@ class RosLink:
 
 def _text(message: Message) -> Any:  # noqa: ANN401 - a generated class
     return make("std_msgs/msg/String", data=msgspec.json.encode(message).decode())
-
-
-class RosPilot:
-    """A pilot that passes on what a ROS 2 node answers.
-
-    Args:
-        link: The vehicle's topics.
-        told: Its briefing.
-    """
-
-    def __init__(self, link: RosLink, told: Briefing) -> None:
-        self._link = link
-        self._waits: Callable[[], bool] | None = None
-        link.brief(told)
-
-    def attend(self, waits: Callable[[], bool]) -> None:
-        """From here on answers are awaited; before, what is acted on is past.
-
-        Args:
-            waits: Tells whether the answer to the newest observation is still awaited.
-        """
-        self._waits = waits
-
-    def act(self, observation: Observation) -> Command | None:
-        """The node's command; None: it had none in time."""
-        self._link.tell(observation)
-        return None if self._waits is None else self._link.answer(self._waits)
-
-    def perceive(self, observation: Observation) -> None:
-        """Tell the node what it is too late to answer."""
-        self._link.tell(observation)

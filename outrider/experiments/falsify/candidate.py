@@ -22,8 +22,6 @@ class CandidateResult:
     number: int
     score: float
     """Largest distance while the promise stood [m]."""
-    max_distance: float
-    """Largest distance of the whole run [m]."""
     violated: bool
     """True if the UGV was lost while the promise stood."""
     lost: bool
@@ -95,7 +93,6 @@ def flown(
     result = CandidateResult(
         number=candidate.number,
         score=float(distance[stands].max(initial=0.0)),
-        max_distance=float(distance.max()),
         violated=bool(np.any(lost & stands)),
         lost=bool(np.any(lost)),
         uncertified=certifies and not bool(np.all(certified[int(certified.argmax()) :])),

@@ -14,7 +14,7 @@ from outrider.experiments.falsify.candidate import flown
 from outrider.experiments.falsify.limits import SearchLimits
 from outrider.experiments.falsify.pool import Workers
 from outrider.experiments.falsify.saving import as_toml, free_path
-from outrider.experiments.falsify.search import Budget, Search, Tally
+from outrider.experiments.falsify.search import Budget, Tally, run_search
 from outrider.experiments.falsify.words import in_words
 from outrider.running.warming import warm_up_flight
 from sim.scenario.checks import check_scenario
@@ -175,9 +175,16 @@ def _fly(found: Found, ends: Callable[[], bool], on_run: Callable[[str, float], 
         runs = None if runs is None else min(runs, max(_LEAST, runs // _SHARE))
         minutes = None if minutes is None else minutes * _SHARE_OF_TIME
     budget = Budget(runs, None if minutes is None else 60.0 * minutes, ends)
-    one = Search(wanted.base, wanted.limits, wanted.seed, tally=found.flights)
     with Workers(wanted.jobs, warm_up_flight) as workers:
-        one.run(workers, budget, lambda: on_run("flights", budget.share(found.flights.runs)))
+        run_search(
+            workers,
+            budget,
+            found.flights,
+            base=wanted.base,
+            limits=wanted.limits,
+            seed=wanted.seed,
+            on_run=lambda: on_run("flights", budget.share(found.flights.runs)),
+        )
 
 
 def _attack(

@@ -9,7 +9,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import count, islice
 from typing import Any
 
 import numpy as np
@@ -145,68 +145,55 @@ class _Island:
         self._strategy.tell(self._asked, [-score for score in scores])
 
 
-class Search:
-    """One search.
+def run_search(
+    workers: Workers,
+    budget: Budget,
+    tally: Tally,
+    *,
+    base: Scenario,
+    limits: SearchLimits,
+    seed: int,
+    on_run: Callable[[], None],
+) -> None:
+    """Search until the budget is used up.
 
     Args:
+        workers: Who fly.
+        budget: How much.
+        tally: What is found, counted as it comes.
         base: What all candidates have in common.
         limits: Within what is searched.
         seed: Of the search.
-        tally: What is found, counted as it comes.
+        on_run: Is told after every run.
     """
+    chances, cases, size = _chances(seed), len(proof_cases()), _ISLANDS * _POPULATION
+    numbers, begun = count(), count(1)
+    islands: list[_Island] = []
 
-    def __init__(self, base: Scenario, limits: SearchLimits, seed: int, *, tally: Tally) -> None:
-        self._base, self._limits, self._seed = base, limits, seed
-        self.tally = tally
-        self._number = 0
-        self._begun = 0
+    def island(rank: int, spread: float) -> _Island:
+        return _Island(tally.elite[rank][0], seed, next(begun), spread)
 
-    def run(
-        self, workers: Workers, budget: Budget, on_run: Callable[[], None] = lambda: None
-    ) -> None:
-        """Search until the budget is used up.
-
-        Args:
-            workers: Who fly.
-            budget: How much.
-            on_run: Is told after every run.
-        """
-        tally, chances, size = self.tally, _chances(self._seed), _ISLANDS * _POPULATION
-        cases = len(proof_cases())
-        islands: list[_Island] = []
-        while not budget.ends() and budget.left(tally.runs) != 0:
-            explores = tally.runs < cases or budget.share(tally.runs) < _EXPLORED
-            if not explores:
-                islands = self._islands(islands)
-            wanted = (
-                list(islice(chances, size))
-                if explores
-                else [one for island in islands for one in island.ask()]
-            )
-            batch = [self._candidate(*one) for one in wanted][: budget.left(tally.runs)]
-            flown = {candidate.number: candidate for candidate in batch}
-            results: list[CandidateResult] = []
-            for result in workers.stream(
-                fly_candidate, ((one, self._base, self._limits) for one in batch), budget.ends
-            ):
-                tally.take(flown[result.number], result)
-                results.append(result)
-                on_run()
-            if not explores and len(results) == size:
-                for k, island in enumerate(islands):
-                    own = results[k * _POPULATION : (k + 1) * _POPULATION]
-                    island.tell([result.score for result in own])
-
-    def _candidate(self, kind: str, vector: tuple[float, ...], seed: int) -> Candidate:
-        self._number += 1
-        return Candidate(number=self._number - 1, kind=kind, vector=vector, seed=seed)
-
-    def _islands(self, islands: list[_Island]) -> list[_Island]:
-        """Those that still find something, and new ones in the place of the others."""
-        if islands:
-            return [self._island(0, _NEW_SPREAD) if island.over else island for island in islands]
-        return [self._island(min(k, len(self.tally.elite) - 1), _SPREAD) for k in range(_ISLANDS)]
-
-    def _island(self, rank: int, spread: float) -> _Island:
-        self._begun += 1
-        return _Island(self.tally.elite[rank][0], self._seed, self._begun, spread)
+    while not budget.ends() and budget.left(tally.runs) != 0:
+        explores = tally.runs < cases or budget.share(tally.runs) < _EXPLORED
+        if explores:
+            wanted = list(islice(chances, size))
+        else:  # those that still find something go on, and new ones begin in the place of the others
+            islands = [island(0, _NEW_SPREAD) if one.over else one for one in islands] or [
+                island(min(k, len(tally.elite) - 1), _SPREAD) for k in range(_ISLANDS)
+            ]
+            wanted = [one for every in islands for one in every.ask()]
+        batch = [
+            Candidate(number=next(numbers), kind=kind, vector=vector, seed=own)
+            for kind, vector, own in wanted
+        ][: budget.left(tally.runs)]
+        flown = {candidate.number: candidate for candidate in batch}
+        results: list[CandidateResult] = []
+        calls = ((one, base, limits) for one in batch)
+        for result in workers.stream(fly_candidate, calls, budget.ends):
+            tally.take(flown[result.number], result)
+            results.append(result)
+            on_run()
+        if not explores and len(results) == size:
+            for k, one in enumerate(islands):
+                own_results = results[k * _POPULATION : (k + 1) * _POPULATION]
+                one.tell([result.score for result in own_results])

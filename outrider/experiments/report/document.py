@@ -156,7 +156,7 @@ def markdown(material: Material) -> str:
         "|---|" + "---|" * len(material.law),
     ]
     for panel in material.panels:
-        words = [holds(panel, law)[0] if law in panel.laws else "-" for law in material.law]
+        words = [holds(panel, law)[0] for law in material.law]
         lines.append(f"| {_plain(panel.title)} | " + " | ".join(words) + " |")
     for panel in material.panels:
         lines += ["", f"**{_plain(panel.title)}**", ""]
@@ -185,7 +185,7 @@ def _overview(material: Material) -> Iterator[str]:
     for panel in material.panels:
         yield f"<tr><td>{escape(panel.title)}</td>"
         for law in material.law:
-            words, good = holds(panel, law) if law in panel.laws else ("-", False)
+            words, good = holds(panel, law)
             shade = "good" if good else "bad" if "broken" in words else ""
             yield f'<td class="{shade}">{escape(words)}</td>'
         yield "</tr>"

@@ -4,7 +4,7 @@ How often the promise breaks, by how much, what is covered meanwhile, how old th
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from statistics import fmean, median, quantiles
@@ -63,10 +63,13 @@ def _dress(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
     axes.grid(visible=False, axis="x")
 
 
-def _aside(panel: Panel, number: int, gap: float, share: float = 0.62) -> float:
-    """Offset of a law's marks from the value, so that none hides another."""
-    count = len(panel.laws)
-    return gap * share * ((number + 0.5) / count - 0.5)
+def _laws_aside(
+    panel: Panel, where: list[float], gap: float
+) -> Iterator[tuple[str, str, list[float]]]:
+    """Each law, its colour, and the places of its marks beside the values, so that none hides another."""
+    for number, law in enumerate(panel.laws):
+        aside = gap * 0.62 * ((number + 0.5) / len(panel.laws) - 0.5)
+        yield law, style.law_color(law), [x + aside for x in where]
 
 
 def _sheet(
@@ -75,8 +78,6 @@ def _sheet(
     label: str,
     draw: Draw,
     keys: Sequence[Line2D | Patch],
-    *,
-    alike: bool = True,
 ) -> Figure:
     """One picture: a panel for each experiment, all with the same axis upwards."""
     panels = material.panels[:MOST_PANELS]
@@ -85,7 +86,7 @@ def _sheet(
     header = _HEADER + _KEY_LINE * (math.ceil(len(keys) / _KEYS_A_LINE) - 1)
     height = _PANEL[1] * rows + header
     figure = style.new_figure(max(1040, _PANEL[0] * columns), height, header=header / height)
-    grid = figure.subplots(rows, columns, squeeze=False, sharey=alike)
+    grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for k, axes in enumerate(grid.flat):
         if k >= len(panels):
             axes.set_visible(False)
@@ -117,27 +118,18 @@ def violations(material: Material) -> Figure:
     """The share of runs that lost the UGV, with Wilson's 95 % interval."""
 
     def draw(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
-        for number, law in enumerate(panel.laws):
-            aside = _aside(panel, number, gap)
-            rates = [
-                (x + aside, panel.cell(law, value).rate())
-                for x, value in zip(where, panel.values, strict=True)
-            ]
-            found = [(x, *rate) for x, rate in rates if rate is not None]
-            color = style.law_color(law)
+        for law, color, xs in _laws_aside(panel, where, gap):
+            rates = [panel.cell(law, value).rate() for value in panel.values]
+            found = [(x, *rate) for x, rate in zip(xs, rates, strict=True) if rate is not None]
+            if not found:
+                continue
+            x, share, low, high = zip(*found, strict=True)
             if panel.ordered:
-                axes.plot(
-                    [row[0] for row in found],
-                    [row[1] for row in found],
-                    color=color,
-                    linewidth=1.0,
-                    alpha=0.45,
-                )
-            for x, _, low, high in found:
-                axes.plot([x, x], [low, high], color=color, linewidth=2.2, alpha=0.5)
+                axes.plot(x, share, color=color, linewidth=1.0, alpha=0.45)
+            axes.plot([x, x], [low, high], color=color, linewidth=2.2, alpha=0.5)
             axes.plot(
-                [row[0] for row in found],
-                [row[1] for row in found],
+                x,
+                share,
                 color=color,
                 linestyle="",
                 marker=style.law_mark(law),
@@ -172,9 +164,8 @@ def margins(material: Material) -> Figure:
         axes.axhline(0.0, color=style.LIMIT, linewidth=1.3, zorder=1.5)
         axes.set_ylim(lowest, 1.08 * highest)
         width = 2.0 + 16.0 / (len(panel.laws) * len(panel.values))
-        for number, law in enumerate(panel.laws):
-            aside, color = _aside(panel, number, gap), style.law_color(law)
-            for x, value in zip(where, panel.values, strict=True):
+        for law, color, xs in _laws_aside(panel, where, gap):
+            for x, value in zip(xs, panel.values, strict=True):
                 found = panel.cell(law, value).numbers("margin")
                 if not found:
                     continue
@@ -183,9 +174,9 @@ def margins(material: Material) -> Figure:
                     if len(found) == 1
                     else quantiles(found, n=4, method="inclusive")[::2]
                 )
-                axes.plot([x + aside] * 2, [min(found), max(found)], color=color, linewidth=1.0)
+                axes.plot([x, x], [min(found), max(found)], color=color, linewidth=1.0)
                 axes.plot(
-                    [x + aside] * 2,
+                    [x, x],
                     [low, high],
                     color=color,
                     linewidth=width,
@@ -193,7 +184,7 @@ def margins(material: Material) -> Figure:
                     solid_capstyle="butt",
                 )
                 axes.plot(
-                    x + aside,
+                    x,
                     median(found),
                     "o",
                     color="white",
@@ -202,9 +193,7 @@ def margins(material: Material) -> Figure:
                     zorder=4,
                 )
                 if min(found) < lowest:
-                    axes.plot(
-                        x + aside, lowest, "v", color=color, markersize=5.0, zorder=4, clip_on=False
-                    )
+                    axes.plot(x, lowest, "v", color=color, markersize=5.0, zorder=4, clip_on=False)
 
     bar = [style.key(style.law_color(law), law, linewidth=5, alpha=0.75) for law in material.law]
     keys = [
@@ -247,17 +236,9 @@ def errors(material: Material) -> Figure:
     top = 1.25 * max([*means, 1.0])
 
     def draw(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
-        for number, law in enumerate(panel.laws):
-            aside = 0.0 if panel.ordered else _aside(panel, number, gap)
+        for law, color, xs in _laws_aside(panel, where, gap):
             found = [panel.cell(law, value).numbers("mean_error") for value in panel.values]
-            _band(
-                axes,
-                panel,
-                [x + aside for x in where],
-                found,
-                style.law_color(law),
-                style.law_mark(law),
-            )
+            _band(axes, panel, where if panel.ordered else xs, found, color, style.law_mark(law))
         axes.set_ylim(0.0, top)
 
     keys = [
@@ -291,30 +272,19 @@ def ages(material: Material) -> Figure | None:
         for number, (kind, (color, mark)) in enumerate(kinds.items()):
             aside = 0.0 if panel.ordered else 0.3 * gap * (number - 0.5)
             places = [x + aside for x in where]
-            for column, line in (("mean_age", "-"), ("max_age", ":")):
-                found = [
-                    [
-                        number
-                        for law in panel.laws
-                        for number in panel.cell(law, value).numbers(f"{kind}_{column}")
-                    ]
-                    for value in panel.values
-                ]
-                if line == "-":
-                    _band(axes, panel, places, found, color, mark)
-                else:
-                    points = [
-                        (x, max(numbers))
-                        for x, numbers in zip(places, found, strict=True)
-                        if numbers
-                    ]
-                    axes.plot(
-                        *zip(*points, strict=True),
-                        color=color,
-                        linewidth=1.2,
-                        linestyle=line if panel.ordered else "",
-                        marker="" if panel.ordered else "_",
-                    )
+            means, most = (
+                [panel.numbers(value, f"{kind}_{column}") for value in panel.values]
+                for column in ("mean_age", "max_age")
+            )
+            _band(axes, panel, places, means, color, mark)
+            points = [(x, max(ages)) for x, ages in zip(places, most, strict=True) if ages]
+            axes.plot(
+                *zip(*points, strict=True),
+                color=color,
+                linewidth=1.2,
+                linestyle=":" if panel.ordered else "",
+                marker="" if panel.ordered else "_",
+            )
         axes.set_yscale("symlog", linthresh=0.1, linscale=0.4)
         axes.set_yticks([0.0, 0.1, 1.0, 10.0, 100.0], ["0", "0.1", "1", "10", "100"])
         axes.set_ylim(0.0, top)

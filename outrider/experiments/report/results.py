@@ -13,10 +13,7 @@ from bus.errors import ScenarioError
 from bus.registry import LAWS
 from outrider.experiments.intervals import wilson_interval
 from outrider.experiments.report.labels import is_number, label_of, value_of
-from outrider.experiments.sweep.columns import RESULTS
 from outrider.experiments.sweep.folder import SweepHead, read_head, read_results
-
-_OWN = ("run", "law", "seed", *RESULTS)
 
 
 @dataclass(slots=True)
@@ -82,6 +79,10 @@ class Panel:
     def cell(self, law: str, value: object) -> Cell:
         """The runs of a law at a value; empty where none are flown."""
         return self.cells.get((law, value), Cell())
+
+    def numbers(self, value: object, column: str) -> list[float]:
+        """The finite numbers of a column at a value, of all laws."""
+        return [number for law in self.laws for number in self.cell(law, value).numbers(column)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

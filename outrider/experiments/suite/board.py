@@ -144,7 +144,6 @@ def leaderboard(
         )
     kept = new_secret() if secret is None else check_secret(secret)
     jobs = [(name, entry, task) for task in flown for name, entry in field.items()]
-    done = 0
 
     def fly(job: tuple[str, Entry, Task]) -> Result:
         name, entry, task = job
@@ -160,11 +159,9 @@ def leaderboard(
     results: dict[tuple[str, str], Result] = {}
 
     def note(result: Result) -> None:
-        nonlocal done
-        done += 1
         results[result.entry, result.task] = result
         if on_progress is not None:
-            on_progress(f"{result.entry} in {result.task}", done / len(jobs))
+            on_progress(f"{result.entry} in {result.task}", len(results) / len(jobs))
 
     for job in jobs:
         if not isinstance(job[1], str):  # a policy of the user's own need not bear threads

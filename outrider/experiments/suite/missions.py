@@ -1,6 +1,5 @@
 """The score of a mission: how soon the UGVs are through, what they have run into, and what was found."""
 
-import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,15 +11,19 @@ import numpy as np
 
 from bus.messages import Mission
 from outrider.envs.closed_loop import ClosedLoop, pilot_names
-from outrider.envs.vector import Policy, Worlds
-from outrider.experiments.suite.scoring import Entry, Result, Team, check_law, result_of
+from outrider.envs.vector import Worlds
+from outrider.experiments.suite.scoring import Entry, Result, Team, begun, check_law, result_of
 from outrider.experiments.suite.tasks import NO_ESCORT, Task
 from sim.engine.mission import mission_of
 from sim.env.rewards import RewardWeights
 from sim.scenario.types import Scenario
 
-_UNPAID = RewardWeights(uncovered=0.0)
-"""Nobody looks at e(t), which is faster."""
+_MISSION = {
+    "rewards": RewardWeights(uncovered=0.0),  # nobody looks at e(t), which is faster
+    "end_on_sight_lost": False,
+    "end_on_goals_reached": True,
+}
+"""Settings of the worlds that missions are flown in."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,65 +78,13 @@ def mission_in(loop: ClosedLoop, k: int) -> Mission:
     return mission_of(tables.mission, state.ground, state.mission, k, loop.scenario.dt)
 
 
-def _fly_law(
-    task: Task, law: str, seeds: Sequence[int], secret: str
-) -> tuple[list[Mission], ClosedLoop]:
-    scenario = task.scenario
-    check_law(law, (NO_ESCORT, *pilot_names(scenario, scenario.uav[0].name)))
-    if law == NO_ESCORT:
-        scenario = msgspec.structs.replace(scenario, uav=())
-    loop = ClosedLoop(
-        scenario,
-        len(seeds),
-        pilots={uav.name: law for uav in scenario.uav},
-        rewards=_UNPAID,
-        end_on_sight_lost=False,
-        end_on_goals_reached=True,
-        secret=secret,
-    )
-    try:
-        loop.begin(seeds)
-        loop.fly()
-    finally:
-        loop.close()
-    return [mission_in(loop, k) for k in range(len(seeds))], loop
-
-
-def _fly_policies(
-    task: Task, team: Team, seeds: Sequence[int], secret: str, settings: dict[str, Any]
-) -> tuple[list[Mission], ClosedLoop]:
-    scenario = task.scenario
-    chosen: dict[str, str | Policy | None] = {uav.name: team.uav for uav in scenario.uav}
-    chosen |= {ugv.name: team.ugv for ugv in scenario.ugv}
-    named = {name: pilot for name, pilot in chosen.items() if isinstance(pilot, str)}
-    pilots = {  # each has a memory of its own
-        name: copy.deepcopy(pilot)
-        for name, pilot in chosen.items()
-        if pilot is not None and not isinstance(pilot, str)
-    }
-    worlds = Worlds(
-        scenario,
-        len(seeds),
-        list(pilots),
-        others=dict(named),
-        rewards=_UNPAID,
-        end_on_sight_lost=False,
-        end_on_goals_reached=True,
-        secret=secret,
-        **settings,
-    )
+def _fly(worlds: Worlds) -> list[Mission]:
+    """The mission of each world at the tick at which it ended."""
     told: dict[int, Mission] = {}
-    try:
-        worlds.reset(list(seeds), None)
-        while len(told) < len(seeds):
-            ended = worlds.step(
-                {name: pilot(worlds.observe(name)) for name, pilot in pilots.items()}
-            )
-            for k in np.flatnonzero(ended).tolist():
-                told.setdefault(k, mission_in(worlds.loop, k))
-    finally:
-        worlds.loop.close()
-    return [told[k] for k in range(len(seeds))], worlds.loop
+    while len(told) < worlds.num_envs:
+        for k in np.flatnonzero(worlds.step({})).tolist():
+            told.setdefault(k, mission_in(worlds.loop, k))
+    return [told[k] for k in range(worlds.num_envs)]
 
 
 def evaluate_mission(
@@ -150,24 +101,35 @@ def evaluate_mission(
     Raises:
         ValueError: If the law is unknown, or a policy answers what is no action.
     """
+    scenario = task.scenario
     if isinstance(entry, str):
-        missions, loop = _fly_law(task, entry, seeds, secret)
-    else:
-        team = entry if isinstance(entry, Team) else Team(uav=entry)
-        missions, loop = _fly_policies(task, team, seeds, secret, settings)
-    shortest, flown = shortest_time(task.scenario), [loop.metrics(uav) for uav in loop.uavs]
+        check_law(entry, (NO_ESCORT, *pilot_names(scenario, scenario.uav[0].name)))
+        if entry == NO_ESCORT:
+            scenario = msgspec.structs.replace(scenario, uav=())
+    team = entry if isinstance(entry, Team) else Team(uav=entry)
+    pilots = {uav.name: team.uav for uav in scenario.uav}
+    pilots |= {ugv.name: team.ugv for ugv in scenario.ugv}
+    with begun(scenario, pilots, seeds, secret, settings | _MISSION) as worlds:
+        if isinstance(entry, str):
+            worlds.loop.fly()
+            missions = [mission_in(worlds.loop, k) for k in range(len(seeds))]
+        else:
+            missions = _fly(worlds)
+        flown = worlds.metrics()
+    shortest = shortest_time(scenario)
     finds = sum(mission.finds for mission in missions)
     return result_of(
         MissionResult,
         task,
         entry,
         [mission_score(mission, shortest) for mission in missions],
+        flown,
         name=name,
         secret=secret,
         mean_error=math.nan,
-        lost=int(np.any([one["visibility_violations"] > 0.0 for one in flown], axis=0).sum()),
-        certified_while_lost=sum(int(one["certified_while_lost"].sum()) for one in flown),
-        certificate_broken=sum(int(one["certificate_broken"].sum()) for one in flown),
+        lost=int(
+            np.any([one["visibility_violations"] > 0.0 for one in flown.values()], axis=0).sum()
+        ),
         arrived=sum(mission.arrived for mission in missions),
         mission_time=_mean([mission.mission_time for mission in missions]),
         hazards_hit=sum(mission.hazards_hit for mission in missions),

@@ -2,7 +2,8 @@
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
@@ -19,6 +20,7 @@ from sim.env.rows import UAV_METRICS
 from sim.env.seeds import Seeds
 from sim.kernels.compile import FloatArray
 from sim.models.field import coverage_error
+from sim.scenario.types import Scenario
 
 
 class Team(NamedTuple):
@@ -84,8 +86,6 @@ class _Meter:
         """Sum of e(t) over the ticks in sight [m²], the mean of the UAVs."""
         self.ticks: npt.NDArray[np.int64] = np.zeros(loop.worlds, dtype=np.int64)
         """In sight."""
-        self.certified_while_lost = self.certificate_broken = 0
-        """Ticks that the safety filters certified wrongly."""
 
     def note(self) -> None:
         """Take in the tick that all worlds are at."""
@@ -105,13 +105,6 @@ class _Meter:
         self.errors[which] += error.mean(axis=1)
         self.ticks[which] += 1
 
-    def note_certificates(self) -> None:
-        """Take in what was certified, once all is flown."""
-        for uav in self._loop.uavs:
-            told = self._loop.metrics(uav)
-            self.certified_while_lost += int(told["certified_while_lost"].sum())
-            self.certificate_broken += int(told["certificate_broken"].sum())
-
     def _unseen(self, x: float, y: float) -> float:
         """E(t) [m²] with the UGV at (x, y) [m], had no UAV seen anything.
 
@@ -125,21 +118,39 @@ class _Meter:
         return found
 
 
-def name_of(entry: Entry, name: str) -> str:
-    """The name of an entry in tables: the one that is given, or its own."""
-    own = entry if isinstance(entry, str) else getattr(entry, "__name__", type(entry).__name__)
-    return name or own
+@contextmanager
+def begun(
+    scenario: Scenario,
+    pilots: Mapping[str, str | Policy | None],
+    seeds: Sequence[int],
+    secret: str,
+    settings: dict[str, Any],
+) -> Iterator[Worlds]:
+    """A world for each seed, at its start; each policy is a copy of its own, as it may have a memory.
+
+    Args:
+        scenario: What is flown.
+        pilots: Laws, drivers and policies by vehicle; None: the scenario's own.
+        seeds, secret: Of the random numbers.
+        settings: Of `outrider.vector_env`.
+    """
+    others = {name: copy.deepcopy(pilot) for name, pilot in pilots.items() if pilot is not None}
+    worlds = Worlds(scenario, len(seeds), [], others=others, secret=secret, **settings)
+    try:
+        worlds.reset(list(seeds), None)
+        yield worlds
+    finally:
+        worlds.loop.close()
 
 
-def _fly(loop: ClosedLoop, advance: Callable[[], object]) -> _Meter:
-    meter = _Meter(loop)
+def _fly(worlds: Worlds) -> _Meter:
+    meter = _Meter(worlds.loop)
     meter.note()
-    for _ in range(loop.scenario.ticks):
-        advance()
+    for _ in range(worlds.scenario.ticks):
+        worlds.step({})
         if not meter.in_sight.any():
             break  # what was said at the tick at which the last of them lost sight has been said
         meter.note()
-    meter.note_certificates()
     return meter
 
 
@@ -155,45 +166,12 @@ def check_law(law: str, allowed: Sequence[str]) -> None:
         )
 
 
-def _fly_law(task: Task, law: str, seeds: Sequence[int], secret: str) -> _Meter:
-    scenario = task.scenario
-    uavs = [uav.name for uav in scenario.uav]
-    check_law(law, pilot_names(scenario, uavs[0]))
-    loop = ClosedLoop(
-        scenario, len(seeds), pilots=dict.fromkeys(uavs, law), error=True, secret=secret
-    )
-    nothing = np.zeros((len(seeds), 0, 2))
-    try:
-        loop.begin(seeds)
-        return _fly(loop, lambda: loop.step(nothing))
-    finally:
-        loop.close()
-
-
-def _fly_policy(
-    task: Task, policy: Policy, seeds: Sequence[int], secret: str, settings: dict[str, Any]
-) -> _Meter:
-    scenario = task.scenario
-    uavs = [uav.name for uav in scenario.uav]
-    worlds = Worlds(scenario, len(seeds), uavs, secret=secret, **settings)
-    pilots = {
-        uav: copy.deepcopy(policy) for uav in uavs
-    }  # a policy may have a memory: one for each UAV and each task
-    try:
-        worlds.reset(list(seeds), None)
-        return _fly(
-            worlds.loop,
-            lambda: worlds.step({uav: pilot(worlds.observe(uav)) for uav, pilot in pilots.items()}),
-        )
-    finally:
-        worlds.loop.close()
-
-
 def result_of(
     kind: type[_Scored],
     task: Task,
     entry: Entry,
     scores: Sequence[float],
+    flown: Mapping[str, Mapping[str, FloatArray]],
     *,
     name: str,
     secret: str,
@@ -205,20 +183,24 @@ def result_of(
         kind: Of result.
         task, entry: What was flown, and by whom.
         scores: In the order of the seeds.
-        name: Of the entry, for tables.
+        flown: What the worlds told of each UAV in the end.
+        name: Of the entry, for tables; empty: its own.
         secret: Of the episodes' random numbers.
         told: The other fields of that kind of result.
     """
     score, low, high = mean_interval(scores)
+    own = entry if isinstance(entry, str) else getattr(entry, "__name__", type(entry).__name__)
     return kind(
         task=task.name,
-        entry=name_of(entry, name),
+        entry=name or own,
         score=score,
         low=max(0.0, low),
         high=min(100.0, high),
         scores=tuple(scores),
         episodes=len(scores),
         secret=secret,
+        certified_while_lost=sum(int(one["certified_while_lost"].sum()) for one in flown.values()),
+        certificate_broken=sum(int(one["certificate_broken"].sum()) for one in flown.values()),
         **told,
     )
 
@@ -272,20 +254,21 @@ def evaluate(
         return evaluate_mission(task, entry, seeds, name=name, secret=kept, settings=settings)
     if isinstance(entry, Team):
         raise ValueError("a team: for missions alone; allowed: a law by name, or a policy")
+    scenario = task.scenario
+    uavs = [uav.name for uav in scenario.uav]
     if isinstance(entry, str):
-        meter = _fly_law(task, entry, seeds, kept)
-    else:
-        meter = _fly_policy(task, entry, seeds, kept, settings)
-    scores = (100.0 * meter.seen / (task.scenario.ticks + 1)).tolist()
+        check_law(entry, pilot_names(scenario, uavs[0]))
+    with begun(scenario, dict.fromkeys(uavs, entry), seeds, kept, settings) as worlds:
+        meter, flown = _fly(worlds), worlds.metrics()
+    scores = (100.0 * meter.seen / (scenario.ticks + 1)).tolist()
     return result_of(
         Result,
         task,
         entry,
         scores,
+        flown,
         name=name,
         secret=kept,
         mean_error=math.fsum((meter.errors / meter.ticks).tolist()) / len(seeds),
         lost=int((~meter.in_sight).sum()),
-        certified_while_lost=meter.certified_while_lost,
-        certificate_broken=meter.certificate_broken,
     )

@@ -5,7 +5,7 @@ Nothing heavy is loaded until a task is flown: the names are also read where env
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, SupportsIndex, overload
 
 if TYPE_CHECKING:
     from outrider.envs.single import SingleEnv
@@ -244,45 +244,34 @@ MISSIONS: tuple[Task, ...] = tuple(_missions())
 """Ground with hazards, over a perfect network and over a bad one: what the escort is for."""
 
 
-class Suite(Sequence[Task]):
-    """All the tasks, by place or by name.
+class Suite(tuple[Task, ...]):
+    """All the tasks, by place or by name."""
 
-    Args:
-        tasks: In their order.
-    """
-
-    def __init__(self, tasks: Sequence[Task] = TASKS) -> None:
-        self._tasks = tuple(tasks)
+    __slots__ = ()
 
     @overload
-    def __getitem__(self, key: int | str) -> Task: ...
+    def __getitem__(self, key: SupportsIndex | str) -> Task: ...
     @overload
     def __getitem__(self, key: slice) -> "Suite": ...
-    def __getitem__(self, key: int | str | slice) -> "Task | Suite":
+    def __getitem__(self, key: SupportsIndex | str | slice) -> "Task | Suite":
         """A task by its place or its name, or a part of the suite.
 
         Raises:
             ValueError: If there is none of this name.
         """
         if isinstance(key, slice):
-            return Suite(self._tasks[key])
-        if isinstance(key, int):
-            return self._tasks[key]
-        for task in self._tasks:
+            return Suite(super().__getitem__(key))
+        if not isinstance(key, str):
+            return super().__getitem__(key)
+        for task in self:
             if task.name == key:
                 return task
         raise ValueError(f"task = {key!r}: no such task; allowed: {', '.join(self.names)}")
 
-    def __len__(self) -> int:
-        return len(self._tasks)
-
-    def __iter__(self) -> Iterator[Task]:
-        return iter(self._tasks)
-
     @property
     def names(self) -> tuple[str, ...]:
         """Of the tasks, in their order."""
-        return tuple(task.name for task in self._tasks)
+        return tuple(task.name for task in self)
 
 
 SUITE, MISSION_SUITE = "suite-v1", "missions-v1"

@@ -59,19 +59,15 @@ RESULTS = {
 """Columns that a run fills, with their Parquet types; SI units."""
 
 
-def _known(values: list[float | None]) -> list[float]:
-    return [value for value in values if value is not None]
-
-
 def link_columns(summary: Summary, kind: LinkKind) -> dict[str, float | None]:
     """Age of information [s] and delivery ratio of all links of one kind.
 
     The mean, the largest, and what arrived of all sent.
     """
     links = [status for name, status in summary.links.items() if name.endswith(f"/{kind}")]
-    means = _known([getattr(status, "mean_age", None) for status in links])
-    largest = _known([getattr(status, "max_age", None) for status in links])
-    ratios = _known([getattr(status, "delivery_ratio", None) for status in links])
+    means = [status.mean_age for status in links if status.mean_age is not None]
+    largest = [status.max_age for status in links if status.max_age is not None]
+    ratios = [status.delivery_ratio for status in links if status.delivery_ratio is not None]
     return {
         f"{kind}_mean_age": sum(means) / len(means) if means else None,
         f"{kind}_max_age": max(largest, default=None),

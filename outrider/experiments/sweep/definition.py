@@ -18,16 +18,11 @@ from sim.scenario.loading import read_toml, scenario_names
 Seed = Annotated[int, Meta(ge=0, le=2**53 - 1)]
 
 _VARY_EXAMPLE = "field=value,value, such as links.detections.delay=0,0.5,1"
-_OWN_OPTION = {"seed": "--seeds", "law.name": "--law"}
-_OWN_FIELD = {"seed": "seeds", "law.name": "laws"}
+_OWN = {"seed": "--seeds, in a file seeds", "law.name": "--law, in a file laws"}
 """Fields that a sweep varies in a way of its own."""
 
 
-class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base of the sweep's tables."""
-
-
-class Block(_Table, frozen=True, kw_only=True):
+class Block(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One experiment of a sweep: the product of what it varies."""
 
     name: Text = ""
@@ -38,7 +33,7 @@ class Block(_Table, frozen=True, kw_only=True):
     """Fields that are changed in all of its runs."""
 
 
-class Sweep(_Table, frozen=True, kw_only=True):
+class Sweep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A plan of runs: each law, in each block, at each combination of its values, with each seed."""
 
     title: Text = ""
@@ -85,14 +80,9 @@ def _varied(table: Mapping[str, Any], path: str, file: str) -> dict[str, Any]:
     """
     varied = _flat(table)
     for field, values in varied.items():
-        if field in _OWN_FIELD:
+        if field in _OWN:
             wrong = "is not varied like other fields"
-            raise Fault(
-                f"{path}{field}",
-                values,
-                wrong,
-                f"{_OWN_OPTION[field]}, in a file {_OWN_FIELD[field]}",
-            ).error(file)
+            raise Fault(f"{path}{field}", values, wrong, _OWN[field]).error(file)
         if not isinstance(values, list) or not values:
             wrong = "empty" if isinstance(values, list) else "not a list"
             raise Fault(f"{path}{field}", values, wrong, "a list of one value or more").error(file)
@@ -152,30 +142,27 @@ def parse_vary(text: str, *, file: str) -> tuple[str, list[Any]]:
     return field, listed
 
 
-def _read_file(source: str) -> tuple[str, Path | None]:
-    """Text and folder of a sweep's or scenario's file."""
-    shipped = shipped_sweeps()
-    if source in shipped:
-        return shipped[source].read_text("utf-8"), None
-    file = one_line(source) or "."
-    known = (*shipped, *scenario_names())
-    allowed = f"a TOML file, {', '.join(known)}"
-    return read_toml(source, file, "sweep, scenario or file", known, allowed), Path(source).parent
-
-
 def _read(source: str) -> tuple[Sweep, str]:
     """A sweep and its text; a scenario is a sweep that varies nothing yet, without a text."""
     if source in scenario_names():
         return Sweep(scenario=source), ""
-    text, folder = _read_file(source)
+    shipped = shipped_sweeps()
+    if source in shipped:
+        text = shipped[source].read_text("utf-8")
+    else:
+        known = (*shipped, *scenario_names())
+        allowed = f"a TOML file, {', '.join(known)}"
+        what = "sweep, scenario or file"
+        text = read_toml(source, one_line(source) or ".", what, known, allowed)
     file = one_line(source)
     raw = parse_toml(text, file=file)
     if "uav" in raw:  # a scenario's file
         return Sweep(scenario=source), ""
     sweep = typed(raw, Sweep, file=file)
-    beside = folder / sweep.scenario if folder is not None else None
-    if sweep.scenario not in scenario_names() and beside is not None and beside.is_file():
-        sweep = msgspec.structs.replace(sweep, scenario=str(beside))
+    if source not in shipped and sweep.scenario not in scenario_names():
+        beside = Path(source).parent / sweep.scenario
+        if beside.is_file():
+            sweep = msgspec.structs.replace(sweep, scenario=str(beside))
     return sweep, text
 
 

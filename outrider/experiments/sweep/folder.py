@@ -264,30 +264,21 @@ class SweepFolder:
         import pyarrow as pa  # noqa: PLC0415
 
         rows = [{**self._plan.head(result["run"]), **result} for result in results]
-        self._number += 1
-        _write_table(
-            self._part(self._number), pa.Table.from_pylist(rows, schema=schema_of(self._columns))
-        )
+        self._keep(pa.Table.from_pylist(rows, schema=schema_of(self._columns)))
         self._rows |= {
             row["run"]: (row["error"] is not None, bool(row["violated"])) for row in rows
         }
         if self._number % _MOST_PARTS == 0:
-            self._merge(self._parts()[-_MOST_PARTS:])
+            # one file of several small ones; a kill in between leaves rows twice, which reading mends
+            parts = self._parts()[-_MOST_PARTS:]
+            self._keep(pa.concat_tables([_read_table(part, self._columns) for part in parts]))
+            for part in parts:
+                part.unlink()
 
-    def _part(self, number: int) -> Path:
-        return self.path / PARTS / f"{number:08d}.parquet"
-
-    def _merge(self, parts: list[Path]) -> None:
-        """Make one file of several small ones; a kill in between leaves rows twice, which reading mends."""
-        import pyarrow as pa  # noqa: PLC0415
-
+    def _keep(self, table: "pa.Table") -> None:
+        """Write a table as the next part."""
         self._number += 1
-        _write_table(
-            self._part(self._number),
-            pa.concat_tables([_read_table(part, self._columns) for part in parts]),
-        )
-        for part in parts:
-            part.unlink()
+        _write_table(self.path / PARTS / f"{self._number:08d}.parquet", table)
 
     def finish(self) -> Path:
         """Merge everything into one file."""

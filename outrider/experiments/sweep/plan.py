@@ -61,22 +61,16 @@ class SweepPlan:
         return {**named, "scenario": point.scenario.name, "version": self.version, **point.fields}
 
 
-def _value_at(raw: object, path: str) -> object:
-    """A field of a scenario given as plain tables; None where it has no such value."""
+def _value_at(raw: object, path: str, given: object) -> object:
+    """A field of a scenario in plain tables; of one that no scenario keeps, as of a profile, what it was given."""
     for part in path.split("."):
         if isinstance(raw, dict):
             raw = raw.get(part)
         elif isinstance(raw, list | tuple) and part.isdigit() and int(part) < len(raw):
             raw = raw[int(part)]
         else:
-            return None
-    return raw
-
-
-def _value_of(raw: object, field: str, varied: dict[str, Any]) -> object:
-    """A field's value at a point; of one that no scenario keeps, as of a profile, the one that it was given."""
-    found = _value_at(raw, field)
-    return varied.get(field) if found is None else found
+            return given
+    return given if raw is None else raw
 
 
 def _kind(values: list[object]) -> str:
@@ -89,18 +83,13 @@ def _kind(values: list[object]) -> str:
 
 
 def _as_column(value: object, kind: str) -> object:
-    if value is None or isinstance(value, bool):
-        return value if kind != "string" or value is None else str(value).lower()
+    if value is None or kind == "bool":
+        return value
+    if isinstance(value, bool):
+        return str(value).lower() if kind == "string" else value
     if kind == "double":
         return float(value) if isinstance(value, int | float) else None
-    return (
-        value if kind == "bool" or isinstance(value, str) else msgspec.json.encode(value).decode()
-    )
-
-
-def _combinations(block: Block) -> Iterator[dict[str, Any]]:
-    for values in product(*block.vary.values()):
-        yield dict(zip(block.vary, values, strict=True))
+    return value if isinstance(value, str) else msgspec.json.encode(value).decode()
 
 
 def _loaded(
@@ -109,10 +98,10 @@ def _loaded(
     """The scenario of every point, in order, with what the sweep varies in it."""
     laws: tuple[str | None, ...] = sweep.laws or (None,)
     wanted = [
-        (block, law, values)
+        (block, law, dict(zip(block.vary, values, strict=True)))
         for block in sweep.block
         for law in laws
-        for values in _combinations(block)
+        for values in product(*block.vary.values())
     ]
     for number, (block, law, values) in enumerate(wanted):
         told(number, len(wanted))
@@ -158,7 +147,8 @@ def lay_out(
     for block, values, scenario in _loaded(sweep, told):
         raw = msgspec.to_builtins(scenario)
         fields = {
-            field: _as_column(_value_of(raw, field, values), kind) for field, kind in kinds.items()
+            field: _as_column(_value_at(raw, field, values.get(field)), kind)
+            for field, kind in kinds.items()
         }
         points.append(
             SweepPoint(block=block.name, law=scenario.law.name, fields=fields, scenario=scenario)

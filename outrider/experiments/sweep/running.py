@@ -119,16 +119,6 @@ def _results(
         yield from results
 
 
-@contextmanager
-def _silence() -> Iterator[None]:
-    """Without joblib's advice to whoever does not wait for the end: that somebody has pressed Ctrl-C is no mistake."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", message=".*still being processed by the workers", category=UserWarning
-        )
-        yield
-
-
 def _is_a_death(error: Exception) -> bool:
     """True if a worker process has died: of loky's pool, or one too many of a cluster's."""
     return type(error).__name__ in ("TerminatedWorkerError", "BrokenProcessPool", "KilledWorker")
@@ -163,7 +153,10 @@ def fly_sweep(
         if not tasks:
             return
         try:
-            with _silence(), closing(_results(tasks, jobs, client)) as all_results:
+            with warnings.catch_warnings(), closing(_results(tasks, jobs, client)) as all_results:
+                # joblib's advice to whoever does not wait for the end: that somebody has pressed Ctrl-C is no mistake
+                unheard = ".*still being processed by the workers"
+                warnings.filterwarnings("ignore", message=unheard, category=UserWarning)
                 for results in all_results:
                     folder.add(results)
                     done |= {result["run"] for result in results}
