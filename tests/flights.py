@@ -6,9 +6,10 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from draws import a_told_key
 
 from agents.control.laws import LawParameters, law_parameters
-from bus.messages import Command, Law, Observation, UavBriefing
+from bus.messages import Area, Command, Law, Limits, Observation, UavBriefing, UgvBriefing
 from bus.profiles import PROFILES
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import InProcess, Pilot, fly
@@ -43,6 +44,21 @@ def told(scenario: Scenario, seed: int = 0) -> UavBriefing:
     message = briefing(scenario, scenario.uav[0].name, seed)
     assert isinstance(message, UavBriefing)
     return message
+
+
+def told_ugv(**fields: Any) -> UgvBriefing:
+    """What the paper's UGV is told that has a square of 20 m to itself, but for these fields."""
+    usual: dict[str, Any] = {
+        "vehicle": "ugv_0",
+        "dt": DT,
+        "area": Area(width=20.0, height=20.0, cell=0.5),
+        "limits": Limits(max_speed=V_G, max_acceleration=U_G),
+        "driver": "waypoints",
+        "goals": ((3.0, 4.0), (18.0, 1.0)),
+        "goal_tolerance": 0.05,
+        "key": a_told_key(7),
+    }
+    return UgvBriefing(**usual | fields)
 
 
 def parameters(scenario: Scenario, seed: int = 0) -> LawParameters:
