@@ -292,8 +292,6 @@ def test_the_smallest_number_is_the_smallest(kind: dict[str, Any], risk: float) 
     looks, packets = LOOKS | {"period_ticks": 2, "ticks": 400}, PACKETS | {"ticks": 400}
     age = smallest_age(link, **looks, risk=risk).value
     outage = smallest_outage(link, **packets, risk=risk).value
-    assert age is not None
-    assert outage is not None
     kept = (
         chance_of_age(link, **looks, age=age).value,
         chance_of_outage(link, **packets, outage=outage).value,

@@ -13,7 +13,7 @@ from blas import blas_fuses
 from worlds import POOR, SCENARIOS, small
 
 from bus.errors import ScenarioError
-from bus.messages import Command, Law, LinkKind, Observation, UavCommand
+from bus.messages import Command, Law, LinkKind, Observation
 from bus.profiles import PROFILES
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.closed_loop_state import GUARD_METRICS
@@ -152,7 +152,6 @@ class _Overruled(InProcess):
     def collect(self, tick: int) -> dict[str, Command]:
         commands = super().collect(tick)
         said = commands["uav_0"]
-        assert isinstance(said, UavCommand)
         x, y = self._actions[tick].tolist()
         return commands | {"uav_0": msgspec.structs.replace(said, acceleration=(x, y))}
 

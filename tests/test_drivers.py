@@ -381,7 +381,6 @@ def test_a_wanderer_reaches_one_goal_after_the_other(key: int) -> None:
     assert len(changes) > 10
     for tick in changes[1:]:
         goal = goals[tick]
-        assert goal is not None
         assert math.dist(rows[tick, :2], goal) < 0.05
         assert min(*goal, 20.0 - goal[0], 20.0 - goal[1]) >= driver.parameters.margin
 
@@ -502,7 +501,6 @@ def test_it_wanders_until_it_hears_the_uav_and_again_when_that_falls_silent() ->
 def _flown(law: str, driver: Callable[[UgvBriefing], Driver], seed: int, **changes: Any) -> Flight:
     scenario = load_scenario("escort", overrides={"law.name": law} | changes)
     pilots, told = make_pilots(scenario, seed), briefing(scenario, "ugv_0", seed)
-    assert isinstance(told, UgvBriefing)
     pilots["ugv_0"] = UgvPilot(told, driver=driver(told))
     flight = Flight(scenario, seed)
     flight.fly(InProcess(pilots))

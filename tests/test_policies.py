@@ -383,7 +383,6 @@ def test_an_object_that_predicts_may_be_named_and_a_class_may_not(here: Path) ->
         "class Model:\n    def predict(self, row):\n        return row[3:5]\nmodel = Model()\nnumber = 3\n"
     )
     model = load_function("mine_models:model", what="policy")
-    assert model is not None
     assert PolicyDriver(told_ugv(), policy=model, name="x").drive(_seen()) == (0.1, -0.1)
     for name in ("mine_models:Model", "mine_models:number"):
         with pytest.raises(
