@@ -186,19 +186,6 @@ def test_an_action_that_is_too_long_is_shortened_to_the_norm_bound():
     np.testing.assert_allclose(env.world.acceleration[0], [0.3 / math.sqrt(2.0)] * 2)
 
 
-@pytest.mark.parametrize("kind", [list, tuple, np.float32, np.float16, np.int64])
-def test_actions_may_be_lists_or_arrays_of_any_number_type(kind):
-    env, twin = parallel_env(FREE), parallel_env(FREE)
-    env.reset(seed=0)
-    twin.reset(seed=0)
-    action = [0.0, 1.0]  # exact in every type
-    given = kind(action) if kind in {list, tuple} else np.array(action, dtype=kind)
-    assert equal(
-        env.step({"uav_0": given, "ugv_0": given}),
-        twin.step({"uav_0": np.array(action), "ugv_0": np.array(action)}),
-    )
-
-
 GOOD = {"uav_0": np.array([0.1, 0.0]), "ugv_0": np.array([0.0, 0.1])}
 
 

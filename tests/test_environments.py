@@ -41,6 +41,17 @@ def step(env: Any, action: Any = GOOD) -> Any:
     return env.step(action if isinstance(env, gymnasium.Env) else {"uav_0": action, "ugv_0": GOOD})
 
 
+@pytest.mark.parametrize("name", ACTING)
+@pytest.mark.parametrize("kind", [list, tuple, np.float32, np.float16, np.int64])
+def test_actions_may_be_lists_or_arrays_of_any_number_type(name: str, kind: Any) -> None:
+    env, twin = ACTING[name](SCENARIO), ACTING[name](SCENARIO)
+    for one in (env, twin):
+        one.reset(seed=1)
+    action = [0.0, 1.0]  # exact in every type
+    given = kind(action) if kind in {list, tuple} else np.array(action, dtype=kind)
+    assert equal(step(env, given), step(twin, np.array(action)))
+
+
 NO_PAIR, NOT_FINITE = r"must be (two|\(2, 2\)) numbers", "must be two finite numbers, at most 1e.06"
 
 

@@ -208,6 +208,14 @@ law.candidates=10001 | law.candidates = 10001: out of bounds; allowed: a whole n
 law.candidates=2.5 | law.candidates = 2.5: not a whole number; allowed: a whole number
 law.reference_speed=x | law.reference_speed = "x": not a number; allowed: a number
 estimator.enabled=1 | estimator.enabled = 1: not true or false; allowed: true or false
+links.profile=wify | links.profile = "wify": no such profile, did you mean 'wifi'?
+links.detections.delay=31 | links.detections.delay = 31: out of bounds; allowed: a number <= 30
+links.detections.speed=3 | links.detections.speed = 3: no such field
+links.detections.loss=1.5 | links.detections.loss = 1.5: out of bounds
+links.commands.delay=nan | links.commands.delay = nan
+links.everything.delay=1 | links.everything = {delay = 1}: no such field
+links.commands=3 | links.commands = 3: not a table
+links.only=[{vehicle="uav_7"}] | links.only.0.vehicle = "uav_7": no vehicle has this name
 uav.0.position=[1, 2, 3] | uav.0.position = [1, 2, 3]: 3 entries; allowed: a list of length 2
 uav.0.position=[1, true] | uav.0.position.1 = true: not a number; allowed: a number
 uav.0.name=UAV | uav.0.name = "UAV": no name; allowed: lower-case letters

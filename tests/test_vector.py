@@ -173,17 +173,6 @@ def test_others_may_be_policies_for_all_worlds_at_once() -> None:
     assert rows[-1].dtype == np.float64
 
 
-def test_integers_and_lists_are_actions_too() -> None:
-    actions = [[0, 1], [1, 0]]
-    seen = []
-    for asked in (np.array(actions, float), actions, *(np.array(actions, t) for t in "if")):
-        env = outrider.vector_env(SCENARIO, num_envs=2, agent="uav_0")
-        env.reset(seed=1)
-        env.step(asked)
-        seen.append(env.step(asked)[0])
-    assert all(equal(one, seen[0]) for one in seen[1:])
-
-
 EXTREMES = st.sampled_from([0.0, 1e-300, -1e-9, 0.3, -0.3, 1e6, -1e6])
 
 
