@@ -135,5 +135,13 @@ class Piloted(InProcess):
         return {self._vehicle: self._act(self._seen), **super().collect(tick)}
 
 
+def altered(
+    pilots: Mapping[str, Pilot], vehicle: str, change: Callable[[Any], dict[str, Any]]
+) -> Piloted:
+    """The pilots, but some fields of one vehicle's commands are others, which go by its observation."""
+    act = pilots[vehicle].act
+    return Piloted(pilots, vehicle, lambda seen: msgspec.structs.replace(act(seen), **change(seen)))
+
+
 EVADED = ("law.name=certified", "ugv.0.driver=evade", "duration=10.0")
 """Changes of a scenario: a certified flight past a UGV that evades."""

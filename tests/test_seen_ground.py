@@ -6,6 +6,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from flights import altered
 from worlds import small
 
 from bus.messages import GroundBlock, SeenTile
@@ -174,22 +175,10 @@ def test_what_a_vehicle_perceives_depends_on_nothing_that_it_has_not_seen() -> N
         pytest.fail("nobody has come near")
 
 
-class Forger(InProcess):
-    """The pilots, but the UAV radios blocks of its own."""
-
-    block = GroundBlock(column=0, row=0, tiles="." * 64)
-
-    def collect(self, tick: int) -> Any:
-        commands = dict(super().collect(tick))
-        said = commands["uav_0"]
-        commands["uav_0"] = msgspec.structs.replace(said, blocks=(self.block,))
-        return commands
-
-
 def test_a_block_that_says_what_the_uavs_sensor_has_not_told_is_not_sent() -> None:
     scenario = msgspec.structs.replace(on(DISC), duration=5.0)
-    flight = Flight(scenario, 1)
-    flight.fly(Forger(make_pilots(scenario, 1)))
+    flight, forged = Flight(scenario, 1), GroundBlock(column=0, row=0, tiles="." * 64)
+    flight.fly(altered(make_pilots(scenario, 1), "uav_0", lambda _: {"blocks": (forged,)}))
     assert flight.refused_blocks == {"uav_0": scenario.ticks}
     heard = [one for seen in flight._blocks.values() for one in seen.values()]
     assert heard == []
