@@ -6,9 +6,10 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from draws import a_told_key
 
 from agents.control.laws import LawParameters, law_parameters
-from bus.messages import Command, Law, Observation, UavBriefing
+from bus.messages import Area, Command, Law, Limits, Observation, UavBriefing, UgvBriefing
 from bus.profiles import PROFILES
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import InProcess, Pilot, fly
@@ -25,6 +26,8 @@ R, R_V, DESIRED = 5.0, 4.75, 2.0
 R_O = R_V + R
 R_S = R_V - (V_A + V_G) ** 2 / (2.0 * U_A)
 DT = 0.05
+PROMISED = {"r_v": R_V, "v_a": V_A, "u_a": U_A, "v_g": V_G, "dt": DT}
+"""What a certificate for these vehicles is declared with, but for the detections."""
 
 HERE = (20.0, 20.0)
 UAV, UGV = Uav(position=HERE), Ugv(position=HERE)
@@ -43,6 +46,21 @@ def told(scenario: Scenario, seed: int = 0) -> UavBriefing:
     message = briefing(scenario, scenario.uav[0].name, seed)
     assert isinstance(message, UavBriefing)
     return message
+
+
+def told_ugv(**fields: Any) -> UgvBriefing:
+    """What the paper's UGV is told that has a square of 20 m to itself, but for these fields."""
+    usual: dict[str, Any] = {
+        "vehicle": "ugv_0",
+        "dt": DT,
+        "area": Area(width=20.0, height=20.0, cell=0.5),
+        "limits": Limits(max_speed=V_G, max_acceleration=U_G),
+        "driver": "waypoints",
+        "goals": ((3.0, 4.0), (18.0, 1.0)),
+        "goal_tolerance": 0.05,
+        "key": a_told_key(7),
+    }
+    return UgvBriefing(**usual | fields)
 
 
 def parameters(scenario: Scenario, seed: int = 0) -> LawParameters:
@@ -95,7 +113,7 @@ def sha256(states):
 
 def flown_in_both(scenario: Scenario, seed: int) -> tuple[FloatArray, Flight, Summary]:
     """The states of a flight in the environment, and the same flight as a run: they fly the same bits."""
-    env = parallel_env(scenario)
+    env = parallel_env(scenario, end_on_sight_lost=False)
     states = record(env, pilots(env), env.reset(seed=seed)[0])
     flight, summary = fly(scenario, seed)
     assert sha256(states) == summary.trajectory_sha256
@@ -115,6 +133,14 @@ class Piloted(InProcess):
 
     def collect(self, tick: int) -> dict[str, Command]:
         return {self._vehicle: self._act(self._seen), **super().collect(tick)}
+
+
+def altered(
+    pilots: Mapping[str, Pilot], vehicle: str, change: Callable[[Any], dict[str, Any]]
+) -> Piloted:
+    """The pilots, but some fields of one vehicle's commands are others, which go by its observation."""
+    act = pilots[vehicle].act
+    return Piloted(pilots, vehicle, lambda seen: msgspec.structs.replace(act(seen), **change(seen)))
 
 
 EVADED = ("law.name=certified", "ugv.0.driver=evade", "duration=10.0")

@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 from flights import escort
-from worlds import LATE, SMALL, step
+from worlds import POOR, SEVERAL, SMALL, small, step
 
 from bus.profiles import PROFILES
 from sim.engine.batch import Batch
@@ -17,8 +17,6 @@ from sim.scenario.types import (
     Region,
     Scenario,
     Sensor,
-    Uav,
-    Ugv,
     VehicleLinks,
 )
 from sim.world import World
@@ -33,28 +31,10 @@ SCENARIOS: dict[str, Scenario] = {
     "covered": escort(
         coverage=Coverage(desired=1.0, covered=(Region(lower=(2.0, 2.0), upper=(20.0, 20.0)),))
     ),
-    "several": Scenario(
-        area=SMALL,
-        uav=(
-            Uav(name="uav_1", position=(4.0, 4.0), escorts="ugv_0"),
-            Uav(name="uav_0", position=(9.0, 4.0), escorts="ugv_1"),
-            Uav(name="uav_2", position=(9.0, 6.0), escorts="ugv_1"),
-        ),
-        ugv=(
-            Ugv(name="ugv_0", position=(4.0, 5.0)),
-            Ugv(name="ugv_1", position=(9.0, 5.0), max_acceleration=1.0),
-        ),
-    ),
-    "network": escort(
-        area=SMALL,
-        ugv=Ugv(position=(8.0, 6.0)),
-        uav=Uav(position=(8.0, 6.0)),
-        links=LinkTable(detections=LATE, commands=LATE),
-    ),
-    "one link": escort(
-        area=SMALL,
-        ugv=Ugv(position=(8.0, 6.0)),
-        uav=Uav(position=(8.0, 6.0)),
+    "several": SEVERAL,
+    "network": small("tracking", links=POOR),
+    "one link": small(
+        "tracking",
         links=LinkTable(only=(VehicleLinks(vehicle="uav_0", commands=PROFILES["jammed"]),)),
     ),
 }

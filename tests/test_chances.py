@@ -20,6 +20,7 @@ from properties import PROPERTY
 from bus.errors import ScenarioError
 from bus.messages import MOST_CARRIED, LinkSettings
 from sim.channel.chances import (
+    Chance,
     chance_of_age,
     chance_of_error,
     chance_of_outage,
@@ -41,6 +42,10 @@ BURSTS = {"burst_length": 0.2, "burst_interval": 0.5, "burst_loss": 0.8}
 DARK = {"blackout_interval": 5.0, "blackout_length": 0.52}
 SLOW = LinkSettings(bandwidth=15.0)
 LATE = {"jitter": 0.1, "jitter_shape": "exponential", "jitter_cut": 0.4}
+
+
+LOOKS: dict[str, Any] = {"dt": DT, "period_ticks": 1, "dropout": 0.1, "ticks": 200}
+PACKETS: dict[str, Any] = {"dt": DT, "delay_ticks": 4, "repeats": 6, "ticks": 200}
 
 
 @pytest.fixture
@@ -163,28 +168,27 @@ OUTAGES: list[tuple[dict[str, Any], int, int, float]] = [
 ]
 
 
-@pytest.mark.parametrize(("link", "period", "age"), AGES)
-def test_the_chance_of_an_age_agrees_with_its_frequency(
-    flown: ModuleType, link: dict[str, Any], period: int, age: float
-) -> None:
-    told = LinkSettings(**link)
-    numbers = {"dt": DT, "period_ticks": period, "dropout": 0.1, "ticks": 200, "age": age}
-    chance = chance_of_age(told, **numbers)
-    count = flown.ages_exceeded(told, **numbers, flights=FLIGHTS)
+def counted(
+    flown: ModuleType, chance_of: Callable[..., Chance], link: LinkSettings, **numbers: Any
+) -> tuple[float, float]:
+    """A chance, and the share of flights over the link itself in which it comes true: they agree."""
+    exceeded = getattr(flown, f"{chance_of.__name__.removeprefix('chance_of_')}s_exceeded")
+    chance, count = chance_of(link, **numbers), exceeded(link, **numbers, flights=FLIGHTS)
     assert 0 < count < FLIGHTS
     assert flown.agrees(chance, count, FLIGHTS), (chance, count)
+    return chance.value, count / FLIGHTS
+
+
+@pytest.mark.parametrize(("link", "period", "age"), AGES)
+def test_the_chance_of_an_age_agrees_with_its_frequency(flown, link, period, age):
+    numbers = LOOKS | {"period_ticks": period, "age": age}
+    counted(flown, chance_of_age, LinkSettings(**link), **numbers)
 
 
 @pytest.mark.parametrize(("link", "delay", "repeats", "outage"), OUTAGES)
-def test_the_chance_of_an_outage_agrees_with_its_frequency(
-    flown: ModuleType, link: dict[str, Any], delay: int, repeats: int, outage: float
-) -> None:
-    told = LinkSettings(**link)
-    numbers = {"dt": DT, "delay_ticks": delay, "repeats": repeats, "ticks": 200, "outage": outage}
-    chance = chance_of_outage(told, **numbers)
-    count = flown.outages_exceeded(told, **numbers, flights=FLIGHTS)
-    assert 0 < count < FLIGHTS
-    assert flown.agrees(chance, count, FLIGHTS), (chance, count)
+def test_the_chance_of_an_outage_agrees_with_its_frequency(flown, link, delay, repeats, outage):
+    numbers = PACKETS | {"delay_ticks": delay, "repeats": repeats, "outage": outage}
+    counted(flown, chance_of_outage, LinkSettings(**link), **numbers)
 
 
 # Over a recorded link
@@ -221,19 +225,12 @@ def test_over_a_recorded_table_the_chance_is_the_share_of_all_its_places(
 
 def test_the_chances_over_a_recorded_link_agree_with_frequencies(flown: ModuleType) -> None:
     link, traces = LinkSettings(trace="far"), (pack("far", FAR.read_bytes()),)
-    looks = {"dt": DT, "period_ticks": 1, "dropout": 0.1, "ticks": 200, "traces": traces}
-    packets = {"dt": DT, "delay_ticks": 2, "repeats": 6, "ticks": 200, "traces": traces}
+    looks, packets = LOOKS | {"traces": traces}, PACKETS | {"delay_ticks": 2, "traces": traces}
     for dropout, age in ((0.0, 0.1), (0.1, 0.2)):
-        numbers = {**looks, "dropout": dropout, "age": age}
-        chance = chance_of_age(link, **numbers)
-        count = flown.ages_exceeded(link, **numbers, flights=FLIGHTS)
-        assert 0 < count < FLIGHTS
-        assert flown.agrees(chance, count, FLIGHTS), (chance, count)
-        assert chance.value < 1.2 * count / FLIGHTS
-    chance = chance_of_outage(link, **packets, outage=0.1)
-    count = flown.outages_exceeded(link, **packets, outage=0.1, flights=FLIGHTS)
-    assert 0 < count < FLIGHTS
-    assert flown.agrees(chance, count, FLIGHTS), (chance, count)
+        numbers = looks | {"dropout": dropout, "age": age}
+        chance, share = counted(flown, chance_of_age, link, **numbers)
+        assert chance < 1.2 * share
+    counted(flown, chance_of_outage, link, **packets, outage=0.1)
     for smallest, chance_of, numbers in (
         (smallest_age, chance_of_age, looks),
         (smallest_outage, chance_of_outage, packets),
@@ -244,11 +241,11 @@ def test_the_chances_over_a_recorded_link_agree_with_frequencies(flown: ModuleTy
 
 
 def test_of_mahimahi_files_and_of_recordings_that_are_too_long_no_chance_is_told() -> None:
-    looks = {"dt": DT, "period_ticks": 1, "dropout": 0.1, "age": 1.0}
     granted = {"settings": LinkSettings(trace="m"), "traces": (pack("m", b"1\n20\n"),)}
-    assert "Mahimahi" in chance_of_age(**granted, **looks, ticks=100).why
+    assert "Mahimahi" in chance_of_age(**granted, **LOOKS, age=1.0).why
     link, traces = LinkSettings(trace="far"), (pack("far", FAR.read_bytes()),)
-    assert "too long" in chance_of_age(link, **looks, ticks=100_000, traces=traces).why
+    long = LOOKS | {"ticks": 100_000, "traces": traces}
+    assert "too long" in chance_of_age(link, **long, age=1.0).why
 
 
 KINDS = st.sampled_from([{}, BURSTS, DARK, LATE, {**BURSTS, **DARK, "blackouts": ((2.0, 0.3),)}])
@@ -292,12 +289,9 @@ def test_the_chance_of_an_outage_rises_with_all_that_is_worse(
 @pytest.mark.parametrize("kind", [{}, BURSTS, DARK, {"blackouts": ((2.0, 0.4),)}, LATE])
 def test_the_smallest_number_is_the_smallest(kind: dict[str, Any], risk: float) -> None:
     link = LinkSettings(delay=0.1, loss=0.1, **kind)
-    looks = {"dt": DT, "period_ticks": 2, "dropout": 0.1, "ticks": 400}
-    packets = {"dt": DT, "delay_ticks": 4, "repeats": 6, "ticks": 400}
+    looks, packets = LOOKS | {"period_ticks": 2, "ticks": 400}, PACKETS | {"ticks": 400}
     age = smallest_age(link, **looks, risk=risk).value
     outage = smallest_outage(link, **packets, risk=risk).value
-    assert age is not None
-    assert outage is not None
     kept = (
         chance_of_age(link, **looks, age=age).value,
         chance_of_outage(link, **packets, outage=outage).value,
@@ -310,14 +304,12 @@ def test_the_smallest_number_is_the_smallest(kind: dict[str, Any], risk: float) 
 
 
 def test_what_cannot_be_bounded_is_said_and_is_no_number() -> None:
-    looks = {"dt": DT, "period_ticks": 1, "dropout": 0.1, "ticks": 200}
-    packets = {"dt": DT, "delay_ticks": 4, "repeats": 6, "ticks": 200}
     for told in (
-        chance_of_age(SLOW, **looks, age=1.0),
-        chance_of_outage(SLOW, **packets, outage=1.0),
-        smallest_age(SLOW, **looks, risk=0.1),
-        smallest_outage(SLOW, **packets, risk=0.1),
-        smallest_outage(LinkSettings(loss=1.0), **packets, risk=0.1),
+        chance_of_age(SLOW, **LOOKS, age=1.0),
+        chance_of_outage(SLOW, **PACKETS, outage=1.0),
+        smallest_age(SLOW, **LOOKS, risk=0.1),
+        smallest_outage(SLOW, **PACKETS, risk=0.1),
+        smallest_outage(LinkSettings(loss=1.0), **PACKETS, risk=0.1),
     ):
         assert told.value is None
         assert told.why
@@ -325,8 +317,7 @@ def test_what_cannot_be_bounded_is_said_and_is_no_number() -> None:
 
 def test_packets_that_are_always_too_late_begin_nothing() -> None:
     late = LinkSettings(delay=0.5)
-    chance = chance_of_outage(late, dt=DT, delay_ticks=4, repeats=6, ticks=200, outage=5.0)
-    assert chance == (1.0, True, "")
+    assert chance_of_outage(late, **PACKETS, outage=5.0) == (1.0, True, "")
 
 
 def test_a_flight_too_long_to_be_gone_through_has_a_bound() -> None:
@@ -361,8 +352,8 @@ def scenario(*overrides: str, **certificate: Any) -> Scenario:
 
 def test_a_risk_gives_the_bounds_that_are_not_given() -> None:
     one = scenario("links.commands.profile=wifi-poor", "hold=2.0", risk=1e-3)
-    looks = {"dt": one.dt, "period_ticks": 1, "dropout": 0.1, "ticks": one.ticks}
-    packets = {"dt": one.dt, "delay_ticks": 12, "repeats": MOST_CARRIED, "ticks": one.ticks}
+    looks = LOOKS | {"ticks": one.ticks}
+    packets = PACKETS | {"delay_ticks": 12, "repeats": MOST_CARRIED, "ticks": one.ticks}
     seen, commands = one.links.detections, one.links.commands
     both = declared(one, "uav_0")
     assert both.age == smallest_age(seen, **looks, risk=5e-4).value

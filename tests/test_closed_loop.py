@@ -3,26 +3,26 @@
 Whoever flies and drives in it gives the commands of the pilots in a single flight.
 """
 
-from collections.abc import Mapping
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 from blas import blas_fuses
+from flights import altered
 from worlds import POOR, SCENARIOS, small
 
 from bus.errors import ScenarioError
-from bus.messages import Command, Law, LinkKind, Observation, UavCommand
+from bus.messages import Law, LinkKind
 from bus.profiles import PROFILES
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.closed_loop_state import GUARD_METRICS
-from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.flying import fly, make_pilots
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
 from sim.env.rows import UAV_METRICS
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Certificate, Detections, LinkTable, Scenario
+from sim.scenario.types import Certificate, Detections, LinkTable
 from sim.server.flight import Flight
 
 
@@ -138,25 +138,6 @@ def test_the_whole_escort_is_the_run_that_the_readme_shows() -> None:
     assert loop.metrics("uav_0")["mean_error"][0] == pytest.approx(summary.mean_error, rel=1e-9)
 
 
-class _Overruled(InProcess):
-    """The pilots, but the UAV acts as it is told; what it perceives and radios is its own."""
-
-    def __init__(self, scenario: Scenario, seed: int, actions: np.ndarray) -> None:
-        super().__init__(make_pilots(scenario, seed))
-        self._actions = actions
-
-    def publish(self, observations: Mapping[str, Observation]) -> None:
-        self._tick = next(iter(observations.values())).tick
-        super().publish(observations)
-
-    def collect(self, tick: int) -> dict[str, Command]:
-        commands = super().collect(tick)
-        said = commands["uav_0"]
-        assert isinstance(said, UavCommand)
-        x, y = self._actions[tick].tolist()
-        return commands | {"uav_0": msgspec.structs.replace(said, acceleration=(x, y))}
-
-
 @pytest.mark.parametrize("name", ["evade", "network"])
 def test_a_ugv_that_evades_hears_a_uav_that_is_flown_from_outside(name: str) -> None:
     scenario = msgspec.structs.replace(SCENARIOS[name], law=Law(name="logarithmic"))
@@ -167,7 +148,13 @@ def test_a_ugv_that_evades_hears_a_uav_that_is_flown_from_outside(name: str) -> 
         loop.step(np.broadcast_to(action, (2, 1, 2)).copy())
     for k, seed in enumerate([4, 3]):
         flight = Flight(scenario, seed)
-        flight.fly(_Overruled(scenario, seed, actions))
+        flight.fly(
+            altered(
+                make_pilots(scenario, seed),
+                "uav_0",
+                lambda seen: {"acceleration": tuple(actions[seen.tick].tolist())},
+            )
+        )
         assert _same(flight.world.position, loop.state.batch.truth.position[k])
     still = ClosedLoop(
         msgspec.structs.replace(

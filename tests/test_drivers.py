@@ -9,11 +9,10 @@ import msgspec
 import numpy as np
 import pytest
 from draws import a_told_key
-from flights import DT, R_V, U_G, V_A, V_G, distances
+from flights import DT, R_V, U_G, V_A, V_G, distances, told_ugv
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
-from refusals import refused
 
 from agents.drivers.compiled import (
     EvadeDriver,
@@ -28,7 +27,6 @@ from agents.drivers.evade import away, flee, receive_radio
 from agents.drivers.policy import PolicyDriver
 from agents.drivers.teleop import TeleopDriver
 from agents.ugv import Driver, UgvPilot
-from bus.errors import ScenarioError
 from bus.messages import (
     Area,
     Drive,
@@ -43,7 +41,7 @@ from bus.ticks import tick_of
 from outrider.running.flying import InProcess, make_pilots
 from sim.engine.briefing import briefing
 from sim.models.ground import CLEAR
-from sim.models.vehicles import Motion, norm, step_vehicle
+from sim.models.vehicles import Motion, step_vehicle
 from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
@@ -54,23 +52,22 @@ Hears = Callable[[int, Point], dict[str, Any]]
 MIDDLE = (10.0, 10.0)
 
 
-def _told(**fields: Any) -> UgvBriefing:
-    v_max, u_max = fields.pop("v_max", V_G), fields.pop("u_max", U_G)
-    side = fields.pop("side", 20.0)
-    limits = [None if math.isinf(bound) else bound for bound in (v_max, u_max)]
-    script = ((1.0, (1e6, -1e6)), (7.0, (-0.1, 0.05)))
-    usual: dict[str, Any] = {
-        "vehicle": "ugv_0",
-        "dt": DT,
-        "area": Area(width=side, height=side, cell=0.5),
-        "limits": Limits(max_speed=limits[0], max_acceleration=limits[1]),
-        "driver": "waypoints",
-        "goals": ((3.0, 4.0), (18.0, 1.0)),
-        "goal_tolerance": 0.05,
-        "script": tuple(ScriptStep(time=time, velocity=velocity) for time, velocity in script),
-        "key": a_told_key(fields.pop("key", 7)),
-    }
-    return UgvBriefing(**usual | fields)
+SCRIPT = (
+    ScriptStep(time=1.0, velocity=(1e6, -1e6)),
+    ScriptStep(time=7.0, velocity=(-0.1, 0.05)),
+)
+
+
+def _told(
+    *, v_max: float = V_G, u_max: float = U_G, side: float = 20.0, key: int = 7, **fields: Any
+) -> UgvBriefing:
+    speed, acceleration = (None if math.isinf(bound) else bound for bound in (v_max, u_max))
+    return told_ugv(
+        area=Area(width=side, height=side, cell=0.5),
+        limits=Limits(max_speed=speed, max_acceleration=acceleration),
+        key=a_told_key(key),
+        **{"script": SCRIPT} | fields,
+    )
 
 
 def _wild(observation: UgvObservation, told: UgvBriefing) -> list[float]:
@@ -384,7 +381,6 @@ def test_a_wanderer_reaches_one_goal_after_the_other(key: int) -> None:
     assert len(changes) > 10
     for tick in changes[1:]:
         goal = goals[tick]
-        assert goal is not None
         assert math.dist(rows[tick, :2], goal) < 0.05
         assert min(*goal, 20.0 - goal[0], 20.0 - goal[1]) >= driver.parameters.margin
 
@@ -505,7 +501,6 @@ def test_it_wanders_until_it_hears_the_uav_and_again_when_that_falls_silent() ->
 def _flown(law: str, driver: Callable[[UgvBriefing], Driver], seed: int, **changes: Any) -> Flight:
     scenario = load_scenario("escort", overrides={"law.name": law} | changes)
     pilots, told = make_pilots(scenario, seed), briefing(scenario, "ugv_0", seed)
-    assert isinstance(told, UgvBriefing)
     pilots["ugv_0"] = UgvPilot(told, driver=driver(told))
     flight = Flight(scenario, seed)
     flight.fly(InProcess(pilots))
@@ -531,79 +526,3 @@ def test_without_noise_it_gets_beyond_the_visibility_radius_by_no_more_than_one_
     furthest = distances(_flown(law, EvadeDriver, seed, **clear)).max()
     # (18) knows no ticks, but r_s is passed between two of them
     assert furthest < R_V + (V_A + V_G) * DT
-
-
-# policy
-
-
-def _asked(answer: object, velocity: Point = (0.0, 0.0)) -> Point:
-    driver = PolicyDriver(_told(), policy=lambda observation, told: answer, name="mine:drive")
-    return driver.drive(_observe(12, (*MIDDLE, *velocity), {}))
-
-
-@pytest.mark.parametrize(
-    "answer",
-    [(0.03, -0.01), [0.03, -0.01], np.array([0.03, -0.01]), (np.float64(0.03), -0.01)],
-    ids=lambda a: type(a).__name__,
-)
-def test_a_policys_answer_within_the_bounds_is_taken_as_it_is(answer: object) -> None:
-    assert _asked(answer) == (0.03, -0.01)
-
-
-@pytest.mark.parametrize(
-    "answer",
-    [(1, 1), (1e308, 1e308), (7e5, 7e5), np.array([3, 3]), np.array([5.0, 5.0], dtype=np.float32)],
-)
-def test_a_policys_answer_beyond_the_bound_is_shortened(answer: object) -> None:
-    assert _asked(answer) == pytest.approx((U_G / math.sqrt(2.0), U_G / math.sqrt(2.0)), rel=1e-12)
-
-
-def test_a_policy_cannot_drive_beyond_the_largest_speed() -> None:
-    u_x, u_y = _asked((0.1, 0.0), velocity=(V_G, 0.0))
-    assert (u_x, u_y) == pytest.approx((0.0, 0.0), abs=1e-12)
-    u_x, u_y = _asked((0.0, 0.1), velocity=(V_G, 0.0))
-    assert norm(V_G + u_x * DT, u_y * DT) <= V_G * (1.0 + 1e-12)
-    assert u_y > 0.09
-
-
-NONSENSE = [
-    *(None, 0.1, (), (0.1,), (0.1, 0.2, 0.3), [[0.1, 0.2]], [[0.1], [0.2]], (math.nan, 0.0)),
-    *((0.0, -math.inf), ("0.1", "0.2"), (True, False), (0.1j, 0.2), ([0.1], [0.1, 0.2])),
-    *({"x": 0.1, "y": 0.2}, (10**400, 0), "a\nb", np.zeros((50, 50))),
-]
-
-
-@pytest.mark.parametrize("answer", NONSENSE, ids=range(len(NONSENSE)))
-def test_a_policys_nonsense_is_named_in_one_line(answer: object) -> None:
-    with refused(
-        ScenarioError, r"^policy = 'mine:drive': tick 12: returned .+; allowed: two finite numbers"
-    ) as caught:
-        _asked(answer)
-    assert len(str(caught.value)) < 250
-    if isinstance(answer, tuple) and len(answer) == 3:
-        assert "(0.1, 0.2, 0.3)" in str(caught.value)
-
-
-def test_a_policy_that_raises_is_named_in_one_line() -> None:
-    def broken(observation: UgvObservation, told: UgvBriefing) -> object:
-        raise KeyError("no\nsuch weights")
-
-    driver = PolicyDriver(_told(), policy=broken, name="mine:broken")
-    with refused(
-        ScenarioError, r"^policy = 'mine:broken': tick 3: raised KeyError: .*weights"
-    ) as caught:
-        driver.drive(_observe(3, (*MIDDLE, 0.0, 0.0), {}))
-    assert isinstance(caught.value.__cause__, KeyError)
-
-
-def test_a_policy_is_given_the_observation_and_the_briefing() -> None:
-    told, given_ = _told(), []
-
-    def policy(*seen: object) -> tuple[int, int]:
-        given_.append(seen)
-        return 0, 0
-
-    driver = PolicyDriver(told, policy=policy, name="m:f")
-    seen = _observe(4, (*MIDDLE, 0.0, 0.0), {})
-    driver.drive(seen)
-    assert given_ == [(seen, told)]

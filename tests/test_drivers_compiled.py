@@ -6,8 +6,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from draws import a_told_key
-from flights import DT, U_G, V_G
+from flights import DT, U_G, V_G, told_ugv
 
 from agents.drivers.compiled import WanderDriver, driver_parameters, told_route
 from agents.drivers.parameters import COMPILED_DRIVERS, WAYPOINTS
@@ -25,21 +24,15 @@ from bus.registry import DRIVERS, resolve
 
 CALM, PAPERS = (0.2, 0.02), (V_G, U_G)
 
-BRIEFING = UgvBriefing(
-    vehicle="ugv_0",
-    dt=DT,
+BRIEFING = told_ugv(
     area=Area(width=12.0, height=9.0, cell=0.5),
-    limits=Limits(max_speed=V_G, max_acceleration=U_G),
-    driver="waypoints",
     goals=((3.0, 4.0), (11.0, 1.0), (11.1, 1.0), (6.0, 8.0)),
-    goal_tolerance=0.05,
     script=(
         ScriptStep(time=30.0, velocity=(-0.1, 0.05)),
         ScriptStep(time=1.0, velocity=(1e6, -1e6)),
         ScriptStep(time=30.0, velocity=(0.1, 0.2)),
         ScriptStep(time=77.05, velocity=(-1.0, 0.0)),
     ),
-    key=a_told_key(7),
 )
 
 
@@ -57,7 +50,6 @@ def test_the_wanderers_goals_keep_its_margin(bounds: tuple[float | None, float |
     assert margin == pytest.approx(speed**2 / u_max + 2.0 * speed * DT, rel=1e-12)
     assert driver.goal is None
     driver.drive(UgvObservation(tick=0, time=0.0, position=(6.0, 4.0), velocity=(0.0, 0.0)))
-    assert driver.goal is not None
     assert min(*driver.goal, 12.0 - driver.goal[0], 9.0 - driver.goal[1]) >= margin
 
 

@@ -11,12 +11,10 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from pettingzoo.utils.conversions import aec_to_parallel, parallel_to_aec
-from refusals import refused
+from worlds import FREE, ONE, equal
 
 from bus.errors import ScenarioError
-from bus.messages import Area, Law, UavBriefing, UgvBriefing
-from outrider.envs.single import single_env
-from outrider.envs.vector import parallel_vector_env, vector_env
+from bus.messages import Area, UavBriefing, UgvBriefing
 from sim.engine.briefing import briefing
 from sim.env.parallel import OutriderEnv, parallel_env
 from sim.env.spaces import FREE_ACCELERATION, extent_of
@@ -29,21 +27,6 @@ with warnings.catch_warnings():
     )  # PettingZoo 1.27 makes an old environment of its own
     from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, state_test
 
-ONE = Scenario(
-    name="one",
-    duration=60.0,
-    detections=Detections(noise=0.1, dropout=0.2, rate=10.0),
-    uav=(Uav(position=(12.0, 10.0)),),
-    ugv=(Ugv(position=(10.0, 10.0), goals=((14.0, 10.0), (14.0, 16.0))),),
-)
-FREE = Scenario(
-    name="free",
-    duration=60.0,
-    detections=Detections(noise=0.1, cut=0.0),
-    law=Law(reference_speed=1.0),
-    uav=(Uav(position=(12.0, 10.0), max_speed=math.inf, max_acceleration=math.inf),),
-    ugv=(Ugv(position=(10.0, 10.0), max_acceleration=10.0),),
-)
 MANY = Scenario(
     name="many",
     duration=60.0,
@@ -86,17 +69,6 @@ def fly(env, rng, ticks):
         yield env.step(random_actions(env, rng))
 
 
-def same(a, b):
-    """Bit for bit, whatever the nesting."""
-    if isinstance(a, dict):
-        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
-    if isinstance(a, tuple):
-        return len(a) == len(b) and all(map(same, a, b))
-    if isinstance(a, np.ndarray):
-        return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
-    return type(a) is type(b) and a == b
-
-
 @pytest.mark.parametrize(("scenario", "options"), OPTIONS)
 def test_passes_pettingzoos_parallel_test(scenario, options):
     parallel_api_test(parallel_env(scenario, **options), num_cycles=400)
@@ -129,8 +101,8 @@ def test_turn_based_environment_flies_the_same_bits():
         for name in direct.agents:
             assert turns.agent_selection == name
             turns.step(actions[name])
-        assert same(observations, {name: turns.observe(name) for name in direct.agents})
-        assert same(rewards, turns.rewards)
+        assert equal(observations, {name: turns.observe(name) for name in direct.agents})
+        assert equal(rewards, turns.rewards)
 
 
 def test_metadata_and_agents():
@@ -214,55 +186,12 @@ def test_an_action_that_is_too_long_is_shortened_to_the_norm_bound():
     np.testing.assert_allclose(env.world.acceleration[0], [0.3 / math.sqrt(2.0)] * 2)
 
 
-@pytest.mark.parametrize("kind", [list, tuple, np.float32, np.float16, np.int64])
-def test_actions_may_be_lists_or_arrays_of_any_number_type(kind):
-    env, twin = parallel_env(FREE), parallel_env(FREE)
-    env.reset(seed=0)
-    twin.reset(seed=0)
-    action = [0.0, 1.0]  # exact in every type
-    given = kind(action) if kind in {list, tuple} else np.array(action, dtype=kind)
-    assert same(
-        env.step({"uav_0": given, "ugv_0": given}),
-        twin.step({"uav_0": np.array(action), "ugv_0": np.array(action)}),
-    )
-
-
 GOOD = {"uav_0": np.array([0.1, 0.0]), "ugv_0": np.array([0.0, 0.1])}
-
-
-@pytest.mark.parametrize(
-    ("actions", "words"),
-    [
-        ({**GOOD, "uav_0": np.zeros(3)}, r"uav_0 .* two numbers"),
-        ({**GOOD, "uav_0": np.zeros((1, 2))}, r"uav_0 .* two numbers"),
-        ({**GOOD, "uav_0": 0.1}, r"uav_0 .* two numbers"),
-        ({**GOOD, "uav_0": [0.1, [0.2]]}, r"uav_0 .* two numbers"),
-        ({**GOOD, "ugv_0": ["a", "b"]}, r"ugv_0 .* two numbers"),
-        ({**GOOD, "ugv_0": None}, r"ugv_0 .* two numbers"),
-        ({**GOOD, "ugv_0": np.array([True, False])}, r"ugv_0 .* two numbers"),
-        ({**GOOD, "ugv_0": np.array([math.nan, 0.0])}, r"ugv_0 .* finite"),
-        ({**GOOD, "ugv_0": [0.0, math.inf]}, r"ugv_0 .* finite"),
-        ({**GOOD, "ugv_0": [0.0, -1e7]}, r"ugv_0 .* finite"),
-        ({"uav_0": GOOD["uav_0"]}, r"for: uav_0; needed .* uav_0, ugv_0"),
-        ({}, r"for: nobody; needed .* uav_0, ugv_0"),
-        ({**GOOD, "uav_7": GOOD["uav_0"]}, r"uav_7; needed .* uav_0, ugv_0"),
-        ({"uav_0": GOOD["uav_0"], "uav_7": GOOD["uav_0"]}, r"uav_7; needed .* uav_0, ugv_0"),
-    ],
-)
-def test_bad_actions_are_refused_in_one_line_and_nothing_happens(actions, words):
-    env, twin = parallel_env(ONE), parallel_env(ONE)
-    env.reset(seed=5)
-    twin.reset(seed=5)
-    assert same(env.step(GOOD), twin.step(GOOD))
-    with refused(ValueError, words):
-        env.step(actions)
-    assert same(env.step(GOOD), twin.step(GOOD))
-    assert same(env.state(), twin.state())
 
 
 def test_nothing_works_before_the_first_reset_or_after_the_end():
     env = parallel_env(ONE, duration=0.1)
-    for call in (lambda: env.step(GOOD), env.state, env.metrics):
+    for call in (env.state, env.metrics):
         with pytest.raises(ResetNeeded, match="reset"):
             call()
     env.reset()
@@ -274,35 +203,6 @@ def test_nothing_works_before_the_first_reset_or_after_the_end():
         env.step(GOOD)
     env.reset()
     env.step(GOOD)
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"render_mode": "ansi"}, "render_mode"),
-        ({"dtype": np.int32}, "dtype"),
-        ({"coverage_patch": (0, 1.0)}, "pixels"),
-        ({"coverage_patch": (1.5, 1.0)}, "pixels"),
-        ({"coverage_patch": (8, 0.0)}, "meters_per_pixel"),
-        ({"coverage_patch": (8, math.inf)}, "meters_per_pixel"),
-    ],
-)
-def test_bad_arguments_are_refused_in_one_line(options, words):
-    with refused(ValueError, words):
-        parallel_env(ONE, **options)
-
-
-@pytest.mark.parametrize("make", [parallel_env, vector_env, parallel_vector_env, single_env])
-def test_an_argument_of_another_name_is_refused_and_those_that_there_are_are_named(make):
-    count = {"num_envs": 2} if make in (vector_env, parallel_vector_env) else {}
-    with refused(TypeError, r"'durations': no such setting; allowed: .*duration, "):
-        make(ONE, **count, durations=2.0)
-
-
-@pytest.mark.parametrize("duration", [0.0, -1.0, 0.12, math.nan, math.inf])
-def test_bad_durations_are_refused_in_one_line(duration):
-    with refused(ScenarioError, "duration"):
-        parallel_env(ONE, duration=duration)
 
 
 def test_a_scenario_that_cannot_be_flown_is_refused():
@@ -317,29 +217,21 @@ def test_an_unknown_scenario_or_agent_is_refused():
         parallel_env(ONE).briefing("uav_7")
 
 
-@pytest.mark.parametrize("seed", [-1, 2**53, 1.5, "1"])
-def test_bad_seeds_are_refused(seed):
-    env = parallel_env(ONE)
-    with pytest.raises(ValueError, match="seed"):
-        env.reset(seed=seed)
-    env.reset(seed=np.int64(1))
-
-
 @pytest.mark.parametrize(("scenario", "options"), OPTIONS)
 def test_same_seed_same_bits_for_more_than_a_thousand_ticks(scenario, options):
     """PettingZoo's own test looks at one step only."""
     first, second = (parallel_env(scenario, **options, duration=60.0) for _ in range(2))
     first.end_on_sight_lost = second.end_on_sight_lost = False
-    assert same(first.reset(seed=7), second.reset(seed=7))
+    assert equal(first.reset(seed=7), second.reset(seed=7))
     steps = 0
     for a, b in zip(
         fly(first, np.random.default_rng(7), 1200),
         fly(second, np.random.default_rng(7), 1200),
         strict=True,
     ):
-        assert same(a, b)
-        assert same(first.state(), second.state())
-        assert same(first.metrics(), second.metrics())
+        assert equal(a, b)
+        assert equal(first.state(), second.state())
+        assert equal(first.metrics(), second.metrics())
         steps += 1
     assert steps == 1200
 
@@ -347,8 +239,8 @@ def test_same_seed_same_bits_for_more_than_a_thousand_ticks(scenario, options):
 def test_another_seed_gives_other_detections():
     env = parallel_env(ONE)
     observations = [env.reset(seed=seed)[0] for seed in (1, 2)]
-    assert not same(observations[0]["uav_0"], observations[1]["uav_0"])
-    assert same(observations[0]["ugv_0"], observations[1]["ugv_0"])
+    assert not equal(observations[0]["uav_0"], observations[1]["uav_0"])
+    assert equal(observations[0]["ugv_0"], observations[1]["ugv_0"])
 
 
 def test_reset_in_the_middle_repeats_the_episode():
@@ -364,7 +256,7 @@ def test_reset_in_the_middle_repeats_the_episode():
 
     whole = list(episode())
     list(itertools.islice(episode(), 80))
-    assert all(map(same, whole, list(episode())))
+    assert all(map(equal, whole, list(episode())))
 
 
 def test_an_episode_leaves_nothing_behind_for_the_next():
@@ -387,7 +279,7 @@ def test_an_episode_leaves_nothing_behind_for_the_next():
     assert whole[0][0]["uav_0"][8] == 60.0
     assert whole[-1]["ugv_0"]["goals_reached"] == 1
     assert whole[-1]["uav_0"]["visibility_violations"] > 100
-    assert all(map(same, whole, list(episode())))
+    assert all(map(equal, whole, list(episode())))
 
 
 def test_resets_without_a_seed_go_on_deterministically():
@@ -406,7 +298,7 @@ def test_resets_without_a_seed_go_on_deterministically():
 
 def test_the_episode_seed_is_the_worlds():
     env = parallel_env(ONE)
-    env.reset(seed=4)
+    env.reset(seed=np.int64(4))
     env.reset()
     assert env.world.seed == env.episode_seed
     assert env.briefing("uav_0") == briefing(ONE, "uav_0", env.episode_seed)
@@ -414,17 +306,14 @@ def test_the_episode_seed_is_the_worlds():
     assert isinstance(env.briefing("ugv_0"), UgvBriefing)
 
 
-def test_returned_arrays_never_change_later():
-    env = parallel_env(ONE, coverage_patch=(8, 1.0), coverage_in_state=True)
-    observations, _ = env.reset(seed=1)
-    kept = [(observations, copy.deepcopy(observations))]
+def test_the_state_that_was_returned_never_changes_later():
+    env = parallel_env(ONE, coverage_in_state=True)
+    env.reset(seed=1)
     states = [(env.state(), env.state().copy())]
-    rng = np.random.default_rng(0)
-    for observations, *_ in fly(env, rng, 20):
-        kept.append((observations, copy.deepcopy(observations)))
+    for observations, *_ in fly(env, np.random.default_rng(0), 20):
         states.append((env.state(), env.state().copy()))
-    assert all(same(now, then) for now, then in kept + states)
-    observations["ugv_0"][:] = 1e9
+        observations["ugv_0"][:] = 1e9
+    assert all(equal(now, then) for now, then in states)
     env.state()[:] = 1e9
     assert env.state_space.contains(env.state())
 
@@ -443,6 +332,6 @@ def test_a_copy_goes_on_like_the_original(duplicate):
         fly(other, np.random.default_rng(1), 50),
         strict=True,
     )
-    assert all(same(a, b) for a, b in pairs)
-    assert same(env.state(), other.state())
-    assert same(env.render(), other.render())
+    assert all(equal(a, b) for a, b in pairs)
+    assert equal(env.state(), other.state())
+    assert equal(env.render(), other.render())

@@ -40,20 +40,18 @@ def test_the_environment_loads_nothing_that_draws():
     assert python(code).stdout.strip() == "[]"
 
 
-def test_picture_is_an_array_of_bytes_in_the_areas_proportion():
-    env = parallel_env(SCENARIO, render_mode="rgb_array")
+def begun(scenario=SCENARIO):
+    env = parallel_env(scenario, render_mode="rgb_array")
     env.reset(seed=0)
-    frame = env.render()
+    return env
+
+
+def test_picture_shows_both_vehicles_and_the_limit_where_they_are_in_the_areas_proportion():
+    frame = begun().render()
     assert frame.dtype == np.uint8
     assert frame.ndim == 3
     assert frame.shape[2] == 3
     assert frame.shape[1] > 1.5 * frame.shape[0]
-
-
-def test_picture_shows_both_vehicles_and_the_limit_where_they_are():
-    env = parallel_env(SCENARIO, render_mode="rgb_array")
-    env.reset(seed=0)
-    frame = env.render()
     legend = int(0.9 * frame.shape[0])
     (a_row, a_column), (g_row, g_column) = (
         np.median(pixels_of(frame[:legend], color), axis=0) for color in (UAV[0], UGV[0])
@@ -65,8 +63,7 @@ def test_picture_shows_both_vehicles_and_the_limit_where_they_are():
 
 
 def test_pictures_follow_the_flight_and_are_not_overwritten():
-    env = parallel_env(SCENARIO, render_mode="rgb_array")
-    env.reset(seed=0)
+    env = begun()
     first = env.render()
     kept = first.copy()
     for _ in range(60):
@@ -82,18 +79,17 @@ def test_pictures_follow_the_flight_and_are_not_overwritten():
 
 
 def test_picture_depends_on_the_episode_alone_not_on_earlier_pictures():
-    def pictures(env):
+    def picture(env):
         env.reset(seed=0)
         for _ in range(5):
             env.step(ACTIONS)
         return env.render()
 
-    env, fresh = (parallel_env(SCENARIO, render_mode="rgb_array") for _ in range(2))
-    pictures(env)
+    env = begun()
     for _ in range(100):
         env.step(ACTIONS)
     env.render()
-    assert (pictures(env) == pictures(fresh)).all()
+    assert (picture(env) == picture(begun())).all()
 
 
 def test_several_and_unbounded_vehicles_are_drawn():
@@ -106,9 +102,7 @@ def test_several_and_unbounded_vehicles_are_drawn():
         ),
         ugv=(Ugv(position=(10.0, 11.0)), Ugv(name="ugv_1", position=(20.0, 11.0))),
     )
-    env = parallel_env(many, render_mode="rgb_array")
-    env.reset(seed=0)
-    frame = env.render()
+    frame = begun(many).render()
     assert all(len(pixels_of(frame, color)) > 20 for color in (*UAV[:2], *UGV[:2]))
 
 

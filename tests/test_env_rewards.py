@@ -34,16 +34,20 @@ TWO = Scenario(
 )
 
 
-def flee(env, ticks=10**6):
-    """The UAV flies straight away from the UGV, which stays."""
+AWAY = [0.3, 0.0]
+
+
+def flown(env, **actions):
+    """An episode to its end, in which who is not named rests: what each step returned."""
     env.reset(seed=0)
-    total = []
-    for _ in range(ticks):
-        _, rewards, terminations, truncations, _ = env.step({"uav_0": [0.3, 0.0], "ugv_0": STILL})
-        total.append(rewards["uav_0"])
-        if not env.agents:
-            break
-    return total, terminations, truncations
+    steps = []
+    while env.agents:
+        steps.append(env.step(dict.fromkeys(env.agents, STILL) | actions))
+    return steps
+
+
+def paid(steps, agent="uav_0"):
+    return [rewards[agent] for _, rewards, *_ in steps]
 
 
 def test_full_error_is_the_papers_anchor():
@@ -98,7 +102,7 @@ def test_weights_scale_their_own_terms():
 
 def test_losing_sight_ends_the_episode_and_is_paid_to_its_end():
     env = parallel_env(scenario())
-    rewards, terminations, truncations = flee(env)
+    _, rewards, terminations, truncations, _ = flown(env, uav_0=AWAY)[-1]
     assert terminations == {"uav_0": True, "ugv_0": True}
     assert truncations == {"uav_0": False, "ugv_0": False}
     assert env.metrics()["uav_0"]["distance"] >= 4.75
@@ -106,26 +110,23 @@ def test_losing_sight_ends_the_episode_and_is_paid_to_its_end():
     assert env.metrics()["uav_0"]["visibility_violations"] == 1
     left = 60.0 - env.world.time + 0.05
     assert env.metrics()["uav_0"]["reward_out_of_sight"] == pytest.approx(-2.0 * left)
-    assert rewards[-1] == pytest.approx(
+    assert rewards["uav_0"] == pytest.approx(
         -2.0 * left - 10.0 + env.metrics()["uav_0"]["reward_uncovered"]
     )
 
 
 def test_losing_sight_early_never_pays():
     """Else a learner would flee from the ground it is charged for."""
-    fled = sum(flee(parallel_env(scenario()))[0])
-    lazy = parallel_env(scenario(goals=()))
-    lazy.reset(seed=0)
-    stayed = 0.0
-    while lazy.agents:
-        stayed += lazy.step({"uav_0": STILL, "ugv_0": STILL})[1]["uav_0"]
-    assert lazy.world.time == pytest.approx(60.0)
-    assert fled < -60.0 < stayed
+    fled = flown(parallel_env(scenario()), uav_0=AWAY)
+    stayed = flown(parallel_env(scenario(goals=())))
+    assert len(fled) < len(stayed) == 1200
+    assert sum(paid(fled)) < -60.0 < sum(paid(stayed))
 
 
 def test_where_losing_sight_goes_on_it_is_charged_once_and_then_by_the_tick():
     env = parallel_env(scenario(duration=30.0), end_on_sight_lost=False)
-    rewards, terminations, truncations = flee(env)
+    steps = flown(env, uav_0=AWAY)
+    rewards, (*_, terminations, truncations, _) = paid(steps), steps[-1]
     assert len(rewards) == 600
     assert terminations == {"uav_0": False, "ugv_0": False}
     assert truncations == {"uav_0": True, "ugv_0": True}
@@ -137,11 +138,7 @@ def test_where_losing_sight_goes_on_it_is_charged_once_and_then_by_the_tick():
 
 
 def test_one_lost_ugv_ends_the_episode_of_all_and_only_its_uav_pays():
-    env = parallel_env(TWO)
-    env.reset(seed=0)
-    actions = dict.fromkeys(env.agents, STILL) | {"uav_1": [0.3, 0.0]}
-    while env.agents:
-        _, rewards, terminations, *_ = env.step(actions)
+    _, rewards, terminations, *_ = flown(parallel_env(TWO), uav_1=AWAY)[-1]
     assert set(terminations.values()) == {True}
     assert rewards["uav_1"] < -10.0 < -1.0 < rewards["uav_0"]
 
@@ -180,11 +177,7 @@ def test_ugv_that_has_arrived_or_has_no_goal_gains_nothing_more():
 def test_reaching_all_goals_ends_the_episode_where_that_is_wanted():
     for wanted in (False, True):
         env = parallel_env(TWO, end_on_goals_reached=wanted, end_on_sight_lost=False, duration=20.0)
-        env.reset(seed=0)
-        while env.agents:
-            *_, terminations, truncations, infos = env.step(
-                dict.fromkeys(env.agents, STILL) | {"ugv_0": [0.1, 0.0]}
-            )
+        *_, terminations, truncations, infos = flown(env, ugv_0=[0.1, 0.0])[-1]
         assert set(terminations.values()) == {wanted}
         assert set(truncations.values()) == {not wanted}
         assert infos["ugv_0"]["goals_reached"] == 1
@@ -192,22 +185,16 @@ def test_reaching_all_goals_ends_the_episode_where_that_is_wanted():
 
 def test_without_any_goal_the_episode_does_not_end_by_reaching_all():
     env = parallel_env(scenario(goals=()), end_on_goals_reached=True, duration=1.0)
-    env.reset(seed=0)
-    while env.agents:
-        *_, terminations, truncations, _ = env.step({"uav_0": STILL, "ugv_0": STILL})
+    *_, terminations, truncations, _ = flown(env)[-1]
     assert not any(terminations.values())
     assert all(truncations.values())
 
 
 @pytest.mark.parametrize(("duration", "ticks"), [(None, 1200), (0.05, 1), (100.0, 2000)])
 def test_episode_is_truncated_at_its_duration(duration, ticks):
-    env = parallel_env(scenario(), duration=duration)
-    env.reset(seed=0)
-    count = 0
-    while env.agents:
-        *_, terminations, truncations, _ = env.step({"uav_0": STILL, "ugv_0": STILL})
-        count += 1
-    assert count == ticks
+    steps = flown(parallel_env(scenario(), duration=duration))
+    *_, terminations, truncations, _ = steps[-1]
+    assert len(steps) == ticks
     assert all(truncations.values())
     assert not any(terminations.values())
 

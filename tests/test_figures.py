@@ -12,7 +12,6 @@ import pytest
 from bus.messages import Law
 from outrider.experiments import paper_figures
 from outrider.experiments.claims import (
-    Claim,
     claim_anchor,
     claim_collapse,
     claims_1,
@@ -136,37 +135,6 @@ def test_claims_of_a_run_are_those_of_its_flights(made, claims):
 def test_every_claim_holds(claims):
     assert failing(claims) == set()
     assert all(math.isfinite(claim.number) and claim.value for claim in claims)
-
-
-@pytest.mark.parametrize(
-    ("figure", "words"),
-    [
-        ("1a", "leaves the circle"),
-        ("1b", "falls with a higher k_v"),
-        ("1b", "peaks are where u_si turns"),
-        ("1c", "stopped: low k_v"),
-        ("1c", "stopped: high k_v, bounded"),
-        ("2", "linear weights"),
-        ("2", "switching weights"),
-        ("2", "logarithmic weights"),
-        ("3", "linear: ‖p_Δ‖ < r_v"),
-        ("3", "switching: ‖p_Δ‖ < r_v"),
-        ("3", "logarithmic: ‖p_Δ‖ < r_v"),
-        ("3", "linear is conservative"),
-        ("3", "switching slides on r_s"),
-        ("3", "logarithmic goes further out than linear, without sliding"),
-        ("4c", "most of the time"),
-        ("4b", "cannot be flown"),
-        ("5c", "difference is larger"),
-        ("5c", "steadier"),
-        ("anchor", "e(0)"),
-        ("anchor", "coverage alone"),
-        ("anchor", "mean e(t) on the straight line, logarithmic"),
-        ("anchor", "mean e(t) on the straight line, circle"),
-    ],
-)
-def test_the_specification_s_claims_are_in_the_table(claims, figure, words):
-    assert isinstance(found(claims, figure, words), Claim)
 
 
 def test_claims_of_figure_3_are_those_of_the_recorded_positions(flights, claims):

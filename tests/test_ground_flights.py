@@ -3,18 +3,14 @@
 import msgspec
 import numpy as np
 import pytest
-from flights import record, sha256
+from flights import flown_in_both
 from processes import run_json
 from worlds import LOSSY
 
 from outrider.envs.closed_loop import ClosedLoop
-from outrider.envs.env_pilots import pilots
-from outrider.running.flying import InProcess, make_pilots
 from sim.engine.mission import mission_of
-from sim.env.parallel import parallel_env
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable
-from sim.server.flight import Flight
 
 RADIO = msgspec.structs.replace(LOSSY, delay=0.2)
 
@@ -25,13 +21,8 @@ def test_a_flight_over_hazards_has_one_trajectory(name: str) -> None:
     scenario = msgspec.structs.replace(
         load_scenario(name), duration=30.0, links=LinkTable(radio=RADIO)
     )
-    flight = Flight(scenario, 4)
-    flight.fly(InProcess(make_pilots(scenario, 4)))
+    _, flight, _ = flown_in_both(scenario, 4)
     assert flight.world.position[1].tolist() != list(scenario.ugv[0].position)
-    env = parallel_env(scenario)
-    observations, _ = env.reset(seed=4)
-    states = record(env, pilots(env), observations)
-    assert sha256(states) == flight.recorder.sha256()
     loop = ClosedLoop(scenario, 2, threads=1)
     loop.begin([5, 4])
     loop.fly()

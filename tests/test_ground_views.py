@@ -71,12 +71,6 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flight, Summa
     return path, flight, summary
 
 
-def seen_at_the_end(flight: Flight) -> GroundMap:
-    ground = ground_map(flight.world)
-    assert ground is not None
-    return ground
-
-
 class Watched(InProcess):
     """The pilots, and beside them the map that observers are told."""
 
@@ -87,7 +81,7 @@ class Watched(InProcess):
         said = super().collect(tick)
         driver: Any = self._pilots["ugv_0"]._driver  # type: ignore[union-attr]
         tiles = driver.memory.ground.tiles
-        told = np.frombuffer(seen_at_the_end(self.flight).tiles, np.uint8).reshape(tiles.shape)
+        told = np.frombuffer(ground_map(self.flight.world).tiles, np.uint8).reshape(tiles.shape)
         assert (np.where(told == SEEN, 0, told) == tiles).all(), tick
         self.compared += int((tiles > 0).sum())
         return said
@@ -158,21 +152,18 @@ def test_a_ugv_tells_observers_its_route_to_the_goal_where_that_has_changed(plan
         steps = np.abs(np.diff(np.array(route[1:-1]).reshape(-1, 2), axis=0))
         assert ((steps[:, 0] == steps[:, 1]) | (steps == 0.0).any(axis=1)).all()
     last = ground_map(flight.world, routes=flight.routes)
-    assert last is not None
     route, x = last.routes["ugv_0"], float(flight.world.position[1, 0])
     assert route[0] == tuple(flight.world.position[1].tolist())
     assert all(corner[0] > x for corner in route[1:])  # what has been driven of it is left out
     assert route[1:] == flight.routes["ugv_0"][-len(route) + 1 :]
     old = {"ugv_0": ((7.0, 6.0), (7.5, 6.5), (7.8, 6.0), (12.0, 6.0))}
     behind = ground_map(flight.world, routes=old)
-    assert behind is not None
     assert behind.routes["ugv_0"] == (route[0], (12.0, 6.0))
 
 
 def test_every_view_draws_the_route(planned, tmp_path: Path) -> None:
     path, flight, _ = planned
     ground = ground_map(flight.world, routes=flight.routes)
-    assert ground is not None
     *_, recorded = grounds(path, flight=0)
     assert recorded == ground
     drawn = Map(Figure().add_subplot(), scene_of(flight.scenario), hazards=ground)
@@ -212,7 +203,7 @@ def test_each_hazard_is_unknown_then_known_then_hit(flown: tuple[Path, Flight, S
     first, *_, last = grounds(path, flight=0)
     assert set(first.states) == {UNKNOWN}
     assert list(last.states) == [HIT, UNKNOWN, KNOWN, KNOWN]
-    assert last == seen_at_the_end(flight)
+    assert last == ground_map(flight.world)
 
 
 def test_the_summary_tells_the_mission_and_its_table_in_plain_words(flown, capsys) -> None:
@@ -287,7 +278,7 @@ def test_the_terminal_marks_what_was_hit_and_what_was_found(flown) -> None:
     recording = flight_of(flown[0])
     *_, status = statuses(recording.path, flight=0)
     status = msgspec.structs.replace(status, geometry=geometry_of(flight.scenario))
-    view = DriveView(status=status, truth=flight.truth(), ground=seen_at_the_end(flight))
+    view = DriveView(status=status, truth=flight.truth(), ground=ground_map(flight.world))
     canvas = draw(view, "ugv_0", Trails(), width=90, height=40, wide=True)
     text = "".join(segment.text for row in range(40) for segment in canvas.row(row))
     assert (text.count("✗"), text.count("★"), text.count("☆")) == (1, 1, 0)

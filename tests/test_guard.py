@@ -5,7 +5,7 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from flights import DT, U_A, V_A, V_G, escort, told
+from flights import DT, PROMISED, U_A, V_A, V_G, escort, told
 
 from agents.control.certificate import (
     BEST_EFFORT,
@@ -252,7 +252,7 @@ def test_a_contradiction_is_remembered_until_the_filter_begins_again() -> None:
 
 
 def test_where_there_are_no_walls_a_detection_stays_where_it_is() -> None:
-    promise = certificate(Declared(r_v=4.75, v_a=V_A, u_a=U_A, v_g=V_G, dt=DT, eps=0.3, age=1.0))
+    promise = certificate(Declared(**PROMISED, eps=0.3, age=1.0))
     state = guard_state(promise.delay_ticks, 8)
     note_position(state, 0, -7.0, 3.0)
     note_detection(promise, state, 0, 0, 1.0, 5.0, -7.0, 3.0)
@@ -263,16 +263,8 @@ class Vehicle:
     """A UAV that does what its filter says after a delay, and the codes of its ticks."""
 
     def __init__(self, delay: float, *, begin: int = 0, width: float = 40.0) -> None:
-        numbers = {
-            "r_v": 4.75,
-            "v_a": V_A,
-            "u_a": U_A,
-            "v_g": V_G,
-            "dt": DT,
-            "eps": 0.0,
-            "age": 1.0,
-        }
-        self.promise = certificate(Declared(**numbers, delay=delay, width=width, height=width))
+        declared = Declared(**PROMISED, eps=0.0, age=1.0, delay=delay, width=width, height=width)
+        self.promise = certificate(declared)
         self.memory = guard_state(self.promise.delay_ticks, 8)
         self.state, self.tick = Motion(20.0, 20.0, 0.0, 0.0), begin
         self.pending = [(0.0, 0.0)] * round(delay / DT)

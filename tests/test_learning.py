@@ -76,7 +76,6 @@ def test_it_flies_a_single_environment_as_it_flies_a_batch() -> None:
     seen, _ = env.reset(seed=SEEDS[k])
     for _ in range(500):
         observed = worlds.observe("uav_0")
-        assert isinstance(observed, dict)
         assert all(
             np.array_equal(observed[key][k], seen["uav_0"][key]) for key in ("row", "coverage")
         )
@@ -101,7 +100,6 @@ def test_alone_on_ground_with_hazards_the_ugvs_are_told_by_radio_as_in_the_batch
         worlds.step(dict.fromkeys(worlds.learners, still[None]))
         seen, *_ = env.step(dict.fromkeys(env.agents, still))
     observed, tiles = worlds.observe("ugv_0"), seen["ugv_0"]["tiles"]
-    assert isinstance(observed, dict)
     assert np.array_equal(observed["tiles"][0], tiles)
     assert np.count_nonzero(tiles == CLEAR) > 50  # more than a bumper feels
 
@@ -278,60 +276,36 @@ def test_a_world_is_answered_with_the_same_bits_alone_and_in_a_batch() -> None:
     assert np.allclose(together[0], x, rtol=1e-12)
 
 
-def test_a_repeated_action_is_so_many_ticks_and_the_sum_of_their_rewards() -> None:
-    plain, repeated = (outrider.vector_env("escort", num_envs=2, duration=1.0) for _ in range(2))
+@pytest.mark.parametrize("duration", [1.0, 0.5])
+def test_a_repeated_action_is_so_many_ticks_and_the_sum_of_their_rewards(duration: float) -> None:
+    """Five steps of four ticks, and ten ticks, which end amid the third step: the next episode rests until its end."""
+    plain, repeated = (
+        outrider.vector_env("escort", num_envs=2, duration=duration) for _ in range(2)
+    )
     env = ActionRepeat(repeated, 4)
     plain.reset(seed=2)
     env.reset(seed=2)
-    action = np.array([[0.2, 0.1], [-0.3, 0.0]])
-    for step in range(10):
-        total = np.zeros(2)
+    action, ends = np.array([[0.2, 0.1], [-0.3, 0.0]]), 0
+    for _ in range(10):
+        held, total, told = action, np.zeros(2), dict[str, Any]()
         for _ in range(4):
-            seen, rewards, terminated, truncated, told = plain.step(action)
-            total += rewards
+            seen, rewards, terminated, truncated, infos = plain.step(held)
+            total += 0.0 if told else rewards
+            assert not terminated.any()
+            if truncated.all():
+                held, told = np.zeros((2, 2)), infos
         got, paid, lost, over, infos = env.step(action)
         assert np.array_equal(got, seen)
         assert np.array_equal(paid, total)
         assert not lost.any()
-        assert not terminated.any()
-        assert np.array_equal(over, truncated)
-        assert over.all() == (step % 5 == 4)
-        if over.any():
-            assert all(
-                np.array_equal(infos["final_obs"][k], told["final_obs"][k]) for k in range(2)
-            )
-            assert np.array_equal(
-                infos["final_info"]["episode"]["r"], told["final_info"]["episode"]["r"]
-            )
-
-
-def test_an_end_inside_a_repeated_action_is_told_with_its_own_last_observation() -> None:
-    scenario = load_scenario("escort")
-    plain, repeated = (
-        outrider.vector_env(scenario, num_envs=2, duration=0.5, agent="uav_0") for _ in range(2)
-    )
-    env = ActionRepeat(
-        repeated, 4
-    )  # 10 ticks: the episode ends at the second tick of the third step
-    plain.reset(seed=2)
-    env.reset(seed=2)
-    action = np.array([[0.2, 0.1], [-0.3, 0.0]])
-    for _ in range(2):
-        env.step(action)
-    for _ in range(8):
-        plain.step(action)
-    _, first, *_ = plain.step(action)
-    _, second, _, truncated, told = plain.step(action)
-    for _ in range(2):
-        seen, *_ = plain.step(np.zeros((2, 2)))
-    got, paid, _, over, infos = env.step(action)
-    assert truncated.all()
-    assert over.all()
-    assert np.array_equal(paid, first + second)
-    assert np.array_equal(got, seen)
-    assert all(np.array_equal(infos["final_obs"][k], told["final_obs"][k]) for k in range(2))
-    assert np.array_equal(infos["final_info"]["episode"]["r"], told["final_info"]["episode"]["r"])
-    assert infos["_final_obs"].all()
+        assert over.tolist() == [bool(told)] * 2
+        if told:
+            ends += 1
+            assert infos["_final_obs"].all()
+            assert np.array_equal(np.stack(infos["final_obs"]), np.stack(told["final_obs"]))
+            returns, theirs = (one["final_info"]["episode"]["r"] for one in (infos, told))
+            assert np.array_equal(returns, theirs)
+    assert ends == round(2.0 / duration)
 
 
 @pytest.mark.parametrize("ticks", [0, -1, 1.5, None])

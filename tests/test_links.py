@@ -7,9 +7,8 @@ import msgspec
 import numpy as np
 import pytest
 from flights import degraded, escort
-from refusals import refusal
 from staging import PILOT, operating, stage
-from tabular import rows, words
+from tabular import words
 
 from bus.messages import (
     Action,
@@ -59,24 +58,6 @@ def test_a_vehicle_may_have_links_of_its_own(tmp_path: Path) -> None:
     assert links.of("ugv_0", LinkKind.COMMANDS) == with_(lte, delay=0.2)
     assert links.of("uav_0", LinkKind.COMMANDS) == with_(lte, delay=0.2, loss=0.1)
     assert links.of("uav_0", LinkKind.DETECTIONS) == lte
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    rows("""
-links.profile=wify | links.profile = "wify": no such profile, did you mean 'wifi'?
-links.detections.delay=31 | links.detections.delay = 31: out of bounds; allowed: a number <= 30
-links.detections.speed=3 | links.detections.speed = 3: no such field
-links.detections.loss=1.5 | links.detections.loss = 1.5: out of bounds
-links.commands.burst_length=1.0 | links.commands.burst_interval = 0.0: bursts without an end
-links.commands.delay=nan | links.commands.delay = nan
-links.everything.delay=1 | links.everything = {delay = 1}: no such field
-links.commands=3 | links.commands = 3: not a table
-links.only=[{vehicle="uav_7"}] | links.only.0.vehicle = "uav_7": no vehicle has this name
-"""),
-)
-def test_impossible_links_are_refused_in_one_line(change: str, told: str) -> None:
-    assert told in refusal(overrides=[change])
 
 
 def test_a_detection_comes_late_and_says_when_it_was_taken() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from flights import EVADED, flown_in_both, record, told
+from flights import EVADED, PROMISED, flown_in_both, record, told
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from processes import flown_both_ways
@@ -31,7 +31,6 @@ from sim.world import World
 
 LOST = SCENARIOS["lost commands"]
 RECORDED = Path(__file__).resolve().parent.parent / "examples" / "networks" / "wifi-far.csv"
-PAPER = {"r_v": 4.75, "v_a": 0.6, "u_a": 0.3, "v_g": 0.2, "dt": 0.05, "eps": 0.3}
 
 
 def rest(begins: int, parent: int = -1, **fields) -> MotionPlan:
@@ -233,12 +232,13 @@ def test_motions_that_were_checked_for_less_than_the_outage_are_caught_by_the_at
 
 
 def test_an_outage_costs_radius_and_age() -> None:
-    numbers = [certificate(Declared(**PAPER, age=5.0, outage=b)) for b in (0.05, 1.0, 4.0)]
+    paper = PROMISED | {"eps": 0.3, "age": 5.0}
+    numbers = [certificate(Declared(**paper, outage=b)) for b in (0.05, 1.0, 4.0)]
     assert [c.reach for c in numbers] == sorted((c.reach for c in numbers), reverse=True)
     assert all(c.handover <= numbers[0].handover for c in numbers)
     most = largest_outage(numbers[0])
-    assert math.isnan(certificate(Declared(**PAPER, age=5.0, outage=most + 0.1)).handover)
-    assert not math.isnan(certificate(Declared(**PAPER, age=5.0, outage=most - 0.1)).handover)
+    assert math.isnan(certificate(Declared(**paper, outage=most + 0.1)).handover)
+    assert not math.isnan(certificate(Declared(**paper, outage=most - 0.1)).handover)
 
 
 def test_a_policy_keeps_sight_through_the_filter_while_its_commands_are_lost() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import a_told_key
+from flights import told_ugv
 from scipy.ndimage import binary_dilation
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
@@ -36,7 +36,7 @@ from agents.drivers.planning import (
     take_plan,
 )
 from agents.drivers.tile_map import ground_memory, note_block, note_tiles
-from bus.messages import Area, Limits, UgvBriefing, UgvGround
+from bus.messages import Area, Limits, UgvGround
 from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, TOUCH, UNSEEN
 from sim.models.vehicles import Motion, brake, norm, step_vehicle
 
@@ -366,16 +366,11 @@ def test_it_arrives_wherever_there_is_a_way(cautious: ModuleType) -> None:
 
 
 def _parameters(**numbers: Any) -> DriverParameters:
-    told = UgvBriefing(
-        vehicle="ugv_0",
-        dt=0.05,
+    told = told_ugv(
         area=Area(width=20.0, height=5.0, cell=0.5),
         limits=Limits(max_speed=1.5, max_acceleration=0.5),
-        driver="navigate",
-        goals=(),
         goal_tolerance=0.2,
         ground=UgvGround(tile=0.5, bumper=0.75, caution="cautious", share=0.4),
-        key=a_told_key(1),
     )
     return driver_parameters(told, "navigate")._replace(**numbers)
 

@@ -107,9 +107,7 @@ def test_every_view_shows_a_ugv_alone(flown) -> None:
     assert frame.std() > 0.0
     hub = Hub(Tape(recording, 1.0, lambda: 0.0))
     hub.take_in()
-    assert hub._scene is not None
     assert [vehicle.name for vehicle in hub._scene.vehicles] == ["ugv_0"]
-    assert hub.status is not None
     status = msgspec.structs.replace(hub.status, geometry=geometry_of(alone()))
     view = DriveView(status=status, truth=flight.truth())
     canvas = draw(view, "ugv_0", Trails(), width=60, height=20, wide=True)

@@ -18,19 +18,20 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from draws import a_told_key
-from flights import DT, U_G, V_G
+from flights import DT, U_G, V_G, Piloted, told_ugv
 from processes import python
+from refusals import refused
 
 import outrider
-from agents.drivers.policy import PolicyDriver, UgvRows
+from agents.drivers.policy import Policy, PolicyDriver, UgvRows
 from bus.errors import ScenarioError
 from bus.layout import UgvRow
-from bus.messages import Area, Limits, UgvBriefing, UgvObservation
+from bus.messages import Command, UgvObservation
 from bus.registry import SAVED_POLICIES
 from outrider.envs.env_pilots import pilots
-from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.flying import fly, make_pilots
 from outrider.running.user_code import load_function, load_policy
+from sim.models.vehicles import norm
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Custom, Scenario
 from sim.server.flight import Flight
@@ -157,22 +158,10 @@ def _scenario(policy: str = "") -> Scenario:
     return msgspec.structs.replace(scenario, ugv=driven, custom=Custom(policy=policy))
 
 
-def _told(**fields: Any) -> UgvBriefing:
-    usual: dict[str, Any] = {
-        "vehicle": "ugv_0",
-        "dt": DT,
-        "area": Area(width=20.0, height=20.0, cell=0.5),
-        "limits": Limits(max_speed=V_G, max_acceleration=U_G),
-        "driver": "policy",
-        "goals": ((3.0, 4.0), (18.0, 1.0)),
-        "goal_tolerance": 0.05,
-        "key": a_told_key(7),
-    }
-    return UgvBriefing(**usual | fields)
-
-
-def _seen(tick: int = 0, x: float = 10.0, y: float = 10.0) -> UgvObservation:
-    return UgvObservation(tick=tick, time=tick * DT, position=(x, y), velocity=(0.1, -0.1))
+def _seen(
+    tick: int = 0, x: float = 10.0, y: float = 10.0, velocity: tuple[float, float] = (0.1, -0.1)
+) -> UgvObservation:
+    return UgvObservation(tick=tick, time=tick * DT, position=(x, y), velocity=velocity)
 
 
 class Model:
@@ -187,21 +176,107 @@ class Model:
         return self._answer(row)
 
 
-def ask(answer: object, tick: int = 12) -> tuple[float, float]:
-    driver = PolicyDriver(_told(), policy=Model(lambda row: answer), name="mine:model")
-    return driver.drive(_seen(tick))
+def _function(answer: Callable[[], object]) -> Policy:
+    return lambda observation, told: answer()
 
 
-class _Watched(InProcess):
-    """What the UGV perceives."""
+def _model(answer: Callable[[], object]) -> Policy:
+    return Model(lambda row: answer())
 
-    def __init__(self, crew: Any) -> None:
-        super().__init__(crew)
-        self.observations: list[Any] = []
 
-    def publish(self, observations: Any) -> None:
-        self.observations.append(observations["ugv_0"])
-        super().publish(observations)
+KINDS = pytest.mark.parametrize("kind", [_function, _model])
+
+
+def _asked(
+    answer: object,
+    kind: Callable[[Callable[[], object]], Policy] = _function,
+    velocity: tuple[float, float] = (0.0, 0.0),
+) -> tuple[float, float]:
+    """What such a policy makes the UGV do that answers so."""
+    driver = PolicyDriver(told_ugv(), policy=kind(lambda: answer), name="mine:drive")
+    return driver.drive(_seen(12, velocity=velocity))
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [(0.03, -0.01), [0.03, -0.01], np.array([0.03, -0.01]), (np.float64(0.03), -0.01)],
+    ids=lambda a: type(a).__name__,
+)
+def test_a_functions_answer_within_the_bounds_is_taken_as_it_is(answer: object) -> None:
+    assert _asked(answer) == (0.03, -0.01)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [(1, 1), (1e308, 1e308), (7e5, 7e5), np.array([3, 3]), np.array([5.0, 5.0], dtype=np.float32)],
+)
+def test_a_functions_answer_beyond_the_bound_is_shortened(answer: object) -> None:
+    assert _asked(answer) == pytest.approx((U_G / math.sqrt(2.0), U_G / math.sqrt(2.0)), rel=1e-12)
+
+
+def test_a_function_cannot_drive_beyond_the_largest_speed() -> None:
+    u_x, u_y = _asked((0.1, 0.0), velocity=(V_G, 0.0))
+    assert (u_x, u_y) == pytest.approx((0.0, 0.0), abs=1e-12)
+    u_x, u_y = _asked((0.0, 0.1), velocity=(V_G, 0.0))
+    assert norm(V_G + u_x * DT, u_y * DT) <= V_G * (1.0 + 1e-12)
+    assert u_y > 0.09
+
+
+def test_a_function_is_given_the_observation_and_the_briefing() -> None:
+    told, given = told_ugv(), []
+
+    def policy(*seen: object) -> tuple[int, int]:
+        given.append(seen)
+        return 0, 0
+
+    seen = _seen(4)
+    PolicyDriver(told, policy=policy, name="m:f").drive(seen)
+    assert given == [(seen, told)]
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [(0.3, -4.0), np.array([0.3, -4.0]), ((0.3, -4.0), None), (np.array([0.3, -4.0]), (1.0, 2.0))],
+)
+def test_what_was_predicted_is_passed_on_as_it_is_with_or_without_a_state(answer: object) -> None:
+    assert _asked(answer, _model) == (0.3, -4.0)
+
+
+NONSENSE = [
+    *(None, 0.1, (), (0.1,), (0.1, 0.2, 0.3), [[0.1, 0.2]], [[0.1], [0.2]], (math.nan, 0.0)),
+    *((0.0, -math.inf), ("0.1", "0.2"), (True, False), (0.1j, 0.2), ([0.1], [0.1, 0.2])),
+    *({"x": 0.1, "y": 0.2}, (10**400, 0), "a\nb", np.zeros((50, 50)), (None, None), ((0.1,), None)),
+]
+
+
+@KINDS
+@pytest.mark.parametrize("answer", NONSENSE, ids=range(len(NONSENSE)))
+def test_nonsense_is_named_in_one_line(answer: object, kind: Any) -> None:
+    with refused(
+        ScenarioError, r"^policy = 'mine:drive': tick 12: returned .+; allowed: two finite numbers"
+    ) as caught:
+        _asked(answer, kind)
+    assert len(str(caught.value)) < 250
+    if isinstance(answer, tuple) and len(answer) == 3:
+        assert "(0.1, 0.2, 0.3)" in str(caught.value)
+
+
+def test_what_was_predicted_may_not_be_more_than_a_message_holds() -> None:
+    with refused(ScenarioError, r"returned \(2000000.0, 0.0\); allowed: two finite numbers"):
+        _asked((2e6, 0.0), _model)
+
+
+@KINDS
+def test_a_policy_that_raises_is_named_in_one_line(kind: Any) -> None:
+    def broken() -> object:
+        raise RuntimeError("no\nsuch weights")
+
+    driver = PolicyDriver(told_ugv(), policy=kind(broken), name="mine:broken")
+    with refused(
+        ScenarioError, r"^policy = 'mine:broken': tick 3: raised RuntimeError: no such weights"
+    ) as caught:
+        driver.drive(_seen(3))
+    assert isinstance(caught.value.__cause__, RuntimeError)
 
 
 @pytest.mark.parametrize(
@@ -217,10 +292,14 @@ def test_the_pilots_row_is_the_environments_to_the_bit_over_a_flight(scenario: S
     while env.agents:
         theirs.append(observations["ugv_0"])
         observations, *_ = env.step({name: fleet[name](observations[name]) for name in env.agents})
-    driver, seen = UgvRows(env.briefing("ugv_0")), _Watched(make_pilots(scenario, 4))
+    crew, rows, ours = make_pilots(scenario, 4), UgvRows(env.briefing("ugv_0")), []
+
+    def act(seen: UgvObservation) -> Command:
+        ours.append(rows.row(seen))
+        return crew["ugv_0"].act(seen)
+
     flight = Flight(scenario, 4)
-    flight.fly(seen)
-    ours = [driver.row(observation) for observation in seen.observations[: len(theirs)]]
+    flight.fly(Piloted(crew, "ugv_0", act))
     assert [row.tobytes() for row in ours] == [row.tobytes() for row in theirs]
     assert all(row.dtype == np.float64 for row in ours)
     assert flight.recorder.ticks == len(theirs)
@@ -260,19 +339,19 @@ def test_a_saved_policy_flies_the_same_bits_as_in_the_environment(here: Path, na
 def test_what_an_sb3_policy_is_asked(here: Path, dtype: str) -> None:
     tell(here, "model.zip", dtype=dtype)
     model = load_policy("sb3:ppo:model.zip")
-    driver = PolicyDriver(_told(), policy=model, name="x")
+    driver = PolicyDriver(told_ugv(), policy=model, name="x")
     for tick in range(3):
         driver.drive(_seen(tick))
     assert model.asked == [(None, True, True), (1, False, True), (2, False, True)]
     assert {row.dtype for row in model.seen} == {np.dtype(dtype)}
-    other = PolicyDriver(_told(), policy=model, name="x")  # another UGV of the same process
+    other = PolicyDriver(told_ugv(), policy=model, name="x")  # another UGV of the same process
     other.drive(_seen(0))
     assert model.asked[-1] == (None, True, True)
 
 
 def test_ugvs_that_share_a_policy_reach_goals_of_their_own() -> None:
     model = Model(lambda row: (0.0, 0.0))
-    first, other = (PolicyDriver(_told(), policy=model, name="x") for _ in range(2))
+    first, other = (PolicyDriver(told_ugv(), policy=model, name="x") for _ in range(2))
     first.drive(_seen(0, 3.0, 4.0))
     other.drive(_seen(0))
     goals = [tuple(row[6:8]) for row in model.rows]
@@ -280,43 +359,8 @@ def test_ugvs_that_share_a_policy_reach_goals_of_their_own() -> None:
 
 
 def test_a_ugv_without_goals_has_a_row_too() -> None:
-    row = UgvRows(_told(goals=())).row(_seen(4)).tolist()
+    row = UgvRows(told_ugv(goals=())).row(_seen(4)).tolist()
     assert row == [0.2, 10.0, 10.0, 0.1, -0.1, 0.0, 0.0, 0.0]
-
-
-@pytest.mark.parametrize(
-    "answer",
-    [(0.3, -4.0), np.array([0.3, -4.0]), ((0.3, -4.0), None), (np.array([0.3, -4.0]), (1.0, 2.0))],
-)
-def test_what_was_predicted_is_passed_on_as_it_is_with_or_without_a_state(answer: object) -> None:
-    assert ask(answer) == (0.3, -4.0)
-
-
-@pytest.mark.parametrize(
-    "answer",
-    [
-        *(None, 0.1, (0.1,), [[0.1, 0.2]], (math.nan, 0.0), (0.0, math.inf)),
-        *(("a", "b"), (None, None), ((0.1,), None), (2e6, 0.0)),
-    ],
-    ids=str,
-)
-def test_nonsense_from_a_model_is_named_in_one_line(answer: object) -> None:
-    with pytest.raises(
-        ScenarioError, match=r"^policy = 'mine:model': tick 12: returned .+; allowed: two finite"
-    ) as caught:
-        ask(answer)
-    assert "\n" not in str(caught.value)
-
-
-def test_a_model_that_raises_is_named_in_one_line() -> None:
-    def broken(row: Any) -> object:
-        raise RuntimeError("mat1 and mat2\nshapes cannot be multiplied")
-
-    with pytest.raises(
-        ScenarioError, match=r"^policy = 'm': tick 3: raised RuntimeError: mat1 and mat2 shapes"
-    ) as caught:
-        PolicyDriver(_told(), policy=Model(broken), name="m").drive(_seen(3))
-    assert "\n" not in str(caught.value)
 
 
 def test_a_policy_that_is_slower_than_a_tick_is_named_once_and_not_for_its_first_answer(
@@ -324,7 +368,7 @@ def test_a_policy_that_is_slower_than_a_tick_is_named_once_and_not_for_its_first
 ) -> None:
     clock = iter([0.0, 9.0, 10.0, 10.04, 20.0, 20.3, 30.0, 30.3])
     monkeypatch.setattr(time, "perf_counter", lambda: next(clock))
-    driver = PolicyDriver(_told(), policy=Model(lambda row: (0.0, 0.0)), name="mine:slow")
+    driver = PolicyDriver(told_ugv(), policy=Model(lambda row: (0.0, 0.0)), name="mine:slow")
     with caplog.at_level(logging.WARNING, logger="outrider.policy"):
         for tick in range(4):
             driver.drive(_seen(tick))
@@ -339,8 +383,7 @@ def test_an_object_that_predicts_may_be_named_and_a_class_may_not(here: Path) ->
         "class Model:\n    def predict(self, row):\n        return row[3:5]\nmodel = Model()\nnumber = 3\n"
     )
     model = load_function("mine_models:model", what="policy")
-    assert model is not None
-    assert PolicyDriver(_told(), policy=model, name="x").drive(_seen()) == (0.1, -0.1)
+    assert PolicyDriver(told_ugv(), policy=model, name="x").drive(_seen()) == (0.1, -0.1)
     for name in ("mine_models:Model", "mine_models:number"):
         with pytest.raises(
             ScenarioError,
@@ -349,12 +392,11 @@ def test_an_object_that_predicts_may_be_named_and_a_class_may_not(here: Path) ->
             load_function(name, what="policy")
 
 
-def refused(name: str) -> str:
-    with pytest.raises(ScenarioError, match=r"^custom\.policy = ") as caught:
+def refusal(name: str) -> str:
+    with refused(ScenarioError, r"^custom\.policy = ") as caught:
         load_function(name, what="custom.policy")
     line = str(caught.value)
     assert repr(name) in line
-    assert "\n" not in line
     assert len(line) < 400
     return line
 
@@ -373,7 +415,7 @@ def test_a_missing_library_is_named_with_the_command_that_installs_it(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("m.zip").write_bytes(b"")
-    assert f"pip install {package}" in refused(name)
+    assert f"pip install {package}" in refusal(name)
 
 
 @pytest.mark.parametrize(
@@ -382,23 +424,23 @@ def test_a_missing_library_is_named_with_the_command_that_installs_it(
 @pytest.mark.parametrize("name", ["sb3:ppo:bad.zip", "torch:bad.zip", "onnx:bad.zip"])
 def test_a_damaged_file_is_named_in_one_line(here: Path, name: str, content: bytes) -> None:
     (here / "bad.zip").write_bytes(content)
-    assert "cannot be loaded" in refused(name)
+    assert "cannot be loaded" in refusal(name)
 
 
 @pytest.mark.parametrize(
     "name", ["sb3:ppo:none.zip", "sb3:ppo:", "torch:none.pt", "torch:", "onnx:none.onnx", "onnx:."]
 )
 def test_a_missing_file_is_named_in_one_line(here: Path, name: str) -> None:
-    assert "no such file" in refused(name)
+    assert "no such file" in refusal(name)
 
 
 @pytest.mark.parametrize("name", ["model.zip", "model.pt", "folder/model.onnx", "sb3:model.zip"])
 def test_a_file_without_its_library_or_algorithm_is_told_the_forms(here: Path, name: str) -> None:
-    assert "sb3:ALGORITHM:FILE.zip" in refused(name)
+    assert "sb3:ALGORITHM:FILE.zip" in refusal(name)
 
 
 def test_an_unknown_algorithm_is_told_which_there_are(here: Path) -> None:
-    assert "unknown algorithm 'ddq'; installed: ppo" in refused("sb3:ddq:model.zip")
+    assert "unknown algorithm 'ddq'; installed: ppo" in refusal("sb3:ddq:model.zip")
 
 
 @pytest.mark.parametrize(
@@ -412,20 +454,20 @@ def test_an_unknown_algorithm_is_told_which_there_are(here: Path) -> None:
 )
 def test_a_policy_of_another_agent_is_refused_before_it_flies(here, name, changes):
     tell(here, name.rpartition(":")[2], **changes)
-    assert "allowed: " in refused(name)
+    assert "allowed: " in refusal(name)
 
 
 @pytest.mark.parametrize("batch", [[], [1], ["batch"]], ids=str)
 def test_an_onnx_graph_may_want_a_batch(here: Path, batch: list[Any]) -> None:
     tell(here, "model.onnx", batch=batch)
-    row = UgvRows(_told()).row(_seen())
-    found = PolicyDriver(_told(), policy=load_policy("onnx:model.onnx"), name="x").drive(_seen())
+    row = UgvRows(told_ugv()).row(_seen())
+    found = PolicyDriver(told_ugv(), policy=load_policy("onnx:model.onnx"), name="x").drive(_seen())
     assert found == tuple(np.tanh(row @ np.array(WEIGHTS)))
 
 
 def test_a_module_that_breaks_while_it_is_imported_is_named_in_one_line(here: Path) -> None:
     (here / "mine_broken.py").write_text("raise ValueError('no\\nweights')\n")
-    assert "cannot be imported: ValueError: no weights" in refused("mine_broken:policy")
+    assert "cannot be imported: ValueError: no weights" in refusal("mine_broken:policy")
     with pytest.raises(ScenarioError, match=r"^weighting = 'mine_broken:f': cannot be imported"):
         load_function("mine_broken:f", what="weighting")
 

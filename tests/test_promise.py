@@ -193,19 +193,16 @@ def test_check_says_that_nothing_can_be_certified(command) -> None:
 def test_where_chance_alone_breaks_what_is_declared_it_is_told_how_seldom_sight_is_lost() -> None:
     unlucky = certified("links.detections.profile=jammed", "certificate.age=1.0", "duration=4.0")
     told = odds(unlucky)
-    assert told is not None
     assert told.lost == told.exceeded["uav_0/age"] == sum(told.exceeded.values()) > 0.0
     assert promise_warnings(unlucky)[-1] == told.line
     assert "once certified, sight is lost in at most" in told.line
     summary = run(unlucky)
     assert (summary.lost_chance, summary.exceeded_chance) == (told.lost, told.exceeded)
     calm = odds(certified())
-    assert calm is not None
     assert calm.line == "once certified, sight is lost in none of such flights, by proof"
     noisy = odds(
         certified("detections.cut=0", "certificate.error=0.5", "links.detections.loss=0.3")
     )
-    assert noisy is not None
     assert noisy.lost == sum(noisy.exceeded.values()) > noisy.exceeded["uav_0/age"] > 0.0
     assert odds(certified("law.name=linear")) is None
 
@@ -213,14 +210,11 @@ def test_where_chance_alone_breaks_what_is_declared_it_is_told_how_seldom_sight_
 def test_lost_motions_are_told_with_the_chance_that_the_outage_is_exceeded() -> None:
     lossy = certified("links.commands.loss=0.1", "certificate.outage=0.2")
     told = odds(lossy)
-    assert told is not None
     assert told.lost == sum(v or 0.0 for v in told.exceeded.values()) > 0.0
     (found,) = shortfalls(lossy)
     assert (found.assumption, found.how) == ("A5", How.SOMETIMES)
     assert "later than certificate.outage = 0.2 s in at most" in found.line
     calm = odds(certified("links.commands.loss=0.1", "certificate.outage=1.0"))
-    assert calm is not None
-    assert calm.lost is not None
     assert calm.lost < 1e-12
     dark = certified("links.commands.blackouts=[[5.0,3.0]]", "certificate.outage=1.0")
     assert [fault.how for fault in shortfalls(dark)] == [How.CERTAIN]
@@ -237,7 +231,6 @@ def test_lost_motions_are_told_with_the_chance_that_the_outage_is_exceeded() -> 
 )
 def test_where_anything_else_is_broken_nothing_is_promised_by_proof(broken: str) -> None:
     told = odds(certified("links.detections.loss=0.5", broken))
-    assert told is not None
     assert told.lost is None
     assert not any("by proof" in line for line in promise_warnings(certified(broken)))
 

@@ -59,11 +59,8 @@ def test_sight_is_kept_and_certified_in_every_tick(network: list[str], seed: int
 
 
 def test_the_paper_s_law_loses_sight_where_the_filter_keeps_it() -> None:
-    kept, worst = (
-        max(fly(watched(*DARK, *law), seed)[1].max_distance for seed in range(7, 11))
-        for law in ([], ["law.name=switching"])
-    )
-    assert worst > R_V > kept
+    """In one of the flights above, whose sight the filter has kept."""
+    assert fly(watched(*DARK, "law.name=switching"), 7)[1].max_distance > R_V
 
 
 def test_undegraded_the_filter_leaves_the_law_alone() -> None:
@@ -89,7 +86,6 @@ BROKEN = {
 @pytest.mark.parametrize(("changes", "reason"), BROKEN.values(), ids=BROKEN)
 def test_a_broken_assumption_is_told_with_its_name(changes: list[str], reason: str) -> None:
     _, summary = fly(watched(*changes, duration=60.0), 7)
-    assert summary.certified_share is not None
     assert summary.certified_share < 1.0
     assert any(reason in line for line in summary.uncertified)
     assert summary.certified_while_lost == summary.certificate_broken == 0
@@ -199,12 +195,10 @@ def test_a_filter_may_be_taken_up_in_the_middle_of_a_flight() -> None:
     look = Detection(time=0.0, relative_position=(0.0, 1.0))
     pilot.act(UavObservation(tick=0, time=0.0, detections=(look,), **base))
     command = pilot.act(UavObservation(tick=1, time=0.05, law=Law(name="certified"), **base))
-    assert command.report is not None
     assert command.report.certified is False
     assert "no detection" in command.report.uncertified
     look = Detection(time=0.1, relative_position=(0.0, 1.0))
     command = pilot.act(UavObservation(tick=2, time=0.1, detections=(look,), **base))
-    assert command.report is not None
     assert command.report.certified is True
     assert command.report.certified_distance == pytest.approx(1.3)
     assert promise_of(told(scenario)).eps == pytest.approx(0.3)

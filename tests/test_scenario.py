@@ -180,19 +180,6 @@ def test_numbers_survive_exactly(number: float, seed: int, point: tuple[float, f
 # The formulas against others
 
 
-@given(st.floats(0.01, 5.0), st.floats(0.01, 3.0), st.floats(0.0, 1.0), st.floats(0.05, 2.0))
-@PROPERTY
-def test_the_room_of_18_is_the_paper_s_formula_in_two_phases(r_v, v_a, share, u_a):
-    v_g = 0.99 * share * v_a + 1e-6
-    r_s = r_v - (v_g * (v_a + v_g) + 0.5 * (v_a**2 - v_g**2)) / u_a
-    uav = Uav(position=(7.0, 8.0), max_speed=v_a, max_acceleration=u_a)
-    ugv = msgspec.structs.replace(ESCORT.ugv[0], max_speed=v_g)
-    seen = msgspec.structs.replace(ESCORT.visibility, radius=r_v)
-    s = msgspec.structs.replace(ESCORT, uav=(uav,), ugv=(ugv,), visibility=seen)
-    if abs(r_s) > 1e-9:
-        assert (not list(checks.switching_radius_is_positive(s))) == (r_s > 0.0)
-
-
 def test_the_acceleration_that_the_refusal_names_is_enough() -> None:
     near = ["visibility.radius=1.0", "uav.0.position=[7.0, 8.5]"]
     least = float(refusal(overrides=near).rpartition("allowed: above ")[2].removesuffix(" m/s²"))

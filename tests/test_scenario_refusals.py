@@ -188,68 +188,67 @@ def test_infinite_bounds_are_allowed_for_vehicles() -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("overrides", "start"),
-    [
-        ('dt="fast"', 'dt = "fast": not a number; allowed: a number'),
-        ("dt=true", "dt = true: not a number; allowed: a number"),
-        ("dt=-1", "dt = -1: out of bounds; allowed: a number > 0"),
-        ("duration=1e400", "duration = inf: out of bounds; allowed: a number <= 1e+12"),
-        ("seed=1.5", "seed = 1.5: not a whole number; allowed: a whole number"),
-        ("seed=-1", "seed = -1: out of bounds; allowed: a whole number >= 0"),
-        ("title=5", "title = 5: not text; allowed: text"),
-        ("title=2020-01-01", "title = 2020-01-01: not text; allowed: text"),
-        ("detections.cut=inf", "detections.cut = inf: out of bounds; allowed: a number <= 1e+12"),
-        (f"seed={'1' * 5000}", 'seed = "111'),
-        ("detections.dropout=2", "detections.dropout = 2: out of bounds; allowed: a number <= 1"),
-        ("law.reference_speed=x", 'law.reference_speed = "x": not a number; allowed: a number'),
-        ("estimator.enabled=1", "estimator.enabled = 1: not true or false; allowed: true or false"),
-        (
-            "uav.0.position=[1, 2, 3]",
-            "uav.0.position = [1, 2, 3]: 3 entries; allowed: a list of length 2",
-        ),
-        ("uav.0.position=[1, true]", "uav.0.position.1 = true: not a number; allowed: a number"),
-        ("uav.0.name=UAV", 'uav.0.name = "UAV": no name; allowed: lower-case letters'),
-        ("ugv=[]", "ugv = []: out of bounds; allowed: a list of length >= 1"),
-        (
-            "uav={position=[1, 2]}",
-            "uav = {position = [1, 2]}: a single table; allowed: a list, in TOML [[uav]]",
-        ),
-        (
-            "coverage.covered=[{lower=[1, 1]}]",
-            "coverage.covered.0.upper: missing; allowed: [x, y] in m",
-        ),
-        (f"seed=0x{'f' * 9000}", "seed = 0xfff"),
-        (f"dt=0x{'f' * 9000}", "dt = 0xfff"),
-    ],
-)
-def test_wrong_types_and_bounds_are_told_in_our_words(overrides: str, start: str) -> None:
-    line = refusal(overrides=[overrides])
+CHANGES = [
+    *rows(r"""
+dt="fast" | dt = "fast": not a number; allowed: a number
+dt=true | dt = true: not a number; allowed: a number
+dt=-1 | dt = -1: out of bounds; allowed: a number > 0
+duration=1e400 | duration = inf: out of bounds; allowed: a number <= 1e+12
+seed=1.5 | seed = 1.5: not a whole number; allowed: a whole number
+seed=-1 | seed = -1: out of bounds; allowed: a whole number >= 0
+title=5 | title = 5: not text; allowed: text
+title=2020-01-01 | title = 2020-01-01: not text; allowed: text
+detections.cut=inf | detections.cut = inf: out of bounds; allowed: a number <= 1e+12
+detections.dropout=2 | detections.dropout = 2: out of bounds; allowed: a number <= 1
+law.horizon=0.1 | law.horizon = 0.1: out of bounds; allowed: a number >= 0.5
+law.horizon=1e3 | law.horizon = 1000.0: out of bounds; allowed: a number <= 60
+law.horizon=inf | law.horizon = inf: out of bounds; allowed: a number <= 60
+law.candidates=0 | law.candidates = 0: out of bounds; allowed: a whole number >= 1
+law.candidates=10001 | law.candidates = 10001: out of bounds; allowed: a whole number <= 10000
+law.candidates=2.5 | law.candidates = 2.5: not a whole number; allowed: a whole number
+law.reference_speed=x | law.reference_speed = "x": not a number; allowed: a number
+estimator.enabled=1 | estimator.enabled = 1: not true or false; allowed: true or false
+links.profile=wify | links.profile = "wify": no such profile, did you mean 'wifi'?
+links.detections.delay=31 | links.detections.delay = 31: out of bounds; allowed: a number <= 30
+links.detections.speed=3 | links.detections.speed = 3: no such field
+links.detections.loss=1.5 | links.detections.loss = 1.5: out of bounds
+links.commands.delay=nan | links.commands.delay = nan
+links.everything.delay=1 | links.everything = {delay = 1}: no such field
+links.commands=3 | links.commands = 3: not a table
+links.only=[{vehicle="uav_7"}] | links.only.0.vehicle = "uav_7": no vehicle has this name
+uav.0.position=[1, 2, 3] | uav.0.position = [1, 2, 3]: 3 entries; allowed: a list of length 2
+uav.0.position=[1, true] | uav.0.position.1 = true: not a number; allowed: a number
+uav.0.name=UAV | uav.0.name = "UAV": no name; allowed: lower-case letters
+ugv=[] | ugv = []: out of bounds; allowed: a list of length >= 1
+uav={position=[1, 2]} | uav = {position = [1, 2]}: a single table; allowed: a list, in TOML [[uav]]
+coverage.covered=[{lower=[1, 1]}] | coverage.covered.0.upper: missing; allowed: [x, y] in m
+sead=3 | sead = 3: no such field, did you mean 'seed'?; allowed: name, title, seed, duration, dt
+law.nmae=circle | law.nmae = "circle": no such field, did you mean 'name'?; allowed: name, speed_gain
+uav.0.max_sped=1 | uav.0.max_sped = 1: no such field, did you mean 'max_speed'?; allowed: name, escorts, position
+area.celll=1 | area.celll = 1: no such field, did you mean 'cell'?; allowed: width, height, cell
+coverage.covered=[{lower=[1, 1], uper=[2, 2]}]
+| coverage.covered.0.uper = [2, 2]: no such field, did you mean 'upper'?; allowed: lower, upper
+duration | --set = "duration": not of the form key=value; allowed: key=value, such as
+=3 | --set = "=3": not of the form key=value
+law..name=x | --set = "law..name=x": not of the form key=value
+uav.1.max_speed=1 | uav.1.max_speed = 1: uav has no entry "1"; allowed: uav.0
+uav.²=1 | uav.² = 1: uav has no entry "²"; allowed: uav.0
+ugv.0.goals.9=[1, 1]
+| ugv.0.goals.9 = [1, 1]: ugv.0.goals has no entry "9"; allowed: ugv.0.goals.0 to ugv.0.goals.4
+seed.x=1 | seed.x = 1: seed = 7 is no table; allowed: a value for seed itself
+dt=0.3 | duration = 200.0: no whole number of ticks; allowed: multiples of dt = 0.3 s, such as 200.1
+"""),
+    [f"seed={'1' * 5000}", 'seed = "111'],
+    [f"seed=0x{'f' * 9000}", "seed = 0xfff"],
+    [f"dt=0x{'f' * 9000}", "dt = 0xfff"],
+]
+
+
+@pytest.mark.parametrize(("change", "start"), CHANGES)
+def test_a_change_that_cannot_be_made_is_told_in_our_words(change: str, start: str) -> None:
+    line = refusal(overrides=[change])
     assert line.startswith(f"escort: {start}")
-    assert len(line) < 250
-
-
-@pytest.mark.parametrize(
-    ("overrides", "field", "meant", "allowed"),
-    [
-        ("sead=3", "sead = 3", "seed", "name, title, seed, duration, dt"),
-        ("law.nmae=circle", 'law.nmae = "circle"', "name", "name, speed_gain"),
-        ("uav.0.max_sped=1", "uav.0.max_sped = 1", "max_speed", "name, escorts, position"),
-        ("area.celll=1", "area.celll = 1", "cell", "width, height, cell"),
-        (
-            "coverage.covered=[{lower=[1, 1], uper=[2, 2]}]",
-            "coverage.covered.0.uper = [2, 2]",
-            "upper",
-            "lower, upper",
-        ),
-    ],
-)
-def test_an_unknown_key_is_named_with_the_nearest_and_all_that_are_known(
-    overrides, field, meant, allowed
-) -> None:
-    assert refusal(overrides=[overrides]).startswith(
-        f"escort: {field}: no such field, did you mean {meant!r}?; allowed: {allowed}"
-    )
+    assert len(line) < 250 or "no such field" in line
 
 
 # Files
@@ -304,26 +303,3 @@ def test_an_unknown_scenario_lists_the_known_ones_and_the_closest(source: str) -
     assert line.startswith(f"{source}: no such file or scenario")
     assert line.endswith(f"a TOML file, or {', '.join(SHIPPED)}")
     assert ("did you mean 'escort'?" in line) == ("esc" in source)
-
-
-@pytest.mark.parametrize(
-    ("override", "start"),
-    [
-        ("duration", '--set = "duration": not of the form key=value; allowed: key=value, such as'),
-        ("=3", '--set = "=3": not of the form key=value'),
-        ("law..name=x", '--set = "law..name=x": not of the form key=value'),
-        ("uav.1.max_speed=1", 'uav.1.max_speed = 1: uav has no entry "1"; allowed: uav.0'),
-        ("uav.²=1", 'uav.² = 1: uav has no entry "²"; allowed: uav.0'),
-        (
-            "ugv.0.goals.9=[1, 1]",
-            'ugv.0.goals.9 = [1, 1]: ugv.0.goals has no entry "9"; allowed: ugv.0.goals.0 to ugv.0.goals.4',
-        ),
-        ("seed.x=1", "seed.x = 1: seed = 7 is no table; allowed: a value for seed itself"),
-        (
-            "dt=0.3",
-            "duration = 200.0: no whole number of ticks; allowed: multiples of dt = 0.3 s, such as 200.1",
-        ),
-    ],
-)
-def test_a_bad_override_is_refused(override: str, start: str) -> None:
-    assert refusal(overrides=[override]).startswith(f"escort: {start}")

@@ -8,10 +8,9 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordEpisodeStatistics
-from refusals import refused
 from worlds import CASES, SCENARIOS, equal, random_actions, row_of
 
-from outrider.envs.single import SingleEnv, single_env
+from outrider.envs.single import single_env
 from outrider.envs.vector import vector_env
 
 SCENARIO = SCENARIOS["certified"]
@@ -70,16 +69,6 @@ def test_what_it_returns_has_gymnasiums_types() -> None:
     assert type(single_env(SCENARIO, agent="ugv_0").reset()[1]["goals_reached"]) is int
 
 
-def test_what_was_returned_is_never_changed_later() -> None:
-    env = single_env(SCENARIO)
-    kept = [env.reset(seed=1)[0]]
-    copies = [kept[0].copy()]
-    for actions in random_actions(1, 5):
-        kept.append(env.step(actions[0])[0])
-        copies.append(kept[-1].copy())
-    assert all(equal(one, other) for one, other in zip(kept, copies, strict=True))
-
-
 def test_an_episode_is_counted_once() -> None:
     env = RecordEpisodeStatistics(single_env(SCENARIO, duration=0.5))
     env.reset(seed=1)
@@ -98,59 +87,6 @@ def test_the_first_seed_is_the_scenarios_and_each_later_one_follows_from_the_las
     for env in (one, other):
         env.reset()
     assert one.episode_seed == other.episode_seed != SCENARIO.seed
-
-
-def test_it_must_be_reset_first() -> None:
-    with pytest.raises(ResetNeeded, match="before reset"):
-        single_env(SCENARIO).step(np.zeros(2))
-
-
-@pytest.mark.parametrize("seed", [-1, 2**53, "a", 1.5], ids=str)
-def test_a_bad_seed_is_refused_and_the_episode_goes_on(seed: Any) -> None:
-    env = single_env(SCENARIO)
-    env.reset(seed=1)
-    with pytest.raises(ValueError, match="seed"):
-        env.reset(seed=seed)
-    assert env.episode_seed == 1
-    env.step(np.zeros(2))
-
-
-@pytest.mark.parametrize(
-    "action",
-    [
-        np.zeros(3),
-        [[0.0, 0.0]],
-        None,
-        "a",
-        [np.nan, 0.0],
-        [0.0, 1e9],
-        {"uav_0": [0, 0]},
-        [True, False],
-    ],
-    ids=str,
-)
-def test_a_bad_action_is_refused_in_one_line_and_nothing_has_happened(action: Any) -> None:
-    env, other = single_env(SCENARIO), single_env(SCENARIO)
-    for one in (env, other):
-        one.reset(seed=1)
-    with refused(ValueError, "action of uav_0"):
-        env.step(action)
-    assert equal(env.step([0.1, 0.2])[0], other.step([0.1, 0.2])[0])
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"agent": "uav_7"}, "agent = 'uav_7'; allowed: uav_0, ugv_0"),
-        ({"others": {"uav_0": "linear"}}, "comes? from outside"),
-        ({"render_mode": "human"}, "render_mode = 'human'; allowed: None"),
-        ({"dtype": np.int32}, "dtype"),
-    ],
-    ids=str,
-)
-def test_a_bad_argument_is_refused_in_one_line(options: dict[str, Any], message: str) -> None:
-    with refused(ValueError, message):
-        SingleEnv(SCENARIO, **options)
 
 
 def test_metrics_are_plain_numbers() -> None:

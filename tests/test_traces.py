@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 from draws import a_key
-from flights import degraded
+from flights import degraded, flown_in_both
 from processes import outrider, run_json
 from refusals import SMALL, refusal
 from tabular import words
@@ -18,7 +18,6 @@ from worlds import step
 from bus.errors import ScenarioError
 from bus.messages import LinkKind, LinkSettings
 from bus.profiles import PROFILES
-from outrider.envs.env_pilots import pilots
 from outrider.experiments.network.fitting import fit_link
 from outrider.experiments.network.samples import drawn_sample
 from outrider.running.assumptions import promise_warnings
@@ -26,7 +25,6 @@ from outrider.running.flying import fly
 from sim.channel.description import Link, arrivals_of, check_link, link_parameters
 from sim.channel.recorded import MOST_BYTES, RecordedLink, pack
 from sim.engine.batch import Batch
-from sim.env.parallel import parallel_env
 from sim.models.randomness import LINK_TRACE, Key, draw
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable
@@ -254,18 +252,9 @@ def recorded_scenario(ticks: int = 300) -> Any:
 
 def test_world_batch_and_environment_play_the_same() -> None:
     scenario = recorded_scenario()
-    flight, summary = fly(scenario, 7)
+    _, _, summary = flown_in_both(scenario, 7)
     assert summary.links["uav_0/detections"].lost["trace"] > 20
     assert summary.traces == {one.name: one.sha256 for one in BOTH}
-    env = parallel_env(scenario, end_on_sight_lost=False)
-    observations, infos = env.reset(seed=7)
-    policies = pilots(env)
-    while env.agents:
-        observations, _, _, _, infos = env.step(
-            {name: policies[name](observations[name]) for name in env.agents}
-        )
-    assert np.array_equal(env.world.position, flight.world.position)
-    assert infos["uav_0"]["links"]["uav_0/detections"] == summary.links["uav_0/detections"]
     seeds = [7, 8, 9]
     batch, worlds = Batch(scenario, 3), [World(scenario, seed) for seed in seeds]
     batch.begin(seeds)

@@ -6,7 +6,7 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from flights import EVADED, flown_in_both, told
+from flights import EVADED, PROMISED, flown_in_both, told
 from processes import flown_both_ways
 from worlds import LOSSY, SCENARIOS, small, step
 
@@ -96,17 +96,15 @@ def test_an_unstable_loop_has_no_bound(gains) -> None:
 
 
 def test_w_is_taken_off_the_radius_and_added_to_the_error() -> None:
-    numbers = {"v_a": 0.6, "u_a": 0.3, "v_g": 0.2, "dt": DT, "age": 5.0}
-    with_w = certificate(Declared(r_v=4.75, eps=0.3, tracking=0.4, **numbers))
-    without = certificate(Declared(r_v=4.35, eps=0.7, **numbers))
+    numbers = PROMISED | {"age": 5.0}
+    with_w = certificate(Declared(**numbers, eps=0.3, tracking=0.4))
+    without = certificate(Declared(**numbers | {"r_v": 4.35}, eps=0.7))
     assert with_w.handover == pytest.approx(without.handover, abs=1e-9)
     assert with_w.reach == pytest.approx(without.reach, abs=1e-9)
-    (fault,) = check_assumptions(
-        certificate(Declared(r_v=4.75, eps=0.3, tracking=math.inf, **numbers))
-    )
-    assert fault.startswith("w = inf m")
-    (fault,) = check_assumptions(certificate(Declared(r_v=4.75, eps=0.3, tracking=2.5, **numbers)))
-    assert "eps 0.3 m, w 2.5 m" in fault
+    for tracking, told_of in ((math.inf, "w = inf m"), (2.5, "eps 0.3 m, w 2.5 m")):
+        wrong = certificate(Declared(**numbers, eps=0.3, tracking=tracking))
+        (fault,) = check_assumptions(wrong)
+        assert told_of in fault
 
 
 PUSHED = [

@@ -1,5 +1,6 @@
 """Scenarios and helpers for the tests of many worlds at once."""
 
+import math
 from typing import Any
 
 import msgspec
@@ -63,6 +64,25 @@ SEVERAL = Scenario(
 )
 
 POOR = LinkTable(detections=LATE, commands=LATE, radio=LATE)
+
+ONE = Scenario(
+    name="one",
+    duration=60.0,
+    detections=Detections(noise=0.1, dropout=0.2, rate=10.0),
+    uav=(Uav(position=(12.0, 10.0)),),
+    ugv=(Ugv(position=(10.0, 10.0), goals=((14.0, 10.0), (14.0, 16.0))),),
+)
+"""One of each, for the tests of what an environment returns."""
+
+FREE = Scenario(
+    name="free",
+    duration=60.0,
+    detections=Detections(noise=0.1, cut=0.0),
+    law=Law(reference_speed=1.0),
+    uav=(Uav(position=(12.0, 10.0), max_speed=math.inf, max_acceleration=math.inf),),
+    ugv=(Ugv(position=(10.0, 10.0), max_acceleration=10.0),),
+)
+"""The same without the UAV's bounds."""
 
 SCENARIOS: dict[str, Scenario] = {
     **{
@@ -129,9 +149,15 @@ def step(batch: Batch, commands: np.ndarray) -> None:
 
 
 def equal(one: Any, other: Any) -> bool:
+    """Bit for bit, types and all, whatever the nesting."""
     if isinstance(one, dict):
         return one.keys() == other.keys() and all(equal(one[key], other[key]) for key in one)
-    return one.dtype == other.dtype and one.tobytes() == np.ascontiguousarray(other).tobytes()
+    if isinstance(one, tuple):
+        return len(one) == len(other) and all(map(equal, one, other))
+    if isinstance(one, np.ndarray):
+        alike = (one.dtype, one.shape) == (other.dtype, other.shape)
+        return alike and one.tobytes() == other.tobytes()
+    return type(one) is type(other) and bool(one == other)
 
 
 def row_of(observations: Any, k: int) -> Any:

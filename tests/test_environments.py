@@ -1,0 +1,194 @@
+"""What all environments have alike, of one world or of many: what they refuse, and what they return."""
+
+import copy
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import VectorEnv
+from refusals import refused
+from worlds import SCENARIO, equal, random_actions
+
+from bus.errors import ScenarioError
+from outrider.envs.single import single_env
+from outrider.envs.vector import parallel_vector_env, vector_env
+from outrider.envs.wrappers import egocentric
+from sim.env.parallel import parallel_env
+
+MAKERS: dict[str, Callable[..., Any]] = {
+    "parallel": parallel_env,
+    "single": single_env,
+    "vector": partial(vector_env, num_envs=2, agent="uav_0"),
+    "parallel vector": partial(parallel_vector_env, num_envs=2),
+}
+ALL, OF_ONE_AGENT = ("parallel", "single", "vector"), ("single", "vector")
+ACTING: dict[str, Callable[..., Any]] = {
+    **{name: MAKERS[name] for name in ALL},
+    "egocentric": lambda scenario: egocentric(parallel_env(scenario)),
+}
+GOOD = np.array([0.1, 0.05])
+
+
+def step(env: Any, action: Any = GOOD) -> Any:
+    """A tick in which the UAV acts so, in each world."""
+    if isinstance(env, VectorEnv):
+        return env.step([action] * env.num_envs)
+    return env.step(action if isinstance(env, gymnasium.Env) else {"uav_0": action, "ugv_0": GOOD})
+
+
+@pytest.mark.parametrize("name", ACTING)
+@pytest.mark.parametrize("kind", [list, tuple, np.float32, np.float16, np.int64])
+def test_actions_may_be_lists_or_arrays_of_any_number_type(name: str, kind: Any) -> None:
+    env, twin = ACTING[name](SCENARIO), ACTING[name](SCENARIO)
+    for one in (env, twin):
+        one.reset(seed=1)
+    action = [0.0, 1.0]  # exact in every type
+    given = kind(action) if kind in {list, tuple} else np.array(action, dtype=kind)
+    assert equal(step(env, given), step(twin, np.array(action)))
+
+
+NO_PAIR, NOT_FINITE = r"must be (two|\(2, 2\)) numbers", "must be two finite numbers, at most 1e.06"
+
+
+@pytest.mark.parametrize("name", ACTING)
+@pytest.mark.parametrize(
+    ("action", "words"),
+    [
+        *((bad, NO_PAIR) for bad in (np.zeros(3), np.zeros((1, 2)), 0.1, [0.1, [0.2]], ["a", "b"])),
+        *((bad, NO_PAIR) for bad in ("a", None, True, {"uav_0": [0, 0]}, [True, False])),
+        *((bad, NOT_FINITE) for bad in ([math.nan, 0.0], [0.0, math.inf], [0.0, -1e7])),
+    ],
+    ids=str,
+)
+def test_a_bad_action_is_refused_in_one_line_and_nothing_has_happened(name, action, words):
+    env, twin = ACTING[name](SCENARIO), ACTING[name](SCENARIO)
+    for one in (env, twin):
+        one.reset(seed=5)
+        for _ in range(5):
+            step(one)
+    with refused(ValueError, f"^actions? of uav_0.*{words}"):
+        step(env, action)
+    assert equal(step(env), step(twin))
+
+
+@pytest.mark.parametrize(
+    ("actions", "words"),
+    [
+        (np.zeros((3, 2)), r"shape \(3, 2\) and type float64; must be \(2, 2\) numbers"),
+        (np.zeros(2), r"shape \(2,\)"),
+        ([GOOD, [0.0, math.nan]], r"world 1 = \[0.0, nan\]"),
+        ([[math.inf, 0.0], GOOD], "world 0"),
+    ],
+)
+def test_of_many_worlds_the_one_whose_action_is_bad_is_named(actions, words):
+    env = MAKERS["vector"](SCENARIO)
+    env.reset(seed=1)
+    with refused(ValueError, words):
+        env.step(actions)
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"), [("parallel", (2,)), ("egocentric", (2,)), ("parallel vector", (2, 2))]
+)
+@pytest.mark.parametrize(
+    ("acting", "told"),
+    [
+        (["uav_0"], "uav_0"),
+        ([], "nobody"),
+        (["uav_0", "ugv_0", "uav_7"], "uav_0, ugv_0, uav_7"),
+        (["uav_0", "uav_7"], "uav_0, uav_7"),
+    ],
+)
+def test_there_must_be_an_action_for_each_agent_and_for_no_other(name, shape, acting, told):
+    env = (MAKERS | ACTING)[name](SCENARIO)
+    env.reset(seed=1)
+    with refused(ValueError, f"^actions for: {told}; needed is one for each of: uav_0, ugv_0$"):
+        env.step(dict.fromkeys(acting, np.zeros(shape)))
+    env.step(dict.fromkeys(env.agents, np.zeros(shape)))
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_it_must_be_reset_first(name: str) -> None:
+    with pytest.raises(ResetNeeded, match="reset"):
+        step(MAKERS[name](SCENARIO))
+
+
+@pytest.mark.parametrize(
+    ("names", "seed"),
+    [
+        *((ALL, seed) for seed in (-1, 2**53, 1.5, "1")),
+        *((("vector",), seeds) for seeds in ([1], [1, 2, 3], [1, -1])),
+    ],
+    ids=str,
+)
+def test_a_bad_seed_is_refused_and_the_episode_goes_on(names: tuple[str, ...], seed: Any) -> None:
+    for name in names:
+        env, twin = MAKERS[name](SCENARIO), MAKERS[name](SCENARIO)
+        for one in (env, twin):
+            one.reset(seed=1)
+        with refused(ValueError, "seed"):
+            env.reset(seed=seed)
+        assert equal(step(env), step(twin))
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "words"),
+    [
+        (ALL, {"dtype": np.int32}, "dtype"),
+        (ALL, {"coverage_patch": (0, 1.0)}, "pixels"),
+        (ALL, {"coverage_patch": (1.5, 1.0)}, "pixels"),
+        (ALL, {"coverage_patch": (8, 0.0)}, "meters_per_pixel"),
+        (ALL, {"coverage_patch": (8, math.inf)}, "meters_per_pixel"),
+        (("parallel",), {"render_mode": "ansi"}, "render_mode = 'ansi'; allowed: None, 'human'"),
+        (("single",), {"render_mode": "human"}, "render_mode = 'human'; allowed: None"),
+        (OF_ONE_AGENT, {"agent": "uav_7"}, "agent = 'uav_7'; allowed: uav_0, ugv_0"),
+        (OF_ONE_AGENT, {"others": {"uav_0": "linear"}}, "comes? from outside"),
+        (
+            OF_ONE_AGENT,
+            {"others": {"ugv_0": "nobody"}},
+            "allowed: waypoints, wander, script, evade, navigate, or a policy",
+        ),
+        (OF_ONE_AGENT, {"others": {"ugv_9": "wander"}}, "no such vehicle"),
+        (OF_ONE_AGENT, {"others": {"ugv_0": 3}}, "neither a name nor a policy"),
+        (OF_ONE_AGENT, {"threads": 0}, "threads"),
+        *((("vector", "parallel vector"), {"num_envs": n}, "num_envs") for n in (0, -3, 1.5, "2")),
+    ],
+    ids=str,
+)
+def test_a_bad_argument_is_refused_in_one_line(names, options, words):
+    for name in names:
+        with refused(ValueError, words):
+            MAKERS[name](SCENARIO, **options)
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_an_argument_of_another_name_is_refused_and_those_that_there_are_are_named(name):
+    with refused(TypeError, r"'durations': no such setting; allowed: .*duration, "):
+        MAKERS[name](SCENARIO, durations=2.0)
+
+
+@pytest.mark.parametrize("name", MAKERS)
+@pytest.mark.parametrize("duration", [0.0, -1.0, 0.12, math.nan, math.inf])
+def test_bad_durations_are_refused_in_one_line(name: str, duration: float) -> None:
+    with refused(ScenarioError, "duration"):
+        MAKERS[name](SCENARIO, duration=duration)
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_what_was_returned_is_never_changed_later(name: str) -> None:
+    env = MAKERS[name](SCENARIO, coverage_patch=(8, 1.0))
+    now = [env.reset(seed=1)]
+    then = copy.deepcopy(now)
+    for action in random_actions(1, 20)[:, 0]:
+        now.append(
+            env.step(dict.fromkeys(env.possible_agents, np.tile(action, (2, 1))))
+            if name == "parallel vector"
+            else step(env, action)
+        )
+        then.append(copy.deepcopy(now[-1]))
+    assert all(map(equal, now, then))
