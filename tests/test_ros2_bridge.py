@@ -6,20 +6,18 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 import zenoh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from processes import wait_until
-from staging import raw_session
+from staging import client_of, hosted, raw_session
+from telemetry import a_status
 from test_ros2_wire import truth_at
 
 from bus.access import new_credentials
-from bus.boxes import Outbox
 from bus.keys import CONTROL, COVERAGE, OPERATOR, SAMPLED_TRUTH, STATUS
-from bus.messages import Action, Control, CoverageMap, Limits, Status
-from bus.session import open_session
+from bus.messages import Action, Control, CoverageMap, Limits, VehicleStatus
 from outrider.bridges.ros2.conversion import header, view_of
 from outrider.bridges.ros2.interfaces import decode, encode, make, request_of, response_of
 from outrider.bridges.ros2.observing import RosObserver
@@ -33,19 +31,10 @@ from sim.scene.known import geometry_of
 
 GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], ros2=True)
 SCENARIO = load_scenario("escort")
-STATUS_NOW = msgspec.convert(
-    {
-        "scenario": "escort",
-        "seed": 1,
-        "tick": 0,
-        "ticks": 100,
-        "time": 0.0,
-        "realtime_factor": 1.0,
-        "drivers": {"ugv_0": "waypoints"},
-        "vehicles": {"uav_0": {"present": True}, "ugv_0": {"present": True}},
-        "geometry": msgspec.to_builtins(geometry_of(SCENARIO)),
-    },
-    Status,
+STATUS_NOW = a_status(
+    drivers={"ugv_0": "waypoints"},
+    vehicles={name: VehicleStatus(present=True) for name in ("uav_0", "ugv_0")},
+    geometry=geometry_of(SCENARIO),
 )
 
 
@@ -55,20 +44,12 @@ class Staged:
     def __init__(self, stack: ExitStack, folder: Path, bridge: str) -> None:
         self._stack = stack
         self.endpoint = f"unixsock-stream/{folder / 'bus.sock'}"
-        self.simulator = stack.enter_context(
-            open_session(GIVEN.of("simulator").party, "run", listen=(self.endpoint,), given=GIVEN)
+        self.simulator = stack.enter_context(hosted(self.endpoint, GIVEN))
+        self.statuses, self.truths, self.maps = (
+            self.simulator.outbox(key) for key in (STATUS, SAMPLED_TRUTH, COVERAGE)
         )
-        self.statuses, self.truths = self.outbox(STATUS), self.outbox(SAMPLED_TRUTH)
-        self.maps = self.outbox(COVERAGE)
-        self.bridge = stack.enter_context(
-            open_session(
-                GIVEN.of(bridge).party, "run", connect=self.endpoint, credential=GIVEN.of(bridge)
-            )
-        )
+        self.bridge = stack.enter_context(client_of(self.endpoint, GIVEN.of(bridge)))
         self.node = RosNode(self.bridge, domain=7, name="outrider", namespace="/fleet")
-
-    def outbox(self, key: Any) -> Outbox:
-        return self.simulator.outbox(key)
 
     def ros(self, name: str) -> zenoh.Session:
         return self._stack.enter_context(raw_session(self.endpoint, GIVEN.of(name)))
