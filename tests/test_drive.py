@@ -19,7 +19,7 @@ import termios
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -98,12 +98,12 @@ class Screen:
 class Seat:
     """`outrider drive` in a pseudo-terminal of its own."""
 
-    def __init__(self, *arguments: str, columns: int = 80, rows: int = 24) -> None:
+    def __init__(self, *arguments: str) -> None:
         self.master, self.slave = pty.openpty()
-        self.screen = Screen(columns, rows)
+        self.screen = Screen(80, 24)
         self.told = ""
         self._decode = codecs.getincrementaldecoder("utf-8")().decode
-        self._set_size(columns, rows)
+        self._set_size(80, 24)
         self.before = termios.tcgetattr(self.slave)
         self.process = subprocess.Popen(
             [sys.executable, "-c", CHILD, "drive", *arguments],
@@ -182,13 +182,8 @@ class Seat:
                 os.close(descriptor)
 
 
-@contextmanager
-def seat(*arguments: str, columns: int = 80, rows: int = 24) -> Iterator[Seat]:
-    one = Seat(*arguments, columns=columns, rows=rows)
-    try:
-        yield one
-    finally:
-        one.close()
+def seat(*arguments: str) -> closing[Seat]:
+    return closing(Seat(*arguments))
 
 
 GEOMETRY = Geometry(
@@ -258,14 +253,13 @@ class Scripted:
 
 @contextmanager
 def scripted(endpoint: str) -> Iterator[Scripted]:
-    with open_session(
-        Party(role=Role.SIMULATOR, name="simulator"), "mine", connect=endpoint
-    ) as session:
-        one = Scripted(session)
-        try:
-            yield one
-        finally:
-            one.close()
+    with (
+        open_session(
+            Party(role=Role.SIMULATOR, name="simulator"), "mine", connect=endpoint
+        ) as session,
+        closing(Scripted(session)) as one,
+    ):
+        yield one
 
 
 @pytest.fixture(scope="module")
