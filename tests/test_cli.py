@@ -154,15 +154,6 @@ def test_without_any_extra_the_command_line_is_there() -> None:
     assert "dashboard" in python(code, "--help").stdout
 
 
-def test_bad_input_ends_the_process_with_the_same_line_and_code(tmp_path: Path) -> None:
-    run = outrider("run", "escrot", cwd=tmp_path, fresh=True)
-    assert run.returncode == 2
-    assert "did you mean" in run.stderr
-    assert len(run.stderr.strip().splitlines()) == 1
-    assert run.stdout == ""
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_run_leaves_its_files_and_prints_one_json_object(tmp_path, command):
     run = command(*words("run --in-process --duration 2 --json --out"), str(tmp_path / "mine"))
     assert run.returncode == 0, run.stderr

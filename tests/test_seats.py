@@ -17,7 +17,7 @@ from processes import wait_until
 from staging import GIVEN, PILOT, Vehicle, client_of, hosted, operating, stage, whole
 
 from agents import process
-from bus.keys import BRIEFING, COMMAND, CONTROL, OBSERVATION, Party, Role
+from bus.keys import BRIEFING, COMMAND, OBSERVATION, Role
 from bus.messages import Action, Control, UavCommand, UgvCommand
 from outrider.running.flying import make_pilots
 from sim.scenario.loading import load_scenario
@@ -249,16 +249,6 @@ def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
     assert flight.recorder.sha256() == whole(300).recorder.sha256()
 
 
-def test_an_observer_cannot_pause(tmp_path: Path) -> None:
-    from bus.errors import AccessDenied
-
-    with stage(tmp_path, 3) as run:
-        observer = run.client("observer")
-        with pytest.raises(AccessDenied, match="observer"):
-            observer.outbox(CONTROL)
-        assert Party(role=Role.OBSERVER, name="observer") == observer.party
-
-
 @pytest.mark.parametrize(
     "payload",
     [b'{"tick":999999,"acceleration":[0,0]}', b'{"tick":-1}'],
@@ -298,7 +288,8 @@ def test_a_flood_of_letters_neither_stops_the_clock_nor_the_end(payload, tmp_pat
     assert elapsed < 15.0
     assert sum(refused.values()) > 100
     assert [seen.tick for seen in uav.seen] == [0, 1]
-    assert "ugv_0 is late: no command for tick 0 after 0.3 s" in run.events
+    late = [event for event in run.events if "is late" in event]
+    assert late == ["ugv_0 is late: no command for tick 0 after 0.3 s"]  # told once, then counted
 
 
 def test_an_answer_to_another_tick_or_a_second_one_is_counted_and_changes_nothing(tmp_path):
@@ -327,26 +318,6 @@ def test_an_answer_to_another_tick_or_a_second_one_is_counted_and_changes_nothin
         )
     )
     assert flight.recorder.sha256() == once.recorder.sha256()
-
-
-def test_a_vehicle_that_talks_to_another_run_is_late_in_its_own(tmp_path: Path) -> None:
-    with stage(tmp_path, 3, deadline=0.2) as run:
-        run.start("uav_0")
-        lost = run.client("ugv_0")
-        lost.announce()
-        elsewhere = lost._zenoh.declare_publisher("outrider/another/ugv_0/command")
-
-        def talk() -> None:
-            elsewhere.put(b'{"tick":%d,"acceleration":[0.1,0.0]}' % run.server.flight.world.tick)
-
-        flight = run.fly(talk)
-        status = run.server.vehicles()["ugv_0"]
-    assert flight.answers.missing == {"uav_0": 0, "ugv_0": 3}
-    assert (flight.recorder.states[:, 1, 2:4] == 0.0).all()
-    assert status.last_fault.startswith("no command for tick 2 after 0.")
-    assert [event.split(":")[0] for event in run.events] == [
-        "ugv_0 is late"
-    ]  # told once, then counted
 
 
 def test_a_vehicle_acts_once_on_each_observation_of_its_own_run_alone(endpoint: str) -> None:
