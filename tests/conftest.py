@@ -80,6 +80,12 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
+def endpoint(tmp_path: Path) -> str:
+    """Of a router that listens in the test's folder."""
+    return f"unixsock-stream/{tmp_path / 'bus.sock'}"
+
+
+@pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A refused client shows it by trying in vain; here not for long."""
     from bus import session

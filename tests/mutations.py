@@ -21,10 +21,6 @@ REFUSALS = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 """What `Inbox` takes for a refusal; a decoder that raises anything else stops its reader."""
 
 
-def edge_or_between(kind: Any, low: float, high: float, rng: random.Random) -> float:
-    return rng.choice([low, high]) if rng.random() < 0.1 else rng.uniform(low, high)
-
-
 def valid(kind: Any, rng: random.Random) -> Any:
     """A plain value that a type allows, now and then at the edge of what it allows."""
     match kind:
@@ -35,7 +31,8 @@ def valid(kind: Any, rng: random.Random) -> Any:
             return {part.encode_name: valid(part.type, rng) for part in wanted}
         case kinds.FloatType():
             low = kind.ge if kind.ge is not None else math.nextafter(kind.gt, math.inf)
-            return edge_or_between(kind, low, rng.choice([1.0, kind.le]), rng)
+            high = rng.choice([1.0, kind.le])
+            return rng.choice([low, high]) if rng.random() < 0.1 else rng.uniform(low, high)
         case kinds.IntType():
             low = -(2**70) if kind.ge is None else kind.ge
             high = 2**70 if kind.le is None else kind.le

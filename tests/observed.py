@@ -1,13 +1,26 @@
-"""An observer that records a run whose messages are put into its inboxes by hand, for the tests of recordings."""
+"""Recordings for the tests: of a flight in this process, and of a run whose messages are put in by hand."""
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from telemetry import a_status
+
 from bus.keys import COVERAGE, GROUND, STATUS, TRUTH
-from bus.messages import Status
 from outrider.recording.observer import RunRecorder
+from outrider.recording.writer import FlightRecorder
+from outrider.running.flying import fly
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
+
+
+def recorded(path: Path, scenario: Scenario, seed: int | None = None) -> Flight:
+    """Such a flight; the scenario's own seed unless there is another."""
+    seed = scenario.seed if seed is None else seed
+    recorder = FlightRecorder(path, scenario, seed)
+    flight, _ = fly(scenario, seed, on_tick=recorder.tick)
+    recorder.close()
+    return flight
 
 
 class _Box:
@@ -24,7 +37,7 @@ class _Box:
 
 
 class Observer:
-    """Its recorder, which writes into this file."""
+    """An observer's recorder, which writes into this file what is put into its inboxes."""
 
     def __init__(self, file: Any, scenario: Scenario | None) -> None:
         boxes = self._boxes = {key: _Box() for key in (TRUTH, COVERAGE, GROUND, STATUS)}
@@ -33,8 +46,7 @@ class Observer:
 
     def take(self, flight: Flight, **told: Any) -> None:
         """Be told how the flight is, in a status with these fields."""
-        fields = {"scenario": flight.scenario.name, "seed": flight.seed, "tick": 0, "ticks": 1}
-        fields |= {"time": 0.0, "realtime_factor": 1.0, "vehicles": {}}
+        of_the_flight = {"scenario": flight.scenario.name, "seed": flight.seed}
         self._boxes[TRUTH].messages.append(flight.truth())
-        self._boxes[STATUS].messages.append(Status(**fields | told))
+        self._boxes[STATUS].messages.append(a_status(**of_the_flight | told))
         self.recorder.take(0.0)

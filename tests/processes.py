@@ -4,7 +4,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,10 @@ from typing import Any
 from preloaded import Popen
 
 from bus.access import read_credential
-from bus.keys import CONTROL, STATUS, Party, Role
+from bus.keys import CONTROL, STATUS, Role
 from bus.messages import Action, Control, Status
 from bus.session import Session, open_session
+from outrider.running import launch
 from outrider.running.flying import fly
 from outrider.running.summary import Summary
 from sim.scenario.loading import load_scenario
@@ -52,12 +53,23 @@ def opened(
     return (subprocess.Popen if fresh else Popen)(command, **settings)
 
 
+def ran(
+    command: Sequence[str | Path], *, check: bool = False, **settings: Any
+) -> "subprocess.CompletedProcess[str]":
+    """A command of whatever kind, come to its end."""
+    return subprocess.run(command, capture_output=True, text=True, check=check, **settings)
+
+
 def python(
     code: str, *arguments: str, check: bool = True, **settings: Any
 ) -> "subprocess.CompletedProcess[str]":
     """What an interpreter of its own, which has loaded nothing, makes of this code."""
-    command = [sys.executable, "-c", code, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=check, **settings)
+    return ran([sys.executable, "-c", code, *arguments], check=check, **settings)
+
+
+def loaded_by(modules: str) -> set[str]:
+    """All that an interpreter of its own has loaded when it has imported these modules."""
+    return set(python(f"import sys, {modules}; print(*sys.modules)").stdout.split())
 
 
 def run_json(*arguments: str) -> dict[str, object]:
@@ -80,6 +92,16 @@ def flown_both_ways(
     return there, here
 
 
+CHANGES = ["duration=1.0"]
+SHORT = load_scenario("escort", overrides=CHANGES)
+"""The scenario of a run that this process launches."""
+
+
+def launched(watcher: launch.Watcher = launch.NOBODY, **settings: Any) -> launch.Outcome:
+    """What becomes of such a run over three processes."""
+    return launch.launch(SHORT, "escort", CHANGES, watcher, launch.Output(), **settings)
+
+
 def children_of(pid: int) -> list[int]:
     """Children of a process, by the kernel's own list."""
     text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii")
@@ -97,15 +119,15 @@ def family(pid: int) -> list[int]:
     return [child for child in children_of(pid) if kind_of(child)]
 
 
+def stat_of(pid: int) -> list[str]:
+    """What the kernel tells of a process: its state, its parent, its group, its session, and more."""
+    text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii")
+    return text.rpartition(")")[2].split()
+
+
 def alive(pid: int) -> bool:
     try:
-        return (
-            "Z"
-            not in Path(f"/proc/{pid}/stat")
-            .read_text(encoding="ascii")
-            .rsplit(")", 1)[1]
-            .split()[0]
-        )
+        return stat_of(pid)[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
         return False
 
@@ -126,9 +148,7 @@ def joined(run: "subprocess.Popen[str]", role: Role) -> Iterator[Session]:
     )
     wait_until(lambda: Path(endpoint.removeprefix("unixsock-stream/")).exists())
     credential = read_credential(Path(known).with_name(f"{role.value}.json"))
-    with open_session(
-        Party(role=role, name=role.value), name, connect=endpoint, credential=credential
-    ) as session:
+    with open_session(credential.party, name, connect=endpoint, credential=credential) as session:
         yield session
 
 
@@ -137,9 +157,15 @@ def observing(run: "subprocess.Popen[str]") -> AbstractContextManager[Session]:
     return joined(run, Role.OBSERVER)
 
 
-def await_status(session, wanted, seconds=60.0):
-    """The first status that is as wanted."""
-    inbox = session.inbox(STATUS)
+def await_status(
+    session: Session, wanted: Callable[[Status], Any], seconds: float = 60.0
+) -> Status:
+    """The first status from now on that is as wanted."""
+    return status_in(session.inbox(STATUS), wanted, seconds)
+
+
+def status_in(inbox: Any, wanted: Callable[[Status], Any], seconds: float) -> Status:
+    """The first in an inbox of statuses that is as wanted."""
     limit = time.monotonic() + seconds
     last: Status | None = None
     while time.monotonic() < limit:

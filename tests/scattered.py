@@ -56,13 +56,16 @@ class Scattered:
     def vehicles(self, *arguments: str) -> "list[subprocess.Popen[str]]":
         return [self.start(name[:3], *arguments, name=name) for name in ("uav_0", "ugv_0")]
 
-    @cached_property
-    def operator(self) -> Session:
-        """An operator's session, for as long as the run lasts."""
-        credential = read_credential(Path(self._files["operator"]))
+    def client(self, name: str) -> Session:
+        """A session of this party, for as long as the run lasts."""
+        credential = read_credential(Path(self._files[name]))
         return self._stack.enter_context(
             open_session(credential.party, "mine", connect=self.endpoint, credential=credential)
         )
+
+    @cached_property
+    def operator(self) -> Session:
+        return self.client("operator")
 
     def await_simulator(self) -> None:
         """Vehicles that are not patient are to find it there."""

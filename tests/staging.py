@@ -1,25 +1,25 @@
 """A server and its vehicles as threads of this process, with real sessions, for the tests.
 
-The real loop and the real pilots.
+The real loop and the real pilots, or programs of somebody's own; and what a router lets through of what raw sessions
+say.
 """
 
 import threading
 import time
-from collections.abc import Callable
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import zenoh
-from processes import wait_until
+from processes import status_in, wait_until
 
 from agents import process
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus import session
-from bus.access import Credential, client_settings, new_credentials
-from bus.keys import CONTROL, STATUS
-from bus.messages import Status
+from bus.access import Credential, CredentialSet, client_settings, new_credentials
+from bus.keys import BRIEFING, COMMAND, CONTROL, OBSERVATION, STATUS
 from bus.session import Session, open_session
 from outrider.running.flying import fly
 from sim.scenario.loading import load_scenario
@@ -32,11 +32,61 @@ GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"])
 PILOT = {"uav_0": UavPilot, "ugv_0": UgvPilot}
 
 
+def hosted(
+    endpoint: str, given: CredentialSet = GIVEN, name: str = "simulator"
+) -> AbstractContextManager[Session]:
+    """A router that is this party, and lets in whoever has credentials."""
+    return open_session(given.of(name).party, given.run, listen=(endpoint,), given=given)
+
+
+def client_of(endpoint: str, credential: Credential) -> AbstractContextManager[Session]:
+    """A client with its credentials."""
+    return open_session(credential.party, "run", connect=endpoint, credential=credential)
+
+
 class Gone(Exception):
     """A vehicle's process that ends without a word."""
 
 
-class Vehicle:
+class _Threaded:
+    """What is done in a thread of its own, from now on."""
+
+    def __init__(self) -> None:
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def join(self) -> None:
+        self._thread.join(60.0)
+        assert not self._thread.is_alive()
+
+    def _run(self) -> None:
+        raise NotImplementedError
+
+
+class Program(_Threaded):
+    """A program of somebody's own that flies a vehicle.
+
+    Args:
+        session: The vehicle's.
+        answer: Called with the place of its commands and the tick of each observation.
+    """
+
+    def __init__(self, session: Session, answer: Callable[[Any, int], None]) -> None:
+        role, name = session.party.role, session.party.name
+        self.session = session
+        self.observations = session.inbox(OBSERVATION[role], name)
+        self._briefings = session.inbox(BRIEFING[role], name)
+        self._commands, self._answer = session.outbox(COMMAND[role], name), answer
+        session.announce()
+        super().__init__()
+
+    def _run(self) -> None:
+        assert self._briefings.receive(20.0) is not None
+        while (letter := self.observations.receive(20.0)) is not None and not letter.message.over:
+            self._answer(self._commands, letter.message.tick)
+
+
+class Vehicle(_Threaded):
     """A vehicle's process as a thread: the real loop and the real pilot, watched.
 
     Args:
@@ -52,12 +102,7 @@ class Vehicle:
         self.seen: list[Any] = []
         """All it has acted on, its past first."""
         self._endpoint, self._until, self._on_tick, self._heir = endpoint, until, on_tick, heir
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def join(self) -> None:
-        self._thread.join(60.0)
-        assert not self._thread.is_alive()
+        super().__init__()
 
     def _run(self) -> None:
         credential = GIVEN.of(self.name)
@@ -86,14 +131,17 @@ class Vehicle:
 
 
 class Stage:
-    """A server, and what it says."""
+    """A server, and what it says; its router may know nobody, and let everybody in."""
 
-    def __init__(self, stack: ExitStack, folder: Path, scenario: Scenario, **options: Any) -> None:
+    def __init__(
+        self, stack: ExitStack, folder: Path, scenario: Scenario, *, is_open: bool, **options: Any
+    ) -> None:
         self.endpoint = f"unixsock-stream/{folder / 'bus.sock'}"
         self.events: list[str] = []
-        simulator = GIVEN.of("simulator").party
+        self._is_open = is_open
+        simulator, given = GIVEN.of("simulator").party, None if is_open else GIVEN
         self.server_session = stack.enter_context(
-            open_session(simulator, "run", listen=(self.endpoint,), given=GIVEN)
+            open_session(simulator, "run", listen=(self.endpoint,), given=given)
         )
         timing = Timing(
             **{key: options.pop(key) for key in set(options) & {*Timing.__struct_fields__}}
@@ -106,7 +154,7 @@ class Stage:
             on_event=self.events.append,
             **options,
         )
-        self.vehicles: list[Vehicle] = []
+        self.vehicles: list[Any] = []
         self._stack = stack
 
     def start(self, name, *, until=None, again=False, on_tick=lambda _tick: None):
@@ -122,10 +170,15 @@ class Stage:
     def start_both(self) -> list[Vehicle]:
         return [self.start("uav_0"), self.start("ugv_0")]
 
+    def program(self, name: str, answer: Callable[[Any, int], None]) -> Program:
+        """Start a program of somebody's own in a vehicle's place."""
+        self.vehicles.append(Program(self.client(name), answer))
+        return self.vehicles[-1]
+
     def client(self, name: str) -> Session:
-        credential = GIVEN.of(name)
+        party, credential = GIVEN.of(name).party, None if self._is_open else GIVEN.of(name)
         return self._stack.enter_context(
-            open_session(credential.party, "run", connect=self.endpoint, credential=credential)
+            open_session(party, "run", connect=self.endpoint, credential=credential)
         )
 
     def fly(self, on_tick: Callable[[], None] | None = None) -> Flight:
@@ -136,10 +189,10 @@ class Stage:
 
 
 @contextmanager
-def stage(folder, ticks, *, scenario=None, **options):
+def stage(folder, ticks, *, scenario=None, is_open=False, **options):
     scenario = scenario or load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
     with ExitStack() as stack:
-        yield Stage(stack, folder, scenario, **options)
+        yield Stage(stack, folder, scenario, is_open=is_open, **options)
 
 
 def raw_session(endpoint: str, credential: Credential | None, **settings: Any) -> zenoh.Session:
@@ -149,18 +202,46 @@ def raw_session(endpoint: str, credential: Credential | None, **settings: Any) -
     return zenoh.open(session._config(known | {"connect/endpoints": [endpoint]} | own))
 
 
+@contextmanager
+def everybody(
+    endpoint: str, given: CredentialSet, names: Iterable[str], router: str = "simulator"
+) -> Iterator[dict[str, zenoh.Session]]:
+    """A router, and a raw session for each of these parties."""
+    with ExitStack() as stack:
+        stack.enter_context(hosted(endpoint, given, router))
+        yield {name: stack.enter_context(raw_session(endpoint, given.of(name))) for name in names}
+
+
+Heard = set[tuple[str, str, str]]
+"""Reader, key and what was said."""
+
+
+def listening(
+    opened: zenoh.Session, name: str, expressions: Iterable[str], heard: Heard
+) -> list[object]:
+    """Let a party keep all that comes by these keys, for as long as what is returned is kept."""
+
+    def keep(sample: zenoh.Sample) -> None:
+        heard.add((name, str(sample.key_expr), sample.payload.to_string()))
+
+    return [opened.declare_subscriber(expression, keep) for expression in expressions]
+
+
+def settled(wanted: set[Any], found: set[Any], step: Callable[[], object] = lambda: None) -> None:
+    """Repeat a step until all that is wanted has come, and for some time more what must not."""
+    limit = time.monotonic() + 20.0
+    while not found >= wanted and time.monotonic() < limit:
+        step()
+        time.sleep(0.02)
+    rest = time.monotonic() + 0.3
+    while time.monotonic() < rest:
+        step()
+        time.sleep(0.02)
+
+
 def whole(ticks: int) -> Flight:
     scenario = load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
     return fly(scenario, scenario.seed)[0]
-
-
-def await_status(statuses: Any, wanted: Callable[[Status], bool]) -> Status:
-    limit = time.monotonic() + 20.0
-    while time.monotonic() < limit:
-        letter = statuses.receive(0.5)
-        if letter is not None and wanted(letter.message):
-            return letter.message
-    raise AssertionError("never came")
 
 
 def operating(run: Any, work: Callable[[Any, Any], None]) -> Callable[[], None]:
@@ -172,7 +253,7 @@ def operating(run: Any, work: Callable[[Any, Any], None]) -> Callable[[], None]:
     def body() -> None:
         try:
             wait_until(lambda: controls.wanted)
-            work(controls.send, lambda wanted: await_status(statuses, wanted))
+            work(controls.send, lambda wanted: status_in(statuses, wanted, 20.0))
         except BaseException as error:  # noqa: BLE001 - told in the test's own thread
             faults.append(error)
             run.server.flight.stop()

@@ -5,14 +5,13 @@ What the router enforces, tried with real sessions that do not ask our API first
 
 import stat
 import time
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
 import zenoh
-from staging import raw_session
+from staging import Heard, everybody, hosted, listening, raw_session, settled
 
 from bus import access
 from bus.access import (
@@ -53,11 +52,6 @@ REMOTE = zenoh.Locality.REMOTE
 pytestmark = pytest.mark.usefixtures("impatient")
 
 
-@pytest.fixture
-def endpoint(tmp_path: Path) -> str:
-    return f"unixsock-stream/{tmp_path / 'bus.sock'}"
-
-
 @pytest.fixture(params=["password", "tls"])
 def known_by(request: pytest.FixtureRequest, endpoint: str) -> str:
     """An endpoint whose clients are known by passwords, and one whose by certificates."""
@@ -70,12 +64,12 @@ def given(endpoint: str) -> CredentialSet:
 
 def router(endpoint: str) -> AbstractContextManager[Session]:
     """A router that takes no part in the run but as an observer."""
-    return open_session(GIVEN.of("observer").party, RUN, listen=(endpoint,), given=given(endpoint))
+    return hosted(endpoint, given(endpoint), "observer")
 
 
-def host(endpoint: str) -> AbstractContextManager[Session]:
-    """A router that is the simulator."""
-    return open_session(GIVEN.of("simulator").party, RUN, listen=(endpoint,), given=GIVEN)
+def parties(endpoint: str) -> AbstractContextManager[dict[str, zenoh.Session]]:
+    """Such a router, and a raw client for each party."""
+    return everybody(endpoint, given(endpoint), NAMES, "observer")
 
 
 def concrete() -> list[tuple[Any, str, str]]:
@@ -84,8 +78,8 @@ def concrete() -> list[tuple[Any, str, str]]:
     return [(key, vehicle, key.expression(RUN, vehicle)) for key, vehicle in pairs]
 
 
-def hears(session: zenoh.Session, expression: str, room: int = 1000) -> Any:
-    return session.declare_subscriber(expression, zenoh.handlers.FifoChannel(room))
+def hears(session: zenoh.Session, expression: str) -> Any:
+    return session.declare_subscriber(expression, zenoh.handlers.FifoChannel(100))
 
 
 def speaks(session: zenoh.Session, expression: str) -> Any:
@@ -100,46 +94,6 @@ def may(check: Any, key: Any, name: str, vehicle: str) -> bool:
     return True
 
 
-Arrived = set[tuple[str, str, str]]
-"""Reader, key and writer."""
-
-
-def received(inboxes: dict[str, list[Any]]) -> Arrived:
-    """All that has arrived."""
-    found = set()
-    for reader, subscribers in inboxes.items():
-        for subscriber in subscribers:
-            while (sample := subscriber.try_recv()) is not None:
-                found.add((reader, str(sample.key_expr), sample.payload.to_string()))
-    return found
-
-
-def gather(inboxes: dict[str, list[Any]], wanted: Arrived, say: Any) -> Arrived:
-    """What arrives until all that is wanted has, and for a while after that."""
-    found: Arrived = set()
-    rest = 3
-    for _ in range(100):
-        say()
-        limit = time.monotonic() + 0.2
-        while time.monotonic() < limit:
-            found |= received(inboxes)
-        rest -= found >= wanted
-        if not rest:
-            break
-    return found
-
-
-@contextmanager
-def everybody(endpoint: str) -> Iterator[dict[str, zenoh.Session]]:
-    """A router of its own, and a raw client for each party."""
-    with ExitStack() as stack:
-        stack.enter_context(router(endpoint))
-        yield {
-            credential.name: stack.enter_context(raw_session(endpoint, credential))
-            for credential in given(endpoint).parties
-        }
-
-
 def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(known_by: str) -> None:
     """All parties write to every key and read every key, each for itself and with the widest keys there are."""
     wanted = {
@@ -152,13 +106,14 @@ def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(known_by:
         and may(check_writes, key, writer, vehicle)
     }
     assert len(wanted) >= 20
-    with everybody(known_by) as sessions:
+    found: Heard = set()
+    with parties(known_by) as sessions:
         expressions = [row[2] for row in concrete()]
         widest = ("**", "outrider/**", f"outrider/{RUN}/*/command")
-        inboxes = {
-            name: [hears(opened, expression, 10_000) for expression in (*expressions, *widest)]
+        kept = [
+            listening(opened, name, (*expressions, *widest), found)
             for name, opened in sessions.items()
-        }
+        ]
         publishers = {
             name: [speaks(opened, expression) for expression in expressions]
             for name, opened in sessions.items()
@@ -171,7 +126,9 @@ def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(known_by:
                 for expression in expressions:  # and without a declaration
                     opened.put(expression, name.encode(), allowed_destination=REMOTE)
 
-        assert gather(inboxes, wanted, say) == wanted
+        settled(wanted, found, say)
+        assert kept
+    assert found == wanted
 
 
 def declared(owner: str, name: str) -> list[str]:
@@ -187,7 +144,7 @@ def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulator
     """Each declares the place of its number in everybody's name, places that nobody has, and sessions."""
     seen: dict[str, set[str]] = {name: set() for name in NAMES}
     assert len(NAMES) <= PLACES
-    with everybody(known_by) as sessions:
+    with parties(known_by) as sessions:
         kept: list[object] = []
         for name, opened in sessions.items():
             for expression in (token(RUN, "*", "*"), token(RUN, "simulator", "*"), "outrider/**"):
@@ -202,11 +159,8 @@ def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulator
             for owner in NAMES:
                 for expression in declared(owner, name):
                     kept.append(opened.liveliness().declare_token(expression))
-        limit = time.monotonic() + 10.0
         wanted = {token(RUN, name, NAMES.index(name)) for name in NAMES}
-        while time.monotonic() < limit and not seen["simulator"] >= wanted:
-            time.sleep(0.05)
-        time.sleep(0.3)
+        settled(wanted, seen["simulator"])
     own = {
         name: {expression for owner in NAMES for expression in declared(owner, name)}
         for name in NAMES
@@ -217,7 +171,7 @@ def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulator
 
 
 def test_nobody_can_ask_the_router_or_another_for_anything(known_by: str) -> None:
-    with everybody(known_by) as sessions:
+    with parties(known_by) as sessions:
         answered = sessions["ugv_0"].declare_queryable(
             "outrider/**", lambda query: query.reply(query.key_expr, b"secret")
         )
@@ -246,15 +200,15 @@ STRANGERS: dict[str, Credential | None] = {
 @pytest.mark.parametrize("mode", ["client", "peer", "router"])
 def test_a_stranger_gets_nothing(endpoint: str, kind: str, mode: str) -> None:
     with ExitStack() as stack:
-        hosted = stack.enter_context(host(endpoint))._zenoh
-        publishers = [speaks(hosted, expression) for _, _, expression in concrete()]
-        commands = hears(hosted, "outrider/**", 100)
+        host = stack.enter_context(hosted(endpoint, GIVEN))._zenoh
+        publishers = [speaks(host, expression) for _, _, expression in concrete()]
+        commands = hears(host, "outrider/**")
         told = {"mode": mode, "scouting__gossip__enabled": True, "listen__endpoints": []}
         try:
             opened = stack.enter_context(raw_session(endpoint, STRANGERS[kind], **told))
         except zenoh.ZError:
             return  # it was not even let in
-        inbox = hears(opened, "outrider/**", 100)
+        inbox = hears(opened, "outrider/**")
         limit = time.monotonic() + 1.0
         while time.monotonic() < limit:
             for publisher in publishers:
@@ -267,13 +221,14 @@ def test_a_stranger_gets_nothing(endpoint: str, kind: str, mode: str) -> None:
 
 def test_a_known_peer_with_gossip_gets_no_more_than_a_client(endpoint: str) -> None:
     with ExitStack() as stack:
-        hosted = stack.enter_context(host(endpoint))._zenoh
+        host = stack.enter_context(hosted(endpoint, GIVEN))._zenoh
         stack.enter_context(raw_session(endpoint, GIVEN.of("ugv_0")))
         told = {"mode": "peer", "scouting__gossip__enabled": True}
         peer = stack.enter_context(raw_session(endpoint, GIVEN.of("uav_0"), **told))
         expressions = [row[2] for row in concrete()]
-        inboxes = {"uav_0": [hears(peer, expression) for expression in (*expressions, "**")]}
-        publishers = [speaks(hosted, expression) for expression in expressions]
+        found: Heard = set()
+        kept = listening(peer, "uav_0", (*expressions, "**"), found)
+        publishers = [speaks(host, expression) for expression in expressions]
 
         def say() -> None:
             for publisher in publishers:
@@ -283,7 +238,9 @@ def test_a_known_peer_with_gossip_gets_no_more_than_a_client(endpoint: str) -> N
             ("uav_0", f"outrider/{RUN}/uav_0/{topic}", "simulator")
             for topic in ("observation", "briefing")
         }
-        assert gather(inboxes, own, say) == own
+        settled(own, found, say)
+        assert kept
+        assert found == own
         assert [str(zid) for zid in peer.info.peers_zid()] == []
 
 

@@ -1,14 +1,16 @@
 """The command line: help with examples, one clear line for bad input, one JSON object where it is asked for."""
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
-from processes import outrider
+from processes import outrider, python
 from tabular import rows, words
 
-from bus import session
+from outrider.bench.pairs import pairs_toml
 from outrider.cli.main import COMMANDS
+from sim.scenario.loading import load_scenario
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -18,9 +20,7 @@ def test_every_command_has_help_with_an_example(name, command):
     assert f"Example: outrider {name}" in " ".join(told.stdout.split())
 
 
-BAD = {
-    case: (arguments.split(), told)
-    for case, arguments, told in rows(r"""
+BAD = rows(r"""
 unknown command | fly | No such command
 unknown option | run --fast | No such option
 not a number | run --seed x | --seed
@@ -51,44 +51,107 @@ credentials not there | uav --credentials nowhere.json | nowhere.json
 owner | credentials --owner me | --owner 'me'
 clock without processes | run --in-process --realtime 1 | --realtime
 clock that stands | run --realtime 0 | --realtime
+clock in lockstep | run --lockstep --realtime 1 | lockstep
+page without processes | run --in-process --dashboard | in-process
+page and numbers | replay nowhere.mcap --dashboard --json | --dashboard shows
+scenario to show | scenarios show circel | circle
+falsify, unknown law | falsify --law fancy | law.name = "fancy"
+falsify, no runs | falsify --runs 0 | --runs
+falsify, no time | falsify --minutes 0 | --minutes
+falsify, negative limit | falsify --max-delay -1 | --max-delay
+falsify, all is lost | falsify --max-loss 1.5 | --max-loss
+falsify, undegraded with noise | falsify --undegraded --noise 0.1 | --undegraded
+falsify, nothing to promise | falsify --law certified --max-blackout 60 | nothing can be certified within
+falsify, several pairs | falsify pairs.toml | 2 UAVs and 2 UGVs
+falsify, control of another law | falsify --control tracking --law linear | --control
+falsify, engine of another law | falsify --law linear --engine attack | --engine
+falsify, error not in the grid | falsify --law certified --eps 0.4 | allowed: 0, 0.3
+falsify, no whole tick | falsify --duration 0.07 | duration = 0.07
+falsify, a folder | falsify --out . | is a folder
+sweep, unknown law | sweep escort --law fancy | law.name = "fancy"
+sweep, no seeds | sweep escort --seeds 0 | --seeds
+report of no sweep | report . | no sweep's folder
+suite, unknown law | suite --law lograithmic | law 'lograithmic': unknown
+suite, unknown task | suite --only nosie | no such task, did you mean 'noise'?; allowed: paper,
+suite, policy not there | suite --uav-policy nowhere:f | --uav-policy = 'nowhere:f'
+suite, no secret | suite --law linear --secret 1234 | --secret: 4 characters that are no secret; allowed:
+suite, estimate for a law | suite --estimate | --estimate: for a --uav-policy alone
+suite, two outputs | suite --law linear --markdown --json | both want stdout
+unit of another's agent | fmu export uav escort --agent ugv_0 | no uav of escort; allowed: uav_0
+unit of a world's agent | fmu export world escort --agent uav_0 | the world has all of them
+unit's name | fmu export world escort --out world.zip | world.zip: is no unit's name; allowed: FILE.fmu
+unit's folder | fmu export world escort --out no/world.fmu | no/world.fmu: No such file or directory
+unit of no scenario | fmu export ugv escrot | escrot: no such file or scenario
+ground stations of strangers | mavlink --in udpin:0.0.0.0:14550 | say --insecure
+domain | ros2 --domain 233 | --domain 233: allowed are 0 to 232
+namespace | ros2 --namespace pilot | 'pilot'
+namespace of a vehicle | ros2 --vehicle uav_0 --namespace fleet | --namespace and --vehicle
+no vehicle | ros2 --vehicle drone | begin with uav or ugv
 """)
-}
+BROKEN = rows(r"""
+no router | uav --connect tcp/127.0.0.1:1 | no router at tcp/127.0.0.1:1
+a file in the folder's place | run --out taken | taken
+a file in the sweep's place | sweep escort --set duration=5 --out taken | taken
+policy that raises | suite --uav-policy json:loads --only paper | --uav-policy json:loads: TypeError
+policy that gives no action | suite --uav-policy math:fsum --only paper | --uav-policy math:fsum:
+""")
+"""What is no fault of the input."""
 
 
-@pytest.mark.parametrize("case", BAD)
-def test_bad_input_gets_one_line_exit_code_2_and_no_traceback(case, here, command):
-    arguments, told = BAD[case]
-    run = command(*arguments)
-    assert run.returncode == 2, run.stderr
+@pytest.mark.parametrize(
+    ("arguments", "told", "code"),
+    [
+        pytest.param(*row, code, id=case)
+        for code, of in ((2, BAD), (1, BROKEN))
+        for case, *row in of
+    ],
+)
+@pytest.mark.usefixtures("impatient")
+def test_what_cannot_be_done_gets_one_line_its_exit_code_and_no_file(
+    arguments, told, code, here, command
+):
+    (here / "taken").write_text("a file", encoding="utf-8")
+    (here / "pairs.toml").write_text(pairs_toml(2, seconds=10), encoding="utf-8")
+    run = command(*words(arguments))
+    assert run.returncode == code, run.stderr
     assert told in run.stderr
     assert len(run.stderr.strip().splitlines()) == 1
     assert run.stdout == ""
-    assert not list(here.iterdir())
+    assert sorted(path.name for path in here.iterdir()) == ["pairs.toml", "taken"]
 
 
-def test_bad_input_ends_the_process_with_the_same_line_and_code(tmp_path: Path) -> None:
-    run = outrider("run", "escrot", cwd=tmp_path, fresh=True)
+@pytest.mark.parametrize(
+    ("arguments", "module", "extra"),
+    rows("""
+run --dashboard | nicegui | dashboard
+dashboard | nicegui | dashboard
+falsify | cma | falsify
+sweep | joblib | sweep
+sweep --dask tcp://127.0.0.1:1 | distributed | dask
+mavlink | pymavlink.dialects.v20 | mavlink
+ros2 | rosbags.typesys | ros2
+"""),
+)
+def test_a_missing_extra_is_one_line_that_says_what_to_install(
+    arguments, module, extra, monkeypatch, command
+):
+    monkeypatch.setitem(sys.modules, module, None)
+    for ours in ("dialect", "udp"):  # which other tests may have loaded
+        monkeypatch.delitem(sys.modules, f"outrider.bridges.mavlink.{ours}", raising=False)
+    run = command(*words(arguments))
     assert run.returncode == 2
-    assert "did you mean" in run.stderr
-    assert len(run.stderr.strip().splitlines()) == 1
-    assert run.stdout == ""
-    assert not list(tmp_path.iterdir())
+    (line,) = run.stderr.splitlines()
+    assert module.partition(".")[0] in line
+    assert f"-e '.[{extra}]'" in line
 
 
-def test_no_router_is_one_line_and_exit_code_1(monkeypatch, command):
-    monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", 300)
-    run = command("uav", "--connect", "tcp/127.0.0.1:1")
-    assert run.returncode == 1
-    assert "no router at tcp/127.0.0.1:1" in run.stderr
-    assert len(run.stderr.strip().splitlines()) == 1
-
-
-def test_a_folder_that_cannot_be_written_shows_before_the_flight(tmp_path, command):
-    (tmp_path / "taken").write_text("a file", encoding="utf-8")
-    run = command("run", "--out", str(tmp_path / "taken"))
-    assert run.returncode == 1
-    assert "taken" in run.stderr
-    assert len(run.stderr.strip().splitlines()) == 1
+def test_without_any_extra_the_command_line_is_there() -> None:
+    code = (
+        "import sys; from outrider.running.extras import EXTRAS;"
+        "sys.modules.update({module: None for extra in EXTRAS.values() for module in extra});"
+        "from outrider.cli.main import main; main()"
+    )
+    assert "dashboard" in python(code, "--help").stdout
 
 
 def test_a_run_leaves_its_files_and_prints_one_json_object(tmp_path, command):
@@ -143,24 +206,6 @@ def test_a_weighting_of_ones_own_flies_over_the_bus(tmp_path: Path) -> None:
     assert len(hashes) == 1
 
 
-def test_the_version_is_told() -> None:
-    assert outrider("--version", fresh=True).stdout.startswith("outrider ")
-
-
-def test_a_path_that_cannot_be_followed_warns_with_the_bound(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(
-        "import math\n\ndef path(t):\n    x, y = 2 * math.cos(t), 2 * math.sin(t)\n    return (x, y), (-x, -y)\n",
-        encoding="utf-8",
-    )
-    rest = words("--law path --path mine:path --in-process --duration 2 --no-files")
-    run = outrider("run", *rest, cwd=tmp_path)
-    assert run.returncode == 0
-    told = " ".join(run.stderr.split())
-    assert "cannot be flown: 2 m/s" in told
-    assert "v_a - v_g = 0.4 m/s" in told
-    assert "u_a = 0.3 m/s²" in told
-
-
 def test_credentials_are_made_once_and_each_party_gets_its_own(here, command) -> None:
     made = command("credentials", "mine", "--run", "night", "--json")
     assert made.returncode == 0, made.stderr
@@ -207,9 +252,6 @@ def test_only_this_machines_endpoints_need_no_credentials(local: bool, endpoints
 
 
 def test_many_pairs_can_be_flown(tmp_path: Path) -> None:
-    from outrider.bench.pairs import pairs_toml
-    from sim.scenario.loading import load_scenario
-
     for count in (1, 5, 50):
         (tmp_path / "pairs.toml").write_text(pairs_toml(count, seconds=10), encoding="utf-8")
         scenario = load_scenario(tmp_path / "pairs.toml")

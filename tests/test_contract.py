@@ -1,14 +1,13 @@
 """The information contract, layers one and two: types and imports. These tests try to break it."""
 
-import subprocess
 import sys
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import get_args, get_type_hints
 
 import msgspec
 import pytest
 from fields import fields_within
-from processes import python
+from processes import loaded_by, ran
 from tabular import words
 
 from bus import keys, messages
@@ -159,15 +158,11 @@ def test_the_contract_names_every_part_of_the_simulator_that_is_no_model_on_boar
     assert forbidden == (rooms - shared) | not_on_board | {"outrider"}
 
 
-def lint(folder: Path, **settings: Any) -> "subprocess.CompletedProcess[str]":
-    command = [str(Path(sys.executable).parent / "lint-imports"), "--no-cache"]
-    return subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, check=False, **settings
-    )
+LINT = [Path(sys.executable).with_name("lint-imports"), "--no-cache"]
 
 
 def test_the_import_contracts_hold() -> None:
-    run = lint(ROOT)
+    run = ran(LINT, cwd=ROOT)
     assert run.returncode == 0, run.stdout + run.stderr
 
 
@@ -183,26 +178,36 @@ def test_the_import_contracts_catch_an_agent_that_reads_the_world(tmp_path: Path
     spy.write_text(
         spy.read_text(encoding="utf-8") + "\nfrom sim.world import World\n", encoding="utf-8"
     )
-    run = lint(tmp_path, env={"PYTHONPATH": str(tmp_path), "PATH": "/usr/bin:/bin"})
+    environment = {"PYTHONPATH": str(tmp_path), "PATH": "/usr/bin:/bin"}
+    run = ran(LINT, cwd=tmp_path, env=environment)
     assert run.returncode == 1
     assert "agents.uav -> sim.world" in run.stdout
 
 
-@pytest.mark.parametrize("command", ["uav", "ugv"])
-def test_a_vehicles_process_never_loads_the_world_nor_a_scenario(command: str) -> None:
-    code = (
-        "import sys; from outrider.cli import main, pilots;"
-        "import agents.process, agents.uav, agents.ugv, outrider.running.user_code, outrider.running.watchdog;"
-        "print(sorted(n for n in sys.modules if n.split('.')[0] in ('sim', 'outrider')))"
-    )
-    run = python(code)
-    loaded = set(eval(run.stdout))  # noqa: S307 - a list of names that we have printed
-    assert "sim.models.field" in loaded
-    of_sim = {name for name in loaded if name.startswith("sim.")}
-    rooms = {"sim.models", "sim.kernels", "sim.input"}
-    in_one_line = {"sim.input.faults"}  # how the user's own code is refused
-    assert of_sim <= ON_BOARD | rooms | in_one_line
-    assert hasattr(__import__("outrider.cli.pilots", fromlist=[command]), command)
+ROOMS = {"sim.models", "sim.kernels"}
+REFUSES_FUNCTIONS = {"sim.input", "sim.input.faults"}
+"""How the user's own code is refused in one line."""
+OF_MESSAGES = {"sim.scene", "sim.scene.colors", "sim.scene.model"}
+"""By which messages of ROS 2 are made: a scene's types, and nothing of a world."""
+
+
+@pytest.mark.parametrize(
+    ("modules", "more"),
+    [
+        (
+            "agents.uav, agents.ugv, outrider.cli.main, outrider.cli.pilots, "
+            "outrider.running.user_code, outrider.running.watchdog",
+            REFUSES_FUNCTIONS,
+        ),
+        ("agents.uav, outrider.cli.mavlink, outrider.bridges.mavlink.offboard", set()),
+        ("outrider.cli.ros2, outrider.bridges.ros2.ros_pilot", OF_MESSAGES),
+    ],
+    ids=["by our pilots", "by setpoints of MAVLink", "by a node of ROS 2"],
+)
+def test_the_process_of_a_vehicle_never_loads_the_world_nor_a_scenario(modules, more):
+    loaded = {name for name in loaded_by(f"agents.process, {modules}") if name.startswith("sim.")}
+    assert loaded
+    assert loaded <= ON_BOARD | ROOMS | more
 
 
 def test_no_other_distribution_installs_our_package_names() -> None:

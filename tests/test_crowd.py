@@ -5,12 +5,11 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from staging import GIVEN, stage
+from staging import GIVEN, client_of, hosted, stage
 
 from bus import session
 from bus.errors import AccessDenied
 from bus.keys import PLACES
-from bus.session import open_session
 from outrider.running.launch import free_port
 
 
@@ -24,34 +23,24 @@ def test_a_client_joins_beside_connections_that_say_nothing_or_nonsense(
     """Room for many and patience with none each suffice; with neither it takes 10 s."""
     monkeypatch.setitem(session._ROUTER, f"transport/unicast/{without}", zenohs_own)
     monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", patience)
-    port, observer = free_port(), GIVEN.of("observer")
+    port = free_port()
     endpoint = f"tcp/127.0.0.1:{port}"
     with ExitStack() as stack:
-        stack.enter_context(
-            open_session(GIVEN.of("simulator").party, "run", listen=(endpoint,), given=GIVEN)
-        )
+        stack.enter_context(hosted(endpoint))
         for number in range(300):
             opened = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
             if number % 2:
                 opened.sendall(
                     b"\xff\xff" + b"\xa5" * 300
                 )  # the beginning of a message that never ends
-        client = stack.enter_context(
-            open_session(observer.party, "run", connect=endpoint, credential=observer)
-        )
-        assert client.connected
+        assert stack.enter_context(client_of(endpoint, GIVEN.of("observer"))).connected
 
 
-def test_a_party_has_so_many_sessions_and_no_more(tmp_path: Path) -> None:
-    endpoint, ugv = f"unixsock-stream/{tmp_path / 'bus.sock'}", GIVEN.of("ugv_0")
+def test_a_party_has_so_many_sessions_and_no_more(endpoint: str) -> None:
     with ExitStack() as stack:
-        stack.enter_context(
-            open_session(GIVEN.of("simulator").party, "run", listen=(endpoint,), given=GIVEN)
-        )
-        opened = [
-            stack.enter_context(open_session(ugv.party, "run", connect=endpoint, credential=ugv))
-            for _ in range(PLACES + 1)
-        ]
+        stack.enter_context(hosted(endpoint))
+        ugv = GIVEN.of("ugv_0")
+        opened = [stack.enter_context(client_of(endpoint, ugv)) for _ in range(PLACES + 1)]
         for one in opened[:PLACES]:
             one.announce()
         assert [one.place for one in opened[:PLACES]] == list(range(PLACES))

@@ -1,6 +1,6 @@
 """What the page knows of the law's gains and of the wheel."""
 
-from typing import Any
+from telemetry import a_status
 
 from bus.messages import Action, Change, Control, Law, Status
 from bus.registry import TELEOP
@@ -11,18 +11,9 @@ FIRST = Law(name="logarithmic", speed_gain=2.0)
 OTHER = Law(name="linear", weight_gain=7.0)
 
 
-def status(law: str, *controls: Control, **more: Any) -> Status:
+def status(law: str, *controls: Control) -> Status:
     changes = tuple(Change(tick=k, control=control) for k, control in enumerate(controls))
-    told = {
-        "scenario": "s",
-        "seed": 1,
-        "tick": 1,
-        "ticks": 9,
-        "time": 0.1,
-        "realtime_factor": 1.0,
-        "vehicles": {},
-    }
-    return Status(**told, law=law, changes=changes, **more)
+    return a_status(law=law, changes=changes)
 
 
 def test_the_first_law_is_flown_until_another_is_chosen() -> None:

@@ -1,29 +1,25 @@
 """What the page says of the radio links, what it says to change them, and what its charts know of them."""
 
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import pytest
+from observed import recorded
+from telemetry import a_status, a_truth, a_vehicle
 
 from bus.messages import (
     Action,
     Change,
     Control,
-    EscortTruth,
     Limits,
     LinkKind,
     LinkSettings,
     LinkStatus,
     Status,
-    Truth,
     UavReport,
-    VehicleTruth,
 )
 from bus.profiles import PROFILES
 from outrider.recording.reader import flight_of
-from outrider.recording.writer import FlightRecorder
-from outrider.running.flying import fly
 from outrider.view.page.chart_data import ChartData
 from outrider.view.page.controls.link_words import (
     ALL,
@@ -52,15 +48,7 @@ def link(sent: int = 0, **lost: int) -> LinkStatus:
 
 def status(time: float, **links: LinkStatus) -> Status:
     named = {name.replace("__", "/"): told for name, told in links.items()}
-    told: dict[str, Any] = {
-        "scenario": "s",
-        "seed": 1,
-        "tick": 1,
-        "ticks": 9,
-        "realtime_factor": 1.0,
-        "vehicles": {},
-    }
-    return Status(**told, time=time, links=named)
+    return a_status(time=time, links=named)
 
 
 # Words
@@ -154,25 +142,10 @@ def test_bursts_that_are_asked_for_come_with_a_time_between_them_that_can_be_flo
 # Charts
 
 
-def truth(time: float, age: float | None = 0.05) -> Truth:
-    report = (
-        None
-        if age is None
-        else UavReport(estimate=(0.0, 0.0), covariance=(1.0, 0.0, 1.0), age=age, refused=0)
-    )
-    here = VehicleTruth(
-        position=(0.0, 0.0), velocity=(0.0, 0.0), acceleration=(0.0, 0.0), command=(0.0, 0.0)
-    )
-    escort = EscortTruth(
-        uav="uav_0", ugv="ugv_0", distance=1.0, coverage_error=2.0, detection=None, report=report
-    )
-    return Truth(
-        tick=round(20 * time), time=time, vehicles={"uav_0": here, "ugv_0": here}, escorts=(escort,)
-    )
-
-
 def told(history: ChartData, at: float, age: float | None = 0.05) -> tuple[float | None, ...]:
-    history.add(truth(at, age), 1.0, 0.05)
+    of_age = {"estimate": (0.0, 0.0), "covariance": (1.0, 0.0, 1.0), "age": age, "refused": 0}
+    report = None if age is None else UavReport(**of_age)
+    history.add(a_truth(at, a_vehicle(), a_vehicle(), report=report), 1.0, 0.05)
     return history.newest[-3:]
 
 
@@ -207,10 +180,7 @@ def test_a_new_flight_begins_to_count_anew_and_a_status_that_says_nothing_new_ch
 
 def test_a_recording_that_is_wound_shows_its_blackout_where_it_was(tmp_path: Path) -> None:
     changes = ["duration=30.0", "links.detections.blackouts=[[10.0, 5.0]]"]
-    scenario = load_scenario("escort", overrides=changes)
-    recorder = FlightRecorder(tmp_path / "run.mcap", scenario, scenario.seed)
-    fly(scenario, scenario.seed, on_tick=recorder.tick)
-    recorder.close()
+    recorded(tmp_path / "run.mcap", load_scenario("escort", overrides=changes))
     tape = Tape(flight_of(tmp_path / "run.mcap"), 1.0)
     hub = Hub(tape)
     hub.take_in()

@@ -7,7 +7,6 @@ import re
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,9 +15,13 @@ from typing import Any
 
 import httpx2
 import pytest
+from observed import recorded
 from processes import alive, child_of, family, outrider, started, wait_until
+from tabular import words
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
+
+from sim.scenario.loading import load_scenario
 
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
 Frame = dict[str, Any]
@@ -85,19 +88,8 @@ def serves(page: Page) -> bool:
 
 
 def test_a_page_opens_with_the_run_shows_all_of_it_and_ends_with_it() -> None:
-    words = (
-        "run",
-        "--dashboard",
-        "--port",
-        "0",
-        "--realtime",
-        "40",
-        "--duration",
-        "60",
-        "--no-files",
-        "--json",
-    )
-    with started(*words) as run:
+    told = words("run --dashboard --port 0 --realtime 40 --duration 60 --no-files --json")
+    with started(*told) as run:
         page = page_of(run)
         assert "Outrider" in page.text()
         rows: list[list[float]] = []
@@ -140,18 +132,8 @@ def test_a_run_with_a_page_keeps_the_wall_clock_unless_told_otherwise_and_ctrl_c
 
 
 def test_a_page_that_dies_is_told_once_and_the_run_goes_on_in_lockstep_to_its_end() -> None:
-    words = (
-        "run",
-        "--dashboard",
-        "--lockstep",
-        "--port",
-        "0",
-        "--duration",
-        "250",
-        "--no-files",
-        "--json",
-    )
-    with started(*words) as run:
+    told = words("run --dashboard --lockstep --port 0 --duration 250 --no-files --json")
+    with started(*told) as run:
         page = page_of(run)
         with browser(page) as channel:
             await_truth(channel, 1)
@@ -187,42 +169,16 @@ def test_a_busy_port_is_refused_before_anything_flies(tmp_path: Path) -> None:
     assert not list((tmp_path / "flight").glob("*"))
 
 
-@pytest.mark.parametrize("words", [["run", "--dashboard"], ["dashboard"]])
-def test_a_missing_extra_is_one_line_that_says_what_to_install(words: list[str]) -> None:
-    code = "import sys; sys.modules['nicegui'] = None; from outrider.cli.main import main; main()"
-    done = subprocess.run(
-        [sys.executable, "-c", code, *words],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
-    assert done.returncode == 2
-    assert done.stderr.strip().splitlines() == [
-        "outrider: nicegui is missing: pip install -e '.[dashboard]'"
-    ]
-
-
-@pytest.mark.parametrize(
-    "words", [["--in-process", "--dashboard"], ["--lockstep", "--realtime", "1"]]
-)
-def test_what_excludes_each_other_is_refused(words: list[str]) -> None:
-    run = outrider("run", "--no-files", *words)
-    assert run.returncode == 2
-    assert words[0].removeprefix("--") in run.stderr
-
-
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("recording") / "run.mcap"
-    done = outrider("run", "--in-process", "--duration", "30", "--no-files", "--record", str(path))
-    assert done.returncode == 0, done.stderr
+    recorded(path, load_scenario("escort", overrides=["duration=30.0"]))
     return path
 
 
 def test_a_recording_is_played_into_the_page_and_nobody_can_steer(recording: Path) -> None:
-    words = ("replay", str(recording), "--dashboard", "--port", "0", "--realtime", "10")
-    with started(*words) as replay:
+    told = words("--dashboard --port 0 --realtime 10")
+    with started("replay", str(recording), *told) as replay:
         page = page_of(replay)
         assert "this is a recording" in page.text()
         assert httpx2.get(f"http://127.0.0.1:{page.port}/", trust_env=False).status_code == 401
@@ -246,9 +202,3 @@ def test_a_recording_is_played_into_the_page_and_nobody_can_steer(recording: Pat
     assert rows[-1][0] > 29.0
     assert maps > 5
     assert not serves(page)
-
-
-def test_a_page_is_no_place_for_numbers(recording: Path) -> None:
-    done = outrider("replay", str(recording), "--dashboard", "--json")
-    assert done.returncode == 2
-    assert "--dashboard" in done.stderr

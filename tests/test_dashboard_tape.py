@@ -3,11 +3,10 @@
 from pathlib import Path
 
 import pytest
+from observed import recorded
 
 from bus.messages import Action, Control, CoverageMap, Drive, Status, Truth
 from outrider.recording.reader import flight_of
-from outrider.recording.writer import FlightRecorder
-from outrider.running.flying import fly
 from outrider.view.page.hub import Hub
 from outrider.view.page.sources.tape import Tape
 from sim.scenario.loading import load_scenario
@@ -16,10 +15,7 @@ from sim.scenario.loading import load_scenario
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("tape") / "run.mcap"
-    scenario = load_scenario("escort", overrides=["duration=60.0"])
-    recorder = FlightRecorder(path, scenario, scenario.seed)
-    fly(scenario, scenario.seed, on_tick=recorder.tick)
-    recorder.close()
+    recorded(path, load_scenario("escort", overrides=["duration=60.0"]))
     return path
 
 

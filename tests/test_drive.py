@@ -19,21 +19,20 @@ import termios
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import pytest
 from processes import await_status, python, wait_until
 from scattered import scattered
+from telemetry import a_status, a_truth, a_vehicle
 
-from bus.access import read_credential
 from bus.keys import CONTROL, OPERATOR, SAMPLED_TRUTH, STATUS, Party, Role
 from bus.messages import (
     Action,
     Area,
     Control,
     Drive,
-    EscortTruth,
     Geometry,
     Status,
     Truth,
@@ -99,12 +98,12 @@ class Screen:
 class Seat:
     """`outrider drive` in a pseudo-terminal of its own."""
 
-    def __init__(self, *arguments: str, columns: int = 80, rows: int = 24) -> None:
+    def __init__(self, *arguments: str) -> None:
         self.master, self.slave = pty.openpty()
-        self.screen = Screen(columns, rows)
+        self.screen = Screen(80, 24)
         self.told = ""
         self._decode = codecs.getincrementaldecoder("utf-8")().decode
-        self._set_size(columns, rows)
+        self._set_size(80, 24)
         self.before = termios.tcgetattr(self.slave)
         self.process = subprocess.Popen(
             [sys.executable, "-c", CHILD, "drive", *arguments],
@@ -183,13 +182,8 @@ class Seat:
                 os.close(descriptor)
 
 
-@contextmanager
-def seat(*arguments: str, columns: int = 80, rows: int = 24) -> Iterator[Seat]:
-    one = Seat(*arguments, columns=columns, rows=rows)
-    try:
-        yield one
-    finally:
-        one.close()
+def seat(*arguments: str) -> closing[Seat]:
+    return closing(Seat(*arguments))
 
 
 GEOMETRY = Geometry(
@@ -202,42 +196,17 @@ GEOMETRY = Geometry(
 )
 
 
-def a_status(**changes: object) -> Status:
-    fields: dict[str, object] = {
-        "scenario": "scripted",
-        "seed": 7,
-        "tick": 100,
-        "ticks": 4000,
-        "time": 5.0,
-        "realtime_factor": 1.0,
-        "wanted_factor": 1.0,
-        "drivers": {"ugv_0": "script"},
-        "geometry": GEOMETRY,
-        "vehicles": {name: VehicleStatus(present=True) for name in ("uav_0", "ugv_0")},
-    }
-    return Status(**(fields | changes))  # type: ignore[arg-type]
+def status_at(tick: int = 100, **changes: object) -> Status:
+    vehicles = {name: VehicleStatus(present=True) for name in ("uav_0", "ugv_0")}
+    shown = {"ticks": 4000, "wanted_factor": 1.0, "geometry": GEOMETRY, "vehicles": vehicles}
+    shown |= {"tick": tick, "time": tick * 0.05, "drivers": {"ugv_0": "script"}}
+    return a_status(**shown | changes)
 
 
-def a_truth(tick: int = 100, distance: float = 1.25) -> Truth:
-    def at(x: float, y: float, speed: float) -> VehicleTruth:
-        return VehicleTruth(
-            position=(x, y), velocity=(speed, 0.0), acceleration=(0.0, 0.0), command=(0.0, 0.0)
-        )
-
-    escort = EscortTruth(
-        uav="uav_0",
-        ugv="ugv_0",
-        distance=distance,
-        coverage_error=321.5,
-        detection=None,
-        report=None,
-    )
-    return Truth(
-        tick=tick,
-        time=tick * 0.05,
-        vehicles={"uav_0": at(10.0 + distance, 10.0, 0.3), "ugv_0": at(10.0, 10.0, 0.2)},
-        escorts=(escort,),
-    )
+def truth_at(tick: int = 100, distance: float = 1.25) -> Truth:
+    uav = a_vehicle((10.0 + distance, 10.0), (0.3, 0.0))
+    ugv = a_vehicle((10.0, 10.0), (0.2, 0.0))
+    return a_truth(tick * 0.05, uav, ugv, distance=distance, coverage_error=321.5)
 
 
 class Scripted:
@@ -268,10 +237,8 @@ class Scripted:
                 assert isinstance(letter.message, Drive)
                 self.drives.append(letter.message)
             self.tick += 1
-            self._statuses.send(
-                a_status(tick=self.tick, time=self.tick * 0.05, drivers=dict(self.drivers))
-            )
-            self._truths.send(a_truth(self.tick))
+            self._statuses.send(status_at(self.tick, drivers=dict(self.drivers)))
+            self._truths.send(truth_at(self.tick))
 
     def asked(self, driver: str) -> int:
         return sum(
@@ -286,14 +253,13 @@ class Scripted:
 
 @contextmanager
 def scripted(endpoint: str) -> Iterator[Scripted]:
-    with open_session(
-        Party(role=Role.SIMULATOR, name="simulator"), "mine", connect=endpoint
-    ) as session:
-        one = Scripted(session)
-        try:
-            yield one
-        finally:
-            one.close()
+    with (
+        open_session(
+            Party(role=Role.SIMULATOR, name="simulator"), "mine", connect=endpoint
+        ) as session,
+        closing(Scripted(session)) as one,
+    ):
+        yield one
 
 
 @pytest.fixture(scope="module")
@@ -416,7 +382,7 @@ def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> 
     ):
         controls = mute.inbox(CONTROL)
         mute.announce()
-        link = Teleoperation(session, "ugv_0", speed=0.2, status=a_status())
+        link = Teleoperation(session, "ugv_0", speed=0.2, status=status_at())
         link.start()
         asked = []
         for driver in ("teleop", "script"):
@@ -456,17 +422,9 @@ def test_an_operator_drives_a_flight_in_real_time_and_nothing_jumps(tmp_path: Pa
         simulator = run.simulator("--realtime", "1")
         run.vehicles()
         files = tmp_path / "credentials"
-        observer = Party(role=Role.OBSERVER, name="observer")
         own = arguments(run.endpoint, "--credentials", str(files / "operator.json"))
-        with (
-            open_session(
-                observer,
-                "mine",
-                connect=run.endpoint,
-                credential=read_credential(files / "observer.json"),
-            ) as session,
-            seat(*own) as one,
-        ):
+        session = run.client("observer")
+        with seat(*own) as one:
             truths = session.inbox(SAMPLED_TRUTH)
             seen: list[VehicleTruth] = []
 
@@ -531,16 +489,16 @@ def test_the_speed_keeps_its_bounds() -> None:
 @pytest.mark.parametrize(
     ("view", "words"),
     [
-        (DriveView(connected=False, present=False, status=a_status()), "THE ROUTER HAS GONE"),
-        (DriveView(present=False, status=a_status()), "THE SIMULATOR HAS GONE"),
-        (DriveView(age=7.0, status=a_status()), "NO NEWS FROM THE SIMULATOR for 7 s"),
-        (DriveView(fault="cannot send", status=a_status()), "TROUBLE: cannot send"),
-        (DriveView(status=a_status(over=True), present=False), "the flight is over"),
-        (DriveView(status=a_status(paused=True), driver="script"), "script drives ugv_0 (paused)"),
-        (DriveView(status=a_status(), driver="script", asked=True), "taking the wheel"),
-        (DriveView(status=a_status(), driver="teleop"), "YOU DRIVE ugv_0 · braking"),
+        (DriveView(connected=False, present=False, status=status_at()), "THE ROUTER HAS GONE"),
+        (DriveView(present=False, status=status_at()), "THE SIMULATOR HAS GONE"),
+        (DriveView(age=7.0, status=status_at()), "NO NEWS FROM THE SIMULATOR for 7 s"),
+        (DriveView(fault="cannot send", status=status_at()), "TROUBLE: cannot send"),
+        (DriveView(status=status_at(over=True), present=False), "the flight is over"),
+        (DriveView(status=status_at(paused=True), driver="script"), "script drives ugv_0 (paused)"),
+        (DriveView(status=status_at(), driver="script", asked=True), "taking the wheel"),
+        (DriveView(status=status_at(), driver="teleop"), "YOU DRIVE ugv_0 · braking"),
         (
-            DriveView(status=a_status(), driver="teleop", wanted=(0.1, 0.0)),
+            DriveView(status=status_at(), driver="teleop", wanted=(0.1, 0.0)),
             "YOU DRIVE ugv_0 · driving",
         ),
     ],
@@ -550,12 +508,12 @@ def test_the_banner_says_what_matters_most(view: DriveView, words: str) -> None:
 
 
 def test_the_panel_says_what_is_lost_and_what_is_too_fast_and_lives_with_knowing_nothing() -> None:
-    status = a_status(
+    status = status_at(
         wanted_factor=None,
         vehicles={"uav_0": VehicleStatus(present=False, lost=2, missing_commands=5)},
     )
     text = numbers(
-        DriveView(status=status, truth=a_truth(distance=5.0), factor=120.0), "ugv_0", ErrorCurve()
+        DriveView(status=status, truth=truth_at(distance=5.0), factor=120.0), "ugv_0", ErrorCurve()
     ).plain
     assert "too fast to drive: --realtime 1" in text
     assert "-0.25 m" in text
@@ -570,8 +528,8 @@ def characters(canvas: Canvas) -> list[str]:
 
 def test_the_map_shows_the_vehicles_where_they_are_and_the_limit_of_sight_around_the_ugv() -> None:
     trails = Trails()
-    trails.follow(a_truth())
-    view = DriveView(status=a_status(), truth=a_truth(distance=3.0))
+    trails.follow(truth_at())
+    view = DriveView(status=status_at(), truth=truth_at(distance=3.0))
     rows = characters(draw(view, "ugv_0", trails, width=44, height=21, wide=False))
     ugv = next((row.index("■"), k) for k, row in enumerate(rows) if "■" in row)
     uav = next((row.index("▲"), k) for k, row in enumerate(rows) if "▲" in row)
@@ -603,7 +561,7 @@ class Watching:
     vehicle, over, leaving = "ugv_0", False, False
 
     def view(self) -> DriveView:
-        return DriveView(status=a_status(), truth=a_truth(), driver="script", speed=0.2)
+        return DriveView(status=status_at(), truth=truth_at(), driver="script", speed=0.2)
 
 
 def test_a_clock_that_ticks_while_the_screen_is_taken_down_draws_nothing() -> None:

@@ -123,18 +123,11 @@ def _line_of(text: str, kind: str, name: str, block: str) -> int:
             and name in ast.unparse(node).split("=")[0]
         )
         return table.end_lineno - 1
-    if kind == "branch":
-        found = next(
-            node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == name
-        )
-        return next(node for node in found.body if isinstance(node, ast.If)).lineno - 1
-    if kind == "field":
-        found = next(
-            node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name
-        )
-        return max(
-            node.end_lineno for node in found.body if isinstance(node, ast.AnnAssign | ast.Expr)
-        )
+    if kind in ("branch", "field"):
+        body = next(node.body for node in tree.body if getattr(node, "name", "") == name)
+        if kind == "branch":
+            return next(node for node in body if isinstance(node, ast.If)).lineno - 1
+        return max(node.end_lineno for node in body if isinstance(node, ast.AnnAssign | ast.Expr))
     if kind == "import":
         return (
             next(node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)).lineno

@@ -7,8 +7,6 @@ import json
 import math
 import os
 import signal
-import subprocess
-import sys
 import time
 from itertools import islice
 from pathlib import Path
@@ -18,12 +16,11 @@ import msgspec
 import numpy as np
 import pytest
 from flights import R_S, R_V, distances
-from processes import OUTRIDER, opened
+from processes import OUTRIDER, PIPES, opened
 from tabular import words
 
-from bus.errors import PeerLost, ScenarioError
+from bus.errors import PeerLost
 from bus.messages import Command, LinkKind, UavCommand
-from outrider.bench.pairs import pairs_toml
 from outrider.experiments.falsify import attacks, search
 from outrider.experiments.falsify import candidate as flying
 from outrider.experiments.falsify.candidate import flown, promised
@@ -34,7 +31,6 @@ from outrider.experiments.falsify.genome import SIZES, Candidate, decode, proof_
 from outrider.experiments.falsify.limits import SearchLimits, base_of, beyond_declared, needed_age
 from outrider.experiments.falsify.pool import Workers
 from outrider.experiments.falsify.saving import as_toml
-from outrider.running.extras import check_extra
 from outrider.running.flying import InProcess, fly, make_pilots
 from sim.scenario.checks import check_scenario
 from sim.scenario.loading import load_scenario
@@ -318,43 +314,6 @@ def test_a_combination_with_uncertified_ticks_has_lost_nothing_that_was_promised
 
 # The command line
 
-BAD = {
-    "unknown law": (["--law", "fancy"], 'law.name = "fancy"'),
-    "no runs": (["--runs", "0"], "--runs"),
-    "no time": (["--minutes", "0"], "--minutes"),
-    "negative limit": (["--max-delay", "-1"], "--max-delay"),
-    "all is lost": (["--max-loss", "1.5"], "--max-loss"),
-    "undegraded, with noise": (["--undegraded", "--noise", "0.1"], "--undegraded"),
-    "nothing to promise": (
-        ["--law", "certified", "--max-blackout", "60"],
-        "nothing can be certified within these limits",
-    ),
-    "several pairs": (["pairs.toml"], "2 UAVs and 2 UGVs"),
-    "control of another law": (["--control", "tracking", "--law", "linear"], "--control"),
-    "engine of another law": (["--law", "linear", "--engine", "attack"], "--engine"),
-    "error that is not in the grid": (["--law", "certified", "--eps", "0.4"], "allowed: 0, 0.3"),
-    "no whole tick": (["--duration", "0.07"], "duration = 0.07"),
-    "a folder": (["--out", "."], "is a folder"),
-}
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_bad_input_gets_one_line(case, here, command):
-    Path("pairs.toml").write_text(pairs_toml(2, seconds=10), encoding="utf-8")
-    arguments, told = BAD[case]
-    run = command("falsify", *arguments)
-    assert run.returncode == 2
-    assert told in run.stderr
-    assert len(run.stderr.strip().splitlines()) == 1
-    assert run.stdout == ""
-    assert [path.name for path in here.iterdir()] == ["pairs.toml"]
-
-
-def test_a_missing_extra_is_one_line_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "cma", None)
-    with pytest.raises(ScenarioError, match=r"pip install -e '\.\[falsify\]'"):
-        check_extra("falsify")
-
 
 def test_the_command_saves_and_tells_and_its_exit_code_says_what_was_expected(here, command):
     quick = words("--undegraded --duration 25 --jobs 1 --runs 3 --json --expect none")
@@ -383,8 +342,7 @@ def test_nothing_found_is_no_file_and_exit_code_0(here, command):
 
 def test_ctrl_c_keeps_the_best(tmp_path: Path) -> None:
     arguments = words("falsify --law switching --undegraded --minutes 5 --jobs 2 --json")
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    process = opened([*OUTRIDER, *arguments], cwd=tmp_path, **pipes)
+    process = opened([*OUTRIDER, *arguments], cwd=tmp_path, **PIPES)
     assert process.stderr is not None
     while "runs" not in process.stderr.readline():  # the first line of progress
         assert process.poll() is None

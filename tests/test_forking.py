@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import msgspec
 import pytest
 from processes import (
+    SHORT,
     alive,
     child_of,
     children_of,
@@ -20,7 +21,9 @@ from processes import (
     family,
     flying,
     kind_of,
+    launched,
     python,
+    stat_of,
     wait_until,
 )
 
@@ -31,7 +34,6 @@ from outrider.running.cores import cores_for
 from outrider.running.flying import fly
 from outrider.running.forking import Forkserver, forkserver
 from sim.kernels import compile as kernels
-from sim.scenario.loading import load_scenario
 
 SECRET = bytes(range(100, 116)).hex()
 
@@ -41,10 +43,6 @@ def forks() -> Iterator[Forkserver]:
     with forkserver(environment_of("")) as server:
         assert server is not None
         yield server
-
-
-def _stat(pid: int) -> list[str]:
-    return Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
 
 
 def _waiting(forks: Forkserver, **named: object) -> Child:
@@ -74,7 +72,7 @@ def test_a_forked_process_is_our_child_in_its_own_session_with_its_own_command_l
         started = f"{sys.executable} -P -m outrider uav --connect unixsock-stream//nowhere/bus.sock"
         assert command_line(child.pid).startswith(started)
         assert command_line(child.pid).endswith("--join-timeout 100 --watchdog")
-        _, parent, _, session, *_ = _stat(child.pid)
+        _, parent, _, session, *_ = stat_of(child.pid)
         assert (int(parent), int(session)) == (os.getpid(), child.pid)
         assert os.sched_getaffinity(child.pid) == cores_for(is_uav=True)
         assert child.ended is None
@@ -99,13 +97,15 @@ def test_a_forked_process_ends_when_asked_and_when_nobody_holds_its_standard_inp
     child.close()
 
 
-def test_a_forked_process_that_fails_has_exit_code_and_standard_error_of_its_own(forks):
+@pytest.mark.parametrize("is_forked", [True, False])
+def test_a_process_that_fails_has_exit_code_and_standard_error_of_its_own(is_forked, forks):
     lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-    child = Child("uav_0", ["uav", "--run", "a/b"], lines, forkserver=forks)
+    words = ["uav", "--run", "a/b"]
+    child = Child("uav_0", words, lines, forkserver=forks if is_forked else None)
     try:
         assert child.wait(30.0)
-        assert "ended with exit code 2" in child.exit_report()
-        assert "run = 'a/b'" in child.exit_report()
+        for told in ("uav_0 (pid", "ended with exit code 2", "run = 'a/b'"):
+            assert told in child.exit_report()
         assert lines.get(timeout=10.0) is None
     finally:
         child.close()
@@ -164,7 +164,7 @@ def test_while_it_compiles_the_simulator_is_a_process_of_its_own_which_compiles_
         forked: ClassVar[list[str]] = []
 
         def ready(self, patience: float) -> bool:
-            is_ready = super().ready(patience) and any(launched)
+            is_ready = super().ready(patience) and any(listened)
             self.is_compiling = not is_ready
             return is_ready
 
@@ -172,17 +172,16 @@ def test_while_it_compiles_the_simulator_is_a_process_of_its_own_which_compiles_
             self.forked.append(command[4])
             return super().fork(command, *given, **named)
 
-    launched: list[bool] = []
+    listened: list[bool] = []
     listens = launch._Processes._listens
     monkeypatch.setattr(
-        launch._Processes, "_listens", lambda own: listens(own) and not launched.append(True)
+        launch._Processes, "_listens", lambda own: listens(own) and not listened.append(True)
     )
     monkeypatch.setattr(forking, "Forkserver", Busy)
-    scenario, changes = load_scenario("escort", overrides=["duration=1.0"]), ["duration=1.0"]
-    outcome = launch.launch(scenario, "escort", changes, launch.NOBODY, launch.Output())
+    outcome = launched()
     assert Busy.forked == ["uav", "ugv"]
     assert outcome.summary is not None
-    assert outcome.summary.trajectory_sha256 == fly(scenario, scenario.seed)[1].trajectory_sha256
+    assert outcome.summary.trajectory_sha256 == fly(SHORT, SHORT.seed)[1].trajectory_sha256
 
 
 def test_what_is_compiled_at_once_waits_for_no_other_and_the_same_waits(
@@ -222,15 +221,15 @@ def test_where_orphans_find_no_parent_each_process_is_started_by_itself_and_show
         for pid in family(os.getpid()):
             with suppress(OSError):  # it may just have ended
                 environment = Path(f"/proc/{pid}/environ").read_text(errors="replace")
-                shown[kind_of(pid)] = SECRET in environment + command_line(pid)
+                words = command_line(pid)
+                if kind := kind_of(pid):
+                    shown[kind] = shown.get(kind, False) or SECRET in environment + words
         return 0
 
-    scenario, changes = load_scenario("escort", overrides=["duration=1.0"]), ["duration=1.0"]
-    watcher = msgspec.structs.replace(launch.NOBODY, stop=look)
-    outcome = launch.launch(scenario, "escort", changes, watcher, launch.Output(), secret=SECRET)
+    outcome = launched(msgspec.structs.replace(launch.NOBODY, stop=look), secret=SECRET)
     assert shown == {"simulator": False, "uav": False, "ugv": False}
     assert outcome.summary is not None
-    told = fly(scenario, scenario.seed, secret=SECRET)[1]
+    told = fly(SHORT, SHORT.seed, secret=SECRET)[1]
     assert outcome.summary.trajectory_sha256 == told.trajectory_sha256
 
 

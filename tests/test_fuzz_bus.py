@@ -6,21 +6,19 @@ import random
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
 import zenoh
 from mutations import REFUSALS, mutated
+from staging import stage
 
 from bus import session
 from bus.keys import (
-    BRIEFING,
-    COMMAND,
     CONTROL,
-    OBSERVATION,
     OPERATOR,
     STATUS,
     TRUTH,
@@ -33,10 +31,6 @@ from bus.keys import (
 )
 from bus.messages import UavCommand, UgvCommand
 from bus.session import Inbox, Session, open_session
-from sim.scenario.loading import load_scenario
-from sim.server.flight import Flight
-from sim.server.run_timing import Timing
-from sim.server.serving import Server
 
 STREAM = 20_000
 TICKS, GARBAGE_PER_TICK = 200, 5
@@ -108,7 +102,7 @@ def publisher(session: Session, expression: str) -> zenoh.Publisher:
 
 
 @pytest.fixture
-def wire(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Wire]:
+def wire(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Wire]:
     """A busy machine may stop the reader for longer than a writer waits, or a link lives: here no message is lost."""
     patience, lease = "queue/congestion_control/block/wait_before_close", "lease"
     for settings, name, value in (
@@ -117,7 +111,6 @@ def wire(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Wire]:
     ):
         assert f"transport/link/tx/{name}" in settings
         monkeypatch.setitem(settings, f"transport/link/tx/{name}", value)
-    endpoint = f"unixsock-stream/{tmp_path / 'bus.sock'}"
     with (
         open_session(SIMULATOR, "run", listen=(endpoint,)) as simulator,
         open_session(UGV, "run", connect=endpoint) as client,
@@ -171,26 +164,6 @@ def undecodable(key: Key, rng: random.Random) -> bytes:
     return payload
 
 
-class Vehicle(threading.Thread):
-    """Answers every observation at once; before it does, it may write whatever it likes."""
-
-    def __init__(self, session: Session, before: Callable[[], None]) -> None:
-        super().__init__()
-        role, name = session.party.role, session.party.name
-        self.observations = session.inbox(OBSERVATION[role], name)
-        self._briefings = session.inbox(BRIEFING[role], name)
-        self._outbox = session.outbox(COMMAND[role], name)
-        self._command = UavCommand if role is Role.UAV else UgvCommand
-        self._before = before
-        session.announce()
-
-    def run(self) -> None:
-        assert self._briefings.receive(20.0) is not None
-        while (letter := self.observations.receive(20.0)) is not None and not letter.message.over:
-            self._before()
-            self._outbox.send(self._command(tick=letter.message.tick, acceleration=(0.01, 0.0)))
-
-
 class Flood:
     """All the garbage that one vehicle's session writes, on its own key and on others."""
 
@@ -207,44 +180,36 @@ class Flood:
             writer.put(undecodable(key, self._rng))
 
 
-@contextmanager
-def flown(folder: Path, *, flooded: bool) -> Iterator[tuple[Flight, Server, Vehicle, list[str]]]:
-    """A run with two vehicles that are honest, and that one of them floods with garbage or not."""
-    folder.mkdir()
-    endpoint, events = f"unixsock-stream/{folder / 'bus.sock'}", []
-    scenario = load_scenario("escort", overrides=[f"duration={TICKS * 0.05!r}"])
-    with ExitStack() as stack:
-        simulator = stack.enter_context(open_session(SIMULATOR, "run", listen=(endpoint,)))
-        server = Server(simulator, scenario, 3, Timing(), on_event=events.append)
-        ours = stack.enter_context(
-            open_session(Party(role=Role.UAV, name="uav_0"), "run", connect=endpoint)
-        )
-        theirs = stack.enter_context(open_session(UGV, "run", connect=endpoint))
-        uav = Vehicle(ours, lambda: None)
-        ugv = Vehicle(theirs, Flood(theirs) if flooded else lambda: None)
-        for vehicle in (uav, ugv):
-            vehicle.start()
-        flight = server.fly()
-        for vehicle in (uav, ugv):
-            vehicle.join(20.0)
-            assert not vehicle.is_alive()
-        yield flight, server, uav, events
+def steadily(command: Any) -> Callable[[Any, int], None]:
+    """Answers every observation at once."""
+    return lambda commands, tick: commands.send(command(tick=tick, acceleration=(0.01, 0.0)))
 
 
 def test_a_flood_of_garbage_is_counted_and_changes_nothing_of_a_flight(tmp_path: Path) -> None:
-    with flown(tmp_path / "honest", flooded=False) as (flight, _, _, events):
-        undisturbed = flight.recorder.sha256()
-        (stranger,) = events  # a UAV that no pilot of ours flies is told of, once
-        assert "a program of your own" in stranger
-    with flown(tmp_path / "flooded", flooded=True) as (flight, server, uav, events):
-        vehicles = server.vehicles()
+    """Two honest programs fly, and then one of them floods the bus."""
+    (tmp_path / "flooded").mkdir()
+    with stage(tmp_path, TICKS, is_open=True) as run:
+        run.program("uav_0", steadily(UavCommand))
+        run.program("ugv_0", steadily(UgvCommand))
+        undisturbed = run.fly()
+    assert undisturbed.answers.missing == {"uav_0": 0, "ugv_0": 0}
+    assert undisturbed.answers.first_missing is None
+    (stranger,) = run.events  # a UAV that no pilot of ours flies is told of, once
+    assert "a program of your own" in stranger
+    with stage(tmp_path / "flooded", TICKS, is_open=True) as run:
+        uav = run.program("uav_0", steadily(UavCommand))
+        answer = steadily(UgvCommand)
+        ugv = run.program("ugv_0", lambda commands, tick: (flood(), answer(commands, tick)))
+        flood = Flood(ugv.session)
+        flight = run.fly()
+        vehicles = run.server.vehicles()
     assert flight.complete
     assert flight.answers.missing == flight.answers.stale == {"uav_0": 0, "ugv_0": 0}
-    assert flight.recorder.sha256() == undisturbed
+    assert flight.recorder.sha256() == undisturbed.recorder.sha256()
     assert vehicles["ugv_0"].refused == {"does not decode": TICKS * GARBAGE_PER_TICK}
     assert vehicles["uav_0"].refused == {"does not decode": TICKS}
     assert uav.observations.refused == {"uav_0": TICKS}
-    assert len(set(events) - {stranger}) == len(events) - 1 == 2
+    assert len({*run.events} - {stranger}) == len(run.events) - 1 == 2
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ class Along:
 
     def __init__(self, *changes):
         self.scenario = load_scenario("escort", overrides=[*CHANGES, *changes])
-        self.network = Network(listen=[Address("127.0.0.1", free_port())])
+        self.network = Network(listen=[Address("127.0.0.1", 0)])
         self.link = AutopilotLink(self.network)
         port = self.network._lines[0].socket.getsockname()[1]
         self.autopilot = Autopilot(self.link, port)
@@ -94,14 +94,6 @@ class Along:
     def close(self):
         self.network.close()
         self.autopilot.socket.close()
-
-
-def free_port():
-    import socket
-
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 @pytest.fixture(name="along")

@@ -5,8 +5,6 @@ import math
 import numpy as np
 import pytest
 from flights import Piloted, distances
-from processes import python
-from test_contract import ON_BOARD
 from test_mavlink import Station, of, second_station, texts
 
 from bus.messages import Limits, Origin
@@ -242,12 +240,3 @@ def test_the_uav_tells_what_it_knows_itself_and_not_the_truth(run):
     assert followed.position_cov[1] == pytest.approx(report.covariance[0])
     assert {one.param_id for one in of(told, "PARAM_VALUE")} >= {"HOLD", "VIS_RADIUS", "MAX_SPEED"}
     assert run.gateway.systems[1].mode is MISSION
-
-
-def test_a_process_flown_by_setpoints_carries_the_models_on_board_and_nothing_else():
-    code = (
-        "import sys; import agents.process, agents.uav, outrider.cli.mavlink, outrider.bridges.mavlink.offboard;"
-        "print(sorted(n for n in sys.modules if n.split('.')[0] == 'sim'))"
-    )
-    loaded = set(eval(python(code).stdout))  # noqa: S307 - a list of names that we have printed
-    assert loaded <= ON_BOARD | {"sim", "sim.models", "sim.kernels"}

@@ -10,7 +10,17 @@ from pathlib import Path
 import preloaded
 import pytest
 from preloaded import Popen
-from processes import OUTRIDER, PIPES, alive, command_line, kind_of, opened, outrider, wait_until
+from processes import (
+    OUTRIDER,
+    PIPES,
+    alive,
+    command_line,
+    kind_of,
+    opened,
+    outrider,
+    stat_of,
+    wait_until,
+)
 
 WAITS = ("uav", "--connect", "unixsock-stream//nowhere/bus.sock", "--join-timeout", "100")
 
@@ -39,8 +49,7 @@ def test_it_is_our_child_with_its_command_line_and_no_file_but_its_own() -> None
     with ours, theirs, opened([*OUTRIDER, *WAITS], stderr=subprocess.DEVNULL) as process:
         wait_until(lambda: kind_of(process.pid) == "uav")
         assert command_line(process.pid) == " ".join([*OUTRIDER, *WAITS])
-        stat = Path(f"/proc/{process.pid}/stat").read_text(encoding="ascii").rpartition(")")[2]
-        assert int(stat.split()[1]) == os.getpid()
+        assert int(stat_of(process.pid)[1]) == os.getpid()
         links = [os.readlink(file) for file in Path(f"/proc/{process.pid}/fd").iterdir()]
         inodes = {f"socket:[{os.fstat(end.fileno()).st_ino}]" for end in (ours, theirs)}
         inodes.add(f"socket:[{os.fstat(preloaded._loaded()._channel.fileno()).st_ino}]")

@@ -19,12 +19,12 @@ from processes import (
     opened,
     outrider,
     python,
+    ran,
     run_json,
     wait_until,
 )
 from tabular import words
 
-from outrider.running.child import Child
 from outrider.running.flying import fly
 from outrider.running.launch import free_port
 from sim.scenario.loading import load_scenario, scenario_names
@@ -172,32 +172,16 @@ def test_a_simulator_that_dies_ends_the_run_with_its_name() -> None:
     assert not any(alive(child) for child in children)
 
 
-def test_a_child_that_fails_leaves_the_end_of_its_standard_error() -> None:
-    child = Child("uav_0", ["uav", "--run", "a/b"])
-    try:
-        assert child.wait(30.0)
-        assert "uav_0 (pid" in child.exit_report()
-        assert "ended with exit code 2" in child.exit_report()
-        assert "run = 'a/b'" in child.exit_report()
-    finally:
-        child.close()
-
-
-def test_children_end_and_leave_nothing_when_their_parent_is_killed() -> None:
+def test_when_their_parent_is_killed_children_end_frozen_or_not_and_leave_no_credentials() -> None:
     with flying("escort", "--duration", "20000", "--no-files") as run:
-        children = family(run.pid)
-        run.kill()
-        run.wait()
-        wait_until(lambda: not any(alive(child) for child in children))
-
-
-def test_a_frozen_child_ends_too_when_the_parent_is_killed() -> None:
-    with flying("escort", "--duration", "20000", "--no-files") as run:
-        children = family(run.pid)
+        children, folder = family(run.pid), Path(os.environ["TMPDIR"])
+        files = list(folder.glob("outrider-*/credentials/*.json"))
+        assert [path.stat().st_mode & 0o777 for path in files] == [0o600] * 6
         os.kill(child_of(run, "uav"), signal.SIGSTOP)
         run.kill()
         run.wait()
         wait_until(lambda: not any(alive(child) for child in children))
+        wait_until(lambda: not list(folder.iterdir()))
 
 
 @pytest.mark.parametrize("closed", ["stdin", "stdout"])
@@ -225,22 +209,6 @@ def test_a_child_that_hears_of_the_end_before_its_watchdog_leaves_nothing_either
         assert not folder.exists()
 
 
-def test_processes_started_one_by_one_fly_the_same_bits() -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    told = ("simulator", "escort", "--duration", "40")
-    quiet = {"stderr": subprocess.DEVNULL}
-    command = [*OUTRIDER, *told, "--listen", endpoint, "--run", "mine", "--json"]
-    simulator = opened(command, stdout=subprocess.PIPE, **quiet)
-    vehicles = [
-        opened([*OUTRIDER, kind, "--connect", endpoint, "--run", "mine"], **quiet)
-        for kind in ("ugv", "uav")
-    ]
-    summary = json.loads(simulator.communicate(timeout=120)[0])
-    assert [vehicle.wait(30) for vehicle in vehicles] == [0, 0]
-    _, here = fly(load_scenario("escort", overrides=["duration=40.0"]), 7)
-    assert summary["trajectory_sha256"] == here.trajectory_sha256
-
-
 def test_a_vehicle_that_never_comes_is_named() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     run = outrider("simulator", "escort", "--listen", endpoint, "--join-timeout", "0.2")
@@ -264,8 +232,6 @@ def test_what_lies_in_the_working_folder_takes_no_modules_place(tmp_path: Path) 
         "outrider"
     )  # `python -m outrider` is the folder's own outrider, if it has one
     arguments = words("run --driver policy --policy mine:policy --duration 1 --no-files --json")
-    run = subprocess.run(
-        [script, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120
-    )
+    run = ran([script, *arguments], cwd=tmp_path, timeout=120)
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout)["ticks"] == 20

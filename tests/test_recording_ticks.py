@@ -36,11 +36,7 @@ from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.reader import entries, flight_of, load
 from outrider.recording.refly import refly, restore
 from outrider.recording.schemas import (
-    CHANGES,
     Commands,
-    OperatorWord,
-    inlined_schema,
-    operator_topic,
 )
 from outrider.recording.tick_rows import TickTexts
 from outrider.recording.writer import FlightRecorder
@@ -233,29 +229,8 @@ def test_what_operators_said_and_changed_is_in_the_file_with_its_tick(tmp_path: 
     stamps = [entry.time for entry in found if entry.topic in ("/ugv_0/operator", "/changes")]
     assert stamps == [round(tick * ONE.dt * 1e9) for tick in (0, 7, 9, 9, 20, 40, 41, 41)]
     assert refly(recording).trajectory_sha256 == flight.recorder.sha256()
-
-
-def test_the_restored_flight_has_the_last_law_and_drivers(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    flight, _ = _fly(path, ONE, SPOKEN)
-    last = (Law(name="switching"), {"ugv_0": "teleop"})
-    for known in (flight, restore(flight_of(path))):
-        assert (known.law, known.drivers) == last
-
-
-def test_a_flight_that_nobody_operated_has_no_such_channels(tmp_path: Path) -> None:
-    _fly(tmp_path / "run.mcap", ONE)
-    topics = {entry.topic for entry in entries(tmp_path / "run.mcap")}
-    assert not topics & {CHANGES.name, operator_topic("ugv_0").name}
-    (recording,) = load(tmp_path / "run.mcap")
-    assert (recording.words, recording.changes) == ([], [])
-
-
-@pytest.mark.parametrize("message", [OperatorWord, Change])
-def test_their_schemas_stand_alone(message: type[Any]) -> None:
-    schema = inlined_schema(message)
-    assert b"$ref" not in ENCODE(schema)
-    assert set(schema["properties"]) == set(message.__struct_fields__)
+    for known in (flight, restore(recording)):
+        assert (known.law, known.drivers) == (Law(name="switching"), {"ugv_0": "teleop"})
 
 
 def test_an_observer_writes_each_change_once(tmp_path: Path) -> None:

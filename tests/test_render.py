@@ -21,6 +21,7 @@ from sim.scene.model import observed_scene
 from sim.server.flight import Flight
 
 NOISY = Detections(noise=0.1, dropout=0.1)
+LABELS = ["y [m]", "coverage C/C*", r"$\|p_\Delta\|$ [m]", "e(t) [m²]", "error [m]"]
 GOALS = ((26.0, 20.0), (26.0, 26.0))
 
 
@@ -90,8 +91,7 @@ def test_a_run_loads_no_matplotlib_and_drawing_no_pyplot():
 
 def test_every_panel_names_its_quantities_and_units(flight):
     figure = flight_figure(flight)
-    labels = [axes.get_ylabel() for axes in figure.axes]
-    assert labels == ["y [m]", "coverage C/C*", r"$\|p_\Delta\|$ [m]", "e(t) [m²]", "error [m]"]
+    assert [axes.get_ylabel() for axes in figure.axes] == LABELS
     assert figure.axes[0].get_xlabel() == "x [m]"
     assert panel(figure, "Estimate").get_xlabel() == "time [s]"  # the lowest of those that share it
     assert len({axes.get_xlim() for axes in figure.axes[2:]}) == 1
@@ -128,12 +128,7 @@ def test_lines_are_the_recorded_flight(flight):
 
 def test_without_noise_there_is_no_panel_for_it():
     figure = flight_figure(fly(scenario(detections=Detections(), duration=1.0), 0)[0])
-    assert [axes.get_ylabel() for axes in figure.axes] == [
-        "y [m]",
-        "coverage C/C*",
-        r"$\|p_\Delta\|$ [m]",
-        "e(t) [m²]",
-    ]
+    assert [axes.get_ylabel() for axes in figure.axes] == LABELS[:-1]
 
 
 @pytest.mark.parametrize("ticks", [0, 1, 3])
@@ -194,11 +189,31 @@ def test_observers_have_the_same_scene_as_who_knows_the_scenario():
     )
 
 
-def test_a_uav_that_never_sees_its_ugv_is_drawn(tmp_path):
-    flown, summary = fly(scenario(detections=Detections(noise=0.1, dropout=1.0)), 0)
-    assert summary.detections == 0
+def narrow(width, height):
+    place = {"position": (6.0, 6.0)}
+    return msgspec.structs.replace(
+        scenario(duration=1.0, area=Area(width=width, height=height, cell=0.5)),
+        uav=(Uav(**place),),
+        ugv=(Ugv(**place, goals=((8.0, 8.0),)),),
+    )
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        scenario(detections=Detections(noise=0.1, dropout=1.0)),
+        narrow(200.0, 12.0),
+        narrow(12.0, 200.0),
+        scenario(name="$x_{ $ " + "long " * 30, duration=0.5),
+    ],
+    ids=["a UGV that is never seen", "narrow", "low", "a name that is no formula"],
+)
+def test_whatever_is_odd_is_drawn(odd, tmp_path):
+    flown, summary = fly(odd, 0)
+    assert (summary.detections == 0) is (odd.detections.dropout == 1.0)
     draw_flight(flown, tmp_path / "flight.png")
     assert png_size(tmp_path / "flight.png") == SIZE
+    assert max(map(len, words(flight_figure(flown)))) < 150
 
 
 @pytest.mark.parametrize(
@@ -236,24 +251,6 @@ def test_sight_that_is_kept_is_not_shaded(flight):
         len(path.vertices)
         for path in panel(flight_figure(flight), "Distance").collections[0].get_paths()
     )
-
-
-@pytest.mark.parametrize("area", [(200.0, 12.0), (12.0, 200.0)])
-def test_a_narrow_area_is_drawn(area, tmp_path):
-    one = scenario(duration=1.0, area=Area(width=area[0], height=area[1], cell=0.5))
-    place = {"position": (6.0, 6.0)}
-    flown = fly(
-        msgspec.structs.replace(one, uav=(Uav(**place),), ugv=(Ugv(**place, goals=((8.0, 8.0),)),)),
-        0,
-    )[0]
-    draw_flight(flown, tmp_path / "flight.png")
-    assert png_size(tmp_path / "flight.png") == SIZE
-
-
-def test_a_name_is_no_formula(tmp_path):
-    flown = fly(scenario(name="$x_{ $ " + "long " * 30, duration=0.5), 0)[0]
-    draw_flight(flown, tmp_path / "flight.png")
-    assert max(map(len, words(flight_figure(flown)))) < 150
 
 
 def test_a_folder_that_is_not_there_is_an_oserror(flight, tmp_path):

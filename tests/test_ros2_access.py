@@ -1,17 +1,12 @@
 """The information contract on ROS 2's keys: what the router lets through, tried with sessions that ask nobody."""
 
-import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import Any
 
 import zenoh
-from staging import raw_session
+from staging import Heard, everybody, listening, settled
 
 from bus.access import access_control, new_credentials
 from bus.keys import KEYS, Role
-from bus.session import open_session
 
 GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], ros2=True)
 NAMES = [one.name for one in GIVEN.parties if one.role is not Role.SIMULATOR]
@@ -31,16 +26,6 @@ BRIDGES, LOOKERS = {"ros2", "operator"}, {"ros2_observer", "ros2_operator"}
 SUFFIX = f"{TYPE}/::,10:,:,:,,"
 
 
-@contextmanager
-def everybody(tmp_path: Path) -> Iterator[dict[str, zenoh.Session]]:
-    endpoint = f"unixsock-stream/{tmp_path / 'bus.sock'}"
-    with ExitStack() as stack:
-        stack.enter_context(
-            open_session(GIVEN.of("simulator").party, "run", listen=(endpoint,), given=GIVEN)
-        )
-        yield {name: stack.enter_context(raw_session(endpoint, GIVEN.of(name))) for name in NAMES}
-
-
 def readers_of(key: str) -> set[str]:
     own = {name for name, mine in OWN.items() if mine == key}
     if own or key in NOBODYS:
@@ -55,17 +40,7 @@ def writers_of(key: str) -> set[str]:
     return BRIDGES | ({"ros2_operator"} if key == CMD_VEL else set())
 
 
-def settled(step: Any, wanted: set[Any], found: set[Any]) -> None:
-    """Repeat until all that is wanted has come, and for as long again what must not."""
-    began = time.monotonic()
-    while not found >= wanted and time.monotonic() - began < 10.0:
-        step()
-    rest = time.monotonic() + 0.3
-    while time.monotonic() < rest:
-        step()
-
-
-def test_each_party_reads_and_writes_its_own_topics_and_no_others(tmp_path: Path) -> None:
+def test_each_party_reads_and_writes_its_own_topics_and_no_others(endpoint: str) -> None:
     wanted = {
         (reader, key, writer)
         for key in DATA
@@ -75,27 +50,20 @@ def test_each_party_reads_and_writes_its_own_topics_and_no_others(tmp_path: Path
     }
     assert {("ros2_observer", f"0/tf/{TYPE}", "ros2")} < wanted
     assert not {one for one in wanted if one[0] in OWN}
-    found: set[tuple[str, str, str]] = set()
-    with everybody(tmp_path) as sessions:
-        kept: list[Any] = []
-        for name, opened in sessions.items():
-            for key in (*DATA, "**", "0/**", f"*/**/{TYPE}"):
-                kept.append(
-                    opened.declare_subscriber(
-                        key,
-                        lambda sample, name=name: found.add(
-                            (name, str(sample.key_expr), sample.payload.to_string())
-                        ),
-                    )
-                )
+    found: Heard = set()
+    with everybody(endpoint, GIVEN, NAMES) as sessions:
+        widest = ("**", "0/**", f"*/**/{TYPE}")
+        kept = [
+            listening(opened, name, (*DATA, *widest), found) for name, opened in sessions.items()
+        ]
 
         def say() -> None:
             for name, opened in sessions.items():
                 for key in DATA:
                     opened.put(key, name.encode(), allowed_destination=zenoh.Locality.REMOTE)
-            time.sleep(0.02)
 
-        settled(say, wanted, found)
+        settled(wanted, found, say)
+        assert kept
     assert found == wanted
 
 
@@ -107,7 +75,7 @@ def node(namespace: str, by: str) -> str:
     return f"@ros2_lv/0/{by}/0/0/NN/%/{namespace}/node"
 
 
-def test_a_vehicle_sees_the_graph_of_its_own_topics_alone(tmp_path: Path) -> None:
+def test_a_vehicle_sees_the_graph_of_its_own_topics_alone(endpoint: str) -> None:
     """Names in tokens are anybody's to choose: none of another party's may reach a vehicle."""
     truths = {"%tf", "%uav_0%odom", "%fleet%ugv_0%odom"}
     nasty = {"%fleet%uav_0%pilot%x", "%uav_0%pilot%x%ugv_0%pilot%y", "%ugv_0%pilot%uav_0%pilot%y"}
@@ -129,7 +97,7 @@ def test_a_vehicle_sees_the_graph_of_its_own_topics_alone(tmp_path: Path) -> Non
         for vehicle in OWN
     }
     seen: dict[str, set[str]] = {name: set() for name in NAMES}
-    with everybody(tmp_path) as sessions:
+    with everybody(endpoint, GIVEN, NAMES) as sessions:
         kept: list[Any] = []
         for name, opened in sessions.items():
             kept.append(
@@ -141,7 +109,7 @@ def test_a_vehicle_sees_the_graph_of_its_own_topics_alone(tmp_path: Path) -> Non
             )
             kept += [opened.liveliness().declare_token(one) for one in declared(name)]
         wanted = open_names | own["uav_0"] | own["ugv_0"]
-        settled(lambda: time.sleep(0.05), wanted, seen["ros2_observer"])
+        settled(wanted, seen["ros2_observer"])
         asked = sessions["uav_0"].liveliness().get("@ros2_lv/**", timeout=0.5)
         replies = {str(reply.ok.key_expr) for reply in asked if reply.ok is not None}
     for name in staff:
@@ -152,10 +120,10 @@ def test_a_vehicle_sees_the_graph_of_its_own_topics_alone(tmp_path: Path) -> Non
     assert not seen["observer"] - declared("observer")
 
 
-def test_services_are_called_by_an_operators_node_alone(tmp_path: Path) -> None:
+def test_services_are_called_by_an_operators_node_alone(endpoint: str) -> None:
     pause = "0/pause/std_srvs::srv::dds_::SetBool_/RIHS01_abe9"
     answered: set[str] = set()
-    with everybody(tmp_path) as sessions:
+    with everybody(endpoint, GIVEN, NAMES) as sessions:
         queryable = sessions["operator"].declare_queryable(
             pause, lambda query: query.reply(query.key_expr, b"done")
         )
@@ -166,15 +134,15 @@ def test_services_are_called_by_an_operators_node_alone(tmp_path: Path) -> None:
                     if reply.ok is not None:
                         answered.add(name)
 
-        settled(ask, {"ros2_operator"}, answered)
+        settled({"ros2_operator"}, answered, ask)
         queryable.undeclare()
     assert answered == {"ros2_operator"}
 
 
-def test_who_comes_late_is_given_the_newest_but_never_a_vehicle(tmp_path: Path) -> None:
+def test_who_comes_late_is_given_the_newest_but_never_a_vehicle(endpoint: str) -> None:
     key = f"0/coverage/{TYPE}"
     got: set[str] = set()
-    with everybody(tmp_path) as sessions:
+    with everybody(endpoint, GIVEN, NAMES) as sessions:
         publisher = zenoh.ext.declare_advanced_publisher(
             sessions["ros2"],
             key,
@@ -193,7 +161,7 @@ def test_who_comes_late_is_given_the_newest_but_never_a_vehicle(tmp_path: Path) 
             for name in NAMES
             if name != "ros2"
         ]
-        settled(lambda: time.sleep(0.05), LOOKERS, got)
+        settled(LOOKERS, got)
         for one in kept:
             one.undeclare()
     assert got == LOOKERS

@@ -6,20 +6,18 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 import zenoh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from processes import wait_until
-from staging import raw_session
+from staging import client_of, hosted, raw_session
+from telemetry import a_status
 from test_ros2_wire import truth_at
 
 from bus.access import new_credentials
-from bus.boxes import Outbox
 from bus.keys import CONTROL, COVERAGE, OPERATOR, SAMPLED_TRUTH, STATUS
-from bus.messages import Action, Control, CoverageMap, Limits, Status
-from bus.session import open_session
+from bus.messages import Action, Control, CoverageMap, Limits, VehicleStatus
 from outrider.bridges.ros2.conversion import header, view_of
 from outrider.bridges.ros2.interfaces import decode, encode, make, request_of, response_of
 from outrider.bridges.ros2.observing import RosObserver
@@ -33,19 +31,10 @@ from sim.scene.known import geometry_of
 
 GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], ros2=True)
 SCENARIO = load_scenario("escort")
-STATUS_NOW = msgspec.convert(
-    {
-        "scenario": "escort",
-        "seed": 1,
-        "tick": 0,
-        "ticks": 100,
-        "time": 0.0,
-        "realtime_factor": 1.0,
-        "drivers": {"ugv_0": "waypoints"},
-        "vehicles": {"uav_0": {"present": True}, "ugv_0": {"present": True}},
-        "geometry": msgspec.to_builtins(geometry_of(SCENARIO)),
-    },
-    Status,
+STATUS_NOW = a_status(
+    drivers={"ugv_0": "waypoints"},
+    vehicles={name: VehicleStatus(present=True) for name in ("uav_0", "ugv_0")},
+    geometry=geometry_of(SCENARIO),
 )
 
 
@@ -55,20 +44,25 @@ class Staged:
     def __init__(self, stack: ExitStack, folder: Path, bridge: str) -> None:
         self._stack = stack
         self.endpoint = f"unixsock-stream/{folder / 'bus.sock'}"
-        self.simulator = stack.enter_context(
-            open_session(GIVEN.of("simulator").party, "run", listen=(self.endpoint,), given=GIVEN)
+        self.simulator = stack.enter_context(hosted(self.endpoint, GIVEN))
+        self.statuses, self.truths, self.maps = (
+            self.simulator.outbox(key) for key in (STATUS, SAMPLED_TRUTH, COVERAGE)
         )
-        self.statuses, self.truths = self.outbox(STATUS), self.outbox(SAMPLED_TRUTH)
-        self.maps = self.outbox(COVERAGE)
-        self.bridge = stack.enter_context(
-            open_session(
-                GIVEN.of(bridge).party, "run", connect=self.endpoint, credential=GIVEN.of(bridge)
-            )
-        )
+        self.bridge = stack.enter_context(client_of(self.endpoint, GIVEN.of(bridge)))
         self.node = RosNode(self.bridge, domain=7, name="outrider", namespace="/fleet")
+        stack.callback(self.node.close)
+        self.observer = RosObserver(self.bridge, self.node, namespace="/fleet")
+        stack.callback(self.observer.close)
 
-    def outbox(self, key: Any) -> Outbox:
-        return self.simulator.outbox(key)
+    def tell(self) -> None:
+        """Let the bridge know the run's status."""
+
+        def told() -> bool:
+            self.statuses.send(STATUS_NOW)
+            self.observer.step(0.02)
+            return self.observer.status is not None
+
+        wait_until(told)
 
     def ros(self, name: str) -> zenoh.Session:
         return self._stack.enter_context(raw_session(self.endpoint, GIVEN.of(name)))
@@ -90,14 +84,8 @@ def row_key(name: str, vehicle: str = "uav_0") -> tuple[str, str]:
 
 def test_what_somebody_reads_is_published_and_nothing_else_is_asked_for(tmp_path: Path) -> None:
     with staged(tmp_path) as stage:
-        observer = RosObserver(stage.bridge, stage.node, namespace="/fleet")
-
-        def told() -> bool:
-            stage.statuses.send(STATUS_NOW)
-            observer.step(0.05)
-            return observer.status is not None
-
-        wait_until(told)
+        observer = stage.observer
+        stage.tell()
         assert not stage.truths.wanted
         assert not stage.maps.wanted
         ros, got = stage.ros("ros2_observer"), []
@@ -130,13 +118,10 @@ def test_what_somebody_reads_is_published_and_nothing_else_is_asked_for(tmp_path
             return not stage.truths.wanted
 
         wait_until(left)
-        observer.close()
-        stage.node.close()
 
 
 def test_who_comes_late_gets_the_map_and_the_graph_shows_every_topic(tmp_path: Path) -> None:
     with staged(tmp_path) as stage:
-        observer = RosObserver(stage.bridge, stage.node, namespace="/fleet")
         ros, got = stage.ros("ros2_observer"), []
         interface, key = row_key("coverage")
         kept: list[Any] = [ros.declare_subscriber(key, got.append)]
@@ -144,7 +129,7 @@ def test_who_comes_late_gets_the_map_and_the_graph_shows_every_topic(tmp_path: P
         def seen() -> bool:
             stage.statuses.send(STATUS_NOW)
             stage.maps.send(CoverageMap(tick=4, columns=2, rows=1, cell=0.5, cells=b"\x00\xff"))
-            observer.step(0.02)
+            stage.observer.step(0.02)
             return bool(got)
 
         wait_until(seen)
@@ -170,8 +155,6 @@ def test_who_comes_late_gets_the_map_and_the_graph_shows_every_topic(tmp_path: P
         late.undeclare()
         for one in kept:
             one.undeclare()
-        observer.close()
-        stage.node.close()
 
 
 def _twist(x: float, y: float, *, turn: float = 0.0) -> Any:
@@ -225,18 +208,11 @@ def test_an_operators_node_drives_and_what_is_bad_is_counted_and_told(tmp_path: 
     with staged(tmp_path, "operator") as stage:
         wheels = stage.simulator.inbox(OPERATOR, "ugv_0")
         controls = stage.simulator.inbox(CONTROL)
-        client = RunClient(stage.bridge, read=())
-        observer = RosObserver(stage.bridge, stage.node, namespace="/fleet")
+        client, observer = RunClient(stage.bridge, read=()), stage.observer
         observer.commands = RosCommands(
             stage.node, client, namespace="/fleet", refusals=observer.refusals
         )
-
-        def told() -> bool:
-            stage.statuses.send(STATUS_NOW)
-            observer.step(0.02)
-            return observer.status is not None
-
-        wait_until(told)
+        stage.tell()
         driving, looking = stage.ros("ros2_operator"), stage.ros("ros2_observer")
         beside = Attachment(sequence=1, time=0, gid=bytes(16)).encoded()
         drives: list[Any] = []
@@ -285,5 +261,3 @@ def test_an_operators_node_drives_and_what_is_bad_is_counted_and_told(tmp_path: 
         actions = [controls.receive(2.0).message.action for _ in asked]
         assert actions == [Action.PAUSE, Action.STEP, Action.RESET]
         client.close()
-        observer.close()
-        stage.node.close()

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 import staging
 import zenoh
-from processes import python, wait_until
+from processes import wait_until
 from staging import GIVEN as PLAIN
 from staging import raw_session
 from stamps import seconds_of
@@ -108,7 +108,7 @@ def accelerate(seconds: float, value: tuple[float, float], frame: str = "map") -
 def bridge(endpoint: str, vehicle: str, links: list[RosPilot]) -> None:
     """The process `outrider ros2 --vehicle`, as a thread."""
     credential = GIVEN.of(vehicle)
-    with open_session(credential.party, "run", connect=endpoint, credential=credential) as session:
+    with staging.client_of(endpoint, credential) as session:
         node = RosNode(session, domain=3, name="outrider", namespace=f"/{vehicle}")
         link = RosPilot(node, credential.party)
         links.append(link)
@@ -196,11 +196,3 @@ def test_a_node_that_is_late_keeps_nobody_waiting_and_one_that_has_gone_ends_the
         assert again.act(seen) is None  # of its past, which nobody waits for
         link.close()
         node.close()
-
-
-def test_the_process_of_a_vehicle_that_a_node_flies_never_loads_the_world_nor_a_scenario() -> None:
-    code = (
-        "import sys, agents.process, outrider.cli.ros2, outrider.bridges.ros2.ros_pilot;"
-        "print([n for n in sys.modules if n.startswith(('sim.world', 'sim.engine', 'sim.scenario', 'sim.server'))])"
-    )
-    assert python(code).stdout.strip() == "[]"

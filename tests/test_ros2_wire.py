@@ -2,15 +2,15 @@
 
 import math
 import struct
-import sys
 
 import msgspec
 import numpy as np
 import pytest
 from stamps import seconds_of
+from telemetry import a_status, a_truth, a_vehicle
 
 from bus.errors import BusError, ScenarioError
-from bus.messages import CoverageMap, GroundMap, Status, Truth
+from bus.messages import CoverageMap, GroundMap, LinkStatus, UavReport, VehicleStatus
 from bus.ros2_access import PILOT
 from outrider.bridges.ros2.conversion import PathTrack, RunView
 from outrider.bridges.ros2.interfaces import decode, encode, make, type_hash
@@ -33,31 +33,9 @@ NODE = Node(domain=7, zid="8a1f", name="outrider", namespace="/fleet", number=0)
 
 
 def truth_at(tick=40):
-    state = {
-        "position": [3.0, 4.5],
-        "velocity": [0.25, -0.5],
-        "acceleration": [0.1, 0.2],
-        "command": [0.0, 0.0],
-    }
-    report = {"estimate": [6.0, 7.0], "covariance": [0.04, 0.01, 0.09], "age": 0.0, "refused": 0}
-    return msgspec.convert(
-        {
-            "tick": tick,
-            "time": tick * 0.05,
-            "vehicles": {"uav_0": state, "ugv_0": state | {"position": [5.0, 4.0]}},
-            "escorts": [
-                {
-                    "uav": "uav_0",
-                    "ugv": "ugv_0",
-                    "distance": 2.0,
-                    "coverage_error": 12.5,
-                    "detection": [-2.125, 0.5],
-                    "report": report,
-                }
-            ],
-        },
-        Truth,
-    )
+    uav, ugv = (a_vehicle(position, (0.25, -0.5)) for position in ((3.0, 4.5), (5.0, 4.0)))
+    report = UavReport(estimate=(6.0, 7.0), covariance=(0.04, 0.01, 0.09), age=0.0, refused=0)
+    return a_truth(tick * 0.05, uav, ugv, detection=(-2.125, 0.5), report=report)
 
 
 def _view():
@@ -194,27 +172,14 @@ def test_hazards_are_markers_that_keep_their_number_and_are_told_once():
 
 
 def test_diagnostics_name_why_nothing_is_certified():
-    link = {
-        "sent": 9,
-        "delivered": 4,
-        "duplicated": 0,
-        "waiting": 0,
-        "flying": 0,
-        "lost": {"chance": 5},
-    }
-    told = {
-        "scenario": "escort",
-        "seed": 1,
-        "tick": 0,
-        "ticks": 10,
-        "time": 0.0,
-        "realtime_factor": 0.0,
-        "certified": {"uav_0": False},
-        "uncertified": {"uav_0": "the newest detection is too old"},
-        "links": {"uav_0/detections": link | {"delivery_ratio": 4 / 9}},
-        "vehicles": {"uav_0": {"present": True}},
-    }
-    status = msgspec.convert(told, Status)
+    none = dict.fromkeys(("duplicated", "waiting", "flying"), 0)
+    link = LinkStatus(sent=9, delivered=4, lost={"chance": 5}, delivery_ratio=4 / 9, **none)
+    status = a_status(
+        certified={"uav_0": False},
+        uncertified={"uav_0": "the newest detection is too old"},
+        links={"uav_0/detections": link},
+        vehicles={"uav_0": VehicleStatus(present=True)},
+    )
     parts = {one.name: one for one in _by_topic(status)["/diagnostics"].status}
     assert "too old" in parts["outrider: certificate uav_0"].message
     assert parts["outrider: certificate uav_0"].level == 1
@@ -258,21 +223,3 @@ def test_a_time_is_split_without_loss():
         odometry = _by_topic(truth_at(tick))["/uav_0/odom"]
         assert math.isclose(seconds_of(odometry.header.stamp), tick * 0.05, abs_tol=1e-9)
         assert 0 <= odometry.header.stamp.nanosec < 10**9
-
-
-def test_a_missing_extra_and_bad_options_are_one_line(monkeypatch, command):
-    def told(*words):
-        ended = command("ros2", *words)
-        (line,) = ended.stderr.splitlines()
-        return ended.returncode, line
-
-    assert told("--domain", "233") == (2, "outrider: --domain 233: allowed are 0 to 232")
-    assert "'pilot'" in told("--namespace", "pilot")[1]
-    code, line = told("--vehicle", "uav_0", "--namespace", "fleet")
-    assert code == 2
-    assert "--namespace and --vehicle" in line
-    assert "begin with uav or ugv" in told("--vehicle", "drone")[1]
-    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
-    code, line = told()
-    assert code == 2
-    assert line == "outrider: ros2: rosbags.typesys is missing: pip install -e '.[ros2]'"

@@ -1,11 +1,10 @@
 """The run's secret: who makes one, who is told, and that whoever gives the same one flies the same bits."""
 
 import json
-import os
 import re
 import signal
 import stat
-import subprocess
+from contextlib import ExitStack
 from pathlib import Path
 from typing import get_type_hints
 
@@ -14,12 +13,12 @@ import numpy as np
 import pytest
 from fields import fields_within
 from flights import degraded
-from processes import OUTRIDER, command_line, family, flying, opened, outrider, wait_until
+from processes import command_line, family, flying, outrider, started, wait_until
 from refusals import refused
 from staging import stage
 
 from bus.errors import ScenarioError
-from bus.keys import KEYS
+from bus.keys import CONTROL, KEYS
 from bus.messages import Action, Control
 from outrider.cli.options import secret_of
 from outrider.envs.env_pilots import pilots
@@ -102,9 +101,7 @@ def test_over_the_bus_with_a_process_that_joins_again_and_after_a_reset_too(tmp_
     with stage(tmp_path, 300, scenario=scenario, secret=SECRET, respawn=True) as going:
         going.start("ugv_0")
         going.start("uav_0", until=100, again=True)
-        operator = going.client("operator").outbox(
-            next(key for key in KEYS if key.message is Control)
-        )
+        operator = going.client("operator").outbox(CONTROL)
         asked = False
 
         def on_tick() -> None:
@@ -148,40 +145,33 @@ def test_three_processes_and_one_fly_the_same_bits_and_leave_files_for_the_owner
 # who makes one
 
 
-def test_a_simulator_with_credentials_makes_one_and_a_run_on_this_machine_none(tmp_path):
-    endpoint = f"unixsock-stream/{tmp_path / 'bus.sock'}"
+@pytest.mark.parametrize("is_private", [True, False])
+def test_a_simulator_with_credentials_makes_one_and_a_run_on_this_machine_none(
+    is_private, endpoint, tmp_path, monkeypatch
+):
+    """Its processes are started one by one."""
+    monkeypatch.delenv(VARIABLE, raising=False)
     known = tmp_path / "credentials"
     assert outrider("credentials", str(known), "--scenario", "escort").returncode == 0
-    processes = []
-    environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
-    try:
-        for role, name, where in (
-            (["simulator", "--duration", "2", "--json"], "router", "--listen"),
-            (["uav"], "uav_0", "--connect"),
-            (["ugv"], "ugv_0", "--connect"),
-        ):
-            words = [
-                *OUTRIDER,
-                *role,
-                "--credentials",
-                str(known / f"{name}.json"),
-                where,
-                endpoint,
-            ]
-            processes.append(
-                opened(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment)
-            )
-        out, err = processes[0].communicate(timeout=120)
-    finally:
-        for process in processes:
-            process.kill()
-            process.communicate()
-    told = json.loads(out)
-    assert re.fullmatch("[0-9a-f]{32}", told["secret"])
-    assert told["secret"].encode() not in err
+
+    def own(name: str) -> list[str]:
+        return ["--credentials", str(known / f"{name}.json")] if is_private else []
+
+    with ExitStack() as stack:
+        told = ("simulator", "--duration", "2", "--json", "--listen", endpoint)
+        simulator = stack.enter_context(started(*told, *own("router")))
+        vehicles = [
+            stack.enter_context(started(name[:3], "--connect", endpoint, *own(name)))
+            for name in ("ugv_0", "uav_0")
+        ]
+        out, err = simulator.communicate(timeout=120)
+        assert [vehicle.wait(30.0) for vehicle in vehicles] == [0, 0]
+    summary = json.loads(out)
+    secret = summary["secret"]
+    assert re.fullmatch("[0-9a-f]{32}" if is_private else "", secret)
+    assert not secret or secret not in err
     two_seconds = load_scenario("escort", overrides=["duration=2.0"])
-    assert told["trajectory_sha256"] == run(two_seconds, secret=told["secret"]).trajectory_sha256
-    assert run(two_seconds).secret == ""
+    assert summary["trajectory_sha256"] == run(two_seconds, secret=secret).trajectory_sha256
 
 
 def test_where_one_is_wanted_it_is_new_unless_it_is_given(secret_file: str) -> None:

@@ -6,7 +6,7 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 from processes import wait_until
-from staging import raw_session
+from staging import client_of, hosted, raw_session
 
 from bus import session_limit
 from bus.access import new_certificates, new_credentials
@@ -86,14 +86,8 @@ def flooded(protocol: str, count: int, *, claimed: bool = False) -> Iterator[tup
     """A router to which one vehicle opens so many sessions, after one that it uses; and that one's address."""
     given, endpoint = GIVEN[protocol], f"{protocol}/127.0.0.1:{free_port()}"
     rogue = given.of("ugv_0")
-    with (
-        open_session(SIMULATOR, RUN, listen=(endpoint,), given=given) as router,
-        ExitStack() as stack,
-    ):
-        honest = stack.enter_context(
-            open_session(rogue.party, RUN, connect=endpoint, credential=rogue)
-        )
-        honest.announce()
+    with hosted(endpoint, given) as router, ExitStack() as stack:
+        stack.enter_context(client_of(endpoint, rogue)).announce()
         (first,) = router._zenoh.info.links()
         for _ in range(count):
             opened = stack.enter_context(raw_session(endpoint, rogue))
@@ -126,8 +120,8 @@ def test_one_vehicle_with_hundreds_of_sessions_keeps_no_other_out(
     monkeypatch.setattr(session_limit, "_AT_ONCE", 100)
     with flooded(protocol, count, claimed=claimed) as (router, first):
         there = addresses(router)
-        uav, endpoint = GIVEN[protocol].of("uav_0"), router._zenoh.info.links()[0].src
-        with open_session(uav.party, RUN, connect=endpoint, credential=uav) as late:
+        endpoint = router._zenoh.info.links()[0].src
+        with client_of(endpoint, GIVEN[protocol].of("uav_0")) as late:
             late.announce()
             (mine,) = [x.dst for x in router._zenoh.info.links() if str(x.zid) == late.id]
             wait_until(lambda: len(there & addresses(router)) <= 1 + left)
@@ -140,10 +134,7 @@ def test_one_vehicle_with_hundreds_of_sessions_keeps_no_other_out(
 def test_a_party_claims_sessions_in_its_own_name_alone() -> None:
     given, endpoint = GIVEN["tcp"], f"tcp/127.0.0.1:{free_port()}"
     heard: list[str] = []
-    with (
-        open_session(SIMULATOR, RUN, listen=(endpoint,), given=given) as router,
-        raw_session(endpoint, given.of("ugv_0")) as rogue,
-    ):
+    with hosted(endpoint, given) as router, raw_session(endpoint, given.of("ugv_0")) as rogue:
         router._zenoh.liveliness().declare_subscriber(
             session_token(RUN, "*", "*"), lambda sample: heard.append(str(sample.key_expr))
         )

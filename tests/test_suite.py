@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from refusals import refused
-from tabular import rows, words
+from tabular import words
 from worlds import SCENARIOS
 
 from bus.messages import Command
@@ -319,25 +319,5 @@ def test_the_command_tells_what_the_tasks_are(command) -> None:
     told = json.loads(command("suite", "--list", "--json").stdout)["tasks"]
     assert [task["name"] for task in told] == list(suite().names)
     assert told[0]["env_id"] == "outrider/Suite-Paper-v0"
-    assert "late-commands" in command("suite", "--list").stdout
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code", "told"),
-    rows("""
---law lograithmic | 2 | law 'lograithmic': unknown
---only nosie | 2 | --only nosie: no such task, did you mean 'noise'?; allowed: paper,
---uav-policy nowhere:f | 2 | --uav-policy = 'nowhere:f'
---law linear --secret 1234 | 2 | --secret: 4 characters that are no secret; allowed:
---estimate | 2 | --estimate: for a --uav-policy alone
---list --markdown --law linear | 0 | late-commands
---law linear --markdown --json | 2 | both want stdout
---uav-policy json:loads --only paper | 1 | --uav-policy json:loads: TypeError
---uav-policy math:fsum --only paper | 1 | --uav-policy math:fsum:
-"""),
-)
-def test_bad_input_gets_one_line_and_its_exit_code(arguments, code, told, here, command):
-    run = command("suite", *words(arguments))
-    assert run.returncode == int(code)
-    assert told in (run.stderr if run.returncode else run.stdout)
-    assert len(run.stderr.strip().splitlines()) == bool(run.returncode)
+    for more in ("--list", "--list --markdown --law linear"):
+        assert "late-commands" in command("suite", *words(more)).stdout

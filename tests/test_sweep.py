@@ -6,12 +6,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from processes import OUTRIDER, blocks, command_line, opened, outrider
+from processes import OUTRIDER, PIPES, blocks, command_line, opened, outrider, stat_of, wait_until
 from refusals import refused
 from tabular import words
 
@@ -22,7 +22,6 @@ from outrider.experiments.sweep.folder import SweepFolder, read_head, read_resul
 from outrider.experiments.sweep.plan import SweepPlan, lay_out
 from outrider.experiments.sweep.running import fly_sweep, make_tasks, open_cluster
 from outrider.experiments.sweep.worker import fly_runs
-from outrider.running import extras
 from outrider.running.flying import run
 from sim.scenario.loading import load_scenario, scenario_names
 
@@ -66,24 +65,16 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[obje
 
 
 def wait_for(there: Callable[[], bool], process: "subprocess.Popen[str]") -> None:
-    end = time.monotonic() + 60.0
-    while not there():
+    def came() -> bool:
         assert process.poll() is None, process.communicate()
-        assert time.monotonic() < end
-        time.sleep(0.02)
+        return there()
+
+    wait_until(came, 60.0)
 
 
 def started(*command: str, **settings) -> "subprocess.Popen[str]":
     """A command in a session of its own."""
     return opened(command, start_new_session=True, stderr=subprocess.PIPE, text=True, **settings)
-
-
-def session_ends(number: int) -> bool:
-    """Whether all its processes go, in time."""
-    gone_by = time.monotonic() + 20.0
-    while time.monotonic() < gone_by and _session(number):
-        time.sleep(0.1)
-    return not _session(number)
 
 
 def parts(folder: Path) -> int:
@@ -278,7 +269,7 @@ def test_a_sweep_that_is_killed_alone_takes_its_workers_along_and_goes_on_to_the
     wait_for(lambda: parts(tmp_path / "killed") >= 2, victim)
     victim.kill()
     victim.wait()
-    assert session_ends(victim.pid)
+    wait_until(lambda: not _session(victim.pid))
     victim.communicate()
     kept = len(rows_of(tmp_path / "killed")["run"])
     assert 0 < kept < 96
@@ -295,7 +286,7 @@ def test_ctrl_c_keeps_what_is_done_says_how_to_go_on_and_leaves_no_process(tmp_p
     command = [*OUTRIDER, *GRID, "--seeds", "200", "--out", str(tmp_path / "sweep"), "--jobs", "2"]
     process = started(*command, stdout=subprocess.PIPE)
     wait_for(lambda: parts(tmp_path / "sweep") >= 1, process)
-    workers = [pid for pid in map(int, _session(process.pid)) if "LokyProcess" in command_line(pid)]
+    workers = [pid for pid in _session(process.pid) if "LokyProcess" in command_line(pid)]
     deaf = [
         blocks(pid, signal.SIGINT) for pid in workers
     ]  # else one may show where it was interrupted
@@ -309,19 +300,16 @@ def test_ctrl_c_keeps_what_is_done_says_how_to_go_on_and_leaves_no_process(tmp_p
         f"outrider: interrupted; {kept} of 800 runs are kept in {tmp_path / 'sweep'}, and the same command goes "
         "on from there"
     )
-    assert session_ends(process.pid)
+    wait_until(lambda: not _session(process.pid))
 
 
-def _session(number: int) -> list[str]:
+def _session(number: int) -> list[int]:
     """Processes of a session that are alive."""
     found = []
-    for entry in Path("/proc").iterdir():
-        try:
-            state, _, _, session, *_ = (entry / "stat").read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if entry.name.isdigit() and int(session) == number and state != "Z":
-            found.append(entry.name)
+    for pid in (int(entry.name) for entry in Path("/proc").iterdir() if entry.name.isdigit()):
+        with suppress(OSError):  # it may just have ended
+            state, _, _, session, *_ = stat_of(pid)
+            found += [pid] if int(session) == number and state != "Z" else []
     return found
 
 
@@ -382,12 +370,7 @@ def test_on_a_cluster_a_worker_may_die_and_the_rows_are_those_of_this_machine(
         with Client(address, timeout=60) as client:
             client.wait_for_workers(2, timeout=60)
         command = [*OUTRIDER, *GRID, *LONG, "--dask", address, "--json", "--out"]
-        sweep = opened(
-            [*command, str(tmp_path / "far")],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        sweep = opened([*command, str(tmp_path / "far")], **PIPES)
         wait_for(lambda: parts(tmp_path / "far") >= 2, sweep)
         processes[1].kill()
         out, err = sweep.communicate(timeout=100)
@@ -514,27 +497,3 @@ def test_a_damaged_part_is_named_with_what_to_do(tmp_path, content):
         SweepFolder(tmp_path / "sweep", plan, command="")
     part.unlink()
     SweepFolder(tmp_path / "sweep", plan, command="").close()
-
-
-def test_bad_input_on_the_command_line_is_one_line_and_writes_nothing(here, command):
-    (here / "taken").write_text("a file", encoding="utf-8")
-    for arguments, told, code in (
-        ("--law fancy", 'law.name = "fancy"', 2),
-        ("--seeds 0", "--seeds", 2),
-        ("--set duration=5 --out taken", "taken", 1),
-    ):
-        swept = command("sweep", "escort", *words(arguments))
-        assert swept.returncode == code, swept.stderr
-        assert told in swept.stderr
-        assert len(swept.stderr.strip().splitlines()) == 1
-        assert [path.name for path in here.iterdir()] == ["taken"]
-
-
-def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(monkeypatch):
-    lacking = ("distributed", "joblib")
-    monkeypatch.setattr(extras, "find_spec", lambda module: None if module in lacking else object())
-    extras.check_extra("sweep", "pyarrow")
-    with pytest.raises(ScenarioError, match=r"joblib is missing: pip install -e '\.\[sweep\]'"):
-        extras.check_extra("sweep")
-    with pytest.raises(ScenarioError, match=r"distributed is missing: pip install -e '\.\[dask\]'"):
-        extras.check_extra("dask")

@@ -1,0 +1,25 @@
+"""What observers are told of a run, made up, for the tests of those who show it."""
+
+from typing import Any
+
+from bus.messages import EscortTruth, Status, Truth, VehicleTruth
+
+
+def a_status(**told: Any) -> Status:
+    """A status with these fields, and the least that any other has."""
+    least = {"scenario": "escort", "seed": 1, "tick": 1, "ticks": 100, "time": 0.05}
+    return Status(**least | {"realtime_factor": 1.0, "vehicles": {}} | told)
+
+
+def a_vehicle(position: Any = (0.0, 0.0), velocity: Any = (0.0, 0.0), **told: Any) -> VehicleTruth:
+    """Where a vehicle is; it is asked for nothing unless that is told."""
+    still = {"acceleration": (0.0, 0.0), "command": (0.0, 0.0)}
+    return VehicleTruth(position=position, velocity=velocity, **still | told)
+
+
+def a_truth(time: float, uav: VehicleTruth, ugv: VehicleTruth, **told: Any) -> Truth:
+    """The truth at this time of an escort with these fields."""
+    least = {"distance": 1.0, "coverage_error": 1.0, "detection": None, "report": None}
+    escort = EscortTruth(uav="uav_0", ugv="ugv_0", **least | told)
+    vehicles = {"uav_0": uav, "ugv_0": ugv}
+    return Truth(tick=round(20 * time), time=time, vehicles=vehicles, escorts=(escort,))
