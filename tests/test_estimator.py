@@ -1,6 +1,8 @@
 """The Kalman filter on relative detections: its equations, its consistency, and what it does when detections fail."""
 
+import copy
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -368,6 +370,22 @@ def test_duplicates_count_once_and_the_same_time_is_predicted_once():
     told(twice)
     assert told(twice, first, second) == told(twice, first) == expected
     np.testing.assert_array_equal(once.covariance, twice.covariance)
+
+
+def test_a_copy_of_a_filter_goes_on_like_the_original_and_by_itself():
+    original = settled()
+    original.prepare()
+    for copied in (copy.deepcopy(original), pickle.loads(pickle.dumps(original))):  # noqa: S301 - our own
+        twin = settled()
+        for tick, seen in (
+            (400, (20.1, 20.0)),
+            (401, None),
+            (402, (20.0, 20.1)),
+            (405, (20.0, 20.0)),
+        ):
+            assert look(copied, tick, seen) == look(twin, tick, seen)
+            np.testing.assert_array_equal(copied.covariance, twin.covariance)
+    assert look(original, 400).age == DT
 
 
 def test_time_that_goes_back_is_an_error():

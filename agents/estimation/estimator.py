@@ -35,6 +35,10 @@ SPAN = 60.0
 _MOST_TICKS = 100_000  # about 16 MB; where ticks are so short that the span has more, it is cut
 
 
+_KEPT = ("arrays", "_numbers", "_tick", "_is_ahead", "_motions")
+"""The attributes that a copy of a filter takes over; it makes views of its own."""
+
+
 class Estimate(msgspec.Struct, frozen=True, kw_only=True):
     """The UAV's belief about the UGV, in the world frame."""
 
@@ -63,7 +67,7 @@ class LookRows:
         return rows, len(detections)
 
 
-def _numbers(row: RecordArray, first: str, shape: tuple[int, ...]) -> FloatArray:
+def _view(row: RecordArray, first: str, shape: tuple[int, ...]) -> FloatArray:
     """The numbers of a record from this field on, in this shape: a view."""
     fields: Any = row.dtype.fields
     return np.ndarray(shape, np.float64, buffer=row.data, offset=fields[first][1])
@@ -129,26 +133,35 @@ class RelativeEstimator:
         late = _MOST_TICKS if span / dt > _MOST_TICKS else ticks_within(span, dt)
         self.arrays = records(KalmanParameters, [c]), kalman_state(late + 1)
         """Parameters and state, for compiled functions."""
-        self._dt, self._deviation, self._enabled = c.dt, c.deviation, c.enabled
+        self._numbers, self._tick, self._is_ahead = c, NEVER, False
+        self._motions = {1: motion(ticks=1, dt=dt, deviation=c.deviation)}
+        self._bind()
+
+    def _bind(self) -> None:
+        """Name parts of the arrays: views, through which filterpy and the compiled functions write into one memory."""
         _, state = self.arrays
         self._belief, self._counts = state.belief[0], state.counts[0]
-        self._mean = _numbers(state.belief, "x", (4,))
+        self._mean = _view(state.belief, "x", (4,))
         self._filter = AxisFilter(
-            variance=c.variance,
-            P=_numbers(state.belief, "p_pp", (2, 2)),
-            P_prior=_numbers(state.products, "prior_pp", (2, 2)),
-            P_post=_numbers(state.products, "post_pp", (2, 2)),
-            K=_numbers(state.products, "k_p", (2, 1)),
+            variance=self._numbers.variance,
+            P=_view(state.belief, "p_pp", (2, 2)),
+            P_prior=_view(state.products, "prior_pp", (2, 2)),
+            P_post=_view(state.products, "post_pp", (2, 2)),
+            K=_view(state.products, "k_p", (2, 1)),
         )
         self._known = state.belief["known"]
         products = (state.products[name] for name in ("ticks", "predicted", "weighed"))
         self._ticks, self._predicted, self._weighed = products
-        self._motions = {1: motion(ticks=1, dt=dt, deviation=c.deviation)}
-        self._tick = NEVER
-        self._is_ahead = False
         looks = np.zeros((0, len(Look._fields)))
         self._update = entry_point(_update, *self.arrays, 0, 0.0, 0.0, looks, 0)
         self._go_on = entry_point(_go_on, *self.arrays)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: self.__dict__[name] for name in _KEPT}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        self.__dict__.update(kept)
+        self._bind()
 
     @property
     def state(self) -> FloatArray:
@@ -206,7 +219,7 @@ class RelativeEstimator:
             position=(x, y),
             velocity=(v_x, v_y),
             covariance=(variance, 0.0, variance),
-            age=int(b.age) * self._dt,
+            age=int(b.age) * self._numbers.dt,
             refused=int(self._counts.refused),
         )
 
@@ -227,7 +240,7 @@ class RelativeEstimator:
 
         Neither the prediction nor the gain depends on what will be detected.
         """
-        if self._is_ahead or not self._enabled or not self._known.item(0):
+        if self._is_ahead or not self._numbers.enabled or not self._known.item(0):
             return
         self._is_ahead = True
         self._ticks[0] = 1
@@ -241,8 +254,9 @@ class RelativeEstimator:
             ticks = self._ticks.item(0)
             matrices = self._motions.get(ticks)
             if matrices is None:
-                numbers = motion(ticks=ticks, dt=self._dt, deviation=self._deviation)
-                matrices = self._motions[ticks] = numbers
+                c = self._numbers
+                matrices = motion(ticks=ticks, dt=c.dt, deviation=c.deviation)
+                self._motions[ticks] = matrices
             self._filter.predict(*matrices)
             self._predicted[0] = True
         else:
