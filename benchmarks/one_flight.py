@@ -45,7 +45,7 @@ def _timed(
 def parts(flight: Flight, pilots: dict[str, Pilot]) -> dict[str, tuple[Any, str]]:
     """The parts of a tick: an object, and its method; those that begin with a dash are within the one above."""
     found: dict[str, tuple[Any, str]] = {
-        "observations": (flight, "observations"),
+        "observations": (flight, "_observe"),
         "row of the record, with e(t)": (flight.recorder, "record"),
         "commands taken and applied": (flight, "apply"),
         "- the world moves": (flight.world, "advance"),

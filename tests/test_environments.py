@@ -118,6 +118,12 @@ def test_it_must_be_reset_first(name: str) -> None:
         step(MAKERS[name](SCENARIO))
 
 
+@pytest.mark.parametrize("name", MAKERS)
+def test_a_seed_may_be_a_number_of_numpys(name: str) -> None:
+    env, twin = MAKERS[name](SCENARIO), MAKERS[name](SCENARIO)
+    assert equal(env.reset(seed=np.int64(3)), twin.reset(seed=3))
+
+
 @pytest.mark.parametrize(
     ("names", "seed"),
     [

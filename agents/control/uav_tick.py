@@ -1,7 +1,7 @@
 """A UAV's tick on board, compiled: the pilot calls it for one vehicle, batches for many.
 
-In a tick: `uav_perceive` with what has arrived, then the filter's estimate, which pilots have from filterpy and
-batches from its compiled twin, then `uav_tick` for the command.
+In a tick: `uav_perceive` with what has arrived, then a step of the filter (`agents.estimation.filtering`), then
+`uav_tick` for the command.
 """
 
 from typing import NamedTuple

@@ -75,7 +75,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
             ValueError: If the seed is not a whole number from 0 to 2**53 - 1; the episode before then goes on.
         """
         Seeds.check(seed)
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else int(seed))  # Gymnasium takes no NumPy number
         self.worlds.reset([seed], None)
         self._over = False
         return self._observation(), self._info()

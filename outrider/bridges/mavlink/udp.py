@@ -96,7 +96,8 @@ class Network:
         self._lines: list[_Line] = []
         try:
             for address in out:
-                self._lines.append(_Line(self._open(None, address), self._resolved(address), {}))
+                known = self._resolved(address)
+                self._lines.append(_Line(self._open(None, address), known, {}))
             for address in listen:
                 self._lines.append(_Line(self._open(address, address), None, {}))
         except BusError:

@@ -161,5 +161,5 @@ class RosObserver:
         self._sent = Counter(self.topics)
         for publisher in self._publishers.values():
             publisher.close()
-        self._publishers.clear()
-        self._rows.clear()
+        for kept in (self._publishers, self._rows, self._due, self._found):
+            kept.clear()
