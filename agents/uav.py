@@ -29,6 +29,7 @@ from agents.estimation.filtering import (
     kalman_begin,
     kalman_estimate,
     kalman_go_on,
+    kalman_refused,
 )
 from bus.errors import ScenarioError
 from bus.messages import (
@@ -117,7 +118,7 @@ def _act(
         target = kalman_estimate(kalman)
         command = uav_tick(law, promise, guarded, memory, own, tick, here, target, flown)
     b = kalman.belief[0]
-    return needs, b.known, b.x, b.y, b.p_pp, b.age, kalman.counts[0].refused, command
+    return needs, b.known, b.x, b.y, b.p_pp, b.age, kalman_refused(kalman), command
 
 
 def radio_ticks(dt: float) -> int:

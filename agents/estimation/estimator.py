@@ -140,18 +140,18 @@ class RelativeEstimator:
     def _bind(self) -> None:
         """Name parts of the arrays: views, through which filterpy and the compiled functions write into one memory."""
         _, state = self.arrays
-        self._belief, self._counts = state.belief[0], state.counts[0]
+        self._belief, self._counts, self._step = state.belief[0], state.counts[0], state.step[0]
         self._mean = _view(state.belief, "x", (4,))
         self._filter = AxisFilter(
             variance=self._numbers.variance,
             P=_view(state.belief, "p_pp", (2, 2)),
-            P_prior=_view(state.products, "prior_pp", (2, 2)),
-            P_post=_view(state.products, "post_pp", (2, 2)),
-            K=_view(state.products, "k_p", (2, 1)),
+            P_prior=_view(state.step, "prior_pp", (2, 2)),
+            P_post=_view(state.step, "post_pp", (2, 2)),
+            K=_view(state.step, "k_p", (2, 1)),
         )
         self._known = state.belief["known"]
-        products = (state.products[name] for name in ("ticks", "predicted", "weighed"))
-        self._ticks, self._predicted, self._weighed = products
+        flags = (state.step[name] for name in ("ticks", "predicted", "weighed"))
+        self._ticks, self._predicted, self._weighed = flags
         looks = np.zeros((0, len(Look._fields)))
         self._update = entry_point(_update, *self.arrays, 0, 0.0, 0.0, looks, 0)
         self._go_on = entry_point(_go_on, *self.arrays)
@@ -176,7 +176,7 @@ class RelativeEstimator:
     @property
     def innovation_squared(self) -> float | None:
         """Normalized innovation squared (NIS) of the newest detection that met the gate; None before."""
-        squared = float(self._counts.innovation)
+        squared = float(self._step.innovation)
         return None if math.isnan(squared) else squared
 
     @property
@@ -220,7 +220,7 @@ class RelativeEstimator:
             velocity=(v_x, v_y),
             covariance=(variance, 0.0, variance),
             age=int(b.age) * self._numbers.dt,
-            refused=int(self._counts.refused),
+            refused=int(b.by_gate + self._counts.misdated),
         )
 
     def get_ready(self, tick: int) -> None:
@@ -249,7 +249,7 @@ class RelativeEstimator:
         self._weighed[0] = True
 
     def work_out(self, needs: int) -> None:
-        """Put what a step needs (`agents.estimation.filtering.kalman_go_on`) into the products in `arrays`."""
+        """Put what a step needs (`agents.estimation.filtering.kalman_go_on`) into `arrays`."""
         if needs == PREDICT:
             ticks = self._ticks.item(0)
             matrices = self._motions.get(ticks)

@@ -10,8 +10,8 @@ back to what it believed before then, takes it up, and runs again through all th
 believes depends on which detections have arrived, not on when: the same bits as if all had come in order.
 
 In a tick: `kalman_begin` with what has arrived, then `kalman_go_on` until it is `DONE`. Where it needs the covariance
-predicted, or the gain and the covariance after a detection, it says so, and whoever steps it writes them into
-`Products`: pilots have them from filterpy (`agents.estimation.estimator`), batches from compiled code
+predicted, or the gain and the covariance after a detection, it says so, and whoever steps it writes them into `Step`:
+pilots have them from filterpy (`agents.estimation.estimator`), batches from compiled code
 (`agents.estimation.twin`).
 """
 
@@ -29,7 +29,7 @@ from sim.kernels.records import RecordArray, record_type
 from sim.models.vehicles import clip_norm
 
 DONE, PREDICT, WEIGH = range(3)
-"""What a step needs to go on: nothing; the covariance `Products.ticks` later; the gain, and the covariance after it."""
+"""What a step needs to go on: nothing; the covariance `Step.ticks` later; the gain, and the covariance after it."""
 
 NEVER = -1
 """In place of a tick: none."""
@@ -72,22 +72,18 @@ class Past:
 
 
 class Counts:
-    """Detections not used, and how likely the last one was."""
+    """Detections not used but for those that the gate has refused."""
 
-    refused: int
-    """In all, by the gate (as if all had come in order) or for the wrong time."""
     misdated: int
     """For the wrong time."""
     duplicates: int
     """Of a time that had the same one."""
     too_old: int
     """Later than the history reaches."""
-    innovation: float
-    """Normalized innovation squared (NIS) of the newest detection that met the gate; NaN before."""
 
 
 class Step:
-    """How far a step has come."""
+    """How far a step has come, and the products of matrices that it goes on with, of one axis."""
 
     tick: int
     """The tick that the filter is called for; `NEVER` before the first."""
@@ -97,11 +93,8 @@ class Step:
     """The tick of the belief."""
     detected: bool
     """True if it has yet to take up what was detected then."""
-
-
-class Products:
-    """The products of matrices that a step goes on with, of one axis."""
-
+    innovation: float
+    """Normalized innovation squared (NIS) of the newest detection that met the gate; NaN before."""
     ticks: int
     """So many are predicted over."""
     predicted: bool
@@ -132,8 +125,6 @@ class KalmanState(NamedTuple):
     """One row of `Counts`. Shape (1,)."""
     step: RecordArray
     """One row of `Step`. Shape (1,)."""
-    products: RecordArray
-    """One row of `Products`. Shape (1,)."""
     past: RecordArray
     """`Past` of the last ticks, each in row tick % depth. Shape (depth,)."""
     before: RecordArray
@@ -151,12 +142,12 @@ def kalman_state(depth: int) -> KalmanState:
     """
     if depth < 1:
         raise ValueError(f"depth must be at least 1, not {depth}")
-    rows = ((Belief, 1), (Counts, 1), (Step, 1), (Products, 1), (Past, depth), (Belief, depth))
+    rows = ((Belief, 1), (Counts, 1), (Step, 1), (Past, depth), (Belief, depth))
     state = KalmanState._make(np.zeros(length, dtype=record_type(row)) for row, length in rows)
     state.past["tick"] = NEVER
     for name in ("tick", "before", "at"):
         state.step[name] = NEVER
-    state.counts["innovation"] = math.nan
+    state.step["innovation"] = math.nan
     return state
 
 
@@ -165,6 +156,12 @@ def kalman_estimate(state: KalmanState) -> Target:
     """All that is believed of the UGV."""
     b = state.belief[0]
     return Target(b.known, b.x, b.y, b.v_x, b.v_y, b.p_pp, b.p_vv)
+
+
+@borrowing
+def kalman_refused(state: KalmanState) -> int:
+    """Detections refused, by the gate (as if all had come in order) or for the wrong time."""
+    return int(state.belief[0].by_gate + state.counts[0].misdated)
 
 
 @borrowing
@@ -193,7 +190,7 @@ def kalman_begin(
     first = _arrange(state, tick, looks, count)
     if first < tick:
         state.belief[0] = state.before[first % len(past)]
-        step.at, state.products[0].predicted, state.products[0].weighed = first, False, False
+        step.at, step.predicted, step.weighed = first, False, False
     step.detected = first == step.at
 
 
@@ -228,9 +225,9 @@ def kalman_go_on(parameters: KalmanParameters, state: KalmanState) -> int:
     """Go on to the tick that the filter was called for, as far as the products that there are reach.
 
     Returns:
-        `DONE`, or what has to be in `state.products` before the next call.
+        `DONE`, or what has to be in `state.step` before the next call.
     """
-    step, products, past, belief = state.step[0], state.products[0], state.past, state.belief[0]
+    step, past, belief = state.step[0], state.past, state.belief[0]
     while True:
         if step.detected:
             seen = past[step.at % len(past)]
@@ -238,7 +235,6 @@ def kalman_go_on(parameters: KalmanParameters, state: KalmanState) -> int:
                 return WEIGH
             step.detected = False
         if step.at == step.tick:
-            state.counts[0].refused = belief.by_gate + state.counts[0].misdated
             return DONE
         tick = step.tick
         if step.at < step.before:  # it runs again through what is past
@@ -247,25 +243,25 @@ def kalman_go_on(parameters: KalmanParameters, state: KalmanState) -> int:
                 tick += 1
         ticks = tick - step.at
         if belief.known and parameters.enabled:
-            if not products.predicted or products.ticks != ticks:
-                products.ticks, products.predicted, products.weighed = ticks, False, False
+            if not step.predicted or step.ticks != ticks:
+                step.ticks, step.predicted, step.weighed = ticks, False, False
                 return PREDICT
-            _predict(parameters, belief, products)
+            _predict(parameters, belief, step)
         belief.age += ticks
-        step.at, products.predicted = tick, False
+        step.at, step.predicted = tick, False
         if len(state.before) > 1:
             state.before[tick % len(past)] = belief
         step.detected = past[tick % len(past)].seen
 
 
 @borrowing
-def _predict(parameters: KalmanParameters, b: Belief, products: Products) -> None:
+def _predict(parameters: KalmanParameters, b: Belief, step: Step) -> None:
     """Take on what is predicted, with the standard deviations of an axis in bounds.
 
     The position's [m] never grows faster than at v_g,max, and is at least what the UGV may have strayed; the velocity's
     is at most v_g,max.
     """
-    c, n = parameters, products
+    c, n = parameters, step
     b.x += n.ticks * c.dt * b.v_x
     b.y += n.ticks * c.dt * b.v_y
     most = math.sqrt(b.p_pp) + c.speed * n.ticks * c.dt
@@ -296,45 +292,43 @@ def _take(parameters: KalmanParameters, state: KalmanState, x: float, y: float) 
     Returns:
         False if that needs the gain, which is not there; then nothing has changed.
     """
-    b, products = state.belief[0], state.products[0]
+    b, step = state.belief[0], state.step[0]
     if not parameters.enabled or not b.known:
-        _start(parameters, b, products, x, y)
+        _start(parameters, b, step, x, y)
         return True
     nu_x, nu_y = x - b.x, y - b.y
     s = b.p_pp + parameters.variance
     squared = (s * nu_x * nu_x + s * nu_y * nu_y) / (s * s)
     if squared <= parameters.gate:
-        if not products.weighed:
+        if not step.weighed:
             return False
-        _correct(parameters, b, products, nu_x, nu_y)
+        _correct(parameters, b, step, nu_x, nu_y)
     else:
         b.by_gate += 1
         b.in_a_row += 1
         if b.in_a_row >= parameters.patience:
-            _start(parameters, b, products, x, y)
-    state.counts[0].innovation = squared
+            _start(parameters, b, step, x, y)
+    step.innovation = squared
     return True
 
 
 @borrowing
-def _start(parameters: KalmanParameters, b: Belief, products: Products, x: float, y: float) -> None:
+def _start(parameters: KalmanParameters, b: Belief, step: Step, x: float, y: float) -> None:
     """Know nothing but one detection at (x, y) [m]."""
     b.known = True
     b.x, b.y, b.v_x, b.v_y = x, y, 0.0, 0.0
     b.p_pp, b.p_pv, b.p_vp, b.p_vv = parameters.variance, 0.0, 0.0, parameters.first_variance
     b.age = b.in_a_row = 0
-    products.predicted = products.weighed = False
+    step.predicted = step.weighed = False
 
 
 @borrowing
-def _correct(
-    parameters: KalmanParameters, b: Belief, products: Products, nu_x: float, nu_y: float
-) -> None:
+def _correct(parameters: KalmanParameters, b: Belief, step: Step, nu_x: float, nu_y: float) -> None:
     """Believe a detection that is (nu_x, nu_y) [m] from where the UGV was thought to be."""
-    n = products
+    n = step
     b.x += n.k_p * nu_x
     b.y += n.k_p * nu_y
     b.v_x, b.v_y = clip_norm(x=b.v_x + n.k_v * nu_x, y=b.v_y + n.k_v * nu_y, limit=parameters.speed)
     b.p_pp, b.p_pv, b.p_vp, b.p_vv = n.post_pp, n.post_pv, n.post_vp, n.post_vv
     b.age = b.in_a_row = 0
-    products.predicted = products.weighed = False
+    step.predicted = step.weighed = False

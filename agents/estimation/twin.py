@@ -26,7 +26,7 @@ from agents.estimation.filtering import (
     PREDICT,
     Belief,
     KalmanState,
-    Products,
+    Step,
     kalman_begin,
     kalman_go_on,
 )
@@ -54,9 +54,9 @@ def kalman_step(
     needs = kalman_go_on(parameters, state)
     while needs != DONE:
         if needs == PREDICT:
-            _predict(parameters, state.belief[0], state.products[0])
+            _predict(parameters, state.belief[0], state.step[0])
         else:
-            _weigh(parameters.variance, state.belief[0], state.products[0])
+            _weigh(parameters.variance, state.belief[0], state.step[0])
         needs = kalman_go_on(parameters, state)
 
 
@@ -72,17 +72,17 @@ fma = cast("Callable[[float, float, float], float]", intrinsic(_fma))
 
 
 @borrowing
-def _predict(c: KalmanParameters, b: Belief, products: Products) -> None:
+def _predict(c: KalmanParameters, b: Belief, step: Step) -> None:
     r"""The covariance of one axis a tick later: $F P F^T + Q$."""
     dt, vp, vv = c.dt, b.p_vp, b.p_vv
     a_pp, a_pv = fma(dt, vp, b.p_pp), fma(dt, vv, b.p_pv)
-    products.prior_pp, products.prior_pv = fma(a_pv, dt, a_pp) + c.q_pp, a_pv + c.q_pv
-    products.prior_vp, products.prior_vv = fma(vv, dt, vp) + c.q_pv, vv + c.q_vv
-    products.predicted = True
+    step.prior_pp, step.prior_pv = fma(a_pv, dt, a_pp) + c.q_pp, a_pv + c.q_pv
+    step.prior_vp, step.prior_vv = fma(vv, dt, vp) + c.q_pv, vv + c.q_vv
+    step.predicted = True
 
 
 @borrowing
-def _weigh(variance: float, b: Belief, products: Products) -> None:
+def _weigh(variance: float, b: Belief, step: Step) -> None:
     r"""Gain of one axis, and its covariance after a detection, $(I - KH) P (I - KH)^T + K R K^T$."""
     pp, pv, vp, vv = b.p_pp, b.p_pv, b.p_vp, b.p_vv
     s = pp + variance
@@ -92,9 +92,9 @@ def _weigh(variance: float, b: Belief, products: Products) -> None:
     a_pp, a_pv = m_p * pp, m_p * pv
     a_vp, a_vv = m_v * pp + vp, m_v * pv + vv
     kr_p, kr_v = k_p * variance, k_v * variance
-    products.k_p, products.k_v = k_p, k_v
-    products.post_pp = a_pp * m_p + kr_p * k_p
-    products.post_pv = a_pp * m_v + a_pv + kr_p * k_v
-    products.post_vp = a_vp * m_p + kr_v * k_p
-    products.post_vv = a_vp * m_v + a_vv + kr_v * k_v
-    products.weighed = True
+    step.k_p, step.k_v = k_p, k_v
+    step.post_pp = a_pp * m_p + kr_p * k_p
+    step.post_pv = a_pp * m_v + a_pv + kr_p * k_v
+    step.post_vp = a_vp * m_p + kr_v * k_p
+    step.post_vv = a_vp * m_v + a_vv + kr_v * k_v
+    step.weighed = True

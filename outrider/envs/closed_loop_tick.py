@@ -73,14 +73,7 @@ def _guard_of(t: LoopTables, s: GuardState, k: int, u: int) -> GuardState:
 
 @inlined
 def _kalman_of(s: KalmanState, k: int, u: int) -> KalmanState:
-    return KalmanState(
-        s.belief[k, u],
-        s.counts[k, u],
-        s.step[k, u],
-        s.products[k, u],
-        s.past[k, u],
-        s.before[k, u],
-    )
+    return KalmanState(s.belief[k, u], s.counts[k, u], s.step[k, u], s.past[k, u], s.before[k, u])
 
 
 @inlined
@@ -413,9 +406,10 @@ def _fetch_rows(s: LoopState, k: int) -> None:
         k,
     )  # type: ignore[call-arg]
     fetch_rows(
-        (truth.detections, truth.gains, truth.measures, s.kalman.belief, s.rows.uavs, s.rows.ugvs),
+        (truth.detections, truth.gains, truth.measures, s.rows.uavs, s.rows.ugvs),
         k,
     )
+    fetch_rows((s.kalman.belief, s.kalman.step), k)
     fetch_rows((s.laws, s.drivers, s.law_states, s.driver_states, s.certificates), k)
     fetch_rows((b.sent, s.rows.terms, s.rows.rewards, s.rows.terminated, s.rows.truncated), k)
     fetch_rows((b.ground.told, b.ground.pace, b.ground.before, b.mission.ugvs), k)
