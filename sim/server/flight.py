@@ -447,9 +447,8 @@ class Flight:
         What the UAVs radio arrives at the next one.
         """
         self._listen()
+        self.take_down()  # what is said of this tick is held against it
         world, answers, watched = self.world, self.answers, LAWS[self.law.name].watched
-        if watched:
-            self.recorder.record(answers.reports)  # what is said of this tick is held against it
         for k, name in enumerate(world.names):
             command = commands.get(name)
             if command is not None:
@@ -475,6 +474,13 @@ class Flight:
             else:
                 self.refused_blocks[name] += 1
 
+    def take_down(self) -> None:
+        """Settle the answers to the tick before and record this one; again at the same tick it changes nothing.
+
+        Nobody needs it before the world moves on, so it is best done while the vehicles think.
+        """
+        self.recorder.record(self.answers.reports)
+
     def _goes_on(self) -> bool:
         """True if nobody has stopped it meanwhile."""
         return not self._stopped
@@ -485,7 +491,6 @@ class Flight:
         if not self._goes_on():
             return False
         exchange.publish(self.observations())
-        self.recorder.record(self.answers.reports)  # while the vehicles think
         commands = exchange.collect(self.world.tick)
         if not self._goes_on():
             return False
@@ -502,7 +507,7 @@ class Flight:
         while not self.over and self.fly_tick(exchange):
             if on_tick is not None:
                 on_tick()
-        self.recorder.record(self.answers.reports)
+        self.take_down()
         if not self._abandoned:
             exchange.publish(self.observations())
 
@@ -511,7 +516,7 @@ class Flight:
         world = self.world
         arrays = (world.position, world.velocity, world.acceleration, self.commands)
         rows = zip(*(rows.tolist() for rows in arrays), strict=True)
-        self.recorder.record(self.answers.reports)
+        self.take_down()
         measures, detections = (
             self.recorder.escorts[world.tick, :, :2].tolist(),
             world.detections.tolist(),
@@ -554,7 +559,7 @@ def warm_up(scenario: Scenario) -> None:
     carried = [
         link for kind in (LinkKind.RADIO, LinkKind.OPERATOR) for link in links.of(kind).values()
     ]
-    flight.recorder.record(flight.answers.reports)
+    flight.take_down()
     if scenario.has_ground:
         block = GroundBlock(row=0, column=0, tiles=world.known_block(0, 0, 0))
         for ugv in scenario.ugv:

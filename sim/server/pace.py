@@ -30,6 +30,10 @@ Idle = Callable[[], bool]
 """Called now and then while a pace waits; returns whether the flight has been ended."""
 
 
+def _nothing() -> None:
+    """There is no work."""
+
+
 class Pace(Protocol):
     """Paces the exchange with the vehicles from tick to tick."""
 
@@ -41,12 +45,15 @@ class Pace(Protocol):
     def publish(self, observations: Mapping[str, Observation]) -> None:
         """Give each vehicle its observation."""
 
-    def collect(self, tick: int, idle: Idle) -> dict[str, Command]:
+    def collect(
+        self, tick: int, idle: Idle, meanwhile: Callable[[], None] = _nothing
+    ) -> dict[str, Command]:
         """Wait until this tick is over, and return the newest command of each vehicle that has a new one.
 
         Args:
             tick: Now.
             idle: Called now and then meanwhile.
+            meanwhile: Work that may be done while the vehicles think; may be called, once.
         """
 
     def restart(self) -> None:
@@ -125,8 +132,14 @@ class Lockstep:
             elif name in self._flying:
                 self._awaited[name] = _Wait(now, self._grace, patient=True)
 
-    def collect(self, tick: int, idle: Idle) -> dict[str, Command]:
-        """Wait for the commands of all who were given this tick's observation, each no longer than it may take."""
+    def collect(
+        self, tick: int, idle: Idle, meanwhile: Callable[[], None] = _nothing
+    ) -> dict[str, Command]:
+        """Wait for the commands of all who were given this tick's observation, each no longer than it may take.
+
+        The simulator shares its core with the vehicles that have least to do, and they would wait for its own work: it
+        is done once the first of them has answered.
+        """
         commands: dict[str, Command] = {}
         awaited, patience = self._awaited, self._look_around
         look = time.monotonic() + patience
@@ -138,6 +151,8 @@ class Lockstep:
                     self._cut_off.pop(letter.sender, None)
                     if not awaited:
                         break
+                    meanwhile()
+                    meanwhile = _nothing
                 if (
                     time.monotonic() < look
                 ):  # a flood of letters must not keep us from looking around
@@ -261,8 +276,11 @@ class RealTime:
             self.late_ticks += 1
         return due
 
-    def collect(self, tick: int, idle: Idle) -> dict[str, Command]:
+    def collect(
+        self, tick: int, idle: Idle, meanwhile: Callable[[], None] = _nothing
+    ) -> dict[str, Command]:
         """Sleep until the tick is over; then take what has come."""
+        meanwhile()
         commands: dict[str, Command] = {}
         due = self._due(tick)
         while not idle():

@@ -113,7 +113,7 @@ class Server:
         """The commands for this tick, once it is over."""
         if self._stop():
             self.flight.stop()
-        commands = self._operators.pace.collect(tick, self._idle)
+        commands = self._operators.pace.collect(tick, self._idle, self.flight.take_down)
         if not self._begun:
             self._begun = True
             if self._operators.pace.factor is None:
