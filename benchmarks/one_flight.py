@@ -20,12 +20,14 @@ from outrider.running.flying import InProcess, Pilot, make_pilots
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
+from sim.world import World
 
 _WINDOW = 100
 """Ticks that are timed together: the thread's own clock costs a third of a microsecond."""
 _QUIET = 10
 """The percentile that is shown: what others do on the machine only ever adds."""
 WORLD, WHOLE = "`World.step` with error and gradient", "a tick of the flight"
+ALONE = "`World.step` alone, over and over"
 Times = dict[str, list[float]]
 
 
@@ -46,10 +48,10 @@ def parts(flight: Flight, pilots: dict[str, Pilot]) -> dict[str, tuple[Any, str]
     """The parts of a tick: an object, and its method; those that begin with a dash are within the one above."""
     found: dict[str, tuple[Any, str]] = {
         "observations": (flight, "_observe"),
-        "row of the record, with e(t)": (flight.recorder, "record"),
-        "commands taken and applied": (flight, "apply"),
+        "the tick recorded, commands taken and applied": (flight, "apply"),
+        "- row of the record, with e(t)": (flight.recorder, "record"),
+        "- answers counted, reports held against the truth": (flight._answers, "settle"),
         "- the world moves": (flight.world, "advance"),
-        "answers counted, reports held against the truth": (flight._answers, "settle"),
     }
     for name, pilot in pilots.items():
         found[f"pilot of {name}"] = pilot, "act"
@@ -87,17 +89,18 @@ def _fly(scenario: Scenario, times: Times, *, apart: bool) -> None:
 
 def measure(flights: int) -> dict[str, float]:
     """Microseconds of each part of a tick, the lower end of many."""
-    scenario, times, step = load_scenario("escort"), defaultdict[str, list[float]](list), None
+    scenario, times = load_scenario("escort"), defaultdict[str, list[float]](list)
     _fly(scenario, defaultdict(list), apart=False)  # loads what is compiled
     for _ in range(flights):
         _fly(scenario, times, apart=False)
         _fly(scenario, times, apart=True)
-        step = step or world_stepper()
-        for _ in range(scenario.ticks // _WINDOW):
-            started = time.thread_time()
-            for _ in range(_WINDOW):
-                step()
-            times[WORLD].append((time.thread_time() - started) / _WINDOW)
+        world, commands = World(scenario, 1), np.zeros((2, 2))
+        for name, step in ((ALONE, partial(world.step, commands)), (WORLD, world_stepper())):
+            for _ in range(scenario.ticks // _WINDOW):
+                started = time.thread_time()
+                for _ in range(_WINDOW):
+                    step()
+                times[name].append((time.thread_time() - started) / _WINDOW)
     return {name: 1e6 * float(np.percentile(each, _QUIET)) for name, each in times.items()}
 
 
