@@ -100,7 +100,7 @@ class Step:
     predicted: bool
     """True if the covariance of the belief so many ticks later is there."""
     weighed: bool
-    """True if the gain for a detection is there: at the tick of the belief, or at the one that is predicted."""
+    """True if the gain for a detection is there: at the tick that is predicted, or if none is at that of the belief."""
     prior_pp: float
     prior_pv: float
     prior_vp: float
@@ -290,7 +290,7 @@ def _take(parameters: KalmanParameters, state: KalmanState, x: float, y: float) 
     It is believed if $\nu^T S^{-1} \nu$ is within the gate, $\nu = z - H\hat x$, $S = H P H^T + R$.
 
     Returns:
-        False if that needs the gain, which is not there; then nothing has changed.
+        False if that needs the gain, which is not there; then the belief has not changed.
     """
     b, step = state.belief[0], state.step[0]
     if not parameters.enabled or not b.known:
@@ -300,7 +300,10 @@ def _take(parameters: KalmanParameters, state: KalmanState, x: float, y: float) 
     s = b.p_pp + parameters.variance
     squared = (s * nu_x * nu_x + s * nu_y * nu_y) / (s * s)
     if squared <= parameters.gate:
-        if not step.weighed:
+        if (
+            step.predicted or not step.weighed
+        ):  # what was worked ahead is for the tick that is predicted
+            step.predicted = step.weighed = False
             return False
         _correct(parameters, b, step, nu_x, nu_y)
     else:
