@@ -27,7 +27,7 @@ R_O = R_V + R
 R_S = R_V - (V_A + V_G) ** 2 / (2.0 * U_A)
 DT = 0.05
 PROMISED = {"r_v": R_V, "v_a": V_A, "u_a": U_A, "v_g": V_G, "dt": DT}
-"""What a certificate for these vehicles is declared with, but for the detections."""
+"""The declared numbers of a certificate for these vehicles, but for the detections."""
 
 HERE = (20.0, 20.0)
 UAV, UGV = Uav(position=HERE), Ugv(position=HERE)

@@ -29,14 +29,14 @@ from sim.kernels.records import RecordArray, record_type
 from sim.models.vehicles import clip_norm
 
 DONE, PREDICT, WEIGH = range(3)
-"""What a step needs to go on: nothing; the covariance `Step.ticks` later; the gain, and the covariance after it."""
+"""The needs of a step that is to go on: nothing; the covariance `Step.ticks` later; the gain, and the covariance after it."""
 
 NEVER = -1
 """In place of a tick: none."""
 
 
 class Belief:
-    """What is believed of the UGV; meaningless while nothing is known."""
+    """The belief about the UGV; meaningless while nothing is known."""
 
     known: bool
     x: float
@@ -68,7 +68,7 @@ class Past:
     seen: bool
     seen_x: float
     seen_y: float
-    """Where the UGV was detected then [m]."""
+    """Place at which the UGV was detected then [m]."""
 
 
 class Counts:
@@ -83,7 +83,7 @@ class Counts:
 
 
 class Step:
-    """How far a step has come, and the products of matrices that it goes on with, of one axis."""
+    """The progress of a step, and the products of matrices that it goes on with, of one axis."""
 
     tick: int
     """The tick that the filter is called for; `NEVER` before the first."""
