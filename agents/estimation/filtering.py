@@ -29,7 +29,7 @@ from sim.kernels.records import RecordArray, record_type
 from sim.models.vehicles import clip_norm
 
 DONE, PREDICT, WEIGH = range(3)
-"""The needs of a step that is to go on: nothing; the covariance `Step.ticks` later; the gain, and the covariance after it."""
+"""The needs of a step: nothing; the covariance `Step.ticks` later; the gain, and the covariance after it."""
 
 NEVER = -1
 """In place of a tick: none."""
