@@ -3,7 +3,8 @@
 Arrays have an axis for vehicles, in name order. One seed, one secret and the same commands give the same bits.
 """
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -91,7 +92,10 @@ class World:
         """The commands that acted in the last tick, before the bounds [m/s²], shape (vehicles, 2)."""
         measured = self.position, self.escorts, self.coverage, self.state.measures
         self._measured = tables.world, *measured, True
-        self._measure = entry_point(measure, *self._measured)
+
+    @functools.cached_property
+    def _measure(self) -> Callable[..., None]:
+        return entry_point(measure, *self._measured)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: self.__dict__[name] for name in _KEPT}

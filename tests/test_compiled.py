@@ -1,5 +1,6 @@
 """How our functions are compiled: strictly, into the cache, and to the numbers of the text as it is written."""
 
+import copy
 import importlib
 import os
 import pkgutil
@@ -14,6 +15,7 @@ import numba
 import numpy as np
 import pytest
 from draws import a_key
+from numba.core import inline_closurecall, types
 from numba.core.caching import NullCache
 from numba.core.codegen import CPUCodeLibrary
 from numba.core.errors import TypingError
@@ -239,6 +241,8 @@ def test_numbas_own_passes_are_left_out_of_our_functions_alone(monkeypatch):
     with pytest.raises(TypingError):
         _adds("text")
     assert seen == []
+    assert inline_closurecall.copy is copy  # likewise what inlines a function
+    assert types.Function.get_call_type is types.functions.BaseFunction.get_call_type
     assert numba.njit(lambda x: x + 1)(1) == 2
     assert seen
 

@@ -153,6 +153,14 @@ def expected_velocity(target: Target) -> tuple[float, float]:
 
 
 @borrowing
+def _copy(source: FloatArray, to: FloatArray) -> None:
+    """Copy an array of the same shape; by `to[:] = source` numba would compile how its error is put into words."""
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            to[i, j] = source[i, j]
+
+
+@borrowing
 def add_density(
     weight: FloatArray, x: float, y: float, cell: float, spread: float, r_o: float, share: float
 ) -> None:
@@ -252,7 +260,7 @@ def look_ahead(
         x, y = (column + 0.5) * cell - g_x, (row + 0.5) * cell - g_y
         add_density(total, x, y, cell, spread, c.r_o, step * math.exp(-_RATE * time))
         if k < steps:
-            weight[k] = total
+            _copy(total, weight[k])
             track[k, 0], track[k, 1] = g_x, g_y
             legs[k] = int((tick + (k + 0.5) * step / c.dt) / leg) - tick // leg
     return Ahead(step, cell, column * cell, row * cell, legs, track, lack, weight)
@@ -476,18 +484,18 @@ def decide(
         lack, gains = np.empty_like(ahead.lack), np.empty(_WINDOW)
         most = worth(c, ahead, here, best, lack, gains)
         for n in range(1, c.candidates):
-            tried[:] = best
+            _copy(best, tried)
             draw_motion(c, ahead, here, tried, tick, n)
             value = worth(c, ahead, here, tried, lack, gains)
             if value > most:
                 most = value
-                best[:] = tried
+                _copy(tried, best)
     elif state.noted == 1 or now - state.first >= LEGS:
         draw_motion(c, ahead, here, best, tick, 0)
     else:
         return
     state.first = now
-    memory.velocities[:] = best
+    _copy(best, memory.velocities)
 
 
 @compiled

@@ -9,13 +9,15 @@ import contextlib
 import functools
 import gc
 from collections.abc import Callable, Iterator
-from types import FunctionType
+from types import FunctionType, SimpleNamespace
 from typing import Any
 
+from numba.core import inline_closurecall
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher, cpu_target
-from numba.core.types import Dispatcher, unliteral
+from numba.core.targetconfig import ConfigStack
+from numba.core.types import Dispatcher, Function, unliteral
 
 from sim.kernels.lazy_packages import enter
 
@@ -24,9 +26,15 @@ enter("scipy.linalg")  # numba passes it on the way to one module, and nobody he
 _Library: Any = JITCodeLibrary  # numba's classes have no types, or wrong ones
 _Dispatcher: Any = CPUDispatcher
 _plain: Any = unliteral
+_call_type: Any = Function.get_call_type
+_flags: Any = ConfigStack.top_or_none
 
-_INSIDE = ("_optimize_functions", "_optimize_final_module", "_finalize_final_module")
-_IS_KNOWN = all(hasattr(JITCodeLibrary, name) for name in _INSIDE)
+_INSIDE = {
+    JITCodeLibrary: ("_optimize_functions", "_optimize_final_module", "_finalize_final_module"),
+    inline_closurecall: ("copy",),
+    Function: ("get_call_type",),
+}
+_IS_KNOWN = all(hasattr(owner, name) for owner, names in _INSIDE.items() for name in names)
 """True if numba's insides, which another version may do without, are those that are dealt with here."""
 
 
@@ -60,21 +68,60 @@ class _Part(_Whole):
         return self.serialize_using_bitcode()
 
 
+_Calls = dict[tuple[object, ...], object]
+_typed: list[tuple[object, _Calls]] = []
+"""The calls of numba's own functions that have been typed, by the flags of their callers."""
+
+
+def _type_call(
+    function: object, context: object, arguments: tuple[object, ...], named: dict[str, object]
+) -> object:
+    """The signature of a call of one of numba's functions, looked for once.
+
+    By itself numba tries all kinds of operands, from datetimes to sets, wherever two numbers are added.
+    """
+    flags, call = getattr(_flags(), "_values", None), (function, *arguments, *named.items())
+    calls = next((calls for known, calls in _typed if known == flags), None)
+    if calls is None:
+        calls = {}
+        _typed.append((flags and dict(flags), calls))
+    if call not in calls:
+        calls[call] = _call_type(function, context, arguments, named)
+    return calls[call]
+
+
+@contextlib.contextmanager
+def _replaced(owner: object, **attributes: object) -> Iterator[None]:
+    """While this lasts an object has attributes of its own that are these."""
+    before = {name: vars(owner)[name] for name in attributes if name in vars(owner)}
+    for name, value in attributes.items():
+        setattr(owner, name, value)
+    try:
+        yield
+    finally:
+        for name in attributes:
+            if name in before:
+                setattr(owner, name, before[name])
+            else:
+                delattr(owner, name)
+
+
 @contextlib.contextmanager
 def _compiling_to(kind: type[_Whole]) -> Iterator[None]:
-    """While this lasts nobody else compiles, and numba compiles to code of this kind."""
-    with global_compiler_lock, _collecting_seldom():
-        codegen = cpu_target.target_context.codegen()
-        outside = vars(codegen).get("_library_class"), vars(codegen).get("set_env")
-        codegen._library_class, codegen.set_env = kind, functools.partial(_set_env, codegen)
-        try:
-            yield
-        finally:
-            for name, before in zip(("_library_class", "set_env"), outside, strict=True):
-                if before is None:
-                    delattr(codegen, name)
-                else:
-                    setattr(codegen, name, before)
+    """While this lasts nobody else compiles, and numba compiles to code of this kind.
+
+    What is inlined is not copied before: it was made for this and is used once.
+    """
+    codegen = cpu_target.target_context.codegen()
+    kept = SimpleNamespace(deepcopy=lambda block: block)
+    with (
+        global_compiler_lock,
+        _collecting_seldom(),
+        _replaced(codegen, _library_class=kind, set_env=functools.partial(_set_env, codegen)),
+        _replaced(inline_closurecall, copy=kept),
+        _replaced(Function, get_call_type=_type_call),
+    ):
+        yield
 
 
 def _set_env(codegen: Any, name: str, environment: object) -> None:  # noqa: ANN401 - numba's

@@ -11,7 +11,7 @@ from bus.messages import Vector
 from bus.registry import DRIVERS, HAZARDS
 from sim.kernels.compile import FloatArray, IntArray
 from sim.kernels.records import RecordArray, records
-from sim.models.ground import HazardRow, TileArray, fill_tiles, tile_index, tiles_shape
+from sim.models.ground import CLEAR, HazardRow, TileArray, fill_tiles, tile_index, tiles_shape
 from sim.models.hazard_fields import HazardFieldRow, place_hazards, work_array
 from sim.models.randomness import Key
 from sim.scenario.types import Hazard, HazardField, Scenario, Ugv
@@ -43,8 +43,10 @@ def ground_tables(s: Scenario) -> GroundTables:
     room = sum(field.count for field in s.hazard_field)
     hazards = np.concatenate([given, np.zeros(room, dtype=given.dtype)])
     corners = corners_of(s.hazard)
-    tiles = np.zeros(tiles_shape(s.area.width, s.area.height, s.ground.tile), dtype=np.uint8)
-    fill_tiles(given, corners, s.ground.tile, tiles)
+    shape = tiles_shape(s.area.width, s.area.height, s.ground.tile)
+    tiles = np.full(shape, CLEAR, dtype=np.uint8)
+    if s.hazard:  # else nothing is compiled for them
+        fill_tiles(given, corners, s.ground.tile, tiles)
     points = [point for ugv in s.ugv for point in stops(ugv)]
     return GroundTables(
         hazards,
