@@ -454,7 +454,7 @@ def _outages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
             f"{told}: how seldom the next motion begins {late} is unknown, as {chance.why}",
         )
         return
-    how = How.CERTAIN if chance == (1.0, True, "") else How.SOMETIMES
+    how = How.CERTAIN if chance == (1.0, "") else How.SOMETIMES
     yield how, f"{told}: the next motion begins {late} {in_flights(chance.value)}"
 
 

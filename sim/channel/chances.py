@@ -56,10 +56,13 @@ class Chance(NamedTuple):
 
     value: float | None
     """None: nothing can be stated."""
-    exact: bool
-    """False: a bound, or no statement."""
     why: str
     """The limits of the statement in words; empty where it is exact."""
+
+    @property
+    def exact(self) -> bool:
+        """False: a bound, or no statement."""
+        return not self.why
 
 
 class Smallest(NamedTuple):
@@ -297,11 +300,11 @@ class _Counted(NamedTuple):
             (plan,) = self.plans
             ((_, leaves),) = plan.schedules
             value = _pushed(self.channel, leaves, window, plan.first(number))
-            return Chance(min(1.0, value), True, "")
+            return Chance(min(1.0, value), "")
         if long and not self.regular:
-            return Chance(None, False, "the flight is too long to be gone through tick by tick")
+            return Chance(None, "the flight is too long to be gone through tick by tick")
         value = min(self.summed(plan, number, regular=self.regular) for plan in self.plans)
-        return Chance(min(1.0, value), False, self.why or _SUMMED)
+        return Chance(min(1.0, value), self.why or _SUMMED)
 
     def smallest(self, risk: float) -> int | None:
         """The smallest number of ticks exceeded with at most this chance; None: none below the flight's length."""
@@ -333,7 +336,7 @@ class _Played(NamedTuple):
 
     def chance(self, number: int) -> Chance:
         """The chance that so many ticks are exceeded: the mean over all places, which are equally likely."""
-        return Chance(float(self.exceeded(number).mean()), not self.why, self.why)
+        return Chance(float(self.exceeded(number).mean()), self.why)
 
     def smallest(self, risk: float) -> int | None:
         """The smallest number of ticks that is exceeded with at most this chance; None: none within the flight."""
@@ -396,24 +399,26 @@ def _age_window(in_time: FloatArray, waited: int, age: int) -> _Window:
     room = rest - np.arange(max(rest, 0) + 1)  # ticks within which a message has to arrive
     share = in_time[np.clip(room, 0, len(in_time) - 1)]
     share[0] = 0.0
-    useful = share[: int(np.flatnonzero(share).max(initial=0)) + 1]
-    return _Window(useful, max(rest, int(np.flatnonzero(in_time)[0])))
+    return _Window(_to_last(share), max(rest, int(np.flatnonzero(in_time)[0])))
 
 
-def _tries(in_time: FloatArray, delay: int, repeats: int, chains: int) -> FloatArray:
-    """After a base: copy i of a chain's first motion has to arrive within d - i ticks; a chain every d + 1 ticks."""
-    useful = np.zeros(max(chains, 0) * (delay + 1) + repeats + 1)
+def _outage_window(in_time: FloatArray, delay: int, repeats: int, outage: int) -> _Window:
+    """The tries whose motions begin at most this many ticks after the last that has begun.
+
+    A chain of motions begins every d + 1 ticks; copy i of its first one has to arrive within d - i ticks.
+    """
+    chains = (outage - 1) // (delay + 1) + 1
+    useful = np.zeros(chains * (delay + 1) + repeats + 1)
     for chain in range(chains):
         for copy in range(min(repeats, delay + 1)):
             share = in_time[min(delay - copy, len(in_time) - 1)]
             useful[1 + chain * (delay + 1) + copy] = share
+    return _Window(_to_last(useful), delay + outage)
+
+
+def _to_last(useful: FloatArray) -> FloatArray:
+    """The shares up to the last message that may arrive in time."""
     return useful[: int(np.flatnonzero(useful).max(initial=0)) + 1]
-
-
-def _outage_window(in_time: FloatArray, delay: int, repeats: int, outage: int) -> _Window:
-    """The tries whose motions begin at most this many ticks after the last that has begun."""
-    chains = (outage - 1) // (delay + 1) + 1
-    return _Window(_tries(in_time, delay, repeats, chains), delay + outage)
 
 
 def _not_gone_through(p: LinkParameters, ticks: int) -> str:
@@ -547,19 +552,15 @@ def _outages(
     if p.spacing > 1.0 + DUST:
         return "fewer packets leave than are sent, so that motions wait and are dropped"
     left, in_time = _left(p, ticks), _in_time(p)
-    plan = _Plan(
-        functools.partial(_outage_window, in_time, delay, repeats),
-        functools.partial(_outage_window, in_time, delay, repeats),
-        ((1.0, left),),
-        np.ones(ticks, dtype=bool),
-    )
+    window = functools.partial(_outage_window, in_time, delay, repeats)
+    plan = _Plan(window, window, ((1.0, left),), np.ones(ticks, dtype=bool))
     why = _because(_reasons(p, in_time[: delay + 1]))
     return _Counted(_channel(p, 0.0), (plan,), ticks, bool(left.all()), why, ticks - delay)
 
 
 def _chance(counted: _Counted | _Played | str, bound: float, dt: float) -> Chance:
     if isinstance(counted, str):
-        return Chance(None, False, counted)
+        return Chance(None, counted)
     return counted.chance(ticks_within(bound, dt))
 
 
@@ -686,12 +687,12 @@ def chance_of_error(sigma: float, cut: float, count: int, error: float) -> Chanc
         error: [m]
     """
     if sigma == 0.0 or error >= sigma * cut * (1.0 - 1e-9):
-        return Chance(0.0, True, "")
+        return Chance(0.0, "")
     beyond = math.exp(-0.5 * cut * cut)
     larger = (math.exp(-0.5 * (error / sigma) ** 2) - beyond) / (1.0 - beyond)
     if larger >= 1.0:
-        return Chance(1.0, True, "")
-    return Chance(-math.expm1(count * math.log1p(-larger)), True, "")
+        return Chance(1.0, "")
+    return Chance(-math.expm1(count * math.log1p(-larger)), "")
 
 
 def largest_error(sigma: float, cut: float, count: int, risk: float) -> float:
