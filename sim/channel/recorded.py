@@ -170,17 +170,16 @@ def _opportunities(text: str) -> Opportunities:
 
 def _fates(text: str) -> Fates:
     sent, delay, columns, before = array("d"), array("d"), dict[str, int](), -math.inf
-    numbered = _lines(text)
-    numbers: list[int] = []
+    number = 0
 
     def told() -> Iterator[str]:
-        for number, line in numbered:
-            numbers[:] = [number]
+        nonlocal number
+        for at, line in _lines(text):
+            number = at
             yield line
 
     try:
         for cells in csv.reader(told()):
-            number = numbers[0]
             if not columns:
                 columns = _columns(cells, number)
                 continue
@@ -197,9 +196,9 @@ def _fates(text: str) -> Fates:
             delay.append(took)
             before = time
     except csv.Error as error:
-        raise _Wrong(numbers[0], None, f"not CSV: {error}", TRACE_RULE) from error
+        raise _Wrong(number, None, f"not CSV: {error}", TRACE_RULE) from error
     if not sent:
-        raise _Wrong(numbers[0], None, "a header without rows", "one row or more")
+        raise _Wrong(number, None, "a header without rows", "one row or more")
     times: FloatArray = np.array(sent)
     return Fates(times - times[0], np.array(delay))
 
