@@ -249,12 +249,12 @@ class RealTime:
         self._period = dt / factor
         self._on_event = on_event
         self._start: float | None = None
+        """Time at which the tick `_first` began [s]; None: the next one begins now."""
         self._first = 0
-        self._restart = True
 
     def restart(self) -> None:
         """The clock has stood still: count from now."""
-        self._restart = True
+        self._start = None
 
     def publish(self, observations: Mapping[str, Observation]) -> None:
         """Give each vehicle its observation; a long past goes out in parts, one a tick."""
@@ -264,8 +264,8 @@ class RealTime:
     def _due(self, tick: int) -> float:
         """The time at which this tick's end is due [s], on the monotonic clock."""
         now = time.monotonic()
-        if self._restart or self._start is None:
-            self._start, self._first, self._restart = now, tick, False
+        if self._start is None:
+            self._start, self._first = now, tick
         due = self._start + (tick + 1 - self._first) * self._period
         if now - due > _BEHIND:
             self._on_event(
