@@ -44,12 +44,13 @@ def shipped_text(name: str) -> str:
     Raises:
         ScenarioError: If none has this name.
     """
-    if name not in _shipped():
+    shipped = _shipped().get(name)
+    if shipped is None:
         known = scenario_names()
         raise ScenarioError(
             f"{one_line(name)}: no such scenario{near(name, known)}; allowed: {', '.join(known)}"
         )
-    return _read(name, name)
+    return shipped.read_text("utf-8")
 
 
 def _read(source: str | Path, file: str) -> str:
