@@ -105,12 +105,12 @@ def _polygon_faults(path: str, hazard: Hazard) -> Iterator[Fault]:
         yield Fault(path, hazard.polygon, wrong, "each corner once, the first not again at the end")
         return
     met = _sides_that_meet(corners, sides)
+    from_first = corners - corners[0]
+    twice_the_area = float(_cross(from_first, np.roll(from_first, -1, axis=0)).sum())
     if met is not None:
         wrong = f"it crosses itself: its sides from corners {met[0]} and {met[1]} meet"
         yield Fault(path, hazard.polygon, wrong, "corners in order round it")
-    elif abs(
-        float(_cross(corners - corners[0], np.roll(corners, -1, axis=0) - corners[0]).sum())
-    ) <= (2.0 * _LEAST_AREA):
+    elif abs(twice_the_area) <= 2.0 * _LEAST_AREA:
         yield Fault(path, hazard.polygon, "it has no area", "corners that are not in one line")
 
 

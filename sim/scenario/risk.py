@@ -57,8 +57,7 @@ def risk_bounds(s: Scenario, uav: str) -> RiskBounds:
             risk=share,
             traces=s.links.traces,
         )
-        if age.value is not None:
-            age = age._replace(value=max(age.value, s.dt))
+        age = _a_tick_or_more(age, s.dt)
     if wanted[1]:
         outage = smallest_outage(
             s.links.of(uav, LinkKind.COMMANDS),
@@ -69,11 +68,14 @@ def risk_bounds(s: Scenario, uav: str) -> RiskBounds:
             risk=share,
             traces=s.links.traces,
         )
-        if outage.value is not None:
-            outage = outage._replace(value=max(outage.value, s.dt))
+        outage = _a_tick_or_more(outage, s.dt)
     if wanted[2]:
         error = largest_error(s.detections.noise, s.noise_cut, -(-s.ticks // period), share)
     return RiskBounds(age, outage, error)
+
+
+def _a_tick_or_more(found: Smallest, dt: float) -> Smallest:
+    return found if found.value is None else found._replace(value=max(found.value, dt))
 
 
 def risk_warnings(s: Scenario) -> Iterator[str]:

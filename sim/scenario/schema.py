@@ -21,11 +21,10 @@ def field_docs(struct: type[msgspec.Struct]) -> dict[str, str]:
     """The documentation under each field of a struct, those of its bases first."""
     found: dict[str, str] = {}
     for cls in reversed(struct.__mro__):
-        if cls in (object, msgspec.Struct) or not issubclass(cls, msgspec.Struct):
+        if cls is msgspec.Struct or not issubclass(cls, msgspec.Struct):
             continue
-        for before, after in itertools.pairwise(
-            _classes(inspect.getmodule(cls))[cls.__name__].body
-        ):
+        body = _classes(inspect.getmodule(cls))[cls.__name__].body
+        for before, after in itertools.pairwise(body):
             if (
                 isinstance(before, ast.AnnAssign)
                 and isinstance(before.target, ast.Name)
@@ -46,18 +45,18 @@ def _classes(module: ModuleType | None) -> dict[str, ast.ClassDef]:
 def scenario_schema() -> dict[str, Any]:
     """The schema, JSON Schema 2020-12: types, bounds, defaults, and each field's documentation."""
     schema = msgspec.json.schema(Scenario)
-    for name, table in schema["$defs"].items():
+    tables = schema["$defs"]
+    for name, table in tables.items():
         struct = getattr(types, name, None) or getattr(messages, name)
         docs = field_docs(struct) if "properties" in table else {}
         for field, told in docs.items():
             table["properties"][field]["description"] = told
-    driver = schema["$defs"]["Ugv"]["properties"]["driver"]
+    driver = tables["Ugv"]["properties"]["driver"]
     driver["pattern"] = f"{driver['pattern']}|^({'|'.join(SAVED_POLICIES)}):."
     profile = {
         "enum": sorted(PROFILES),
         "description": "The profile that these settings start from.",
     }
-    tables = schema["$defs"]
     for name in ("LinkTable", "VehicleLinks", "LinkSettings"):
         tables[name]["properties"]["profile"] = profile
     for name in ("LinkTable", "VehicleLinks"):

@@ -171,7 +171,7 @@ def covered_is_inside(s: Scenario) -> Iterator[Fault]:
     for k, region in enumerate(s.coverage.covered):
         for axis, letter, size in ((0, "x", s.area.width), (1, "y", s.area.height)):
             low, high = region.lower[axis], region.upper[axis]
-            path = f"coverage.covered.{k}"
+            path, allowed = f"coverage.covered.{k}", f"{letter} from 0 to {size:g} m"
             if low >= high:
                 yield Fault(
                     f"{path}.upper.{axis}",
@@ -180,13 +180,9 @@ def covered_is_inside(s: Scenario) -> Iterator[Fault]:
                     f"more than {low:g} m",
                 )
             if low < 0.0:
-                yield Fault(
-                    f"{path}.lower.{axis}", low, "outside Q", f"{letter} from 0 to {size:g} m"
-                )
+                yield Fault(f"{path}.lower.{axis}", low, "outside Q", allowed)
             if high > size:
-                yield Fault(
-                    f"{path}.upper.{axis}", high, "outside Q", f"{letter} from 0 to {size:g} m"
-                )
+                yield Fault(f"{path}.upper.{axis}", high, "outside Q", allowed)
 
 
 def starts_are_within_bounds(s: Scenario) -> Iterator[Fault]:
