@@ -16,32 +16,24 @@ class CoveragePatch(NamedTuple):
     """Rows, and columns."""
     meters_per_pixel: float
 
-    def check(self) -> None:
-        """Refuse what cannot be drawn.
-
-        Raises:
-            ValueError: If it has no pixels, or too many, or no size.
-        """
-        if not (1 <= self.pixels <= 1024 and self.pixels == int(self.pixels)):
-            raise ValueError(
-                f"coverage_patch: pixels = {self.pixels!r}; must be a whole number from 1 to 1024"
-            )
-        if not 0.0 < self.meters_per_pixel < 1e6:
-            raise ValueError(
-                f"coverage_patch: meters_per_pixel = {self.meters_per_pixel!r}; must be positive and finite"
-            )
-
 
 def given_patch(given: CoveragePatch | tuple[int, float] | None) -> CoveragePatch | None:
     """The picture that is asked for, if one is.
 
     Raises:
-        ValueError: If it cannot be drawn.
+        ValueError: If it has no pixels, or too many, or no size.
     """
     if given is None:
         return None
-    patch = CoveragePatch(*given)
-    patch.check()
+    pixels, size = patch = CoveragePatch(*given)
+    if not (1 <= pixels <= 1024 and pixels == int(pixels)):
+        raise ValueError(
+            f"coverage_patch: pixels = {pixels!r}; must be a whole number from 1 to 1024"
+        )
+    if not 0.0 < size < 1e6:
+        raise ValueError(
+            f"coverage_patch: meters_per_pixel = {size!r}; must be positive and finite"
+        )
     return patch
 
 
