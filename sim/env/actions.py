@@ -1,6 +1,7 @@
 """The agents' actions as the world's commands, or a line that says what is allowed."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -41,10 +42,7 @@ def _pair(name: str, action: npt.ArrayLike) -> list[float]:
     if isinstance(action, np.ndarray) and action.shape == (2,) and action.dtype.kind == "f":
         plain: list[float] = action.tolist()
         return plain
-    try:
-        pair = np.asarray(action)
-    except (TypeError, ValueError):  # a ragged list
-        pair = np.empty(0, dtype=object)
+    pair = _array(action)
     if pair.shape != (2,) or pair.dtype.kind not in "fiu":
         raise ValueError(
             f"action of {name} = {action!r}: must be two numbers, the acceleration x and y [m/s²]"
@@ -53,16 +51,21 @@ def _pair(name: str, action: npt.ArrayLike) -> list[float]:
     return values
 
 
+def _array(given: npt.ArrayLike) -> npt.NDArray[Any]:
+    """What is given, as an array; an empty one of a ragged list."""
+    try:
+        return np.asarray(given)
+    except (TypeError, ValueError):
+        return np.empty(0, dtype=object)
+
+
 def take_batch(name: str, actions: npt.ArrayLike, worlds: int) -> FloatArray:
     """One vehicle's actions in many worlds, checked. Shape (worlds, 2).
 
     Raises:
         ValueError: If they are not two finite numbers for each world.
     """
-    try:
-        pairs = np.asarray(actions)
-    except (TypeError, ValueError):  # a ragged list
-        pairs = np.empty(0, dtype=object)
+    pairs = _array(actions)
     if pairs.shape != (worlds, 2) or pairs.dtype.kind not in "fiu":
         what = f"an array of shape {pairs.shape} and type {pairs.dtype}"
         raise ValueError(
