@@ -40,22 +40,18 @@ class Episode:
         self._dt, self._r_v = scenario.dt, float(scenario.visibility.radius)
         self._grounded = scenario.has_ground
         self._tables = row_tables(scenario, weights, end_on_sight_lost=True, end_on_goals=False)
-        self._rows: dict[str, type[UavState | UgvState]] = {
+        self.state_rows: dict[str, type[UavState | UgvState]] = {
             vehicle.name: UgvState if isinstance(vehicle, Ugv) else UavState
             for vehicle in scenario.vehicles
         }
+        """The entries of the state of each vehicle."""
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_advance"}
 
-    @property
-    def state_rows(self) -> dict[str, type[UavState | UgvState]]:
-        """The entries of the state of each vehicle."""
-        return self._rows
-
     def uav(self, name: str) -> int | None:
         """A vehicle's row among the UAVs; None where it is none."""
-        place = int(self._tables.place[self.names.index(name)]) if name in self.names else -1
+        place = self._place(name) if name in self.names else -1
         return place if place >= 0 else None
 
     def begin(self, world: World) -> None:
