@@ -15,7 +15,7 @@ from sim.channel.description import check_link, link_parameters, link_status, li
 from sim.channel.link import LinkState, link_state
 from sim.kernels.compile import inlined
 from sim.models.randomness import COMMAND_LINK, DETECTION_LINK, OPERATOR_LINK, RADIO_LINK
-from sim.scenario.types import Scenario
+from sim.scenario.types import Scenario, Uav, Ugv
 
 PURPOSES = {
     LinkKind.DETECTIONS: DETECTION_LINK,
@@ -26,15 +26,18 @@ PURPOSES = {
 """Of the links' keys."""
 PER_TICK = {LinkKind.DETECTIONS: 1, LinkKind.COMMANDS: 1, LinkKind.OPERATOR: 64, LinkKind.RADIO: 16}
 """Messages that a link has room for in every tick; what is more is lost."""
+_OWNERS = {
+    LinkKind.DETECTIONS: Uav,
+    LinkKind.COMMANDS: Uav | Ugv,
+    LinkKind.OPERATOR: Ugv,
+    LinkKind.RADIO: Uav,
+}
+"""The vehicles that have such a link."""
 
 
 def owners(scenario: Scenario, kind: LinkKind) -> tuple[str, ...]:
     """The vehicles that have a link of this kind, in name order."""
-    uavs = {uav.name for uav in scenario.uav}
-    if kind is LinkKind.COMMANDS:
-        return tuple(vehicle.name for vehicle in scenario.vehicles)
-    of_uavs = kind is not LinkKind.OPERATOR
-    return tuple(vehicle.name for vehicle in scenario.vehicles if (vehicle.name in uavs) is of_uavs)
+    return tuple(one.name for one in scenario.vehicles if isinstance(one, _OWNERS[kind]))
 
 
 class LinkArrays:
