@@ -53,11 +53,12 @@ from sim.engine.certificate_counts import (
     sent_commands,
 )
 from sim.engine.link_arrays import LinkArrays
+from sim.engine.mission import joined
 from sim.engine.run_keys import check_secret
 from sim.engine.world_state import Precision
 from sim.env.patch import given_patch
 from sim.env.rewards import RewardWeights
-from sim.env.rows import UAV_METRICS, joined, row_state, row_tables
+from sim.env.rows import UAV_METRICS, row_state, row_tables
 from sim.env.settings import EPISODE_DEFAULTS, EpisodeSettings, completed
 from sim.kernels.compile import FloatArray, IntArray, compiling, entry_point
 from sim.kernels.prefetch import disc_widths
@@ -307,7 +308,7 @@ class ClosedLoop:
         keys = self.state.batch.keys[which, PILOT]
         for rows, vehicles in (
             (self.state.laws, self.tables.batch.escorts[:, 0]),
-            (self.state.drivers, self.tables.rows.ugvs),
+            (self.state.drivers, self.tables.batch.ground.ugvs),
         ):
             for word, name in enumerate(("key_0", "key_1")):
                 rows[name][which] = keys[:, vehicles, word]

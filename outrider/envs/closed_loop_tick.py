@@ -42,7 +42,7 @@ from sim.engine.certificate_counts import (
     note_sent,
 )
 from sim.engine.link_arrays import link_of
-from sim.engine.mission import hear_block
+from sim.engine.mission import goals_of, hear_block
 from sim.engine.world_state import (
     COMMAND,
     LOOK,
@@ -183,10 +183,8 @@ def _drive(t: LoopTables, s: LoopState, k: int, v: int, g: int, actions: FloatAr
     if t.hand[v] >= 0:
         sent[COMMAND.u_x], sent[COMMAND.u_y] = actions[t.hand[v], 0], actions[t.hand[v], 1]
         return
-    route = Route(
-        t.rows.goals[t.rows.goal_rows[g] : t.rows.goal_rows[g + 1]],
-        t.scripts[t.script_rows[g] : t.script_rows[g + 1]],
-    )
+    script = t.scripts[t.script_rows[g] : t.script_rows[g + 1]]
+    route = Route(goals_of(t.batch.mission, g), script)
     sent[COMMAND.u_x], sent[COMMAND.u_y] = ugv_tick(
         s.drivers[k, g],
         route,
@@ -213,7 +211,7 @@ def _hear_block(t: LoopTables, s: LoopState, k: int, g: int, message: FloatArray
 @inlined
 def _feel_ground(t: LoopTables, s: LoopState, k: int, g: int) -> None:
     """UGV g takes in the tiles that its bumper tells of."""
-    v, ground = t.rows.ugvs[g], s.batch.ground
+    v, ground = t.batch.ground.ugvs[g], s.batch.ground
     columns, count = ground.tiles.shape[2], ground.told[k, v]
     rows, across, states = s.places[k, 0, :count], s.places[k, 1, :count], s.states[k, :count]
     for n in range(count):
@@ -281,7 +279,7 @@ def _perceive(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
     if p.radio:
         _radio(t, s, k)
     if s.grounds.tiles.shape[2] > 0:
-        for g in range(t.rows.ugvs.shape[0]):
+        for g in range(t.batch.ground.ugvs.shape[0]):
             _feel_ground(t, s, k, g)
 
 
@@ -364,8 +362,8 @@ def _fetch_ground(t: LoopTables, s: LoopState, k: int, part: int) -> None:
             x, y = position[a, 0], position[a, 1]
             fetch_disc(ground.looked[k, u], x, y, tile, t.looked, part, 4)
             fetch_disc(ground.known[k, a], x, y, tile, t.looked, part, 4)
-    for g in range(t.rows.ugvs.shape[0]):
-        v = t.rows.ugvs[g]
+    for g in range(t.batch.ground.ugvs.shape[0]):
+        v = t.batch.ground.ugvs[g]
         x, y = position[v, 0], position[v, 1]
         fetch_disc(ground.known[k, v], x, y, tile, t.felt, part, 4)
         fetch_disc(ground.tiles[k], x, y, tile, t.felt, part, 4)

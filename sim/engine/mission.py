@@ -4,6 +4,7 @@ No vehicle is told of any of it. Without hazards all arrays are empty, and nothi
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import msgspec
@@ -98,15 +99,26 @@ class MissionState(NamedTuple):
     """Time at which any vehicle's sensor told of each hazard first. Shape (worlds, hazards)."""
 
 
+def joined(arrays: Sequence[FloatArray], width: int) -> tuple[FloatArray, IntArray]:
+    """Arrays one after the other, and where each begins."""
+    edges = np.cumsum([0, *(len(array) for array in arrays)]).astype(np.int64)
+    return np.concatenate([np.zeros((0, width)), *arrays]), edges
+
+
 def mission_constants(scenario: Scenario) -> MissionConstants:
     """The goals of a scenario."""
     ugvs = [one for one in scenario.vehicles if isinstance(one, Ugv)]
-    goals = [np.array(one.goals, dtype=np.float64).reshape(-1, 2) for one in ugvs]
-    return MissionConstants(
-        goals=np.concatenate([np.zeros((0, 2)), *goals]),
-        goal_rows=np.cumsum([0, *map(len, goals)]).astype(np.int64),
-        tolerances=np.array([one.goal_tolerance for one in ugvs]),
+    goals, goal_rows = joined(
+        [np.array(one.goals, dtype=np.float64).reshape(-1, 2) for one in ugvs], 2
     )
+    tolerances = np.array([one.goal_tolerance for one in ugvs], dtype=np.float64)
+    return MissionConstants(goals, goal_rows, tolerances)
+
+
+@inlined
+def goals_of(c: MissionConstants, n: int) -> FloatArray:
+    """The goals of UGV n [m]: a view. Shape (goals, 2)."""
+    return c.goals[c.goal_rows[n] : c.goal_rows[n + 1]]
 
 
 def mission_state(ground: GroundState) -> MissionState:
@@ -219,7 +231,7 @@ def _drive(
     y: float,
 ) -> None:
     """UGV n has come to (x, y) [m]."""
-    row, goals = m.ugvs[k, n], c.goals[c.goal_rows[n] : c.goal_rows[n + 1]]
+    row, goals = m.ugvs[k, n], goals_of(c, n)
     if tick > 0:
         way = norm(x - g.before[k, n, 0], y - g.before[k, n, 1])
         tile, (rows, columns) = t.parameters[0].tile, g.tiles[k].shape

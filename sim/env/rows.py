@@ -3,22 +3,18 @@
 A tick of the rows, once the world's is done and measured: `advance_rows`, then `observe_rows` where somebody looks.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from bus.layout import UavRow, UgvRow
-from sim.engine.world_state import (
-    LOOK,
-    BatchState,
-    BatchTables,
-)
+from sim.engine.mission import goals_of
+from sim.engine.world_state import LOOK, BatchState, BatchTables
 from sim.env.rewards import RewardWeights, UavTerms, full_error, uav_terms, ugv_terms
 from sim.kernels.compile import FloatArray, IntArray, inlined
 from sim.kernels.records import RecordArray, columns, records
 from sim.models.vehicles import next_goal, norm
-from sim.scenario.types import Scenario, Ugv
+from sim.scenario.types import Scenario, Uav
 
 
 class UavMetrics(NamedTuple):
@@ -87,14 +83,6 @@ class RowTables(NamedTuple):
     """`RewardWeights`. Shape (1,)."""
     place: IntArray
     """For each vehicle its row among the UAVs, or -1 - its row among the UGVs. Shape (vehicles,)."""
-    ugvs: IntArray
-    """For each UGV its row among the vehicles. Shape (UGVs,)."""
-    tolerances: FloatArray
-    """Goal tolerance of each UGV [m]. Shape (UGVs,)."""
-    goals: FloatArray
-    """The goals of all UGVs [m]. Shape (any, 2)."""
-    goal_rows: IntArray
-    """The place where each UGV's begin. Shape (UGVs + 1,)."""
 
 
 class RowState(NamedTuple):
@@ -117,23 +105,11 @@ class RowState(NamedTuple):
     """Shape (worlds,)."""
 
 
-def joined(arrays: Sequence[FloatArray], width: int) -> tuple[FloatArray, IntArray]:
-    """Arrays one after the other, and where each begins."""
-    edges = np.cumsum([0, *(len(array) for array in arrays)]).astype(np.int64)
-    return np.concatenate([np.zeros((0, width)), *arrays]), edges
-
-
 def row_tables(
     scenario: Scenario, weights: RewardWeights, *, end_on_sight_lost: bool, end_on_goals: bool
 ) -> RowTables:
     """The tables of a scenario."""
-    vehicles = scenario.vehicles
-    ugvs = [k for k, vehicle in enumerate(vehicles) if isinstance(vehicle, Ugv)]
-    uavs = [k for k in range(len(vehicles)) if k not in ugvs]
-    driven = [vehicle for vehicle in vehicles if isinstance(vehicle, Ugv)]
-    goals, goal_rows = joined(
-        [np.array(ugv.goals, dtype=np.float64).reshape(-1, 2) for ugv in driven], 2
-    )
+    flies = np.array([isinstance(vehicle, Uav) for vehicle in scenario.vehicles])
     episode = EpisodeParameters(
         ticks=scenario.ticks,
         full=full_error(
@@ -145,14 +121,7 @@ def row_tables(
     return RowTables(
         episode=records(EpisodeParameters, [episode]),
         weights=records(RewardWeights, [weights]),
-        place=np.array(
-            [uavs.index(k) if k in uavs else -1 - ugvs.index(k) for k in range(len(vehicles))],
-            dtype=np.int64,
-        ),
-        ugvs=np.array(ugvs, dtype=np.int64),
-        tolerances=np.array([ugv.goal_tolerance for ugv in driven], dtype=np.float64),
-        goals=goals,
-        goal_rows=goal_rows,
+        place=np.where(flies, np.cumsum(flies) - 1, -np.cumsum(~flies)).astype(np.int64),
     )
 
 
@@ -164,7 +133,7 @@ def row_state(t: RowTables, worlds: int, *, uav_metrics: int = 0, uav_columns: i
         worlds: How many.
         uav_metrics, uav_columns: Further columns of `uavs` and of `uav_rows`.
     """
-    vehicles, ugvs = len(t.place), len(t.ugvs)
+    vehicles, ugvs = len(t.place), int((t.place < 0).sum())
     state = RowState(
         uavs=np.zeros((worlds, vehicles - ugvs, len(UAV_METRICS) + uav_metrics)),
         ugvs=np.zeros((worlds, ugvs, len(UGV_METRICS))),
@@ -210,34 +179,31 @@ def _measure_mission(bs: BatchState, s: RowState, k: int, g: int) -> None:
 
 @inlined
 def _measure_ugv(
-    bs: BatchState, t: RowTables, s: RowState, k: int, g: int, beginning: bool
+    bt: BatchTables, bs: BatchState, s: RowState, k: int, g: int, beginning: bool
 ) -> None:
     """UGV g turns to the next goal where it has reached one."""
-    row, position, goals = (
-        s.ugvs[k, g],
-        bs.truth.position[k, t.ugvs[g]],
-        t.goals[t.goal_rows[g] : t.goal_rows[g + 1]],
-    )
+    row, position = s.ugvs[k, g], bs.truth.position[k, bt.ground.ugvs[g]]
     x, y, reached = position[0], position[1], int(row[UGV_METRICS.reached])
+    goals = goals_of(bt.mission, g)
     row[UGV_METRICS.nearer], row[UGV_METRICS.arrivals] = 0.0, 0.0
     if reached < goals.shape[0]:
         if not beginning:
             way = norm(x - goals[reached, 0], y - goals[reached, 1])
             row[UGV_METRICS.nearer] = row[UGV_METRICS.to_go] - way
-        now, row[UGV_METRICS.to_go] = next_goal(goals, reached, t.tolerances[g], x, y)
+        now, row[UGV_METRICS.to_go] = next_goal(goals, reached, bt.mission.tolerances[g], x, y)
         row[UGV_METRICS.arrivals], row[UGV_METRICS.reached] = now - reached, now
 
 
 @inlined
-def _end(t: RowTables, s: RowState, k: int, left: int) -> int:
+def _end(bt: BatchTables, t: RowTables, s: RowState, k: int, left: int) -> int:
     """Tells if the episode is over, and for how many ticks a UAV out of sight pays."""
-    lost, goals = False, 0
+    lost, goals = False, bt.mission.goals.shape[0]
     for u in range(s.uavs.shape[1]):
         lost = lost or s.uavs[k, u, UAV_METRICS.lost] != 0.0
-    for g in range(t.ugvs.shape[0]):
-        goals += t.goal_rows[g + 1] - t.goal_rows[g] - int(s.ugvs[k, g, UGV_METRICS.reached])
+    for g in range(s.ugvs.shape[1]):
+        goals -= int(s.ugvs[k, g, UGV_METRICS.reached])
     lost = t.episode[0].end_on_sight_lost and lost
-    arrived = t.episode[0].end_on_goals and t.goals.shape[0] > 0 and goals == 0
+    arrived = t.episode[0].end_on_goals and bt.mission.goals.shape[0] > 0 and goals == 0
     s.terminated[k], s.truncated[k] = 1 if lost or arrived else 0, 1 if left <= 0 else 0
     return 1 + left if lost else 1
 
@@ -298,12 +264,12 @@ def advance_rows(
     """
     for u in range(s.uavs.shape[1]):
         _measure_uav(bt, bs, s, k, u)
-    for g in range(t.ugvs.shape[0]):
-        _measure_ugv(bs, t, s, k, g, beginning)
+    for g in range(s.ugvs.shape[1]):
+        _measure_ugv(bt, bs, s, k, g, beginning)
         if bt.ground.parameters.shape[0] > 0:
             _measure_mission(bs, s, k, g)
     if not beginning:
-        ticks_lost = _end(t, s, k, t.episode[0].ticks - bs.ticks[k])
+        ticks_lost = _end(bt, t, s, k, t.episode[0].ticks - bs.ticks[k])
         _pay(bt, bs, t, s, k, ticks_lost)
 
 
@@ -313,10 +279,8 @@ def _observe_uav(
 ) -> None:
     """Write the row of UAV u: of several detections the newest, the pilots over the bus use them all."""
     row, received, dt = s.uav_rows[k, u], bs.received[k, u], bt.world[0].dt
-    position, velocity = (
-        bs.told.position[k, bt.escorts[u, 0]],
-        bs.told.velocity[k, bt.escorts[u, 0]],
-    )
+    v = bt.escorts[u, 0]
+    position, velocity = bs.told.position[k, v], bs.told.velocity[k, v]
     time, newest = bs.ticks[k] * dt, s.uavs[k, u, UAV_METRICS.newest]
     row[UAV.time], row[UAV.x], row[UAV.y] = time, position[0], position[1]
     row[UAV.vx], row[UAV.vy] = velocity[0], velocity[1]
@@ -333,19 +297,18 @@ def _observe_uav(
 
 
 @inlined
-def _observe_ugv(
-    bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, k: int, g: int
-) -> None:
+def _observe_ugv(bt: BatchTables, bs: BatchState, s: RowState, k: int, g: int) -> None:
     """Write the row of UGV g."""
-    row, v, first, last = s.ugv_rows[k, g], t.ugvs[g], t.goal_rows[g], t.goal_rows[g + 1]
-    goal = first + int(s.ugvs[k, g, UGV_METRICS.reached])
+    row, v, goals = s.ugv_rows[k, g], bt.ground.ugvs[g], goals_of(bt.mission, g)
+    goal = int(s.ugvs[k, g, UGV_METRICS.reached])
     row[UGV.time] = bs.ticks[k] * bt.world[0].dt
     row[UGV.x], row[UGV.y] = bs.truth.position[k, v, 0], bs.truth.position[k, v, 1]
     row[UGV.vx], row[UGV.vy] = bs.truth.velocity[k, v, 0], bs.truth.velocity[k, v, 1]
-    row[UGV.underway], row[UGV.goal_x], row[UGV.goal_y] = 1.0 if goal < last else 0.0, 0.0, 0.0
-    if last > first:
-        goal = min(goal, last - 1)
-        row[UGV.goal_x], row[UGV.goal_y] = t.goals[goal, 0], t.goals[goal, 1]
+    count = goals.shape[0]
+    row[UGV.underway], row[UGV.goal_x], row[UGV.goal_y] = 1.0 if goal < count else 0.0, 0.0, 0.0
+    if count > 0:
+        goal = min(goal, count - 1)
+        row[UGV.goal_x], row[UGV.goal_y] = goals[goal, 0], goals[goal, 1]
 
 
 @inlined
@@ -353,5 +316,5 @@ def observe_rows(bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, k: 
     """Write what everybody in world k observes; arguments as in `advance_rows`."""
     for u in range(s.uavs.shape[1]):
         _observe_uav(bt, bs, t, s, k, u)
-    for g in range(t.ugvs.shape[0]):
-        _observe_ugv(bt, bs, t, s, k, g)
+    for g in range(s.ugvs.shape[1]):
+        _observe_ugv(bt, bs, s, k, g)
