@@ -105,16 +105,15 @@ def ground_constants(scenario: Scenario) -> GroundConstants:
 
 def ground_state(scenario: Scenario, worlds: int) -> GroundState:
     """The ground before anything has been drawn or seen."""
-    tables = ground_tables(scenario)
+    tables, ground = ground_tables(scenario), scenario.ground
     hazards, tiles = tables.hazards, tables.tiles
-    count, vehicles, room, uavs, ugvs = len(hazards), len(scenario.vehicles), 0, 0, 0
     if scenario.has_ground:
-        ground = scenario.ground
         reach = max(scenario.sensor.range, ground.bumper)
         room = min(tiles.size, (2 * math.ceil(reach / ground.tile) + 3) ** 2)
-        uavs, ugvs = len(scenario.uav), len(scenario.ugv)
+        vehicles, uavs, ugvs = len(scenario.vehicles), len(scenario.uav), len(scenario.ugv)
     else:
-        vehicles, tiles = 0, np.zeros((0, 0), np.uint8)
+        tiles = np.zeros((0, 0), np.uint8)
+        room = vehicles = uavs = ugvs = 0
     rows, columns = tiles.shape
     return GroundState(
         hazards=np.repeat(hazards[None], worlds, axis=0),
@@ -125,7 +124,7 @@ def ground_state(scenario: Scenario, worlds: int) -> GroundState:
         told=np.zeros((worlds, vehicles), np.int64),
         pace=np.ones((worlds, vehicles)),
         before=np.zeros((worlds, ugvs, 2)),
-        hits=np.zeros((worlds, ugvs, count), np.uint8),
+        hits=np.zeros((worlds, ugvs, len(hazards)), np.uint8),
     )
 
 
