@@ -14,13 +14,7 @@ from bus.ticks import Look
 from sim.engine.batch import Batch
 from sim.engine.links import Links
 from sim.engine.mission import hear_block, mission_of
-from sim.engine.world_state import (
-    COMMAND,
-    BatchState,
-    BatchTables,
-    Told,
-    WorldState,
-)
+from sim.engine.world_state import COMMAND, BatchState, BatchTables, Told, WorldState
 from sim.engine.world_tick import measure, truth_of
 from sim.kernels.compile import FloatArray, entry_point
 from sim.models.ground import TileArray, block_letters, tile_states
@@ -148,15 +142,11 @@ class World:
             motions: That it carries, one a tick, the oldest first. Without a receiver for them the acceleration acts.
         """
         sent = self._sent
-        sent[k, COMMAND.answered], (sent[k, COMMAND.u_x], sent[k, COMMAND.u_y]) = (
-            answered,
-            acceleration,
-        )
+        sent[k, COMMAND.answered] = answered
+        sent[k, COMMAND.u_x], sent[k, COMMAND.u_y] = acceleration
         if self._carries:
-            sent[k, COMMAND.last], sent[k, COMMAND.carried] = (
-                motions[-1].begins if motions else -1,
-                len(motions),
-            )
+            sent[k, COMMAND.last] = motions[-1].begins if motions else -1
+            sent[k, COMMAND.carried] = len(motions)
             for motion in motions:
                 keep_motion(self._motions[k], motion_row(motion)[0], self._tick)
 

@@ -6,16 +6,13 @@ before what is new. Ticks in which nothing is sent, waits or flies may be left o
 
 A message meets, in this order:
 
-1. The sender's queue, where the bandwidth is limited: one message leaves every 1/bandwidth; one that finds the
-queue full costs
-   the oldest that waits, or itself. The time on the air is no part of this, it belongs to the delay.
-2. The channel at the tick at which it leaves. A blackout takes it, or a burst, or independent loss: the first of
-them is the
-   cause that is counted. The sender does not notice.
-3. What gets through may be doubled, and each of the two has a delay of its own: delay + jitter, and for those held
-back more.
-   One that leaves at tick k with the delay d arrives at the first tick n with n dt >= k dt + d; among those of one
-   tick the first sent comes first.
+1. The sender's queue, where the bandwidth is limited: one message leaves every 1/bandwidth; one that finds the queue
+   full costs the oldest that waits, or itself. The time on the air is no part of this, it belongs to the delay.
+2. The channel at the tick at which it leaves. A blackout takes it, or a burst, or independent loss: the first of them
+   is the cause that is counted. The sender does not notice.
+3. What gets through may be doubled, and each of the two has a delay of its own: delay + jitter, and for those held back
+   more. One that leaves at tick k with the delay d arrives at the first tick n with n dt >= k dt + d; among those of
+   one tick the first sent comes first.
 
 A recorded link (`LinkParameters.replay`) is played in a loop from an offset on that is drawn once from the link's key:
 of a table of fates, the row that is nearest before the message tells its delay or its loss, in the place of the draws
@@ -50,10 +47,10 @@ NORMAL = 1
 EXPONENTIAL = 2
 PARETO = 3
 SHAPES = {"uniform": UNIFORM, "normal": NORMAL, "exponential": EXPONENTIAL, "pareto": PARETO}
-"""The spread of the extra delay, by the scale j: within -j and j; normal with deviation j.
-
-Exponential with mean j; Pareto's law
-of the second kind (from 0 on) with mean j and the tail index 2.5, whose variance is finite and whose skew is not."""
+"""The spread of the extra delay, by the scale j: within -j and j; normal with deviation j; exponential with mean j;
+Pareto's law of the second kind (from 0 on) with mean j and the tail index 2.5, whose variance is finite and whose skew
+is not.
+"""
 
 CAUSES = ("loss", "burst", "blackout", "queue", "full", "trace")
 """Why messages are lost; `full`: the link had no room, which one message a tick never meets; `trace`: it was lost in
@@ -76,17 +73,12 @@ def normal_quantile(share: float) -> float:
     """
     tail = min(share, 1.0 - share)
     t = math.sqrt(-2.0 * math.log(tail))
-    top, bottom = (
-        (0.010328 * t + 0.802853) * t + 2.515517,
-        ((0.001308 * t + 0.189269) * t + 1.432788) * t + 1.0,
-    )
+    top = (0.010328 * t + 0.802853) * t + 2.515517
+    bottom = ((0.001308 * t + 0.189269) * t + 1.432788) * t + 1.0
     x = top / bottom - t
     for _ in range(2):
-        step = (
-            (0.5 * math.erfc(-x / math.sqrt(2.0)) - tail)
-            * math.sqrt(2.0 * math.pi)
-            * math.exp(0.5 * x * x)
-        )
+        off = 0.5 * math.erfc(-x / math.sqrt(2.0)) - tail
+        step = off * math.sqrt(2.0 * math.pi) * math.exp(0.5 * x * x)
         x -= step / (1.0 + 0.5 * x * step)
     return x if share < 0.5 else -x
 
@@ -453,11 +445,8 @@ def _transmit(p: LinkParameters, s: LinkState, key: Key, slot: int, later: float
     share, share_too, held_too = 0.0, 0.0, False
     if p.jitter > 0.0 or twice:
         word_0, word_1, word_2, _ = draw(key, LINK_DELAY, tick, index)
-        share, share_too, held_too = (
-            to_uniform(word_0),
-            to_uniform(word_1),
-            to_uniform(word_2) < p.reorder,
-        )
+        share, share_too = to_uniform(word_0), to_uniform(word_1)
+        held_too = to_uniform(word_2) < p.reorder
     fly(slots, buckets, m, slot, m.tick + _flight_time(p, share, held, later))
     other = take(slots, m) if twice else -1
     if other >= 0:

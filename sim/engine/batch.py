@@ -114,11 +114,8 @@ class Batch:
             scenario, (LinkKind.DETECTIONS, LinkKind.COMMANDS), MESSAGE_SIZE, worlds
         )
         """Those of detections and commands."""
-        first, escorts, vehicles = (
-            first_state(scenario),
-            escorts_of(scenario),
-            len(scenario.vehicles),
-        )
+        escorts, vehicles = escorts_of(scenario), len(scenario.vehicles)
+        first = first_state(scenario)
         first = first._replace(coverage=grid_in(first.coverage, precision))
         self.tables = BatchTables(
             world=records(WorldParameters, [self.parameters]),

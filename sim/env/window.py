@@ -41,9 +41,8 @@ class Window:
         pygame = self._pygame
         try:
             pygame.display.init()
-            seen = (
-                pygame.display.get_driver() != "offscreen"
-            )  # SDL's last resort: nobody would see it
+            # SDL's last resort is "offscreen": nobody would see it
+            seen = pygame.display.get_driver() != "offscreen"
             self._screen = pygame.display.set_mode(size) if seen else None
         except pygame.error:
             self._screen = None

@@ -52,19 +52,16 @@ def parse_toml(text: str, *, file: str) -> dict[str, Any]:
     Raises:
         ScenarioError: If it is no TOML, with the line.
     """
+    # tomllib takes hours over a key of a million parts
     pieces = _BETWEEN_KEYS.split(_COMMENT.sub("", text))
-    if any(
-        piece.count(".") >= _DEEPEST for piece in pieces
-    ):  # tomllib takes hours over a key of a million parts
+    if any(piece.count(".") >= _DEEPEST for piece in pieces):
         raise ScenarioError(
             f"{file}: a key of more than {_DEEPEST} parts; allowed: the fields of a scenario"
         )
     try:
         return tomllib.loads(text)
-    except (
-        ValueError,
-        RecursionError,
-    ) as error:  # a ValueError of another kind: a number of more than 4300 digits
+    # a ValueError of another kind: a number of more than 4300 digits
+    except (ValueError, RecursionError) as error:
         raise ScenarioError(_toml_line(str(error), text, file)) from error
 
 
@@ -213,12 +210,8 @@ def _expectation(text: str, path: list[str]) -> tuple[str, str]:
     found = _EXPECTED.fullmatch(text)
     if found is None:
         return text[0].lower() + text[1:], "a number that a float can hold"
-    kind, rule, got = (
-        _KINDS.get(found["kind"], found["kind"]),
-        found["rule"] or "",
-        (found["got"] or "").strip("`"),
-    )
-    rule = re.sub(r"\d+\.\d+", lambda number: f"{float(number[0]):g}", rule)
+    kind, got = _KINDS.get(found["kind"], found["kind"]), (found["got"] or "").strip("`")
+    rule = re.sub(r"\d+\.\d+", lambda number: f"{float(number[0]):g}", found["rule"] or "")
     if rule.startswith("matching"):
         return "no name", _NAME_RULE
     if (found["kind"], got) == ("array", "object"):

@@ -95,11 +95,10 @@ def step_error(
         reserve,
     )
     a_x, a_y = u_x + row.wind_x, u_y + row.wind_y
-    row.x, row.y = (
-        row.x + (row.v_x + 0.5 * a_x * dt) * dt,
-        row.y + (row.v_y + 0.5 * a_y * dt) * dt,
-    )
-    row.v_x, row.v_y = row.v_x + a_x * dt, row.v_y + a_y * dt
+    row.x += (row.v_x + 0.5 * a_x * dt) * dt
+    row.y += (row.v_y + 0.5 * a_y * dt) * dt
+    row.v_x += a_x * dt
+    row.v_y += a_y * dt
 
 
 @functools.lru_cache(maxsize=256)
@@ -155,10 +154,8 @@ def tracking_error(loop: InnerLoop, wind: float, own_error: float, dt: float) ->
     Returns:
         Infinite where the loop is unstable at this tick, or asks for more than its reserve.
     """
-    pushed, most = (
-        wind + loop.position_gain * own_error,
-        needed_reserve(loop, wind, own_error, dt),
-    )
+    pushed = wind + loop.position_gain * own_error
+    most = needed_reserve(loop, wind, own_error, dt)
     if pushed == 0.0:
         return own_error
     if not most <= loop.reserve * (1.0 + _DUST):

@@ -16,10 +16,9 @@ from bus.messages import GroundMap, HazardOutline
 from sim.scene.colors import FAINT, HAZARDS, INK, LIMIT, TILES, rgb
 from sim.scene.told_tiles import HIT, KNOWN, UNKNOWN
 
-_HATCH = "////"
 _SHADES = np.array([(*rgb(color), opacity) for color, opacity in TILES])
 _SOLID: dict[str, Any] = {"facecolor": HAZARDS["block"], "edgecolor": HAZARDS["block"]}
-_ROUGH: dict[str, Any] = {"facecolor": "none", "edgecolor": HAZARDS["rough"], "hatch": _HATCH}
+_ROUGH: dict[str, Any] = {"facecolor": "none", "edgecolor": HAZARDS["rough"], "hatch": "////"}
 _STAR: dict[str, Any] = {"marker": "*", "markersize": 11, "linestyle": "", "markeredgewidth": 0.9}
 _FOUND: dict[str, Any] = {"color": HAZARDS["find"], "markeredgecolor": INK}
 _NOT_FOUND: dict[str, Any] = {"color": "white", "markeredgecolor": HAZARDS["find"]}

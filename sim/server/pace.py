@@ -95,10 +95,8 @@ class Lockstep:
         self._patience = timing.join_timeout
         self._respawn = timing.respawn
         self._on_event = on_event
-        self._look_around, self._grace = (
-            min(timing.deadline, _LOOK_AROUND),
-            min(timing.deadline, _GRACE),
-        )
+        self._look_around = min(timing.deadline, _LOOK_AROUND)
+        self._grace = min(timing.deadline, _GRACE)
         self._observations: Mapping[str, Observation] = {}
         self._awaited: dict[str, _Wait] = {}
         self._given_up: set[str] = set()
@@ -153,9 +151,8 @@ class Lockstep:
                         break
                     meanwhile()
                     meanwhile = _nothing
-                if (
-                    time.monotonic() < look
-                ):  # a flood of letters must not keep us from looking around
+                # a flood of letters must not keep us from looking around
+                if time.monotonic() < look:
                     continue
             self._slots.follow()
             if idle():
@@ -164,10 +161,8 @@ class Lockstep:
             if self._bus_is_there():
                 self._mind_the_absent()
                 self._give_up(tick)
-                rest = (
-                    min((wait.since + wait.limit for wait in awaited.values()), default=0.0)
-                    - time.monotonic()
-                )
+                limits = (wait.since + wait.limit for wait in awaited.values())
+                rest = min(limits, default=0.0) - time.monotonic()
                 patience = min(patience, max(rest, 0.0))
             look = time.monotonic() + patience
         return commands
@@ -189,9 +184,8 @@ class Lockstep:
         if self._alone_since is not None or routers != self._routers:
             self._alone_since, self._routers = None, routers
             self._on_event("the router is back")
-            self._cut_off = dict.fromkeys(
-                self._flying, now + self._patience
-            )  # the vehicles have to find it again too
+            # the vehicles have to find it again too
+            self._cut_off = dict.fromkeys(self._flying, now + self._patience)
             for name in self._awaited:
                 self._awaited[name] = _Wait(now, self._patience, patient=True)
         return True

@@ -86,12 +86,10 @@ class Slots:
         self._flight = flight
         self._on_event = on_event
         self._gate = threading.Lock()
-        self._arrivals: Counter[tuple[str, int]] = (
-            Counter()
-        )  # how often somebody came to each place of each vehicle
-        self._changes: dict[
-            tuple[str, int], bool
-        ] = {}  # where somebody came or went since they were last taken in
+        self._arrivals: Counter[tuple[str, int]] = Counter()
+        """How often somebody came to each place of each vehicle."""
+        self._changes: dict[tuple[str, int], bool] = {}
+        """Where somebody came or went since they were last taken in, and whether they are there."""
         self._slots: dict[str, VehicleSlot] = {}
         for vehicle in flight.scenario.vehicles:
             role = Role.UAV if isinstance(vehicle, Uav) else Role.UGV
@@ -143,14 +141,9 @@ class Slots:
             if present and place not in slot.sessions:
                 self._arrive(slot, place, arrivals)
         for name, slot in self._slots.items():
-            unreadable = self.commands.refused[name]
-            if unreadable > slot.refused[UNREADABLE]:
-                self._refuse(
-                    slot,
-                    UNREADABLE,
-                    self.commands.fault[name],
-                    unreadable - slot.refused[UNREADABLE],
-                )
+            unreadable = self.commands.refused[name] - slot.refused[UNREADABLE]
+            if unreadable > 0:
+                self._refuse(slot, UNREADABLE, self.commands.fault[name], unreadable)
 
     def _arrive(self, slot: VehicleSlot, place: int, arrivals: int) -> None:
         slot.sessions[place] = arrivals
