@@ -15,7 +15,7 @@ from sim.engine.batch import Batch
 from sim.engine.links import Links
 from sim.engine.mission import hear_block, mission_of
 from sim.engine.world_state import COMMAND, BatchState, BatchTables, Told, WorldState
-from sim.engine.world_tick import measure, truth_of
+from sim.engine.world_tick import measure
 from sim.kernels.compile import FloatArray, entry_point
 from sim.models.ground import TileArray, block_letters, tile_states
 from sim.models.motion import NO_MOTION, keep_motion, motion_row
@@ -67,7 +67,7 @@ class World:
         """Rows (UAV, UGV), one for each UAV, in name order."""
         self.bounds = tables.bounds
         """v_max [m/s] and u_max [m/s²] of each vehicle."""
-        self.state: WorldState = truth_of.py_func(state.truth, 0)  # type: ignore[attr-defined]
+        self.state = WorldState._make(array[0] for array in state.truth)
         """Everything that is true but for the links."""
         self.position = self.state.position
         """Positions [m], shape (vehicles, 2)."""

@@ -264,6 +264,16 @@ def put_off(
 
 
 @inlined
+def _perceive(t: BatchTables, s: BatchState, k: int) -> None:
+    """The vehicles' sensors look at the ground, and the UAVs' detectors at their UGVs."""
+    keys, tick, position = s.keys[k], s.ticks[k], s.truth.position[k]
+    if t.ground.parameters.shape[0] > 0:
+        perceive_ground(t.world, t.ground, s.ground, k, tick, position, t.escorts, keys)
+        note_mission(t.mission, t.ground, s.ground, s.mission, k, tick, position)
+    detect_all(t.world[0], keys, tick, position, t.escorts, s.truth.detections[k])
+
+
+@inlined
 def move(t: BatchTables, s: BatchState, k: int) -> None:
     """To the next tick: everybody moves (1), the UAVs look at the ground (3) and at their UGVs.
 
@@ -284,12 +294,7 @@ def move(t: BatchTables, s: BatchState, k: int) -> None:
             step_error(row.position_gain, row.velocity_gain, row.reserve, s.tracking[k], u, w.dt)
         put_off(truth.position, truth.velocity, there, moving, t.escorts, s.tracking[k])
     _see(w, truth.position, t.escorts, truth.coverage, truth.gains)
-    if grounded:
-        perceive_ground(
-            t.world, t.ground, s.ground, k, s.ticks[k], truth.position, t.escorts, s.keys[k]
-        )
-        note_mission(t.mission, t.ground, s.ground, s.mission, k, s.ticks[k], truth.position)
-    detect_all(w, s.keys[k], s.ticks[k], truth.position, t.escorts, truth.detections)
+    _perceive(t, s, k)
 
 
 @inlined
@@ -310,12 +315,7 @@ def deliver_detections(t: BatchTables, s: BatchState, k: int) -> None:
 @inlined
 def begin_world(t: BatchTables, s: BatchState, k: int) -> None:
     """World k, whose arrays are as they are at the start but for its keys, has the first look."""
-    if t.ground.parameters.shape[0] > 0:
-        perceive_ground(
-            t.world, t.ground, s.ground, k, 0, s.truth.position[k], t.escorts, s.keys[k]
-        )
-        note_mission(t.mission, t.ground, s.ground, s.mission, k, 0, s.truth.position[k])
-    detect_all(t.world[0], s.keys[k], 0, s.truth.position[k], t.escorts, s.truth.detections[k])
+    _perceive(t, s, k)
     deliver_detections(t, s, k)
 
 
