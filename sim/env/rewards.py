@@ -55,22 +55,22 @@ class RewardWeights:
 class UavTerms(NamedTuple):
     """A UAV's reward of one tick, term by term."""
 
-    uncovered: float = 0.0
-    seen: float = 0.0
-    sight_lost: float = 0.0
-    out_of_sight: float = 0.0
-    effort: float = 0.0
-    told: float = 0.0
+    uncovered: float
+    seen: float
+    sight_lost: float
+    out_of_sight: float
+    effort: float
+    told: float
 
 
 class UgvTerms(NamedTuple):
     """A UGV's reward of one tick, term by term."""
 
-    progress: float = 0.0
-    goal: float = 0.0
-    effort: float = 0.0
-    hit: float = 0.0
-    still: float = 0.0
+    progress: float
+    goal: float
+    effort: float
+    hit: float
+    still: float
 
 
 MISSION_TERMS = ("told", "hit", "still")
