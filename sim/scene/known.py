@@ -5,24 +5,22 @@ import math
 from bus.messages import Geometry
 from sim.engine.briefing import limits
 from sim.scenario.types import Scenario, switching_radius
+from sim.scenario.world_checks import escorts
 from sim.scene.model import Scene, assembled
 
 
 def inner_radius(scenario: Scenario, ugv: str) -> float | None:
     """r_s of (18) around a UGV [m], the smallest of its UAVs; None where it is no circle of its own."""
-    bounds = {one.name: one for one in scenario.ugv}
     radii = [
-        switching_radius(scenario, uav, bounds[ugv]) for uav in scenario.uav if uav.escorts == ugv
+        switching_radius(scenario, uav, its) for _, uav, its in escorts(scenario) if its.name == ugv
     ]
     return min((r_s for r_s in radii if 0.0 < r_s < scenario.visibility.radius), default=None)
 
 
 def geometry_of(scenario: Scenario) -> Geometry:
     """The part of a scenario that observers are told."""
-    radius = math.inf
-    for uav in scenario.uav[:1]:
-        ugv = next(ugv for ugv in scenario.ugv if ugv.name == uav.escorts)
-        radius = switching_radius(scenario, uav, ugv)
+    radii = (switching_radius(scenario, uav, ugv) for _, uav, ugv in escorts(scenario))
+    radius = next(radii, math.inf)
     return Geometry(
         area=scenario.area,
         visibility_radius=scenario.visibility.radius,
