@@ -1,5 +1,6 @@
 """The operator controls of a run: each takes effect at the boundary of a tick."""
 
+from collections import deque
 from collections.abc import Callable
 
 import msgspec
@@ -47,7 +48,7 @@ class OperatorControls:
         """Ticks that are still to be stepped through before the clock stands still again."""
         self.changes: list[Change] = []
         """Controls that have taken effect, the oldest first."""
-        self.refusals: list[str] = []
+        self.refusals = deque[str](maxlen=_REFUSALS)
         """The last wishes that were refused, and why."""
         self._late_before = 0
         self._flight, self._make_pace, self._on_event = flight, make_pace, on_event
@@ -101,10 +102,7 @@ class OperatorControls:
             _HANDLERS[control.action](self, control)
         except ScenarioError as error:
             refusal = f"an operator's {control.action} is refused: {error}"
-            self.refusals = [
-                *self.refusals,
-                f"tick {self._flight.world.tick}: {refusal}"[:LONGEST_TEXT],
-            ][-_REFUSALS:]
+            self.refusals.append(f"tick {self._flight.world.tick}: {refusal}"[:LONGEST_TEXT])
             self._on_event(refusal)
             return
         self.changes.append(Change(tick=self._flight.world.tick, control=control))
