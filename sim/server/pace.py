@@ -168,7 +168,7 @@ class Lockstep:
         return commands
 
     def _bus_is_there(self) -> bool:
-        """True while the router is away; without it nobody can be blamed, and the clock stands still.
+        """False while the router is away: without it nobody can be blamed, and the clock stands still.
 
         Raises:
             PeerLost: If it does not come back.
