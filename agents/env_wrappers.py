@@ -137,16 +137,18 @@ class SafetyFilterWrapper(BaseParallelWrapper):  # type: ignore[misc]
             self.filters[agent].see(self._seen[agent])
 
     def step(self, actions: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
-        """Let all vehicles act for one tick, the UAVs within what is safe."""
-        safe, verdicts = dict(actions), {}
-        for agent in self.filters.keys() & actions.keys():
-            wanted = np.asarray(actions[agent], dtype=np.float64)
-            if wanted.shape != (2,) or not np.isfinite(wanted).all():
-                continue  # the environment says what is wrong with it
-            x, y = wanted.tolist()
-            verdicts[agent] = verdict = self.filters[agent].filter(self._seen[agent], (x, y))
+        """Let all vehicles act for one tick, the UAVs within what is safe.
+
+        Raises:
+            ValueError: If a UAV's action is not two finite numbers; nothing has happened then.
+        """
+        env, safe, verdicts = self.env.unwrapped, dict(actions), {}
+        acting = self.filters.keys() & actions.keys()
+        wanted = {agent: env.taken(agent, actions[agent]) for agent in acting}
+        for agent, action in wanted.items():
+            verdicts[agent] = verdict = self.filters[agent].filter(self._seen[agent], action)
             safe[agent] = np.array(verdict.acceleration)
-            self.env.unwrapped.carry(agent, verdict.motions)
+            env.carry(agent, verdict.motions)
         observations, rewards, terminations, truncations, infos = self.env.step(safe)
         self._see(observations)
         for agent, verdict in verdicts.items():

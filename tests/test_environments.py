@@ -14,6 +14,7 @@ from gymnasium.vector import VectorEnv
 from refusals import refused
 from worlds import SCENARIO, equal, random_actions
 
+from agents.env_wrappers import SafetyFilterWrapper
 from bus.errors import ScenarioError
 from outrider.envs.single import single_env
 from outrider.envs.vector import parallel_vector_env, vector_env
@@ -30,6 +31,7 @@ ALL, OF_ONE_AGENT = ("parallel", "single", "vector"), ("single", "vector")
 ACTING: dict[str, Callable[..., Any]] = {
     **{name: MAKERS[name] for name in ALL},
     "egocentric": lambda scenario: egocentric(parallel_env(scenario)),
+    "safety filter": lambda scenario: SafetyFilterWrapper(parallel_env(scenario)),
 }
 GOOD = np.array([0.1, 0.05])
 

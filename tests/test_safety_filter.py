@@ -162,7 +162,7 @@ def test_a_wrapped_environment_keeps_sight_whatever_the_policy_wants() -> None:
 def test_a_wrapped_environment_refuses_nonsense_as_the_plain_one_does(action: Any) -> None:
     env = SafetyFilterWrapper(parallel_env(watched(duration=5.0)))
     env.reset(seed=7)
-    with pytest.raises(ValueError, match=r"action of uav_0|could not convert"):
+    with pytest.raises(ValueError, match="action of uav_0"):
         env.step({"uav_0": action, "ugv_0": np.zeros(2)})
     env.step({"uav_0": np.zeros(2), "ugv_0": np.zeros(2)})
 

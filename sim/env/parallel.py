@@ -352,6 +352,17 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self.received(agent)
         return self.world.flown(self.world.names.index(agent))
 
+    def taken(self, agent: str, action: npt.ArrayLike) -> Vector:
+        """Returns an agent's action as `step` would take it [m/s²]; nothing happens.
+
+        Raises:
+            ValueError: If it is not two finite numbers.
+        """
+        row = np.empty((1, 2))
+        take_actions({agent: action}, [agent], row)
+        x, y = row[0].tolist()
+        return x, y
+
     def carry(self, agent: str, motions: Sequence[MotionPlan]) -> None:
         """Let a UAV's next action carry motions, as its safety filter plans them.
 
