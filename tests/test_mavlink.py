@@ -200,6 +200,10 @@ def test_both_vehicles_are_told_as_they_truly_are(run):
         run.client, run.gateway.network, status(), first=1, height=10.0
     )._timers
     told = run.station.send()
+    for system in (UAV, UGV):
+        numbers = [one.get_seq() for one in told if one.get_srcSystem() == system]
+        assert len(numbers) > 3
+        assert numbers == [(numbers[0] + k) % 256 for k in range(len(numbers))]
     assert {one.type for one in of(told, "HEARTBEAT", UAV)} == {mavlink.MAV_TYPE_QUADROTOR}
     assert {one.type for one in of(told, "HEARTBEAT", UGV)} == {mavlink.MAV_TYPE_GROUND_ROVER}
     (local,) = of(told, "LOCAL_POSITION_NED", UAV)
