@@ -183,7 +183,11 @@ def test_diagnostics_name_why_nothing_is_certified():
     parts = {one.name: one for one in _by_topic(status)["/diagnostics"].status}
     assert "too old" in parts["outrider: certificate uav_0"].message
     assert parts["outrider: certificate uav_0"].level == 1
-    assert parts["outrider: link uav_0/detections"].message == "loses messages"
+    lossy = parts["outrider: link uav_0/detections"]
+    assert lossy.message == "loses messages"
+    told = {one.key: one.value for one in lossy.values}
+    assert (told["sent"], told["delivered"], told["lost: chance"]) == ("9", "4", "5")
+    assert told["delivery_ratio"] == "0.444444"
 
 
 def test_discs_and_sensors_stay_as_they_are():
