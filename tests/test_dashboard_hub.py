@@ -1,11 +1,17 @@
-"""What the page knows of the law's gains and of the wheel."""
+"""What the page knows of who is there, of the law's gains and of the wheel."""
 
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
 from telemetry import a_status
 
+from bus.keys import SIMULATOR_NAME, Party, Role
 from bus.messages import Action, Change, Control, Law, Status
 from bus.registry import TELEOP
 from outrider.view.page.controls.wheel import SharedWheel
 from outrider.view.page.hub import running_law
+from outrider.view.page.sources.live import Live
 
 FIRST = Law(name="logarithmic", speed_gain=2.0)
 OTHER = Law(name="linear", weight_gain=7.0)
@@ -14,6 +20,27 @@ OTHER = Law(name="linear", weight_gain=7.0)
 def status(law: str, *controls: Control) -> Status:
     changes = tuple(Change(tick=k, control=control) for k, control in enumerate(controls))
     return a_status(law=law, changes=changes)
+
+
+@pytest.mark.parametrize(
+    ("router", "simulator", "line"),
+    [
+        (True, True, ""),
+        (True, False, "Waiting for a simulator to join"),
+        (False, True, "The router is away"),
+    ],
+)
+def test_a_router_that_is_away_is_not_taken_for_its_simulator(router, simulator, line):
+    def watch(name: str, see: Any) -> None:
+        see(name, 0, simulator and name == SIMULATOR_NAME)
+
+    party = Party(role=Role.OBSERVER, name="page")
+    session: Any = SimpleNamespace(party=party, connected=router, watch=watch)
+    run = Live(session, read=())
+    state = run.standing
+    run.close()
+    assert (state.router, state.simulator) == (router, simulator)
+    assert state.line.startswith(line)
 
 
 def test_the_first_law_is_flown_until_another_is_chosen() -> None:
