@@ -249,6 +249,37 @@ class Short(Task):
         return grounded(duration=4.0)
 
 
+class Left(Task):
+    """The goal is near, and so is the end of sight."""
+
+    @property
+    def scenario(self) -> Scenario:
+        plain, changed = grounded(), msgspec.structs.replace
+        (uav,), (ugv,) = plain.uav, plain.ugv
+        return changed(
+            plain,
+            uav=(changed(uav, velocity=(0.0, 0.6)),),
+            ugv=(changed(ugv, goals=((8.0, 5.4),)),),
+            visibility=changed(plain.visibility, radius=3.0),
+        )
+
+
+def test_a_mission_goes_on_out_of_sight_and_what_comes_after_its_end_does_not_count() -> None:
+    turn = iter(range(10**9))
+
+    def away(seen: np.ndarray) -> np.ndarray:
+        return np.tile([0.0, 0.3], (len(seen), 1))
+
+    def drive(_seen: dict[str, np.ndarray]) -> np.ndarray:
+        """The UGV of world 0 arrives before its UAV is away, that of world 1 sets out only then."""
+        return np.array([[0.0, -0.1], [0.0, -0.1 if next(turn) > 80 else 0.0]])
+
+    task = Left(name="left", hard="", changes={}, mission=True)
+    result = task.evaluate(Team(uav=away, ugv=drive), seeds=[1, 2], secret=SECRET)
+    assert (result.arrived, result.lost) == (2, 1)  # type: ignore[attr-defined]
+    assert result.scores[0] > result.scores[1] > 0.0
+
+
 def test_missions_are_flown_by_laws_policies_and_teams() -> None:
     task = Short(name="short", hard="", changes={}, mission=True)
 

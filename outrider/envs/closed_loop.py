@@ -314,13 +314,14 @@ class ClosedLoop:
                 rows[name][which] = keys[:, vehicles, word]
         self._run(which, _NO_ACTIONS, 0, beginning=True)
 
-    def step(self, actions: FloatArray) -> None:
-        """All worlds advance by one tick.
+    def step(self, actions: FloatArray, worlds: IntArray | None = None) -> None:
+        """Worlds advance by one tick.
 
         Args:
             actions: Accelerations [m/s²] of the vehicles in `external`, finite. Shape (worlds, len(external), 2).
+            worlds: Which; all by default.
         """
-        self._run(self._all, actions, 1)
+        self._run(self._all if worlds is None else worlds, actions, 1)
 
     def fly(self, ticks: int | None = None) -> None:
         """Fly every world on, each until its episode is over, or so many ticks.

@@ -28,7 +28,7 @@ from sim.env.rows import UGV, UGV_METRICS
 from sim.env.seeds import Seeds
 from sim.env.settings import ENV_DEFAULTS, EnvSettings, completed
 from sim.env.spaces import action_space, box, check_dtype, observation_space
-from sim.kernels.compile import FloatArray
+from sim.kernels.compile import FloatArray, IntArray
 from sim.models.ground import TileArray, tile_patches
 from sim.scenario.loading import given_scenario
 from sim.scenario.types import Scenario
@@ -258,11 +258,14 @@ class Worlds:
         """The seed of each world's episode: `outrider run --seed` with it flies the same one."""
         return [seeds.current for seeds in self._seeds]
 
-    def step(self, actions: Mapping[str, npt.ArrayLike]) -> npt.NDArray[np.bool_]:
-        """All worlds advance by one tick; nothing has begun anew yet.
+    def step(
+        self, actions: Mapping[str, npt.ArrayLike], which: IntArray | None = None
+    ) -> npt.NDArray[np.bool_]:
+        """Worlds advance by one tick; nothing has begun anew yet.
 
         Args:
             actions: Those of each learner, shape (num_envs, 2) [m/s²].
+            which: The worlds that do; all by default. The others stay as they are.
 
         Returns:
             Which episodes have ended.
@@ -286,9 +289,12 @@ class Worlds:
         ]
         for place, action in enumerate(taken):
             self._actions[:, place] = action
-        self.loop.step(self._actions)
+        self.loop.step(self._actions, which)
         state = self.loop.state
-        self._returns += state.rows.rewards
+        if which is None:
+            self._returns += state.rows.rewards
+        else:
+            self._returns[which] += state.rows.rewards[which]
         ended: npt.NDArray[np.bool_] = (state.rows.terminated | state.rows.truncated) != 0
         return ended
 

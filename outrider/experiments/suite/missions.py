@@ -78,13 +78,12 @@ def mission_in(loop: ClosedLoop, k: int) -> Mission:
     return mission_of(tables.mission, state.ground, state.mission, k, loop.scenario.dt)
 
 
-def _fly(worlds: Worlds) -> list[Mission]:
-    """The mission of each world at the tick at which it ended."""
-    told: dict[int, Mission] = {}
-    while len(told) < worlds.num_envs:
-        for k in np.flatnonzero(worlds.step({})).tolist():
-            told.setdefault(k, mission_in(worlds.loop, k))
-    return [told[k] for k in range(worlds.num_envs)]
+def _fly(worlds: Worlds) -> None:
+    """Fly each world on until its mission is over."""
+    flying = np.arange(worlds.num_envs)
+    while flying.size:
+        ended = worlds.step({}, flying)
+        flying = np.flatnonzero(~ended)
 
 
 def evaluate_mission(
@@ -112,9 +111,9 @@ def evaluate_mission(
     with begun(scenario, pilots, seeds, secret, settings | _MISSION) as worlds:
         if isinstance(entry, str):
             worlds.loop.fly()
-            missions = [mission_in(worlds.loop, k) for k in range(len(seeds))]
         else:
-            missions = _fly(worlds)
+            _fly(worlds)
+        missions = [mission_in(worlds.loop, k) for k in range(len(seeds))]
         flown = worlds.metrics()
     shortest = shortest_time(scenario)
     finds = sum(mission.finds for mission in missions)

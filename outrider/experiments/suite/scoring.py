@@ -144,12 +144,15 @@ def begun(
 
 
 def _fly(worlds: Worlds) -> _Meter:
+    """Fly each world until what was said at the tick at which it lost sight has been said."""
     meter = _Meter(worlds.loop)
+    flying = meter.in_sight.copy()
     meter.note()
     for _ in range(worlds.scenario.ticks):
-        worlds.step({})
-        if not meter.in_sight.any():
-            break  # what was said at the tick at which the last of them lost sight has been said
+        worlds.step({}, np.flatnonzero(flying))
+        flying = meter.in_sight.copy()
+        if not flying.any():
+            break
         meter.note()
     return meter
 
