@@ -165,6 +165,22 @@ def test_what_is_certified_out_of_sight_is_told_with_the_score(monkeypatch):
     assert told == {"certified": 2, "linear": 0}
 
 
+def test_a_certificate_that_ends_for_no_reason_is_told_with_the_score(monkeypatch):
+    class Impatient(ClosedLoop):
+        """The filter takes for too old what is not as old as was declared."""
+
+        def begin(self, seeds: Any, worlds: Any = None) -> None:
+            self.tables.promises["age_ticks"] = 0
+            super().begin(seeds, worlds)
+
+    monkeypatch.setattr(vector, "ClosedLoop", Impatient)
+    board = leaderboard(["certified", "linear"], tasks=[TASK], seeds=[9000], secret=SECRET)
+    told = {standing.entry: standing.certificate_broken for standing in board.standings}
+    assert told["certified"] > told["linear"] == 0
+    for standing in board.standings:
+        assert standing.results[0].certificate_broken == told[standing.entry]
+
+
 def test_nothing_that_the_suite_flies_on_bad_links_is_certified_falsely() -> None:
     for name in ("late-looks", "dropouts", "bursts", "late-commands", "all-at-once"):
         task = Task(name=name, hard="", changes={**suite()[name].changes, "duration": 80.0})
