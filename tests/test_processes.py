@@ -25,6 +25,7 @@ from processes import (
 )
 from tabular import words
 
+from outrider.recording.reader import statuses
 from outrider.running.flying import fly
 from outrider.running.launch import free_port
 from sim.scenario.loading import load_scenario, scenario_names
@@ -143,9 +144,10 @@ def test_a_file_that_a_policy_leaves_open_is_written_out(tmp_path: Path, how: li
 
 @pytest.mark.parametrize("victim", ["uav", "ugv"])
 def test_a_vehicle_that_dies_brakes_and_the_run_ends_with_its_name(victim, tmp_path):
-    with flying(
-        "escort", "--duration", "100", "--no-picture", "--out", str(tmp_path), "--json"
-    ) as run:
+    recorded = tmp_path / "run.mcap"
+    told = ["escort", *words("--duration 100 --no-picture --json --out"), str(tmp_path)]
+    told += ["--record", str(recorded)] if victim == "ugv" else []  # once: it takes its time
+    with flying(*told) as run:
         children = family(run.pid)
         os.kill(child_of(run, victim), signal.SIGKILL)
         out, err = run.communicate(timeout=60)
@@ -157,6 +159,8 @@ def test_a_vehicle_that_dies_brakes_and_the_run_ends_with_its_name(victim, tmp_p
     assert summary["complete"] is True
     assert summary["deterministic"] is False
     assert summary["faults"][f"{victim}_0"]["lost"] == 1
+    if victim == "ugv":
+        assert [*statuses(recorded)][-1].vehicles["ugv_0"].lost == 1
     assert (tmp_path / "trajectory.csv").stat().st_size > 0
     assert not any(alive(child) for child in children)
 
