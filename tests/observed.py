@@ -4,7 +4,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from telemetry import a_status
+from telemetry import Box, a_status
 
 from bus.keys import COVERAGE, GROUND, STATUS, TRUTH
 from outrider.recording.observer import RunRecorder
@@ -23,24 +23,11 @@ def recorded(path: Path, scenario: Scenario, seed: int | None = None) -> Flight:
     return flight
 
 
-class _Box:
-    """An inbox whose messages are there already."""
-
-    def __init__(self) -> None:
-        self.messages: list[Any] = []
-
-    def next_waiting(self) -> Any:
-        return SimpleNamespace(message=self.messages.pop(0)) if self.messages else None
-
-    def receive(self, _patience: float) -> Any:
-        return self.next_waiting()
-
-
 class Observer:
     """An observer's recorder, which writes into this file what is put into its inboxes."""
 
     def __init__(self, file: Any, scenario: Scenario | None) -> None:
-        boxes = self._boxes = {key: _Box() for key in (TRUTH, COVERAGE, GROUND, STATUS)}
+        boxes = self._boxes = {key: Box() for key in (TRUTH, COVERAGE, GROUND, STATUS)}
         session: Any = SimpleNamespace(inbox=lambda key, newest: boxes[key])
         self.recorder = RunRecorder(session, file, scenario)
 

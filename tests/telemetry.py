@@ -1,5 +1,6 @@
 """What observers are told of a run, made up, for the tests of those who show it."""
 
+from types import SimpleNamespace
 from typing import Any
 
 from bus.messages import EscortTruth, Status, Truth, VehicleTruth
@@ -23,3 +24,16 @@ def a_truth(time: float, uav: VehicleTruth, ugv: VehicleTruth, **told: Any) -> T
     escort = EscortTruth(uav="uav_0", ugv="ugv_0", **least | told)
     vehicles = {"uav_0": uav, "ugv_0": ugv}
     return Truth(tick=round(20 * time), time=time, vehicles=vehicles, escorts=(escort,))
+
+
+class Box:
+    """An inbox whose messages are there already."""
+
+    def __init__(self) -> None:
+        self.messages: list[Any] = []
+
+    def next_waiting(self) -> Any:
+        return SimpleNamespace(message=self.messages.pop(0)) if self.messages else None
+
+    def receive(self, _patience: float) -> Any:
+        return self.next_waiting()

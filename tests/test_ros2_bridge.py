@@ -1,18 +1,21 @@
 """The bridge to ROS 2 between a simulator and nodes, each with a session and credentials of its own."""
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import pytest
 import zenoh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from processes import wait_until
 from staging import client_of, hosted, raw_session
-from telemetry import a_status
+from telemetry import Box, a_status
 from test_ros2_wire import truth_at
 
 from bus.access import new_credentials
@@ -24,7 +27,7 @@ from outrider.bridges.ros2.observing import RosObserver
 from outrider.bridges.ros2.ros_commands import TWISTS, Refused, RosCommands, wish_of
 from outrider.bridges.ros2.ros_node import RosNode
 from outrider.bridges.ros2.topics import TOPICS, wire_topic
-from outrider.bridges.ros2.wire import Attachment
+from outrider.bridges.ros2.wire import Attachment, WireTopic
 from outrider.view.operator import RunClient
 from sim.scenario.loading import load_scenario
 from sim.scene.known import geometry_of
@@ -155,6 +158,48 @@ def test_who_comes_late_gets_the_map_and_the_graph_shows_every_topic(tmp_path: P
         late.undeclare()
         for one in kept:
             one.undeclare()
+
+
+class Reader:
+    """A publisher that has been read from the beginning, and what it has sent."""
+
+    wanted, found = True, 1
+
+    def __init__(self) -> None:
+        self.got: list[bytes] = []
+        self.send = self.got.append
+
+    @property
+    def sent(self) -> int:
+        return len(self.got)
+
+    def close(self) -> None:
+        """Nothing is left."""
+
+
+def test_readers_of_another_run_that_stands_still_are_told_all_at_once() -> None:
+    """Its tick is that at which the run before it was left, and it is not told another one."""
+    boxes: dict[Any, Box] = defaultdict(Box)
+    readers: dict[str, Reader] = {}
+
+    def publisher(topic: WireTopic, _qos: Any) -> Reader:
+        readers[topic.name] = Reader()
+        return readers[topic.name]
+
+    session: Any = SimpleNamespace(inbox=lambda key, **_more: boxes[key], forget=lambda _box: None)
+    node: Any = SimpleNamespace(publisher=publisher)
+    observer = RosObserver(session, node)
+    told = []
+    for radius in (4.75, 4.5):
+        other = load_scenario("escort", overrides=[f"visibility.radius={radius}"])
+        status = msgspec.structs.replace(STATUS_NOW, geometry=geometry_of(other))
+        boxes[STATUS].messages.append(status)
+        for _ in range(2):
+            boxes[SAMPLED_TRUTH].messages.append(truth_at(40))
+            observer.step(0.0)
+        told.append({name: reader.sent for name, reader in readers.items()})
+    assert told[0] == told[1]
+    assert told[1]["/uav_0/odom"] == told[1]["/uav_0/path"] == told[1]["/discs"] == 1
 
 
 def _twist(x: float, y: float, *, turn: float = 0.0) -> Any:
