@@ -150,6 +150,7 @@ def test_a_bad_seed_is_refused_and_the_episode_goes_on(names: tuple[str, ...], s
         (ALL, {"dtype": np.int32}, "dtype"),
         (ALL, {"coverage_patch": (0, 1.0)}, "pixels"),
         (ALL, {"coverage_patch": (1.5, 1.0)}, "pixels"),
+        (ALL, {"coverage_patch": (math.nan, 1.0)}, "pixels"),
         (ALL, {"coverage_patch": (8, 0.0)}, "meters_per_pixel"),
         (ALL, {"coverage_patch": (8, math.inf)}, "meters_per_pixel"),
         (("parallel",), {"render_mode": "ansi"}, "render_mode = 'ansi'; allowed: None, 'human'"),
@@ -189,7 +190,7 @@ def test_bad_durations_are_refused_in_one_line(name: str, duration: float) -> No
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_what_was_returned_is_never_changed_later(name: str) -> None:
-    env = MAKERS[name](SCENARIO, coverage_patch=(8, 1.0))
+    env = MAKERS[name](SCENARIO, coverage_patch=(np.float32(8.0), 1.0))
     now = [env.reset(seed=1)]
     then = copy.deepcopy(now)
     for action in random_actions(1, 20)[:, 0]:

@@ -25,7 +25,7 @@ def given_patch(given: CoveragePatch | tuple[int, float] | None) -> CoveragePatc
     """
     if given is None:
         return None
-    pixels, size = patch = CoveragePatch(*given)
+    pixels, size = given
     if not (1 <= pixels <= 1024 and pixels == int(pixels)):
         raise ValueError(
             f"coverage_patch: pixels = {pixels!r}; must be a whole number from 1 to 1024"
@@ -34,7 +34,7 @@ def given_patch(given: CoveragePatch | tuple[int, float] | None) -> CoveragePatc
         raise ValueError(
             f"coverage_patch: meters_per_pixel = {size!r}; must be positive and finite"
         )
-    return patch
+    return CoveragePatch(int(pixels), float(size))
 
 
 TILE_PATCH = 21
@@ -47,9 +47,9 @@ def check_tile_patch(side: int) -> int:
     Raises:
         ValueError: If it is no odd number from 1 to 255: the UGV's own tile is in the middle.
     """
-    if isinstance(side, bool) or side != int(side) or not (1 <= side <= 255 and side % 2):
+    if isinstance(side, bool) or not (1 <= side <= 255 and side % 2 == 1):
         raise ValueError(f"tile_patch = {side!r}; must be an odd whole number from 1 to 255")
-    return side
+    return int(side)
 
 
 @compiled
