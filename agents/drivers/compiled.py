@@ -9,7 +9,7 @@ import numpy as np
 
 from agents.drivers.evade import evade_lead, evade_ticks
 from agents.drivers.parameters import COMPILED_DRIVERS, DriverMemory, DriverParameters, Route
-from agents.drivers.planning import has_way, way_corners
+from agents.drivers.planning import way_corners
 from agents.drivers.steering import Steering
 from agents.drivers.tile_map import (
     GroundMemory,
@@ -235,19 +235,17 @@ class NavigateDriver(CompiledDriver):
         if flags["plans"] == self._plans:
             return None
         self._plans = int(flags["plans"])
-        rows, columns = memory.tiles.shape
+        (rows, columns), (_, route, _) = memory.tiles.shape, self._fixed
+        goal_x, goal_y = route.goals[flags["goal"]].tolist()
         own, goal = (
             tile_index(y, tile, rows) * columns + tile_index(x, tile, columns)
-            for x, y in (position, self._fixed[1].goals[flags["goal"]].tolist())
+            for x, y in (position, (goal_x, goal_y))
         )
-        count = 0
-        if has_way(memory.way, own):
-            count = way_corners(memory.way, columns, own, self._corners)
+        count = way_corners(memory.way, columns, own, self._corners)
         turns = self._corners[:count].tolist()
         ahead = [((n % columns + 0.5) * tile, (n // columns + 0.5) * tile) for n in turns[1:]]
         if turns and turns[-1] == goal:
-            x, y = self._fixed[1].goals[flags["goal"]].tolist()
-            ahead[max(len(ahead) - 1, 0) :] = [(x, y)]
+            ahead[-1:] = [(goal_x, goal_y)]
         if tuple(ahead) == self._told[len(self._told) - len(ahead) :] and (ahead or not self._told):
             return None
         self._told = tuple(ahead)
