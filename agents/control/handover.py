@@ -12,16 +12,11 @@ from typing import NamedTuple
 
 from agents.control.discs import MARGIN, lens_distance
 from agents.control.promise import Declared, Promise
+from bus.ticks import ticks_within
 from sim.kernels.compile import compiled
 
 ROUNDING = 1e-12
 """Ticks by which a quotient may exceed a whole number and still be that number."""
-
-DUST = 1e-6
-"""And the share of a tick by which a declared time may fall short of whole ticks and still be them."""
-
-_FOREVER = float(2**53)
-"""Ticks of a time without a bound."""
 
 _GRID, _STEPS = 0.005, 950
 """Step of the distances [m] over which the hand-over is checked when a scenario loads, and its margin.
@@ -199,7 +194,7 @@ def certificate(declared: Declared) -> Promise:
     eps = float(c.eps) + tracking
     delay_ticks = math.ceil(c.delay / dt - ROUNDING)
     r_v = float(c.r_v - c.margin) - tracking - tick_sagitta(v_a, u_a, dt)
-    outage_ticks = 0 if c.outage is None else math.floor(min(c.outage / dt + DUST, _FOREVER))
+    outage_ticks = 0 if c.outage is None else ticks_within(c.outage, dt)
     radius = reach = math.nan
     if all(math.isfinite(x) for x in (r_v, v_a, v_g, eps, age)) and 0.0 <= v_g < v_a and u_a > 0.0:
         rho = eps + v_g * (age + delay_ticks * dt)
@@ -212,7 +207,7 @@ def certificate(declared: Declared) -> Promise:
         eps=eps,
         tracking=tracking,
         age=age,
-        age_ticks=math.floor(min(age / dt + DUST, _FOREVER)),
+        age_ticks=ticks_within(age, dt),
         delay_ticks=delay_ticks,
         r_v=r_v - MARGIN,
         v_a=v_a,

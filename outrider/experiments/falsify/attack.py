@@ -23,10 +23,10 @@ from agents.control.guard import (
     note_detection,
     note_position,
 )
-from agents.control.handover import DUST
 from agents.control.promise import Promise
 from agents.control.tracking import tracking_output, tracking_step
 from bus.messages import LinkKind
+from bus.ticks import DUST
 from outrider.experiments.falsify.conditions import (
     ANY,
     AREAS,
