@@ -218,7 +218,7 @@ def test_the_shipped_numbers() -> None:
 def test_the_servo_keeps_the_bound_and_stops_at_its_point(p_x, p_y, share, angle, z_x, z_y):
     v_x, v_y = share * V_A * math.cos(angle), share * V_A * math.sin(angle)
     for _ in range(800):
-        u_x, u_y = c.servo(p_x, p_y, v_x, v_y, z_x, z_y, V_A, U_A, DT)
+        u_x, u_y = c.servo(Motion(p_x, p_y, v_x, v_y), z_x, z_y, V_A, U_A, DT)
         assert norm(u_x, u_y) <= U_A * (1.0 + 1e-12)
         p_x, p_y, v_x, v_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, V_A, U_A, DT)
     assert norm(p_x - z_x, p_y - z_y) < 0.05

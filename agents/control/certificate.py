@@ -129,25 +129,17 @@ class Known(NamedTuple):
 
 @compiled
 def servo(
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
-    z_x: float,
-    z_y: float,
-    v_a: float,
-    u_a: float,
-    dt: float,
+    here: Motion, z_x: float, z_y: float, v_a: float, u_a: float, dt: float
 ) -> tuple[float, float]:
     r"""Fly to z and stop there, [m/s²]: $u = clip((v^* - v_a)/dt, u_a)$, $v^* = -s (p_a - z)/\|p_a - z\|$.
 
     s is the speed from which the UAV stops at z, at most v_a. Acts where nothing is certified, as the best that
     can be done.
     """
-    x, y = z_x - p_x, z_y - p_y
+    x, y = z_x - here.p_x, z_y - here.p_y
     way = norm(x, y)
     speed = min(v_a, speed_to_stop_within(way, u_a, dt)) / way if way > _REST else 0.0
-    return clip_norm((speed * x - v_x) / dt, (speed * y - v_y) / dt, u_a)
+    return clip_norm((speed * x - here.v_x) / dt, (speed * y - here.v_y) / dt, u_a)
 
 
 @compiled
@@ -362,6 +354,7 @@ def _return_at(promise: Promise, known: Known, tick: int, here: Motion, speed: f
     """`return_from` at one speed [m/s]."""
     c, z = promise, known.newest
     at_rest = norm(here.v_x, here.v_y) <= _REST
+    q_x, q_y = here.p_x, here.p_y  # where the turn ends: found with the heading by iteration
     if at_rest:
         if not (_is_in_area(c, here.p_x, here.p_y) and _is_in_area(c, z.x, z.y)):
             return _nothing()
@@ -372,7 +365,6 @@ def _return_at(promise: Promise, known: Known, tick: int, here: Motion, speed: f
         w_x, w_y = (speed * x / way, speed * y / way) if turn else (0.0, 0.0)
     else:
         stop = max(1, math.ceil(speed / (c.u_a * c.dt) - ROUNDING))
-        q_x, q_y = here.p_x, here.p_y  # where the turn ends: found with the heading by iteration
         w_x, w_y, turn = 0.0, 0.0, 0
         for _ in range(4):
             way = norm(z.x - q_x, z.y - q_y)
@@ -398,8 +390,6 @@ def _return_at(promise: Promise, known: Known, tick: int, here: Motion, speed: f
     if turn:
         a_x, a_y = (w_x - here.v_x) / (turn * c.dt), (w_y - here.v_y) / (turn * c.dt)
     if not at_rest:  # from rest the way is a chord of the area
-        q_x = here.p_x + 0.5 * (here.v_x + w_x) * turn * c.dt
-        q_y = here.p_y + 0.5 * (here.v_y + w_y) * turn * c.dt
         way_on = Motion(q_x, q_y, end_x - q_x, end_y - q_y)
         if not _stays_in_area(c, here, a_x, a_y, turn * c.dt):
             return _nothing()
@@ -523,7 +513,7 @@ def safe_control(
         w_x, w_y = follow(c, plan, here.v_x, here.v_y)
         return w_x, w_y, PLAN
     z = known.newest
-    w_x, w_y = servo(here.p_x, here.p_y, here.v_x, here.v_y, z.x, z.y, c.v_a, c.u_a, c.dt)
+    w_x, w_y = servo(here, z.x, z.y, c.v_a, c.u_a, c.dt)
     drop_plan(plan)
     return w_x, w_y, BEST_EFFORT
 

@@ -215,10 +215,6 @@ def lens_distance(
         return d_b + r_b
     along = 0.5 * (gap + (r_a * r_a - r_b * r_b) / gap)
     across = math.sqrt(max(0.0, r_a * r_a - along * along))
-    c_x, c_y, n_x, n_y = (
-        a_x + x / gap * along - p_x,
-        a_y + y / gap * along - p_y,
-        -y / gap * across,
-        x / gap * across,
-    )
+    c_x, c_y = a_x + x / gap * along - p_x, a_y + y / gap * along - p_y
+    n_x, n_y = -y / gap * across, x / gap * across
     return min(least, max(norm(c_x + n_x, c_y + n_y), norm(c_x - n_x, c_y - n_y)))

@@ -44,9 +44,7 @@ def telling_memory(width: float, height: float, tile: float) -> TellingMemory:
         width, height: Of the area [m].
         tile: Width of a tile [m]; 0: there is no ground to tell of.
     """
-    if tile == 0.0:
-        return TellingMemory(np.zeros((0, 0), np.uint8), *np.zeros((2, 0, 0), np.int64))
-    rows, columns = tiles_shape(width, height, tile)
+    rows, columns = tiles_shape(width, height, tile) if tile > 0.0 else (0, 0)
     blocks = (-(-rows // BLOCK_SIDE), -(-columns // BLOCK_SIDE))
     return TellingMemory(
         tiles=np.zeros((rows, columns), np.uint8),
