@@ -184,6 +184,7 @@ COMMAND = {Role.UAV: UAV_COMMAND, Role.UGV: UGV_COMMAND}
 
 _TOKEN = "alive"  # noqa: S105 - a part of a liveliness token's key
 _SESSION = "session"
+_PLACE_NUMBERS = {str(place): place for place in range(PLACES)}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 
 
@@ -216,9 +217,7 @@ def token(run: str, name: str, place: int | str) -> str:
 def token_owner(expression: str) -> tuple[str, int]:
     """Whose token this is, and the number of its session; -1 where it has none."""
     parts = expression.split("/")
-    number = parts[-1]
-    known = len(number) == 1 and number in "0123456789" and int(number) < PLACES
-    return parts[-3], int(number) if known else -1
+    return parts[-3], _PLACE_NUMBERS.get(parts[-1], -1)
 
 
 def session_token(run: str, name: str, session: str) -> str:
