@@ -111,8 +111,7 @@ class Inbox:
     def receive(self, patience: float) -> Letter | None:
         """The next message, or None after `patience` [s] without one, or once somebody has called `poke`."""
         if self._peeked is not None:
-            peeked, self._peeked = self._peeked, None
-            return peeked
+            return self.next_waiting()
         subscriber = self._open_subscriber()
         started = self._since = time.monotonic()
         try:
