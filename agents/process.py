@@ -265,10 +265,8 @@ def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> bool:
     """
     if len(seen) > 1:
         missed = seen[:-1]
-        waits = hasattr(
-            pilot, "attend"
-        )  # for somebody else, whose answer to it would come too late
-        act = len(missed) == 1 and not waits
+        # One that attends waits for somebody else, whose answer to it would come too late.
+        act = len(missed) == 1 and not hasattr(pilot, "attend")
         take = pilot.act if act else getattr(pilot, "perceive", None)
         if take is not None:
             for observation in missed:

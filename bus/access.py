@@ -315,10 +315,8 @@ def grants(party: Party, run: str, *, ros2: bool = False) -> tuple[Grant, ...]:
         found.add(Grant(message="declare_subscriber", flow="ingress", keys=(own,)))
         found.add(Grant(message="put", flow="egress", keys=(own,)))
     watched = token(run, "*" if party.role is Role.SIMULATOR else SIMULATOR_NAME, "*")
-    own, places = (
-        token(run, party.name, "*"),
-        tuple(token(run, party.name, place) for place in range(PLACES)),
-    )
+    own = token(run, party.name, "*")
+    places = tuple(token(run, party.name, place) for place in range(PLACES))
     declared = (*places, session_token(run, party.name, "*"))
     found.add(Grant(message="liveliness_token", flow="ingress", keys=declared))
     found.add(Grant(message="liveliness_query", flow="ingress", keys=(own,)))

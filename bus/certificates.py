@@ -172,10 +172,8 @@ def issue(
     from cryptography.hazmat.primitives import hashes  # noqa: PLC0415
     from cryptography.x509.oid import ExtendedKeyUsageOID  # noqa: PLC0415
 
-    issuer, signing = (
-        _read(authority.certificate, "the authority"),
-        _read_key(authority.key, "the authority"),
-    )
+    issuer = _read(authority.certificate, "the authority")
+    signing = _read_key(authority.key, "the authority")
     left = (issuer.not_valid_after_utc - datetime.now(UTC)) / timedelta(days=1)
     if left <= 0.0:
         raise AccessDenied(
@@ -243,10 +241,8 @@ def check_identity(identity: Identity, name: str) -> datetime:
     from cryptography.x509.oid import NameOID  # noqa: PLC0415
 
     what = f"the certificate of {name}"
-    certificate, authority = (
-        _read(identity.certificate, what),
-        _read(identity.authority, f"the authority of {name}"),
-    )
+    certificate = _read(identity.certificate, what)
+    authority = _read(identity.authority, f"the authority of {name}")
     names = [
         str(part.value) for part in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     ]
