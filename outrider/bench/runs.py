@@ -161,9 +161,9 @@ def _seconds_of(scenario: Scenario) -> float:
     return (time.perf_counter() - started) / 2
 
 
-def _one_tick(cache: str | None) -> float:
+def _one_tick(cache: str) -> float:
     """Wall time [s] of `outrider run` over a single tick: from its start to the end, so more than to its first tick."""
-    environment = os.environ | ({"OUTRIDER_CACHE": cache} if cache else {})
+    environment = os.environ | {"OUTRIDER_CACHE": cache}
     command = outrider_command("run", "escort", "--duration", "0.05", "--no-files", "--json")
     started = time.perf_counter()
     done = subprocess.run(
@@ -176,6 +176,6 @@ def _one_tick(cache: str | None) -> float:
 
 def first_tick() -> Pair:
     """Start to first tick with a warm compile cache, beside a cold one."""
-    with tempfile.TemporaryDirectory(prefix="outrider-cold-") as empty:
-        cold = _one_tick(empty)
-    return _one_tick(None), cold
+    with tempfile.TemporaryDirectory(prefix="outrider-cold-") as cache:
+        cold = _one_tick(cache)
+        return _one_tick(cache), cold
