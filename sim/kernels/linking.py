@@ -6,6 +6,7 @@ made of the parts before is thrown away, and takes half of the time that compili
 """
 
 import contextlib
+import copy
 import functools
 import gc
 from collections.abc import Callable, Iterator
@@ -113,7 +114,7 @@ def _compiling_to(kind: type[_Whole]) -> Iterator[None]:
     What is inlined is not copied before: it was made for this and is used once.
     """
     codegen = cpu_target.target_context.codegen()
-    kept = SimpleNamespace(deepcopy=lambda block: block)
+    kept = SimpleNamespace(**vars(copy) | {"deepcopy": lambda block: block})
     with (
         global_compiler_lock,
         _collecting_seldom(),
@@ -176,11 +177,11 @@ class _Entry(_Kept):
         """The same function for compiled callers."""
         ours = self.py_func
         named = ours.__code__, ours.__globals__, ours.__name__, ours.__defaults__, ours.__closure__
-        copy = FunctionType(*named)
-        copy.__module__, copy.__kwdefaults__ = ours.__module__, ours.__kwdefaults__
-        copy.__qualname__ = f"{ours.__qualname__}.linked"  # a place of its own in the cache
+        twin = FunctionType(*named)
+        twin.__module__, twin.__kwdefaults__ = ours.__module__, ours.__kwdefaults__
+        twin.__qualname__ = f"{ours.__qualname__}.linked"  # a place of its own in the cache
         options = self.targetoptions | {"no_cpython_wrapper": True}
-        return _dispatcher(_Linked, copy, options, cached=type(self._cache).__name__ != "NullCache")
+        return _dispatcher(_Linked, twin, options, cached=type(self._cache).__name__ != "NullCache")
 
     @property
     def _numba_type_(self) -> Any:  # noqa: ANN401 - numba's
