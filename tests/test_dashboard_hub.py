@@ -1,4 +1,4 @@
-"""What the page knows of who is there, of the law's gains and of the wheel."""
+"""The page's knowledge: who is there, the law's gains, the wheel."""
 
 from types import SimpleNamespace
 from typing import Any

@@ -300,9 +300,8 @@ def _take(parameters: KalmanParameters, state: KalmanState, x: float, y: float) 
     s = b.p_pp + parameters.variance
     squared = (s * nu_x * nu_x + s * nu_y * nu_y) / (s * s)
     if squared <= parameters.gate:
-        if (
-            step.predicted or not step.weighed
-        ):  # what was worked ahead is for the tick that is predicted
+        # a gain that was worked ahead is for the tick that is predicted
+        if step.predicted or not step.weighed:
             step.predicted = step.weighed = False
             return False
         _correct(parameters, b, step, nu_x, nu_y)

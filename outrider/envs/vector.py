@@ -290,11 +290,8 @@ class Worlds:
         for place, action in enumerate(taken):
             self._actions[:, place] = action
         self.loop.step(self._actions, which)
-        state = self.loop.state
-        if which is None:
-            self._returns += state.rows.rewards
-        else:
-            self._returns[which] += state.rows.rewards[which]
+        state, stepped = self.loop.state, slice(None) if which is None else which
+        self._returns[stepped] += state.rows.rewards[stepped]
         ended: npt.NDArray[np.bool_] = (state.rows.terminated | state.rows.truncated) != 0
         return ended
 

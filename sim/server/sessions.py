@@ -87,9 +87,9 @@ class Slots:
         self._on_event = on_event
         self._gate = threading.Lock()
         self._arrivals: Counter[tuple[str, int]] = Counter()
-        """How often somebody came to each place of each vehicle."""
+        """Number of arrivals at each place of each vehicle."""
         self._changes: dict[tuple[str, int], bool] = {}
-        """Where somebody came or went since they were last taken in, and whether they are there."""
+        """Arrivals (True) and departures (False) by place, since they were last taken in."""
         self._slots: dict[str, VehicleSlot] = {}
         for vehicle in flight.scenario.vehicles:
             role = Role.UAV if isinstance(vehicle, Uav) else Role.UGV
