@@ -140,13 +140,12 @@ class SafetyFilterWrapper(BaseParallelWrapper):  # type: ignore[misc]
         """Let all vehicles act for one tick, the UAVs within what is safe.
 
         Raises:
-            ValueError: If a UAV's action is not two finite numbers; nothing has happened then.
+            ValueError: If an action is missing, of no agent, or not two finite numbers; nothing has happened then.
         """
         env, safe, verdicts = self.env.unwrapped, dict(actions), {}
-        acting = self.filters.keys() & actions.keys()
-        wanted = {agent: env.taken(agent, actions[agent]) for agent in acting}
-        for agent, action in wanted.items():
-            verdicts[agent] = verdict = self.filters[agent].filter(self._seen[agent], action)
+        wanted = env.taken(actions)
+        for agent, keeper in self.filters.items():
+            verdicts[agent] = verdict = keeper.filter(self._seen[agent], wanted[agent])
             safe[agent] = np.array(verdict.acceleration)
             env.carry(agent, verdict.motions)
         observations, rewards, terminations, truncations, infos = self.env.step(safe)

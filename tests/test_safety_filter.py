@@ -158,13 +158,19 @@ def test_a_wrapped_environment_keeps_sight_whatever_the_policy_wants() -> None:
     assert "intervened" not in infos["ugv_0"]
 
 
+@pytest.mark.parametrize("agent", ["uav_0", "ugv_0"])
 @pytest.mark.parametrize("action", [[np.nan, 0.0], [1.0], "fast"])
-def test_a_wrapped_environment_refuses_nonsense_as_the_plain_one_does(action: Any) -> None:
+def test_a_wrapped_environment_refuses_nonsense_before_anything_is_filtered(
+    agent: str, action: Any
+) -> None:
     env = SafetyFilterWrapper(parallel_env(watched(duration=5.0)))
     env.reset(seed=7)
-    with pytest.raises(ValueError, match="action of uav_0"):
-        env.step({"uav_0": action, "ugv_0": np.zeros(2)})
-    env.step({"uav_0": np.zeros(2), "ugv_0": np.zeros(2)})
+    good = {"uav_0": np.zeros(2), "ugv_0": np.zeros(2)}
+    with pytest.raises(ValueError, match=f"action of {agent}"):
+        env.step(good | {agent: action})
+    assert env.filters["uav_0"].ticks == 0
+    env.step(good)
+    assert env.filters["uav_0"].ticks == 1
 
 
 def test_commands_on_their_way_before_the_first_detection_are_known_to_the_filter() -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, Unpack
 
 import gymnasium
-import numpy as np
 import numpy.typing as npt
 from gymnasium.error import ResetNeeded
 
@@ -55,7 +54,6 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         self.render_mode = None
         self.observation_space = self.worlds.observation_spaces[agent]
         self.action_space = self.worlds.action_spaces[agent]
-        self._action = np.zeros((1, 2))
         self._over = True
 
     def reset(
@@ -100,8 +98,8 @@ class SingleEnv(gymnasium.Env[Any, Any]):
                 else "before reset()"
             )
             raise ResetNeeded(f"step() {when}")
-        take_actions({self.agent: action}, [self.agent], self._action)
-        self._over = bool(self.worlds.step({self.agent: self._action})[0])
+        taken = take_actions({self.agent: action}, [self.agent])
+        self._over = bool(self.worlds.step({self.agent: [taken[self.agent]]})[0])
         (terminated,), (truncated,) = (flags.tolist() for flags in self.worlds.ends())
         return (
             self._observation(),

@@ -13,14 +13,13 @@ LARGEST = 1e6
 
 
 def take_actions(
-    actions: Mapping[str, npt.ArrayLike], names: Sequence[str], commands: FloatArray
-) -> None:
-    """Put each agent's action in its row.
+    actions: Mapping[str, npt.ArrayLike], names: Sequence[str]
+) -> dict[str, tuple[float, float]]:
+    """Each agent's action as plain numbers, checked [m/s²].
 
     Args:
         actions: An acceleration [m/s²] for each agent.
-        names: The agents, in the order of the rows.
-        commands: Changed in place; shape (agents, 2).
+        names: The agents.
 
     Raises:
         ValueError: If an action is missing, of no agent, or not two finite numbers.
@@ -28,14 +27,15 @@ def take_actions(
     if len(actions) != len(names) or any(name not in actions for name in names):
         given = ", ".join(map(str, actions)) or "nobody"
         raise ValueError(f"actions for: {given}; needed is one for each of: {', '.join(names)}")
-    for k, name in enumerate(names):
+    taken = {}
+    for name in names:
         x, y = _pair(name, actions[name])
         if not (-LARGEST <= x <= LARGEST and -LARGEST <= y <= LARGEST):
             raise ValueError(
                 f"action of {name} = [{x}, {y}]: must be two finite numbers, at most {LARGEST:g} m/s² in size"
             )
-        commands[k, 0] = x
-        commands[k, 1] = y
+        taken[name] = x, y
+    return taken
 
 
 def _pair(name: str, action: npt.ArrayLike) -> list[float]:
@@ -52,7 +52,7 @@ def _pair(name: str, action: npt.ArrayLike) -> list[float]:
 
 
 def _array(given: npt.ArrayLike) -> npt.NDArray[Any]:
-    """What is given, as an array; an empty one of a ragged list."""
+    """An array of the values; of a ragged list an empty one."""
     try:
         return np.asarray(given)
     except (TypeError, ValueError):

@@ -28,7 +28,6 @@ from sim.env.settings import ENV_DEFAULTS, EnvSettings, completed
 from sim.env.spaces import action_space, check_dtype, observation_space
 from sim.env.state import state_array, state_space
 from sim.env.view import Rendering
-from sim.kernels.compile import FloatArray
 from sim.models.field import empty_coverage
 from sim.models.ground import TileArray, tile_patches
 from sim.scenario.loading import given_scenario
@@ -144,7 +143,6 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """Of all random numbers, with the seed. For whoever made the environment, not for policies."""
         self._seeds = Seeds(self.scenario.seed)
         self._carried: dict[str, Sequence[MotionPlan]] = {}
-        self._commands: FloatArray = np.zeros((len(vehicles), 2))
         self._world: World | None = None
         self._view = (
             None if render_mode is None else Rendering(render_mode, self.metadata["render_fps"])
@@ -209,12 +207,9 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             ResetNeeded: If no episode is going on.
             ValueError: If an action is missing, of no agent, or not two finite numbers; nothing has happened then.
         """
-        world = self.world
-        if not self.agents:
-            raise ResetNeeded("step() after the end of the episode: call reset() first")
-        take_actions(actions, self.possible_agents, self._commands)
-        for k, (name, command) in enumerate(zip(world.names, self._commands.tolist(), strict=True)):
-            world.send(k, world.tick, command, self._carried.get(name, ()))
+        world, taken = self.world, self.taken(actions)
+        for k, name in enumerate(world.names):
+            world.send(k, world.tick, taken[name], self._carried.get(name, ()))
         self._carried.clear()
         world.advance()
         self._perceive()
@@ -352,16 +347,16 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self.received(agent)
         return self.world.flown(self.world.names.index(agent))
 
-    def taken(self, agent: str, action: npt.ArrayLike) -> Vector:
-        """Returns an agent's action as `step` would take it [m/s²]; nothing happens.
+    def taken(self, actions: Mapping[str, npt.ArrayLike]) -> dict[str, Vector]:
+        """Returns each agent's action as `step` would take it [m/s²]; nothing happens.
 
-        Raises:
-            ValueError: If it is not two finite numbers.
+        Args:
+            actions: As for `step`, whose errors it raises.
         """
-        row = np.empty((1, 2))
-        take_actions({agent: action}, [agent], row)
-        x, y = row[0].tolist()
-        return x, y
+        _ = self.world  # there must be one
+        if not self.agents:
+            raise ResetNeeded("step() after the end of the episode: call reset() first")
+        return take_actions(actions, self.possible_agents)
 
     def carry(self, agent: str, motions: Sequence[MotionPlan]) -> None:
         """Let a UAV's next action carry motions, as its safety filter plans them.
