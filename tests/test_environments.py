@@ -95,7 +95,13 @@ def test_of_many_worlds_the_one_whose_action_is_bad_is_named(actions, words):
 
 
 @pytest.mark.parametrize(
-    ("name", "shape"), [("parallel", (2,)), ("egocentric", (2,)), ("parallel vector", (2, 2))]
+    ("name", "shape"),
+    [
+        ("parallel", (2,)),
+        ("egocentric", (2,)),
+        ("safety filter", (2,)),
+        ("parallel vector", (2, 2)),
+    ],
 )
 @pytest.mark.parametrize(
     ("acting", "told"),
