@@ -4,8 +4,8 @@ import functools
 import math
 
 import numpy as np
-from draws import a_key
 from scipy.stats import chi2
+from seeded import a_key
 
 from agents.estimation.estimator import Estimate, RelativeEstimator
 from agents.estimation.motion_model import (

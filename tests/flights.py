@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from draws import a_told_key
+from seeded import a_told_key
 
 from agents.control.laws import LawParameters, law_parameters
 from bus.messages import Area, Command, Law, Limits, Observation, UavBriefing, UgvBriefing

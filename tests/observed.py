@@ -4,7 +4,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from telemetry import Box, a_status
+from statuses import Box, a_status
 
 from bus.keys import COVERAGE, GROUND, STATUS, TRUTH
 from outrider.recording.observer import RunRecorder

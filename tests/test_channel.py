@@ -11,11 +11,11 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from draws import a_key
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
 from scipy import stats
+from seeded import a_key
 
 from bus.errors import ScenarioError
 from bus.messages import LinkSettings, LinkStatus

@@ -14,11 +14,11 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
-from draws import a_key
 from numba.core import inline_closurecall, types
 from numba.core.caching import NullCache
 from numba.core.codegen import CPUCodeLibrary
 from numba.core.errors import TypingError
+from seeded import a_key
 
 import agents.control
 from bus.registry import SENSORS

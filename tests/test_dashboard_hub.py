@@ -4,7 +4,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from telemetry import a_status
+from statuses import a_status
 
 from bus.keys import SIMULATOR_NAME, Party, Role
 from bus.messages import Action, Change, Control, Law, Status

@@ -5,7 +5,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from observed import recorded
-from telemetry import a_status, a_truth, a_vehicle
+from statuses import a_status, a_truth, a_vehicle
 
 from bus.messages import (
     Action,

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from draws import a_key
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
+from seeded import a_key
 
 from sim.models.detection import detect, detection_chance
 

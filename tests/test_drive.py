@@ -25,7 +25,7 @@ from pathlib import Path
 import pytest
 from processes import await_status, python, wait_until
 from scattered import scattered
-from telemetry import a_status, a_truth, a_vehicle
+from statuses import a_status, a_truth, a_vehicle
 
 from bus.keys import CONTROL, OPERATOR, SAMPLED_TRUTH, STATUS, Party, Role
 from bus.messages import (

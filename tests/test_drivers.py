@@ -8,11 +8,11 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from draws import a_told_key
 from flights import DT, R_V, U_G, V_A, V_G, distances, told_ugv
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
+from seeded import a_told_key
 
 from agents.drivers.compiled import (
     EvadeDriver,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from telemetry import a_status, a_truth, a_vehicle
+from statuses import a_status, a_truth, a_vehicle
 
 from bus.errors import ScenarioError
 from bus.messages import Action, Origin, VehicleStatus

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from draws import a_key
 from flights import DESIRED, HERE, R_O, escort, parameters
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
 from scipy import stats
+from seeded import a_key
 
 from agents.control.coverage import symmetry_breaker
 from agents.control.laws import initial_state, way_to_uncovered

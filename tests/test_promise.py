@@ -4,8 +4,8 @@ import re
 
 import numpy as np
 import pytest
-from draws import a_key
 from refusals import refused
+from seeded import a_key
 from tabular import rows
 
 from bus.errors import ScenarioError

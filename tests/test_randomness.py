@@ -9,11 +9,11 @@ from hashlib import blake2b
 
 import numpy as np
 import pytest
-from draws import a_key, a_told_key
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
 from scipy import stats
+from seeded import a_key, a_told_key
 
 from sim.engine.run_keys import check_secret, derive_key, derive_keys, new_secret
 from sim.models import randomness

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from processes import wait_until
 from staging import client_of, hosted, raw_session
-from telemetry import Box, a_status
+from statuses import Box, a_status
 from test_ros2_wire import truth_at
 
 from bus.access import new_credentials

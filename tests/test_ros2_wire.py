@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 from stamps import seconds_of
-from telemetry import a_status, a_truth, a_vehicle
+from statuses import a_status, a_truth, a_vehicle
 
 from bus.errors import BusError, ScenarioError
 from bus.messages import CoverageMap, GroundMap, LinkStatus, UavReport, VehicleStatus

@@ -8,10 +8,10 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from draws import a_key
 from flights import degraded, flown_in_both
 from processes import outrider, run_json
 from refusals import SMALL, refusal
+from seeded import a_key
 from tabular import words
 from worlds import step
 

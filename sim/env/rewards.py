@@ -90,7 +90,7 @@ def full_error(r_o: float, desired: float) -> float:
 
 
 @compiled
-def uav_terms(  # noqa: PLR0913 - compiled
+def uav_terms(
     weights: RewardWeights,
     error: float,
     gain: float,
@@ -98,8 +98,7 @@ def uav_terms(  # noqa: PLR0913 - compiled
     lost: bool,
     was_lost: bool,
     ticks_lost: int,
-    u_x: float,
-    u_y: float,
+    acceleration: tuple[float, float],
     dt: float,
     told: float,
 ) -> tuple[float, float, float, float, float, float]:
@@ -114,10 +113,11 @@ def uav_terms(  # noqa: PLR0913 - compiled
         was_lost: Whether it was at the tick before.
         ticks_lost: Ticks that are charged if it is out of sight: one, and the rest of the episode where it ends by
             that.
-        u_x, u_y: Acceleration as applied [m/s²].
+        acceleration: As applied [m/s²].
         dt: Length of a tick [s].
         told: Ground of which its UGV has been told for the first time [m²].
     """
+    u_x, u_y = acceleration
     return (
         -weights.uncovered * error / full * dt,
         weights.seen * gain / full,
@@ -133,8 +133,7 @@ def ugv_terms(
     weights: RewardWeights,
     nearer: float,
     arrivals: int,
-    u_x: float,
-    u_y: float,
+    acceleration: tuple[float, float],
     dt: float,
     hits: int,
     still: int,
@@ -145,11 +144,12 @@ def ugv_terms(
         weights: What is paid for.
         nearer: How much nearer it came to its goal [m].
         arrivals: Goals reached in this tick.
-        u_x, u_y: Acceleration as applied [m/s²].
+        acceleration: As applied [m/s²].
         dt: Length of a tick [s].
         hits: Hazards that it has run into in this tick.
         still: 1 if it stood still in this tick before it had arrived.
     """
+    u_x, u_y = acceleration
     return (
         weights.progress * nearer,
         weights.goal * arrivals,

@@ -216,7 +216,7 @@ def _pay(
     w, weights, dt = t.episode[0], t.weights[0], bt.world[0].dt
     grounded = bt.ground.parameters.shape[0] > 0
     for v in range(t.place.shape[0]):
-        u_x, u_y = bs.truth.acceleration[k, v, 0], bs.truth.acceleration[k, v, 1]
+        acceleration = bs.truth.acceleration[k, v, 0], bs.truth.acceleration[k, v, 1]
         terms = s.terms[k, v]
         if t.place[v] >= 0:
             row, told = s.uavs[k, t.place[v]], 0.0
@@ -231,8 +231,7 @@ def _pay(
                 row[UAV_METRICS.lost] != 0.0,
                 row[UAV_METRICS.was_lost] != 0.0,
                 ticks_lost,
-                u_x,
-                u_y,
+                acceleration,
                 dt,
                 told,
             )
@@ -241,7 +240,7 @@ def _pay(
             nearer, arrivals = row[UGV_METRICS.nearer], int(row[UGV_METRICS.arrivals])
             hits, still = int(row[UGV_METRICS.new_hits]), int(row[UGV_METRICS.new_still])
             terms[0], terms[1], terms[2], terms[3], terms[4] = ugv_terms(
-                weights, nearer, arrivals, u_x, u_y, dt, hits, still
+                weights, nearer, arrivals, acceleration, dt, hits, still
             )
         reward = 0.0
         for n in range(terms.shape[0]):
