@@ -1,4 +1,4 @@
-"""The bridges against what others wrote: one program of `tools/bridges` a bridge, each with environments of its own.
+"""The bridges against what others wrote: a program a bridge, each with environments of its own.
 
 `make bridge-test`, or `python tools/bridge_test.py NAME ...`; without names all of them, one after the other. Each
 prints its findings as rows of a table; exit code 1 where one does not hold.
@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-FOLDER = Path(__file__).resolve().parent / "bridges"
+FOLDER = Path(__file__).resolve().parent
 BRIDGES = ("ros2", "bags", "mavlink", "fmi")
 """In this order."""
 
@@ -24,7 +24,7 @@ def main(wanted: list[str]) -> int:
     for name in wanted:
         began = time.monotonic()
         print(f"\n## {name}\n\n| what | found | |\n|---|---|---|", flush=True)  # noqa: T201
-        code = subprocess.run([sys.executable, FOLDER / f"{name}.py"], check=False).returncode
+        code = subprocess.run([sys.executable, FOLDER / f"{name}_test.py"], check=False).returncode
         failed += code != 0
         word = "holds" if code == 0 else f"FAILS (exit code {code})"
         print(f"\n{name}: {word}, {time.monotonic() - began:.0f} s", flush=True)  # noqa: T201

@@ -1,7 +1,7 @@
 """`outrider fmu` against what others wrote: fmpy validates and simulates the units, and drives them with a flight.
 
 fmpy and pythonfmu3 live in an environment of their own, `.venv-fmi`, with Outrider as a user installs it: it is made on
-the first call. Half a minute then: python tools/bridges/fmi.py
+the first call. Half a minute then: python tools/fmi_test.py
 """
 
 import argparse
@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from checking import HERE, ROOT, Row, environment, report
+from bridge_checks import FOREIGN, ROOT, Row, environment, report
 
 NEEDED = ("fmpy>=0.3.32,<0.4", "pythonfmu3>=0.3.4,<0.4")
 FLIGHT = ("escort", "--duration", 60, "--seed", 3)
@@ -72,7 +72,7 @@ def from_outside(folder: Path, python: Path) -> Iterator[Row]:
     environ = os.environ | {
         "TMPDIR": str(folder / "master")
     }  # fmpy leaves a folder when a step is refused
-    done = called(python, HERE / "fmi_master.py", folder, environ=environ)
+    done = called(python, FOREIGN / "fmi_master.py", folder, environ=environ)
     if done.returncode:
         raise SystemExit(f"fmpy: {done.stdout[-1500:]} {done.stderr[-1500:]}")
     told = json.loads(done.stdout.splitlines()[-1])
@@ -108,7 +108,7 @@ def from_c(folder: Path, python: Path) -> Iterator[Row]:
     if compiler is None or libpython.suffix != ".so" or not libpython.exists():
         yield Row(what, f"not tried: C compiler {compiler}, Python's library {libpython}", True)
         return
-    made = called(compiler, "-o", folder / "master_in_c", HERE / "fmi_master.c", "-ldl")
+    made = called(compiler, "-o", folder / "master_in_c", FOREIGN / "fmi_master.c", "-ldl")
     with zipfile.ZipFile(folder / "world.fmu") as unit:
         unit.extractall(folder / "unzipped")
     token = re.findall(
@@ -136,7 +136,7 @@ def at_the_wheel(folder: Path, python: Path, here: str) -> Iterator[Row]:
         same = summary["trajectory_sha256"] == here
         value = f"{summary['trajectory_sha256'][:16]}, {summary['ticks_per_second']:.0f} ticks/s"
         yield Row(f"the UGV's unit drives, {told}: the bits of the built-in driver", value, same)
-    script = (HERE / "fmi_wheel.py").read_text()
+    script = (FOREIGN / "fmi_wheel.py").read_text()
     wheel = built(python, folder / "theirs", script)
     summary = flown("--out", folder / "driven", "--driver", f"fmu:{wheel}")
     kept = summary["visibility_violations"] == 0 and summary["certificate_broken"] == 0
@@ -155,7 +155,7 @@ def at_the_wheel(folder: Path, python: Path, here: str) -> Iterator[Row]:
 
 def crashed(folder: Path, python: Path) -> Iterator[Row]:
     """Units that fail in a step. Whose process is killed leaves its temporary folder."""
-    script = (HERE / "fmi_wheel.py").read_text()
+    script = (FOREIGN / "fmi_wheel.py").read_text()
     for told, (line, word) in CRASHES.items():
         bad = script.replace('"""One step."""', f"if current_time > 5.0: {line}")
         name = f"wheel_{told.split()[0]}"  # Python knows a module by its name

@@ -1,7 +1,7 @@
 """Bags of `outrider replay --to-ros2` and `outrider record --ros2` against what others wrote.
 
 Read by rosbags and mcap-ros2-support, which live in an environment of their own, `.venv-bags`, and by the real rclpy in
-the one that ros2.py makes where Python 3.11 is at hand: python tools/bridges/bags.py
+the one that ros2_test.py makes where Python 3.11 is at hand: python tools/bags_test.py
 """
 
 import csv
@@ -14,8 +14,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from checking import HERE, Row, environment, outrider, report
-from ros2 import RCLPY, Run, run_foreign
+from bridge_checks import FOREIGN, Row, environment, outrider, report
+from ros2_test import RCLPY, Run, run_foreign
 
 READERS = ("rosbags>=0.11,<0.12", "mcap-ros2-support>=0.5.7", "ruamel.yaml")
 SCENARIO, DURATION = "minefield", 20
@@ -48,7 +48,7 @@ def flown(folder: Path) -> tuple[dict[str, Any], dict[str, list[list[str]]]]:
 def read(bag: Path, python: Path) -> dict[str, Any]:
     """The findings of the readers about a bag."""
     found: dict[str, Any] = json.loads(
-        run_foreign([python, HERE / "bags_foreign_readers.py", bag], dict(os.environ), 300.0)
+        run_foreign([python, FOREIGN / "bags_foreign_readers.py", bag], dict(os.environ), 300.0)
     )
     return found
 
@@ -129,9 +129,11 @@ def read_by_rclpy(
         return
     rclpy = environment("ros2-rclpy", RCLPY, wheels)
     payloads = folder / "payloads.pickle"
-    run_foreign([python, HERE / "bags_foreign_readers.py", bag, payloads], dict(os.environ))
+    run_foreign([python, FOREIGN / "bags_foreign_readers.py", bag, payloads], dict(os.environ))
     found = json.loads(
-        run_foreign([rclpy / "python", HERE / "bags_rclpy_reader.py", payloads], dict(os.environ))
+        run_foreign(
+            [rclpy / "python", FOREIGN / "bags_rclpy_reader.py", payloads], dict(os.environ)
+        )
     )
     left = sum(made["topics"][name] for name in ("/tf", "/tf_static"))
     yield Row(

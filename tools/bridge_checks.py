@@ -1,4 +1,4 @@
-"""What the programs of this folder share: environments of others' programs, processes, and a table of findings."""
+"""Tools of the tests of the bridges: environments of others' programs, processes, and a table of findings."""
 
 import os
 import subprocess
@@ -9,8 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-HERE = Path(__file__).resolve().parent
-ROOT = HERE.parent.parent
+ROOT = Path(__file__).resolve().parent.parent
+FOREIGN = ROOT / "tools/bridges"
+"""The programs of the other side."""
 
 
 class Row(NamedTuple):

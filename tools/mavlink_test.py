@@ -1,7 +1,7 @@
 """`outrider mavlink` against what others wrote: MAVSDK watches and flies, MAVProxy connects and logs.
 
 Both live in an environment of their own, `.venv-mavlink`, which is made on the first call; a minute:
-python tools/bridges/mavlink.py
+python tools/mavlink_test.py
 """
 
 import argparse
@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-from checking import HERE, Row, environment, outrider, report, started
+from bridge_checks import FOREIGN, Row, environment, outrider, report, started
 
 NEEDED = ("mavsdk>=4,<5", "MAVProxy>=1.8.70,<2", "pymavlink>=2.4.49,<3")
 DURATION = 100.0
@@ -105,7 +105,7 @@ def along(folder: Path, python: Path) -> Iterator[Row]:
         process = stack.enter_context(
             started(folder / "along-uav.log", outrider("mavlink", *uav, *to))
         )
-        words = (python, HERE / "mavsdk_autopilot.py", f"udpout://127.0.0.1:{port}")
+        words = (python, FOREIGN / "mavsdk_autopilot.py", f"udpout://127.0.0.1:{port}")
         stack.enter_context(started(folder / "autopilot.log", words))
         simulator.wait(120.0)
         process.wait(20.0)
@@ -181,7 +181,7 @@ def watched_and_flown(folder: Path, python: Path) -> Iterator[Row]:
         )
         addresses = [f"udpin://127.0.0.1:{port}" for port in (watched, flown)]
         station = subprocess.run(
-            [python, HERE / "mavsdk_station.py", *addresses],
+            [python, FOREIGN / "mavsdk_station.py", *addresses],
             capture_output=True, text=True, check=False, timeout=120.0,
         )  # fmt: skip
         if station.returncode:

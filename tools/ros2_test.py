@@ -1,7 +1,7 @@
 """`outrider ros2` against what others wrote: zenoh-ros2-sdk, pyzeros, and the real rclpy.
 
 They live in environments of their own, `.venv-ros2` and `.venv-ros2-rclpy`, which are made on the first call:
-python tools/bridges/ros2.py
+python tools/ros2_test.py
 """
 
 import contextlib
@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
-from checking import HERE, Row, environment, outrider, report, started
+from bridge_checks import FOREIGN, Row, environment, outrider, report, started
 
 from bus.access import client_settings, read_credential
 from outrider.bridges.ros2.interfaces import encode, make, type_hash
@@ -167,7 +167,7 @@ def echoed(run: Run, sdk: Path) -> Iterator[Row]:
     """zenoh-ros2-sdk decodes every topic, and calls services."""
     kinds = json.dumps({name: (row.interface, row.qos.encoded()) for name, row in WANTED.items()})
     told = run_foreign(
-        [sdk / "python", HERE / "ros2_sdk_echo.py", run.port, DOMAIN, kinds],
+        [sdk / "python", FOREIGN / "ros2_sdk_echo.py", run.port, DOMAIN, kinds],
         run.settings("ros2_operator"),
     )
     found = json.loads(told.splitlines()[-1])
@@ -182,7 +182,7 @@ def echoed(run: Run, sdk: Path) -> Iterator[Row]:
 def driven(run: Run, sdk: Path) -> Iterator[Row]:
     """Pyzeros drives the UGV and reads its odometry."""
     told = run_foreign(
-        [sdk / "python", HERE / "ros2_pyzeros_driver.py", 0.1], run.settings("ros2_operator")
+        [sdk / "python", FOREIGN / "ros2_pyzeros_driver.py", 0.1], run.settings("ros2_operator")
     )
     found = json.loads(told.splitlines()[-1])
     yield Row(
@@ -253,7 +253,7 @@ def same_bytes(run: Run, sdk: Path, rclpy: Path) -> Iterator[Row]:
     index = captured(run, run.folder / "payloads")
     rows = json.loads(
         run_foreign(
-            [rclpy / "python", HERE / "ros2_rclpy_bytes.py", run.folder / "payloads"],
+            [rclpy / "python", FOREIGN / "ros2_rclpy_bytes.py", run.folder / "payloads"],
             dict(os.environ),
         )
     )
@@ -269,7 +269,7 @@ def same_bytes(run: Run, sdk: Path, rclpy: Path) -> Iterator[Row]:
               not differ and len(messages) >= len(WANTED) - 2)  # fmt: skip
     files = [run.folder / "payloads" / row["file"] for row in rows if not row["tried"]]
     told = json.loads(
-        run_foreign([sdk / "python", HERE / "ros2_cyclone_tf.py", *files], dict(os.environ))
+        run_foreign([sdk / "python", FOREIGN / "ros2_cyclone_tf.py", *files], dict(os.environ))
     )
     good = told["hash"] == type_hash("tf2_msgs/msg/TFMessage") and all(
         same for _, same in told["same"].values()
@@ -349,7 +349,7 @@ def _by_nodes(
         for name, form in (("uav_0", "exact"), ("ugv_0", "accel")):
             words = [
                 sys.executable,
-                HERE / "ros2_pilot_node.py",
+                FOREIGN / "ros2_pilot_node.py",
                 run.endpoint,
                 run.key(name),
                 DOMAIN,
