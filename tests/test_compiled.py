@@ -9,7 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -21,10 +21,13 @@ from numba.core.errors import TypingError
 from seeded import a_key
 
 import agents.control
+from agents.control.certificate import HeldPlan
 from bus.registry import SENSORS
 from sim.kernels import compile as kernels
 from sim.kernels import linking
 from sim.kernels.compile import compiled
+from sim.kernels.records import record_type
+from sim.models.vehicles import Motion
 
 MODULES = (
     *(
@@ -140,6 +143,44 @@ def test_a_constant_that_a_caller_hands_over_makes_no_version_of_its_own(monkeyp
         monkeypatch.setattr(function, "_cache", NullCache())
     assert _by_constants(1.5, 4) == 13.5
     assert len(scaled.linked.overloads) == 1
+
+
+class _Both(NamedTuple):
+    rows: object
+    number: float
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    array.flags.writeable = False
+    return array
+
+
+def _arguments() -> Iterator[object]:
+    """Twice each, of other values: what the second is taken for was seen at the first."""
+    packed = np.dtype([("x", np.float64), ("y", np.float64)])
+    for k in range(2):
+        yield from (k, 2**62 + k, float(k), bool(k), np.float32(k), "text", None, np.int64(k))
+        arrays = [np.full((4, 3), k, kind) for kind in (np.float64, np.float32, np.int64, np.bool_)]
+        for kind in (
+            record_type(HeldPlan),
+            record_type(Motion),
+            packed,
+            np.dtype(packed, align=True),
+        ):
+            arrays += [np.zeros((4, 3), kind), np.zeros((4, 3), kind).view(np.recarray)]
+        for array in arrays:
+            yield from (array, array.T, array[::2], array[:, 1], array[0], array[:1, :1], array[:0])
+            yield from ((array, array.T), (array, 1.0), _Both(array, 1.0), [1.0])
+            yield from ((array, k), (array, 2**63 + k))
+            yield _read_only(array.copy())
+
+
+def test_the_type_of_an_argument_is_numbas_however_often_it_was_seen() -> None:
+    seen = 0
+    for argument in _arguments():
+        assert kernels._type_of(numba.typeof, argument) == numba.typeof(argument), argument
+        seen += kernels._kind_of(argument) is not None
+    assert seen > 200
 
 
 def test_what_only_compiled_code_has_called_is_no_machine_code(monkeypatch) -> None:

@@ -158,6 +158,36 @@ def released(function: _F) -> _F:
     return _compile(function, _nrt=False, nogil=True)
 
 
+_types: dict[tuple[object, ...], Any] = {}
+
+
+def _type_of(typeof: Callable[[object], Any], argument: object) -> Any:  # noqa: ANN401 - numba's
+    """Numba's type of an argument: it takes each structured array apart anew, which a flight's start has hundreds of.
+
+    Of arrays alone and of tuples of them: what else has the same type depends on numba.
+    """
+    key = _kind_of(argument)
+    if key is None:
+        return typeof(argument)
+    if key not in _types:
+        _types[key] = typeof(argument)
+    return _types[key]
+
+
+def _kind_of(argument: object) -> tuple[object, ...] | None:
+    """Equal for arguments of one type; None where that is not known."""
+    if isinstance(argument, np.ndarray):
+        dtype, flags = argument.dtype, argument.flags
+        layout = (flags.c_contiguous, flags.f_contiguous, flags.aligned, flags.writeable)
+        return type(argument), dtype, dtype.type, argument.ndim, *layout
+    if isinstance(argument, tuple):
+        kinds = tuple(_kind_of(part) for part in argument)
+        return None if None in kinds else (type(argument), *kinds)
+    if type(argument) is int:
+        return (int,) if argument.bit_length() < 64 else None
+    return (type(argument),) if type(argument) in (float, bool) else None
+
+
 def entry_point(function: _F, *arguments: object) -> _F:
     """The machine code of a compiled function for arguments of these types, to be called with such alone.
 
@@ -170,8 +200,7 @@ def entry_point(function: _F, *arguments: object) -> _F:
         return function
     import numba  # noqa: PLC0415 - see `interpret`
 
-    typeof: Any = numba.typeof
-    types = tuple(typeof(argument) for argument in arguments)
+    types = tuple(_type_of(numba.typeof, argument) for argument in arguments)
     dispatcher.compile(types)
     return cast("_F", dispatcher.get_overload(types))
 
