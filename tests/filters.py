@@ -2,20 +2,25 @@
 
 import functools
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
 from seeded import a_key
 
-from agents.estimation.estimator import Estimate, RelativeEstimator
+from agents.estimation.estimator import SPAN, Estimate, RelativeEstimator
+from agents.estimation.filtering import kalman_refused, kalman_state
 from agents.estimation.motion_model import (
     acceleration_deviation,
     cut_variance,
+    kalman_parameters,
     strayed_distance,
     supposed_acceleration,
 )
+from agents.estimation.twin import kalman_step
 from bus.messages import Detection, Detector, Estimator, Limits
-from bus.ticks import looks_of
+from bus.ticks import Look, looks_of
+from sim.kernels.compile import released
 from sim.models.randomness import DETECTION_NOISE, cut_normal_vector
 
 DT = 0.05
@@ -49,6 +54,81 @@ def straying(*, elapsed: float, target: Limits, manoeuvre: float, dt: float) -> 
 def make(noise=SIGMA, cut=3.0, target=UGV, dt=DT, **chosen):
     detector = Detector(noise=noise, cut=cut, period=dt)
     return RelativeEstimator(detector=detector, target=target, dt=dt, settings=Estimator(**chosen))
+
+
+class Filtered(NamedTuple):
+    """A filter at each tick of a flight."""
+
+    states: np.ndarray
+    """(x, y, v_x, v_y). Shape (ticks, 4); NaN before the first detection."""
+    covariances: np.ndarray
+    """Shape (ticks, 4, 4)."""
+    innovations: np.ndarray
+    """Normalized squares of the newest. Shape (ticks,)."""
+    refused: int
+
+
+@released
+def _filter(parameters, state, own, arrived, looks, states, axes, innovations):
+    for k in range(own.shape[0]):
+        first, last = arrived[k], arrived[k + 1]
+        kalman_step(parameters, state, k, own[k, 0], own[k, 1], looks[first:last], last - first)
+        b = state.belief[0]
+        if b.known:
+            states[k, 0], states[k, 1], states[k, 2], states[k, 3] = b.x, b.y, b.v_x, b.v_y
+            axes[k, 0, 0], axes[k, 0, 1], axes[k, 1, 0], axes[k, 1, 1] = (
+                b.p_pp,
+                b.p_pv,
+                b.p_vp,
+                b.p_vv,
+            )
+            innovations[k] = state.step[0].innovation
+
+
+def filtered(own, at, noise=SIGMA, cut=3.0, target=UGV, dt=DT, **chosen) -> Filtered:
+    """A whole flight by the batches' filter, of which flights by the thousand cost nothing.
+
+    Another test holds it against the pilots' filter; `pilots_filtered` flies the same by that.
+
+    Args:
+        own: The UAV at each tick. Shape (ticks, 2).
+        at: For each tick the looks that arrive then, by tick: rows of the tick taken and p_delta.
+        noise, cut, target, dt, chosen: As of `make`.
+    """
+    detector, settings = Detector(noise=noise, cut=cut, period=dt), Estimator(**chosen)
+    parameters = kalman_parameters(detector=detector, target=target, dt=dt, settings=settings)
+    state = kalman_state(1 + round(SPAN / dt))
+    rows = [at.get(k, ()) for k in range(len(own))]
+    arrived = np.cumsum([0, *map(len, rows)])
+    looks = np.array([row for some in rows for row in some], dtype=float).reshape(-1, 3)
+    states, axes = np.full((len(own), 4), math.nan), np.full((len(own), 2, 2), math.nan)
+    innovations = np.full(len(own), math.nan)
+    own = np.ascontiguousarray(own, dtype=float)
+    _filter(parameters, state, own, arrived, looks, states, axes, innovations)
+    return Filtered(states, np.kron(axes, np.eye(2)), innovations, kalman_refused(state))
+
+
+def pilots_filtered(own, at, **chosen) -> Filtered:
+    """The same flight by the pilots' filter."""
+    estimator, refused, unknown = make(**chosen), 0, np.full((4, 4), math.nan)
+    rows = [(unknown[0], unknown, None)] * len(own)
+    for k, place in enumerate(np.asarray(own).tolist()):
+        looks = tuple(Look(int(taken), x, y) for taken, x, y in at.get(k, ()))
+        estimate = estimator.update(tick=k, own_position=tuple(place), looks=looks)
+        if estimate:
+            refused = estimate.refused
+            rows[k] = (estimator.state, estimator.covariance, estimator.innovation_squared)
+    states, covariances, innovations = map(np.array, zip(*rows, strict=True))
+    return Filtered(states, covariances, innovations.astype(float), refused)
+
+
+def by_both(seed, own, at, **chosen) -> Filtered:
+    """A flight by the batches' filter; the first one, to be sure, by the pilots' too."""
+    found = filtered(own, at, **chosen)
+    if seed == 0:
+        for ours, theirs in zip(found, pilots_filtered(own, at, **chosen), strict=True):
+            np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
+    return found
 
 
 def look(estimator, tick, seen=None, own=(0.0, 0.0), dt=DT) -> Estimate | None:
