@@ -2,10 +2,11 @@
 itself.
 """
 
+import functools
 import importlib
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -54,17 +55,22 @@ def flown(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return importlib.import_module("chances")
 
 
-def outcomes(link: LinkSettings, ticks: int, dropout: float = 0.0) -> Iterator[tuple[Any, float]]:
+@functools.cache
+def outcomes(
+    link: LinkSettings, ticks: int, dropout: float = 0.0
+) -> tuple[tuple[tuple[bool, ...], float], ...]:
     """Every pattern of messages that get through, one a tick, with its chance: bursts are summed over by hand."""
     p = link_parameters(link, DT)
     turn = np.array([[1.0 - p.bad_enter, p.bad_enter], [1.0 - p.bad_stay, p.bad_stay]])
     through = (1.0 - dropout) * (1.0 - p.loss) * np.array([1.0, 1.0 - p.burst_loss])
+    found = []
     for pattern in itertools.product((False, True), repeat=ticks):
         states = np.array([1.0 - p.bad_share, p.bad_share])
         for tick, got in enumerate(pattern):
             states = states @ turn if tick else states
             states = states * (through if got else 1.0 - through)
-        yield pattern, float(states.sum())
+        found.append((pattern, float(states.sum())))
+    return tuple(found)
 
 
 def arrivals(got: tuple[bool, ...], flies: int) -> list[float]:
@@ -110,7 +116,9 @@ def test_the_chance_of_an_age_is_that_of_all_outcomes(
     told = LinkSettings(delay=flies * DT, **link)
     chance = chance_of_age(told, dt=DT, period_ticks=period, dropout=0.1, ticks=10, age=age * DT)
     found = sum(
-        p for got, p in outcomes(told, 10, 0.1) if grows_old(arrivals(got, flies), period, age)
+        p
+        for got, p in outcomes(LinkSettings(**link), 10, 0.1)
+        if grows_old(arrivals(got, flies), period, age)
     )
     assert chance.exact
     assert chance.value == pytest.approx(found, rel=1e-9)
@@ -139,7 +147,9 @@ def test_the_chance_of_an_outage_is_that_of_all_outcomes(
     )
     numbers = (delay, repeats, outage)
     found = sum(
-        p for got, p in outcomes(told, 11) if is_interrupted(arrivals(got, flies), *numbers)
+        p
+        for got, p in outcomes(LinkSettings(**link), 11)
+        if is_interrupted(arrivals(got, flies), *numbers)
     )
     assert chance.exact
     assert chance.value == pytest.approx(found, rel=1e-9)

@@ -170,18 +170,18 @@ def test_a_router_that_dies_and_comes_back_changes_no_bit(tmp_path: Path) -> Non
 def test_without_its_router_every_process_ends_and_says_who_is_missing(tmp_path: Path) -> None:
     with scattered(tmp_path) as run:
         router = run.router()
-        simulator = run.simulator("--join-timeout", "4")
-        vehicles = run.vehicles("--join-timeout", "4")
+        simulator = run.simulator("--join-timeout", "2")
+        vehicles = run.vehicles("--join-timeout", "2")
         run.fly_to(100)
         router.kill()
         router.wait()
         out, err = simulator.communicate(timeout=60)
         assert simulator.returncode == 1
-        assert "the router has been away for 4 s" in err
+        assert "the router has been away for 2 s" in err
         assert "Traceback" not in err
         assert json.loads(out)["ticks"] > 100  # what was flown is kept
         for vehicle in vehicles:
-            ended(vehicle, "the router has been away for 4 s")
+            ended(vehicle, "the router has been away for 2 s")
 
 
 def test_vehicles_wait_for_a_simulator_that_dies_and_fly_with_the_next_one(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ SMALL = {
 }
 GRID = [*words("sweep escort --law linear,switching --vary detections.noise=0,0.5 --set"), CELLS]
 
-LONG = words("--seeds 24 --set duration=20.0")
+LONG = words("--seeds 12 --set duration=20.0")
 
 
 def plan_of(source: str = "escort", **given) -> SweepPlan:
@@ -60,7 +60,7 @@ def flown(folder: Path, plan: SweepPlan, jobs: int = 2) -> dict[str, list[object
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[object]]:
     """The table of the long sweep when nothing happens to it."""
-    plan = plan_of(**SMALL | {"changes": [CELLS, "duration=20.0"], "seeds": 24})
+    plan = plan_of(**SMALL | {"changes": [CELLS, "duration=20.0"], "seeds": 12})
     return flown(tmp_path_factory.mktemp("sweep") / "whole", plan)
 
 
@@ -272,12 +272,12 @@ def test_a_sweep_that_is_killed_alone_takes_its_workers_along_and_goes_on_to_the
     wait_until(lambda: not _session(victim.pid))
     victim.communicate()
     kept = len(rows_of(tmp_path / "killed")["run"])
-    assert 0 < kept < 96
+    assert 0 < kept < 48
     assert not (tmp_path / "killed" / "results.parquet").exists()
     again = outrider(*GRID, *LONG, "--jobs", "1", "--out", str(tmp_path / "killed"), "--json")
     assert again.returncode == 0, again.stderr
     told = json.loads(again.stdout)
-    assert (told["rows"], told["failed"], told["flown"]) == (96, 0, 96 - kept)
+    assert (told["rows"], told["failed"], told["flown"]) == (48, 0, 48 - kept)
     assert told["runs_per_second"] > 0.0
     assert rows_of(tmp_path / "killed") == undisturbed
 
@@ -375,7 +375,7 @@ def test_on_a_cluster_a_worker_may_die_and_the_rows_are_those_of_this_machine(
         processes[1].kill()
         out, err = sweep.communicate(timeout=100)
         assert sweep.returncode == 0, err
-        assert json.loads(out)["rows"] == 96
+        assert json.loads(out)["rows"] == 48
     finally:
         for process in processes:
             process.kill()
