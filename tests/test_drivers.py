@@ -508,7 +508,7 @@ def _flown(law: str, driver: Callable[[UgvBriefing], Driver], seed: int, **chang
 
 
 @pytest.mark.parametrize("law", ["linear", "logarithmic"])
-@pytest.mark.parametrize("seed", [7, 8])
+@pytest.mark.parametrize("seed", [7])
 def test_in_flight_it_gets_further_from_the_uav_than_the_papers_driver(law: str, seed: int) -> None:
     evading, papers = (
         distances(_flown(law, driver, seed)).max() for driver in (EvadeDriver, WaypointDriver)

@@ -173,11 +173,11 @@ def _compare_filters(state, pilots, estimate, case, fuses, where):
 def test_at_every_tick_it_is_the_pilots_filter(name, fuses):
     """The pilot has worked ahead to it, or has not, at random."""
     case = CASES[name]
-    _fly_beside(name, case._replace(ticks=min(case.ticks, 4000)), fuses)
+    _fly_beside(name, case._replace(ticks=min(case.ticks, 3200)), fuses)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.ticks > 4000])
+@pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.ticks > 3200])
 def test_at_every_tick_of_a_long_flight_it_is_the_pilots_filter(name, fuses):
     _fly_beside(name, CASES[name], fuses)
 
