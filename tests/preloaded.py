@@ -22,6 +22,7 @@ import sys
 import tempfile
 import threading
 import types
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from typing import Any, NoReturn
@@ -109,7 +110,7 @@ def _job(told: dict[str, Any]) -> tuple[Job, list[int]] | None:
     return job, [*standard, *told["pass_fds"]]
 
 
-class _Popen(subprocess.Popen[Any]):
+class _Popen(subprocess.Popen[Any], ABC):
     """`subprocess.Popen`, but what it starts may be forked."""
 
     def _execute_child(self, *given: Any) -> None:
@@ -123,9 +124,9 @@ class _Popen(subprocess.Popen[Any]):
         ends = ("p2cread", "p2cwrite", "c2pread", "c2pwrite", "errread", "errwrite")
         self._close_pipe_fds(*(told[name] for name in ends))  # type: ignore[attr-defined]
 
+    @abstractmethod
     def _fork(self, job: Job, files: Sequence[int]) -> int:
         """The process id of a forked child; 0: it cannot be forked."""
-        raise NotImplementedError
 
 
 class _Forks:

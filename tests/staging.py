@@ -6,6 +6,7 @@ say.
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
@@ -48,7 +49,7 @@ class Gone(Exception):
     """A vehicle's process that ends without a word."""
 
 
-class _Threaded:
+class _Threaded(ABC):
     """What is done in a thread of its own, from now on."""
 
     def __init__(self) -> None:
@@ -59,8 +60,9 @@ class _Threaded:
         self._thread.join(60.0)
         assert not self._thread.is_alive()
 
+    @abstractmethod
     def _run(self) -> None:
-        raise NotImplementedError
+        """What is done."""
 
 
 class Program(_Threaded):

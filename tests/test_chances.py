@@ -52,7 +52,7 @@ PACKETS: dict[str, Any] = {"dt": DT, "delay_ticks": 4, "repeats": 6, "ticks": 20
 @pytest.fixture
 def flown(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.syspath_prepend(str(Path(__file__).resolve().parent.parent / "benchmarks"))
-    return importlib.import_module("chances")
+    return importlib.import_module("chances_table")
 
 
 @functools.cache

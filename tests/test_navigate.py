@@ -47,9 +47,9 @@ _STEPS = [step for step in itertools.product((-1, 0, 1), repeat=2) if step != (0
 @pytest.fixture
 def cautious(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.syspath_prepend(str(Path(__file__).resolve().parent.parent / "benchmarks"))
-    import cautious
+    import cautious_attacks
 
-    return cautious
+    return cautious_attacks
 
 
 def _random_map(rng: np.random.Generator, rows: int, columns: int) -> Any:
@@ -335,7 +335,7 @@ def test_it_leaves_a_blocked_tile_that_it_stands_in_but_enters_none() -> None:
 def test_no_adversary_brings_a_cautious_ugv_into_a_tile_that_it_does_not_know(
     cautious: ModuleType,
 ) -> None:
-    """The long version, 10,000 flights: `python benchmarks/cautious.py attack`."""
+    """The long version, 10,000 flights: `python benchmarks/cautious_attacks.py attack`."""
     flights = [cautious.fly(cautious.draw_trial(seed), seed) for seed in range(60)]
     assert sum(one.entered for one in flights) == 0
     assert sum(one.way > 0.0 for one in flights) > 40

@@ -216,7 +216,12 @@ def test_a_law_that_needs_no_switching_radius_flies_where_there_is_none() -> Non
 
 def test_no_file_and_no_public_class_has_the_name_of_another(trees: dict[Path, ast.Module]) -> None:
     """Whoever looks for a name finds the one thing that has it."""
-    files = [path.name for path in PRODUCT if path.name != "__init__.py"]
+    beside = [
+        path
+        for folder in ("benchmarks", "tools", "tests")
+        for path in (ROOT / folder).rglob("*.py")
+    ]
+    files = [path.name for path in (*PRODUCT, *beside) if path.name != "__init__.py"]
     classes = [
         node.name
         for tree in trees.values()

@@ -1,4 +1,6 @@
-"""The table of docs/explanation/chances.md: `python benchmarks/chances.py [FLIGHTS]`, by default 100,000; some minutes.
+"""The table of docs/explanation/chances.md.
+
+python benchmarks/chances_table.py [FLIGHTS]: by default 100,000, some minutes.
 
 Chances that declared numbers are exceeded, as computed from the links' settings, beside how often they are in flights
 over the compiled link itself. Detections and packets are sent as a flight sends them; the protocol of the motions is

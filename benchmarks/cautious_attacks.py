@@ -1,4 +1,6 @@
-"""Attacks on the guarantee of a cautious UGV, see docs/explanation/ground.md: `python benchmarks/cautious.py NAME`.
+"""Attacks on the guarantee of a cautious UGV, see docs/explanation/ground.md.
+
+python benchmarks/cautious_attacks.py NAME
 
 attack: 10,000 flights over ground that an adversary tells in its own order; half of them it holds the wheel, too.
 broken: the same with filters that are known to be wrong: each must be caught.

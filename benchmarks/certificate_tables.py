@@ -1,6 +1,6 @@
-"""The tables of docs/explanation/certificate.md: `python benchmarks/certificate.py NAME`, with a NAME of `TABLES`.
+"""The tables of docs/explanation/certificate.md, about a minute each.
 
-About a minute each.
+python benchmarks/certificate_tables.py NAME, with a NAME of `TABLES`.
 
 radius: R_h, E and r_cert over eps, A and tau_c; and the largest A.
 guards: how often guards that are known to be wrong lose sight, and the filter beside them.

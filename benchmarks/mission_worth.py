@@ -1,8 +1,8 @@
 """The worth of the escort: how fast and how safely a UGV gets through hazards, by law and network.
 
-python benchmarks/mission.py                         the table of docs/explanation/ground.md, ten minutes
-python benchmarks/mission.py --picture missions.png  and the picture of it
-python benchmarks/mission.py --seeds 3               a quick look
+python benchmarks/mission_worth.py                         the table of docs/explanation/ground.md, ten minutes
+python benchmarks/mission_worth.py --picture missions.png  and the picture of it
+python benchmarks/mission_worth.py --seeds 3               a quick look
 """
 
 import argparse

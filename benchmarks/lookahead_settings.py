@@ -1,6 +1,6 @@
 """The horizon and the number of candidates of the law `lookahead`: what they bring, and what they cost on one core.
 
-python benchmarks/lookahead.py --flights 6
+python benchmarks/lookahead_settings.py --flights 6
 """
 
 import argparse
