@@ -76,12 +76,8 @@ def _filter(parameters, state, own, arrived, looks, states, axes, innovations):
         b = state.belief[0]
         if b.known:
             states[k, 0], states[k, 1], states[k, 2], states[k, 3] = b.x, b.y, b.v_x, b.v_y
-            axes[k, 0, 0], axes[k, 0, 1], axes[k, 1, 0], axes[k, 1, 1] = (
-                b.p_pp,
-                b.p_pv,
-                b.p_vp,
-                b.p_vv,
-            )
+            axes[k, 0, 0], axes[k, 0, 1] = b.p_pp, b.p_pv
+            axes[k, 1, 0], axes[k, 1, 1] = b.p_vp, b.p_vv
             innovations[k] = state.step[0].innovation
 
 
@@ -169,6 +165,16 @@ def model(target=FREE, ticks=1):
         Q = step @ Q @ step.T + deviation**2 * PUSH @ PUSH.T
         F = step @ F
     return F, Q
+
+
+def drawn_from_the_model(rng, count):
+    """A UGV that moves as the filter supposes: its states. Shape (count, 4)."""
+    F, _ = model()
+    deviation = acceleration_deviation(target=FREE, manoeuvre=Estimator().manoeuvre, dt=DT)
+    truth = [np.array([20.0, 20.0, *(10.0 * rng.normal(size=2))])]
+    for _ in range(count - 1):
+        truth.append(F @ truth[-1] + deviation * PUSH @ rng.normal(size=2))
+    return np.array(truth)
 
 
 def squared(errors, covariances):

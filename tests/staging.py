@@ -50,7 +50,7 @@ class Gone(Exception):
 
 
 class _Threaded(ABC):
-    """What is done in a thread of its own, from now on."""
+    """Runs in a thread of its own from its construction on."""
 
     def __init__(self) -> None:
         self._thread = threading.Thread(target=self._run)
@@ -62,7 +62,7 @@ class _Threaded(ABC):
 
     @abstractmethod
     def _run(self) -> None:
-        """What is done."""
+        """Is run in the thread."""
 
 
 class Program(_Threaded):

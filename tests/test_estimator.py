@@ -16,6 +16,7 @@ from filters import (
     VARIANCE,
     by_both,
     cut_noise,
+    drawn_from_the_model,
     drive,
     look,
     make,
@@ -169,17 +170,13 @@ def test_variance_of_cut_noise_at_its_limits():
 def fly_the_model(seed, count, cut):
     """A UGV that is drawn from the filter's own model: where it was and where it is seen."""
     rng = np.random.default_rng(seed)
-    F, _ = model()
-    deviation = deviation_of(target=FREE, manoeuvre=Estimator().manoeuvre, dt=DT)
     noise = cut_noise(seed, count, cut=cut) if cut else SIGMA * rng.normal(size=(count, 2))
-    truth = [np.array([20.0, 20.0, *(10.0 * rng.normal(size=2))])]
-    for _ in range(count - 1):
-        truth.append(F @ truth[-1] + deviation * PUSH @ rng.normal(size=2))
-    return np.array(truth), np.array(truth)[:, :2] + noise
+    truth = drawn_from_the_model(rng, count)
+    return truth, truth[:, :2] + noise
 
 
 def each_tick(own, seen):
-    """What arrives where the UGV is seen at each tick."""
+    """The looks of a UGV that is seen at each tick, as `by_both` takes them."""
     return {k: [(k, *p_delta)] for k, p_delta in enumerate((own - seen).tolist())}
 
 

@@ -8,16 +8,15 @@ import pytest
 from filters import (
     DT,
     FREE,
-    PUSH,
     SIGMA,
     UGV,
     VARIANCE,
     by_both,
     cut_noise,
+    drawn_from_the_model,
     drive,
     look,
     make,
-    model,
     settled,
     squared,
     straying,
@@ -29,7 +28,6 @@ from properties import PROPERTY
 from scipy.stats import chi2
 
 from agents.estimation.estimator import SPAN, RelativeEstimator
-from agents.estimation.motion_model import acceleration_deviation
 from bus.messages import Detection, Detector, Estimator, Limits
 from bus.ticks import looks_of
 
@@ -321,23 +319,13 @@ def fly_through(network, seed, truth, noise, **chosen):
     return (found.states - truth)[100:], found.covariances[100:], found.refused
 
 
-def drawn_from_the_model(seed, count):
-    rng = np.random.default_rng(seed)
-    F, _ = model()
-    deviation = acceleration_deviation(target=FREE, manoeuvre=Estimator().manoeuvre, dt=DT)
-    truth = [np.array([20.0, 20.0, *(10.0 * rng.normal(size=2))])]
-    for _ in range(count - 1):
-        truth.append(F @ truth[-1] + deviation * PUSH @ rng.normal(size=2))
-    return np.array(truth)
-
-
 @pytest.mark.parametrize("network", NETWORKS)
 def test_is_consistent_on_a_bad_network_when_the_ugv_moves_as_the_model_says(network):
     flights, count = 60, 400
     nees = []
     for seed in range(flights):
         noise = SIGMA * np.random.default_rng([seed, 1]).normal(size=(count, 2))
-        truth = drawn_from_the_model(seed, count)
+        truth = drawn_from_the_model(np.random.default_rng(seed), count)
         chosen = {"target": FREE, "cut": None, "gate": 1e12}
         errors, covariances, _ = fly_through(network, seed, truth, noise, **chosen)
         nees.append(squared(errors, covariances))

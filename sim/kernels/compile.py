@@ -162,9 +162,9 @@ _types: dict[tuple[object, ...], Any] = {}
 
 
 def _type_of(typeof: Callable[[object], Any], argument: object) -> Any:  # noqa: ANN401 - numba's
-    """Numba's type of an argument: it takes each structured array apart anew, which a flight's start has hundreds of.
+    """Numba's type of an argument, asked for once for all arguments of a kind.
 
-    Of arrays alone and of tuples of them: what else has the same type depends on numba.
+    By itself numba takes each structured array apart anew, and the start of a flight hands over a hundred arrays.
     """
     key = _kind_of(argument)
     if key is None:
@@ -175,11 +175,12 @@ def _type_of(typeof: Callable[[object], Any], argument: object) -> Any:  # noqa:
 
 
 def _kind_of(argument: object) -> tuple[object, ...] | None:
-    """Equal for arguments of one type; None where that is not known."""
+    """All that the type of an array, a float, an int, a bool or a tuple of them depends on; None for any other."""
     if isinstance(argument, np.ndarray):
         dtype, flags = argument.dtype, argument.flags
         layout = (flags.c_contiguous, flags.f_contiguous, flags.aligned, flags.writeable)
-        return type(argument), dtype, dtype.type, argument.ndim, *layout
+        kind = (type(argument), dtype, dtype.isalignedstruct)
+        return *kind, argument.ndim, *layout
     if isinstance(argument, tuple):
         kinds = tuple(_kind_of(part) for part in argument)
         return None if None in kinds else (type(argument), *kinds)
