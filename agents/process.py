@@ -16,7 +16,7 @@ from bus.errors import BusError, PeerLost
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, SIMULATOR_NAME, Party, Role
 from bus.messages import Command, UavBriefing, UavObservation, UgvBriefing, UgvObservation
 from bus.registry import DEFAULT_DRIVER, TELEOP
-from bus.session import Letter, Outbox, Session, open_session
+from bus.session import Envelope, Outbox, Session, open_session
 from sim.kernels.compile import compiling
 
 if TYPE_CHECKING:
@@ -179,15 +179,15 @@ class _Slot:
     def _take_over(self) -> Pilot:
         """Wait for a briefing: a pilot as it would be now if it had flown from the start.
 
-        It acts on all of its past, and nobody hears it. A briefing that is interrupted begins anew.
+        It acts on all of its past, and none of its answers is sent. A briefing that is interrupted begins anew.
         """
         pilot: Pilot | None = None
         while True:
-            letter = self._briefings.receive(1.0)
-            if letter is None:
+            envelope = self._briefings.receive(1.0)
+            if envelope is None:
                 self._mind_absence("its briefing")
                 continue
-            told: Any = letter.message
+            told: Any = envelope.message
             begins = not told.past or told.past[0].tick == 0
             if begins:
                 pilot, self._first = self._make_pilot(msgspec.structs.replace(told, past=())), 0
@@ -200,7 +200,7 @@ class _Slot:
                 if self._first > 0:
                     _call_if_there(pilot, "forget_commands")
                 _call_if_there(pilot, "attend", self._awaits)
-                self._flight = (letter.session, told.episode)
+                self._flight = (envelope.session, told.episode)
                 gc.freeze()  # what is here stays: the collector need not look at it again
                 return pilot
 
@@ -218,23 +218,23 @@ class _Slot:
             PeerLost: If the simulator stays away.
         """
         while True:
-            letter = self._observations.receive(1.0)
+            envelope = self._observations.receive(1.0)
             while self._briefings.holds_any():
                 self.pilot = self._take_over()
-            if letter is None:
+            if envelope is None:
                 self._mind_absence("an observation")
                 continue
             seen = []
-            while letter is not None:
-                if self._is_new(letter):
-                    seen.append(letter.message)
-                letter = self._observations.next_waiting()
+            while envelope is not None:
+                if self._is_new(envelope):
+                    seen.append(envelope.message)
+                envelope = self._observations.next_waiting()
             return seen
 
-    def _is_new(self, letter: Letter) -> bool:
+    def _is_new(self, envelope: Envelope) -> bool:
         """True if an observation is of the flight it was briefed for and neither past nor seen before."""
-        observation: Any = letter.message
-        if (letter.session, observation.episode) != self._flight:
+        observation: Any = envelope.message
+        if (envelope.session, observation.episode) != self._flight:
             return False
         if observation.over:
             return True  # a flight that is stopped ends at a tick that has been seen
@@ -253,9 +253,9 @@ def _call_if_there(pilot: Pilot, method: str, *arguments: Any) -> None:  # noqa:
 def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> bool:
     """Answer the newest observation; those that came before it are too late to be answered, but not to be seen.
 
-    One that is missed is acted on unheard, so that the pilot stays as it would be: in lockstep a process that joins
-    again may find the next tick there already. A pilot that has missed more is slower than the clock, and only
-    perceives them.
+    One that is missed is acted on without an answer, so that the pilot stays as it would be: in lockstep a process
+    that joins again may find the next tick there already. A pilot that has missed more is slower than the clock, and
+    only perceives them.
 
     Returns:
         Whether the pilot had an answer.

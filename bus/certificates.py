@@ -47,7 +47,7 @@ class Identity(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 
 class Authority(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Whoever has this can make certificates for a run: its owner alone, and no process of it."""
+    """The authority that signs a run's certificates: for the run's owner alone, and no process of it."""
 
     run: str
     certificate: str

@@ -215,7 +215,7 @@ def token(run: str, name: str, place: int | str) -> str:
 
 
 def token_owner(expression: str) -> tuple[str, int]:
-    """Whose token this is, and the number of its session; -1 where it has none."""
+    """The owner of a token, and the number of its session; -1 where it has none."""
     parts = expression.split("/")
     return parts[-3], _PLACE_NUMBERS.get(parts[-1], -1)
 
@@ -232,7 +232,7 @@ def session_token(run: str, name: str, session: str) -> str:
 
 
 def session_owner(expression: str) -> tuple[str, str]:
-    """Whose such a token is, and of which session."""
+    """The owner of such a token, and its session."""
     parts = expression.split("/")
     return parts[-3], parts[-1]
 

@@ -1,4 +1,4 @@
-"""Opening, closing, joining and leaving: with its boxes the only place that speaks Zenoh."""
+"""Opening, closing, joining and leaving: with its queues the only place that speaks Zenoh."""
 
 import json
 import logging
@@ -12,7 +12,6 @@ from typing import Any
 import zenoh
 
 from bus.access import ROUTER_FILE, Credential, CredentialSet, client_settings, router_settings
-from bus.boxes import WAKE_PERIOD, Inbox, Letter, Outbox
 from bus.certificates import Identity, check_identity, expiry_warning, find_fault
 from bus.errors import AccessDenied, BusError
 from bus.keys import (
@@ -31,10 +30,11 @@ from bus.keys import (
     token_owner,
     written_by,
 )
+from bus.queues import WAKE_PERIOD, Envelope, Inbox, Outbox
 from bus.ros2_access import LARGEST
 from bus.session_limit import SessionLimit
 
-__all__ = ["Inbox", "Letter", "Outbox", "Session", "open_session"]
+__all__ = ["Envelope", "Inbox", "Outbox", "Session", "open_session"]
 
 _LOG = logging.getLogger("outrider.bus")
 _ROOM = 256

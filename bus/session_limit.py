@@ -51,7 +51,7 @@ class Connection(NamedTuple):
     src: str
     dst: str
     name: str | None
-    """Whose certificate it has shown."""
+    """The name in the certificate that it has shown; None: none."""
 
 
 def surplus(

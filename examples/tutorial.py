@@ -17,11 +17,11 @@ import outrider
 from outrider.envs.env_pilots import pilots
 
 env = outrider.parallel_env("escort", duration=60.0)
-crew = pilots(env)
+policies = pilots(env)
 seen, _ = env.reset(seed=1)
 paid = 0.0
 while env.agents:
-    seen, rewards, _, _, _ = env.step({name: crew[name](seen[name]) for name in env.agents})
+    seen, rewards, _, _, _ = env.step({name: policies[name](seen[name]) for name in env.agents})
     paid += rewards["uav_0"]
 told = env.metrics()["uav_0"]
 print(

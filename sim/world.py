@@ -13,7 +13,7 @@ from bus.messages import TILE_LETTERS, CoverageMap, GroundBlock, Mission, Motion
 from bus.ticks import Look
 from sim.engine.batch import Batch
 from sim.engine.links import Links
-from sim.engine.mission import hear_block, mission_of
+from sim.engine.mission import mission_of, receive_block
 from sim.engine.world_state import COMMAND, BatchState, BatchTables, Told, WorldState
 from sim.engine.world_tick import measure
 from sim.kernels.compile import FloatArray, entry_point
@@ -163,12 +163,12 @@ class World:
             for place, state in zip(places, states, strict=True)
         )
 
-    def hear_block(self, k: int, block: GroundBlock) -> None:
+    def receive_block(self, k: int, block: GroundBlock) -> None:
         """A UGV is told of a block of tiles by radio: for measuring how long before it knew of what was on its way."""
         tables, state = self.arrays
         n = int(np.flatnonzero(tables.ground.ugvs == k)[0])
         told = tables.ground, state.ground, state.mission, 0, n, self._tick
-        hear_block(*told, (block.row, block.column), tile_states(block.tiles))
+        receive_block(*told, (block.row, block.column), tile_states(block.tiles))
 
     @property
     def mission(self) -> Mission | None:

@@ -1,4 +1,4 @@
-"""How the machine's BLAS sums.
+"""The order in which the machine's BLAS sums.
 
 Where it fuses, as on all but old processors, the compiled filter has the pilots' bits.
 """

@@ -42,14 +42,14 @@ def escort(law="logarithmic", *, uav=UAV, ugv=UGV, **fields):
 
 
 def told(scenario: Scenario, seed: int = 0) -> UavBriefing:
-    """What the scenario's UAV is told."""
+    """The briefing of the scenario's UAV."""
     message = briefing(scenario, scenario.uav[0].name, seed)
     assert isinstance(message, UavBriefing)
     return message
 
 
 def told_ugv(**fields: Any) -> UgvBriefing:
-    """What the paper's UGV is told that has a square of 20 m to itself, but for these fields."""
+    """The briefing of the paper's UGV, which has a square of 20 m to itself, but for these fields."""
     usual: dict[str, Any] = {
         "vehicle": "ugv_0",
         "dt": DT,

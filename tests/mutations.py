@@ -18,7 +18,7 @@ from tabular import words
 from bus.keys import KEYS, Key
 
 REFUSALS = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
-"""What `Inbox` takes for a refusal; a decoder that raises anything else stops its reader."""
+"""The errors that `Inbox` takes for a refusal; a decoder that raises anything else stops its reader."""
 
 
 def valid(kind: Any, rng: random.Random) -> Any:

@@ -218,7 +218,7 @@ def _loaded() -> _Loaded:
 
 
 class _InPlace(_Popen):
-    """What a forked command starts itself is forked too.
+    """Processes that a forked command starts itself are forked too.
 
     Its forkserver is a fork of its own. A page is started when the command has threads, so it is forked by another fork
     that has none.

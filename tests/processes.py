@@ -63,7 +63,7 @@ def ran(
 def python(
     code: str, *arguments: str, check: bool = True, **settings: Any
 ) -> "subprocess.CompletedProcess[str]":
-    """What an interpreter of its own, which has loaded nothing, makes of this code."""
+    """The result of this code in an interpreter of its own, which has loaded nothing."""
     return ran([sys.executable, "-c", code, *arguments], check=check, **settings)
 
 
@@ -98,7 +98,7 @@ SHORT = load_scenario("escort", overrides=CHANGES)
 
 
 def launched(watcher: launch.Watcher = launch.NOBODY, **settings: Any) -> launch.Outcome:
-    """What becomes of such a run over three processes."""
+    """The outcome of such a run over three processes."""
     return launch.launch(SHORT, "escort", CHANGES, watcher, launch.Output(), **settings)
 
 
@@ -120,7 +120,7 @@ def family(pid: int) -> list[int]:
 
 
 def stat_of(pid: int) -> list[str]:
-    """What the kernel tells of a process: its state, its parent, its group, its session, and more."""
+    """The kernel's status of a process: its state, its parent, its group, its session, and more."""
     text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii")
     return text.rpartition(")")[2].split()
 
@@ -169,9 +169,9 @@ def status_in(inbox: Any, wanted: Callable[[Status], Any], seconds: float) -> St
     limit = time.monotonic() + seconds
     last: Status | None = None
     while time.monotonic() < limit:
-        letter = inbox.receive(1.0)
-        if letter is not None and isinstance(letter.message, Status):
-            last = letter.message
+        envelope = inbox.receive(1.0)
+        if envelope is not None and isinstance(envelope.message, Status):
+            last = envelope.message
             if wanted(last):
                 return last
     raise AssertionError(f"never came; the last status was {last}")

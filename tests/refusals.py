@@ -1,4 +1,4 @@
-"""How tests see a scenario, or whatever else, refused in one line."""
+"""Checks that a scenario, or whatever else, is refused in one line."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -38,7 +38,7 @@ def written(folder: Path, content: bytes) -> Path:
 
 @contextmanager
 def refused(kind: type[Exception], words: str) -> Iterator["pytest.ExceptionInfo[Exception]"]:
-    """What is done in here raises such an error, whose one line has a match of these words."""
+    """Expect such an error from what is done in here, whose one line has a match of these words."""
     with pytest.raises(kind, match=words) as caught:
         yield caught
     assert "\n" not in str(caught.value)

@@ -84,8 +84,10 @@ class Program(_Threaded):
 
     def _run(self) -> None:
         assert self._briefings.receive(20.0) is not None
-        while (letter := self.observations.receive(20.0)) is not None and not letter.message.over:
-            self._answer(self._commands, letter.message.tick)
+        while (
+            envelope := self.observations.receive(20.0)
+        ) is not None and not envelope.message.over:
+            self._answer(self._commands, envelope.message.tick)
 
 
 class Vehicle(_Threaded):
@@ -214,17 +216,17 @@ def everybody(
         yield {name: stack.enter_context(raw_session(endpoint, given.of(name))) for name in names}
 
 
-Heard = set[tuple[str, str, str]]
+Received = set[tuple[str, str, str]]
 """Reader, key and what was said."""
 
 
 def listening(
-    opened: zenoh.Session, name: str, expressions: Iterable[str], heard: Heard
+    opened: zenoh.Session, name: str, expressions: Iterable[str], received: Received
 ) -> list[object]:
     """Let a party keep all that comes by these keys, for as long as what is returned is kept."""
 
     def keep(sample: zenoh.Sample) -> None:
-        heard.add((name, str(sample.key_expr), sample.payload.to_string()))
+        received.add((name, str(sample.key_expr), sample.payload.to_string()))
 
     return [opened.declare_subscriber(expression, keep) for expression in expressions]
 

@@ -1,4 +1,4 @@
-"""What observers are told of a run, made up, for the tests of those who show it."""
+"""Messages of a run to observers, made up, for the tests of those who show it."""
 
 from types import SimpleNamespace
 from typing import Any

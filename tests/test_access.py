@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import zenoh
-from staging import Heard, everybody, hosted, listening, raw_session, settled
+from staging import Received, everybody, hosted, listening, raw_session, settled
 
 from bus import access
 from bus.access import (
@@ -78,7 +78,7 @@ def concrete() -> list[tuple[Any, str, str]]:
     return [(key, vehicle, key.expression(RUN, vehicle)) for key, vehicle in pairs]
 
 
-def hears(session: zenoh.Session, expression: str) -> Any:
+def receives(session: zenoh.Session, expression: str) -> Any:
     return session.declare_subscriber(expression, zenoh.handlers.FifoChannel(100))
 
 
@@ -106,7 +106,7 @@ def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(known_by:
         and may(check_writes, key, writer, vehicle)
     }
     assert len(wanted) >= 20
-    found: Heard = set()
+    found: Received = set()
     with parties(known_by) as sessions:
         expressions = [row[2] for row in concrete()]
         widest = ("**", "outrider/**", f"outrider/{RUN}/*/command")
@@ -164,7 +164,7 @@ def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulator
     own = {
         name: {expression for owner in NAMES for expression in declared(owner, name)}
         for name in NAMES
-    }  # it hears itself
+    }  # it receives itself
     assert seen["simulator"] - own["simulator"] == wanted - own["simulator"]
     for name in set(NAMES) - {"simulator"}:
         assert seen[name] - own[name] == {token(RUN, "simulator", NAMES.index("simulator"))}
@@ -202,13 +202,13 @@ def test_a_stranger_gets_nothing(endpoint: str, kind: str, mode: str) -> None:
     with ExitStack() as stack:
         host = stack.enter_context(hosted(endpoint, GIVEN))._zenoh
         publishers = [speaks(host, expression) for _, _, expression in concrete()]
-        commands = hears(host, "outrider/**")
+        commands = receives(host, "outrider/**")
         told = {"mode": mode, "scouting__gossip__enabled": True, "listen__endpoints": []}
         try:
             opened = stack.enter_context(raw_session(endpoint, STRANGERS[kind], **told))
         except zenoh.ZError:
             return  # it was not even let in
-        inbox = hears(opened, "outrider/**")
+        inbox = receives(opened, "outrider/**")
         limit = time.monotonic() + 1.0
         while time.monotonic() < limit:
             for publisher in publishers:
@@ -226,7 +226,7 @@ def test_a_known_peer_with_gossip_gets_no_more_than_a_client(endpoint: str) -> N
         told = {"mode": "peer", "scouting__gossip__enabled": True}
         peer = stack.enter_context(raw_session(endpoint, GIVEN.of("uav_0"), **told))
         expressions = [row[2] for row in concrete()]
-        found: Heard = set()
+        found: Received = set()
         kept = listening(peer, "uav_0", (*expressions, "**"), found)
         publishers = [speaks(host, expression) for expression in expressions]
 

@@ -1,4 +1,4 @@
-"""What the safety filters say is held against the truth: a lie is counted, and what an assumption excuses is not."""
+"""Reports of the safety filters are held against the truth: a lie is counted, and what an assumption excuses is not."""
 
 import csv
 import json

@@ -86,7 +86,7 @@ LOST = {
         0.9,
     ),
 }
-"""What the specification found to be wrong."""
+"""Certificates that the specification found to be wrong."""
 
 
 @pytest.mark.parametrize("name", LOST)
@@ -129,7 +129,7 @@ DISTURBED = {
         disturbance=2, silence=2.0, hold=4.0, delay=0.3, area=CORNER
     ),
 }
-"""What breaks A5, and the rest within the assumptions."""
+"""Conditions that break A5, and the rest within the assumptions."""
 
 
 @pytest.mark.parametrize("name", DISTURBED)

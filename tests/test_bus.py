@@ -27,7 +27,7 @@ from bus.keys import (
     check_writes,
 )
 from bus.messages import Message, UavCommand, UgvCommand
-from bus.session import Letter, Session, open_session
+from bus.session import Envelope, Session, open_session
 
 NAMES = {role: role.value for role in Role} | {Role.UAV: "uav_0", Role.UGV: "ugv_0"}
 
@@ -64,14 +64,14 @@ def test_every_row_round_trips_to_its_reader_with_the_same_bits_and_its_vehicle(
         assert _send_until_read(outbox.send, sent, inbox.receive).sender == vehicle
 
 
-def _send_until_read(send, sent: list[Message], receive) -> Letter:
+def _send_until_read(send, sent: list[Message], receive) -> Envelope:
     """Send the last of these until it is read: the first may go before the subscription has arrived."""
     for _ in range(50):
         send(sent[-1])
-        while (letter := receive(0.2)) is not None:
-            if letter.message == sent[-1]:
-                return letter
-            assert letter.message in sent[:-1]  # it was sent again
+        while (envelope := receive(0.2)) is not None:
+            if envelope.message == sent[-1]:
+                return envelope
+            assert envelope.message in sent[:-1]  # it was sent again
     raise AssertionError("nothing arrived")
 
 
@@ -142,9 +142,9 @@ def test_what_does_not_decode_is_counted_named_and_dropped(sessions: dict[Role, 
             "outrider/run/ugv_0/command", payload, congestion_control=zenoh.CongestionControl.BLOCK
         )
     outbox.send(good)
-    letter = inbox.receive(10.0)
-    assert letter is not None
-    assert (letter.sender, letter.message) == ("ugv_0", good)
+    envelope = inbox.receive(10.0)
+    assert envelope is not None
+    assert (envelope.sender, envelope.message) == ("ugv_0", good)
     assert inbox.refused == {"uav_0": 0, "ugv_0": len(GARBAGE)}
 
 
@@ -172,7 +172,7 @@ def test_what_is_too_large_is_dropped_by_the_router_or_refused_by_the_reader(ses
     ]
 
 
-def test_a_stranger_in_the_run_is_not_heard(sessions: dict[Role, Session]) -> None:
+def test_nothing_of_a_stranger_in_the_run_is_received(sessions: dict[Role, Session]) -> None:
     inbox = sessions[Role.SIMULATOR].inbox_of_all({"uav_0": UAV_COMMAND, "ugv_0": UGV_COMMAND})
     for key in ("outrider/run/nobody/command", "outrider/another/ugv_0/command"):
         sessions[Role.UGV]._zenoh.put(key, b'{"tick":1,"acceleration":[0.0,0.0]}')

@@ -232,7 +232,7 @@ def holding(plan: c.Plan) -> RecordArray:
 
 
 def ticks_left(memory: RecordArray) -> int:
-    """How long the plan that is held still takes."""
+    """The time that the plan that is held still takes."""
     return sum(int(memory[0][part]) for part in ("turn", "cruise", "brake"))
 
 

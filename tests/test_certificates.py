@@ -188,10 +188,10 @@ def passes(router: session.Session, client: session.Session) -> bool:
 def test_a_name_that_the_router_does_not_know_gets_nothing_and_is_named(endpoint, caplog):
     stranger = known_as(identity("nobody"))
     with hosted(endpoint, GIVEN) as router:
-        hears = router._zenoh.declare_subscriber("**", zenoh.handlers.RingChannel(10))
+        receives = router._zenoh.declare_subscriber("**", zenoh.handlers.RingChannel(10))
         with raw_session(endpoint, stranger) as opened:
-            heard = opened.declare_subscriber("outrider/**", zenoh.handlers.RingChannel(10))
-            # its own subscriber hears nothing of what it puts
+            received = opened.declare_subscriber("outrider/**", zenoh.handlers.RingChannel(10))
+            # its own subscriber receives nothing of what it puts
             told, there = threading.Event(), {"allowed_destination": zenoh.Locality.REMOTE}
             for k in range(250):
                 opened.put(f"outrider/{RUN}/uav_0/command", b"{}", **there)
@@ -199,14 +199,14 @@ def test_a_name_that_the_router_does_not_know_gets_nothing_and_is_named(endpoint
                 if k >= 20 and caplog.records:
                     break
                 told.wait(0.02)
-            assert hears.try_recv() is None
-            assert heard.try_recv() is None
+            assert receives.try_recv() is None
+            assert received.try_recv() is None
     told = "'nobody' has a certificate of this run's authority, but is no party of it"
     assert told in caplog.text
 
 
 def test_certificates_are_renewed_while_the_router_goes_on(endpoint, monkeypatch):
-    """Whoever is there stays also where its certificate ends meanwhile.
+    """A session that is there stays also where its certificate ends meanwhile.
 
     The old one is refused then, a new one is let in.
     """

@@ -95,7 +95,7 @@ a file in the sweep's place | sweep escort --set duration=5 --out taken | taken
 policy that raises | suite --uav-policy json:loads --only paper | --uav-policy json:loads: TypeError
 policy that gives no action | suite --uav-policy math:fsum --only paper | --uav-policy math:fsum:
 """)
-"""What is no fault of the input."""
+"""Causes that are no fault of the input."""
 
 
 @pytest.mark.parametrize(

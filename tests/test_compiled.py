@@ -1,4 +1,4 @@
-"""How our functions are compiled: strictly, into the cache, and to the numbers of the text as it is written."""
+"""Our functions are compiled strictly, into the cache, and to the numbers of the text as it is written."""
 
 import copy
 import importlib

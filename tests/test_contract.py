@@ -186,7 +186,7 @@ def test_the_import_contracts_catch_an_agent_that_reads_the_world(tmp_path: Path
 
 ROOMS = {"sim.models", "sim.kernels"}
 REFUSES_FUNCTIONS = {"sim.input", "sim.input.faults"}
-"""How the user's own code is refused in one line."""
+"""The user's own code is refused in one line."""
 OF_MESSAGES = {"sim.scene", "sim.scene.colors", "sim.scene.model"}
 """By which messages of ROS 2 are made: a scene's types, and nothing of a world."""
 

@@ -148,7 +148,7 @@ PLACES = {"cell centre": (20.125, 20.125), "cell corner": (20.0, 20.0)}
 
 
 def _first_command(law: str, place: tuple[float, float], seed: int) -> tuple[float, float]:
-    """What the UAV does when it first sees the UGV, exactly below."""
+    """The UAV's command when it first sees the UGV, exactly below."""
     pilot = UavPilot(told(escort(law), seed))
     looks = (Detection(time=0.0, relative_position=(0.0, 0.0)),)
     return pilot.act(

@@ -1,4 +1,4 @@
-"""What a crowd at the router's port and a vehicle with credentials can do; the heavy ones are in `make crowd-test`."""
+"""A crowd at the router's port, or a vehicle with credentials, ends no run; heavy ones are in `make crowd-test`."""
 
 import socket
 from contextlib import ExitStack

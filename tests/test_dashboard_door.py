@@ -1,4 +1,4 @@
-"""Who gets the page, what browsers are told with it, and what it costs: all in this process."""
+"""The dashboard's access control, its headers and their cost: all in this process."""
 
 import asyncio
 import re

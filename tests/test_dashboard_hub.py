@@ -64,19 +64,19 @@ def test_a_reset_brings_the_first_law_back() -> None:
     assert running_law(status("logarithmic", *controls), None) is None
 
 
-def test_an_operator_whom_nobody_here_has_seated_is_a_stranger() -> None:
+def test_an_operator_whom_nobody_here_has_put_at_a_wheel_is_a_stranger() -> None:
     said: list[Control] = []
     wheel = SharedWheel(lambda control: said.append(control) is None, lambda _name, _drive: True)
     drivers = {"ugv_0": "waypoints", "ugv_1": TELEOP}
     assert wheel.strangers(drivers) == ["ugv_1"]
     assert wheel.take(1, "browser 1", "ugv_0", drivers)
-    seated = {"ugv_0": TELEOP, "ugv_1": TELEOP}
-    assert wheel.strangers(seated) == ["ugv_1"]
+    drivers = {"ugv_0": TELEOP, "ugv_1": TELEOP}
+    assert wheel.strangers(drivers) == ["ugv_1"]
     wheel.release()
-    assert wheel.strangers(seated) == ["ugv_1"]
-    wheel.hand_back(1, seated)
+    assert wheel.strangers(drivers) == ["ugv_1"]
+    wheel.hand_back(1, drivers)
     assert said[-1].driver == "waypoints"
-    assert wheel.strangers(seated) == [
+    assert wheel.strangers(drivers) == [
         "ugv_0",
         "ugv_1",
-    ]  # until the simulator has seated the driver from before
+    ]  # until the simulator has assigned the driver from before

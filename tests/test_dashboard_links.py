@@ -1,4 +1,4 @@
-"""What the page says of the radio links, what it says to change them, and what its charts know of them."""
+"""The radio links in the page: their status, their change, and their charts."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""An operator's seat, in a real pseudo-terminal.
+"""`outrider drive` in a real pseudo-terminal.
 
 What keys become on the bus, what the screen says, and how it is left.
 """
@@ -95,7 +95,7 @@ class Screen:
         return "\n".join("".join(row).rstrip() for row in self.cells)
 
 
-class Seat:
+class Terminal:
     """`outrider drive` in a pseudo-terminal of its own."""
 
     def __init__(self, *arguments: str) -> None:
@@ -129,7 +129,7 @@ class Seat:
             patience = 0.0
 
     def waiting(self) -> int:
-        """How many bytes the terminal holds that nobody has read."""
+        """Number of bytes that the terminal holds and nobody has read."""
         return int(struct.unpack("i", fcntl.ioctl(self.master, termios.FIONREAD, bytes(4)))[0])
 
     def press(self, keys: str) -> None:
@@ -182,8 +182,8 @@ class Seat:
                 os.close(descriptor)
 
 
-def seat(*arguments: str) -> closing[Seat]:
-    return closing(Seat(*arguments))
+def teleoperation(*arguments: str) -> closing[Terminal]:
+    return closing(Terminal(*arguments))
 
 
 GEOMETRY = Geometry(
@@ -210,7 +210,7 @@ def truth_at(tick: int = 100, distance: float = 1.25) -> Truth:
 
 
 class Scripted:
-    """A simulator that flies nothing: it tells a status, does what controls ask for, and keeps all it hears."""
+    """A simulator that flies nothing: it tells a status, does what controls ask for, and keeps all it receives."""
 
     def __init__(self, session: Session) -> None:
         self.controls: list[Control] = []
@@ -229,13 +229,13 @@ class Scripted:
 
     def _run(self) -> None:
         while not self._over.wait(0.03):
-            while (letter := self._controls.next_waiting()) is not None:
-                assert isinstance(letter.message, Control)
-                self.controls.append(letter.message)
-                self.drivers[letter.message.vehicle or ""] = letter.message.driver or ""
-            while (letter := self._drives.next_waiting()) is not None:
-                assert isinstance(letter.message, Drive)
-                self.drives.append(letter.message)
+            while (envelope := self._controls.next_waiting()) is not None:
+                assert isinstance(envelope.message, Control)
+                self.controls.append(envelope.message)
+                self.drivers[envelope.message.vehicle or ""] = envelope.message.driver or ""
+            while (envelope := self._drives.next_waiting()) is not None:
+                assert isinstance(envelope.message, Drive)
+                self.drives.append(envelope.message)
             self.tick += 1
             self._statuses.send(status_at(self.tick, drivers=dict(self.drivers)))
             self._truths.send(truth_at(self.tick))
@@ -275,7 +275,7 @@ def arguments(endpoint: str, *more: str) -> tuple[str, ...]:
 
 
 def test_keys_take_the_wheel_drive_brake_and_give_it_back_and_the_terminal_is_as_before(endpoint):
-    with scripted(endpoint) as simulator, seat(*arguments(endpoint)) as one:
+    with scripted(endpoint) as simulator, teleoperation(*arguments(endpoint)) as one:
         one.until_shown(
             "script drives ugv_0",
             "distance uav_0",
@@ -297,10 +297,10 @@ def test_keys_take_the_wheel_drive_brake_and_give_it_back_and_the_terminal_is_as
         one.until_shown("YOU DRIVE ugv_0")
         one.until(lambda: simulator.drives[-1].velocity is None)  # nobody holds the key any more
         one.hold("\x1b[A", lambda: simulator.drives[-1].velocity == (0.0, 0.2))
-        heard = len(simulator.drives)
+        received = len(simulator.drives)
         one.press(" ")
         one.until(lambda: simulator.drives[-1] == Drive(driver="operator"))
-        assert len(simulator.drives) <= heard + 2  # at once, not when the key has run out
+        assert len(simulator.drives) <= received + 2  # at once, not when the key has run out
         one.press("h")
         one.until_shown("script drives ugv_0")
         one.hold("S", lambda: simulator.drives[-1].velocity == (0.0, -0.2))
@@ -314,7 +314,7 @@ def test_keys_take_the_wheel_drive_brake_and_give_it_back_and_the_terminal_is_as
 
 
 def test_a_simulator_that_goes_is_told_and_the_next_one_is_driven_too(endpoint: str) -> None:
-    with seat(*arguments(endpoint, "--speed", "0.1", "--back", "waypoints")) as one:
+    with teleoperation(*arguments(endpoint, "--speed", "0.1", "--back", "waypoints")) as one:
         one.until(lambda: "waiting for the simulator of the run mine" in one.told)
         with scripted(endpoint) as simulator:
             one.until_shown("script drives ugv_0")
@@ -342,13 +342,15 @@ def test_a_simulator_that_goes_is_told_and_the_next_one_is_driven_too(endpoint: 
     [("ctrl-c", 130), ("SIGTERM", 143), ("hang-up", 129), ("at once", 0), ("stuck", 143)],
 )
 def test_however_it_ends_the_wheel_is_given_back(way: str, code: int, endpoint: str) -> None:
-    with scripted(endpoint) as simulator, seat(*arguments(endpoint)) as one:
+    with scripted(endpoint) as simulator, teleoperation(*arguments(endpoint)) as one:
         one.until_shown("script drives ugv_0")
         if way == "at once":
             one.press("dq")
             assert one.ends() == code
             tick = simulator.tick
-            wait_until(lambda: simulator.tick > tick + 5)  # whatever was on its way has been heard
+            wait_until(
+                lambda: simulator.tick > tick + 5
+            )  # whatever was on its way has been received
             assert simulator.drivers == {"ugv_0": "script"}
             return
         one.hold("d", lambda: simulator.drivers["ugv_0"] == "teleop")
@@ -387,9 +389,9 @@ def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> 
         asked = []
         for driver in ("teleop", "script"):
             wait_until(lambda: link.press(Heading.EAST) or controls.holds_any(), 10.0)  # type: ignore[func-returns-value]
-            letter = controls.next_waiting()
-            assert letter is not None
-            asked.append((driver, letter.message))
+            envelope = controls.next_waiting()
+            assert envelope is not None
+            asked.append((driver, envelope.message))
             link.leave()
         assert link.wait(10.0)
         assert asked == [
@@ -400,7 +402,7 @@ def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> 
 
 
 def test_an_unknown_vehicle_is_refused_with_those_that_there_are(endpoint: str) -> None:
-    with scripted(endpoint), seat(*arguments(endpoint, "--name", "ugv_7")) as one:
+    with scripted(endpoint), teleoperation(*arguments(endpoint, "--name", "ugv_7")) as one:
         assert one.ends() == 2
         assert "--name ugv_7: no UGV of this run; there is ugv_0" in one.told
         assert "1049" not in one.screen.modes
@@ -424,14 +426,14 @@ def test_an_operator_drives_a_flight_in_real_time_and_nothing_jumps(tmp_path: Pa
         files = tmp_path / "credentials"
         own = arguments(run.endpoint, "--credentials", str(files / "operator.json"))
         session = run.client("observer")
-        with seat(*own) as one:
+        with teleoperation(*own) as one:
             truths = session.inbox(SAMPLED_TRUTH)
             seen: list[VehicleTruth] = []
 
             def heads_west() -> bool:
-                while (letter := truths.next_waiting()) is not None:
-                    if isinstance(letter.message, Truth):
-                        seen.append(letter.message.vehicles["ugv_0"])
+                while (envelope := truths.next_waiting()) is not None:
+                    if isinstance(envelope.message, Truth):
+                        seen.append(envelope.message.vehicles["ugv_0"])
                 return bool(seen) and seen[-1].velocity[0] < -0.15
 
             one.until_shown("waypoints drives ugv_0", "4.75 m")

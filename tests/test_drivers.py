@@ -1,4 +1,4 @@
-"""Who sits in the UGV: every driver within its bounds whatever it hears, and each one's own promises."""
+"""Drivers of the UGV: each within its bounds whatever it receives, and each one's own promises."""
 
 import math
 from collections.abc import Callable
@@ -46,8 +46,8 @@ from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
 Point = tuple[float, float]
-Hears = Callable[[int, Point], dict[str, Any]]
-"""What a UGV hears at a tick at a place: fields of its observation."""
+Receives = Callable[[int, Point], dict[str, Any]]
+"""The messages to a UGV at a tick at a place: fields of its observation."""
 
 MIDDLE = (10.0, 10.0)
 
@@ -101,16 +101,16 @@ def _nothing(tick: int, place: Point) -> dict[str, Any]:
     return {}
 
 
-def _observe(tick, state, heard, dt=DT):
+def _observe(tick, state, received, dt=DT):
     own = {"position": (state[0], state[1]), "velocity": (state[2], state[3])}
-    return UgvObservation(tick=tick, time=tick * dt, **own, **heard)
+    return UgvObservation(tick=tick, time=tick * dt, **own, **received)
 
 
-def _drive(driver, count, *, start=MIDDLE, velocity=(0.0, 0.0), begin=0, dt=DT, hears=_nothing):
+def _drive(driver, count, *, start=MIDDLE, velocity=(0.0, 0.0), begin=0, dt=DT, receives=_nothing):
     """Position, velocity and command at each tick, with no bound but the driver's own, and what it was shown."""
     state, rows, seen = (*start, *velocity), [], []
     for tick in range(begin, begin + count):
-        seen.append(_observe(tick, state, hears(tick, state[:2]), dt))
+        seen.append(_observe(tick, state, receives(tick, state[:2]), dt))
         u = driver.drive(seen[-1])
         rows.append((*state, *u))
         *state, _, _ = step_vehicle(*state, *u, math.inf, math.inf, dt)
@@ -136,11 +136,13 @@ radios = st.builds(
     relative_position=relatives,
     coverage_error=st.just(1.0),
 )
-heard_at_once = {
+received_at_once = {
     "operator": st.lists(drives, max_size=2).map(tuple),
     "radio": st.lists(radios, max_size=2).map(tuple),
 }
-hearings = st.dictionaries(st.integers(0, 59), st.fixed_dictionaries(heard_at_once), max_size=25)
+receptions = st.dictionaries(
+    st.integers(0, 59), st.fixed_dictionaries(received_at_once), max_size=25
+)
 speeds = st.sampled_from((0.05, V_G, 1.0, 5.0))
 accelerations = st.sampled_from((0.05, U_G, 1.0, 10.0, math.inf))
 steps = st.sampled_from((0.02, DT, 0.2))
@@ -152,11 +154,11 @@ def _velocity(heading: tuple[float, float], v_max: float) -> Point:
 
 
 @pytest.mark.parametrize("name", DRIVERS)
-@given(hearings, places, headings, st.integers(0, 100_000), speeds, accelerations, steps)
+@given(receptions, places, headings, st.integers(0, 100_000), speeds, accelerations, steps)
 @settings(PROPERTY, max_examples=60)
 def test_whatever_it_hears_and_whenever_it_takes_the_wheel_a_driver_keeps_the_bounds(
     name: str,
-    heard: dict[int, dict[str, Any]],
+    received: dict[int, dict[str, Any]],
     start: Point,
     heading: tuple[float, float],
     begin: int,
@@ -166,42 +168,44 @@ def test_whatever_it_hears_and_whenever_it_takes_the_wheel_a_driver_keeps_the_bo
 ) -> None:
     driver = DRIVERS[name](_told(v_max=v_max, u_max=u_max, dt=dt))
     told = {"start": start, "velocity": _velocity(heading, v_max), "begin": begin, "dt": dt}
-    rows, _ = _drive(driver, 60, **told, hears=lambda tick, _: heard.get(tick - begin, {}))
+    rows, _ = _drive(driver, 60, **told, receives=lambda tick, _: received.get(tick - begin, {}))
     _assert_within(rows, v_max, u_max)
 
 
 @pytest.mark.parametrize("name", [name for name in DRIVERS if name != "waypoints"])
-@given(hearings, st.sampled_from((V_G, math.inf)))
+@given(receptions, st.sampled_from((V_G, math.inf)))
 @settings(PROPERTY, max_examples=30)
-def test_a_ugv_without_bounds_is_still_asked_for_what_a_message_can_hold(name, heard, v_max):
+def test_a_ugv_without_bounds_is_still_asked_for_what_a_message_can_hold(name, received, v_max):
     driver = DRIVERS[name](_told(v_max=v_max, u_max=math.inf))
     for tick in range(60):
-        seen = _observe(tick, (*MIDDLE, 0.1, -0.1), heard.get(tick, {}))
+        seen = _observe(tick, (*MIDDLE, 0.1, -0.1), received.get(tick, {}))
         command = UgvCommand(tick=tick, acceleration=driver.drive(seen))
         assert msgspec.json.decode(msgspec.json.encode(command), type=UgvCommand) == command
 
 
-@given(st.lists(st.sampled_from(sorted(DRIVERS)), min_size=2, max_size=5), hearings)
+@given(st.lists(st.sampled_from(sorted(DRIVERS)), min_size=2, max_size=5), receptions)
 @settings(PROPERTY, max_examples=40)
-def test_drivers_that_take_turns_in_one_flight_jump_no_further_than_the_bounds_allow(names, heard):
+def test_drivers_that_take_turns_in_one_flight_jump_no_further_than_the_bounds_allow(
+    names, received
+):
     at, velocity = MIDDLE, (0.0, 0.0)
     for turn, name in enumerate(names):
         told = {"start": at, "velocity": velocity, "begin": 60 * turn}
-        hears = lambda tick, _: heard.get(tick % 60, {})  # noqa: E731
-        rows, _ = _drive(DRIVERS[name](_told()), 60, **told, hears=hears)
+        receives = lambda tick, _: received.get(tick % 60, {})  # noqa: E731
+        rows, _ = _drive(DRIVERS[name](_told()), 60, **told, receives=receives)
         _assert_within(rows, V_G, U_G)
         assert np.hypot(*np.diff(rows[:, 2:4], axis=0).T).max() <= U_G * DT * (1.0 + 1e-9)
         at, velocity = tuple(rows[-1, :2]), tuple(rows[-1, 2:4])
 
 
 @pytest.mark.parametrize("name", DRIVERS)
-@given(hearings, st.integers(0, 1000))
+@given(receptions, st.integers(0, 1000))
 @settings(PROPERTY, max_examples=20)
-def test_a_driver_that_is_told_its_past_again_gives_the_same_bits(name, heard, begin):
+def test_a_driver_that_is_told_its_past_again_gives_the_same_bits(name, received, begin):
     told = _told(v_max=1.0, u_max=0.5)
     first, other, again = (DRIVERS[name](told) for _ in range(3))
     rows, seen = _drive(
-        first, 150, begin=begin, hears=lambda tick, _: heard.get((tick - begin) % 60, {})
+        first, 150, begin=begin, receives=lambda tick, _: received.get((tick - begin) % 60, {})
     )
     for row, observation in zip(rows, seen, strict=False):
         elsewhere = _observe(observation.tick, (1.0, 19.0, -0.3, 0.3), {})
@@ -214,12 +218,12 @@ def test_a_driver_that_is_told_its_past_again_gives_the_same_bits(name, heard, b
 FULL = Drive(driver="somebody", velocity=(V_G, 0.0))
 
 
-def _says(**words: Drive) -> Hears:
-    """What an operator says at which ticks: `t3=...`."""
+def _says(**words: Drive) -> Receives:
+    """The words of an operator at some ticks: `t3=...`."""
     return lambda tick, _: {"operator": (words[f"t{tick}"],)} if f"t{tick}" in words else {}
 
 
-def _heard_once(words: tuple[Drive, ...]) -> Hears:
+def _received_once(words: tuple[Drive, ...]) -> Receives:
     return lambda tick, _: {"operator": words} if tick == 0 else {}
 
 
@@ -242,8 +246,10 @@ def test_when_the_operator_falls_silent_the_ugv_comes_to_rest_in_time_and_stays_
 ) -> None:
     driver = TeleopDriver(_told(v_max=v_max, u_max=u_max, dt=dt, hold=hold))
     still = 1 + round(hold / dt) + _ticks_to_rest(v_max, u_max, dt)
-    hears = _heard_once(tuple(words))
-    rows, _ = _drive(driver, still + 50, velocity=_velocity(heading, v_max), dt=dt, hears=hears)
+    receives = _received_once(tuple(words))
+    rows, _ = _drive(
+        driver, still + 50, velocity=_velocity(heading, v_max), dt=dt, receives=receives
+    )
     assert np.abs(rows[still:, 2:4]).max() <= 1e-12 * v_max
     assert np.ptp(rows[still:, :2], axis=0).max() <= 1e-9
 
@@ -251,8 +257,8 @@ def test_when_the_operator_falls_silent_the_ugv_comes_to_rest_in_time_and_stays_
 def test_an_operators_word_counts_for_hold_seconds_to_the_tick() -> None:
     for since in range(60):  # tick * dt rounds differently at each
         driver = TeleopDriver(_told(hold=0.5))
-        hears = _says(**{f"t{since}": FULL})
-        rows, _ = _drive(driver, 20, velocity=(0.1, 0.0), begin=since, hears=hears)
+        receives = _says(**{f"t{since}": FULL})
+        rows, _ = _drive(driver, 20, velocity=(0.1, 0.0), begin=since, receives=receives)
         assert (rows[:11, 4] > 0.0).all()
         assert rows[11, 4] == pytest.approx(-U_G, rel=1e-9)
 
@@ -271,7 +277,7 @@ def test_the_operators_newest_word_counts(old: Drive, new: Drive) -> None:
 @settings(PROPERTY)
 def test_a_velocity_beyond_the_bound_is_driven_at_the_bound_in_its_direction(wanted: Point) -> None:
     word = Drive(driver="somebody", velocity=wanted)
-    rows, _ = _drive(TeleopDriver(_told()), 100, hears=lambda tick, _: {"operator": (word,)})
+    rows, _ = _drive(TeleopDriver(_told()), 100, receives=lambda tick, _: {"operator": (word,)})
     scale = min(1.0, V_G / max(math.hypot(*wanted), 1e-300))
     assert rows[-1, 2:4] == pytest.approx((wanted[0] * scale, wanted[1] * scale), abs=1e-12)
 
@@ -280,23 +286,23 @@ def test_a_velocity_beyond_the_bound_is_driven_at_the_bound_in_its_direction(wan
 @settings(PROPERTY, max_examples=20)
 def test_a_living_operators_goal_is_reached_and_stood_on(goal: Point) -> None:
     word = Drive(driver="somebody", goal=goal)
-    hears = lambda tick, _: {"operator": (word,)} if tick % 8 == 0 else {}  # noqa: E731
-    rows, _ = _drive(TeleopDriver(_told(v_max=1.0, u_max=0.5)), 600, hears=hears)
+    receives = lambda tick, _: {"operator": (word,)} if tick % 8 == 0 else {}  # noqa: E731
+    rows, _ = _drive(TeleopDriver(_told(v_max=1.0, u_max=0.5)), 600, receives=receives)
     assert rows[-1, :2] == pytest.approx(goal, abs=1e-3)
 
 
 def test_nobody_at_the_wheel_and_an_empty_word_both_brake() -> None:
     nobody, _ = _drive(TeleopDriver(_told()), 80, velocity=(V_G, 0.0))
     nothing = Drive(driver="somebody")
-    empty, _ = _drive(TeleopDriver(_told()), 80, velocity=(V_G, 0.0), hears=_says(t0=nothing))
-    stopped, _ = _drive(TeleopDriver(_told()), 80, hears=_says(t0=FULL, t5=nothing))
+    empty, _ = _drive(TeleopDriver(_told()), 80, velocity=(V_G, 0.0), receives=_says(t0=nothing))
+    stopped, _ = _drive(TeleopDriver(_told()), 80, receives=_says(t0=FULL, t5=nothing))
     for rows in (nobody, empty, stopped):
         assert np.abs(rows[-30:, 2:4]).max() <= 1e-15
     assert nobody[-1, 0] - MIDDLE[0] == pytest.approx(V_G**2 / (2.0 * U_G), abs=V_G * DT)
 
 
 def test_an_operator_who_comes_back_drives_on() -> None:
-    rows, _ = _drive(TeleopDriver(_told()), 160, hears=_says(t0=FULL, t100=FULL))
+    rows, _ = _drive(TeleopDriver(_told()), 160, receives=_says(t0=FULL, t100=FULL))
     assert rows[99, 2] == pytest.approx(0.0, abs=1e-15)
     assert rows[111, 2] == pytest.approx(11 * U_G * DT)
 
@@ -375,7 +381,7 @@ def test_a_wanderer_reaches_one_goal_after_the_other(key: int) -> None:
         goals.append(driver.goal)
         return {}
 
-    rows, _ = _drive(driver, 6000, hears=notes)
+    rows, _ = _drive(driver, 6000, receives=notes)
     assert np.hypot(rows[:, 2], rows[:, 3]).max() == pytest.approx(1.0, rel=1e-9)
     changes = [tick for tick, (a, b) in enumerate(pairwise(goals)) if a != b]
     assert len(changes) > 10
@@ -401,10 +407,10 @@ def test_wanderers_of_other_keys_go_other_ways_and_all_over_the_area() -> None:
 # evade
 
 
-def _shadowed(place: Callable[[float], Point]) -> Hears:
+def _shadowed(place: Callable[[float], Point]) -> Receives:
     """Radio messages of a UAV that flies a known way, five a second and a tick late."""
 
-    def hears(tick: int, at: Point) -> dict[str, Any]:
+    def receives(tick: int, at: Point) -> dict[str, Any]:
         if tick % 4 != 1:
             return {}
         time = (tick - 1) * DT
@@ -412,7 +418,7 @@ def _shadowed(place: Callable[[float], Point]) -> Hears:
         here = {"time": time, "relative_position": (x - at[0], y - at[1])}
         return {"radio": (RelativeInformation(**here, coverage_error=1.0),)}
 
-    return hears
+    return receives
 
 
 class _Straight:
@@ -432,21 +438,21 @@ class _Straight:
 
 
 def test_it_leaves_behind_a_uav_that_flies_off() -> None:
-    rows, _ = _drive(_Straight(_told()), 100, hears=_shadowed(lambda t: (9.0 - 0.6 * t, 10.0)))
+    rows, _ = _drive(_Straight(_told()), 100, receives=_shadowed(lambda t: (9.0 - 0.6 * t, 10.0)))
     assert rows[-1, 2:4] == pytest.approx((V_G, 0.0), abs=1e-3)
 
 
 def test_it_reverses_when_the_uav_comes_up_fast_and_keeps_on_when_that_has_passed() -> None:
-    rows, _ = _drive(_Straight(_told()), 160, hears=_shadowed(lambda t: (7.0 + 0.6 * t, 10.0)))
-    assert rows[15, 2] > 0.02  # it has heard nothing of the UAV's speed yet
+    rows, _ = _drive(_Straight(_told()), 160, receives=_shadowed(lambda t: (7.0 + 0.6 * t, 10.0)))
+    assert rows[15, 2] > 0.02  # it has received nothing of the UAV's speed yet
     assert rows[130:, 2].max() < -0.95 * V_G
 
 
 def test_it_turns_off_sharply_now_and_then_when_its_key_says() -> None:
-    turns, hears = [], _shadowed(lambda t: (499.0, 500.0))
+    turns, receives = [], _shadowed(lambda t: (499.0, 500.0))
     for key in (1, 2, 3):
         driver = EvadeDriver(_told(key=key, side=1000.0))
-        rows, _ = _drive(driver, 2000, start=(500.0, 500.0), hears=hears)
+        rows, _ = _drive(driver, 2000, start=(500.0, 500.0), receives=receives)
         size = np.hypot(*rows[:-1, 4:6].T)
         turns.append(np.flatnonzero((size[:-1] < 0.02) & (size[1:] > 0.09)).tolist())
         assert 5 <= len(turns[-1]) <= 15
@@ -467,10 +473,10 @@ def test_it_neither_runs_into_the_border_nor_gets_stuck_there(
     share, phase = circling
     speed = WanderDriver(_told(v_max=v_max, u_max=u_max, side=side)).parameters.speed
     x, y = uav[0] * side / 20.0, uav[1] * side / 20.0
-    hears = _shadowed(
+    receives = _shadowed(
         lambda t: (x + share * math.cos(phase + 0.5 * t), y + share * math.sin(phase + 0.5 * t))
     )
-    rows, _ = _drive(driver, 2500, start=(side / 2, side / 2), hears=hears)
+    rows, _ = _drive(driver, 2500, start=(side / 2, side / 2), receives=receives)
     assert rows[:, :2].min() >= 0.0
     assert rows[:, :2].max() <= side
     lasting = min(2500, math.ceil(20.0 * speed / u_max / DT) + 200)
@@ -479,7 +485,7 @@ def test_it_neither_runs_into_the_border_nor_gets_stuck_there(
 
 
 def test_a_corner_is_left_again() -> None:
-    rows, _ = _drive(EvadeDriver(_told()), 20000, hears=_shadowed(lambda t: (14.0, 14.5)))
+    rows, _ = _drive(EvadeDriver(_told()), 20000, receives=_shadowed(lambda t: (14.0, 14.5)))
     corner = np.hypot(rows[:, 0], rows[:, 1])
     arrived = int(np.argmax(corner < 2.0))
     assert 0 < arrived < 5000
@@ -488,13 +494,13 @@ def test_a_corner_is_left_again() -> None:
 
 
 def test_it_wanders_until_it_hears_the_uav_and_again_when_that_falls_silent() -> None:
-    hears = _shadowed(lambda t: (9.0, 10.0))
+    receives = _shadowed(lambda t: (9.0, 10.0))
     evader, wanderer = EvadeDriver(_told()), WanderDriver(_told())
     for tick in range(300):
         state = (*MIDDLE, 0.05, 0.0)
-        heard = hears(tick, MIDDLE) if 100 <= tick < 150 else {}
+        received = receives(tick, MIDDLE) if 100 <= tick < 150 else {}
         alone = wanderer.drive(_observe(tick, state, {}))
-        same = evader.drive(_observe(tick, state, heard)) == alone
+        same = evader.drive(_observe(tick, state, received)) == alone
         assert same == (tick < 101 or tick > 149 + 100)  # five seconds to the tick
 
 

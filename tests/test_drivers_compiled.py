@@ -121,5 +121,5 @@ def test_a_radio_message_of_no_tick_is_not_used() -> None:
             for time in said
         )
         seen = UgvObservation(tick=tick, time=tick * DT, position=(6.0, 4.0), velocity=(0.0, 0.0))
-        heard = msgspec.structs.replace(seen, radio=radio)
-        assert drivers[0].drive(seen) == drivers[1].drive(heard)
+        received = msgspec.structs.replace(seen, radio=radio)
+        assert drivers[0].drive(seen) == drivers[1].drive(received)

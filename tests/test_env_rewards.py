@@ -1,4 +1,4 @@
-"""What the environment pays for, and when an episode ends."""
+"""The environment's rewards, and the end of an episode."""
 
 import dataclasses
 import math

@@ -1,4 +1,4 @@
-"""What the environment's arrays hold: each entry where the layout says, and nothing that a vehicle must not know."""
+"""The environment's arrays: each entry where the layout says, and nothing that a vehicle must not know."""
 
 import math
 from pathlib import Path
@@ -206,7 +206,7 @@ def test_patch_is_the_map_around_the_uav_and_covered_outside_the_area(pixels, sc
 
 
 def test_of_several_uavs_each_sees_its_own_map_alone():
-    """What the other has seen is not in the picture; what was covered from the start is in both."""
+    """The picture holds nothing that the other has seen; ground covered from the start is in both."""
     two = Scenario(
         duration=60.0,
         coverage=Coverage(covered=(Region(lower=(0.0, 0.0), upper=(8.0, 40.0)),)),

@@ -1,4 +1,4 @@
-"""What the pages about environments, suite and tutorial show is what is there."""
+"""The pages about environments, suite and tutorial show what is there."""
 
 import inspect
 import re

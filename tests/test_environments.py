@@ -1,4 +1,4 @@
-"""What all environments have alike, of one world or of many: what they refuse, and what they return."""
+"""All environments, of one world or of many, refuse and return alike."""
 
 import copy
 import math

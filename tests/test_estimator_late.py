@@ -157,7 +157,7 @@ def test_switched_off_it_holds_the_newest_detection_by_its_own_time():
 def test_the_gate_judges_anew_when_something_earlier_arrives():
     estimator = make()
     call(estimator, 0)
-    call(estimator, 1, detection(1, (30.0, 25.0)))  # an outlier, and the first that it hears of
+    call(estimator, 1, detection(1, (30.0, 25.0)))  # an outlier, and the first that it receives of
     for k in (2, 3):
         deceived = call(estimator, k, detection(k, (20.0, 20.0)))
     assert (deceived.refused, deceived.age) == (2, 2 * DT)

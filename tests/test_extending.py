@@ -1,4 +1,4 @@
-"""What CONTRIBUTING.md says is enough: its blocks are done in a copy of the sources, and what they add is flown."""
+"""CONTRIBUTING.md says enough: its blocks are done in a copy of the sources, and what they add is flown."""
 
 import ast
 import json
@@ -168,7 +168,7 @@ def copied(root: Path) -> Path:
 
 
 def answer(root: Path, code: str, **environment: str) -> dict[str, Any]:
-    """What a program that prints one JSON object says, run with the copy."""
+    """The one JSON object that a program prints, run with the copy."""
     own = {"PYTHONPATH": str(root), "OUTRIDER_CACHE": str(root / "cache"), "COLUMNS": "250"}
     done = python(code, cwd=root, env=os.environ | own | environment, check=False)
     assert done.returncode == 0, done.stderr
@@ -187,7 +187,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def extended(root: Path) -> dict[str, Any]:
-    """What it says and flies; without numba, as compiling a flight takes longer than all the rest."""
+    """Its output and its flight; without numba, as compiling a flight takes longer than all the rest."""
     return answer(root, FLIGHT, NUMBA_DISABLE_JIT="1")
 
 

@@ -1,4 +1,4 @@
-"""What a process loads: filterpy's filter without its rest, whose bits stay, and no compiler where nothing is flown."""
+"""The imports of a process: filterpy's filter without its rest, to the same bits; no compiler where nothing flies."""
 
 import subprocess
 import sys

@@ -52,7 +52,7 @@ def refuses(key: Key, payload: bytes) -> bool:
 
 @cache
 def stream() -> tuple[tuple[str, bytes], ...]:
-    """What one client sends: mutations, wake-ups of its own making, and payloads of more and of exactly 64 KiB."""
+    """The payloads of one client: mutations, wake-ups of its own making, and payloads of more and of exactly 64 KiB."""
     rng = random.Random(12)
     sent = [(name, mutated(COMMANDS[name], rng)) for name in rng.choices(list(COMMANDS), k=STREAM)]
     good = msgspec.json.encode(UgvCommand(tick=1, acceleration=(0.0, 0.0)))
@@ -82,10 +82,10 @@ class Wire:
         writer = threading.Thread(target=self._send, args=(sent,))
         writer.start()
         read: list[tuple[str, object]] = []
-        while (letter := self.inbox.receive(20.0)) is not None and letter.message != SENTINEL:
-            read.append((letter.sender, letter.message))
+        while (envelope := self.inbox.receive(20.0)) is not None and envelope.message != SENTINEL:
+            read.append((envelope.sender, envelope.message))
         writer.join(20.0)
-        assert letter is not None, "the sentinel is lost"
+        assert envelope is not None, "the sentinel is lost"
         return read
 
     def _send(self, sent: tuple[tuple[str, bytes], ...]) -> None:

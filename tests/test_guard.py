@@ -49,7 +49,7 @@ LATEST = 40  # ticks that a detection is on its way at most
 
 
 def declared(delay: float = 0.0, error: float | None = 0.3) -> UavBriefing:
-    """What the paper's UAV is told, with this delay of its commands [s] and this error of its detections [m]."""
+    """The briefing of the paper's UAV, with this delay of its commands [s] and this error of its detections [m]."""
     return msgspec.structs.replace(
         told(escort("certified")), certificate=DeclaredBounds(error=error, age=1.0, delay=delay)
     )

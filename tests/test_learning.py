@@ -72,7 +72,7 @@ def test_it_flies_a_single_environment_as_it_flies_a_batch() -> None:
     worlds.reset(SEEDS, None)
     k = 1
     env = alone(NOISY, policies["single"])
-    crew = pilots(env)
+    drive = pilots(env)["ugv_0"]
     seen, _ = env.reset(seed=SEEDS[k])
     for _ in range(500):
         observed = worlds.observe("uav_0")
@@ -84,7 +84,7 @@ def test_it_flies_a_single_environment_as_it_flies_a_batch() -> None:
         assert action.shape == (2,)
         assert np.array_equal(action, actions[k])
         worlds.step({"uav_0": actions})
-        seen, *_ = env.step({"uav_0": action, "ugv_0": crew["ugv_0"](seen["ugv_0"])})
+        seen, *_ = env.step({"uav_0": action, "ugv_0": drive(seen["ugv_0"])})
     assert env.unwrapped.metrics()["uav_0"]["distance"] == worlds.metrics()["uav_0"]["distance"][k]
 
 

@@ -146,16 +146,16 @@ def test_one_network_for_the_environment_one_process_and_three(tmp_path: Path) -
 def test_a_process_that_joins_again_is_told_what_had_arrived() -> None:
     scenario = degraded(300)
     flight = Flight(scenario, 7)
-    crew = {name: PILOT[name](briefing(scenario, name, 7)) for name in flight.world.names}
-    seen: dict[str, list[Any]] = {name: [] for name in crew}
+    pilots = {name: PILOT[name](briefing(scenario, name, 7)) for name in flight.world.names}
+    seen: dict[str, list[Any]] = {name: [] for name in pilots}
     for _ in range(300):
         flight.say("ugv_0", Drive(driver="me", velocity=(0.1, 0.0)))
         now = flight.observations()
         flight.recorder.record(flight.answers.reports)
         for name, observation in now.items():
             seen[name].append(observation)
-        flight.apply({name: pilot.act(now[name]) for name, pilot in crew.items()})
-    for name in crew:
+        flight.apply({name: pilot.act(now[name]) for name, pilot in pilots.items()})
+    for name in pilots:
         assert flight.past(name, 0, 250, ()) == tuple(seen[name][:250])
         assert flight.past(name, 100, 300, ()) == tuple(seen[name][100:300])
 

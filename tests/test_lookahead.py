@@ -35,7 +35,7 @@ def _parameters(cell: float) -> LawParameters:
 
 
 def _flown(c: LawParameters, ahead: Ahead, motion: np.ndarray, looks: int) -> float:
-    """What `worth` says, by the world's own step and kernels: so many looks in each step."""
+    """The result of `worth`, by the world's own step and kernels: so many looks in each step."""
     seen = empty_coverage(c.width, c.height, c.cell)
     seen[:, 12:] = 0.7
     unseen, saved, state = seen.copy(), 0.0, tuple(HERE)

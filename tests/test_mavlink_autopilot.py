@@ -50,7 +50,7 @@ class Autopilot(Station):
         return mavlink.MAVLink_local_position_ned_message(*(told | changes).values())
 
     def live(self, *, moves=True):
-        """Hear what it is to do, do it, and tell."""
+        """Receive what it is to do, do it, and tell."""
         told = self.told()
         self.asked += of(told, "COMMAND_LONG")
         for one in of(told, "SET_POSITION_TARGET_LOCAL_NED"):

@@ -78,8 +78,8 @@ def test_a_world_of_the_vector_environment_is_the_parallel_one_bit_for_bit() -> 
     assert math.isnan(told["mission_time"])
     tiles = seen["ugv_0"]["tiles"]
     assert equal(tiles, all_infos["ugv_0"]["final_obs"][0]["tiles"])
-    heard = env.world.arrays[1].mission.ugvs["told"].item()
-    assert heard > 100
+    received = env.world.arrays[1].mission.ugvs["told"].item()
+    assert received > 100
     metrics = env.metrics()["ugv_0"]
     assert metrics["reward_hit"] == 0.0  # it was paid for once, some ticks ago
     assert metrics["reward_still"] == pytest.approx(-0.1 * env.scenario.dt)
@@ -199,7 +199,7 @@ def fingerprint(tasks: Sequence[Task]) -> str:
 
 
 def test_the_tasks_of_a_suite_with_a_number_never_change() -> None:
-    """Whoever must change one gives the suite its next number."""
+    """A change of one gives the suite its next number."""
     assert fingerprint(TASKS) == "4b496d6da71553fa5d4eee590bc83625068246e732b45f993af9cb1235c99155"
     assert (
         fingerprint(MISSIONS) == "8644307c4b4c33bfa822b0b24a55dd9fa63d2f4140f25e3ecdb8807b948d79c8"

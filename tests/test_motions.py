@@ -275,7 +275,7 @@ def test_a_silence_that_is_longer_than_declared_is_told_by_its_name() -> None:
 def reasons(
     delay: float, outage: float, ticks: range, flown, moved=lambda _: (8.0, 7.0)
 ) -> list[str]:
-    """What a filter says of each tick, at rest and with one detection in the first; `flown` and `moved` by tick."""
+    """A filter's answers to each tick, at rest and with one detection in the first; `flown` and `moved` by tick."""
     pilot = SafetyFilter(
         told(small("certified", certificate=Certificate(delay=delay, outage=outage)))
     )

@@ -1,4 +1,4 @@
-"""What a first user meets: names that collide, brackets in paths and errors, a file to begin with, the doctor."""
+"""The first steps of a user: names that collide, brackets in paths and errors, a file to begin with, the doctor."""
 
 import json
 import sys

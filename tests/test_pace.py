@@ -19,7 +19,7 @@ SEEN = {
 
 
 class Bus:
-    """A session and seats that follow a timetable.
+    """A session and slots that follow a timetable.
 
     Until when [s], which routers are there, which vehicles are absent.
     """
@@ -68,8 +68,8 @@ class Bus:
         time.sleep(min(patience, 0.01))
         return None
 
-    def take(self, letter, _tick, commands, *, oldest=None):
-        commands[letter.sender] = letter
+    def take(self, envelope, _tick, commands, *, oldest=None):
+        commands[envelope.sender] = envelope
         return True
 
 

@@ -192,7 +192,7 @@ def _asked(
     kind: Callable[[Callable[[], object]], Policy] = _function,
     velocity: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[float, float]:
-    """What such a policy makes the UGV do that answers so."""
+    """The acceleration of a UGV whose policy answers so."""
     driver = PolicyDriver(told_ugv(), policy=kind(lambda: answer), name="mine:drive")
     return driver.drive(_seen(12, velocity=velocity))
 
@@ -286,20 +286,22 @@ def test_a_policy_that_raises_is_named_in_one_line(kind: Any) -> None:
 )
 def test_the_pilots_row_is_the_environments_to_the_bit_over_a_flight(scenario: Scenario) -> None:
     env = outrider.parallel_env(scenario, end_on_sight_lost=False)
-    fleet = pilots(env)
+    policies = pilots(env)
     observations, _ = env.reset(seed=4)
     theirs = []
     while env.agents:
         theirs.append(observations["ugv_0"])
-        observations, *_ = env.step({name: fleet[name](observations[name]) for name in env.agents})
-    crew, rows, ours = make_pilots(scenario, 4), UgvRows(env.briefing("ugv_0")), []
+        observations, *_ = env.step(
+            {name: policies[name](observations[name]) for name in env.agents}
+        )
+    flying, rows, ours = make_pilots(scenario, 4), UgvRows(env.briefing("ugv_0")), []
 
     def act(seen: UgvObservation) -> Command:
         ours.append(rows.row(seen))
-        return crew["ugv_0"].act(seen)
+        return flying["ugv_0"].act(seen)
 
     flight = Flight(scenario, 4)
-    flight.fly(Piloted(crew, "ugv_0", act))
+    flight.fly(Piloted(flying, "ugv_0", act))
     assert [row.tobytes() for row in ours] == [row.tobytes() for row in theirs]
     assert all(row.dtype == np.float64 for row in ours)
     assert flight.recorder.ticks == len(theirs)

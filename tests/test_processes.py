@@ -94,7 +94,7 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_was_flown(tmp_path: Path) -> N
 
 
 def _ending(before: str) -> "subprocess.CompletedProcess[str]":
-    """How a command ends where this has been run before it."""
+    """The end of a command where this has been run before it."""
     code = f"import atexit, os, signal, sys, threading, time\nfrom outrider.cli.main import main\n{before}\n"
     return python(f"{code}sys.argv = ['outrider', '--version']\nmain()\n", check=False)
 

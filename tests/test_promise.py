@@ -1,4 +1,4 @@
-"""What the certificate assumes and links or detector cannot keep is told before the flight, each with its field."""
+"""Assumptions that links or detector cannot keep are told before the flight, each with its field."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""What the README and the pages of docs show is what is there."""
+"""The README and the pages of docs show what is there."""
 
 import json
 import re
@@ -76,7 +76,7 @@ def test_the_links_shown_can_be_flown(tmp_path: Path) -> None:
 
 
 def printed(page: str, capsys: pytest.CaptureFixture[str]) -> str:
-    """What the only Python of a page prints."""
+    """The output of the only Python of a page."""
     (shown,) = blocks("python", page)
     exec(compile(shown, page, "exec"), {})  # noqa: S102
     return capsys.readouterr().out

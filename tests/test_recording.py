@@ -85,7 +85,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flight]:
 
 
 def plain(path: Path) -> dict[str, list[tuple[int, bytes]]]:
-    """What the library `mcap` finds by itself: time and data of each channel, in its order."""
+    """The content of a file as the library `mcap` finds it by itself: time and data of each channel, in its order."""
     found: dict[str, list[tuple[int, bytes]]] = {}
     with path.open("rb") as file:
         for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():

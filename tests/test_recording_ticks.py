@@ -1,4 +1,4 @@
-"""What the recording's thread writes of each tick: the same bytes as the messages.
+"""The recording's thread writes of each tick the same bytes as the messages.
 
 And what operators said, with its tick.
 """
@@ -187,14 +187,14 @@ class Operated(InProcess):
     def __init__(self, flight: Flight, spoken: dict[int, Any]) -> None:
         super().__init__(make_pilots(flight.scenario, flight.seed))
         self._flight, self._spoken = flight, spoken
-        self.heard: list[UgvObservation] = []
+        self.received: list[UgvObservation] = []
 
     def begin(self, tick: int) -> None:
         for what, *words in self._spoken.get(tick, ()):
             getattr(self._flight, what)(*words)
 
     def publish(self, observations: Any) -> None:
-        self.heard.append(observations["ugv_0"])
+        self.received.append(observations["ugv_0"])
         super().publish(observations)
 
 
@@ -203,13 +203,13 @@ def _fly(path, scenario, spoken=None):
     exchange = Operated(flight, spoken or {})
     flight.fly(exchange, on_tick=lambda: recorder.tick(flight))
     recorder.close()
-    return flight, exchange.heard
+    return flight, exchange.received
 
 
 def test_what_operators_said_and_changed_is_in_the_file_with_its_tick(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    flight, heard = _fly(path, ONE, SPOKEN)
-    words = [word for seen in heard for word in seen.operator]
+    flight, received = _fly(path, ONE, SPOKEN)
+    words = [word for seen in received for word in seen.operator]
     recording = flight_of(path)
     assert [word.tick for _, word in recording.words] == [0, 9, 9, 41]
     assert {ugv for ugv, _ in recording.words} == {"ugv_0"}

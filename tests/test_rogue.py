@@ -47,7 +47,7 @@ SECRET = bytes(range(100, 116)).hex()
 ROW = 0
 """Of uav_0 among the vehicles."""
 WAYS = KEY, FLAGS, LOOKS = range(3)
-"""What a search goes by: the briefing's key, which looks succeeded, what they said."""
+"""The evidence of a search: the briefing's key, which looks succeeded, what they said."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,13 +58,13 @@ class Told:
     ticks: IntArray
     """Of the looks that were due. Shape (looks,)."""
     found: npt.NDArray[np.bool_]
-    """Which succeeded. Shape (looks,)."""
+    """True where a look succeeded. Shape (looks,)."""
     said: FloatArray
-    """What they said of p_delta [m]; NaN where they failed. Shape (looks, 2)."""
+    """p_delta as they said it [m]; NaN where they failed. Shape (looks, 2)."""
     sigma: float
     cut: float
     fastest: float
-    """How far p_delta may go in a tick [m]."""
+    """The farthest that p_delta may go in a tick [m]."""
 
 
 @released
@@ -153,13 +153,13 @@ class _Bugged(InProcess):
 
     def __init__(self, flight: Flight) -> None:
         super().__init__(make_pilots(flight.scenario, flight.seed, secret=flight.secret))
-        self.heard: list[UavObservation] = []
+        self.received: list[UavObservation] = []
 
     def publish(self, observations: Mapping[str, Observation]) -> None:
         super().publish(observations)
         mine = observations["uav_0"]
         assert isinstance(mine, UavObservation)
-        self.heard.append(mine)
+        self.received.append(mine)
 
 
 def _told(secret: str, ticks: IntArray, said: FloatArray) -> Told:
@@ -179,14 +179,14 @@ def _told(secret: str, ticks: IntArray, said: FloatArray) -> Told:
 
 @functools.cache
 def _on_the_bus(secret: str) -> tuple[Told, FloatArray]:
-    """What it is told over the bus, and what p_delta truly was."""
+    """Its messages from the bus, and the true p_delta."""
     flight = Flight(SCENARIO, SEED, secret=secret)
     bug = _Bugged(flight)
     flight.fly(bug)
     said = np.array(
         [
             look.detections[0].relative_position if look.detections else (math.nan,) * 2
-            for look in bug.heard
+            for look in bug.received
         ]
     )
     states = flight.recorder.states[:, :, :2]

@@ -3,7 +3,7 @@
 from typing import Any
 
 import zenoh
-from staging import Heard, everybody, listening, settled
+from staging import Received, everybody, listening, settled
 
 from bus.access import access_control, new_credentials
 from bus.keys import KEYS, Role
@@ -50,7 +50,7 @@ def test_each_party_reads_and_writes_its_own_topics_and_no_others(endpoint: str)
     }
     assert {("ros2_observer", f"0/tf/{TYPE}", "ros2")} < wanted
     assert not {one for one in wanted if one[0] in OWN}
-    found: Heard = set()
+    found: Received = set()
     with everybody(endpoint, GIVEN, NAMES) as sessions:
         widest = ("**", "0/**", f"*/**/{TYPE}")
         kept = [

@@ -265,8 +265,8 @@ def test_an_operators_node_drives_and_what_is_bad_is_counted_and_told(tmp_path: 
         def driven() -> bool:
             driving.put(_key(), GOOD, attachment=beside)
             looking.put(_key(), encode(TWISTS[1], _twist(0.0, 0.15)), attachment=beside)
-            while (letter := wheels.next_waiting()) is not None:
-                drives.append(letter.message)
+            while (envelope := wheels.next_waiting()) is not None:
+                drives.append(envelope.message)
             return bool(drives)
 
         wait_until(driven)

@@ -87,7 +87,7 @@ def must_load_or_be_refused_in_one_line(source, overrides=()) -> None:
 
 
 def assert_vehicles_can_be_told(scenario: Scenario) -> None:
-    """Whatever loads fits the messages' own bounds."""
+    """A scenario that loads fits the messages' own bounds."""
     for vehicle in scenario.vehicles:
         told = briefing(scenario, vehicle.name, scenario.seed)
         assert msgspec.json.decode(msgspec.json.encode(told), type=type(told)) == told

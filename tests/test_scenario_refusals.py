@@ -1,4 +1,4 @@
-"""Whatever is wrong with a scenario becomes one line.
+"""Any fault of a scenario becomes one line.
 
 The file, the field, its value, what is wrong, what is allowed.
 """

@@ -1,4 +1,4 @@
-"""What vehicles meet on the ground and what their sensors tell of it, against plain arithmetic."""
+"""The ground under the vehicles and the tiles that their sensors tell, against plain arithmetic."""
 
 import math
 from typing import Any
@@ -180,8 +180,8 @@ def test_a_block_that_says_what_the_uavs_sensor_has_not_told_is_not_sent() -> No
     flight, forged = Flight(scenario, 1), GroundBlock(column=0, row=0, tiles="." * 64)
     flight.fly(altered(make_pilots(scenario, 1), "uav_0", lambda _: {"blocks": (forged,)}))
     assert flight.refused_blocks == {"uav_0": scenario.ticks}
-    heard = [one for seen in flight._blocks.values() for one in seen.values()]
-    assert heard == []
+    received = [one for seen in flight._blocks.values() for one in seen.values()]
+    assert received == []
 
 
 def test_the_blocks_that_a_ugv_hears_are_what_the_uav_has_seen_of_the_ground_around_it() -> None:
@@ -189,18 +189,18 @@ def test_the_blocks_that_a_ugv_hears_are_what_the_uav_has_seen_of_the_ground_aro
     flight = Flight(scenario, 1)
     flight.fly(InProcess(make_pilots(scenario, 1)))
     known = flight.world.arrays[1].ground.known[0, 0]
-    heard = np.zeros_like(known)
+    received = np.zeros_like(known)
     for tick, blocks in flight._blocks["ugv_0"].items():
         assert tick % 5 == 1  # four in a second, and a tick by radio
         for block in blocks:
             for place, letter in enumerate(block.tiles):
                 row, column = block.row * 8 + place // 8, block.column * 8 + place % 8
                 if letter != "?":
-                    heard[row, column] = "?.~#*".index(letter)
+                    received[row, column] = "?.~#*".index(letter)
     assert flight.refused_blocks == {"uav_0": 0}
-    assert (heard[heard > 0] == known[heard > 0]).all()
-    assert (heard > 0).sum() > 0.5 * (known > 0).sum()
-    assert {BLOCK, ROUGH} <= set(heard.ravel().tolist())
+    assert (received[received > 0] == known[received > 0]).all()
+    assert (received > 0).sum() > 0.5 * (known > 0).sum()
+    assert {BLOCK, ROUGH} <= set(received.ravel().tolist())
 
 
 def test_the_mission_tells_how_long_before_each_hazard_was_known() -> None:
@@ -209,7 +209,7 @@ def test_the_mission_tells_how_long_before_each_hazard_was_known() -> None:
     block = GroundBlock(column=2, row=1, tiles="." * 32 + "....##.." + "." * 24)
     for tick in range(401):
         if tick == 20:
-            world.hear_block(1, block)  # of two tiles of DISC
+            world.receive_block(1, block)  # of two tiles of DISC
         drive(world, 1)
     mission = world.mission
     assert (mission.hazards_on_way, mission.warned, mission.hazards_hit) == (2, 1, 1)

@@ -41,7 +41,7 @@ def test_the_oldest_sessions_of_each_party_stay(certified: bool) -> None:
 
 
 def test_of_nobodys_sessions_the_oldest_stay_and_newcomers_have_time() -> None:
-    """Who was there before a flood is not disturbed, and who comes in it can say who it is."""
+    """A session from before a flood is not disturbed, and one that comes in it can say whose it is."""
     old, new = links("old", NAMELESS + 10), links("new", NEWCOMERS + 10)
     since = dict.fromkeys(old, 0.0) | dict.fromkeys(new, 10.0)
     assert surplus(since, {}, 10.0 + 0.5 * GRACE) == old[NAMELESS:] + new[:10]
@@ -133,13 +133,13 @@ def test_one_vehicle_with_hundreds_of_sessions_keeps_no_other_out(
 
 def test_a_party_claims_sessions_in_its_own_name_alone() -> None:
     given, endpoint = GIVEN["tcp"], f"tcp/127.0.0.1:{free_port()}"
-    heard: list[str] = []
+    received: list[str] = []
     with hosted(endpoint, given) as router, raw_session(endpoint, given.of("ugv_0")) as rogue:
         router._zenoh.liveliness().declare_subscriber(
-            session_token(RUN, "*", "*"), lambda sample: heard.append(str(sample.key_expr))
+            session_token(RUN, "*", "*"), lambda sample: received.append(str(sample.key_expr))
         )
         claims = [session_token(RUN, name, "a") for name in ("uav_0", "simulator", "ugv_0")]
         kept = [rogue.liveliness().declare_token(claim) for claim in claims]
-        wait_until(lambda: bool(heard))
-        assert heard == [claims[-1]]
+        wait_until(lambda: bool(received))
+        assert received == [claims[-1]]
         assert kept

@@ -287,12 +287,12 @@ def test_ctrl_c_keeps_what_is_done_says_how_to_go_on_and_leaves_no_process(tmp_p
     process = started(*command, stdout=subprocess.PIPE)
     wait_for(lambda: parts(tmp_path / "sweep") >= 1, process)
     workers = [pid for pid in _session(process.pid) if "LokyProcess" in command_line(pid)]
-    deaf = [
+    blocking = [
         blocks(pid, signal.SIGINT) for pid in workers
     ]  # else one may show where it was interrupted
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
     out, err = process.communicate(timeout=30)
-    assert deaf == [True, True]
+    assert blocking == [True, True]
     assert process.returncode == 130, err
     assert out == ""
     kept = len(rows_of(tmp_path / "sweep")["run"])

@@ -215,7 +215,7 @@ def test_a_law_that_needs_no_switching_radius_flies_where_there_is_none() -> Non
 
 
 def test_no_file_and_no_public_class_has_the_name_of_another(trees: dict[Path, ast.Module]) -> None:
-    """Whoever looks for a name finds the one thing that has it."""
+    """A search for a name finds the one thing that has it."""
     beside = [
         path
         for folder in ("benchmarks", "tools", "tests")
@@ -231,3 +231,63 @@ def test_no_file_and_no_public_class_has_the_name_of_another(trees: dict[Path, a
     twice = [name for name, count in Counter([*files, *classes]).items() if count > 1]
     assert twice == []
     assert len(classes) > 300
+
+
+PRIVATE = {
+    "crew",
+    "deaf",
+    "deeds",
+    "desk",
+    "ether",
+    "glance",
+    "hear",
+    "heard",
+    "heed",
+    "leash",
+    "seat",
+}
+"""Private metaphors that have the field's word now: pilots, operator controls, channel, receive, slot and so on."""
+RIDDLE = re.compile(r"(What|Who|Whom|Whose|Whoever|Whatever|How|Which)\b")
+
+
+def _words(node: ast.AST) -> list[str]:
+    """The words of what this names."""
+    named = [getattr(node, field, None) for field in ("name", "id", "attr", "arg")]
+    names = " ".join(name for name in named if isinstance(name, str))
+    return [word.lower() for word in re.findall(r"[A-Z]?[a-z]+", names)]
+
+
+def unclear(tree: ast.AST) -> list[str]:
+    """Docstrings of a file that are riddles, and names with words that are nobody else's."""
+    prose = {node.value for node in _docstrings(tree) if isinstance(node, ast.Constant)}
+    riddles = [text for text in prose if isinstance(text, str) and RIDDLE.match(text)]
+    words = {word for node in ast.walk(tree) for word in _words(node)}
+    return sorted(riddles) + sorted(words & PRIVATE)
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ('"""What a flight needs."""', ["What a flight needs."]),
+        ('x = 1\n"""Whose it is."""', ["Whose it is."]),
+        ("def hear_block(): pass", ["hear"]),
+        ("class FrontSeat: pass", ["seat"]),
+        ("f(heard=run.desk)", ["desk", "heard"]),
+        ('"""Whether it is seated: nobody is overheard."""', []),
+    ],
+)
+def test_a_riddle_and_a_private_word_would_be_found(text: str, found: list[str]) -> None:
+    assert unclear(ast.parse(text)) == found
+
+
+def test_docstrings_state_and_names_are_the_fields_words(trees: dict[Path, ast.Module]) -> None:
+    beside = [
+        path
+        for folder in ("benchmarks", "examples", "tests", "tests_learning", "tools")
+        for path in (ROOT / folder).rglob("*.py")
+        if path != Path(__file__)
+    ]
+    parsed = trees | {path: ast.parse(path.read_text(encoding="utf-8")) for path in beside}
+    found = {str(path.relative_to(ROOT)): unclear(tree) for path, tree in parsed.items()}
+    assert {path: lines for path, lines in found.items() if lines} == {}
+    assert len(parsed) > 400

@@ -24,7 +24,7 @@ def test_each_world_is_the_parallel_environment_also_over_ends(name: str) -> Non
     scenario, agent, options = CASES[name]
     seeds = [21, 22, 23]
     singles = [outrider.parallel_env(scenario, **options) for _ in seeds]
-    crews = [pilots(env) for env in singles]
+    policies = [pilots(env) for env in singles]
     many = outrider.vector_env(scenario, num_envs=3, agent=agent, **options)
     seen, _ = many.reset(seed=21)
     last = [env.reset(seed=seed)[0] for env, seed in zip(singles, seeds, strict=True)]
@@ -33,7 +33,7 @@ def test_each_world_is_the_parallel_environment_also_over_ends(name: str) -> Non
         assert all(equal(last[k][agent], row_of(seen, k)) for k in range(3))
         seen, rewards, terminated, truncated, infos = many.step(actions)
         for k, env in enumerate(singles):
-            commands = {one: policy(last[k][one]) for one, policy in crews[k].items()} | {
+            commands = {one: policy(last[k][one]) for one, policy in policies[k].items()} | {
                 agent: actions[k]
             }
             last[k], paid, terms, truncs, told = env.step(commands)

@@ -1,4 +1,4 @@
-"""What an operator can switch on is compiled or loaded before the first tick: no tick of a live flight waits for it."""
+"""All that an operator can switch on is compiled or loaded before the first tick: no tick of a flight waits for it."""
 
 import json
 import signal

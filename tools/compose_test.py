@@ -56,8 +56,8 @@ observer = Party(role=Role.OBSERVER, name="observer")
 with open_session(observer, given.run, connect="tcp/127.0.0.1:17447", credential=given.of("observer")) as session:
     inbox, limit = session.inbox(STATUS), time.monotonic() + 40
     while time.monotonic() < limit:
-        letter = inbox.receive(1.0)
-        if letter is not None and letter.message.tick >= int(sys.argv[1]):
+        envelope = inbox.receive(1.0)
+        if envelope is not None and envelope.message.tick >= int(sys.argv[1]):
             sys.exit(0)
 sys.exit("the flight has not come to tick " + sys.argv[1])
 """
@@ -83,16 +83,16 @@ try:
 except zenoh.ZError:
     print(json.dumps("refused"))
     sys.exit()
-heard = {}
+received = {}
 def count(sample):
     key = str(sample.key_expr)  # by what has come, whichever subscription it came to
-    heard[key] = heard.get(key, 0) + 1
+    received[key] = received.get(key, 0) + 1
 with session:
     kept = [session.declare_subscriber(key, count) for key in keys]
     for key in filter(None, spoiled.split(",")):
         session.put(key, b"nonsense", allowed_destination=zenoh.Locality.REMOTE)
     time.sleep(float(seconds))
-print(json.dumps(heard))
+print(json.dumps(received))
 """
 TAP = """
 import json, os, socket, sys, threading, time
@@ -121,17 +121,17 @@ settings = client_settings(read_credential(Path(os.environ["OUTRIDER_CREDENTIALS
 config = zenoh.Config()
 for setting, value in settings.items():
     config.insert_json5(setting, json.dumps(value))
-heard = 0
+received = 0
 def count(sample):
-    global heard
-    heard += 1
+    global received
+    received += 1
 with zenoh.open(config) as session:
     kept = session.declare_subscriber(key, count)
     limit = time.monotonic() + seconds
-    while time.monotonic() < limit and heard < 100:
+    while time.monotonic() < limit and received < 100:
         time.sleep(0.05)
 readable = [text for text in ("outrider/", "relative_position", "velocity") if text.encode() in seen]
-print(json.dumps({"heard": heard, "bytes": len(seen), "readable": readable}))
+print(json.dumps({"received": received, "bytes": len(seen), "readable": readable}))
 os._exit(0)
 """
 CERTIFIED = """
@@ -309,29 +309,33 @@ def ticks_shown(port: int, cookie: str, seconds: float) -> list[int]:
         socket.create_connection(("127.0.0.1", port), timeout=seconds) as channel,
     ):
         channel.sendall(UPGRADE.format(port=port, cookie=cookie).encode())
-        heard, limit = b"", time.monotonic() + seconds
+        received, limit = b"", time.monotonic() + seconds
         while time.monotonic() < limit and (part := channel.recv(1 << 16)):
-            heard += part
-            found = [int(tick) for tick in re.findall(rb'"truth":\{"tick":(\d+)', heard)]
-            if len(found) > 1 or not heard.startswith(b"HTTP/1.1 101"):
+            received += part
+            found = [int(tick) for tick in re.findall(rb'"truth":\{"tick":(\d+)', received)]
+            if len(found) > 1 or not received.startswith(b"HTTP/1.1 101"):
                 return found
     return []
 
 
-def heard_by_station(port: int, seconds: float) -> dict[int, set[int]]:
-    """Identifiers of the MAVLink 2 messages that a ground station of this machine hears, by their system."""
-    heard: dict[int, set[int]] = {}
+def received_by_station(port: int, seconds: float) -> dict[int, set[int]]:
+    """Identifiers of the MAVLink 2 messages that a ground station of this machine receives, by their system."""
+    received: dict[int, set[int]] = {}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as channel:
         channel.settimeout(0.5)
         limit = time.monotonic() + seconds
-        while time.monotonic() < limit and (len(heard) < 2 or min(map(len, heard.values())) < 3):
+        while time.monotonic() < limit and (
+            len(received) < 2 or min(map(len, received.values())) < 3
+        ):
             channel.sendto(STATION, ("127.0.0.1", port))
             with contextlib.suppress(TimeoutError, ConnectionRefusedError):
                 packet = channel.recv(1 << 16)
                 while len(packet) >= 12 and packet[0] == 0xFD:
-                    heard.setdefault(packet[5], set()).add(int.from_bytes(packet[7:10], "little"))
+                    received.setdefault(packet[5], set()).add(
+                        int.from_bytes(packet[7:10], "little")
+                    )
                     packet = packet[12 + packet[1] + 13 * (packet[2] & 1) :]
-    return heard
+    return received
 
 
 def own_address() -> str:
@@ -655,12 +659,12 @@ class Checks:
                 for host in (service, address)
             ]
             for service, address in addresses.items():  # somebody does listen there
-                heard = json.loads(
+                received = json.loads(
                     docker.python("router", CALL, f"{service}:9000", f"{address}:9000")
                 )
                 expect(
-                    set(heard.values()) == {"open"},
-                    f"the router, which shares a network with {service}, finds {heard}",
+                    set(received.values()) == {"open"},
+                    f"the router, which shares a network with {service}, finds {received}",
                 )
             found = json.loads(docker.python("uav", CALL, "router:17447", *others))
             with socket.create_server(
@@ -680,7 +684,7 @@ class Checks:
             return f"router: open; {', '.join(addresses)} by name and address, the host, near and far: unreachable"
 
     def keys(self) -> str:
-        """The UAV's container hears its own keys only, writes its own only, and strangers do not get in."""
+        """The UAV's container receives its own keys only, writes its own only, and strangers do not get in."""
         docker, prefix = self.docker, f"outrider/{RUN}"
         own = f"{prefix}/uav_0/observation"
         topics = (
@@ -706,18 +710,19 @@ class Checks:
                 "simulator": pool.submit(listen, "simulator", "simulator", "own", others[1]),
                 "observer": pool.submit(listen, "router", "observer", "own", *others[3:5]),
             }
-            heard = {who: answer.result() for who, answer in asked.items()}
+            received = {who: answer.result() for who, answer in asked.items()}
             for who, allowed in {
                 "ugv": others[:1],
                 "simulator": others[1:2],
                 "observer": others[3:5],
             }.items():
                 expect(
-                    set(heard[who]) == set(allowed),
-                    f"{who} should hear {allowed}, and hears {heard[who]}",
+                    set(received[who]) == set(allowed),
+                    f"{who} should receive {allowed}, and receives {received[who]}",
                 )
             expect(
-                set(heard["uav"]) == {own}, f"the UAV should hear {own}, and hears {heard['uav']}"
+                set(received["uav"]) == {own},
+                f"the UAV should receive {own}, and receives {received['uav']}",
             )
             strangers = {
                 "a wrong password": listen("uav", "uav_0", "wrong-password", own),
@@ -737,7 +742,7 @@ class Checks:
                 f"nonsense in the commands of: {list(faults)}",
             )
         return (
-            f"{heard['uav'][own]} of its own observations, nothing else; strangers are refused; it cannot "
+            f"{received['uav'][own]} of its own observations, nothing else; strangers are refused; it cannot "
             "write for the UGV"
         )
 
@@ -758,7 +763,7 @@ class Checks:
             crossing = json.loads(
                 docker.python("uav", TAP, f"outrider/{RUN}/uav_0/observation", "30")
             )
-            expect(crossing["heard"] >= 100, f"its observations do not come: {crossing}")
+            expect(crossing["received"] >= 100, f"its observations do not come: {crossing}")
             expect(not crossing["readable"], f"of what crosses one can read: {crossing}")
             found = json.loads(docker.python("uav", CERTIFIED))
         finally:
@@ -894,27 +899,29 @@ class Checks:
         docker, folder = self.docker, self.docker.folder / "ros2-credentials"
         more = {"OUTRIDER_SECRETS": str(folder), "OUTRIDER_DURATION": ENDLESS}
         docker.compose("run", "--rm", "credentials", OUTRIDER_ROS2="with", **more)
-        heard: dict[str, Json] = {}
+        received: dict[str, Json] = {}
         try:
             docker.compose("up", "--detach", "simulator-realtime", "ros2", limit=90.0, **more)
             limit = time.monotonic() + 60.0
-            while time.monotonic() < limit and not heard.get("observer"):
-                heard["observer"] = self._heard_by_node("ros2_observer", folder)
-            heard["uav"] = self._heard_by_node("uav_0", folder)
+            while time.monotonic() < limit and not received.get("observer"):
+                received["observer"] = self._received_by_node("ros2_observer", folder)
+            received["uav"] = self._received_by_node("uav_0", folder)
         finally:
             docker.down()
-        topics = {"/".join(key.split("/")[1:-2]) for key in heard["observer"]}
+        topics = {"/".join(key.split("/")[1:-2]) for key in received["observer"]}
         expect(
             {"clock", "tf", "uav_0/odom", "ugv_0/odom"} <= topics,
-            f"a node that looks on hears {sorted(topics)}",
+            f"a node that looks on receives {sorted(topics)}",
         )
-        own = {key for key in heard["observer"] if "/pilot/" in key or key.startswith("outrider/")}
-        expect(not own, f"a node that looks on hears {own}")
-        others = {key for key in heard["uav"] if "uav_0" not in key}
-        expect(not others, f"with the UAV's credentials a node hears {others}")
-        return f"{len(topics)} topics, {sum(heard['observer'].values())} messages in 3 s"
+        own = {
+            key for key in received["observer"] if "/pilot/" in key or key.startswith("outrider/")
+        }
+        expect(not own, f"a node that looks on receives {own}")
+        others = {key for key in received["uav"] if "uav_0" not in key}
+        expect(not others, f"with the UAV's credentials a node receives {others}")
+        return f"{len(topics)} topics, {sum(received['observer'].values())} messages in 3 s"
 
-    def _heard_by_node(self, name: str, folder: Path) -> Json:
+    def _received_by_node(self, name: str, folder: Path) -> Json:
         docker = self.docker
         words = [
             "--rm",
@@ -945,14 +952,14 @@ class Checks:
             bound = docker.inspect(docker.container("mavlink"))["NetworkSettings"]["Ports"]
             hosts = [row["HostIp"] for row in bound["14550/udp"]]
             expect(hosts == ["127.0.0.1"], f"it is published at {bound}")
-            heard = heard_by_station(port, 60.0)
+            received = received_by_station(port, 60.0)
         finally:
             docker.down()
-        expect(len(heard) == 2, f"it is told of the systems {heard}")
-        for system, kinds in heard.items():
+        expect(len(received) == 2, f"it is told of the systems {received}")
+        for system, kinds in received.items():
             expect(0 in kinds and len(kinds) >= 3, f"of system {system} it is told {kinds}")
-        counts = ", ".join(f"system {system}: {len(kinds)}" for system, kinds in heard.items())
-        return f"{more:.0f} MB more; kinds of messages heard at 127.0.0.1:{port}: {counts}"
+        counts = ", ".join(f"system {system}: {len(kinds)}" for system, kinds in received.items())
+        return f"{more:.0f} MB more; kinds of messages received at 127.0.0.1:{port}: {counts}"
 
     def _address_of_the_page(self, port: int) -> str:
         """Path and ticket, from the log."""

@@ -256,11 +256,11 @@ def measure(name: str) -> dict[str, Any]:
                 attacked, started = time.monotonic() - started, time.monotonic()
                 try:
                     with run.session(given.of("observer"), 20.0) as late:
-                        heard = late.declare_subscriber(
+                        received = late.declare_subscriber(
                             f"outrider/{RUN}/status", zenoh.handlers.RingChannel(1)
                         )
                         joined = time.monotonic() - started
-                        heard.recv()
+                        received.recv()
                 except zenoh.ZError:
                     joined = float("inf")
                 after = run.memory("VmRSS")

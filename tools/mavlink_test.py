@@ -55,7 +55,7 @@ def log_of_mavproxy(python: Path, folder: Path) -> Iterator[Row]:
     )
 
 
-def unheard(folder: Path) -> Iterator[Row]:
+def unanswered(folder: Path) -> Iterator[Row]:
     """A flight in lockstep that nobody speaks to: to the same bits as with the run's own pilot.
 
     Raises:
@@ -63,9 +63,9 @@ def unheard(folder: Path) -> Iterator[Row]:
     """
     router = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
     ports = [free_port(socket.SOCK_DGRAM) for _ in range(2)]
-    begin = ("--listen", router, "--duration", 20, "--out", folder / "unheard", "--json")
+    begin = ("--listen", router, "--duration", 20, "--out", folder / "unanswered", "--json")
     to = ("--connect", router)
-    log = folder / "unheard.log"
+    log = folder / "unanswered.log"
     with ExitStack() as stack:
         simulator = stack.enter_context(
             started(log, outrider("simulator", "escort", "--no-picture", *begin))
@@ -73,17 +73,20 @@ def unheard(folder: Path) -> Iterator[Row]:
         await_text(log, "listening on")
         uav = ("--vehicle", "uav_0", "--in", f"udpin:127.0.0.1:{ports[0]}")
         for name, words in (
-            ("unheard-uav", outrider("mavlink", *uav, *to)),
-            ("unheard-ugv", outrider("ugv", *to)),
-            ("unheard-gateway", outrider("mavlink", *to, "--to", f"udpout:127.0.0.1:{ports[1]}")),
+            ("unanswered-uav", outrider("mavlink", *uav, *to)),
+            ("unanswered-ugv", outrider("ugv", *to)),
+            (
+                "unanswered-gateway",
+                outrider("mavlink", *to, "--to", f"udpout:127.0.0.1:{ports[1]}"),
+            ),
         ):
             stack.enter_context(started(folder / f"{name}.log", words))
         simulator.wait(120.0)
-    there = json.loads((folder / "unheard.out").read_text())
+    there = json.loads((folder / "unanswered.out").read_text())
     alone = outrider("run", "escort", "--duration", 20, "--in-process", "--no-files", "--json")
     here = json.loads(subprocess.run(alone, capture_output=True, check=True).stdout)
     same = there["trajectory_sha256"] == here["trajectory_sha256"]
-    yield Row("unheard in lockstep: the same bits", there["trajectory_sha256"][:16], same)
+    yield Row("unanswered in lockstep: the same bits", there["trajectory_sha256"][:16], same)
 
 
 def along(folder: Path, python: Path) -> Iterator[Row]:
@@ -110,8 +113,8 @@ def along(folder: Path, python: Path) -> Iterator[Row]:
         simulator.wait(120.0)
         process.wait(20.0)
     told = json.loads((folder / "along-uav.out").read_text())
-    heard = json.loads((folder / "autopilot.out").read_text().splitlines()[-1])
-    yield Row("MAVSDK's server takes setpoints", heard["setpoints"], heard["setpoints"] > 200)
+    received = json.loads((folder / "autopilot.out").read_text().splitlines()[-1])
+    yield Row("MAVSDK's server takes setpoints", received["setpoints"], received["setpoints"] > 200)
     yield Row("and its telemetry is believed", told["reports"], told["reports"] > 200)
     off, held = told["largest_deviation"], told["held_ticks"]
     value = f"at most {off:.3f} m off, waited for in {held} of {told['ticks']} ticks"
@@ -206,7 +209,7 @@ def watched_and_flown(folder: Path, python: Path) -> Iterator[Row]:
 def findings(folder: Path) -> Iterator[Row]:
     """All checks, by real processes."""
     python = environment("mavlink", NEEDED) / "python"
-    yield from unheard(folder)
+    yield from unanswered(folder)
     yield from along(folder, python)
     yield from watched_and_flown(folder, python)
 

@@ -260,7 +260,7 @@ class Page:
         return float((x * x + y * y) ** 0.5)
 
     def wheel(self) -> str:
-        """Whose the wheel is: `mine`, `other` or `free`."""
+        """The holder of the wheel: `mine`, `other` or `free`."""
         return str(self.run("document.getElementById('wheel-card').dataset.wheel"))
 
     def banner(self) -> str:
@@ -819,12 +819,12 @@ def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:  # n
             executable_path=chromium, args=["--no-sandbox", _OFFLINE]
         )
         try:
-            desk = browser.new_context(viewport={"width": 1280, "height": 800})
+            desktop = browser.new_context(viewport={"width": 1280, "height": 800})
             phone = browser.new_context(
                 viewport={"width": 390, "height": 844}, device_scale_factor=2, has_touch=True
             )
-            first = Page(desk, processes.address("dashboard"), complaints)
-            report("what may run in it", check_policy(desk, address))
+            first = Page(desktop, processes.address("dashboard"), complaints)
+            report("what may run in it", check_policy(desktop, address))
             report("the page opens and the vehicles move", check_open_and_moving(first))
             report("at real time", check_frame_rate(first))
             report("reload", check_reload(first))
@@ -832,12 +832,12 @@ def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:  # n
             report("keys", check_key(first))
             report("gamepad", check_pad(first))
             processes.start("dashboard", "--port", str(free_port()), name=OBSERVERS)
-            report("a recording", check_recording(processes, desk, pictures, complaints))
+            report("a recording", check_recording(processes, desktop, pictures, complaints))
             report("a slider degrades the link", check_links(first))
-            report("an observer", check_observer(processes, desk, complaints))
+            report("an observer", check_observer(processes, desktop, complaints))
             report("another browser", admit_by_form(phone, processes, address))
             second = Page(phone, address, complaints)
-            for name, page in (("desk", first), ("phone", second)):
+            for name, page in (("desktop", first), ("phone", second)):
                 if pictures is not None:
                     page.page.screenshot(path=pictures / f"{name}.png")
             report("on a phone", check_phone(second))
@@ -848,7 +848,7 @@ def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:  # n
             report("several browsers", check_one_wheel(first, second))
             report("touch", check_touch(second, phone))
             doors = Doors(processes, port)
-            third = Page(desk, address, complaints)
+            third = Page(desktop, address, complaints)
             report("controls", check_controls(third))
             report("a dead simulator", check_dead_simulator(third, processes))
             report("doors", check_doors(port, processes, doors))
@@ -919,7 +919,9 @@ def main() -> int:
     """Run all checks."""
     parser = argparse.ArgumentParser(description="Test the dashboard in a real browser.")
     parser.add_argument(
-        "--pictures", type=Path, help="a folder for pictures of the page on a desk and on a phone"
+        "--pictures",
+        type=Path,
+        help="a folder for pictures of the page on a desktop and on a phone",
     )
     parser.add_argument(
         "--install",

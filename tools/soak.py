@@ -33,7 +33,7 @@ from sim.scenario.loading import load_scenario
 PAGE = os.sysconf("SC_PAGE_SIZE") / 2**20
 """MB."""
 BLOWS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGSTOP)
-"""What a vehicle's process is struck with; kills come twice as often."""
+"""The signals that strike a vehicle's process; kills come twice as often."""
 
 
 def respawning(

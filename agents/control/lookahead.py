@@ -59,7 +59,7 @@ class LookaheadState(NamedTuple):
     first: int
     """The leg that the first velocity of the motion is for."""
     noted: int
-    """How many velocities of the UGV have been kept."""
+    """Number of velocities of the UGV that have been kept."""
     products: float
     squares: float
     """Sums of their products and squares [m²/s²]."""

@@ -61,7 +61,7 @@ class Past:
     """A tick that a late detection may be of."""
 
     tick: int
-    """Which; `NEVER`: the row is empty."""
+    """Its number; `NEVER`: the row is empty."""
     own_x: float
     own_y: float
     """p_a then [m]."""

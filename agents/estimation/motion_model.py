@@ -11,9 +11,9 @@ from sim.kernels.compile import FloatArray, compiled
 SURE = 1.0 / math.sqrt(8.0)
 """Least deviation of the position per metre that the UGV may have strayed while it was not seen."""
 _TIRE_LIMIT = 9.81
-"""What tires on the ground can give [m/s²]; where neither of the UGV's bounds is known."""
+"""The acceleration that tires on the ground can give [m/s²]; where neither of the UGV's bounds is known."""
 _HOLD = 1.0
-"""How long an acceleration lasts where the largest speed is not known [s]."""
+"""Duration of an acceleration where the largest speed is not known [s]."""
 _VARIANCE_FLOOR = 1e-12
 """(1 µm)² [m²]: a detector without noise must not make S singular."""
 _FREE_SPEED = 10.0

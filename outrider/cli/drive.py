@@ -1,4 +1,4 @@
-"""`outrider drive`: an operator's seat in a terminal."""
+"""`outrider drive`: teleoperation of a UGV in a terminal."""
 
 import contextlib
 from typing import TYPE_CHECKING, Annotated
@@ -36,7 +36,7 @@ def command(
 
     Watching changes nothing; the first of the keys WASD, arrows or space takes the wheel. A held key drives that way,
     two pressed at once drive diagonally. A terminal does not tell when a key is let go: a press counts for 0.7 s and
-    its repeats prolong it, then the UGV brakes. So it does whenever nothing is heard of its operator.
+    its repeats prolong it, then the UGV brakes. So it does whenever nothing is received from its operator.
 
     Space brakes, + and - set the speed, z shows the whole area, h hands the wheel back, q (or Ctrl-C) hands it
     back and leaves.
@@ -72,18 +72,18 @@ def _await_run(session: "Session", vehicle: str, stop: Stop) -> Status | None:
     from outrider.view.terminal.teleoperation import ugvs_of
 
     statuses = session.inbox(STATUS)
-    letter = statuses.receive(1.0)
-    if letter is None and not stop:
+    envelope = statuses.receive(1.0)
+    if envelope is None and not stop:
         ERR.tell(f"waiting for the simulator of the run {session.run}; Ctrl-C leaves")
-    while letter is None and not stop:
-        letter = statuses.receive(0.5)
+    while envelope is None and not stop:
+        envelope = statuses.receive(0.5)
     statuses.close()
-    if letter is None or not isinstance(letter.message, Status):
+    if envelope is None or not isinstance(envelope.message, Status):
         return None
-    known = ugvs_of(letter.message)
+    known = ugvs_of(envelope.message)
     if known and vehicle not in known:
         raise ScenarioError(f"--name {vehicle}: no UGV of this run; there {_are(known)}")
-    return letter.message
+    return envelope.message
 
 
 def _are(names: tuple[str, ...]) -> str:

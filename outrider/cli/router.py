@@ -79,6 +79,6 @@ def _until_over(session: "Session", stop: Stop) -> None:
     statuses = session.inbox(STATUS)
     over = False
     while not stop and not (over and not present.is_set()):
-        letter = statuses.receive(0.5)
-        if letter is not None and isinstance(letter.message, Status):
-            over = letter.message.over
+        envelope = statuses.receive(0.5)
+        if envelope is not None and isinstance(envelope.message, Status):
+            over = envelope.message.over

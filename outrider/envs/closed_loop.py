@@ -161,7 +161,7 @@ class ClosedLoop:
         self.ugvs = tuple(name for name in self.names if name not in self.uavs)
         """UGVs in the order of theirs."""
         self.external = tuple(external)
-        """Whose actions come from outside."""
+        """The vehicles whose actions come from outside."""
         weights = options["rewards"] or RewardWeights()
         chosen = dict(pilots or {})
         for name in (*self.external, *chosen):

@@ -42,7 +42,7 @@ from sim.engine.certificate_counts import (
     note_sent,
 )
 from sim.engine.link_arrays import link_of
-from sim.engine.mission import goals_of, hear_block
+from sim.engine.mission import goals_of, receive_block
 from sim.engine.world_state import (
     COMMAND,
     LOOK,
@@ -197,7 +197,7 @@ def _drive(t: LoopTables, s: LoopState, k: int, v: int, g: int, actions: FloatAr
 
 
 @inlined
-def _hear_block(t: LoopTables, s: LoopState, k: int, g: int, message: FloatArray) -> None:
+def _receive_block(t: LoopTables, s: LoopState, k: int, g: int, message: FloatArray) -> None:
     """UGV g is told of a block of tiles by radio."""
     block, across, words = int(message[_BLOCK]), s.telling.news.shape[3], message[_SENT:]
     row, column, states = block // across, block % across, s.states[k, :BLOCK_TILES]
@@ -205,7 +205,7 @@ def _hear_block(t: LoopTables, s: LoopState, k: int, g: int, message: FloatArray
         states[place] = word_state(words, place)
     note_block(_ground_of(t, s, k, g), row, column, states)
     b, tick = s.batch, s.batch.ticks[k]
-    hear_block(t.batch.ground, b.ground, b.mission, k, g, tick, (row, column), states)
+    receive_block(t.batch.ground, b.ground, b.mission, k, g, tick, (row, column), states)
 
 
 @inlined
@@ -237,7 +237,7 @@ def _radio(t: LoopTables, s: LoopState, k: int) -> None:
                 outbox[row, _SAID] = -1.0
         for i in range(receive(link, inbox)):
             if inbox[i, _BLOCK] >= 0.0:
-                _hear_block(t, s, k, g, inbox[i])
+                _receive_block(t, s, k, g, inbox[i])
                 continue
             n = arrived[g]
             come[n, 0], come[n, 1], come[n, 2] = inbox[i, 0], inbox[i, 2], inbox[i, 3]

@@ -67,7 +67,7 @@ class _EnvPilots:
         perceived = ugv_observation(row, dt=dt)
         perceived = msgspec.structs.replace(perceived, ground=self._env.ground(name))
         if self._radio is not None:
-            perceived = self._radio.heard_by(name, perceived)
+            perceived = self._radio.received_by(name, perceived)
         answer = pilot.act(perceived)
         if answer.route is not None:
             self._env.show_route(name, answer.route)

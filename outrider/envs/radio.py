@@ -39,13 +39,13 @@ class Radio:
         self._said: dict[str, tuple[RelativeInformation | GroundBlock, ...]] = {}
         self._arrived: dict[str, tuple[RelativeInformation | GroundBlock, ...]] = {}
 
-    def heard_by(self, ugv: str, perceived: UgvObservation) -> UgvObservation:
+    def received_by(self, ugv: str, perceived: UgvObservation) -> UgvObservation:
         """The observation of a UGV at this tick, with the messages that have reached it."""
         self.receive()
-        heard = self._arrived.get(ugv, ())
+        received = self._arrived.get(ugv, ())
         return msgspec.structs.replace(
             perceived,
-            radio=tuple(one for one in heard if isinstance(one, RelativeInformation)),
+            radio=tuple(one for one in received if isinstance(one, RelativeInformation)),
             blocks=self.blocks(ugv),
         )
 
@@ -69,7 +69,7 @@ class Radio:
         if self._tick == self._env.world.tick:
             for ugv in self._arrived:
                 for block in self.blocks(ugv):
-                    self._env.world.hear_block(self._rows[ugv], block)
+                    self._env.world.receive_block(self._rows[ugv], block)
             for uav in self._filters:
                 self._speak(uav)
 

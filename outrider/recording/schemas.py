@@ -107,7 +107,7 @@ def operator_topic(ugv: str) -> Topic:
 
 
 def ugv_of(topic: str) -> str | None:
-    """Whose wheel a topic's words were said at; None where it is another topic."""
+    """The UGV at whose wheel a topic's words were said; None where it is another topic."""
     ugv, _, last = topic.removeprefix("/").partition("/")
     return ugv if last == _OPERATOR else None
 

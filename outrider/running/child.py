@@ -86,7 +86,7 @@ class Child:
         command = outrider_command(*arguments, "--watchdog")
         if forkserver is not None and not files:
             self._process: Forked | subprocess.Popen[bytes] = forkserver.fork(
-                command, environment_of(secret), cores, heard=lines is not None
+                command, environment_of(secret), cores, piped=lines is not None
             )
         else:
             with _readable(secret) as told:

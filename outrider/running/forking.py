@@ -160,7 +160,7 @@ class Forkserver:
         environment: Mapping[str, str],
         cores: frozenset[int],
         *,
-        heard: bool,
+        piped: bool,
     ) -> Forked:
         """Fork a process that does what the command would do.
 
@@ -168,7 +168,7 @@ class Forkserver:
             command: `python -P -m outrider ...`.
             environment: Of the process.
             cores: Processor cores; empty: as the forkserver.
-            heard: Whether its standard output is read.
+            piped: Whether its standard output is read.
 
         Raises:
             BusError: If the forkserver has ended, or cannot fork.
@@ -188,7 +188,7 @@ class Forkserver:
             stdin, their_stdin = pipe("wb")
             stderr, their_stderr = pipe("rb")
             asked, their_asked = pipe("wb")
-            stdout, their_stdout = pipe("rb") if heard else (None, os.open(os.devnull, os.O_WRONLY))
+            stdout, their_stdout = pipe("rb") if piped else (None, os.open(os.devnull, os.O_WRONLY))
             if stdout is None:
                 theirs.callback(os.close, their_stdout)
             files = [their_stdin, their_stdout, their_stderr, their_asked]

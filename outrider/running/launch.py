@@ -301,7 +301,7 @@ class _Processes:
         return ["--credentials", str(self._files[name])] if self._files else []
 
     def _joining(self, name: str) -> list[str]:
-        """What a client of the router says on its command line."""
+        """The options by which a client finds the router and is known to it."""
         return ["--connect", self._endpoint, "--run", self._run, *self._known_as(name)]
 
     def start_simulator(

@@ -1,4 +1,4 @@
-"""What a flight compiles, compiled or loaded before anybody waits for it."""
+"""Compiles or loads all that a flight compiles, before anybody waits for it."""
 
 from agents.process import warm_up as warm_up_pilot
 from bus.keys import Role

@@ -43,7 +43,7 @@ def start_watchdog(folder: Path | None = None) -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
     def leave() -> None:
-        # The main thread may hear first that the parent has gone (a broken pipe, the run's end) and would cut
+        # The main thread may notice first that the parent has gone (a broken pipe, the run's end) and would cut
         # `wait` short. The system closes a dead parent's pipes one by one, this one perhaps last of all.
         pipes = select.poll()
         pipes.register(sys.stdin.fileno(), select.POLLIN)

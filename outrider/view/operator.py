@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from bus import keys
-from bus.boxes import Outbox
 from bus.errors import BusError
 from bus.messages import (
     Action,
@@ -21,6 +20,7 @@ from bus.messages import (
     Truth,
     Vector,
 )
+from bus.queues import Outbox
 from bus.registry import TELEOP
 from bus.session import Session
 
@@ -54,7 +54,7 @@ class RunClient:
         self.truth: Truth | None = None
         self.coverage: CoverageMap | None = None
         self.ground: GroundMap | None = None
-        self.heard = time.monotonic()
+        self.received = time.monotonic()
         """Time at which the simulator has told something last, or joined [s]."""
         self.seen_simulator = False
         self.fault = ""
@@ -69,7 +69,7 @@ class RunClient:
         if present:
             self._simulators.add(place)
             self.seen_simulator = True
-            self.heard = time.monotonic()
+            self.received = time.monotonic()
         else:
             self._simulators.discard(place)
 
@@ -91,7 +91,7 @@ class RunClient:
     @property
     def age(self) -> float:
         """Time since the simulator has told something [s]."""
-        return time.monotonic() - self.heard
+        return time.monotonic() - self.received
 
     @property
     def factor(self) -> float:
@@ -116,12 +116,12 @@ class RunClient:
     def _take(self, message: Message) -> None:
         match message:
             case Status():
-                self.status, self.heard = message, time.monotonic()
+                self.status, self.received = message, time.monotonic()
                 if message.time == 0.0 or (self._clock and message.time < self._clock[-1][1]):
                     self._clock.clear()  # nothing flown yet, or another flight
-                self._clock.append((self.heard, message.time))
+                self._clock.append((self.received, message.time))
             case Truth():
-                self.truth, self.heard = message, time.monotonic()
+                self.truth, self.received = message, time.monotonic()
             case CoverageMap():
                 self.coverage = message
             case GroundMap():

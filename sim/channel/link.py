@@ -187,7 +187,7 @@ class LinkNumbers(NamedTuple):
 
 
 class LinkMemory:
-    """What a link remembers beside its messages, a row of `LinkState.memory`."""
+    """The memory of a link beside its messages, a row of `LinkState.memory`."""
 
     tick: int
     index: int

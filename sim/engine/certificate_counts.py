@@ -24,7 +24,7 @@ _NO_OUTAGE = -1
 
 
 class CertificateBounds(NamedTuple):
-    """What is declared of one UAV's detections and commands."""
+    """The declared bounds of one UAV's detections and commands."""
 
     error: float
     """Largest error of a detection, as a vector's norm [m]; infinite: it has no bound."""

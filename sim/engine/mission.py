@@ -81,10 +81,10 @@ class MissionState(NamedTuple):
 
     ugvs: RecordArray
     """`MissionRecord`. Shape (worlds, UGVs)."""
-    heard: TickArray
+    received: TickArray
     """Time at which each UGV was told of each tile by radio first. Shape (worlds, UGVs, rows, columns)."""
     told: TileArray
-    """State that the radio has told of each: BLOCK stays, the rest gives way to later words. Shape as `heard`."""
+    """State that the radio has told of each: BLOCK stays, the rest gives way to later words. Shape as `received`."""
     warned: TickArray
     """Time at which it knew of each hazard first, by radio or by its bumper. Shape (worlds, UGVs, hazards)."""
     met: TickArray
@@ -129,7 +129,7 @@ def mission_state(ground: GroundState) -> MissionState:
     numbers["arrived"] = numbers["listed"] = -1
     return MissionState(
         ugvs=numbers,
-        heard=np.zeros((worlds, ugvs, *ground.tiles.shape[1:]), np.int32),
+        received=np.zeros((worlds, ugvs, *ground.tiles.shape[1:]), np.int32),
         told=np.zeros((worlds, ugvs, *ground.tiles.shape[1:]), np.uint8),
         warned=np.zeros((worlds, ugvs, count), np.int32),
         met=np.zeros((worlds, ugvs, count), np.int32),
@@ -154,7 +154,7 @@ def _note(
 
 
 @borrowing
-def hear_block(
+def receive_block(
     t: GroundConstants,
     g: GroundState,
     m: MissionState,
@@ -174,17 +174,17 @@ def hear_block(
         block: Row and column of the block.
         states: Of its tiles, row by row. Shape (BLOCK_SIDE * BLOCK_SIDE,).
     """
-    heard = m.heard[k, n]
+    received = m.received[k, n]
     for place in range(states.shape[0]):
         state = states[place]
         row = block[0] * BLOCK_SIDE + place // BLOCK_SIDE
         column = block[1] * BLOCK_SIDE + place % BLOCK_SIDE
-        if state == UNSEEN or row >= heard.shape[0] or column >= heard.shape[1]:
+        if state == UNSEEN or row >= received.shape[0] or column >= received.shape[1]:
             continue
         if m.told[k, n, row, column] != BLOCK:
             m.told[k, n, row, column] = state
-        if heard[row, column] == 0:
-            heard[row, column] = tick + 1
+        if received[row, column] == 0:
+            received[row, column] = tick + 1
             m.ugvs[k, n].told += 1
             if state != CLEAR:
                 _note(t, g, k, row, column, m.warned[k, n], tick)
@@ -235,9 +235,9 @@ def _drive(
     if tick > 0:
         way = norm(x - g.before[k, n, 0], y - g.before[k, n, 1])
         tile, (rows, columns) = t.parameters[0].tile, g.tiles[k].shape
-        heard = m.heard[k, n, tile_index(y, tile, rows), tile_index(x, tile, columns)]
+        received = m.received[k, n, tile_index(y, tile, rows), tile_index(x, tile, columns)]
         row.way += way
-        row.seen_way += way if 0 < heard <= tick else 0.0
+        row.seen_way += way if 0 < received <= tick else 0.0
         if row.arrived < 0 and way < _STILL * t.strides[n]:
             row.still += 1
     if row.reached < goals.shape[0]:

@@ -27,7 +27,7 @@ LOOK = columns(Look)
 
 
 class CommandRow(NamedTuple):
-    """What a command tells, in a row of numbers."""
+    """A command as a row of numbers."""
 
     answered: float
     """The tick that it answers, -1 where there is none."""
@@ -37,7 +37,7 @@ class CommandRow(NamedTuple):
     last: float
     """Of one that carries motions, the tick in which the last of them begins, else -1."""
     carried: float
-    """How many motions it carries, which begin in that tick and those before it."""
+    """Number of motions that it carries, which begin in that tick and those before it."""
 
 
 COMMAND = columns(CommandRow)

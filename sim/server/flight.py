@@ -164,7 +164,7 @@ class Flight:
         self._pairs = [(uav.name, uav.escorts) for uav in self.world.uavs]
         self._radio: dict[
             str, tuple[RelativeInformation, ...]
-        ] = {}  # what each UGV hears at this tick
+        ] = {}  # what each UGV receives at this tick
         self._operators = self.world.links.of(LinkKind.OPERATOR)
         self._radios = self.world.links.of(LinkKind.RADIO)
         self._grounded = scenario.has_ground
@@ -242,7 +242,7 @@ class Flight:
             self.answers.assurance.excuse(self._uav_row[name])
 
     def status(self) -> Status:
-        """How the flight stands; at which pace, and how its vehicles' processes are, is added by who knows."""
+        """The status of the flight; the server adds its pace and the state of the vehicles' processes."""
         told = zip(self.world.uavs, self.answers.reports, strict=True)
         watched = {
             uav.name: report
@@ -302,14 +302,14 @@ class Flight:
         for uav, ugv in self._pairs:
             arrived = self._radios[uav].arrivals(tick)
             if arrived:
-                self._hear(tick, ugv, arrived)
+                self._receive_radio(tick, ugv, arrived)
 
-    def _hear(self, tick: int, ugv: str, arrived: list[Any]) -> None:
+    def _receive_radio(self, tick: int, ugv: str, arrived: list[Any]) -> None:
         """A UGV receives what its UAV has radioed."""
         for one in arrived:
             if isinstance(one, GroundBlock):
                 self._blocks[ugv][tick] = (*self._blocks[ugv].get(tick, ()), one)
-                self.world.hear_block(self._rows[ugv], one)
+                self.world.receive_block(self._rows[ugv], one)
             elif isinstance(one, RelativeInformation):
                 self._radio[ugv] = (*self._radio.get(ugv, ()), one)
                 numbers = (tick, one.time, *one.relative_position, one.coverage_error)
@@ -343,9 +343,9 @@ class Flight:
             name: The vehicle.
             tick: When.
             state: Its position [m] and velocity [m/s], as it is told them.
-            perceived: What a UAV has detected; what a UGV has heard.
+            perceived: What a UAV has detected; what a UGV has received.
             flown: The motion that a UAV's receiver flew in the tick before; None: none.
-            known: Whether its process was there to hear: otherwise its own motion, law and driver and nothing else.
+            known: Whether its process was there to receive it: otherwise its own motion, law and driver alone.
             over: Whether no command is awaited.
         """
         news = self._news[name].get(tick, _NO_NEWS) if self._news else _NO_NEWS
@@ -390,8 +390,8 @@ class Flight:
             (velocity.item(k, 0), velocity.item(k, 1)),
         )
         if row is None:
-            heard = self._radio.get(name, ())
-            return self._observation(name, world.tick, state, heard, over=self.over)
+            received = self._radio.get(name, ())
+            return self._observation(name, world.tick, state, received, over=self.over)
         dt = world.parameters.dt
         looks = [
             Detection(time=t * dt, relative_position=(x, y)) for t, x, y in world.received[row]
@@ -400,7 +400,7 @@ class Flight:
         return self._observation(name, world.tick, state, tuple(looks), flown=flown, over=self.over)
 
     def past(
-        self, name: str, begin: int, end: int, unheard: Collection[int]
+        self, name: str, begin: int, end: int, missed: Collection[int]
     ) -> tuple[Observation, ...]:
         """The observations of a vehicle from tick `begin` up to `end`, for a process that joins again.
 
@@ -408,7 +408,7 @@ class Flight:
             name: The vehicle.
             begin: First tick.
             end: The tick after the last one; all must have been recorded.
-            unheard: Ticks whose observation it was not sent: of those it is told its own motion, law and driver
+            missed: Ticks whose observation it was not sent: of those it is told its own motion, law and driver
                 and nothing else.
         """
         states = self.recorder.told[begin:end, self._rows[name]].tolist()
@@ -430,7 +430,7 @@ class Flight:
                 tick,
                 ((x, y), (v_x, v_y)),
                 perceived.get(tick, ()),
-                known=tick not in unheard,
+                known=tick not in missed,
             )
             for tick, (x, y, v_x, v_y) in enumerate(states, begin)
         )
@@ -466,7 +466,7 @@ class Flight:
                 self.routes[name] = command.route
             return
         world.send(k, command.tick, command.acceleration, command.motions)
-        for message in command.radio:  # heard at the next tick at the earliest
+        for message in command.radio:  # received at the next tick at the earliest
             self._radios[name].send(world.tick + 1, message, world.tick)
         for block in command.blocks:
             if self._grounded and self._is_told(k, block):
@@ -563,7 +563,7 @@ def warm_up(scenario: Scenario) -> None:
     if scenario.has_ground:
         block = GroundBlock(row=0, column=0, tiles=world.known_block(0, 0, 0))
         for ugv in scenario.ugv:
-            world.hear_block(world.names.index(ugv.name), block)
+            world.receive_block(world.names.index(ugv.name), block)
     for settings in (_BUSY, LinkSettings()):
         for kind in LinkKind:
             flight.degrade(kind, None, settings)

@@ -83,19 +83,19 @@ class OperatorControls:
         Args:
             patience: How long to wait for something [s]; None: not at all.
         """
-        letter = (
+        envelope = (
             self._controls.next_waiting() if patience is None else self._controls.receive(patience)
         )
-        while letter is not None:
-            if isinstance(letter.message, Control):
-                self._do(letter.message)
-            letter = self._controls.next_waiting()
+        while envelope is not None:
+            if isinstance(envelope.message, Control):
+                self._do(envelope.message)
+            envelope = self._controls.next_waiting()
 
     def listen(self) -> None:
-        """Pass on what has been said at the wheels: it is heard at this tick."""
-        while (letter := self._wheels.next_waiting()) is not None:
-            if isinstance(letter.message, Drive):
-                self._flight.say(letter.sender, letter.message)
+        """Pass on what has been said at the wheels: it is received at this tick."""
+        while (envelope := self._wheels.next_waiting()) is not None:
+            if isinstance(envelope.message, Drive):
+                self._flight.say(envelope.sender, envelope.message)
 
     def _do(self, control: Control) -> None:
         try:

@@ -142,16 +142,16 @@ class Lockstep:
         awaited, patience = self._awaited, self._look_around
         look = time.monotonic() + patience
         while awaited:
-            letter = self._slots.commands.receive(patience)
-            if letter is not None:
-                if self._slots.take(letter, tick, commands, oldest=tick):
-                    awaited.pop(letter.sender, None)
-                    self._cut_off.pop(letter.sender, None)
+            envelope = self._slots.commands.receive(patience)
+            if envelope is not None:
+                if self._slots.take(envelope, tick, commands, oldest=tick):
+                    awaited.pop(envelope.sender, None)
+                    self._cut_off.pop(envelope.sender, None)
                     if not awaited:
                         break
                     meanwhile()
                     meanwhile = _nothing
-                # a flood of letters must not keep us from looking around
+                # a flood of messages must not keep us from looking around
                 if time.monotonic() < look:
                     continue
             self._slots.follow()
@@ -289,5 +289,5 @@ class RealTime:
         return commands
 
     def _take(self, tick: int, commands: dict[str, Command]) -> None:
-        while (letter := self._slots.commands.next_waiting()) is not None:
-            self._slots.take(letter, tick, commands)
+        while (envelope := self._slots.commands.next_waiting()) is not None:
+            self._slots.take(envelope, tick, commands)

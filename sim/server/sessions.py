@@ -18,7 +18,7 @@ from bus.messages import (
     UgvCommand,
     VehicleStatus,
 )
-from bus.session import Letter, Outbox, Session
+from bus.session import Envelope, Outbox, Session
 from sim.engine.briefing import briefing
 from sim.scenario.types import Uav
 from sim.server.flight import Flight
@@ -51,8 +51,8 @@ class VehicleSlot:
     """First tick of the past that the holder has yet to be told; None once it is briefed."""
     newest: int = -1
     """The tick that its newest command answers."""
-    unheard: set[int] = field(default_factory=set)
-    """Ticks whose observation nobody was there to hear."""
+    missed: set[int] = field(default_factory=set)
+    """Ticks whose observation nobody was there to receive."""
     lost: int = 0
     rejoined: int = 0
     refused: Counter[str] = field(default_factory=Counter)
@@ -108,7 +108,7 @@ class Slots:
         self._flight = flight
         for slot in self._slots.values():
             slot.newest = -1
-            slot.unheard.clear()
+            slot.missed.clear()
             slot.owed = 0 if slot.sessions else None
 
     def _note(self, name: str, place: int, present: bool) -> None:
@@ -209,7 +209,7 @@ class Slots:
         while slot.owed is not None and (parts is None or sent < parts):
             end = min(slot.owed + PART, now)
             told = briefing(self._flight.scenario, name, self._flight.seed, self._flight.secret)
-            past = self._flight.past(name, slot.owed, end, slot.unheard)
+            past = self._flight.past(name, slot.owed, end, slot.missed)
             slot.briefings.send(
                 msgspec.structs.replace(
                     told, past=past, more=end < now, episode=self._flight.episode
@@ -236,19 +236,24 @@ class Slots:
             slot = self._slots[name]
             if slot.sessions and (slot.owed is None or self.brief(name, parts=parts)):
                 slot.observations.send(observation)
-                slot.unheard.discard(observation.tick)
+                slot.missed.discard(observation.tick)
                 given.add(name)
             else:
-                slot.unheard.add(observation.tick)
+                slot.missed.add(observation.tick)
         return given
 
     def take(
-        self, letter: Letter, tick: int, commands: dict[str, Command], *, oldest: int | None = None
+        self,
+        envelope: Envelope,
+        tick: int,
+        commands: dict[str, Command],
+        *,
+        oldest: int | None = None,
     ) -> bool:
         """Put a command among those of this tick, or refuse it.
 
         Args:
-            letter: What has come.
+            envelope: What has come.
             tick: Now.
             commands: Those of this tick.
             oldest: The earliest tick that may be answered; None: any that the vehicle has not answered yet.
@@ -256,15 +261,15 @@ class Slots:
         Returns:
             Whether it was taken.
         """
-        slot, command = self._slots[letter.sender], letter.message
+        slot, command = self._slots[envelope.sender], envelope.message
         if not isinstance(command, UavCommand | UgvCommand):
             return False
         answered = command.tick
-        if letter.place is not None and slot.present and letter.place != slot.holder:
+        if envelope.place is not None and slot.present and envelope.place != slot.holder:
             self._refuse(
                 slot,
                 SECOND_SESSION,
-                f"a command for tick {answered} from a second session (number {letter.place}); "
+                f"a command for tick {answered} from a second session (number {envelope.place}); "
                 f"the first (number {slot.holder}) keeps the slot",
             )
         elif answered == slot.newest:
@@ -275,7 +280,7 @@ class Slots:
             self._refuse(slot, ANOTHER_TICK, f"tick {answered} at tick {tick}")
         else:
             slot.newest = answered
-            commands[letter.sender] = command
+            commands[envelope.sender] = command
             return True
         return False
 

@@ -28,7 +28,7 @@ def numbers(texts: list[str]) -> np.ndarray:
 
 
 def inputs_of(unit: Path, name: str, flown: dict[str, list[str]]) -> np.ndarray:
-    """What a vehicle perceived in a flight, as fmpy takes it."""
+    """The perceptions of a vehicle in a flight, as fmpy takes them."""
     time = numbers(flown["time"])
     known = {f"{what}.{axis}": numbers(flown[f"{name}.{short}{axis}"])
              for what, short in (("position", ""), ("velocity", "v")) for axis in "xy"}  # fmt: skip
@@ -87,7 +87,7 @@ def answers(unit: Path, name: str, flown: dict[str, list[str]]) -> dict[str, obj
 
 
 def refused_step(unit: Path) -> str:
-    """What fmpy is told about a step of another length."""
+    """The answer to fmpy about a step of another length."""
     try:
         simulate_fmu(
             str(unit), stop_time=1.0, output_interval=0.1, step_size=0.1, debug_logging=True

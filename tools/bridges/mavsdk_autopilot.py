@@ -29,7 +29,7 @@ class Loop:
         self.wanted = (list(START[:2]), [0.0, 0.0], [0.0, 0.0])
         self.count = 0
 
-    def hear(self, message, _data):
+    def receive(self, message, _data):
         """Take a setpoint."""
         told = json.loads(message.fields_json)
         self.wanted = ([told["x"], told["y"]], [told["vx"], told["vy"]], [told["afx"], told["afy"]])
@@ -55,7 +55,7 @@ def main(address):
         action, telemetry = ActionServer(server), TelemetryServer(server)
         direct, loop = MavlinkDirectServer(server), Loop()
         action.set_armed_state(True)
-        direct.subscribe_message("SET_POSITION_TARGET_LOCAL_NED", loop.hear)
+        direct.subscribe_message("SET_POSITION_TARGET_LOCAL_NED", loop.receive)
         last = time.monotonic()
         while not ended:
             time.sleep(STEP)

@@ -186,7 +186,7 @@ class FmuPolicy:
             row: The UGV's row, `bus.layout.UgvRow`.
             state: The instance of this UGV; None: it is made.
             dt: Length of a tick [s].
-            perceived: For what the UGV has heard by radio; None: nothing.
+            perceived: For what the UGV has received by radio; None: nothing.
 
         Raises:
             ScenarioError: If the unit cannot be started here or refuses the step.
@@ -210,9 +210,9 @@ def _values(seen: UgvRow, perceived: UgvObservation | None) -> Mapping[str, floa
     values |= zip((one.name for one in OWN_STATE), (seen.x, seen.y, seen.vx, seen.vy), strict=True)
     goal = bool(seen.underway), seen.goal_x, seen.goal_y
     values |= zip((one.name for one in GOAL), goal, strict=True)
-    heard = perceived.radio[-1:] if perceived is not None else ()
-    for message in heard:
+    received = perceived.radio[-1:] if perceived is not None else ()
+    for message in received:
         told = True, message.time, *message.relative_position, message.coverage_error
         values |= zip((one.name for one in RADIO), told, strict=True)
-    values["radio.new"] = bool(heard)
+    values["radio.new"] = bool(received)
     return values

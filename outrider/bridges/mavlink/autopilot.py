@@ -54,7 +54,7 @@ class Reported(NamedTuple):
     """[m]"""
     velocity: Vector
     """East and north [m/s]."""
-    heard: float
+    received: float
     """Of our clock [s]."""
 
 
@@ -69,10 +69,10 @@ class _Wanted(NamedTuple):
 
 
 class AutopilotLink:
-    """Hears an autopilot, and tells it what to hold.
+    """Receives from an autopilot, and tells it what to hold.
 
     Args:
-        network: Where it is heard.
+        network: Where it is reached.
     """
 
     def __init__(self, network: Network) -> None:
@@ -80,7 +80,7 @@ class AutopilotLink:
         self.refused: Counter[str] = Counter()
         """Telemetry that was refused, by cause."""
         self.peer: Peer | None = None
-        """The autopilot; None: none has been heard."""
+        """The autopilot; None: none has been received from."""
         self.armed = False
         self.reported: Reported | None = None
         """Its newest telemetry that was believed."""
@@ -167,7 +167,7 @@ class AutopilotLink:
             self._take_position(message)
 
     def _meet(self, peer: Peer) -> None:
-        """The first autopilot that is heard is the one; we are a computer on board of it."""
+        """The first autopilot that sends anything is the one; we are a computer on board of it."""
         self.peer = peer
         ours = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
         self._packer = mavlink.MAVLink(None, srcSystem=peer.system, srcComponent=ours)
@@ -207,7 +207,7 @@ class AutopilotLink:
     def deviation(self, position: Vector) -> float:
         """Distance of the autopilot from where it is wanted [m]; infinite where nothing is known."""
         reported, anchor = self.reported, self.anchor
-        if reported is None or time.monotonic() - reported.heard > _SILENCE:
+        if reported is None or time.monotonic() - reported.received > _SILENCE:
             return math.inf
         if anchor is None:
             return 0.0
@@ -271,7 +271,7 @@ class AutopilotPilot:
         return msgspec.structs.replace(command, report=nothing)
 
     def prepare(self) -> None:
-        """The command is on its way: only now is the autopilot told. One that joins again acts on its past unheard."""
+        """The command is on its way: only now is the autopilot told, and never of the past of one that joins again."""
         wanted = self._next
         if wanted is not None:
             if self._link.anchor is None:
@@ -301,7 +301,7 @@ class AutopilotPilot:
         return f"{why}: its UAV stays, and nothing is certified"
 
     def counts(self) -> dict[str, object]:
-        """Counts of what was told, heard and refused."""
+        """Counts of what was told, received and refused."""
         link = self._link
         return {
             "ticks": self.ticks,

@@ -99,7 +99,7 @@ class Gateway:
         """The ground station whose commands count."""
         self.silent = False
         """True: there is nothing to be told of now."""
-        self._heard = -math.inf
+        self._received = -math.inf
         self._troubles: dict[tuple[str, str], _Trouble] = {}
         self._timers = {
             number: {kind: _Timer(rate) for kind, rate in RATES.items()} for number in self.systems
@@ -207,12 +207,12 @@ class Gateway:
 
     def holds(self, peer: Peer) -> bool:
         """True if this ground station may steer: the first that does so, until it falls silent."""
-        if self.holder is None or time.monotonic() - self._heard > _RELEASE:
+        if self.holder is None or time.monotonic() - self._received > _RELEASE:
             self.holder = peer
         if self.holder != peer:
             self.refuse(SECOND_STATION, f"what {peer} wants")
             return False
-        self._heard = time.monotonic()
+        self._received = time.monotonic()
         return True
 
     def _take(self, peer: Peer, message: MavMessage) -> None:
@@ -221,7 +221,7 @@ class Gateway:
             self.refuse(OUR_NUMBER, f"{kind} of {peer}")
             return
         if peer == self.holder:
-            self._heard = time.monotonic()
+            self._received = time.monotonic()
         if kind == "TIMESYNC":
             self._answer_time(peer, message)
             return

@@ -67,14 +67,14 @@ class _Line:
 
     socket: socket.socket
     fixed: Address | None
-    heard: dict[Address, float]
+    received: dict[Address, float]
 
     def reached(self, now: float) -> list[Address]:
         if self.fixed is not None:
             return [self.fixed]
-        for address in [one for one, when in self.heard.items() if now - when > _QUIET]:
-            del self.heard[address]
-        return list(self.heard)
+        for address in [one for one, when in self.received.items() if now - when > _QUIET]:
+            del self.received[address]
+        return list(self.received)
 
 
 class Network:
@@ -151,9 +151,9 @@ class Network:
             if (
                 found
                 and line.fixed is None
-                and (address in line.heard or len(line.heard) < _MOST_PEERS)
+                and (address in line.received or len(line.received) < _MOST_PEERS)
             ):
-                line.heard[address] = time.monotonic()
+                line.received[address] = time.monotonic()
             for message in found:
                 yield Peer(address, message.get_srcSystem(), message.get_srcComponent()), message
 

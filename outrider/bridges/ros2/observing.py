@@ -3,9 +3,9 @@
 import time
 from collections import Counter
 
-from bus.boxes import Inbox
 from bus.keys import COVERAGE, GROUND, SAMPLED_TRUTH, STATUS, TRUTH, Key
 from bus.messages import CoverageMap, GroundMap, Message, Status, Truth
+from bus.queues import Inbox
 from bus.session import Session
 from outrider.bridges.ros2.conversion import RunView, diagnostic, view_of
 from outrider.bridges.ros2.ros_commands import Refusals, RosCommands

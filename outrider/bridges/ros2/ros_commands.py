@@ -150,14 +150,14 @@ class RosCommands:
         self._node, self._client, self._namespace = node, client, namespace
         self._refusals = refusals
         self._helm = Helm(client.control, client.drive)
-        # For each UGV the node that drives it, and when that was heard last [s].
+        # For each UGV the node that drives it, and when that was received last [s].
         self._wheels: dict[str, tuple[bytes, float]] = {}
         self._lock = threading.Lock()
         self._status: Status | None = None
         self._shown: set[str] = set()
         self.taken = 0
         """Commands and calls that were passed on."""
-        # Of every domain, vehicle and type: what is not for us is counted, not overheard.
+        # Of every domain, vehicle and type: what is not for us is counted and not decoded.
         node.receive(COMMANDS, self._receive)
         for service in SERVICES:
             interface = "std_srvs/srv/SetBool" if service == "pause" else "std_srvs/srv/Trigger"
@@ -195,9 +195,9 @@ class RosCommands:
                 self._refusals.add(refused)
 
     def _pass_on(self, wish: Wish, sender: bytes) -> None:
-        node, heard = self._wheels.get(wish.vehicle, (b"", -math.inf))
+        node, received = self._wheels.get(wish.vehicle, (b"", -math.inf))
         now = time.monotonic()
-        begins = now - heard > _RELEASE
+        begins = now - received > _RELEASE
         if not begins and sender != node:
             raise Refused("another node is at the wheel", wish.vehicle)
         self._wheels[wish.vehicle] = sender, now

@@ -23,7 +23,7 @@ from sim.scene.model import Scene
 
 
 class Each(StrEnum):
-    """Whose a topic is: there is one for each of these."""
+    """The owners of a topic: there is one topic for each of them."""
 
     RUN = "run"
     VEHICLE = "vehicle"

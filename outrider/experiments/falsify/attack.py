@@ -225,7 +225,7 @@ def _switch_command(
 def _disturb_command(
     c: Conditions, p: Promise, room: Room, random: Words, tick: int, carrying: bool
 ) -> tuple[float, float]:
-    """What is left of the command of this tick [m/s²]: NaN if it is lost, another one if it comes late."""
+    """The command of this tick as disturbed [m/s²]: NaN if it is lost, another one if it comes late."""
     trouble, ring = room.trouble[0], room.ring
     u_x, u_y = ring[tick % _RING, 0], ring[tick % _RING, 1]
     if c.disturbance == DISTURBANCES.single_losses and next_share(random) < 0.02:

@@ -155,8 +155,8 @@ def fly_sweep(
         try:
             with warnings.catch_warnings(), closing(_results(tasks, jobs, client)) as all_results:
                 # joblib's advice to whoever does not wait for the end: that somebody has pressed Ctrl-C is no mistake
-                unheard = ".*still being processed by the workers"
-                warnings.filterwarnings("ignore", message=unheard, category=UserWarning)
+                unfinished = ".*still being processed by the workers"
+                warnings.filterwarnings("ignore", message=unfinished, category=UserWarning)
                 for results in all_results:
                     folder.add(results)
                     done |= {result["run"] for result in results}

@@ -102,10 +102,10 @@ class SharedWheel:
     def check(self, drivers: Mapping[str, str]) -> None:
         """Free the wheel of a browser that has fallen silent, or whose vehicle has got another driver."""
         now = time.monotonic()
-        unseated = (
+        replaced = (
             drivers.get(self.vehicle, "") not in ("", TELEOP) and now - self._taken > _SETTLING
         )
-        if self.holder and (unseated or now - self._alive > _PATIENCE):
+        if self.holder and (replaced or now - self._alive > _PATIENCE):
             self.release()
 
     def can_be_handed_back(self, drivers: Mapping[str, str]) -> bool:

@@ -178,7 +178,7 @@ class Tape:
         return False
 
     def drive(self, _vehicle: str, _drive: Drive) -> bool:
-        """Nobody hears."""
+        """Nobody receives it."""
         return False
 
     def close(self) -> None:

@@ -18,7 +18,7 @@ WAKE_PERIOD = 0.1
 """A waiting reader looks up this often [s], for deadlines and for peers that come and go."""
 
 
-class Letter(NamedTuple):
+class Envelope(NamedTuple):
     """A message that has arrived."""
 
     sender: str
@@ -97,7 +97,7 @@ class Inbox:
         }
         self._since: float | None = None
         self._poked = False
-        self._peeked: Letter | None = None
+        self._peeked: Envelope | None = None
         self.refused: dict[str, int] = {sender: 0 for sender, _ in known.values()}
         """The number of messages of each sender that did not decode."""
         self.fault: dict[str, str] = {sender: "" for sender, _ in known.values()}
@@ -108,7 +108,7 @@ class Inbox:
             raise BusError("the inbox is closed")
         return self._subscriber
 
-    def receive(self, patience: float) -> Letter | None:
+    def receive(self, patience: float) -> Envelope | None:
         """The next message, or None after `patience` [s] without one, or once somebody has called `poke`."""
         if self._peeked is not None:
             return self.next_waiting()
@@ -116,9 +116,9 @@ class Inbox:
         started = self._since = time.monotonic()
         try:
             while not self._poked:
-                letter = self._open(subscriber.recv())
-                if letter is not None:
-                    return letter
+                envelope = self._open(subscriber.recv())
+                if envelope is not None:
+                    return envelope
                 if time.monotonic() - started >= patience:
                     break
             self._poked = False
@@ -128,7 +128,7 @@ class Inbox:
         finally:
             self._since = None
 
-    def next_waiting(self) -> Letter | None:
+    def next_waiting(self) -> Envelope | None:
         """The next message if it is there already; None without waiting if not."""
         if self._peeked is not None:
             peeked, self._peeked = self._peeked, None
@@ -136,9 +136,9 @@ class Inbox:
         subscriber = self._open_subscriber()
         try:
             while (sample := subscriber.try_recv()) is not None:
-                letter = self._open(sample)
-                if letter is not None:
-                    return letter
+                envelope = self._open(sample)
+                if envelope is not None:
+                    return envelope
         except zenoh.ZError as error:
             raise BusError(f"the session is gone: {error}") from error
         return None
@@ -179,7 +179,7 @@ class Inbox:
         if self._since is not None and time.monotonic() - self._since >= WAKE_PERIOD:
             self._wake()
 
-    def _open(self, sample: zenoh.Sample) -> Letter | None:
+    def _open(self, sample: zenoh.Sample) -> Envelope | None:
         payload, key = sample.payload.to_bytes(), sample.key_expr
         known = self._decoders.get(key)
         if not payload or known is None:
@@ -189,7 +189,7 @@ class Inbox:
             self._refuse(sender, key, f"{len(payload)} bytes; allowed up to {largest}")
             return None
         try:
-            return Letter(sender, decoder.decode(payload), sample.source_info)
+            return Envelope(sender, decoder.decode(payload), sample.source_info)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             self._refuse(sender, key, str(error))
             return None

@@ -1,4 +1,4 @@
-"""The seats of a run, with real sessions.
+"""The slots of a run, with real sessions.
 
 Second sessions, vehicles that come back with their past, real time, pause and step.
 """
@@ -63,14 +63,14 @@ def test_a_past_is_what_the_vehicle_has_perceived(tmp_path: Path) -> None:
     for name in pilots:
         assert list(flight.past(name, 0, 300, ())) == seen[name]
         assert list(flight.past(name, 120, 180, ())) == seen[name][120:180]
-        deaf = flight.past(name, 0, 300, range(100, 200))
-        assert [o for k, o in enumerate(deaf) if not 100 <= k < 200] == [
+        missing = flight.past(name, 0, 300, range(100, 200))
+        assert [o for k, o in enumerate(missing) if not 100 <= k < 200] == [
             o for k, o in enumerate(seen[name]) if not 100 <= k < 200
         ]
         assert not any(
-            getattr(o, "detections", ()) or getattr(o, "radio", ()) for o in deaf[100:200]
+            getattr(o, "detections", ()) or getattr(o, "radio", ()) for o in missing[100:200]
         )
-        assert [o.position for o in deaf] == [o.position for o in seen[name]]
+        assert [o.position for o in missing] == [o.position for o in seen[name]]
 
 
 def _briefings(scenario: Scenario) -> dict[str, Any]:
@@ -127,7 +127,7 @@ def test_a_vehicle_that_does_not_come_back_is_given_up_once(tmp_path: Path) -> N
     assert len(run.events) == 2
 
 
-def test_the_first_session_keeps_the_seat_and_a_second_one_is_counted_named_and_ignored(tmp_path):
+def test_the_first_session_keeps_the_slot_and_a_second_one_is_counted_named_and_ignored(tmp_path):
     with stage(tmp_path, 400) as run:
         first, _ = run.start_both()
         intruder: dict[str, Any] = {}
@@ -155,7 +155,7 @@ def test_the_first_session_keeps_the_seat_and_a_second_one_is_counted_named_and_
     assert [seen.tick for seen in first.seen] == list(range(400))
 
 
-def test_the_second_session_takes_the_seat_when_the_first_has_gone(tmp_path: Path) -> None:
+def test_the_second_session_takes_the_slot_when_the_first_has_gone(tmp_path: Path) -> None:
     with stage(tmp_path, 300, respawn=True) as run:
         run.start("ugv_0")
         run.start("uav_0", until=150)
@@ -229,12 +229,12 @@ def test_in_real_time_a_command_is_used_by_its_age_and_then_the_vehicle_brakes()
 
 
 def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
-    heard = threading.Event()
+    received = threading.Event()
 
     def work(send: Any, awaited: Any) -> None:
         send(Control(action=Action.PAUSE))
         paused = awaited(lambda status: status.paused)
-        heard.set()
+        received.set()
         send(Control(action=Action.STEP, ticks=5))
         awaited(lambda status: status.paused and status.tick == paused.tick + 5)
         send(Control(action=Action.RESUME))
@@ -242,8 +242,8 @@ def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
     with stage(tmp_path, 300) as run:
         run.start_both()
         end = operating(run, work)
-        # slowly, so that the flight does not end before its operator is heard
-        flight = run.fly(lambda: heard.wait(0.02) and None)
+        # slowly, so that the flight does not end before its operator is received
+        flight = run.fly(lambda: received.wait(0.02) and None)
         end()
     assert flight.complete
     assert flight.recorder.sha256() == whole(300).recorder.sha256()
@@ -254,7 +254,7 @@ def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
     [b'{"tick":999999,"acceleration":[0,0]}', b'{"tick":-1}'],
     ids=["readable", "unreadable"],
 )
-def test_a_flood_of_letters_neither_stops_the_clock_nor_the_end(payload, tmp_path):
+def test_a_flood_of_messages_neither_stops_the_clock_nor_the_end(payload, tmp_path):
     """The UGV answers nothing and never stops talking.
 
     It is late like any other, and the session closes while it goes on.
@@ -356,9 +356,9 @@ def test_a_vehicle_acts_once_on_each_observation_of_its_own_run_alone(endpoint: 
         wait_until(lambda: vehicle.seen[-1].tick == 7)
         ticks = set()
         while 7 not in ticks:
-            letter = answers.receive(5.0)
-            assert letter is not None
-            ticks.add(letter.message.tick)  # type: ignore[attr-defined]
+            envelope = answers.receive(5.0)
+            assert envelope is not None
+            ticks.add(envelope.message.tick)  # type: ignore[attr-defined]
         sight.send(part(observations[8], over=True))
         vehicle.join()
     assert [seen.tick for seen in vehicle.seen] == sorted({seen.tick for seen in vehicle.seen})

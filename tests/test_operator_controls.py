@@ -1,4 +1,4 @@
-"""The operators' desk, with real sessions: laws, drivers, speed and new flights while the vehicles fly."""
+"""The operators' controls, with real sessions: laws, drivers, speed and new flights while the vehicles fly."""
 
 import threading
 import time
@@ -182,7 +182,7 @@ def test_an_operator_takes_the_wheel_drives_is_silent_and_hands_back(tmp_path: P
 
 
 def change(flight: Any) -> None:
-    """What operators do to a flight at fixed ticks."""
+    """Controls by operators at fixed ticks of a flight."""
     tick = flight.world.tick
     if tick == 60:
         flight.assign_driver("ugv_0", "wander")
