@@ -371,52 +371,65 @@ def is_reachable(trial: Trial) -> bool:
     return bool(np.isfinite(memory.cost[tiles]).all())
 
 
-def _brakes_short(b: Bounds, t: TileArray, o: Open, h: Motion, u_x: float, u_y: float) -> bool:
-    return is_safe(b._replace(u_max=1.25 * b.u_max), t, o, h, *_clipped(b, u_x, u_y))
+def _brakes_short(
+    bounds: Bounds, t: TileArray, ground: Open, here: Motion, u_x: float, u_y: float
+) -> bool:
+    return is_safe(
+        bounds._replace(u_max=1.25 * bounds.u_max), t, ground, here, *_clipped(bounds, u_x, u_y)
+    )
 
 
-def _clipped(b: Bounds, u_x: float, u_y: float) -> tuple[float, float]:
-    scale = min(1.0, b.u_max / max(norm(u_x, u_y), 1e-300))
+def _clipped(bounds: Bounds, u_x: float, u_y: float) -> tuple[float, float]:
+    scale = min(1.0, bounds.u_max / max(norm(u_x, u_y), 1e-300))
     return u_x * scale, u_y * scale
 
 
-def _after(b: Bounds, h: Motion, u_x: float, u_y: float) -> tuple[tuple[float, float], ...]:
+def _after(bounds: Bounds, here: Motion, u_x: float, u_y: float) -> tuple[tuple[float, float], ...]:
     """End of the tick, and the place of rest after it [m]."""
-    x, y, w_x, w_y, _, _ = step_vehicle(*h, u_x, u_y, b.v_max, b.u_max, b.dt)
+    x, y, w_x, w_y, _, _ = step_vehicle(*here, u_x, u_y, bounds.v_max, bounds.u_max, bounds.dt)
     speed = norm(w_x, w_y)
-    share = braking_way(speed, b.u_max, b.dt) / speed if speed else 0.0
+    share = braking_way(speed, bounds.u_max, bounds.dt) / speed if speed else 0.0
     return (x, y), (x + share * w_x, y + share * w_y)
 
 
-def _forgets_corners(b: Bounds, t: TileArray, o: Open, h: Motion, u_x: float, u_y: float) -> bool:
+def _forgets_corners(
+    bounds: Bounds, t: TileArray, ground: Open, here: Motion, u_x: float, u_y: float
+) -> bool:
     """Looks at the tiles of some points of the way only."""
-    there, end = _after(b, h, u_x, u_y)
-    for (x_0, y_0), (x_1, y_1) in (((h.p_x, h.p_y), there), (there, end)):
-        n = 1 + int(2.0 * math.dist((x_0, y_0), (x_1, y_1)) / b.tile)
+    there, end = _after(bounds, here, u_x, u_y)
+    for (x_0, y_0), (x_1, y_1) in (((here.p_x, here.p_y), there), (there, end)):
+        n = 1 + int(2.0 * math.dist((x_0, y_0), (x_1, y_1)) / bounds.tile)
         for k in range(n + 1):
             x, y = x_0 + k / n * (x_1 - x_0), y_0 + k / n * (y_1 - y_0)
-            if not (0.0 <= x <= b.width and 0.0 <= y <= b.height):
+            if not (0.0 <= x <= bounds.width and 0.0 <= y <= bounds.height):
                 return False
-            i, j = min(int(y / b.tile), t.shape[0] - 1), min(int(x / b.tile), t.shape[1] - 1)
+            i, j = (
+                min(int(y / bounds.tile), t.shape[0] - 1),
+                min(int(x / bounds.tile), t.shape[1] - 1),
+            )
             if t[i, j] in (UNSEEN, BLOCK):
                 return False
     return True
 
 
-def _takes_the_chord(b: Bounds, t: TileArray, o: Open, h: Motion, u_x: float, u_y: float) -> bool:
+def _takes_the_chord(
+    bounds: Bounds, t: TileArray, ground: Open, here: Motion, u_x: float, u_y: float
+) -> bool:
     """Takes the way within a tick to be straight."""
-    there, end = _after(b, h, u_x, u_y)
-    inside = all(0.0 <= x <= b.width and 0.0 <= y <= b.height for x, y in (there, end))
+    there, end = _after(bounds, here, u_x, u_y)
+    inside = all(0.0 <= x <= bounds.width and 0.0 <= y <= bounds.height for x, y in (there, end))
     return (
         inside
-        and way_is_open(t, b.tile, o, (h.p_x, h.p_y), there)
-        and way_is_open(t, b.tile, o, there, end)
+        and way_is_open(t, bounds.tile, ground, (here.p_x, here.p_y), there)
+        and way_is_open(t, bounds.tile, ground, there, end)
     )
 
 
-def _looks_only_at_now(b: Bounds, t: TileArray, o: Open, h: Motion, u_x: float, u_y: float) -> bool:
+def _looks_only_at_now(
+    bounds: Bounds, t: TileArray, ground: Open, here: Motion, u_x: float, u_y: float
+) -> bool:
     """Asks whether it can brake from here, not from after the command."""
-    return is_safe(b, t, o, h, *brake(h.v_x, h.v_y, b.u_max, b.dt))
+    return is_safe(bounds, t, ground, here, *brake(here.v_x, here.v_y, bounds.u_max, bounds.dt))
 
 
 BROKEN: dict[str, Check] = {

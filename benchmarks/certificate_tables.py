@@ -219,9 +219,18 @@ def _oldest(told: str, found: list[Promise]) -> str:
     return f"| largest A [s] at {told} | {row} |"
 
 
-def _r_cert(c: Promise) -> float:
-    wait, off = c.outage_ticks * c.dt, c.tracking
-    return certified_radius(c.handover, c.v_a, c.u_a, c.v_g, c.dt, c.delay_ticks * c.dt, wait, off)
+def _r_cert(promise: Promise) -> float:
+    wait, off = promise.outage_ticks * promise.dt, promise.tracking
+    return certified_radius(
+        promise.handover,
+        promise.v_a,
+        promise.u_a,
+        promise.v_g,
+        promise.dt,
+        promise.delay_ticks * promise.dt,
+        wait,
+        off,
+    )
 
 
 def _unreliable() -> dict[str, tuple[Conditions, float]]:

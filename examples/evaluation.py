@@ -235,10 +235,15 @@ def markdown(results: Sequence[Result]) -> str:
     return "\n\n".join(tables)
 
 
-def _line(r: Result) -> str:
-    acts = "no filter" if r.intervened is None else f"{100.0 * r.intervened:.1f} %"
-    more = "-" if r.pilot == DEFAULT_LAW else f"{r.difference:+.1f} ± {r.difference_half_width:.1f}"
+def _line(result: Result) -> str:
+    acts = "no filter" if result.intervened is None else f"{100.0 * result.intervened:.1f} %"
+    more = (
+        "-"
+        if result.pilot == DEFAULT_LAW
+        else f"{result.difference:+.1f} ± {result.difference_half_width:.1f}"
+    )
     return (
-        f"| {r.pilot} | {r.mean_error:.1f} ± {r.half_width:.1f} | {more} | {r.max_distance:.2f} | {acts} "
-        f"| {r.lost} of {r.flights} | {r.violations} |"
+        f"| {result.pilot} | {result.mean_error:.1f} ± {result.half_width:.1f} | {more} "
+        f"| {result.max_distance:.2f} | {acts} | {result.lost} of {result.flights} "
+        f"| {result.violations} |"
     )

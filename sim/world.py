@@ -128,7 +128,7 @@ class World:
 
     def send(
         self,
-        k: int,
+        vehicle: int,
         answered: int,
         acceleration: tuple[float, float],
         motions: Sequence[MotionPlan] = (),
@@ -136,37 +136,37 @@ class World:
         """A vehicle's command sets out to its actuators in the coming tick; one a tick.
 
         Args:
-            k: The vehicle's row.
+            vehicle: Its row in every array.
             answered: The tick whose observation it answers.
             acceleration: [m/s²]
             motions: That it carries, one a tick, the oldest first. Without a receiver for them the acceleration acts.
         """
         sent = self._sent
-        sent[k, COMMAND.answered] = answered
-        sent[k, COMMAND.u_x], sent[k, COMMAND.u_y] = acceleration
+        sent[vehicle, COMMAND.answered] = answered
+        sent[vehicle, COMMAND.u_x], sent[vehicle, COMMAND.u_y] = acceleration
         if self._carries:
-            sent[k, COMMAND.last] = motions[-1].begins if motions else -1
-            sent[k, COMMAND.carried] = len(motions)
+            sent[vehicle, COMMAND.last] = motions[-1].begins if motions else -1
+            sent[vehicle, COMMAND.carried] = len(motions)
             for motion in motions:
-                keep_motion(self._motions[k], motion_row(motion)[0], self._tick)
+                keep_motion(self._motions[vehicle], motion_row(motion)[0], self._tick)
 
-    def seen_ground(self, k: int) -> tuple[SeenTile, ...]:
+    def seen_ground(self, vehicle: int) -> tuple[SeenTile, ...]:
         """The tiles of which a vehicle's own sensor has told since the tick before."""
         ground = self._batch.state.ground
         if not ground.told.size:
             return ()
         columns = ground.tiles.shape[2]
-        places = ground.seen[0, k, : ground.told.item(0, k)].tolist()
-        states = (ground.known.item(0, k, *divmod(place, columns)) for place in places)
+        places = ground.seen[0, vehicle, : ground.told.item(0, vehicle)].tolist()
+        states = (ground.known.item(0, vehicle, *divmod(place, columns)) for place in places)
         return tuple(
             SeenTile(place % columns, place // columns, TILE_LETTERS[state])
             for place, state in zip(places, states, strict=True)
         )
 
-    def receive_block(self, k: int, block: GroundBlock) -> None:
+    def receive_block(self, vehicle: int, block: GroundBlock) -> None:
         """A UGV is told of a block of tiles by radio: for measuring how long before it knew of what was on its way."""
         tables, state = self.arrays
-        n = int(np.flatnonzero(tables.ground.ugvs == k)[0])
+        n = int(np.flatnonzero(tables.ground.ugvs == vehicle)[0])
         told = tables.ground, state.ground, state.mission, 0, n, self._tick
         receive_block(*told, (block.row, block.column), tile_states(block.tiles))
 
@@ -184,13 +184,13 @@ class World:
         tiles: TileArray = self._batch.state.ground.tiles[0]
         return tiles
 
-    def known_block(self, k: int, row: int, column: int) -> str:
+    def known_block(self, vehicle: int, row: int, column: int) -> str:
         """A block of tiles as a vehicle's own sensor has told them, by `TILE_LETTERS`; not seen beyond the area."""
-        return block_letters(self._batch.state.ground.known[0, k], row, column)
+        return block_letters(self._batch.state.ground.known[0, vehicle], row, column)
 
-    def flown(self, k: int) -> int | None:
+    def flown(self, vehicle: int) -> int | None:
         """The motion that a vehicle flies, by the tick in which it began; None: none."""
-        begins = self._begun.item(k) if self._carries else NO_MOTION
+        begins = self._begun.item(vehicle) if self._carries else NO_MOTION
         return begins if begins >= 0 else None
 
     def advance(self) -> None:

@@ -243,16 +243,18 @@ def last_seen_in(x: float, y: float, radius: float, tick: int) -> RecordArray:
     return memory
 
 
-def fly_plan(q: Promise, plan: c.Plan, state: list[float], g: FloatArray) -> list[float]:
+def fly_plan(promise: Promise, plan: c.Plan, state: list[float], g: FloatArray) -> list[float]:
     """Let a plan act to its end while a UGV at g flees as fast as it may; the distances."""
     held, (p_x, p_y, v_x, v_y) = holding(plan), state
     distances = [norm(p_x - g[0], p_y - g[1])]
     while ticks_left(held):
-        u_x, u_y = c.follow(q, held, v_x, v_y)
-        assert norm(u_x, u_y) <= q.u_a * (1.0 + 1e-9)
-        g = g + q.v_g * q.dt * away(np.array([p_x, p_y]), g)
-        p_x, p_y, v_x, v_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, q.v_a, q.u_a, q.dt)
-        assert 0.0 - 1e-6 <= p_x <= q.width + 1e-6 or q.width == math.inf
+        u_x, u_y = c.follow(promise, held, v_x, v_y)
+        assert norm(u_x, u_y) <= promise.u_a * (1.0 + 1e-9)
+        g = g + promise.v_g * promise.dt * away(np.array([p_x, p_y]), g)
+        p_x, p_y, v_x, v_y, _, _ = step_vehicle(
+            p_x, p_y, v_x, v_y, u_x, u_y, promise.v_a, promise.u_a, promise.dt
+        )
+        assert 0.0 - 1e-6 <= p_x <= promise.width + 1e-6 or promise.width == math.inf
         distances.append(norm(p_x - g[0], p_y - g[1]))
     assert norm(v_x, v_y) <= 2e-9
     assert norm(p_x - plan.end.x, p_y - plan.end.y) <= 1e-8

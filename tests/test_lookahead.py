@@ -34,9 +34,9 @@ def _parameters(cell: float) -> LawParameters:
     return parameters(scenario)._replace(room=100.0, margin=-100.0)  # nothing costs anything
 
 
-def _flown(c: LawParameters, ahead: Ahead, motion: np.ndarray, looks: int) -> float:
+def _flown(parameters: LawParameters, ahead: Ahead, motion: np.ndarray, looks: int) -> float:
     """The result of `worth`, by the world's own step and kernels: so many looks in each step."""
-    seen = empty_coverage(c.width, c.height, c.cell)
+    seen = empty_coverage(parameters.width, parameters.height, parameters.cell)
     seen[:, 12:] = 0.7
     unseen, saved, state = seen.copy(), 0.0, tuple(HERE)
     parts, tick = TICKS, ahead.step / TICKS
@@ -46,16 +46,36 @@ def _flown(c: LawParameters, ahead: Ahead, motion: np.ndarray, looks: int) -> fl
             w, began = motion[ahead.legs[k]], state[:2]
             for part in range(parts):
                 u = (w - np.array(state[2:])) / tick
-                state = step_vehicle(*state, *u.tolist(), math.inf, c.u_max, tick)[:4]
+                state = step_vehicle(*state, *u.tolist(), math.inf, parameters.u_max, tick)[:4]
                 if looks > 1 and part % (parts // looks) == parts // looks // 2:
                     place, time = state[:2], ahead.step / looks
-                    accumulate(seen, *place, c.sensor, c.peak, c.reach, c.cell, time)
+                    accumulate(
+                        seen,
+                        *place,
+                        parameters.sensor,
+                        parameters.peak,
+                        parameters.reach,
+                        parameters.cell,
+                        time,
+                    )
             if looks == 1:
                 x, y = (0.5 * (a + b) for a, b in zip(began, state[:2], strict=True))
-                accumulate(seen, x, y, c.sensor, c.peak, c.reach, c.cell, ahead.step)
+                accumulate(
+                    seen,
+                    x,
+                    y,
+                    parameters.sensor,
+                    parameters.peak,
+                    parameters.reach,
+                    parameters.cell,
+                    ahead.step,
+                )
         after = (k + 1) * ahead.step
         place = (UGV.p_x + after * UGV.v_x, UGV.p_y + after * UGV.v_y)
-        errors = (coverage_error(one, *place, c.r_o, c.desired, c.cell) for one in (unseen, seen))
+        errors = (
+            coverage_error(one, *place, parameters.r_o, parameters.desired, parameters.cell)
+            for one in (unseen, seen)
+        )
         saved -= ahead.step * math.exp(-0.06 * after) * float(np.diff(list(errors))[0])
     return saved
 

@@ -375,11 +375,13 @@ def _parameters(**numbers: Any) -> DriverParameters:
     return driver_parameters(told, "navigate")._replace(**numbers)
 
 
-def _drive(p: DriverParameters, memory: Any, goals: Any, ticks: int, start: Any) -> Any:
+def _drive(parameters: DriverParameters, memory: Any, goals: Any, ticks: int, start: Any) -> Any:
     here, track = Motion(*start, 0.0, 0.0), []
     for tick in range(ticks):
-        u = navigate_control(p, memory, np.array(goals), tick, here)
-        here = Motion(*step_vehicle(*here, *u, p.v_max, p.u_max, p.dt)[:4])
+        u = navigate_control(parameters, memory, np.array(goals), tick, here)
+        here = Motion(
+            *step_vehicle(*here, *u, parameters.v_max, parameters.u_max, parameters.dt)[:4]
+        )
         track.append(here)
     return np.array(track)
 

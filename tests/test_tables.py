@@ -144,7 +144,7 @@ def test_every_compiled_driver_has_its_branch(trees: dict[Path, ast.Module]) -> 
     asked = [
         node.comparators[0].id
         for node in ast.walk(tree)
-        if isinstance(node, ast.Compare) and ast.unparse(node.left) == "p.driver"
+        if isinstance(node, ast.Compare) and ast.unparse(node.left) == "parameters.driver"
     ]
     last = "EVADE"  # what is none of the others
     codes = [getattr(parameters_of_drivers, name) for name in (*asked, last)]
@@ -247,6 +247,8 @@ PRIVATE = {
     "seat",
 }
 """Private metaphors that have the field's word now: pilots, operator controls, channel, receive, slot and so on."""
+STRUCTURE = re.compile(r"[A-Z]\w+(?<!Array)(?<!Any)$")
+"""Types with names for their parts; what has such a type has a name too."""
 RIDDLE = re.compile(r"(What|Who|Whom|Whose|Whoever|Whatever|How|Which)\b")
 
 
@@ -258,11 +260,17 @@ def _words(node: ast.AST) -> list[str]:
 
 
 def unclear(tree: ast.AST) -> list[str]:
-    """Docstrings of a file that are riddles, and names with words that are nobody else's."""
+    """Docstrings of a file that are riddles, names with words that are nobody else's, and letters for structures."""
     prose = {node.value for node in _docstrings(tree) if isinstance(node, ast.Constant)}
     riddles = [text for text in prose if isinstance(text, str) and RIDDLE.match(text)]
     words = {word for node in ast.walk(tree) for word in _words(node)}
-    return sorted(riddles) + sorted(words & PRIVATE)
+    letters = {
+        f"{node.arg}: {node.annotation.id}"
+        for node in ast.walk(tree)
+        if isinstance(node, ast.arg) and isinstance(node.annotation, ast.Name)
+        if len(node.arg) == 1 and STRUCTURE.match(node.annotation.id)
+    }
+    return sorted(riddles) + sorted(words & PRIVATE) + sorted(letters)
 
 
 @pytest.mark.parametrize(
@@ -273,6 +281,7 @@ def unclear(tree: ast.AST) -> list[str]:
         ("def hear_block(): pass", ["hear"]),
         ("class FrontSeat: pass", ["seat"]),
         ("f(heard=run.desk)", ["desk", "heard"]),
+        ("def f(s: BatchState, x: float, w: FloatArray): pass", ["s: BatchState"]),
         ('"""Whether it is seated: nobody is overheard."""', []),
     ],
 )

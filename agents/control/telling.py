@@ -54,9 +54,9 @@ def telling_memory(width: float, height: float, tile: float) -> TellingMemory:
 
 
 @inlined
-def telling_of(memory: TellingMemory, k: int, u: int) -> TellingMemory:
+def telling_of(memory: TellingMemory, world: int, uav: int) -> TellingMemory:
     """That of one UAV in one world: views, no copies."""
-    return TellingMemory(memory.tiles[k, u], memory.news[k, u], memory.told[k, u])
+    return TellingMemory(memory.tiles[world, uav], memory.news[world, uav], memory.told[world, uav])
 
 
 @borrowing

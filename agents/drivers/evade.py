@@ -35,14 +35,14 @@ _BEGIN, _SIDE, _ANGLE, _WALL, _SPOT = range(2, 7)
 
 
 @borrowing
-def is_known(p: DriverParameters, memory: RecordArray, tick: int) -> bool:
+def is_known(parameters: DriverParameters, memory: RecordArray, tick: int) -> bool:
     """True if there has been a message of the UAV, and not too long ago."""
-    return bool(tick - memory[0].received <= p.forgotten)
+    return bool(tick - memory[0].received <= parameters.forgotten)
 
 
 @borrowing
 def receive_radio(
-    p: DriverParameters,
+    parameters: DriverParameters,
     memory: RecordArray,
     radio: FloatArray,
     received: int,
@@ -55,11 +55,12 @@ def receive_radio(
     """
     m = memory[0]
     for row in range(received):
-        at = min(max(radio[row, 0], tick - p.forgotten), tick)
-        age, gap = tick * p.dt - at * p.dt, at * p.dt - m.at * p.dt
+        at = min(max(radio[row, 0], tick - parameters.forgotten), tick)
+        age = tick * parameters.dt - at * parameters.dt
+        gap = at * parameters.dt - m.at * parameters.dt
         x = here.p_x - age * here.v_x + radio[row, 1]  # the UGV has driven on since
         y = here.p_y - age * here.v_y + radio[row, 2]
-        if not is_known(p, memory, tick):
+        if not is_known(parameters, memory, tick):
             m.uav_v_x, m.uav_v_y = 0.0, 0.0
         elif at > m.at:  # of two messages of one tick the difference says nothing
             share = gap / (_SMOOTHING + gap)
@@ -76,10 +77,15 @@ def slot_draw(time: float, lead: float, index: int, key: Key) -> float:
 
 
 @borrowing
-def away(p: DriverParameters, memory: RecordArray, tick: int, here: Motion) -> tuple[float, float]:
+def away(
+    parameters: DriverParameters, memory: RecordArray, tick: int, here: Motion
+) -> tuple[float, float]:
     """Away from where the UAV will be after the lead if it flies on as it does; a unit vector."""
-    time, lead, key, m = tick * p.dt, p.lead, (p.key_0, p.key_1), memory[0]
-    gap = time + lead - m.at * p.dt
+    time = tick * parameters.dt
+    lead = parameters.lead
+    key = (parameters.key_0, parameters.key_1)
+    m = memory[0]
+    gap = time + lead - m.at * parameters.dt
     x = here.p_x - (m.uav_x + gap * m.uav_v_x)
     y = here.p_y - (m.uav_y + gap * m.uav_v_y)
     length = norm(x, y)
@@ -113,17 +119,17 @@ def border_side(at: float, size: float, margin: float) -> float:
 
 @borrowing
 def leave_wall(
-    p: DriverParameters, memory: RecordArray, out_x: float, out_y: float, tick: int
+    parameters: DriverParameters, memory: RecordArray, out_x: float, out_y: float, tick: int
 ) -> tuple[float, float]:
     """Off a wall that it stands square to, or out of a corner: along a wall, and it stays with that for a while.
 
     Args:
-        p: Of the driver.
+        parameters: Of the driver.
         memory: `DriverMemory`, changed in place. Shape (1,).
         out_x, out_y: The sides it is near to, of `border_side`.
         tick: Now.
     """
-    time, lead, key = tick * p.dt, p.lead, (p.key_0, p.key_1)
+    time, lead, key = tick * parameters.dt, parameters.lead, (parameters.key_0, parameters.key_1)
     side = 1.0 if slot_draw(time, lead, _WALL, key) < 0.5 else -1.0
     if out_x == 0.0 or out_y == 0.0:
         x, y = side * out_y, side * out_x
@@ -131,23 +137,27 @@ def leave_wall(
         x, y = -out_x, 0.0
     else:
         x, y = 0.0, -out_y
-    memory[0].out_x, memory[0].out_y, memory[0].out_end = x, y, tick + p.dash
+    memory[0].out_x, memory[0].out_y, memory[0].out_end = x, y, tick + parameters.dash
     return x, y
 
 
 @compiled
-def off_walls(p: DriverParameters, w_x: float, w_y: float, here: Motion) -> tuple[float, float]:
+def off_walls(
+    parameters: DriverParameters, w_x: float, w_y: float, here: Motion
+) -> tuple[float, float]:
     """The wanted velocity [m/s], but where a wall would be hit else: to brake towards it first, and turn only then.
 
     Args:
-        p: Of the driver.
+        parameters: Of the driver.
         w_x, w_y: The wanted velocity [m/s].
         here: Where the UGV is.
     """
     v_x, v_y = here.v_x, here.v_y
-    halting = 0.5 * norm(v_x, v_y) / p.u_max + 2.0 * p.dt  # way to a stop over speed [s]
-    stop_x = abs(v_x) * halting > (p.width - here.p_x if v_x > 0.0 else here.p_x)
-    stop_y = abs(v_y) * halting > (p.height - here.p_y if v_y > 0.0 else here.p_y)
+    halting = (
+        0.5 * norm(v_x, v_y) / parameters.u_max + 2.0 * parameters.dt
+    )  # way to a stop over speed [s]
+    stop_x = abs(v_x) * halting > (parameters.width - here.p_x if v_x > 0.0 else here.p_x)
+    stop_y = abs(v_y) * halting > (parameters.height - here.p_y if v_y > 0.0 else here.p_y)
     if stop_x or stop_y:
         return (0.0 if stop_x else v_x), (0.0 if stop_y else v_y)
     return w_x, w_y
@@ -155,7 +165,7 @@ def off_walls(p: DriverParameters, w_x: float, w_y: float, here: Motion) -> tupl
 
 @borrowing
 def flee(
-    p: DriverParameters, memory: RecordArray, x: float, y: float, tick: int, here: Motion
+    parameters: DriverParameters, memory: RecordArray, x: float, y: float, tick: int, here: Motion
 ) -> tuple[float, float]:
     """The acceleration [m/s²] to full speed in the direction (x, y), but along walls and out of corners.
 
@@ -164,21 +174,23 @@ def flee(
     m = memory[0]
     if tick < m.out_end:
         x, y = m.out_x, m.out_y
-    out_x = border_side(here.p_x, p.width, p.margin)
-    out_y = border_side(here.p_y, p.height, p.margin)
+    out_x = border_side(here.p_x, parameters.width, parameters.margin)
+    out_y = border_side(here.p_y, parameters.height, parameters.margin)
     x, y = (0.0 if out_x * x > 0.0 else x), (0.0 if out_y * y > 0.0 else y)
     length = norm(x, y)
     if length > 0.0:
         x, y = x / length, y / length
     else:
-        x, y = leave_wall(p, memory, out_x, out_y, tick)
-    w_x, w_y = off_walls(p, x * p.speed, y * p.speed, here)
-    return velocity_control(here.v_x, here.v_y, w_x, w_y, p.v_max, p.u_max, p.dt)
+        x, y = leave_wall(parameters, memory, out_x, out_y, tick)
+    w_x, w_y = off_walls(parameters, x * parameters.speed, y * parameters.speed, here)
+    return velocity_control(
+        here.v_x, here.v_y, w_x, w_y, parameters.v_max, parameters.u_max, parameters.dt
+    )
 
 
 @borrowing
 def evade_control(
-    p: DriverParameters,
+    parameters: DriverParameters,
     memory: RecordArray,
     radio: FloatArray,
     received: int,
@@ -188,19 +200,19 @@ def evade_control(
     """The acceleration [m/s²] of the evader, as the head of this file tells.
 
     Args:
-        p: Of the driver.
+        parameters: Of the driver.
         memory: `DriverMemory`, changed in place. Shape (1,).
         radio: The tick and p_a - p_g [m] of each message that has come at this tick, shape (rows, 3).
         received: How many rows count.
         tick: Now.
         here: Where the UGV is.
     """
-    receive_radio(p, memory, radio, received, tick, here)
-    if not is_known(p, memory, tick):
-        return wander_control(p, memory, tick, here)
-    x, y = away(p, memory, tick, here)
-    x, y = turned(x, y, tick * p.dt, p.lead, (p.key_0, p.key_1))
-    return flee(p, memory, x, y, tick, here)
+    receive_radio(parameters, memory, radio, received, tick, here)
+    if not is_known(parameters, memory, tick):
+        return wander_control(parameters, memory, tick, here)
+    x, y = away(parameters, memory, tick, here)
+    x, y = turned(x, y, tick * parameters.dt, parameters.lead, (parameters.key_0, parameters.key_1))
+    return flee(parameters, memory, x, y, tick, here)
 
 
 def evade_lead(speed: float, u_max: float) -> float:

@@ -52,9 +52,11 @@ _ROUNDING = 1e-9
 
 
 @borrowing
-def _tile_of(p: DriverParameters, memory: GroundMemory, x: float, y: float) -> int:
+def _tile_of(parameters: DriverParameters, memory: GroundMemory, x: float, y: float) -> int:
     rows, columns = memory.tiles.shape
-    return int(tile_index(y, p.tile, rows) * columns + tile_index(x, p.tile, columns))
+    return int(
+        tile_index(y, parameters.tile, rows) * columns + tile_index(x, parameters.tile, columns)
+    )
 
 
 @compiled
@@ -63,11 +65,13 @@ def _centre(n: int, columns: int, tile: float) -> tuple[float, float]:
 
 
 @borrowing
-def state_ahead(p: DriverParameters, memory: GroundMemory, tick: int, here: Motion) -> Motion:
+def state_ahead(
+    parameters: DriverParameters, memory: GroundMemory, tick: int, here: Motion
+) -> Motion:
     """The state of the UGV when the command of this tick acts, if those under way do.
 
     Args:
-        p: Of the driver.
+        parameters: Of the driver.
         memory: If the last tick was left out, so that a command may be held longer, it is taken to be under way again.
         tick: Now.
         here: Where it is now.
@@ -82,10 +86,18 @@ def state_ahead(p: DriverParameters, memory: GroundMemory, tick: int, here: Moti
                 sent[k, 0], sent[k, 1] = sent[k + 1, 0], sent[k + 1, 1]
     for k in range(last + 1):
         p_x, p_y, v_x, v_y, _, _ = step_vehicle(
-            here.p_x, here.p_y, here.v_x, here.v_y, sent[k, 0], sent[k, 1], p.v_max, p.u_max, p.dt
+            here.p_x,
+            here.p_y,
+            here.v_x,
+            here.v_y,
+            sent[k, 0],
+            sent[k, 1],
+            parameters.v_max,
+            parameters.u_max,
+            parameters.dt,
         )
-        p_x, v_x = within_walls(p_x, v_x, p.width)
-        p_y, v_y = within_walls(p_y, v_y, p.height)
+        p_x, v_x = within_walls(p_x, v_x, parameters.width)
+        p_y, v_y = within_walls(p_y, v_y, parameters.height)
         here = Motion(p_x, p_y, v_x, v_y)
     return here
 
@@ -103,28 +115,28 @@ def note_sent(memory: GroundMemory, tick: int, u_x: float, u_y: float) -> None:
 
 
 @compiled
-def _prices(p: DriverParameters) -> Prices:
-    return Prices(p.rough_price, p.unseen_price, p.beside_price)
+def _prices(parameters: DriverParameters) -> Prices:
+    return Prices(parameters.rough_price, parameters.unseen_price, parameters.beside_price)
 
 
 @borrowing
 def _way_costs_at_most(
-    p: DriverParameters,
+    parameters: DriverParameters,
     memory: GroundMemory,
     a: tuple[float, float],
     b: tuple[float, float],
     price: float,
 ) -> bool:
     """True if the straight way touches neither a blocked tile nor ground that costs more a metre."""
-    unseen = 1 if p.unseen_price <= price else 0
-    rough = 1 if p.rough_price <= price else 0
-    beside = 1 if 1.0 + p.beside_price <= price else 0
-    return way_is_open(memory.tiles, p.tile, Open(unseen, rough, beside, 0, 0, 0, 0), a, b)
+    unseen = 1 if parameters.unseen_price <= price else 0
+    rough = 1 if parameters.rough_price <= price else 0
+    beside = 1 if 1.0 + parameters.beside_price <= price else 0
+    return way_is_open(memory.tiles, parameters.tile, Open(unseen, rough, beside, 0, 0, 0, 0), a, b)
 
 
 @borrowing
 def look_ahead(
-    p: DriverParameters,
+    parameters: DriverParameters,
     memory: GroundMemory,
     x: float,
     y: float,
@@ -134,7 +146,7 @@ def look_ahead(
     """The farthest point along the cheapest way to which a straight way is as good; the goal, if it is one.
 
     Args:
-        p: Of the driver.
+        parameters: Of the driver.
         memory: With a plan to this goal, that knows a way from here.
         x, y: Where the UGV is [m].
         goal_x, goal_y: The goal [m].
@@ -143,23 +155,27 @@ def look_ahead(
         The point [m].
     """
     columns = memory.tiles.shape[1]
-    n, goal = _tile_of(p, memory, x, y), _tile_of(p, memory, goal_x, goal_y)
+    n, goal = _tile_of(parameters, memory, x, y), _tile_of(parameters, memory, goal_x, goal_y)
     if n == goal:
         return goal_x, goal_y
-    best_x, best_y = _centre(n, columns, p.tile)
-    reach = stopping_distance(p.v_max, p.u_max) + p.v_max * p.dt + 4.0 * p.tile
-    prices, way = _prices(p), memory.way
+    best_x, best_y = _centre(n, columns, parameters.tile)
+    reach = (
+        stopping_distance(parameters.v_max, parameters.u_max)
+        + parameters.v_max * parameters.dt
+        + 4.0 * parameters.tile
+    )
+    prices, way = _prices(parameters), memory.way
     highest = price_of(prices, way[n])
     for step in range(_STEPS):
         m = next_tile(way, columns, n)
         if m == n:
             break
         n, highest = m, max(highest, price_of(prices, way[m]))
-        to_x, to_y = _centre(n, columns, p.tile)
+        to_x, to_y = _centre(n, columns, parameters.tile)
         if n == goal:
             to_x, to_y = goal_x, goal_y
         limit = math.inf if step == 0 else (1.0 + _ROUNDING) * highest
-        if not _way_costs_at_most(p, memory, (x, y), (to_x, to_y), limit):
+        if not _way_costs_at_most(parameters, memory, (x, y), (to_x, to_y), limit):
             break
         best_x, best_y = to_x, to_y
         if n == goal or norm(to_x - x, to_y - y) > reach:
@@ -168,36 +184,51 @@ def look_ahead(
 
 
 @borrowing
-def _slow(p: DriverParameters) -> float:
+def _slow(parameters: DriverParameters) -> float:
     """As fast as it drives on rough ground [m/s]."""
-    return (1.0 - _ROUNDING) * p.share * p.v_max
+    return (1.0 - _ROUNDING) * parameters.share * parameters.v_max
 
 
 @borrowing
 def _rough_speed(
-    p: DriverParameters, memory: GroundMemory, here: Motion, to_x: float, to_y: float
+    parameters: DriverParameters, memory: GroundMemory, here: Motion, to_x: float, to_y: float
 ) -> float:
     """Largest speed with which it is, at the first rough ground on its way, as slow as that makes it [m/s]."""
-    slow = _slow(p)
+    slow = _slow(parameters)
     even = Open(1, 0, 1, 0, 0, 0, 0)
     a, b = (here.p_x, here.p_y), (to_x, to_y)
-    share = open_way(memory.tiles, p.tile, even, a, b)
+    share = open_way(memory.tiles, parameters.tile, even, a, b)
     if share == 1.0:
-        return p.v_max
+        return parameters.v_max
     way = share * norm(b[0] - a[0], b[1] - a[1])
-    room = way - 0.5 * p.dt * norm(here.v_x, here.v_y) + stopping_distance(slow, p.u_max)
-    return min(max(speed_to_stop_within(room, p.u_max, p.dt), slow), p.v_max)
+    room = (
+        way
+        - 0.5 * parameters.dt * norm(here.v_x, here.v_y)
+        + stopping_distance(slow, parameters.u_max)
+    )
+    return min(
+        max(speed_to_stop_within(room, parameters.u_max, parameters.dt), slow), parameters.v_max
+    )
 
 
 @borrowing
-def _bounds(p: DriverParameters, memory: GroundMemory) -> Bounds:
+def _bounds(parameters: DriverParameters, memory: GroundMemory) -> Bounds:
     late = 1 if memory.commands.shape[0] > 0 else 0
-    return Bounds(p.width, p.height, p.tile, p.v_max, p.u_max, p.dt, p.share * p.v_max, late)
+    return Bounds(
+        parameters.width,
+        parameters.height,
+        parameters.tile,
+        parameters.v_max,
+        parameters.u_max,
+        parameters.dt,
+        parameters.share * parameters.v_max,
+        late,
+    )
 
 
 @borrowing
 def drive_towards(
-    p: DriverParameters,
+    parameters: DriverParameters,
     memory: GroundMemory,
     here: Motion,
     to_x: float,
@@ -206,33 +237,33 @@ def drive_towards(
     """The command [m/s²] to a point, or the fastest found that is safe on this heading; none is: the one that brakes.
 
     Args:
-        p: Of the driver.
+        parameters: Of the driver.
         memory: What the UGV knows.
         here: Where it is when the command acts.
         to_x, to_y: The point [m].
     """
-    bounds = _bounds(p, memory)
-    ground = open_from(memory.tiles, p.tile, p.bold, here.p_x, here.p_y)
-    speed = _rough_speed(p, memory, here, to_x, to_y)
+    bounds = _bounds(parameters, memory)
+    ground = open_from(memory.tiles, parameters.tile, parameters.bold, here.p_x, here.p_y)
+    speed = _rough_speed(parameters, memory, here, to_x, to_y)
     d_x, d_y = to_x - here.p_x, to_y - here.p_y
-    u_x, u_y = goal_control(here, to_x, to_y, speed, p.u_max, p.dt)
+    u_x, u_y = goal_control(here, to_x, to_y, speed, parameters.u_max, parameters.dt)
     if is_safe(bounds, memory.tiles, ground, here, u_x, u_y):
         return u_x, u_y
     a = here.p_x, here.p_y
-    free = open_way(memory.tiles, p.tile, ground, a, (to_x, to_y))
+    free = open_way(memory.tiles, parameters.tile, ground, a, (to_x, to_y))
     if free > 0.0:
-        for limit in (speed, min(speed, _slow(p))):
+        for limit in (speed, min(speed, _slow(parameters))):
             for share in _SHARES:
                 on_x, on_y = here.p_x + share * free * d_x, here.p_y + share * free * d_y
-                u_x, u_y = goal_control(here, on_x, on_y, limit, p.u_max, p.dt)
+                u_x, u_y = goal_control(here, on_x, on_y, limit, parameters.u_max, parameters.dt)
                 if is_safe(bounds, memory.tiles, ground, here, u_x, u_y):
                     return u_x, u_y
-    return brake(here.v_x, here.v_y, p.u_max, p.dt)
+    return brake(here.v_x, here.v_y, parameters.u_max, parameters.dt)
 
 
 @borrowing
 def _plan_if_due(
-    p: DriverParameters, memory: GroundMemory, tick: int, target: int, own: int
+    parameters: DriverParameters, memory: GroundMemory, tick: int, target: int, own: int
 ) -> None:
     """Begin a search if one is due, and go on with it for a tick; the plan that is followed changes where it ends.
 
@@ -240,7 +271,7 @@ def _plan_if_due(
     """
     flags = memory.flags[0]
     if flags.searching == 0 or flags.aim != target:
-        due = flags.planned < 0 or tick - flags.planned >= p.plan_ticks
+        due = flags.planned < 0 or tick - flags.planned >= parameters.plan_ticks
         kept = flags.target == target and (flags.stale == 0 or not due)
         if flags.searching == 0 and kept and is_settled(memory, own):
             return
@@ -249,13 +280,13 @@ def _plan_if_due(
         else:
             begin_search(memory, target)
         flags.planned, flags.stale = tick, 0
-    if search_on(_prices(p), p.tile, memory, own, p.plan_tiles):
+    if search_on(_prices(parameters), parameters.tile, memory, own, parameters.plan_tiles):
         take_plan(memory)
 
 
 @borrowing
 def navigate_control(
-    p: DriverParameters,
+    parameters: DriverParameters,
     memory: GroundMemory,
     goals: FloatArray,
     tick: int,
@@ -267,32 +298,32 @@ def navigate_control(
     searches for a way to the next goal it goes on to the one before.
 
     Args:
-        p: Of the driver.
+        parameters: Of the driver.
         memory: With the tiles that have been told until now; changed in place.
         goals: [m], shape (goals, 2).
         tick: Now.
         here: Where the UGV is.
     """
     flags, count = memory.flags[0], goals.shape[0]
-    now, here = here, state_ahead(p, memory, tick, here)
-    u_x, u_y = brake(here.v_x, here.v_y, p.u_max, p.dt)
+    now, here = here, state_ahead(parameters, memory, tick, here)
+    u_x, u_y = brake(here.v_x, here.v_y, parameters.u_max, parameters.dt)
     if count > 0 and memory.tiles.size > 0:
         while flags.goal < count - 1 and goal_reached(
-            now.p_x, now.p_y, goals[flags.goal, 0], goals[flags.goal, 1], p.tolerance
+            now.p_x, now.p_y, goals[flags.goal, 0], goals[flags.goal, 1], parameters.tolerance
         ):
             flags.goal += 1
         goal_x, goal_y = goals[flags.goal, 0], goals[flags.goal, 1]
-        own = _tile_of(p, memory, here.p_x, here.p_y)
+        own = _tile_of(parameters, memory, here.p_x, here.p_y)
         columns = memory.tiles.shape[1]
         if memory.tiles[own // columns, own % columns] == BLOCK:
-            i, j = nearest_open(memory.tiles, p.tile, p.bold, here.p_x, here.p_y)
-            to_x, to_y = _centre(i * columns + j, columns, p.tile)
-            u_x, u_y = drive_towards(p, memory, here, to_x, to_y)
+            i, j = nearest_open(memory.tiles, parameters.tile, parameters.bold, here.p_x, here.p_y)
+            to_x, to_y = _centre(i * columns + j, columns, parameters.tile)
+            u_x, u_y = drive_towards(parameters, memory, here, to_x, to_y)
         else:
-            target = _tile_of(p, memory, goal_x, goal_y)
-            _plan_if_due(p, memory, tick, target, own)
+            target = _tile_of(parameters, memory, goal_x, goal_y)
+            _plan_if_due(parameters, memory, tick, target, own)
             if has_way(memory.way, own):
-                to_x, to_y = look_ahead(p, memory, here.p_x, here.p_y, goal_x, goal_y)
-                u_x, u_y = drive_towards(p, memory, here, to_x, to_y)
+                to_x, to_y = look_ahead(parameters, memory, here.p_x, here.p_y, goal_x, goal_y)
+                u_x, u_y = drive_towards(parameters, memory, here, to_x, to_y)
     note_sent(memory, tick, u_x, u_y)
     return u_x, u_y

@@ -15,18 +15,20 @@ from sim.models.vehicles import Motion, brake
 
 @compiled
 def script_control(
-    p: DriverParameters, script: FloatArray, tick: int, here: Motion
+    parameters: DriverParameters, script: FloatArray, tick: int, here: Motion
 ) -> tuple[float, float]:
     """The acceleration [m/s²] towards the velocity of the last step whose time has come; before the first it brakes.
 
     Args:
-        p: Of the driver.
+        parameters: Of the driver.
         script: First tick, v_x and v_y [m/s] of each step, in the order of time; shape (steps, 3).
         tick: Now.
         here: Where the UGV is.
     """
     begun = np.searchsorted(script[:, 0], float(tick), side="right")
     if begun == 0:
-        return brake(here.v_x, here.v_y, p.u_max, p.dt)
+        return brake(here.v_x, here.v_y, parameters.u_max, parameters.dt)
     w_x, w_y = script[begun - 1, 1], script[begun - 1, 2]
-    return velocity_control(here.v_x, here.v_y, w_x, w_y, p.v_max, p.u_max, p.dt)
+    return velocity_control(
+        here.v_x, here.v_y, w_x, w_y, parameters.v_max, parameters.u_max, parameters.dt
+    )

@@ -32,7 +32,7 @@ class UgvMemory(NamedTuple):
 
 @borrowing
 def ugv_tick(
-    p: DriverParameters,
+    parameters: DriverParameters,
     route: Route,
     memory: UgvMemory,
     radio: FloatArray,
@@ -43,7 +43,7 @@ def ugv_tick(
     """The UGV's command [m/s²] under any driver that has a compiled form.
 
     Args:
-        p: Of the driver.
+        parameters: Of the driver.
         route: Its goals and its script.
         memory: Is changed.
         radio: The tick and p_a - p_g [m] of the messages that have come at this tick, shape (rows, 3).
@@ -52,14 +52,14 @@ def ugv_tick(
         here: Where the UGV is.
     """
     own = memory.driver
-    if p.driver == WAYPOINTS:
-        return waypoint_control(p, route.goals, own, here)
-    if p.driver == WANDER:
-        return wander_control(p, own, tick, here)
-    if p.driver == SCRIPT:
-        return script_control(p, route.script, tick, here)
-    if p.driver == NAVIGATE:
+    if parameters.driver == WAYPOINTS:
+        return waypoint_control(parameters, route.goals, own, here)
+    if parameters.driver == WANDER:
+        return wander_control(parameters, own, tick, here)
+    if parameters.driver == SCRIPT:
+        return script_control(parameters, route.script, tick, here)
+    if parameters.driver == NAVIGATE:
         if memory.ground.tiles.size == 0:  # there is nothing to go round
-            return waypoint_control(p, route.goals, own, here)
-        return navigate_control(p, memory.ground, route.goals, tick, here)
-    return evade_control(p, own, radio, received, tick, here)
+            return waypoint_control(parameters, route.goals, own, here)
+        return navigate_control(parameters, memory.ground, route.goals, tick, here)
+    return evade_control(parameters, own, radio, received, tick, here)

@@ -42,19 +42,21 @@ def wander_goal(
 
 @borrowing
 def wander_control(
-    p: DriverParameters, memory: RecordArray, tick: int, here: Motion
+    parameters: DriverParameters, memory: RecordArray, tick: int, here: Motion
 ) -> tuple[float, float]:
     """The acceleration [m/s²] to a random goal, and when that is reached to another one.
 
     Args:
-        p: Of the driver.
+        parameters: Of the driver.
         memory: `DriverMemory`, changed in place. Shape (1,).
         tick: Now.
         here: Where the UGV is.
     """
     m = memory[0]
-    if m.chosen == 0 or goal_reached(here.p_x, here.p_y, m.goal_x, m.goal_y, p.tolerance):
-        key = p.key_0, p.key_1
-        m.goal_x, m.goal_y = wander_goal(tick, p.width, p.height, p.margin, key)
+    if m.chosen == 0 or goal_reached(here.p_x, here.p_y, m.goal_x, m.goal_y, parameters.tolerance):
+        key = parameters.key_0, parameters.key_1
+        m.goal_x, m.goal_y = wander_goal(
+            tick, parameters.width, parameters.height, parameters.margin, key
+        )
         m.chosen = 1
-    return goal_control(here, m.goal_x, m.goal_y, p.speed, p.u_max, p.dt)
+    return goal_control(here, m.goal_x, m.goal_y, parameters.speed, parameters.u_max, parameters.dt)

@@ -32,25 +32,29 @@ def goal_control(
 
 @borrowing
 def waypoint_control(
-    p: DriverParameters, goals: FloatArray, memory: RecordArray, here: Motion
+    parameters: DriverParameters, goals: FloatArray, memory: RecordArray, here: Motion
 ) -> tuple[float, float]:
     """The acceleration [m/s²] to one goal after the other; to the last one, and without any to where the UGV is.
 
     A goal is kept until it is nearer than the tolerance; then comes the next one, and the last one stays.
 
     Args:
-        p: Of the driver; its bounds may be infinite.
+        parameters: Of the driver; its bounds may be infinite.
         goals: [m], shape (goals, 2).
         memory: `DriverMemory`, changed in place. Shape (1,).
         here: Where the UGV is.
     """
     count = len(goals)
     if count == 0:
-        return goal_control(here, here.p_x, here.p_y, p.v_max, p.u_max, p.dt)
+        return goal_control(
+            here, here.p_x, here.p_y, parameters.v_max, parameters.u_max, parameters.dt
+        )
     index = memory[0].goal
     while index < count - 1 and goal_reached(
-        here.p_x, here.p_y, goals[index, 0], goals[index, 1], p.tolerance
+        here.p_x, here.p_y, goals[index, 0], goals[index, 1], parameters.tolerance
     ):
         index += 1
     memory[0].goal = index
-    return goal_control(here, goals[index, 0], goals[index, 1], p.v_max, p.u_max, p.dt)
+    return goal_control(
+        here, goals[index, 0], goals[index, 1], parameters.v_max, parameters.u_max, parameters.dt
+    )

@@ -255,30 +255,35 @@ def kalman_go_on(parameters: KalmanParameters, state: KalmanState) -> int:
 
 
 @borrowing
-def _predict(parameters: KalmanParameters, b: Belief, step: Step) -> None:
+def _predict(parameters: KalmanParameters, belief: Belief, step: Step) -> None:
     """Take on what is predicted, with the standard deviations of an axis in bounds.
 
     The position's [m] never grows faster than at v_g,max, and is at least what the UGV may have strayed; the velocity's
     is at most v_g,max.
     """
     c, n = parameters, step
-    b.x += n.ticks * c.dt * b.v_x
-    b.y += n.ticks * c.dt * b.v_y
-    most = math.sqrt(b.p_pp) + c.speed * n.ticks * c.dt
-    b.p_pp, b.p_pv, b.p_vp, b.p_vv = n.prior_pp, n.prior_pv, n.prior_vp, n.prior_vv
+    belief.x += n.ticks * c.dt * belief.v_x
+    belief.y += n.ticks * c.dt * belief.v_y
+    most = math.sqrt(belief.p_pp) + c.speed * n.ticks * c.dt
+    belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv = (
+        n.prior_pp,
+        n.prior_pv,
+        n.prior_vp,
+        n.prior_vv,
+    )
     if not c.speed < math.inf:
         return
-    elapsed = (b.age + n.ticks) * c.dt
+    elapsed = (belief.age + n.ticks) * c.dt
     least = SURE * strayed_distance(elapsed=elapsed, speed=c.speed, acceleration=c.acceleration)
-    position, velocity = math.sqrt(b.p_pp), math.sqrt(b.p_vv)
+    position, velocity = math.sqrt(belief.p_pp), math.sqrt(belief.p_vv)
     if least <= position <= most and not velocity > c.speed:
         return
     p, v = min(max(least, position), most) / position, min(1.0, c.speed / velocity)
-    b.p_pp, b.p_pv, b.p_vp, b.p_vv = (
-        b.p_pp * (p * p),
-        b.p_pv * (p * v),
-        b.p_vp * (v * p),
-        b.p_vv * (v * v),
+    belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv = (
+        belief.p_pp * (p * p),
+        belief.p_pv * (p * v),
+        belief.p_vp * (v * p),
+        belief.p_vv * (v * v),
     )
     n.weighed = False  # it was for another covariance
 
@@ -315,22 +320,31 @@ def _take(parameters: KalmanParameters, state: KalmanState, x: float, y: float) 
 
 
 @borrowing
-def _start(parameters: KalmanParameters, b: Belief, step: Step, x: float, y: float) -> None:
+def _start(parameters: KalmanParameters, belief: Belief, step: Step, x: float, y: float) -> None:
     """Know nothing but one detection at (x, y) [m]."""
-    b.known = True
-    b.x, b.y, b.v_x, b.v_y = x, y, 0.0, 0.0
-    b.p_pp, b.p_pv, b.p_vp, b.p_vv = parameters.variance, 0.0, 0.0, parameters.first_variance
-    b.age = b.in_a_row = 0
+    belief.known = True
+    belief.x, belief.y, belief.v_x, belief.v_y = x, y, 0.0, 0.0
+    belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv = (
+        parameters.variance,
+        0.0,
+        0.0,
+        parameters.first_variance,
+    )
+    belief.age = belief.in_a_row = 0
     step.predicted = step.weighed = False
 
 
 @borrowing
-def _correct(parameters: KalmanParameters, b: Belief, step: Step, nu_x: float, nu_y: float) -> None:
+def _correct(
+    parameters: KalmanParameters, belief: Belief, step: Step, nu_x: float, nu_y: float
+) -> None:
     """Believe a detection that is (nu_x, nu_y) [m] from where the UGV was thought to be."""
     n = step
-    b.x += n.k_p * nu_x
-    b.y += n.k_p * nu_y
-    b.v_x, b.v_y = clip_norm(x=b.v_x + n.k_v * nu_x, y=b.v_y + n.k_v * nu_y, limit=parameters.speed)
-    b.p_pp, b.p_pv, b.p_vp, b.p_vv = n.post_pp, n.post_pv, n.post_vp, n.post_vv
-    b.age = b.in_a_row = 0
+    belief.x += n.k_p * nu_x
+    belief.y += n.k_p * nu_y
+    belief.v_x, belief.v_y = clip_norm(
+        x=belief.v_x + n.k_v * nu_x, y=belief.v_y + n.k_v * nu_y, limit=parameters.speed
+    )
+    belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv = n.post_pp, n.post_pv, n.post_vp, n.post_vv
+    belief.age = belief.in_a_row = 0
     step.predicted = step.weighed = False

@@ -72,19 +72,19 @@ fma = cast("Callable[[float, float, float], float]", intrinsic(_fma))
 
 
 @borrowing
-def _predict(c: KalmanParameters, b: Belief, step: Step) -> None:
+def _predict(parameters: KalmanParameters, belief: Belief, step: Step) -> None:
     r"""The covariance of one axis a tick later: $F P F^T + Q$."""
-    dt, vp, vv = c.dt, b.p_vp, b.p_vv
-    a_pp, a_pv = fma(dt, vp, b.p_pp), fma(dt, vv, b.p_pv)
-    step.prior_pp, step.prior_pv = fma(a_pv, dt, a_pp) + c.q_pp, a_pv + c.q_pv
-    step.prior_vp, step.prior_vv = fma(vv, dt, vp) + c.q_pv, vv + c.q_vv
+    dt, vp, vv = parameters.dt, belief.p_vp, belief.p_vv
+    a_pp, a_pv = fma(dt, vp, belief.p_pp), fma(dt, vv, belief.p_pv)
+    step.prior_pp, step.prior_pv = fma(a_pv, dt, a_pp) + parameters.q_pp, a_pv + parameters.q_pv
+    step.prior_vp, step.prior_vv = fma(vv, dt, vp) + parameters.q_pv, vv + parameters.q_vv
     step.predicted = True
 
 
 @borrowing
-def _weigh(variance: float, b: Belief, step: Step) -> None:
+def _weigh(variance: float, belief: Belief, step: Step) -> None:
     r"""Gain of one axis, and its covariance after a detection, $(I - KH) P (I - KH)^T + K R K^T$."""
-    pp, pv, vp, vv = b.p_pp, b.p_pv, b.p_vp, b.p_vv
+    pp, pv, vp, vv = belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv
     s = pp + variance
     inverse = s * (1.0 / (s * s))
     k_p, k_v = pp * inverse, vp * inverse

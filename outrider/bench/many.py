@@ -36,7 +36,7 @@ _TRIAD = 1 << 24
 
 @released
 def _kernels_alone(
-    w: WorldParameters,
+    parameters: WorldParameters,
     full: bool,
     widths: IntArray,
     grids: FloatArray,
@@ -51,12 +51,23 @@ def _kernels_alone(
         if k + 1 < end:
             n = k + 1
             of = 2 if full else 0
-            fetch_disc(grids[n], places[n, of], places[n, of + 1], w.cell, widths)
+            fetch_disc(grids[n], places[n, of], places[n, of + 1], parameters.cell, widths)
         a_x, a_y, g_x, g_y, grid = places[k, 0], places[k, 1], places[k, 2], places[k, 3], grids[k]
         for _ in range(ticks):
             if full:
-                accumulate(grid, a_x, a_y, w.sensor, w.peak, w.reach, w.cell, w.dt)
-                out[k] += coverage_error(grid, g_x, g_y, w.r_o, w.desired, w.cell)
+                accumulate(
+                    grid,
+                    a_x,
+                    a_y,
+                    parameters.sensor,
+                    parameters.peak,
+                    parameters.reach,
+                    parameters.cell,
+                    parameters.dt,
+                )
+                out[k] += coverage_error(
+                    grid, g_x, g_y, parameters.r_o, parameters.desired, parameters.cell
+                )
             else:
                 out[k] += accumulate_with_gain(
                     grid,
@@ -64,16 +75,26 @@ def _kernels_alone(
                     a_y,
                     g_x,
                     g_y,
-                    w.r_o,
-                    w.desired,
-                    w.sensor,
-                    w.peak,
-                    w.reach,
-                    w.cell,
-                    w.dt,
+                    parameters.r_o,
+                    parameters.desired,
+                    parameters.sensor,
+                    parameters.peak,
+                    parameters.reach,
+                    parameters.cell,
+                    parameters.dt,
                 )
             out[k] += coverage_gradient(
-                grid, a_x, a_y, g_x, g_y, w.r_o, w.desired, w.sensor, w.peak, w.reach, w.cell
+                grid,
+                a_x,
+                a_y,
+                g_x,
+                g_y,
+                parameters.r_o,
+                parameters.desired,
+                parameters.sensor,
+                parameters.peak,
+                parameters.reach,
+                parameters.cell,
             )[0]
 
 

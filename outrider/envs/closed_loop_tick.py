@@ -64,111 +64,144 @@ _RELATIVE, _GROUND = range(2)
 
 
 @inlined
-def _guard_of(t: LoopTables, s: GuardState, k: int, u: int) -> GuardState:
-    course = s.course[k, u, : t.delays[u] + 1]
-    w, rows = s.underway, t.delays[u] + 2
-    sent = Underway(w.sent[k, u, :rows], w.flown[k, u], w.expected[k, u])
-    return GuardState(s.detections[k, u], s.plan[k, u], course, s.track[k, u], s.flags[k, u], sent)
-
-
-@inlined
-def _kalman_of(s: KalmanState, k: int, u: int) -> KalmanState:
-    return KalmanState(s.belief[k, u], s.counts[k, u], s.step[k, u], s.past[k, u], s.before[k, u])
-
-
-@inlined
-def _ground_of(t: LoopTables, s: LoopState, k: int, g: int) -> GroundMemory:
-    m = s.grounds
-    return GroundMemory(
-        m.tiles[k, g],
-        m.sure[k, g],
-        m.draft[k, g],
-        m.way[k, g],
-        m.cost[k, g],
-        m.heap[k, g],
-        m.place[k, g],
-        m.commands[k, g, : t.late[g]],
-        m.flags[k, g],
+def _guard_of(tables: LoopTables, state: GuardState, world: int, uav: int) -> GuardState:
+    course = state.course[world, uav, : tables.delays[uav] + 1]
+    w, rows = state.underway, tables.delays[uav] + 2
+    sent = Underway(w.sent[world, uav, :rows], w.flown[world, uav], w.expected[world, uav])
+    return GuardState(
+        state.detections[world, uav],
+        state.plan[world, uav],
+        course,
+        state.track[world, uav],
+        state.flags[world, uav],
+        sent,
     )
 
 
 @inlined
-def _memory_of(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int) -> UavMemory:
-    coverage = s.maps[k, u] if p.own_maps else s.batch.truth.coverage[k]
-    ahead = s.lookaheads
-    lookahead = LookaheadMemory(ahead.state[k, u], ahead.velocities[k, u], ahead.kept[k, u])
-    return UavMemory(coverage, s.law_states[k, u], lookahead, _guard_of(t, s.guards, k, u))
+def _kalman_of(state: KalmanState, world: int, uav: int) -> KalmanState:
+    return KalmanState(
+        state.belief[world, uav],
+        state.counts[world, uav],
+        state.step[world, uav],
+        state.past[world, uav],
+        state.before[world, uav],
+    )
 
 
 @inlined
-def _motion_of(told: Told, k: int, v: int) -> Motion:
+def _ground_of(tables: LoopTables, state: LoopState, world: int, ugv: int) -> GroundMemory:
+    m = state.grounds
+    return GroundMemory(
+        m.tiles[world, ugv],
+        m.sure[world, ugv],
+        m.draft[world, ugv],
+        m.way[world, ugv],
+        m.cost[world, ugv],
+        m.heap[world, ugv],
+        m.place[world, ugv],
+        m.commands[world, ugv, : tables.late[ugv]],
+        m.flags[world, ugv],
+    )
+
+
+@inlined
+def _memory_of(
+    parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int, uav: int
+) -> UavMemory:
+    coverage = state.maps[world, uav] if parameters.own_maps else state.batch.truth.coverage[world]
+    ahead = state.lookaheads
+    lookahead = LookaheadMemory(
+        ahead.state[world, uav], ahead.velocities[world, uav], ahead.kept[world, uav]
+    )
+    return UavMemory(
+        coverage,
+        state.law_states[world, uav],
+        lookahead,
+        _guard_of(tables, state.guards, world, uav),
+    )
+
+
+@inlined
+def _motion_of(told: Told, world: int, vehicle: int) -> Motion:
     return Motion(
-        told.position[k, v, 0],
-        told.position[k, v, 1],
-        told.velocity[k, v, 0],
-        told.velocity[k, v, 1],
+        told.position[world, vehicle, 0],
+        told.position[world, vehicle, 1],
+        told.velocity[world, vehicle, 0],
+        told.velocity[world, vehicle, 1],
     )
 
 
 @inlined
 def _fly(
-    p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, u: int, actions: FloatArray
+    parameters: LoopParameters,
+    tables: LoopTables,
+    state: LoopState,
+    world: int,
+    vehicle: int,
+    uav: int,
+    actions: FloatArray,
 ) -> None:
-    """The command of UAV u, vehicle v, and what it radios."""
-    tick, row = s.batch.ticks[k], s.rows.uavs[k, u]
-    here, law, guarded = _motion_of(s.batch.told, k, v), s.laws[k, u], t.guarded[u] != 0
-    memory, target = _memory_of(p, t, s, k, u), kalman_estimate(_kalman_of(s.kalman, k, u))
-    flown = s.batch.flown[k, v, 0].begins
-    if t.hand[v] < 0:
+    """The command of a UAV, and what it radios."""
+    tick, row = state.batch.ticks[world], state.rows.uavs[world, uav]
+    here = _motion_of(state.batch.told, world, vehicle)
+    law = state.laws[world, uav]
+    guarded = tables.guarded[uav] != 0
+    memory = _memory_of(parameters, tables, state, world, uav)
+    target = kalman_estimate(_kalman_of(state.kalman, world, uav))
+    flown = state.batch.flown[world, vehicle, 0].begins
+    if tables.hand[vehicle] < 0:
         own = OwnTerms(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         u_x, u_y, acts, code, bound = uav_tick(
-            law, t.promises[u], guarded, memory, own, tick, here, target, flown
+            law, tables.promises[uav], guarded, memory, own, tick, here, target, flown
         )
     else:
-        u_x, u_y = actions[t.hand[v], 0], actions[t.hand[v], 1]
+        u_x, u_y = actions[tables.hand[vehicle], 0], actions[tables.hand[vehicle], 1]
         acts, code, bound = INNER, NOTHING_AGAINST, 0.0
         if guarded:
             u_x, u_y, acts, code, bound = guard(
-                t.promises[u], memory.guard, tick, here, u_x, u_y, flown
+                tables.promises[uav], memory.guard, tick, here, u_x, u_y, flown
             )
     if guarded:
         row[GUARD_METRICS.bound] = bound
         row[GUARD_METRICS.acted] = 1.0 if acts != INNER else 0.0
-        sure = code == NOTHING_AGAINST and t.faults[u] == 0
+        sure = code == NOTHING_AGAINST and tables.faults[uav] == 0
         row[GUARD_METRICS.sure] = 1.0 if sure else 0.0
-        reports = target.known or t.hand[v] >= 0  # a pilot that has seen nothing reports nothing
+        reports = (
+            target.known or tables.hand[vehicle] >= 0
+        )  # a pilot that has seen nothing reports nothing
         said = CertificateClaim(sure, reports and acts != INNER, row[UAV_METRICS.lost] != 0.0, True)
-        note_report(t.bounds[u], s.certificates[k, u], tick, said)
-    sent = s.batch.sent[k, v]
+        note_report(tables.bounds[uav], state.certificates[world, uav], tick, said)
+    sent = state.batch.sent[world, vehicle]
     sent[COMMAND.answered], sent[COMMAND.u_x], sent[COMMAND.u_y] = tick, u_x, u_y
     sent[COMMAND.last], sent[COMMAND.carried] = -1.0, 0.0
-    if guarded and t.promises[u].carries:
+    if guarded and tables.promises[uav].carries:
         sent[COMMAND.last], sent[COMMAND.carried] = hand_over(
-            t.promises[u], memory.guard.underway, tick, s.batch.motions[k, v]
+            tables.promises[uav], memory.guard.underway, tick, state.batch.motions[world, vehicle]
         )
-    if p.radio:
-        _speak(p, s, k, u, tick, here, target)
+    if parameters.radio:
+        _speak(parameters, state, world, uav, tick, here, target)
 
 
 @inlined
 def _speak(
-    p: LoopParameters,
-    s: LoopState,
-    k: int,
-    u: int,
+    parameters: LoopParameters,
+    state: LoopState,
+    world: int,
+    uav: int,
     tick: int,
     here: Motion,
     target: Target,
 ) -> None:
-    """Radio messages of UAV u at this tick."""
-    known, g_x, g_y, out = target.known, target.p_x, target.p_y, s.outbox[k, u]
-    out[_RELATIVE, _SAID] = tick if known and tick % p.radio_ticks == 0 else -1.0
+    """Radio messages of a UAV at this tick."""
+    known, g_x, g_y, out = target.known, target.p_x, target.p_y, state.outbox[world, uav]
+    out[_RELATIVE, _SAID] = tick if known and tick % parameters.radio_ticks == 0 else -1.0
     out[_RELATIVE, _BLOCK] = -1.0
     out[_RELATIVE, _SENT], out[_RELATIVE, _SENT + 1] = here.p_x - g_x, here.p_y - g_y
     out[_GROUND, _SAID] = -1.0
-    if p.telling_ticks > 0 and known and tick % p.telling_ticks == 0:
-        memory = telling_of(s.telling, k, u)
-        row, column = next_block(memory, p.tile, tick, g_x, g_y)
+    if parameters.telling_ticks > 0 and known and tick % parameters.telling_ticks == 0:
+        memory = telling_of(state.telling, world, uav)
+        row, column = next_block(memory, parameters.tile, tick, g_x, g_y)
         if row >= 0:
             out[_GROUND, _SAID] = tick
             out[_GROUND, _BLOCK] = row * memory.news.shape[1] + column
@@ -176,68 +209,77 @@ def _speak(
 
 
 @inlined
-def _drive(t: LoopTables, s: LoopState, k: int, v: int, g: int, actions: FloatArray) -> None:
-    """The command of UGV g, vehicle v."""
-    tick, sent = s.batch.ticks[k], s.batch.sent[k, v]
+def _drive(
+    tables: LoopTables, state: LoopState, world: int, vehicle: int, ugv: int, actions: FloatArray
+) -> None:
+    """The command of a UGV."""
+    tick, sent = state.batch.ticks[world], state.batch.sent[world, vehicle]
     sent[COMMAND.answered] = tick
-    if t.hand[v] >= 0:
-        sent[COMMAND.u_x], sent[COMMAND.u_y] = actions[t.hand[v], 0], actions[t.hand[v], 1]
+    if tables.hand[vehicle] >= 0:
+        sent[COMMAND.u_x], sent[COMMAND.u_y] = (
+            actions[tables.hand[vehicle], 0],
+            actions[tables.hand[vehicle], 1],
+        )
         return
-    script = t.scripts[t.script_rows[g] : t.script_rows[g + 1]]
-    route = Route(goals_of(t.batch.mission, g), script)
+    script = tables.scripts[tables.script_rows[ugv] : tables.script_rows[ugv + 1]]
+    route = Route(goals_of(tables.batch.mission, ugv), script)
     sent[COMMAND.u_x], sent[COMMAND.u_y] = ugv_tick(
-        s.drivers[k, g],
+        state.drivers[world, ugv],
         route,
-        UgvMemory(s.driver_states[k, g], _ground_of(t, s, k, g)),
-        s.inboxes[k, g],
-        s.arrived[k, g],
+        UgvMemory(state.driver_states[world, ugv], _ground_of(tables, state, world, ugv)),
+        state.inboxes[world, ugv],
+        state.arrived[world, ugv],
         tick,
-        _motion_of(s.batch.told, k, v),
+        _motion_of(state.batch.told, world, vehicle),
     )
 
 
 @inlined
-def _receive_block(t: LoopTables, s: LoopState, k: int, g: int, message: FloatArray) -> None:
-    """UGV g is told of a block of tiles by radio."""
-    block, across, words = int(message[_BLOCK]), s.telling.news.shape[3], message[_SENT:]
-    row, column, states = block // across, block % across, s.states[k, :BLOCK_TILES]
+def _receive_block(
+    tables: LoopTables, state: LoopState, world: int, ugv: int, message: FloatArray
+) -> None:
+    """A UGV is told of a block of tiles by radio."""
+    block, across, words = int(message[_BLOCK]), state.telling.news.shape[3], message[_SENT:]
+    row, column, states = block // across, block % across, state.states[world, :BLOCK_TILES]
     for place in range(BLOCK_TILES):
         states[place] = word_state(words, place)
-    note_block(_ground_of(t, s, k, g), row, column, states)
-    b, tick = s.batch, s.batch.ticks[k]
-    receive_block(t.batch.ground, b.ground, b.mission, k, g, tick, (row, column), states)
+    note_block(_ground_of(tables, state, world, ugv), row, column, states)
+    b, tick = state.batch, state.batch.ticks[world]
+    receive_block(tables.batch.ground, b.ground, b.mission, world, ugv, tick, (row, column), states)
 
 
 @inlined
-def _feel_ground(t: LoopTables, s: LoopState, k: int, g: int) -> None:
-    """UGV g takes in the tiles that its bumper tells of."""
-    v, ground = t.batch.ground.ugvs[g], s.batch.ground
-    columns, count = ground.tiles.shape[2], ground.told[k, v]
-    rows, across, states = s.places[k, 0, :count], s.places[k, 1, :count], s.states[k, :count]
+def _feel_ground(tables: LoopTables, state: LoopState, world: int, ugv: int) -> None:
+    """A UGV takes in the tiles that its bumper tells of."""
+    v, ground = tables.batch.ground.ugvs[ugv], state.batch.ground
+    columns, count = ground.tiles.shape[2], ground.told[world, v]
+    rows = state.places[world, 0, :count]
+    across = state.places[world, 1, :count]
+    states = state.states[world, :count]
     for n in range(count):
-        rows[n], across[n] = ground.seen[k, v, n] // columns, ground.seen[k, v, n] % columns
-        states[n] = ground.known[k, v, rows[n], across[n]]
+        rows[n], across[n] = ground.seen[world, v, n] // columns, ground.seen[world, v, n] % columns
+        states[n] = ground.known[world, v, rows[n], across[n]]
     if count > 0:
-        note_tiles(_ground_of(t, s, k, g), rows, across, states)
+        note_tiles(_ground_of(tables, state, world, ugv), rows, across, states)
 
 
 @inlined
-def _radio(t: LoopTables, s: LoopState, k: int) -> None:
+def _radio(tables: LoopTables, state: LoopState, world: int) -> None:
     """Send out the radio messages of the tick before, and receive those that arrive."""
-    tick, arrived = s.batch.ticks[k], s.arrived[k]
+    tick, arrived = state.batch.ticks[world], state.arrived[world]
     arrived[:] = 0
-    for u in range(t.receivers.shape[0]):
-        g, outbox, inbox = t.receivers[u], s.outbox[k, u], s.inbox[k]
-        come, link = s.inboxes[k, g], link_of(s.radio, k, u)
-        key = key_of(s.batch.keys[k], t.radio.owners[u, 0], t.radio.owners[u, 1])
-        begin_tick(t.radio, u, link, key, tick)
+    for u in range(tables.receivers.shape[0]):
+        g, outbox, inbox = tables.receivers[u], state.outbox[world, u], state.inbox[world]
+        come, link = state.inboxes[world, g], link_of(state.radio, world, u)
+        key = key_of(state.batch.keys[world], tables.radio.owners[u, 0], tables.radio.owners[u, 1])
+        begin_tick(tables.radio, u, link, key, tick)
         for row in range(outbox.shape[0]):
             if outbox[row, _SAID] >= 0.0:
-                send(t.radio, u, link, key, outbox[row])
+                send(tables.radio, u, link, key, outbox[row])
                 outbox[row, _SAID] = -1.0
         for i in range(receive(link, inbox)):
             if inbox[i, _BLOCK] >= 0.0:
-                _receive_block(t, s, k, g, inbox[i])
+                _receive_block(tables, state, world, g, inbox[i])
                 continue
             n = arrived[g]
             come[n, 0], come[n, 1], come[n, 2] = inbox[i, 0], inbox[i, 2], inbox[i, 3]
@@ -245,60 +287,68 @@ def _radio(t: LoopTables, s: LoopState, k: int) -> None:
 
 
 @inlined
-def _perceive(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
+def _perceive(parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int) -> None:
     """Every UAV takes what has reached it at this tick into its map and its filters, every UGV its radio."""
-    escorts, tick = t.batch.escorts, s.batch.ticks[k]
-    looks, arrived = s.batch.received[k], s.batch.arrived[k]
-    looked = 1 if p.own_maps and tick > 0 else 0  # else the world has done it
+    escorts, tick = tables.batch.escorts, state.batch.ticks[world]
+    looks, arrived = state.batch.received[world], state.batch.arrived[world]
+    looked = 1 if parameters.own_maps and tick > 0 else 0  # else the world has done it
     for u in range(escorts.shape[0]):
-        here = _motion_of(s.batch.told, k, escorts[u, 0])
-        if p.telling_ticks > 0:
-            v, ground = escorts[u, 0], s.batch.ground
+        here = _motion_of(state.batch.told, world, escorts[u, 0])
+        if parameters.telling_ticks > 0:
+            v, ground = escorts[u, 0], state.batch.ground
             columns = ground.tiles.shape[2]
-            for n in range(ground.told[k, v]):
-                row, column = ground.seen[k, v, n] // columns, ground.seen[k, v, n] % columns
-                state = ground.known[k, v, row, column]
-                note_tile(telling_of(s.telling, k, u), column, row, state)
+            for n in range(ground.told[world, v]):
+                row = ground.seen[world, v, n] // columns
+                column = ground.seen[world, v, n] % columns
+                found = ground.known[world, v, row, column]
+                note_tile(telling_of(state.telling, world, u), column, row, found)
         uav_perceive(
-            s.laws[k, u],
-            t.promises[u],
-            t.guarded[u] != 0,
-            _memory_of(p, t, s, k, u),
+            state.laws[world, u],
+            tables.promises[u],
+            tables.guarded[u] != 0,
+            _memory_of(parameters, tables, state, world, u),
             looked,
             tick,
             here,
             looks[u],
             arrived[u],
         )
-        if t.guarded[u]:
+        if tables.guarded[u]:
             for n in range(arrived[u]):
-                note_arrival(t.bounds[u], s.certificates[k, u], int(looks[u, n, LOOK.taken]), 0.0)
-        if t.thinking[u]:
-            kalman = _kalman_of(s.kalman, k, u)
-            kalman_step(t.kalman[u], kalman, tick, here.p_x, here.p_y, looks[u], arrived[u])
-    if p.radio:
-        _radio(t, s, k)
-    if s.grounds.tiles.shape[2] > 0:
-        for g in range(t.batch.ground.ugvs.shape[0]):
-            _feel_ground(t, s, k, g)
+                note_arrival(
+                    tables.bounds[u],
+                    state.certificates[world, u],
+                    int(looks[u, n, LOOK.taken]),
+                    0.0,
+                )
+        if tables.thinking[u]:
+            kalman = _kalman_of(state.kalman, world, u)
+            kalman_step(tables.kalman[u], kalman, tick, here.p_x, here.p_y, looks[u], arrived[u])
+    if parameters.radio:
+        _radio(tables, state, world)
+    if state.grounds.tiles.shape[2] > 0:
+        for g in range(tables.batch.ground.ugvs.shape[0]):
+            _feel_ground(tables, state, world, g)
 
 
 @inlined
-def _add_cues(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int) -> None:
-    """Put the estimate and the gradient into the row of UAV u, where they are asked for and known."""
-    w, row = t.batch.world[0], s.rows.uav_rows[k, u]
+def _add_cues(
+    parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int, uav: int
+) -> None:
+    """Put the estimate and the gradient into the row of a UAV, where they are asked for and known."""
+    w, row = tables.batch.world[0], state.rows.uav_rows[world, uav]
     row[GRADIENT_X], row[GRADIENT_Y] = 0.0, 0.0
-    target = kalman_estimate(_kalman_of(s.kalman, k, u))
+    target = kalman_estimate(_kalman_of(state.kalman, world, uav))
     if not target.known:
         return
     g_x, g_y = target.p_x, target.p_y
     x, y = row[UAV.x], row[UAV.y]
-    if p.estimate:
+    if parameters.estimate:
         row[UAV.detected], row[UAV.relative_x], row[UAV.relative_y] = 1.0, x - g_x, y - g_y
-        row[UAV.age] = s.kalman.belief[k, u, 0].age * w.dt
-    if p.gradient:
+        row[UAV.age] = state.kalman.belief[world, uav, 0].age * w.dt
+    if parameters.gradient:
         u_x, u_y, size = coverage_gradient(
-            s.maps[k, u] if p.own_maps else s.batch.truth.coverage[k],
+            state.maps[world, uav] if parameters.own_maps else state.batch.truth.coverage[world],
             x,
             y,
             g_x,
@@ -315,82 +365,90 @@ def _add_cues(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int) ->
 
 
 @inlined
-def _observe(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
+def _observe(parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int) -> None:
     """Everybody's row, and the UAVs' pictures."""
-    w, position, escorts = t.batch.world[0], s.batch.told.position[k], t.batch.escorts
-    observe_rows(t.batch, s.batch, t.rows, s.rows, k)
-    if p.estimate or p.gradient:
+    w = tables.batch.world[0]
+    position = state.batch.told.position[world]
+    escorts = tables.batch.escorts
+    observe_rows(tables.batch, state.batch, tables.rows, state.rows, world)
+    if parameters.estimate or parameters.gradient:
         for u in range(escorts.shape[0]):
-            _add_cues(p, t, s, k, u)
-    for u in range(s.patches.shape[1]):
+            _add_cues(parameters, tables, state, world, u)
+    for u in range(state.patches.shape[1]):
         x, y = position[escorts[u, 0], 0], position[escorts[u, 0], 1]
         sample(
-            s.maps[k, u] if p.own_maps else s.batch.truth.coverage[k],
+            state.maps[world, u] if parameters.own_maps else state.batch.truth.coverage[world],
             x,
             y,
             w.desired,
             w.cell,
-            p.meters_per_pixel,
-            s.patches[k, u],
+            parameters.meters_per_pixel,
+            state.patches[world, u],
         )
 
 
 @inlined
-def _note_action(t: LoopTables, s: LoopState, k: int, u: int, tick: int) -> None:
-    """Count the action of UAV u in this tick, which has just been flown."""
-    v, b = t.batch.escorts[u, 0], t.bounds[u]
+def _note_action(tables: LoopTables, state: LoopState, world: int, uav: int, tick: int) -> None:
+    """Count the action of a UAV in this tick, which has just been flown."""
+    v, b = tables.batch.escorts[uav, 0], tables.bounds[uav]
     sent, command, acts = (
-        s.sent[k, u, : b.delay + 1],
-        s.batch.sent[k, v],
-        s.batch.truth.commands[k, v],
+        state.sent[world, uav, : b.delay + 1],
+        state.batch.sent[world, v],
+        state.batch.truth.commands[world, v],
     )
     note_sent(sent, tick, command[COMMAND.u_x], command[COMMAND.u_y])
-    begins = s.batch.flown[k, v, 0].begins
-    note_action(b, s.certificates[k, u], sent, tick, acts[0], acts[1], begins)
+    begins = state.batch.flown[world, v, 0].begins
+    note_action(b, state.certificates[world, uav], sent, tick, acts[0], acts[1], begins)
 
 
 @inlined
-def _fetch_ground(t: LoopTables, s: LoopState, k: int, part: int) -> None:
-    """Bring a quarter of the tiles that the next tick of world k will touch near the core, where there are any."""
-    if t.batch.ground.parameters.shape[0] == 0:
+def _fetch_ground(tables: LoopTables, state: LoopState, world: int, part: int) -> None:
+    """Bring a quarter of the tiles that the next tick of a world will touch near the core, where there are any."""
+    if tables.batch.ground.parameters.shape[0] == 0:
         return
-    ground, position = s.batch.ground, s.batch.truth.position[k]
-    tile, period = t.batch.ground.parameters[0].tile, t.batch.ground.parameters[0].period
-    for u in range(t.batch.escorts.shape[0]):
-        a = t.batch.escorts[u, 0]
-        if (s.batch.ticks[k] + 1) % period == 0:
+    ground, position = state.batch.ground, state.batch.truth.position[world]
+    tile, period = tables.batch.ground.parameters[0].tile, tables.batch.ground.parameters[0].period
+    for u in range(tables.batch.escorts.shape[0]):
+        a = tables.batch.escorts[u, 0]
+        if (state.batch.ticks[world] + 1) % period == 0:
             x, y = position[a, 0], position[a, 1]
-            fetch_disc(ground.looked[k, u], x, y, tile, t.looked, part, 4)
-            fetch_disc(ground.known[k, a], x, y, tile, t.looked, part, 4)
-    for g in range(t.batch.ground.ugvs.shape[0]):
-        v = t.batch.ground.ugvs[g]
+            fetch_disc(ground.looked[world, u], x, y, tile, tables.looked, part, 4)
+            fetch_disc(ground.known[world, a], x, y, tile, tables.looked, part, 4)
+    for g in range(tables.batch.ground.ugvs.shape[0]):
+        v = tables.batch.ground.ugvs[g]
         x, y = position[v, 0], position[v, 1]
-        fetch_disc(ground.known[k, v], x, y, tile, t.felt, part, 4)
-        fetch_disc(ground.tiles[k], x, y, tile, t.felt, part, 4)
+        fetch_disc(ground.known[world, v], x, y, tile, tables.felt, part, 4)
+        fetch_disc(ground.tiles[world], x, y, tile, tables.felt, part, 4)
 
 
 @inlined
-def _fetch(p: LoopParameters, t: LoopTables, s: LoopState, k: int, part: int) -> None:
-    """Bring a quarter of what the next tick of world k will touch of its grid near the core; of no world if k < 0."""
-    if k < 0:
+def _fetch(
+    parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int, part: int
+) -> None:
+    """Bring a quarter of what the next tick of a world will touch of its grid near the core; of none if `world` < 0."""
+    if world < 0:
         return
-    w, position, coverage = t.batch.world[0], s.batch.truth.position[k], s.batch.truth.coverage[k]
-    for u in range(t.batch.escorts.shape[0]):
-        a, g = t.batch.escorts[u, 0], t.batch.escorts[u, 1]
-        if p.error:
-            fetch_disc(coverage, position[g, 0], position[g, 1], w.cell, t.around, part, 4)
-        fetch_disc(coverage, position[a, 0], position[a, 1], w.cell, t.seen, part, 4)
-        if p.own_maps:
-            fetch_disc(s.maps[k, u], position[a, 0], position[a, 1], w.cell, t.seen, part, 4)
-    _fetch_ground(t, s, k, part)
+    w = tables.batch.world[0]
+    position = state.batch.truth.position[world]
+    coverage = state.batch.truth.coverage[world]
+    for u in range(tables.batch.escorts.shape[0]):
+        a, g = tables.batch.escorts[u, 0], tables.batch.escorts[u, 1]
+        if parameters.error:
+            fetch_disc(coverage, position[g, 0], position[g, 1], w.cell, tables.around, part, 4)
+        fetch_disc(coverage, position[a, 0], position[a, 1], w.cell, tables.seen, part, 4)
+        if parameters.own_maps:
+            fetch_disc(
+                state.maps[world, u], position[a, 0], position[a, 1], w.cell, tables.seen, part, 4
+            )
+    _fetch_ground(tables, state, world, part)
 
 
 @inlined
-def _fetch_rows(s: LoopState, k: int) -> None:
-    """Bring what every tick of world k needs beside the grid near the core; of no world if k < 0."""
-    if k < 0:
+def _fetch_rows(state: LoopState, world: int) -> None:
+    """Bring what every tick of a world needs beside the grid near the core; of none if `world` < 0."""
+    if world < 0:
         return
-    b, truth = s.batch, s.batch.truth
+    b, truth = state.batch, state.batch.truth
     fetch_rows(
         (
             b.keys,
@@ -401,23 +459,29 @@ def _fetch_rows(s: LoopState, k: int) -> None:
             truth.acceleration,
             truth.commands,
         ),
-        k,
+        world,
     )  # type: ignore[call-arg]
     fetch_rows(
-        (truth.detections, truth.gains, truth.measures, s.rows.uavs, s.rows.ugvs),
-        k,
+        (truth.detections, truth.gains, truth.measures, state.rows.uavs, state.rows.ugvs),
+        world,
     )
-    fetch_rows((s.kalman.belief, s.kalman.step), k)
-    fetch_rows((s.laws, s.drivers, s.law_states, s.driver_states, s.certificates), k)
-    fetch_rows((b.sent, s.rows.terms, s.rows.rewards, s.rows.terminated, s.rows.truncated), k)
-    fetch_rows((b.ground.told, b.ground.pace, b.ground.before, b.mission.ugvs), k)
+    fetch_rows((state.kalman.belief, state.kalman.step), world)
+    fetch_rows(
+        (state.laws, state.drivers, state.law_states, state.driver_states, state.certificates),
+        world,
+    )
+    fetch_rows(
+        (b.sent, state.rows.terms, state.rows.rewards, state.rows.terminated, state.rows.truncated),
+        world,
+    )
+    fetch_rows((b.ground.told, b.ground.pace, b.ground.before, b.mission.ugvs), world)
 
 
 @released
 def run_worlds(
-    p: LoopParameters,
-    t: LoopTables,
-    s: LoopState,
+    parameters: LoopParameters,
+    tables: LoopTables,
+    state: LoopState,
     worlds: IntArray,
     beginning: bool,
     actions: FloatArray,
@@ -436,39 +500,39 @@ def run_worlds(
             worlds[n + 1] if n + 1 < end else -1
         )  # while this world is computed, the next one's cells come
         if beginning:
-            begin_world(t.batch, s.batch, k)
+            begin_world(tables.batch, state.batch, k)
         for tick in range(1 if beginning else ticks):
-            if tick > 0 and (s.rows.terminated[k] or s.rows.truncated[k]):
+            if tick > 0 and (state.rows.terminated[k] or state.rows.truncated[k]):
                 break
             for part in range(4):  # in a loop, as each call that is written would be compiled anew
-                _fetch(p, t, s, after, part)
+                _fetch(parameters, tables, state, after, part)
                 if part == 0 and not beginning:
-                    for v in range(t.rows.place.shape[0]):
-                        if t.rows.place[v] >= 0:
-                            _fly(p, t, s, k, v, t.rows.place[v], actions[k])
+                    for v in range(tables.rows.place.shape[0]):
+                        if tables.rows.place[v] >= 0:
+                            _fly(parameters, tables, state, k, v, tables.rows.place[v], actions[k])
                         else:
-                            _drive(t, s, k, v, -1 - t.rows.place[v], actions[k])
-                    begun = s.batch.ticks[k]
-                    world_tick(t.batch, s.batch, k, True)
-                    for u in range(t.batch.escorts.shape[0]):
-                        if t.guarded[u]:
-                            _note_action(t, s, k, u, begun)
+                            _drive(tables, state, k, v, -1 - tables.rows.place[v], actions[k])
+                    begun = state.batch.ticks[k]
+                    world_tick(tables.batch, state.batch, k, True)
+                    for u in range(tables.batch.escorts.shape[0]):
+                        if tables.guarded[u]:
+                            _note_action(tables, state, k, u, begun)
                 elif part == 1:
-                    _perceive(p, t, s, k)
+                    _perceive(parameters, tables, state, k)
                 elif part == 2:
-                    _fetch_rows(s, after)
-                    truth = truth_of(s.batch.truth, k)
+                    _fetch_rows(state, after)
+                    truth = truth_of(state.batch.truth, k)
                     measure(
-                        t.batch.world,
+                        tables.batch.world,
                         truth.position,
-                        t.batch.escorts,
+                        tables.batch.escorts,
                         truth.coverage,
                         truth.measures,
-                        p.error,
+                        parameters.error,
                     )
-                    advance_rows(t.batch, s.batch, t.rows, s.rows, k, beginning)
+                    advance_rows(tables.batch, state.batch, tables.rows, state.rows, k, beginning)
                 elif part == 3:
-                    over = s.rows.terminated[k] or s.rows.truncated[k]
+                    over = state.rows.terminated[k] or state.rows.truncated[k]
                     if tick == ticks - 1 or over or beginning:
-                        _observe(p, t, s, k)
+                        _observe(parameters, tables, state, k)
             after = -1

@@ -246,14 +246,14 @@ def _percent(share: float) -> str:
 # A1: the error of a detection
 
 
-def _errors(s: Scenario, eps: float) -> Iterator[tuple[How, str]]:
+def _errors(scenario: Scenario, eps: float) -> Iterator[tuple[How, str]]:
     """Noise is normal in each axis, so that its norm exceeds x with the chance exp(-x²/(2 sigma²)), cut or not."""
-    sigma, cut = s.detections.noise, s.noise_cut
+    sigma, cut = scenario.detections.noise, scenario.noise_cut
     if sigma == 0.0 or eps >= sigma * cut * (1.0 - DUST):
         return
     beyond = math.exp(-0.5 * cut * cut)
     share = (math.exp(-0.5 * (eps / sigma) ** 2) - beyond) / (1.0 - beyond)
-    if share * s.ticks / s.detection_period > _RARE:
+    if share * scenario.ticks / scenario.detection_period > _RARE:
         errors = (
             "have no bound (detections.cut = 0)"
             if math.isinf(cut)
@@ -269,9 +269,9 @@ def _errors(s: Scenario, eps: float) -> Iterator[tuple[How, str]]:
 # A6': where the UAV is
 
 
-def _off(s: Scenario, uav: Uav, promise: Promise) -> Iterator[tuple[How, str]]:
+def _off(scenario: Scenario, uav: Uav, promise: Promise) -> Iterator[tuple[How, str]]:
     """Wind and own position may take it farther from where it is told that it is than is declared, but need not."""
-    most = largest_tracking_error(s, uav)
+    most = largest_tracking_error(scenario, uav)
     if most > promise.tracking * (1.0 + DUST):
         what = f"certificate.tracking = {promise.tracking:g} m, but wind and own_error may take it {most:.3g} m off"
         yield How.SOMETIMES, what
@@ -325,12 +325,16 @@ def _recorded_ages(link: _Link, promise: Promise, limit: str) -> Iterator[tuple[
         yield How.SOMETIMES, f"{link.path}.trace{dropout}: {told}"
 
 
-def _queue_ticks(p: LinkParameters, period: int) -> int | None:
+def _queue_ticks(parameters: LinkParameters, period: int) -> int | None:
     """Greatest age of the newest look, but for the way, once the queue is full; None: it never fills."""
-    if p.spacing <= period + DUST:
+    if parameters.spacing <= period + DUST:
         return None
-    waits = (p.queue - 1) * period + 1 if p.newest else math.floor(p.queue * p.spacing)
-    return waits + math.floor(p.spacing) - 1
+    waits = (
+        (parameters.queue - 1) * period + 1
+        if parameters.newest
+        else math.floor(parameters.queue * parameters.spacing)
+    )
+    return waits + math.floor(parameters.spacing) - 1
 
 
 def _unlucky_ages(link: _Link, promise: Promise, *, planned: bool) -> Iterator[tuple[How, str]]:
@@ -358,13 +362,15 @@ def _unlucky_ages(link: _Link, promise: Promise, *, planned: bool) -> Iterator[t
     )
 
 
-def _chance_of_age(s: Scenario, table: LinkTable, settings: LinkSettings, age: float) -> Chance:
+def _chance_of_age(
+    scenario: Scenario, table: LinkTable, settings: LinkSettings, age: float
+) -> Chance:
     return chance_of_age(
         settings,
-        dt=s.dt,
-        period_ticks=s.detection_period,
-        dropout=s.detections.dropout,
-        ticks=s.ticks,
+        dt=scenario.dt,
+        period_ticks=scenario.detection_period,
+        dropout=scenario.detections.dropout,
+        ticks=scenario.ticks,
         age=age,
         traces=table.traces,
     )
@@ -459,14 +465,14 @@ def _outages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
 
 
 def _chance_of_outage(
-    s: Scenario, table: LinkTable, settings: LinkSettings, delay: int, outage: float
+    scenario: Scenario, table: LinkTable, settings: LinkSettings, delay: int, outage: float
 ) -> Chance:
     return chance_of_outage(
         settings,
-        dt=s.dt,
+        dt=scenario.dt,
         delay_ticks=delay,
         repeats=MOST_CARRIED,
-        ticks=s.ticks,
+        ticks=scenario.ticks,
         outage=outage,
         traces=table.traces,
     )

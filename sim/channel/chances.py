@@ -110,15 +110,20 @@ def _mixed(shares: FloatArray, rows: FloatArray) -> FloatArray:
     return np.stack([sum(map(operator.mul, row, rows)) for row in shares])
 
 
-def _channel(p: LinkParameters, dropout: float) -> _Channel:
+def _channel(parameters: LinkParameters, dropout: float) -> _Channel:
     """The chain of a link; messages are also lost before it, each with the chance `dropout`."""
-    through = (1.0 - dropout) * (1.0 - p.loss)
+    through = (1.0 - dropout) * (1.0 - parameters.loss)
     turn, share, kept = np.ones((1, 1)), np.ones(1), np.array([through])
-    if p.bursts:
-        turn = np.array([[1.0 - p.bad_enter, p.bad_enter], [1.0 - p.bad_stay, p.bad_stay]])
-        share = np.array([1.0 - p.bad_share, p.bad_share])
-        kept = np.array([through, through * (1.0 - p.burst_loss)])
-    return _Channel(turn, share, kept, p.up, p.down)
+    if parameters.bursts:
+        turn = np.array(
+            [
+                [1.0 - parameters.bad_enter, parameters.bad_enter],
+                [1.0 - parameters.bad_stay, parameters.bad_stay],
+            ]
+        )
+        share = np.array([1.0 - parameters.bad_share, parameters.bad_share])
+        kept = np.array([through, through * (1.0 - parameters.burst_loss)])
+    return _Channel(turn, share, kept, parameters.up, parameters.down)
 
 
 class _Window(NamedTuple):
@@ -365,25 +370,27 @@ def _first(holds: Callable[[int], bool], least: int, most: int) -> int | None:
     return above
 
 
-def _in_time(p: LinkParameters) -> FloatArray:
+def _in_time(parameters: LinkParameters) -> FloatArray:
     """The share of the messages that are not lost which arrive within 0, 1, ... ticks; the last is 1."""
-    return np.array([*(arrival_share(p, ticks) for ticks in range(p.longest)), 1.0])
+    return np.array(
+        [*(arrival_share(parameters, ticks) for ticks in range(parameters.longest)), 1.0]
+    )
 
 
-def _left(p: LinkParameters, ticks: int) -> _Mask:
+def _left(parameters: LinkParameters, ticks: int) -> _Mask:
     """By tick, whether no planned blackout takes what leaves at it."""
     left = np.ones(ticks, dtype=bool)
-    for first, after in p.blackouts.tolist():
+    for first, after in parameters.blackouts.tolist():
         left[first:after] = False
     return left
 
 
-def _reasons(p: LinkParameters, in_time: FloatArray) -> list[str]:
+def _reasons(parameters: LinkParameters, in_time: FloatArray) -> list[str]:
     """Why the count of this link is a bound."""
     reasons = []
     if len(set(in_time.tolist()) - {0.0}) > 1:
         reasons.append("delays vary")
-    if p.up > 0.0:
+    if parameters.up > 0.0:
         reasons.append("blackouts come at random")
     return reasons
 
@@ -421,17 +428,19 @@ def _to_last(useful: FloatArray) -> FloatArray:
     return useful[: int(np.flatnonzero(useful).max(initial=0)) + 1]
 
 
-def _not_gone_through(p: LinkParameters, ticks: int) -> str:
+def _not_gone_through(parameters: LinkParameters, ticks: int) -> str:
     """Why nothing can be stated of what a link plays; empty: it can."""
-    if p.replay == OPPORTUNITIES:
+    if parameters.replay == OPPORTUNITIES:
         return _MAHIMAHI
-    return _LONG if p.period * max(ticks, p.longest) > _MOST_CELLS else ""
+    return _LONG if parameters.period * max(ticks, parameters.longest) > _MOST_CELLS else ""
 
 
-def _played_ages(p: LinkParameters, period: int, dropout: float, ticks: int) -> _Played | str:
-    if why := _not_gone_through(p, ticks):
+def _played_ages(
+    parameters: LinkParameters, period: int, dropout: float, ticks: int
+) -> _Played | str:
+    if why := _not_gone_through(parameters, ticks):
         return why
-    delays, left = delays_by_place(p), _left(p, ticks)
+    delays, left = delays_by_place(parameters), _left(parameters, ticks)
     if dropout == 0.0:
         oldest = oldest_by_place(delays, left, period)
         return _Played(lambda age: (oldest > age).astype(float), ticks, "", ticks - 1)
@@ -443,10 +452,12 @@ def _played_ages(p: LinkParameters, period: int, dropout: float, ticks: int) -> 
     return _Played(exceeded, ticks, _because(["looks find nothing at random"]), ticks - 1)
 
 
-def _played_outages(p: LinkParameters, delay: int, repeats: int, ticks: int) -> _Played | str:
-    if why := _not_gone_through(p, ticks):
+def _played_outages(
+    parameters: LinkParameters, delay: int, repeats: int, ticks: int
+) -> _Played | str:
+    if why := _not_gone_through(parameters, ticks):
         return why
-    waits = waits_by_place(delays_by_place(p), _left(p, ticks), delay, repeats)
+    waits = waits_by_place(delays_by_place(parameters), _left(parameters, ticks), delay, repeats)
     return _Played(lambda outage: (waits > outage).astype(float), ticks, "", ticks - delay)
 
 
@@ -490,7 +501,7 @@ def _because(reasons: list[str]) -> str:
 
 def _queued(
     plan: _Plan,
-    p: LinkParameters,
+    parameters: LinkParameters,
     in_time: FloatArray,
     period: int,
     dropout: float,
@@ -505,33 +516,39 @@ def _queued(
     most `queue` others.
     """
     ticks = len(left)
-    for misses in range(math.floor(p.spacing + DUST) // period):
+    for misses in range(math.floor(parameters.spacing + DUST) // period):
         extra = math.ceil(ticks / period) * dropout ** (misses + 1)
         if extra >= 1.0:
             continue
-        waited = p.queue * (misses + 1) * period if p.newest else math.ceil(p.queue * p.spacing)
+        waited = (
+            parameters.queue * (misses + 1) * period
+            if parameters.newest
+            else math.ceil(parameters.queue * parameters.spacing)
+        )
         begins = range(misses + 1) if dropout > 0.0 and not left.all() else (0,)
         schedules = tuple(
             (
                 1.0 if len(begins) == 1 else (1.0 - dropout) * dropout**look,
-                _slots(p, look * period, ticks) & left,
+                _slots(parameters, look * period, ticks) & left,
             )
             for look in begins
         )
         yield plan._replace(
             window=functools.partial(_age_window, in_time, waited),
             schedules=schedules,
-            regular=_slots(p, 0, ticks),
+            regular=_slots(parameters, 0, ticks),
             extra=extra,
         )
         if extra < _NEVER:
             return
 
 
-def _slots(p: LinkParameters, first: int, ticks: int) -> _Mask:
+def _slots(parameters: LinkParameters, first: int, ticks: int) -> _Mask:
     """By tick, whether a sender that is busy from the tick `first` on lets a message go."""
     leaves = np.zeros(ticks, dtype=bool)
-    at = np.ceil(first + np.arange(math.ceil(ticks / p.spacing)) * p.spacing - DUST).astype(int)
+    at = np.ceil(
+        first + np.arange(math.ceil(ticks / parameters.spacing)) * parameters.spacing - DUST
+    ).astype(int)
     leaves[at[at < ticks]] = True
     return leaves
 

@@ -305,48 +305,59 @@ def link_table(
     )
 
 
-def least_ticks(p: LinkParameters) -> int:
+def least_ticks(parameters: LinkParameters) -> int:
     """The age in ticks below which no message arrives, if one is sent in every tick; with a sender that is kept busy.
 
     Where the bandwidth is less than one message a tick the queue fills and stays full. From then on each message
     that leaves has waited `queue` ticks if the newest are kept, and `queue` spacings if the oldest are.
     """
-    if p.replay == FATES:
-        arrives = p.trace[p.trace[:, 1] >= 0, 1]
+    if parameters.replay == FATES:
+        arrives = parameters.trace[parameters.trace[:, 1] >= 0, 1]
         return int(arrives.min()) if arrives.size else 0
     waits = 0
-    if p.spacing > 1.0 + DUST:
-        waits = p.queue if p.newest else math.floor(p.queue * p.spacing)
-    least = waits + first_tick_from(p.delay + (p.least if p.jitter > 0.0 else 0.0), p.dt)
-    return max(least, 1) if p.replay == OPPORTUNITIES else least
+    if parameters.spacing > 1.0 + DUST:
+        waits = (
+            parameters.queue
+            if parameters.newest
+            else math.floor(parameters.queue * parameters.spacing)
+        )
+    least = waits + first_tick_from(
+        parameters.delay + (parameters.least if parameters.jitter > 0.0 else 0.0), parameters.dt
+    )
+    return max(least, 1) if parameters.replay == OPPORTUNITIES else least
 
 
-def arrival_share(p: LinkParameters, ticks: int) -> float:
+def arrival_share(parameters: LinkParameters, ticks: int) -> float:
     """The share of the messages neither lost nor queued that arrive within so many ticks after they were sent."""
 
     def within(extra: float) -> float:
-        if p.jitter == 0.0 or extra >= p.most:
-            return 1.0 if extra >= p.most else 0.0
-        share = (jitter_share(p.shape, p.jitter, max(extra, p.least)) - p.low) / (p.high - p.low)
-        return 0.0 if extra < p.least else min(max(share, 0.0), 1.0)
+        if parameters.jitter == 0.0 or extra >= parameters.most:
+            return 1.0 if extra >= parameters.most else 0.0
+        share = (
+            jitter_share(parameters.shape, parameters.jitter, max(extra, parameters.least))
+            - parameters.low
+        ) / (parameters.high - parameters.low)
+        return 0.0 if extra < parameters.least else min(max(share, 0.0), 1.0)
 
-    room = (ticks + DUST) * p.dt - p.delay
-    return (1.0 - p.reorder) * within(room) + p.reorder * within(room - p.reorder_delay)
+    room = (ticks + DUST) * parameters.dt - parameters.delay
+    return (1.0 - parameters.reorder) * within(room) + parameters.reorder * within(
+        room - parameters.reorder_delay
+    )
 
 
-def arrivals_of(p: LinkParameters, key: Key, messages: int, *, every: int = 1) -> IntArray:
+def arrivals_of(parameters: LinkParameters, key: Key, messages: int, *, every: int = 1) -> IntArray:
     """The tick at which each message arrives first that is sent at the ticks 0, every, 2 every, ...
 
     -1: it is lost, or still on its way at the end.
 
     Args:
-        p: The link.
+        parameters: The link.
         key: Of its random numbers.
         messages: How many are sent.
         every: Ticks between two.
     """
-    state, arrived = link_state(p, 2), np.empty(messages, dtype=np.int64)
-    table = link_table([p])
+    state, arrived = link_state(parameters, 2), np.empty(messages, dtype=np.int64)
+    table = link_table([parameters])
     fly_all(table, state, key, every, np.empty_like(state.payload), arrived)
     return arrived
 

@@ -292,19 +292,19 @@ def link_state(
 
 
 @borrowing
-def take(slots: RecordArray, m: LinkMemory) -> int:
+def take(slots: RecordArray, memory: LinkMemory) -> int:
     """A free slot, or -1."""
-    slot = int(m.free)
+    slot = int(memory.free)
     if slot >= 0:
-        m.free = slots[slot].next
+        memory.free = slots[slot].next
     return slot
 
 
 @borrowing
-def release(slots: RecordArray, m: LinkMemory, slot: int) -> None:
+def release(slots: RecordArray, memory: LinkMemory, slot: int) -> None:
     """The slot is free again."""
-    slots[slot].next = m.free
-    m.free = slot
+    slots[slot].next = memory.free
+    memory.free = slot
 
 
 @borrowing
@@ -319,38 +319,38 @@ def append(slots: RecordArray, buckets: RecordArray, bucket: int, slot: int) -> 
 
 
 @borrowing
-def wait(slots: RecordArray, buckets: RecordArray, m: LinkMemory, slot: int) -> None:
+def wait(slots: RecordArray, buckets: RecordArray, memory: LinkMemory, slot: int) -> None:
     """The message joins the sender's queue."""
     append(slots, buckets, buckets.shape[0] - 1, slot)
-    m.waiting += 1
+    memory.waiting += 1
 
 
 @borrowing
-def wait_first(slots: RecordArray, buckets: RecordArray, m: LinkMemory, slot: int) -> None:
+def wait_first(slots: RecordArray, buckets: RecordArray, memory: LinkMemory, slot: int) -> None:
     """The message joins the sender's queue in front of all others."""
     queue = buckets.shape[0] - 1
     slots[slot].next = buckets[queue].first
     if buckets[queue].first < 0:
         buckets[queue].last = slot
     buckets[queue].first = slot
-    m.waiting += 1
+    memory.waiting += 1
 
 
 @borrowing
-def fly(slots: RecordArray, buckets: RecordArray, m: LinkMemory, slot: int, due: int) -> None:
+def fly(slots: RecordArray, buckets: RecordArray, memory: LinkMemory, slot: int, due: int) -> None:
     """The message is on its way."""
     slots[slot].due = due
     append(slots, buckets, due % (buckets.shape[0] - 1), slot)
-    m.flying += 1
+    memory.flying += 1
 
 
 @borrowing
-def leave_queue(slots: RecordArray, buckets: RecordArray, m: LinkMemory) -> int:
+def leave_queue(slots: RecordArray, buckets: RecordArray, memory: LinkMemory) -> int:
     """The slot of the message that has waited longest."""
     queue = buckets.shape[0] - 1
     slot = int(buckets[queue].first)
     buckets[queue].first = slots[slot].next
-    m.waiting -= 1
+    memory.waiting -= 1
     return slot
 
 
@@ -358,25 +358,32 @@ _first_tick_from = compiled(first_tick_from)
 
 
 @compiled
-def _flight_time(p: LinkParameters, share: float, held: bool, later: float) -> int:
+def _flight_time(parameters: LinkParameters, share: float, held: bool, later: float) -> int:
     """The time of flight of a message [ticks].
 
     Args:
-        p: Of the link.
+        parameters: Of the link.
         share: Of the extra delays that are shorter than its own.
         held: Whether it is held back.
         later: Time after the tick at which it leaves [s].
     """
     extra = 0.0
-    if p.jitter > 0.0:
-        extra = jitter_quantile(p.shape, p.jitter, p.low + share * (p.high - p.low))
-        extra = min(max(extra, p.least), p.most)
-    return _first_tick_from(p.delay + extra + (p.reorder_delay if held else 0.0) + later, p.dt)
+    if parameters.jitter > 0.0:
+        extra = jitter_quantile(
+            parameters.shape,
+            parameters.jitter,
+            parameters.low + share * (parameters.high - parameters.low),
+        )
+        extra = min(max(extra, parameters.least), parameters.most)
+    return _first_tick_from(
+        parameters.delay + extra + (parameters.reorder_delay if held else 0.0) + later,
+        parameters.dt,
+    )
 
 
 @compiled
 def _fate(
-    p: LinkParameters, dark: bool, bad: bool, key: Key, tick: int, index: int
+    parameters: LinkParameters, dark: bool, bad: bool, key: Key, tick: int, index: int
 ) -> tuple[int, bool, bool]:
     """Decide what the channel does to one message.
 
@@ -384,14 +391,16 @@ def _fate(
     """
     if dark:
         return BLACKOUT, False, False
-    if not (p.loss > 0.0 or bad or p.duplicates > 0.0 or p.reorder > 0.0):
+    if not (
+        parameters.loss > 0.0 or bad or parameters.duplicates > 0.0 or parameters.reorder > 0.0
+    ):
         return -1, False, False
     word_0, word_1, word_2, word_3 = draw(key, LINK_LOSS, tick, index)
-    if bad and to_uniform(word_1) < p.burst_loss:
+    if bad and to_uniform(word_1) < parameters.burst_loss:
         return BURST, False, False
-    if to_uniform(word_0) < p.loss:
+    if to_uniform(word_0) < parameters.loss:
         return LOSS, False, False
-    return -1, to_uniform(word_2) < p.duplicates, to_uniform(word_3) < p.reorder
+    return -1, to_uniform(word_2) < parameters.duplicates, to_uniform(word_3) < parameters.reorder
 
 
 @compiled
@@ -414,47 +423,51 @@ def _first_after(rows: IntArray, column: int, first: int, end: int, time: int) -
 
 
 @borrowing
-def _play(traces: IntArray, p: LinkParameters, s: LinkState, key: Key, slot: int) -> None:
+def _play(
+    traces: IntArray, parameters: LinkParameters, state: LinkState, key: Key, slot: int
+) -> None:
     """The message leaves the sender, and has the fate of the recorded row that is nearest before it."""
-    slots, m = s.slots, s.memory[0]
-    place = (slots[slot].sent_at + trace_offset(key, p.period)) % p.period
-    ticks = traces[_first_after(traces, 0, p.first_row, p.end_row, place) - 1, 1]
+    slots, m = state.slots, state.memory[0]
+    place = (slots[slot].sent_at + trace_offset(key, parameters.period)) % parameters.period
+    ticks = traces[_first_after(traces, 0, parameters.first_row, parameters.end_row, place) - 1, 1]
     if m.dark or ticks < 0:
-        s.lost[BLACKOUT if m.dark else TRACE] += 1
+        state.lost[BLACKOUT if m.dark else TRACE] += 1
         release(slots, m, slot)
     else:
-        fly(slots, s.buckets, m, slot, m.tick + ticks)
+        fly(slots, state.buckets, m, slot, m.tick + ticks)
 
 
 @borrowing
-def _transmit(p: LinkParameters, s: LinkState, key: Key, slot: int, later: float) -> None:
+def _transmit(
+    parameters: LinkParameters, state: LinkState, key: Key, slot: int, later: float
+) -> None:
     """The message leaves the sender: the channel takes it, or it flies, perhaps twice.
 
     Args:
-        p, s, key: The link; its state is changed.
+        parameters, state, key: The link; its state is changed.
         slot: Of the message.
         later: Time after the link's tick at which it leaves [s].
     """
-    slots, payload, buckets, m = s.slots, s.payload, s.buckets, s.memory[0]
+    slots, payload, buckets, m = state.slots, state.payload, state.buckets, state.memory[0]
     tick, index = slots[slot].sent_at, slots[slot].number
-    lost, twice, held = _fate(p, m.dark, m.chain == 1, key, tick, index)
+    lost, twice, held = _fate(parameters, m.dark, m.chain == 1, key, tick, index)
     if lost >= 0:
-        s.lost[lost] += 1
+        state.lost[lost] += 1
         release(slots, m, slot)
         return
     share, share_too, held_too = 0.0, 0.0, False
-    if p.jitter > 0.0 or twice:
+    if parameters.jitter > 0.0 or twice:
         word_0, word_1, word_2, _ = draw(key, LINK_DELAY, tick, index)
         share, share_too = to_uniform(word_0), to_uniform(word_1)
-        held_too = to_uniform(word_2) < p.reorder
-    fly(slots, buckets, m, slot, m.tick + _flight_time(p, share, held, later))
+        held_too = to_uniform(word_2) < parameters.reorder
+    fly(slots, buckets, m, slot, m.tick + _flight_time(parameters, share, held, later))
     other = take(slots, m) if twice else -1
     if other >= 0:
         m.duplicated += 1
         slots[other].copy = True
         for k in range(payload.shape[1]):
             payload[other, k] = payload[slot, k]
-        due = m.tick + _flight_time(p, share_too, held_too, later)
+        due = m.tick + _flight_time(parameters, share_too, held_too, later)
         fly(slots, buckets, m, other, due)
 
 
@@ -465,25 +478,25 @@ def _dark_by_plan(blackouts: IntArray, first: int, end: int, tick: int) -> bool:
 
 
 @borrowing
-def _dark_by_chance(up: float, down: float, m: LinkMemory, key: Key, tick: int) -> bool:
+def _dark_by_chance(up: float, down: float, memory: LinkMemory, key: Key, tick: int) -> bool:
     """Exponential times of light and fixed ones of darkness, in continuous time; stationary from the first tick on."""
-    while m.dark_to <= tick + DUST:
-        word_0, word_1, _, _ = draw(key, LINK_STATE, m.renewals, 1)
-        m.renewals += 1
+    while memory.dark_to <= tick + DUST:
+        word_0, word_1, _, _ = draw(key, LINK_STATE, memory.renewals, 1)
+        memory.renewals += 1
         light = -up * math.log1p(-to_uniform(word_0))
         place = to_uniform(word_1) * (up + down)
-        if m.dark_to >= 0.0:
-            m.dark_from = m.dark_to + light
+        if memory.dark_to >= 0.0:
+            memory.dark_from = memory.dark_to + light
         else:
-            m.dark_from = tick + (place - down if place < down else light)
-        m.dark_to = m.dark_from + down
-    return bool(m.dark_from <= tick + DUST)
+            memory.dark_from = tick + (place - down if place < down else light)
+        memory.dark_to = memory.dark_from + down
+    return bool(memory.dark_from <= tick + DUST)
 
 
 @borrowing
-def _settle(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None:
+def _settle(numbers: LinkNumbers, row: int, state: LinkState, key: Key, tick: int) -> None:
     """Begin a tick: what the channel is like at it, good or bad, dark or not."""
-    p, m = t.rows[row], s.memory[0]
+    p, m = numbers.rows[row], state.memory[0]
     m.tick, m.index = tick, 0
     if p.perfect and m.waiting == 0:
         return
@@ -492,44 +505,44 @@ def _settle(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None
         if m.chain < 0:
             chance = p.bad_share
         m.chain = 1 if uniform(key, LINK_STATE, tick, 0) < chance else 0
-    dark = _dark_by_plan(t.pairs, p.first_blackout, p.end_blackout, tick)
+    dark = _dark_by_plan(numbers.pairs, p.first_blackout, p.end_blackout, tick)
     if p.up > 0.0:
         dark = _dark_by_chance(p.up, p.down, m, key, tick) or dark
     m.dark = dark
 
 
 @borrowing
-def _is_free(spacing: float, m: LinkMemory) -> bool:
+def _is_free(spacing: float, memory: LinkMemory) -> bool:
     """True if the sender may let a message go at this tick.
 
     Number m of a busy time leaves m spacings after the first.
     """
-    return bool(m.began + m.served * spacing <= m.tick + DUST)
+    return bool(memory.began + memory.served * spacing <= memory.tick + DUST)
 
 
 @borrowing
-def _note_age(m: LinkMemory) -> None:
+def _note_age(memory: LinkMemory) -> None:
     """End a tick: count the age of what is known."""
-    if not math.isnan(m.newest):
-        age = m.tick - m.newest
-        m.age_max = age if m.ages == 0 else max(m.age_max, age)
-        m.age_sum += age
-        m.ages += 1
+    if not math.isnan(memory.newest):
+        age = memory.tick - memory.newest
+        memory.age_max = age if memory.ages == 0 else max(memory.age_max, age)
+        memory.age_sum += age
+        memory.ages += 1
 
 
 @borrowing
-def make_up(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None:
+def make_up(numbers: LinkNumbers, row: int, state: LinkState, key: Key, tick: int) -> None:
     """Go through the ticks up to this one, it included, that were left out; in none of them was anything under way.
 
     Args:
-        t, row: The link.
-        s: Is changed.
+        numbers, row: The link.
+        state: Is changed.
         key: Of the draws.
         tick: The last one that is over; the first is 0.
     """
-    m = s.memory[0]
+    m = state.memory[0]
     while m.tick < tick:
-        _settle(t, row, s, key, m.tick + 1)
+        _settle(numbers, row, state, key, m.tick + 1)
         _note_age(m)
 
 
@@ -540,9 +553,9 @@ def in_milliseconds(tick: int, dt: float) -> int:
 
 
 @borrowing
-def _grant(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None:
+def _grant(numbers: LinkNumbers, row: int, state: LinkState, key: Key, tick: int) -> None:
     """Let what waits leave at the recorded opportunities since the link's tick, up to this one, which is the next."""
-    p, m, traces = t.rows[row], s.memory[0], t.pairs
+    p, m, traces = numbers.rows[row], state.memory[0], numbers.pairs
     offset = trace_offset(key, p.period)
     begin, end = in_milliseconds(tick - 1, p.dt) + offset, in_milliseconds(tick, p.dt) + offset
     start, place = begin - begin % p.period, begin % p.period
@@ -560,53 +573,57 @@ def _grant(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None:
                 m.granted = 0
                 # a moment past the tick at least, so that what leaves after a tick arrives after it
                 later = max(0.001 * (now - offset) - (tick - 1) * p.dt, 2.0 * DUST * p.dt)
-                _transmit(p, s, key, leave_queue(s.slots, s.buckets, m), later)
+                _transmit(p, state, key, leave_queue(state.slots, state.buckets, m), later)
         k += 1
         if k == p.end_row:
             k, start = p.first_row, start + p.period
 
 
 @borrowing
-def advance(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None:
+def advance(numbers: LinkNumbers, row: int, state: LinkState, key: Key, tick: int) -> None:
     """Begin a tick: the channel's state, then whatever may leave the queue. Once a tick, in order.
 
     Args:
-        t, row: The link.
-        s: Is changed.
+        numbers, row: The link.
+        state: Is changed.
         key, tick: Of the draws; tick 0 is the first.
     """
-    p, m = t.rows[row], s.memory[0]
-    make_up(t, row, s, key, tick - 1)
+    p, m = numbers.rows[row], state.memory[0]
+    make_up(numbers, row, state, key, tick - 1)
     if m.waiting > 0 and p.replay == OPPORTUNITIES:
-        _grant(t, row, s, key, tick)
-    _settle(t, row, s, key, tick)
+        _grant(numbers, row, state, key, tick)
+    _settle(numbers, row, state, key, tick)
     while m.waiting > 0 and p.replay != OPPORTUNITIES and _is_free(p.spacing, m):
         m.served += 1
-        slot = leave_queue(s.slots, s.buckets, m)
+        slot = leave_queue(state.slots, state.buckets, m)
         if p.replay == FATES:
-            _play(t.pairs, p, s, key, slot)
+            _play(numbers.pairs, p, state, key, slot)
         else:
-            _transmit(p, s, key, slot, 0.0)
+            _transmit(p, state, key, slot, 0.0)
 
 
 @borrowing
-def send(t: LinkNumbers, row: int, s: LinkState, key: Key, payload: FloatArray) -> None:
+def send(numbers: LinkNumbers, row: int, state: LinkState, key: Key, payload: FloatArray) -> None:
     """Send one message at the tick that `advance` has begun.
 
     Args:
-        t, row: The link.
-        s: Is changed.
+        numbers, row: The link.
+        state: Is changed.
         key: As in `advance`.
         payload: Is copied; element 0 is the tick that its content is from. Shape (width,).
     """
-    p, slots, held, buckets, m = t.rows[row], s.slots, s.payload, s.buckets, s.memory[0]
+    p = numbers.rows[row]
+    slots = state.slots
+    held = state.payload
+    buckets = state.buckets
+    m = state.memory[0]
     index = m.index
     m.index += 1
     m.sent += 1
     busy = m.waiting > 0 or p.replay == OPPORTUNITIES or not _is_free(p.spacing, m)
     begun = 1 if busy and m.granted > 0 else 0  # the first that waits is leaving already
     if busy and m.waiting - begun >= p.queue:
-        s.lost[QUEUE] += 1
+        state.lost[QUEUE] += 1
         if not p.newest:
             return
         first = leave_queue(slots, buckets, m)
@@ -615,7 +632,7 @@ def send(t: LinkNumbers, row: int, s: LinkState, key: Key, payload: FloatArray) 
             wait_first(slots, buckets, m, first)
     slot = take(slots, m)
     if slot < 0:
-        s.lost[FULL] += 1
+        state.lost[FULL] += 1
         return
     for k in range(held.shape[1]):
         held[slot, k] = payload[k]
@@ -627,17 +644,17 @@ def send(t: LinkNumbers, row: int, s: LinkState, key: Key, payload: FloatArray) 
     if p.perfect:
         fly(slots, buckets, m, slot, m.tick)
     elif p.replay == FATES:
-        _play(t.pairs, p, s, key, slot)
+        _play(numbers.pairs, p, state, key, slot)
     else:
-        _transmit(p, s, key, slot, 0.0)
+        _transmit(p, state, key, slot, 0.0)
 
 
 @borrowing
-def receive(s: LinkState, out: FloatArray) -> int:
+def receive(state: LinkState, out: FloatArray) -> int:
     """End a tick: hand out what arrives at it, and note the age of what is known.
 
     Args:
-        s: Is changed.
+        state: Is changed.
         out: Gets a row for each message that arrives; as many rows as the state has slots are always enough. Shape
             (rows, width).
 
@@ -647,7 +664,7 @@ def receive(s: LinkState, out: FloatArray) -> int:
     Raises:
         ValueError: If `out` has too few rows.
     """
-    slots, payload, buckets, m = s.slots, s.payload, s.buckets, s.memory[0]
+    slots, payload, buckets, m = state.slots, state.payload, state.buckets, state.memory[0]
     bucket = m.tick % (buckets.shape[0] - 1)
     n, slot = 0, buckets[bucket].first
     while slot >= 0:
@@ -670,40 +687,45 @@ def receive(s: LinkState, out: FloatArray) -> int:
 
 @borrowing
 def exchange(
-    t: LinkNumbers, s: LinkState, key: Key, tick: int, payloads: FloatArray, out: FloatArray
+    numbers: LinkNumbers,
+    state: LinkState,
+    key: Key,
+    tick: int,
+    payloads: FloatArray,
+    out: FloatArray,
 ) -> int:
     """One whole tick of a table's only link: `advance`, `send` for each row of `payloads`, `receive` into `out`.
 
     How many have arrived.
     """
-    advance(t, 0, s, key, tick)
+    advance(numbers, 0, state, key, tick)
     for k in range(payloads.shape[0]):
-        send(t, 0, s, key, payloads[k])
-    return receive(s, out)
+        send(numbers, 0, state, key, payloads[k])
+    return receive(state, out)
 
 
 @borrowing
-def underway(s: LinkState, out: FloatArray) -> int:
+def underway(state: LinkState, out: FloatArray) -> int:
     """Write the payloads of all that wait or fly into `out`, which has a row for each slot; how many there are."""
     n = 0
-    for bucket in range(s.buckets.shape[0]):
-        slot = s.buckets[bucket].first
+    for bucket in range(state.buckets.shape[0]):
+        slot = state.buckets[bucket].first
         while slot >= 0:
-            for k in range(s.payload.shape[1]):
-                out[n, k] = s.payload[slot, k]
-            slot = s.slots[slot].next
+            for k in range(state.payload.shape[1]):
+                out[n, k] = state.payload[slot, k]
+            slot = state.slots[slot].next
             n += 1
     return n
 
 
 @borrowing
 def fly_all(
-    t: LinkNumbers, s: LinkState, key: Key, every: int, out: FloatArray, arrived: IntArray
+    numbers: LinkNumbers, state: LinkState, key: Key, every: int, out: FloatArray, arrived: IntArray
 ) -> None:
     """Send message m of a table's only link at tick m * every, from its first tick on, and note when each arrives.
 
     Args:
-        t, s, key: The link; its state is changed.
+        numbers, state, key: The link; its state is changed.
         every: Ticks between two messages.
         out: As in `receive`, for payloads of two numbers.
         arrived: Gets the tick at which each arrives first, -1 where it is lost or still on its way at the end. Shape
@@ -712,11 +734,11 @@ def fly_all(
     arrived[:] = -1
     payload = out[0]  # is copied when it is sent
     for tick in range(arrived.shape[0] * every):
-        advance(t, 0, s, key, tick)
+        advance(numbers, 0, state, key, tick)
         if tick % every == 0:
             payload[0], payload[1] = tick, tick // every
-            send(t, 0, s, key, payload)
-        for k in range(receive(s, out)):
+            send(numbers, 0, state, key, payload)
+        for k in range(receive(state, out)):
             message = int(out[k, 1])
             if arrived[message] < 0:
                 arrived[message] = tick

@@ -14,10 +14,10 @@ from sim.kernels.compile import FloatArray, IntArray
 _Mask = npt.NDArray[np.bool_]
 
 
-def delays_by_place(p: LinkParameters) -> IntArray:
+def delays_by_place(parameters: LinkParameters) -> IntArray:
     """The delay of a message that is sent at each place of a round [ticks]; -1: it is lost. Shape (places,)."""
-    rows = np.searchsorted(p.trace[:, 0], np.arange(p.period), side="right") - 1
-    delays: IntArray = p.trace[rows, 1]
+    rows = np.searchsorted(parameters.trace[:, 0], np.arange(parameters.period), side="right") - 1
+    delays: IntArray = parameters.trace[rows, 1]
     return delays
 
 

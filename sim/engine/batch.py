@@ -47,15 +47,19 @@ from sim.scenario.types import Scenario
 
 
 @released
-def _begin_worlds(t: BatchTables, s: BatchState, worlds: IntArray, begin: int, end: int) -> None:
+def _begin_worlds(
+    tables: BatchTables, state: BatchState, worlds: IntArray, begin: int, end: int
+) -> None:
     for n in range(begin, end):
-        begin_world(t, s, worlds[n])
+        begin_world(tables, state, worlds[n])
 
 
 @released
-def _step_worlds(t: BatchTables, s: BatchState, linked: bool, begin: int, end: int) -> None:
+def _step_worlds(
+    tables: BatchTables, state: BatchState, linked: bool, begin: int, end: int
+) -> None:
     for k in range(begin, end):
-        world_tick(t, s, k, linked)
+        world_tick(tables, state, k, linked)
 
 
 def arrays_of(state: object) -> list[npt.NDArray[Any]]:

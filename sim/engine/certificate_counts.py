@@ -118,10 +118,12 @@ def sent_commands(bounds: CertificateBounds) -> FloatArray:
 
 
 @borrowing
-def note_arrival(b: CertificateBounds, c: CertificateCounts, taken: int, error: float) -> None:
+def note_arrival(
+    bounds: CertificateBounds, counts: CertificateCounts, taken: int, error: float
+) -> None:
     """A detection of the tick `taken` has reached the UAV; its error is so large [m]."""
-    c.newest = max(c.newest, taken)
-    c.exact = c.exact and error <= b.error
+    counts.newest = max(counts.newest, taken)
+    counts.exact = counts.exact and error <= bounds.error
 
 
 @borrowing
@@ -132,41 +134,41 @@ def note_sent(sent: FloatArray, answered: int, u_x: float, u_y: float) -> None:
 
 
 @borrowing
-def _confirm(b: CertificateBounds, c: CertificateCounts, tick: int) -> None:
+def _confirm(bounds: CertificateBounds, counts: CertificateCounts, tick: int) -> None:
     """Count what was suspected, if everything has held for long enough at this tick.
 
     Where commands carry motions that is until the motion of the suspected tick's command may begin: a pilot knows of an
     outage as soon as nothing that is under way can end it in time.
     """
-    if b.outage == _NO_OUTAGE or tick >= c.since + b.delay - 1:
-        c.broken += c.suspected
-        c.suspected = 0
+    if bounds.outage == _NO_OUTAGE or tick >= counts.since + bounds.delay - 1:
+        counts.broken += counts.suspected
+        counts.suspected = 0
 
 
 @borrowing
 def note_report(
-    b: CertificateBounds, c: CertificateCounts, tick: int, said: CertificateClaim
+    bounds: CertificateBounds, counts: CertificateCounts, tick: int, said: CertificateClaim
 ) -> None:
     """Count a tick in which a safety filter watches over the UAV, after what has arrived at it."""
-    held = c.exact and c.tracked and c.obeyed and tick - c.newest <= b.age
-    c.ticks += 1
+    held = counts.exact and counts.tracked and counts.obeyed and tick - counts.newest <= bounds.age
+    counts.ticks += 1
     if said.intervened:
-        c.intervened += 1
+        counts.intervened += 1
     if said.certified:
-        c.certified += 1
+        counts.certified += 1
         if said.lost:
-            c.lost += 1
-    elif said.current and c.promised and held:
-        c.suspected += 1
-        c.since = tick
-        _confirm(b, c, tick - 1)
-    c.promised = said.certified and said.current
+            counts.lost += 1
+    elif said.current and counts.promised and held:
+        counts.suspected += 1
+        counts.since = tick
+        _confirm(bounds, counts, tick - 1)
+    counts.promised = said.certified and said.current
 
 
 @borrowing
 def note_action(
-    b: CertificateBounds,
-    c: CertificateCounts,
+    bounds: CertificateBounds,
+    counts: CertificateCounts,
     sent: FloatArray,
     tick: int,
     u_x: float,
@@ -174,17 +176,17 @@ def note_action(
     begins: int,
 ) -> None:
     """A command [m/s²] acts in this tick, or a motion that began in the tick `begins`; NO_MOTION: none is flown."""
-    if b.outage != _NO_OUTAGE:
-        wait = waited(tick, begins, b.delay) + 1  # so long at least
-        c.longest_outage = max(c.longest_outage, wait)
-        c.obeyed = wait <= b.outage
-        if not c.obeyed:
-            c.suspected = 0
-        _confirm(b, c, tick)
+    if bounds.outage != _NO_OUTAGE:
+        wait = waited(tick, begins, bounds.delay) + 1  # so long at least
+        counts.longest_outage = max(counts.longest_outage, wait)
+        counts.obeyed = wait <= bounds.outage
+        if not counts.obeyed:
+            counts.suspected = 0
+        _confirm(bounds, counts, tick)
         return
-    due = tick - b.delay
+    due = tick - bounds.delay
     row = due % sent.shape[0]
-    c.obeyed = sent[row, 0] == due and sent[row, 1] == u_x and sent[row, 2] == u_y
+    counts.obeyed = sent[row, 0] == due and sent[row, 1] == u_x and sent[row, 2] == u_y
 
 
 @borrowing

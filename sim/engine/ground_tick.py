@@ -137,63 +137,74 @@ def _tile_range(center: float, reach: float, tile: float, count: int) -> tuple[i
 
 
 @borrowing
-def _tell(g: GroundState, k: int, v: int, row: int, column: int, state: int) -> None:
-    """The sensor of vehicle v tells of a tile."""
-    g.known[k, v, row, column] = state
-    n = g.told[k, v]
-    g.seen[k, v, n] = row * g.tiles.shape[2] + column
-    g.told[k, v] = n + 1
+def _tell(ground: GroundState, world: int, vehicle: int, row: int, column: int, state: int) -> None:
+    """The sensor of a vehicle tells of a tile."""
+    ground.known[world, vehicle, row, column] = state
+    n = ground.told[world, vehicle]
+    ground.seen[world, vehicle, n] = row * ground.tiles.shape[2] + column
+    ground.told[world, vehicle] = n + 1
 
 
 @borrowing
 def _told_state(
-    p: GroundParameters, state: int, keys: WordArray, v: int, row: int, column: int
+    parameters: GroundParameters, state: int, keys: WordArray, vehicle: int, row: int, column: int
 ) -> int:
     """State that the sensor of UAV v tells of a tile which truly is in this one."""
     if state == CLEAR:
-        chance, wrong = p.false_alarm, BLOCK
+        chance, wrong = parameters.false_alarm, BLOCK
     else:
-        chance, wrong = p.miss, CLEAR
+        chance, wrong = parameters.miss, CLEAR
     if chance == 0.0:
         return state
-    key = key_of(keys, GROUND_LOOK, v)
+    key = key_of(keys, GROUND_LOOK, vehicle)
     return wrong if uniform(key, TILE_CHANCE, row, column) < chance else state
 
 
 @inlined
 def _look(
-    w: RecordArray,
-    t: GroundConstants,
-    g: GroundState,
-    k: int,
-    u: int,
-    v: int,
+    parameters: RecordArray,
+    tables: GroundConstants,
+    ground: GroundState,
+    world: int,
+    uav: int,
+    vehicle: int,
     keys: WordArray,
     x: float,
     y: float,
 ) -> None:
-    """UAV u, vehicle v, looks at the ground from (x, y) [m]."""
-    p, world, looked = t.parameters[0], w[0], g.looked[k, u]
-    accumulate(looked, x, y, world.sensor, world.peak, world.reach, p.tile, p.period * world.dt)
-    known, rows, columns = g.known[k, v], looked.shape[0], looked.shape[1]
-    first_row, end_row = _tile_range(y, world.reach, p.tile, rows)
-    first, end = _tile_range(x, world.reach, p.tile, columns)
+    """A UAV looks at the ground from (x, y) [m]."""
+    p, numbers, looked = tables.parameters[0], parameters[0], ground.looked[world, uav]
+    accumulate(
+        looked, x, y, numbers.sensor, numbers.peak, numbers.reach, p.tile, p.period * numbers.dt
+    )
+    known, rows, columns = ground.known[world, vehicle], looked.shape[0], looked.shape[1]
+    first_row, end_row = _tile_range(y, numbers.reach, p.tile, rows)
+    first, end = _tile_range(x, numbers.reach, p.tile, columns)
     for row in range(first_row, end_row):
         sums, states, news = looked[row, first:end], known[row, first:end], 0
         for i in range(sums.size):  # several to a vector: mostly there is none
-            news += 1 if (sums[i] >= world.desired) & (states[i] == UNSEEN) else 0
+            news += 1 if (sums[i] >= numbers.desired) & (states[i] == UNSEEN) else 0
         if news == 0:
             continue
         for column in range(first, end):
-            if known[row, column] == UNSEEN and looked[row, column] >= world.desired:
-                state = g.tiles[k, row, column]
-                _tell(g, k, v, row, column, _told_state(p, state, keys, v, row, column))
+            if known[row, column] == UNSEEN and looked[row, column] >= numbers.desired:
+                state = ground.tiles[world, row, column]
+                _tell(
+                    ground,
+                    world,
+                    vehicle,
+                    row,
+                    column,
+                    _told_state(p, state, keys, vehicle, row, column),
+                )
 
 
 @inlined
-def _feel(t: GroundConstants, g: GroundState, k: int, v: int, x: float, y: float) -> None:
+def _feel(
+    tables: GroundConstants, ground: GroundState, world: int, vehicle: int, x: float, y: float
+) -> None:
     """The bumper of UGV v at (x, y) [m] tells of the tiles that have a point within its range."""
-    p, known = t.parameters[0], g.known[k, v]
+    p, known = tables.parameters[0], ground.known[world, vehicle]
     first_row, end_row = _tile_range(y, p.bumper, p.tile, known.shape[0])
     first, end = _tile_range(x, p.bumper, p.tile, known.shape[1])
     for row in range(first_row, end_row):
@@ -203,15 +214,15 @@ def _feel(t: GroundConstants, g: GroundState, k: int, v: int, x: float, y: float
                 continue
             d_x = max(column * p.tile - x, x - (column + 1) * p.tile, 0.0)
             if d_x * d_x + d_y * d_y <= p.bumper * p.bumper:
-                _tell(g, k, v, row, column, g.tiles[k, row, column])
+                _tell(ground, world, vehicle, row, column, ground.tiles[world, row, column])
 
 
 @borrowing
 def _meets_block(
-    t: GroundConstants, g: GroundState, k: int, p: FloatArray, q: FloatArray
+    tables: GroundConstants, ground: GroundState, world: int, p: FloatArray, q: FloatArray
 ) -> tuple[int, float]:
     """The hazard that blocks the way from p to q [m], and the share of the way to it; -1: none."""
-    tile, tiles = t.parameters[0].tile, g.tiles[k]
+    tile, tiles = tables.parameters[0].tile, ground.tiles[world]
     rows, columns = tiles.shape
     first, end = tile_index(min(p[1], q[1]), tile, rows), tile_index(max(p[1], q[1]), tile, rows)
     left = tile_index(min(p[0], q[0]), tile, columns)
@@ -220,54 +231,63 @@ def _meets_block(
         for column in range(left, right + 1):
             if tiles[row, column] == BLOCK:
                 start, stop = (p[0], p[1]), (q[0], q[1])
-                return crosses_hazard(g.hazards[k], t.corners, BLOCK, start, stop)
+                return crosses_hazard(ground.hazards[world], tables.corners, BLOCK, start, stop)
     return -1, math.inf
 
 
 @inlined
 def drive_on(
-    t: GroundConstants, g: GroundState, k: int, position: FloatArray, velocity: FloatArray
+    tables: GroundConstants,
+    ground: GroundState,
+    world: int,
+    position: FloatArray,
+    velocity: FloatArray,
 ) -> None:
     """Touches of hazards by the UGVs on their way from `before` to where they are.
 
     Args:
-        t, g: The ground of all worlds.
-        k: The world.
+        tables, ground: The ground of all worlds.
+        world: The world.
         position, velocity: Of its vehicles [m], [m/s]; one that is stuck stops. Shape (vehicles, 2).
     """
-    p = t.parameters[0]
-    for n in range(t.ugvs.shape[0]):
-        v, start = t.ugvs[n], g.before[k, n]
-        if g.pace[k, v] == 0.0:
+    p = tables.parameters[0]
+    for n in range(tables.ugvs.shape[0]):
+        v, start = tables.ugvs[n], ground.before[world, n]
+        if ground.pace[world, v] == 0.0:
             continue
-        hit, share = _meets_block(t, g, k, start, position[v])
+        hit, share = _meets_block(tables, ground, world, start, position[v])
         if hit >= 0:
-            g.hits[k, n, hit] = 1
+            ground.hits[world, n, hit] = 1
             if p.stuck:
-                g.pace[k, v] = 0.0
+                ground.pace[world, v] = 0.0
                 for i in range(2):
                     position[v, i] = start[i] + share * (position[v, i] - start[i])
                     velocity[v, i] = 0.0
                 continue
         x, y = position[v, 0], position[v, 1]
-        g.pace[k, v] = 1.0
-        if state_at(g.tiles[k], p.tile, x, y) in (ROUGH, BLOCK):
-            g.pace[k, v] = rough_share(g.hazards[k], t.corners, x, y)
+        ground.pace[world, v] = 1.0
+        if state_at(ground.tiles[world], p.tile, x, y) in (ROUGH, BLOCK):
+            ground.pace[world, v] = rough_share(ground.hazards[world], tables.corners, x, y)
 
 
 @inlined
-def keep_before(t: GroundConstants, g: GroundState, k: int, position: FloatArray) -> None:
+def keep_before(
+    tables: GroundConstants, ground: GroundState, world: int, position: FloatArray
+) -> None:
     """Note where the UGVs are before they move."""
-    for n in range(t.ugvs.shape[0]):
-        g.before[k, n, 0], g.before[k, n, 1] = position[t.ugvs[n], 0], position[t.ugvs[n], 1]
+    for n in range(tables.ugvs.shape[0]):
+        ground.before[world, n, 0], ground.before[world, n, 1] = (
+            position[tables.ugvs[n], 0],
+            position[tables.ugvs[n], 1],
+        )
 
 
 @inlined
 def perceive_ground(
-    w: RecordArray,
-    t: GroundConstants,
-    g: GroundState,
-    k: int,
+    parameters: RecordArray,
+    tables: GroundConstants,
+    ground: GroundState,
+    world: int,
     tick: int,
     position: FloatArray,
     escorts: IntArray,
@@ -276,19 +296,19 @@ def perceive_ground(
     """Every vehicle's sensor tells of what it has seen of the ground since the tick before.
 
     Args:
-        w: `WorldParameters`. Shape (1,).
-        t, g: The ground of all worlds; `g` is changed.
-        k: The world.
+        parameters: `WorldParameters`. Shape (1,).
+        tables, ground: The ground of all worlds; `ground` is changed.
+        world: The world.
         tick: Now.
         position: Where the vehicles truly are [m]. Shape (vehicles, 2).
         escorts: Rows (UAV, UGV). Shape (UAVs, 2).
         keys: Of the world's random numbers.
     """
-    g.told[k] = 0
-    if tick > 0 and tick % t.parameters[0].period == 0:
+    ground.told[world] = 0
+    if tick > 0 and tick % tables.parameters[0].period == 0:
         for u in range(escorts.shape[0]):
             v = escorts[u, 0]
-            _look(w, t, g, k, u, v, keys, position[v, 0], position[v, 1])
-    for n in range(t.ugvs.shape[0]):
-        v = t.ugvs[n]
-        _feel(t, g, k, v, position[v, 0], position[v, 1])
+            _look(parameters, tables, ground, world, u, v, keys, position[v, 0], position[v, 1])
+    for n in range(tables.ugvs.shape[0]):
+        v = tables.ugvs[n]
+        _feel(tables, ground, world, v, position[v, 0], position[v, 1])

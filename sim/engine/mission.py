@@ -116,9 +116,9 @@ def mission_constants(scenario: Scenario) -> MissionConstants:
 
 
 @inlined
-def goals_of(c: MissionConstants, n: int) -> FloatArray:
-    """The goals of UGV n [m]: a view. Shape (goals, 2)."""
-    return c.goals[c.goal_rows[n] : c.goal_rows[n + 1]]
+def goals_of(constants: MissionConstants, ugv: int) -> FloatArray:
+    """The goals of a UGV [m]: a view. Shape (goals, 2)."""
+    return constants.goals[constants.goal_rows[ugv] : constants.goal_rows[ugv + 1]]
 
 
 def mission_state(ground: GroundState) -> MissionState:
@@ -141,68 +141,79 @@ def mission_state(ground: GroundState) -> MissionState:
 
 @borrowing
 def _note(
-    t: GroundConstants, g: GroundState, k: int, row: int, column: int, ticks: TickArray, tick: int
+    tables: GroundConstants,
+    ground: GroundState,
+    world: int,
+    row: int,
+    column: int,
+    ticks: TickArray,
+    tick: int,
 ) -> None:
     """Somebody is told that there is a hazard on a tile: note it for those that are."""
-    tile = t.parameters[0].tile
+    tile = tables.parameters[0].tile
     x, y, half = (column + 0.5) * tile, (row + 0.5) * tile, math.sqrt(0.5) * tile
     for h in range(ticks.shape[0]):
-        if ticks[h] == 0 and g.hazards[k, h].kind > 0:
-            near = may_be_within(g.hazards[k], h, x, y, half)
-            if near and distance_to_hazard(g.hazards[k], t.corners, h, x, y) <= half:
+        if ticks[h] == 0 and ground.hazards[world, h].kind > 0:
+            near = may_be_within(ground.hazards[world], h, x, y, half)
+            if near and distance_to_hazard(ground.hazards[world], tables.corners, h, x, y) <= half:
                 ticks[h] = tick + 1
 
 
 @borrowing
 def receive_block(
-    t: GroundConstants,
-    g: GroundState,
-    m: MissionState,
-    k: int,
-    n: int,
+    tables: GroundConstants,
+    ground: GroundState,
+    mission: MissionState,
+    world: int,
+    ugv: int,
     tick: int,
     block: tuple[int, int],
     states: npt.NDArray[np.uint8],
 ) -> None:
-    """UGV n of world k is told of a block of tiles by radio.
+    """A UGV is told of a block of tiles by radio.
 
     Args:
-        t, g: The ground of all worlds.
-        m: Is changed.
-        k, n: Which.
+        tables, ground: The ground of all worlds.
+        mission: Is changed.
+        world, ugv: Which.
         tick: Now.
         block: Row and column of the block.
         states: Of its tiles, row by row. Shape (BLOCK_SIDE * BLOCK_SIDE,).
     """
-    received = m.received[k, n]
+    received = mission.received[world, ugv]
     for place in range(states.shape[0]):
         state = states[place]
         row = block[0] * BLOCK_SIDE + place // BLOCK_SIDE
         column = block[1] * BLOCK_SIDE + place % BLOCK_SIDE
         if state == UNSEEN or row >= received.shape[0] or column >= received.shape[1]:
             continue
-        if m.told[k, n, row, column] != BLOCK:
-            m.told[k, n, row, column] = state
+        if mission.told[world, ugv, row, column] != BLOCK:
+            mission.told[world, ugv, row, column] = state
         if received[row, column] == 0:
             received[row, column] = tick + 1
-            m.ugvs[k, n].told += 1
+            mission.ugvs[world, ugv].told += 1
             if state != CLEAR:
-                _note(t, g, k, row, column, m.warned[k, n], tick)
+                _note(tables, ground, world, row, column, mission.warned[world, ugv], tick)
 
 
 @borrowing
-def _note_sensors(t: GroundConstants, g: GroundState, m: MissionState, k: int, tick: int) -> None:
+def _note_sensors(
+    tables: GroundConstants, ground: GroundState, mission: MissionState, world: int, tick: int
+) -> None:
     """Note the hazards of which the vehicles' own sensors have just told."""
-    columns = g.tiles.shape[2]
-    for v in range(g.told.shape[1]):
-        for i in range(g.told[k, v]):
-            row, column = g.seen[k, v, i] // columns, g.seen[k, v, i] % columns
-            if g.known[k, v, row, column] == CLEAR or g.tiles[k, row, column] == CLEAR:
+    columns = ground.tiles.shape[2]
+    for v in range(ground.told.shape[1]):
+        for i in range(ground.told[world, v]):
+            row, column = ground.seen[world, v, i] // columns, ground.seen[world, v, i] % columns
+            if (
+                ground.known[world, v, row, column] == CLEAR
+                or ground.tiles[world, row, column] == CLEAR
+            ):
                 continue  # missed, or a false alarm
-            _note(t, g, k, row, column, m.found[k], tick)
-            for n in range(t.ugvs.shape[0]):
-                if t.ugvs[n] == v:
-                    _note(t, g, k, row, column, m.warned[k, n], tick)
+            _note(tables, ground, world, row, column, mission.found[world], tick)
+            for n in range(tables.ugvs.shape[0]):
+                if tables.ugvs[n] == v:
+                    _note(tables, ground, world, row, column, mission.warned[world, n], tick)
 
 
 @borrowing
@@ -220,67 +231,69 @@ def _list_near(hazards: RecordArray, near: TickArray, x: float, y: float) -> int
 
 @inlined
 def _drive(
-    c: MissionConstants,
-    t: GroundConstants,
-    g: GroundState,
-    m: MissionState,
-    k: int,
-    n: int,
+    constants: MissionConstants,
+    tables: GroundConstants,
+    ground: GroundState,
+    mission: MissionState,
+    world: int,
+    ugv: int,
     tick: int,
     x: float,
     y: float,
 ) -> None:
-    """UGV n has come to (x, y) [m]."""
-    row, goals = m.ugvs[k, n], goals_of(c, n)
+    """A UGV has come to (x, y) [m]."""
+    row, goals = mission.ugvs[world, ugv], goals_of(constants, ugv)
     if tick > 0:
-        way = norm(x - g.before[k, n, 0], y - g.before[k, n, 1])
-        tile, (rows, columns) = t.parameters[0].tile, g.tiles[k].shape
-        received = m.received[k, n, tile_index(y, tile, rows), tile_index(x, tile, columns)]
+        way = norm(x - ground.before[world, ugv, 0], y - ground.before[world, ugv, 1])
+        tile, (rows, columns) = tables.parameters[0].tile, ground.tiles[world].shape
+        received = mission.received[
+            world, ugv, tile_index(y, tile, rows), tile_index(x, tile, columns)
+        ]
         row.way += way
         row.seen_way += way if 0 < received <= tick else 0.0
-        if row.arrived < 0 and way < _STILL * t.strides[n]:
+        if row.arrived < 0 and way < _STILL * tables.strides[ugv]:
             row.still += 1
     if row.reached < goals.shape[0]:
-        row.reached, _ = next_goal(goals, row.reached, c.tolerances[n], x, y)
+        row.reached, _ = next_goal(goals, row.reached, constants.tolerances[ugv], x, y)
         if row.reached == goals.shape[0]:
             row.arrived = tick
     moved_x, moved_y = x - row.listed_x, y - row.listed_y
     if row.listed < 0 or moved_x * moved_x + moved_y * moved_y > _SKIN * _SKIN:
-        row.listed = _list_near(g.hazards[k], m.near[k, n], x, y)
+        row.listed = _list_near(ground.hazards[world], mission.near[world, ugv], x, y)
         row.listed_x, row.listed_y = x, y
     for i in range(row.listed):
-        h = m.near[k, n, i]
-        if not may_be_within(g.hazards[k], h, x, y, ON_WAY):
+        h = mission.near[world, ugv, i]
+        if not may_be_within(ground.hazards[world], h, x, y, ON_WAY):
             continue
-        away = distance_to_hazard(g.hazards[k], t.corners, h, x, y)
-        m.nearest[k, n, h] = min(m.nearest[k, n, h], away)
-        if away <= ON_WAY and m.met[k, n, h] == 0:
-            m.met[k, n, h] = tick + 1
+        away = distance_to_hazard(ground.hazards[world], tables.corners, h, x, y)
+        mission.nearest[world, ugv, h] = min(mission.nearest[world, ugv, h], away)
+        if away <= ON_WAY and mission.met[world, ugv, h] == 0:
+            mission.met[world, ugv, h] = tick + 1
 
 
 @inlined
 def note_mission(
-    c: MissionConstants,
-    t: GroundConstants,
-    g: GroundState,
-    m: MissionState,
-    k: int,
+    constants: MissionConstants,
+    tables: GroundConstants,
+    ground: GroundState,
+    mission: MissionState,
+    world: int,
     tick: int,
     position: FloatArray,
 ) -> None:
-    """Take in a tick of world k: what sensors have told of, and where the UGVs have come.
+    """Take in a tick of a world: what sensors have told of, and where the UGVs have come.
 
     Args:
-        c, t, g: Of all worlds.
-        m: Is changed.
-        k: The world.
+        constants, tables, ground: Of all worlds.
+        mission: Is changed.
+        world: The world.
         tick: Now.
         position: Of its vehicles [m]. Shape (vehicles, 2).
     """
-    _note_sensors(t, g, m, k, tick)
-    for n in range(t.ugvs.shape[0]):
-        v = t.ugvs[n]
-        _drive(c, t, g, m, k, n, tick, position[v, 0], position[v, 1])
+    _note_sensors(tables, ground, mission, world, tick)
+    for n in range(tables.ugvs.shape[0]):
+        v = tables.ugvs[n]
+        _drive(constants, tables, ground, mission, world, n, tick, position[v, 0], position[v, 1])
 
 
 def mission_numbers(mission: Mission) -> dict[str, float]:
@@ -289,26 +302,28 @@ def mission_numbers(mission: Mission) -> dict[str, float]:
     return {name: math.nan if value is None else value for name, value in told.items()}
 
 
-def mission_of(c: MissionConstants, g: GroundState, m: MissionState, k: int, dt: float) -> Mission:
-    """The mission of world k so far.
+def mission_of(
+    constants: MissionConstants, ground: GroundState, mission: MissionState, world: int, dt: float
+) -> Mission:
+    """The mission of a world so far.
 
     Args:
-        c, g, m: Of all worlds.
-        k: Which.
+        constants, ground, mission: Of all worlds.
+        world: Which.
         dt: Length of a tick [s].
     """
-    ugvs, kinds = m.ugvs[k], g.hazards["kind"][k]
-    met, warned, blocks = m.met[k] > 0, m.warned[k], kinds == BLOCK
-    before = met & (warned > 0) & (warned < m.met[k])
-    bound_for = np.diff(c.goal_rows) > 0
+    ugvs, kinds = mission.ugvs[world], ground.hazards["kind"][world]
+    met, warned, blocks = mission.met[world] > 0, mission.warned[world], kinds == BLOCK
+    before = met & (warned > 0) & (warned < mission.met[world])
+    bound_for = np.diff(constants.goal_rows) > 0
     arrived = bool(bound_for.any() and (ugvs["arrived"][bound_for] >= 0).all())
-    way, ahead = float(ugvs["way"].sum()), (m.met[k] - warned)[before]
-    near = (m.nearest[k] < NEAR_MISS) & (g.hits[k] == 0) & blocks
+    way, ahead = float(ugvs["way"].sum()), (mission.met[world] - warned)[before]
+    near = (mission.nearest[world] < NEAR_MISS) & (ground.hits[world] == 0) & blocks
     finds = kinds == FOUND
     return Mission(
         arrived=arrived,
         mission_time=float(ugvs["arrived"].max() * dt) if arrived else None,
-        hazards_hit=int(g.hits[k].sum()),
+        hazards_hit=int(ground.hits[world].sum()),
         near_misses=int(near.sum()),
         hazards_on_way=int(met.sum()),
         warned=int(before.sum()),
@@ -316,5 +331,5 @@ def mission_of(c: MissionConstants, g: GroundState, m: MissionState, k: int, dt:
         seen_ahead=float(ugvs["seen_way"].sum()) / way if way > 0.0 else None,
         still_time=float(ugvs["still"].sum() * dt),
         finds=int(finds.sum()),
-        found=int((m.found[k][finds] > 0).sum()),
+        found=int((mission.found[world][finds] > 0).sum()),
     )

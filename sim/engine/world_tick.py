@@ -36,7 +36,7 @@ from sim.models.wind import draw_disturbance
 
 @borrowing
 def _move(
-    w: WorldParameters,
+    parameters: WorldParameters,
     position: FloatArray,
     velocity: FloatArray,
     acceleration: FloatArray,
@@ -57,16 +57,16 @@ def _move(
             commands[k, 1],
             speed,
             bounds[k, 1],
-            w.dt,
+            parameters.dt,
         )
-        position[k, 0], velocity[k, 0] = within_walls(p_x, v_x, w.width)
-        position[k, 1], velocity[k, 1] = within_walls(p_y, v_y, w.height)
+        position[k, 0], velocity[k, 0] = within_walls(p_x, v_x, parameters.width)
+        position[k, 1], velocity[k, 1] = within_walls(p_y, v_y, parameters.height)
         acceleration[k, 0], acceleration[k, 1] = u_x, u_y
 
 
 @borrowing
 def _see(
-    w: WorldParameters,
+    parameters: WorldParameters,
     position: FloatArray,
     escorts: IntArray,
     coverage: FloatArray,
@@ -74,30 +74,37 @@ def _see(
 ) -> None:
     for k in range(escorts.shape[0]):
         a, g = escorts[k, 0], escorts[k, 1]
-        if w.gains:
+        if parameters.gains:
             gains[k] = accumulate_with_gain(
                 coverage,
                 position[a, 0],
                 position[a, 1],
                 position[g, 0],
                 position[g, 1],
-                w.r_o,
-                w.desired,
-                w.sensor,
-                w.peak,
-                w.reach,
-                w.cell,
-                w.dt,
+                parameters.r_o,
+                parameters.desired,
+                parameters.sensor,
+                parameters.peak,
+                parameters.reach,
+                parameters.cell,
+                parameters.dt,
             )
         else:
             accumulate(
-                coverage, position[a, 0], position[a, 1], w.sensor, w.peak, w.reach, w.cell, w.dt
+                coverage,
+                position[a, 0],
+                position[a, 1],
+                parameters.sensor,
+                parameters.peak,
+                parameters.reach,
+                parameters.cell,
+                parameters.dt,
             )
 
 
 @borrowing
 def detect_all(
-    w: WorldParameters,
+    parameters: WorldParameters,
     keys: WordArray,
     tick: int,
     position: FloatArray,
@@ -108,15 +115,15 @@ def detect_all(
     for k in range(escorts.shape[0]):
         a, g = escorts[k, 0], escorts[k, 1]
         detections[k, 0], detections[k, 1] = np.nan, np.nan
-        if tick % w.period == 0:
+        if tick % parameters.period == 0:
             _, detections[k, 0], detections[k, 1] = detect(
                 position[a, 0] - position[g, 0],
                 position[a, 1] - position[g, 1],
-                w.r_v,
-                w.reach,
-                w.dropout,
-                w.sigma,
-                w.cut,
+                parameters.r_v,
+                parameters.reach,
+                parameters.dropout,
+                parameters.sigma,
+                parameters.cut,
                 key_of(keys, DETECTION_NOISE, a),
                 key_of(keys, DETECTION_CHANCE, a),
                 tick,
@@ -148,17 +155,17 @@ def measure(
 
 
 @inlined
-def truth_of(truth: WorldState, k: int) -> WorldState:
+def truth_of(truth: WorldState, world: int) -> WorldState:
     """The truth of one world: views, no copies."""
     return WorldState(
-        truth.position[k],
-        truth.velocity[k],
-        truth.acceleration[k],
-        truth.commands[k],
-        truth.coverage[k],
-        truth.detections[k],
-        truth.gains[k],
-        truth.measures[k],
+        truth.position[world],
+        truth.velocity[world],
+        truth.acceleration[world],
+        truth.commands[world],
+        truth.coverage[world],
+        truth.detections[world],
+        truth.gains[world],
+        truth.measures[world],
     )
 
 
@@ -176,7 +183,7 @@ def _note_arrival(motions: RecordArray, last: int, carried: int) -> None:
 
 @borrowing
 def _fly_motion(
-    w: WorldParameters,
+    parameters: WorldParameters,
     motions: RecordArray,
     flown: RecordArray,
     acting: FloatArray,
@@ -192,54 +199,59 @@ def _fly_motion(
         follow_on(motions, flown, tick)
     if flown[0].plain == 1:
         return False
-    acting[0], acting[1] = motion_command(flown[0], velocity[0], velocity[1], u_max, w.dt)
+    acting[0], acting[1] = motion_command(flown[0], velocity[0], velocity[1], u_max, parameters.dt)
     flown[0].age += 1
     return True
 
 
 @inlined
-def receive_commands(t: BatchTables, s: BatchState, k: int) -> None:
+def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None:
     """Send the commands out; each vehicle acts on its newest one that has arrived.
 
     Where none has come for a while, it brakes. A receiver of motions begins each in its own tick, and flies on what it
     flies where none begins.
     """
-    w, keys, tick = t.world[0], s.keys[k], s.ticks[k]
-    acting, sent, answered, inbox = s.truth.commands[k], s.sent[k], s.answered[k], s.inbox[k]
+    w, keys, tick = tables.world[0], state.keys[world], state.ticks[world]
+    acting = state.truth.commands[world]
+    sent = state.sent[world]
+    answered = state.answered[world]
+    inbox = state.inbox[world]
     for v in range(sent.shape[0]):
-        row = t.escorts.shape[0] + v
-        link = link_of(s.links, k, row)
-        key = key_of(keys, t.links.owners[row, 0], t.links.owners[row, 1])
-        begin_tick(t.links, row, link, key, tick)
+        row = tables.escorts.shape[0] + v
+        link = link_of(state.links, world, row)
+        key = key_of(keys, tables.links.owners[row, 0], tables.links.owners[row, 1])
+        begin_tick(tables.links, row, link, key, tick)
         if sent[v, COMMAND.answered] >= 0.0:
-            send(t.links, row, link, key, sent[v])
+            send(tables.links, row, link, key, sent[v])
             sent[v, COMMAND.answered] = -1.0
         for n in range(receive(link, inbox)):
             last = int(inbox[n, COMMAND.last])
-            if t.receivers[v] and last >= 0:
-                _note_arrival(s.motions[k, v], last, int(inbox[n, COMMAND.carried]))
+            if tables.receivers[v] and last >= 0:
+                _note_arrival(state.motions[world, v], last, int(inbox[n, COMMAND.carried]))
             if inbox[n, COMMAND.answered] > answered[v]:
                 answered[v] = int(inbox[n, COMMAND.answered])
                 acting[v, 0], acting[v, 1] = inbox[n, COMMAND.u_x], inbox[n, COMMAND.u_y]
-                if t.receivers[v] and last < 0:
-                    flown = s.flown[k, v, 0]
+                if tables.receivers[v] and last < 0:
+                    flown = state.flown[world, v, 0]
                     flown.begins, flown.plain = NO_MOTION, 1
-        if t.receivers[v]:
-            motions, flying, u_max = s.motions[k, v], s.flown[k, v], t.bounds[v, 1]
-            moving = s.told.velocity[k, v]
+        if tables.receivers[v]:
+            motions = state.motions[world, v]
+            flying = state.flown[world, v]
+            u_max = tables.bounds[v, 1]
+            moving = state.told.velocity[world, v]
             if _fly_motion(w, motions, flying, acting[v], moving, tick, u_max):
                 continue
         if tick - answered[v] > w.hold_ticks:
-            v_x, v_y = s.told.velocity[k, v, 0], s.told.velocity[k, v, 1]
-            acting[v, 0], acting[v, 1] = brake(v_x, v_y, t.bounds[v, 1], w.dt)
+            v_x, v_y = state.told.velocity[world, v, 0], state.told.velocity[world, v, 1]
+            acting[v, 0], acting[v, 1] = brake(v_x, v_y, tables.bounds[v, 1], w.dt)
 
 
 @inlined
-def draw_disturbances(t: BatchTables, s: BatchState, k: int) -> None:
+def draw_disturbances(tables: BatchTables, state: BatchState, world: int) -> None:
     """Draw what acts on each UAV beside its commands in the coming tick."""
-    for u in range(t.disturbances.shape[0]):
-        key = key_of(s.keys[k], DISTURBANCE, t.escorts[u, 0])
-        draw_disturbance(t.disturbances, s.tracking[k], u, key, s.ticks[k])
+    for u in range(tables.disturbances.shape[0]):
+        key = key_of(state.keys[world], DISTURBANCE, tables.escorts[u, 0])
+        draw_disturbance(tables.disturbances, state.tracking[world], u, key, state.ticks[world])
 
 
 @borrowing
@@ -264,73 +276,94 @@ def put_off(
 
 
 @inlined
-def _perceive(t: BatchTables, s: BatchState, k: int) -> None:
+def _perceive(tables: BatchTables, state: BatchState, world: int) -> None:
     """The vehicles' sensors look at the ground, and the UAVs' detectors at their UGVs."""
-    keys, tick, position = s.keys[k], s.ticks[k], s.truth.position[k]
-    if t.ground.parameters.shape[0] > 0:
-        perceive_ground(t.world, t.ground, s.ground, k, tick, position, t.escorts, keys)
-        note_mission(t.mission, t.ground, s.ground, s.mission, k, tick, position)
-    detect_all(t.world[0], keys, tick, position, t.escorts, s.truth.detections[k])
+    keys, tick, position = state.keys[world], state.ticks[world], state.truth.position[world]
+    if tables.ground.parameters.shape[0] > 0:
+        perceive_ground(
+            tables.world, tables.ground, state.ground, world, tick, position, tables.escorts, keys
+        )
+        note_mission(
+            tables.mission, tables.ground, state.ground, state.mission, world, tick, position
+        )
+    detect_all(tables.world[0], keys, tick, position, tables.escorts, state.truth.detections[world])
 
 
 @inlined
-def move(t: BatchTables, s: BatchState, k: int) -> None:
+def move(tables: BatchTables, state: BatchState, world: int) -> None:
     """To the next tick: everybody moves (1), the UAVs look at the ground (3) and at their UGVs.
 
     Commands lead to where the vehicles are told that they are; a UAV that wind or a wrong own position takes from there
     is truly elsewhere.
     """
-    w, grounded = t.world[0], t.ground.parameters.shape[0] > 0
-    s.ticks[k] += 1
-    truth, there, moving = truth_of(s.truth, k), s.told.position[k], s.told.velocity[k]
+    w, grounded = tables.world[0], tables.ground.parameters.shape[0] > 0
+    state.ticks[world] += 1
+    truth = truth_of(state.truth, world)
+    there = state.told.position[world]
+    moving = state.told.velocity[world]
     if grounded:
-        keep_before(t.ground, s.ground, k, there)
-    _move(w, there, moving, truth.acceleration, t.bounds, truth.commands, s.ground.pace[k])
+        keep_before(tables.ground, state.ground, world, there)
+    _move(
+        w,
+        there,
+        moving,
+        truth.acceleration,
+        tables.bounds,
+        truth.commands,
+        state.ground.pace[world],
+    )
     if grounded:
-        drive_on(t.ground, s.ground, k, there, moving)
-    if t.disturbances.shape[0] > 0:
-        for u in range(t.disturbances.shape[0]):
-            row = t.disturbances[u]
-            step_error(row.position_gain, row.velocity_gain, row.reserve, s.tracking[k], u, w.dt)
-        put_off(truth.position, truth.velocity, there, moving, t.escorts, s.tracking[k])
-    _see(w, truth.position, t.escorts, truth.coverage, truth.gains)
-    _perceive(t, s, k)
+        drive_on(tables.ground, state.ground, world, there, moving)
+    if tables.disturbances.shape[0] > 0:
+        for u in range(tables.disturbances.shape[0]):
+            row = tables.disturbances[u]
+            step_error(
+                row.position_gain, row.velocity_gain, row.reserve, state.tracking[world], u, w.dt
+            )
+        put_off(
+            truth.position, truth.velocity, there, moving, tables.escorts, state.tracking[world]
+        )
+    _see(w, truth.position, tables.escorts, truth.coverage, truth.gains)
+    _perceive(tables, state, world)
 
 
 @inlined
-def deliver_detections(t: BatchTables, s: BatchState, k: int) -> None:
+def deliver_detections(tables: BatchTables, state: BatchState, world: int) -> None:
     """Send this tick's detections out, and receive those that arrive."""
-    keys, tick, found, received = s.keys[k], s.ticks[k], s.truth.detections[k], s.received[k]
-    message = s.inbox[k, 0]
+    keys = state.keys[world]
+    tick = state.ticks[world]
+    found = state.truth.detections[world]
+    received = state.received[world]
+    message = state.inbox[world, 0]
     for u in range(found.shape[0]):
-        link = link_of(s.links, k, u)
-        key = key_of(keys, t.links.owners[u, 0], t.links.owners[u, 1])
-        begin_tick(t.links, u, link, key, tick)
+        link = link_of(state.links, world, u)
+        key = key_of(keys, tables.links.owners[u, 0], tables.links.owners[u, 1])
+        begin_tick(tables.links, u, link, key, tick)
         if not math.isnan(found[u, 0]):
             message[LOOK.taken], message[LOOK.x], message[LOOK.y] = tick, found[u, 0], found[u, 1]
-            send(t.links, u, link, key, message)
-        s.arrived[k, u] = receive(link, received[u])
+            send(tables.links, u, link, key, message)
+        state.arrived[world, u] = receive(link, received[u])
 
 
 @inlined
-def begin_world(t: BatchTables, s: BatchState, k: int) -> None:
+def begin_world(tables: BatchTables, state: BatchState, world: int) -> None:
     """World k, whose arrays are as they are at the start but for its keys, has the first look."""
-    _perceive(t, s, k)
-    deliver_detections(t, s, k)
+    _perceive(tables, state, world)
+    deliver_detections(tables, state, world)
 
 
 @inlined
-def world_tick(t: BatchTables, s: BatchState, k: int, linked: bool) -> None:
+def world_tick(tables: BatchTables, state: BatchState, world: int, linked: bool) -> None:
     """World k advances by one tick.
 
     Args:
-        t: What all worlds share.
-        s: Is changed.
-        k: The world.
+        tables: What all worlds share.
+        state: Is changed.
+        world: The world.
         linked: Whether commands cross their links; else everybody acts on what stands in `truth.commands`.
     """
     if linked:
-        receive_commands(t, s, k)
-    draw_disturbances(t, s, k)
-    move(t, s, k)
-    deliver_detections(t, s, k)
+        receive_commands(tables, state, world)
+    draw_disturbances(tables, state, world)
+    move(tables, state, world)
+    deliver_detections(tables, state, world)

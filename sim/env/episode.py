@@ -21,9 +21,11 @@ from sim.world import World
 
 
 @borrowing
-def _advance(bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, beginning: bool) -> None:
-    advance_rows(bt, bs, t, s, 0, beginning)
-    observe_rows(bt, bs, t, s, 0)
+def _advance(
+    bt: BatchTables, bs: BatchState, tables: RowTables, state: RowState, beginning: bool
+) -> None:
+    advance_rows(bt, bs, tables, state, 0, beginning)
+    observe_rows(bt, bs, tables, state, 0)
 
 
 class Episode:

@@ -125,15 +125,17 @@ def row_tables(
     )
 
 
-def row_state(t: RowTables, worlds: int, *, uav_metrics: int = 0, uav_columns: int = 0) -> RowState:
+def row_state(
+    tables: RowTables, worlds: int, *, uav_metrics: int = 0, uav_columns: int = 0
+) -> RowState:
     """The state before the first look.
 
     Args:
-        t: The tables.
+        tables: The tables.
         worlds: How many.
         uav_metrics, uav_columns: Further columns of `uavs` and of `uav_rows`.
     """
-    vehicles, ugvs = len(t.place), int((t.place < 0).sum())
+    vehicles, ugvs = len(tables.place), int((tables.place < 0).sum())
     state = RowState(
         uavs=np.zeros((worlds, vehicles - ugvs, len(UAV_METRICS) + uav_metrics)),
         ugvs=np.zeros((worlds, ugvs, len(UGV_METRICS))),
@@ -149,10 +151,10 @@ def row_state(t: RowTables, worlds: int, *, uav_metrics: int = 0, uav_columns: i
 
 
 @inlined
-def _measure_uav(bt: BatchTables, bs: BatchState, s: RowState, k: int, u: int) -> None:
-    """Notes UAV u's true standing at this tick, and the newest detection that has reached it."""
-    row, received = s.uavs[k, u], bs.received[k, u]
-    distance, error = bs.truth.measures[k, u, 0], bs.truth.measures[k, u, 1]
+def _measure_uav(bt: BatchTables, bs: BatchState, state: RowState, world: int, uav: int) -> None:
+    """Notes a UAV's true standing at this tick, and the newest detection that has reached it."""
+    row, received = state.uavs[world, uav], bs.received[world, uav]
+    distance, error = bs.truth.measures[world, uav, 0], bs.truth.measures[world, uav, 1]
     row[UAV_METRICS.was_lost] = row[UAV_METRICS.lost]
     row[UAV_METRICS.lost] = 1.0 if distance >= bt.world[0].r_v else 0.0
     row[UAV_METRICS.distance] = distance
@@ -160,16 +162,16 @@ def _measure_uav(bt: BatchTables, bs: BatchState, s: RowState, k: int, u: int) -
     row[UAV_METRICS.violations] += row[UAV_METRICS.lost]
     row[UAV_METRICS.error] = error
     row[UAV_METRICS.error_sum] += error
-    for n in range(bs.arrived[k, u]):
+    for n in range(bs.arrived[world, uav]):
         row[UAV_METRICS.newest] = max(row[UAV_METRICS.newest], received[n, LOOK.taken])
 
 
 @inlined
-def _measure_mission(bs: BatchState, s: RowState, k: int, g: int) -> None:
-    """Earnings of UGV g in this tick on ground with hazards."""
-    row, mission, hits = s.ugvs[k, g], bs.mission.ugvs[k, g], 0
+def _measure_mission(bs: BatchState, state: RowState, world: int, ugv: int) -> None:
+    """Earnings of a UGV in this tick on ground with hazards."""
+    row, mission, hits = state.ugvs[world, ugv], bs.mission.ugvs[world, ugv], 0
     for n in range(bs.ground.hits.shape[2]):
-        hits += bs.ground.hits[k, g, n]
+        hits += bs.ground.hits[world, ugv, n]
     row[UGV_METRICS.new_told] = mission.told - row[UGV_METRICS.told]
     row[UGV_METRICS.new_hits] = hits - row[UGV_METRICS.hits]
     row[UGV_METRICS.new_still] = mission.still - row[UGV_METRICS.still]
@@ -179,54 +181,57 @@ def _measure_mission(bs: BatchState, s: RowState, k: int, g: int) -> None:
 
 @inlined
 def _measure_ugv(
-    bt: BatchTables, bs: BatchState, s: RowState, k: int, g: int, beginning: bool
+    bt: BatchTables, bs: BatchState, state: RowState, world: int, ugv: int, beginning: bool
 ) -> None:
-    """UGV g turns to the next goal where it has reached one."""
-    row, position = s.ugvs[k, g], bs.truth.position[k, bt.ground.ugvs[g]]
+    """A UGV turns to the next goal where it has reached one."""
+    row, position = state.ugvs[world, ugv], bs.truth.position[world, bt.ground.ugvs[ugv]]
     x, y, reached = position[0], position[1], int(row[UGV_METRICS.reached])
-    goals = goals_of(bt.mission, g)
+    goals = goals_of(bt.mission, ugv)
     row[UGV_METRICS.nearer], row[UGV_METRICS.arrivals] = 0.0, 0.0
     if reached < goals.shape[0]:
         if not beginning:
             way = norm(x - goals[reached, 0], y - goals[reached, 1])
             row[UGV_METRICS.nearer] = row[UGV_METRICS.to_go] - way
-        now, row[UGV_METRICS.to_go] = next_goal(goals, reached, bt.mission.tolerances[g], x, y)
+        now, row[UGV_METRICS.to_go] = next_goal(goals, reached, bt.mission.tolerances[ugv], x, y)
         row[UGV_METRICS.arrivals], row[UGV_METRICS.reached] = now - reached, now
 
 
 @inlined
-def _end(bt: BatchTables, t: RowTables, s: RowState, k: int, left: int) -> int:
+def _end(bt: BatchTables, tables: RowTables, state: RowState, world: int, left: int) -> int:
     """Tells if the episode is over, and for how many ticks a UAV out of sight pays."""
     lost, goals = False, bt.mission.goals.shape[0]
-    for u in range(s.uavs.shape[1]):
-        lost = lost or s.uavs[k, u, UAV_METRICS.lost] != 0.0
-    for g in range(s.ugvs.shape[1]):
-        goals -= int(s.ugvs[k, g, UGV_METRICS.reached])
-    lost = t.episode[0].end_on_sight_lost and lost
-    arrived = t.episode[0].end_on_goals and bt.mission.goals.shape[0] > 0 and goals == 0
-    s.terminated[k], s.truncated[k] = 1 if lost or arrived else 0, 1 if left <= 0 else 0
+    for u in range(state.uavs.shape[1]):
+        lost = lost or state.uavs[world, u, UAV_METRICS.lost] != 0.0
+    for g in range(state.ugvs.shape[1]):
+        goals -= int(state.ugvs[world, g, UGV_METRICS.reached])
+    lost = tables.episode[0].end_on_sight_lost and lost
+    arrived = tables.episode[0].end_on_goals and bt.mission.goals.shape[0] > 0 and goals == 0
+    state.terminated[world], state.truncated[world] = (
+        1 if lost or arrived else 0,
+        1 if left <= 0 else 0,
+    )
     return 1 + left if lost else 1
 
 
 @inlined
 def _pay(
-    bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, k: int, ticks_lost: int
+    bt: BatchTables, bs: BatchState, tables: RowTables, state: RowState, world: int, ticks_lost: int
 ) -> None:
     """Everybody's reward of this tick: the sum of its terms, in their order."""
-    w, weights, dt = t.episode[0], t.weights[0], bt.world[0].dt
+    w, weights, dt = tables.episode[0], tables.weights[0], bt.world[0].dt
     grounded = bt.ground.parameters.shape[0] > 0
-    for v in range(t.place.shape[0]):
-        acceleration = bs.truth.acceleration[k, v, 0], bs.truth.acceleration[k, v, 1]
-        terms = s.terms[k, v]
-        if t.place[v] >= 0:
-            row, told = s.uavs[k, t.place[v]], 0.0
+    for v in range(tables.place.shape[0]):
+        acceleration = bs.truth.acceleration[world, v, 0], bs.truth.acceleration[world, v, 1]
+        terms = state.terms[world, v]
+        if tables.place[v] >= 0:
+            row, told = state.uavs[world, tables.place[v]], 0.0
             if grounded:
-                tile, ugv = bt.ground.parameters[0].tile, bt.escorts[t.place[v], 1]
-                told = tile * tile * s.ugvs[k, -1 - t.place[ugv], UGV_METRICS.new_told]
+                tile, ugv = bt.ground.parameters[0].tile, bt.escorts[tables.place[v], 1]
+                told = tile * tile * state.ugvs[world, -1 - tables.place[ugv], UGV_METRICS.new_told]
             terms[0], terms[1], terms[2], terms[3], terms[4], terms[5] = uav_terms(
                 weights,
                 row[UAV_METRICS.error],
-                bs.truth.gains[k, t.place[v]],
+                bs.truth.gains[world, tables.place[v]],
                 w.full,
                 row[UAV_METRICS.lost] != 0.0,
                 row[UAV_METRICS.was_lost] != 0.0,
@@ -236,7 +241,7 @@ def _pay(
                 told,
             )
         else:
-            row = s.ugvs[k, -1 - t.place[v]]
+            row = state.ugvs[world, -1 - tables.place[v]]
             nearer, arrivals = row[UGV_METRICS.nearer], int(row[UGV_METRICS.arrivals])
             hits, still = int(row[UGV_METRICS.new_hits]), int(row[UGV_METRICS.new_still])
             terms[0], terms[1], terms[2], terms[3], terms[4] = ugv_terms(
@@ -245,48 +250,48 @@ def _pay(
         reward = 0.0
         for n in range(terms.shape[0]):
             reward += terms[n]
-        s.rewards[k, v] = reward
+        state.rewards[world, v] = reward
 
 
 @inlined
 def advance_rows(
-    bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, k: int, beginning: bool
+    bt: BatchTables, bs: BatchState, tables: RowTables, state: RowState, world: int, beginning: bool
 ) -> None:
-    """Take in the tick that world k is at, whose measures are there: how everybody stands and is paid.
+    """Take in the tick that a world is at, whose measures are there: how everybody stands and is paid.
 
     Args:
         bt, bs: The worlds.
-        t: What all worlds share.
-        s: Is changed.
-        k: The world.
+        tables: What all worlds share.
+        state: Is changed.
+        world: The world.
         beginning: Whether an episode begins: nobody is paid then.
     """
-    for u in range(s.uavs.shape[1]):
-        _measure_uav(bt, bs, s, k, u)
-    for g in range(s.ugvs.shape[1]):
-        _measure_ugv(bt, bs, s, k, g, beginning)
+    for u in range(state.uavs.shape[1]):
+        _measure_uav(bt, bs, state, world, u)
+    for g in range(state.ugvs.shape[1]):
+        _measure_ugv(bt, bs, state, world, g, beginning)
         if bt.ground.parameters.shape[0] > 0:
-            _measure_mission(bs, s, k, g)
+            _measure_mission(bs, state, world, g)
     if not beginning:
-        ticks_lost = _end(bt, t, s, k, t.episode[0].ticks - bs.ticks[k])
-        _pay(bt, bs, t, s, k, ticks_lost)
+        ticks_lost = _end(bt, tables, state, world, tables.episode[0].ticks - bs.ticks[world])
+        _pay(bt, bs, tables, state, world, ticks_lost)
 
 
 @inlined
 def _observe_uav(
-    bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, k: int, u: int
+    bt: BatchTables, bs: BatchState, tables: RowTables, state: RowState, world: int, uav: int
 ) -> None:
-    """Write the row of UAV u: of several detections the newest, the pilots over the bus use them all."""
-    row, received, dt = s.uav_rows[k, u], bs.received[k, u], bt.world[0].dt
-    v = bt.escorts[u, 0]
-    position, velocity = bs.told.position[k, v], bs.told.velocity[k, v]
-    time, newest = bs.ticks[k] * dt, s.uavs[k, u, UAV_METRICS.newest]
+    """Write the row of a UAV: of several detections the newest, the pilots over the bus use them all."""
+    row, received, dt = state.uav_rows[world, uav], bs.received[world, uav], bt.world[0].dt
+    v = bt.escorts[uav, 0]
+    position, velocity = bs.told.position[world, v], bs.told.velocity[world, v]
+    time, newest = bs.ticks[world] * dt, state.uavs[world, uav, UAV_METRICS.newest]
     row[UAV.time], row[UAV.x], row[UAV.y] = time, position[0], position[1]
     row[UAV.vx], row[UAV.vy] = velocity[0], velocity[1]
     row[UAV.detected], row[UAV.relative_x], row[UAV.relative_y] = 0.0, 0.0, 0.0
-    row[UAV.age] = t.episode[0].ticks * dt if newest < 0.0 else time - newest * dt
+    row[UAV.age] = tables.episode[0].ticks * dt if newest < 0.0 else time - newest * dt
     best = -1
-    for n in range(bs.arrived[k, u]):
+    for n in range(bs.arrived[world, uav]):
         if best < 0 or received[n, LOOK.taken] > received[best, LOOK.taken]:
             best = n
     if best >= 0:
@@ -296,13 +301,13 @@ def _observe_uav(
 
 
 @inlined
-def _observe_ugv(bt: BatchTables, bs: BatchState, s: RowState, k: int, g: int) -> None:
-    """Write the row of UGV g."""
-    row, v, goals = s.ugv_rows[k, g], bt.ground.ugvs[g], goals_of(bt.mission, g)
-    goal = int(s.ugvs[k, g, UGV_METRICS.reached])
-    row[UGV.time] = bs.ticks[k] * bt.world[0].dt
-    row[UGV.x], row[UGV.y] = bs.truth.position[k, v, 0], bs.truth.position[k, v, 1]
-    row[UGV.vx], row[UGV.vy] = bs.truth.velocity[k, v, 0], bs.truth.velocity[k, v, 1]
+def _observe_ugv(bt: BatchTables, bs: BatchState, state: RowState, world: int, ugv: int) -> None:
+    """Write the row of a UGV."""
+    row, v, goals = state.ugv_rows[world, ugv], bt.ground.ugvs[ugv], goals_of(bt.mission, ugv)
+    goal = int(state.ugvs[world, ugv, UGV_METRICS.reached])
+    row[UGV.time] = bs.ticks[world] * bt.world[0].dt
+    row[UGV.x], row[UGV.y] = bs.truth.position[world, v, 0], bs.truth.position[world, v, 1]
+    row[UGV.vx], row[UGV.vy] = bs.truth.velocity[world, v, 0], bs.truth.velocity[world, v, 1]
     count = goals.shape[0]
     row[UGV.underway], row[UGV.goal_x], row[UGV.goal_y] = 1.0 if goal < count else 0.0, 0.0, 0.0
     if count > 0:
@@ -311,9 +316,11 @@ def _observe_ugv(bt: BatchTables, bs: BatchState, s: RowState, k: int, g: int) -
 
 
 @inlined
-def observe_rows(bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, k: int) -> None:
-    """Write what everybody in world k observes; arguments as in `advance_rows`."""
-    for u in range(s.uavs.shape[1]):
-        _observe_uav(bt, bs, t, s, k, u)
-    for g in range(s.ugvs.shape[1]):
-        _observe_ugv(bt, bs, s, k, g)
+def observe_rows(
+    bt: BatchTables, bs: BatchState, tables: RowTables, state: RowState, world: int
+) -> None:
+    """Write what everybody in a world observes; arguments as in `advance_rows`."""
+    for u in range(state.uavs.shape[1]):
+        _observe_uav(bt, bs, tables, state, world, u)
+    for g in range(state.ugvs.shape[1]):
+        _observe_ugv(bt, bs, state, world, g)

@@ -20,11 +20,11 @@ _ENTRIES = {
 _ROUNDING = 1e-9
 
 
-def names_are_known(s: Scenario) -> Iterator[Fault]:
+def names_are_known(scenario: Scenario) -> Iterator[Fault]:
     """Law, sensor and drivers are rows of their tables."""
-    yield from unknown_name("law.name", s.law.name, LAWS)
-    yield from unknown_name("sensor.model", s.sensor.model, SENSORS)
-    for k, ugv in enumerate(s.ugv):
+    yield from unknown_name("law.name", scenario.law.name, LAWS)
+    yield from unknown_name("sensor.model", scenario.sensor.model, SENSORS)
+    for k, ugv in enumerate(scenario.ugv):
         yield from unknown_name(f"ugv.{k}.driver", ugv.driver, DRIVERS)
 
 
@@ -38,25 +38,29 @@ def _names_a_policy(text: str) -> bool:
     return bool(separator and file) if library in SAVED_POLICIES else _names_a_function(text)
 
 
-def own_functions_are_named(s: Scenario) -> Iterator[Fault]:
+def own_functions_are_named(scenario: Scenario) -> Iterator[Fault]:
     """A law with a function of the user's own has one, as `module:function`; it is not loaded here."""
     for field in dict.fromkeys(law.own for law in LAWS.values() if law.own):
-        named = getattr(s.custom, field)
+        named = getattr(scenario.custom, field)
         if named and not _names_a_function(named):
             yield Fault(f"custom.{field}", named, "names no function", "module:function")
-    if s.custom.policy and not _names_a_policy(s.custom.policy):
-        yield Fault("custom.policy", s.custom.policy, "names no policy", POLICY_FORMS)
-    needed = {f"the law {s.law.name!r}": (LAWS[s.law.name].own, "module:function")} if s.uav else {}
-    for ugv in s.ugv:
+    if scenario.custom.policy and not _names_a_policy(scenario.custom.policy):
+        yield Fault("custom.policy", scenario.custom.policy, "names no policy", POLICY_FORMS)
+    needed = (
+        {f"the law {scenario.law.name!r}": (LAWS[scenario.law.name].own, "module:function")}
+        if scenario.uav
+        else {}
+    )
+    for ugv in scenario.ugv:
         needed[f"the driver {ugv.driver!r}"] = (DRIVERS[ugv.driver].own, POLICY_FORMS)
     for who, (field, allowed) in needed.items():
-        if field and not getattr(s.custom, field):
+        if field and not getattr(scenario.custom, field):
             yield Fault(f"custom.{field}", "", f"{who} needs it", allowed)
 
 
-def drivers_have_their_task(s: Scenario) -> Iterator[Fault]:
+def drivers_have_their_task(scenario: Scenario) -> Iterator[Fault]:
     """A UGV has what its driver needs, and each step of a script is later than the one before."""
-    for k, ugv in enumerate(s.ugv):
+    for k, ugv in enumerate(scenario.ugv):
         times = [step.time for step in ugv.script]
         needed = DRIVERS[ugv.driver].needs
         if needed and not getattr(ugv, needed):
@@ -69,12 +73,12 @@ def drivers_have_their_task(s: Scenario) -> Iterator[Fault]:
                 )
 
 
-def switching_radius_is_positive(s: Scenario) -> Iterator[Fault]:
+def switching_radius_is_positive(scenario: Scenario) -> Iterator[Fault]:
     """There is room to cover ground in, Klodt 2015, eq. (18): r_s > 0."""
-    if not LAWS[s.law.name].needs_radius:
+    if not LAWS[scenario.law.name].needs_radius:
         return
-    for path, uav, ugv in escorts(s):
-        r_s = switching_radius(s, uav, ugv)
+    for path, uav, ugv in escorts(scenario):
+        r_s = switching_radius(scenario, uav, ugv)
         if r_s == -math.inf:
             wrong = "r_s of (18) does not exist without a bound of the speed"
             yield Fault(
@@ -84,18 +88,18 @@ def switching_radius_is_positive(s: Scenario) -> Iterator[Fault]:
                 "finite speeds, or max_acceleration = inf too",
             )
         elif not r_s > 0.0:
-            least = (uav.max_speed + ugv.max_speed) ** 2 / (2.0 * s.visibility.radius)
+            least = (uav.max_speed + ugv.max_speed) ** 2 / (2.0 * scenario.visibility.radius)
             wrong = f"too weak for these speeds and this r_v: r_s = {r_s:.4g} m (18)"
             yield Fault(
                 f"{path}.max_acceleration", uav.max_acceleration, wrong, f"above {least:.4g} m/s²"
             )
 
 
-def reference_speed_is_possible(s: Scenario) -> Iterator[Fault]:
+def reference_speed_is_possible(scenario: Scenario) -> Iterator[Fault]:
     """There is a v_ref of (10), and every UAV can fly it."""
-    v_ref = s.law.reference_speed
-    for k, uav in enumerate(s.uav):
-        if v_ref is None and math.isinf(uav.max_speed) and LAWS[s.law.name].covers:
+    v_ref = scenario.law.reference_speed
+    for k, uav in enumerate(scenario.uav):
+        if v_ref is None and math.isinf(uav.max_speed) and LAWS[scenario.law.name].covers:
             yield Fault(
                 "law.reference_speed",
                 None,
@@ -107,14 +111,14 @@ def reference_speed_is_possible(s: Scenario) -> Iterator[Fault]:
             yield Fault("law.reference_speed", v_ref, "faster than the UAV can fly", allowed)
 
 
-def controller_is_stable(s: Scenario) -> Iterator[Fault]:
+def controller_is_stable(scenario: Scenario) -> Iterator[Fault]:
     r"""The tracking loop of (15) and (16) is Hurwitz in continuous time.
 
     $$ s^3 - A_c s^2 - D_c s + (D_c A_c - B_c C_c) $$
 
     By Routh: all coefficients positive, and A_c D_c > D_c A_c - B_c C_c. The default is (s + 1)³.
     """
-    a, b, c, d = s.law.a_c, s.law.b_c, s.law.c_c, s.law.d_c
+    a, b, c, d = scenario.law.a_c, scenario.law.b_c, scenario.law.c_c, scenario.law.d_c
     last = d * a - b * c
     if not (a < 0.0 and d < 0.0 and last > 0.0 and a * d > last):
         value = {"a_c": a, "b_c": b, "c_c": c, "d_c": d}
@@ -126,12 +130,12 @@ def controller_is_stable(s: Scenario) -> Iterator[Fault]:
         )
 
 
-def circle_is_within_sight(s: Scenario) -> Iterator[Fault]:
+def circle_is_within_sight(scenario: Scenario) -> Iterator[Fault]:
     """The virtual point of (25) is always nearer than r_v."""
-    if s.law.name != "circle":
+    if scenario.law.name != "circle":
         return
-    r_v, radius = s.visibility.radius, s.law.circle_radius
-    for path, uav, ugv in escorts(s):
+    r_v, radius = scenario.visibility.radius, scenario.law.circle_radius
+    for path, uav, ugv in escorts(scenario):
         if radius is not None and radius >= r_v:
             yield Fault(
                 "law.circle_radius",
@@ -139,15 +143,15 @@ def circle_is_within_sight(s: Scenario) -> Iterator[Fault]:
                 "the circle lies out of sight",
                 f"less than r_v = {r_v:g} m",
             )
-        elif radius is None and switching_radius(s, uav, ugv) >= r_v:
+        elif radius is None and switching_radius(scenario, uav, ugv) >= r_v:
             wrong = f"missing, and r_s = r_v since {path}.max_acceleration = inf"
             yield Fault("law.circle_radius", None, wrong, f"less than r_v = {r_v:g} m")
 
 
-def risk_can_be_met(s: Scenario) -> Iterator[Fault]:
+def risk_can_be_met(scenario: Scenario) -> Iterator[Fault]:
     """There are bounds that are exceeded as seldom as the risk asks for."""
-    for uav in s.uav:
-        fault = risk_fault(s, uav.name)
+    for uav in scenario.uav:
+        fault = risk_fault(scenario, uav.name)
         if fault is not None:
             yield fault
 
@@ -204,9 +208,9 @@ def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
     )
 
 
-def _law_warnings(s: Scenario) -> Iterator[str]:
-    if s.uav and not LAWS[s.law.name].keeps_sight:
-        name = f'law.name = "{s.law.name}"'
+def _law_warnings(scenario: Scenario) -> Iterator[str]:
+    if scenario.uav and not LAWS[scenario.law.name].keeps_sight:
+        name = f'law.name = "{scenario.law.name}"'
         yield f"{name}: visibility is not kept, this law never turns back to the UGV"
 
 
@@ -224,13 +228,13 @@ def largest_circle_rate(r_pv: float, v_a: float, v_g: float, u_a: float) -> floa
     return min((v_a - v_g) / r_pv, math.sqrt(u_a / r_pv))
 
 
-def _circle_warnings(s: Scenario) -> Iterator[str]:
+def _circle_warnings(scenario: Scenario) -> Iterator[str]:
     """A circle that cannot be flown, see `largest_circle_rate`."""
-    if s.law.name != "circle":
+    if scenario.law.name != "circle":
         return
-    rate = abs(s.law.circle_rate)
-    for _, uav, ugv in escorts(s):
-        radius = s.law.circle_radius or switching_radius(s, uav, ugv)
+    rate = abs(scenario.law.circle_rate)
+    for _, uav, ugv in escorts(scenario):
+        radius = scenario.law.circle_radius or switching_radius(scenario, uav, ugv)
         spare = uav.max_speed - ugv.max_speed
         bound = largest_circle_rate(radius, uav.max_speed, ugv.max_speed, uav.max_acceleration)
         if rate > bound * (1.0 + _ROUNDING):
@@ -242,13 +246,13 @@ def _circle_warnings(s: Scenario) -> Iterator[str]:
                 f"and u_a = {uav.max_acceleration:.3g} m/s²"
             )
             reason = f"the smaller of (v_a - v_g)/r_pv and sqrt(u_a/r_pv), r_pv = {radius:.4g} m"
-            field = f"law.circle_rate = {s.law.circle_rate}"
+            field = f"law.circle_rate = {scenario.law.circle_rate}"
             allowed = f"allowed up to {bound:.4f} rad/s, {reason}"
             yield f"{field}: cannot be flown: {needs}, {has}; {allowed}"
 
 
-def _task_warnings(s: Scenario) -> Iterator[str]:
-    for k, ugv in enumerate(s.ugv):
+def _task_warnings(scenario: Scenario) -> Iterator[str]:
+    for k, ugv in enumerate(scenario.ugv):
         wanted = DRIVERS[ugv.driver].wants
         if wanted and not getattr(ugv, wanted):
             needs = f"its driver needs {_ENTRIES.get(wanted, 'one or more')} to move"

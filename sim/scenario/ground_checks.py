@@ -23,22 +23,22 @@ _LEAST_AREA = 1e-9
 _ROUNDING = 1e-9
 
 
-def hazards_are_known(s: Scenario) -> Iterator[Fault]:
+def hazards_are_known(scenario: Scenario) -> Iterator[Fault]:
     """The kinds of hazards, what touching one does, and how a UGV drives are words that are known."""
-    for k, hazard in enumerate(s.hazard):
+    for k, hazard in enumerate(scenario.hazard):
         yield from unknown_name(f"hazard.{k}.kind", hazard.kind, HAZARDS)
-    for k, field in enumerate(s.hazard_field):
+    for k, field in enumerate(scenario.hazard_field):
         yield from unknown_name(f"hazard_field.{k}.kind", field.kind, HAZARDS)
-    yield from unknown_name("ground.touch", s.ground.touch, TOUCHES)
-    for k, ugv in enumerate(s.ugv):
+    yield from unknown_name("ground.touch", scenario.ground.touch, TOUCHES)
+    for k, ugv in enumerate(scenario.ugv):
         yield from unknown_name(f"ugv.{k}.caution", ugv.caution, CAUTIONS)
 
 
-def tiles_fit_area(s: Scenario) -> Iterator[Fault]:
+def tiles_fit_area(scenario: Scenario) -> Iterator[Fault]:
     """Tiles are smaller than the area, not smaller than the cells of the grid, and not too many."""
-    if not s.has_ground:
+    if not scenario.has_ground:
         return
-    tile, area = s.ground.tile, s.area
+    tile, area = scenario.ground.tile, scenario.area
     side, cell = min(area.width, area.height), area.cell
     least = max(cell, math.sqrt(area.width) * math.sqrt(area.height / _MOST_TILES))
     allowed = f"{least:.3g} to {side:g} m"
@@ -53,9 +53,9 @@ def tiles_fit_area(s: Scenario) -> Iterator[Fault]:
             yield Fault("ground.tile", tile, wrong, f"{least * 1.01:.3g} to {side:g} m")
 
 
-def hazards_have_a_shape(s: Scenario) -> Iterator[Fault]:
+def hazards_have_a_shape(scenario: Scenario) -> Iterator[Fault]:
     """Each is a disc or a polygon, and only rough ones have a share."""
-    for k, hazard in enumerate(s.hazard):
+    for k, hazard in enumerate(scenario.hazard):
         path = f"hazard.{k}"
         yield from _share_fault(path, hazard)
         if hazard.polygon and (hazard.center is not None or hazard.radius is not None):
@@ -140,11 +140,11 @@ def _place(k: int, hazard: Hazard) -> tuple[str, object]:
     return f"hazard.{k}.center", hazard.center
 
 
-def hazards_lie_in_area(s: Scenario) -> Iterator[Fault]:
+def hazards_lie_in_area(scenario: Scenario) -> Iterator[Fault]:
     """Each has some ground in Q; what is to be found lies in it."""
-    width, height = s.area.width, s.area.height
+    width, height = scenario.area.width, scenario.area.height
     allowed = f"[0, {width:g}] x [0, {height:g}] m"
-    for k, hazard in enumerate(s.hazard):
+    for k, hazard in enumerate(scenario.hazard):
         low, high = corner_bounds(hazard.polygon or (hazard.center or (0.0, 0.0),))
         reach = hazard.radius or 0.0
         if hazard.kind == "find":
@@ -157,36 +157,36 @@ def hazards_lie_in_area(s: Scenario) -> Iterator[Fault]:
             yield Fault(*_place(k, hazard), "outside Q", allowed)
 
 
-def starts_and_goals_are_free(s: Scenario) -> Iterator[Fault]:
+def starts_and_goals_are_free(scenario: Scenario) -> Iterator[Fault]:
     """No hazard that blocks lies over one."""
-    if not any(not HAZARDS[hazard.kind].drivable for hazard in s.hazard):
+    if not any(not HAZARDS[hazard.kind].drivable for hazard in scenario.hazard):
         return
-    tables = ground_tables(s)
-    for path, (x, y) in _stops(s):
+    tables = ground_tables(scenario)
+    for path, (x, y) in _stops(scenario):
         k = hazard_at(tables.hazards, tables.corners, BLOCK, x, y)
         if k >= 0:
             wrong = f"it lies over {path} = [{x:g}, {y:g}]"
-            yield Fault(*_place(k, s.hazard[k]), wrong, "a place off all starts and goals")
+            yield Fault(*_place(k, scenario.hazard[k]), wrong, "a place off all starts and goals")
 
 
-def _stops(s: Scenario) -> Iterator[tuple[str, tuple[float, float]]]:
+def _stops(scenario: Scenario) -> Iterator[tuple[str, tuple[float, float]]]:
     """All starts and goals of UGVs with their paths, in the order of the tables."""
-    for k, ugv in enumerate(s.ugv):
+    for k, ugv in enumerate(scenario.ugv):
         for n, point in enumerate(stops(ugv)):
             yield f"ugv.{k}.goals.{n - 1}" if n else f"ugv.{k}.position", point
 
 
-def ways_are_open(s: Scenario) -> Iterator[Fault]:
+def ways_are_open(scenario: Scenario) -> Iterator[Fault]:
     """From each UGV's start a way of free tiles leads to all its goals."""
-    if not any(not HAZARDS[hazard.kind].drivable for hazard in s.hazard):
+    if not any(not HAZARDS[hazard.kind].drivable for hazard in scenario.hazard):
         return
     from scipy.ndimage import label  # noqa: PLC0415 - it takes long to load, and few need it
 
-    tile, tiles = s.ground.tile, ground_tables(s).tiles
+    tile, tiles = scenario.ground.tile, ground_tables(scenario).tiles
     regions, _ = label(tiles != BLOCK)
     allowed = f"a way of tiles of {tile:g} m, side by side, that no hazard touches"
     start = 0
-    for path, (x, y) in _stops(s):
+    for path, (x, y) in _stops(scenario):
         region = regions[tile_index(y, tile, tiles.shape[0]), tile_index(x, tile, tiles.shape[1])]
         start = region if path.endswith("position") else start
         if region == 0:
@@ -195,10 +195,10 @@ def ways_are_open(s: Scenario) -> Iterator[Fault]:
             yield Fault(path, [x, y], "hazards close every way there from the start", allowed)
 
 
-def fields_are_possible(s: Scenario) -> Iterator[Fault]:
+def fields_are_possible(scenario: Scenario) -> Iterator[Fault]:
     """Their radii are in order, only rough ones have a share, and they are not too many."""
-    count, area = len(s.hazard), s.area.width * s.area.height
-    for k, field in enumerate(s.hazard_field):
+    count, area = len(scenario.hazard), scenario.area.width * scenario.area.height
+    for k, field in enumerate(scenario.hazard_field):
         path, (smallest, largest) = f"hazard_field.{k}", field.radius
         yield from _share_fault(path, field)
         if smallest > largest:
@@ -215,11 +215,11 @@ def fields_are_possible(s: Scenario) -> Iterator[Fault]:
             yield Fault(f"{path}.count", field.count, wrong, allowed)
 
 
-def fields_have_room(s: Scenario) -> Iterator[Fault]:
+def fields_have_room(scenario: Scenario) -> Iterator[Fault]:
     """All their hazards have a place, as tried once; in a flight there are as many as fit."""
-    placed = len(s.hazard)
-    for k, field in enumerate(s.hazard_field):
-        fit = _placed(s, s.hazard_field[: k + 1]) - placed
+    placed = len(scenario.hazard)
+    for k, field in enumerate(scenario.hazard_field):
+        fit = _placed(scenario, scenario.hazard_field[: k + 1]) - placed
         if fit < field.count:
             wrong = f"only {fit} fit" if fit else "none fits"
             allowed = f"up to {fit}, or smaller ones" if fit else "smaller ones, or less clear"
@@ -227,12 +227,12 @@ def fields_have_room(s: Scenario) -> Iterator[Fault]:
         placed += fit
 
 
-def _placed(s: Scenario, fields: tuple[HazardField, ...]) -> int:
+def _placed(scenario: Scenario, fields: tuple[HazardField, ...]) -> int:
     """Number of hazards in all, with those of some fields."""
-    tables = ground_tables(msgspec.structs.replace(s, hazard_field=fields))
-    key = np.uint64(s.seed), np.uint64(0)  # any will do: the flights have others
+    tables = ground_tables(msgspec.structs.replace(scenario, hazard_field=fields))
+    key = np.uint64(scenario.seed), np.uint64(0)  # any will do: the flights have others
     with np.errstate(over="ignore"):  # random words wrap round, of which an interpreter warns
-        return place_fields(s, tables, key)
+        return place_fields(scenario, tables, key)
 
 
 GROUND_CHECKS: tuple[Check, ...] = (

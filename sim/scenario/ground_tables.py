@@ -37,32 +37,32 @@ class GroundTables(NamedTuple):
     """From each start to its goals, as `sim.models.hazard_fields.place_hazards` takes them. Shape (ways, 5)."""
 
 
-def ground_tables(s: Scenario) -> GroundTables:
+def ground_tables(scenario: Scenario) -> GroundTables:
     """The tables of a scenario whose hazards are possible."""
-    given = hazard_rows(s.hazard)
-    room = sum(field.count for field in s.hazard_field)
+    given = hazard_rows(scenario.hazard)
+    room = sum(field.count for field in scenario.hazard_field)
     hazards = np.concatenate([given, np.zeros(room, dtype=given.dtype)])
-    corners = corners_of(s.hazard)
-    shape = tiles_shape(s.area.width, s.area.height, s.ground.tile)
+    corners = corners_of(scenario.hazard)
+    shape = tiles_shape(scenario.area.width, scenario.area.height, scenario.ground.tile)
     tiles = np.full(shape, CLEAR, dtype=np.uint8)
-    if s.hazard:  # else nothing is compiled for them
-        fill_tiles(given, corners, s.ground.tile, tiles)
-    points = [point for ugv in s.ugv for point in stops(ugv)]
+    if scenario.hazard:  # else nothing is compiled for them
+        fill_tiles(given, corners, scenario.ground.tile, tiles)
+    points = [point for ugv in scenario.ugv for point in stops(ugv)]
     return GroundTables(
         hazards,
         corners,
         tiles,
-        fields=records(HazardFieldRow, [_field_row(field) for field in s.hazard_field]),
+        fields=records(HazardFieldRow, [_field_row(field) for field in scenario.hazard_field]),
         stops=np.array(points, dtype=np.float64),
-        ways=_ways(s, *tiles.shape),
+        ways=_ways(scenario, *tiles.shape),
     )
 
 
-def place_fields(s: Scenario, tables: GroundTables, key: Key) -> int:
+def place_fields(scenario: Scenario, tables: GroundTables, key: Key) -> int:
     """Draw the hazards of the scenario's fields.
 
     Args:
-        s: The scenario.
+        scenario: The scenario.
         tables: Its tables, with no such hazards yet; `hazards` and `tiles` are changed.
         key: Of the draws.
 
@@ -73,11 +73,11 @@ def place_fields(s: Scenario, tables: GroundTables, key: Key) -> int:
         tables.fields,
         tables.stops,
         tables.ways,
-        (s.area.width, s.area.height),
-        s.ground.tile,
+        (scenario.area.width, scenario.area.height),
+        scenario.ground.tile,
         key,
         tables.hazards,
-        len(s.hazard),
+        len(scenario.hazard),
         tables.tiles,
         work_array(*tables.tiles.shape),
     )
@@ -90,9 +90,9 @@ def _field_row(field: HazardField) -> HazardFieldRow:
     )
 
 
-def _ways(s: Scenario, rows: int, columns: int) -> IntArray:
-    tile, ways = s.ground.tile, []
-    for ugv in s.ugv:
+def _ways(scenario: Scenario, rows: int, columns: int) -> IntArray:
+    tile, ways = scenario.ground.tile, []
+    for ugv in scenario.ugv:
         places = [(tile_index(y, tile, rows), tile_index(x, tile, columns)) for x, y in stops(ugv)]
         start, *goals = places
         ways += [(*start, *goal) for goal in dict.fromkeys(goals) if goal != start] or [start * 2]

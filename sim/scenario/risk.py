@@ -22,55 +22,57 @@ class RiskBounds(NamedTuple):
     """[m]"""
 
 
-def carries_motions(s: Scenario) -> bool:
+def carries_motions(scenario: Scenario) -> bool:
     """True if the UAVs' commands carry motions: an outage is given, or follows from a risk."""
-    wanted = s.certificate.outage is not None or s.certificate.risk is not None
-    return wanted and bool(s.uav)
+    wanted = scenario.certificate.outage is not None or scenario.certificate.risk is not None
+    return wanted and bool(scenario.uav)
 
 
-def command_delay(s: Scenario, uav: str) -> float:
+def command_delay(scenario: Scenario, uav: str) -> float:
     """From the tick that a command answers to the one in which it acts [s]: as given, or the longest of its link."""
-    if s.certificate.delay is not None:
-        return s.certificate.delay
-    return longest_delay(s.links.of(uav, LinkKind.COMMANDS), s.links.traces)
+    if scenario.certificate.delay is not None:
+        return scenario.certificate.delay
+    return longest_delay(scenario.links.of(uav, LinkKind.COMMANDS), scenario.links.traces)
 
 
-def risk_bounds(s: Scenario, uav: str) -> RiskBounds:
+def risk_bounds(scenario: Scenario, uav: str) -> RiskBounds:
     """The bounds of this UAV that are not given, from the scenario's risk.
 
     The risk is shared equally by all of them and all UAVs, so that the chance that any is exceeded is no greater.
     """
-    given = s.certificate
+    given = scenario.certificate
     if given.risk is None:
         return RiskBounds(None, None, None)
-    uncut = s.detections.noise > 0.0 and not s.detections.cut
+    uncut = scenario.detections.noise > 0.0 and not scenario.detections.cut
     wanted = (given.age is None, given.outage is None, given.error is None and uncut)
-    share = given.risk / max(1, sum(wanted) * len(s.uav))
-    period, age, outage, error = s.detection_period, None, None, None
+    share = given.risk / max(1, sum(wanted) * len(scenario.uav))
+    period, age, outage, error = scenario.detection_period, None, None, None
     if wanted[0]:
         age = smallest_age(
-            s.links.of(uav, LinkKind.DETECTIONS),
-            dt=s.dt,
+            scenario.links.of(uav, LinkKind.DETECTIONS),
+            dt=scenario.dt,
             period_ticks=period,
-            dropout=s.detections.dropout,
-            ticks=s.ticks,
+            dropout=scenario.detections.dropout,
+            ticks=scenario.ticks,
             risk=share,
-            traces=s.links.traces,
+            traces=scenario.links.traces,
         )
-        age = _a_tick_or_more(age, s.dt)
+        age = _a_tick_or_more(age, scenario.dt)
     if wanted[1]:
         outage = smallest_outage(
-            s.links.of(uav, LinkKind.COMMANDS),
-            dt=s.dt,
-            delay_ticks=first_tick_from(command_delay(s, uav), s.dt),
+            scenario.links.of(uav, LinkKind.COMMANDS),
+            dt=scenario.dt,
+            delay_ticks=first_tick_from(command_delay(scenario, uav), scenario.dt),
             repeats=MOST_CARRIED,
-            ticks=s.ticks,
+            ticks=scenario.ticks,
             risk=share,
-            traces=s.links.traces,
+            traces=scenario.links.traces,
         )
-        outage = _a_tick_or_more(outage, s.dt)
+        outage = _a_tick_or_more(outage, scenario.dt)
     if wanted[2]:
-        error = largest_error(s.detections.noise, s.noise_cut, -(-s.ticks // period), share)
+        error = largest_error(
+            scenario.detections.noise, scenario.noise_cut, -(-scenario.ticks // period), share
+        )
     return RiskBounds(age, outage, error)
 
 
@@ -78,24 +80,24 @@ def _a_tick_or_more(found: Smallest, dt: float) -> Smallest:
     return found if found.value is None else found._replace(value=max(found.value, dt))
 
 
-def risk_warnings(s: Scenario) -> Iterator[str]:
+def risk_warnings(scenario: Scenario) -> Iterator[str]:
     """A risk from which nothing follows."""
-    if s.certificate.risk is None or not s.uav:
+    if scenario.certificate.risk is None or not scenario.uav:
         return
-    if risk_bounds(s, s.uav[0].name) == RiskBounds(None, None, None):
-        yield f"certificate.risk = {s.certificate.risk:g}: nothing follows from it, as age and outage are given"
+    if risk_bounds(scenario, scenario.uav[0].name) == RiskBounds(None, None, None):
+        yield f"certificate.risk = {scenario.certificate.risk:g}: nothing follows from it, as age and outage are given"
 
 
-def risk_fault(s: Scenario, uav: str) -> Fault | None:
+def risk_fault(scenario: Scenario, uav: str) -> Fault | None:
     """The reason why no bound meets the risk; None: there is one, or no risk is given."""
-    bounds = risk_bounds(s, uav)
+    bounds = risk_bounds(scenario, uav)
     for name, kind, found in (
         ("age", LinkKind.DETECTIONS, bounds.age),
         ("outage", LinkKind.COMMANDS, bounds.outage),
     ):
         if found is not None and found.value is None:
-            link = s.links.path_of(uav, kind)
+            link = scenario.links.path_of(uav, kind)
             wrong = f"{found.why}: with {link} nothing can be promised of {uav}"
             allowed = f"a greater risk, or a certificate.{name}"
-            return Fault("certificate.risk", s.certificate.risk, wrong, allowed)
+            return Fault("certificate.risk", scenario.certificate.risk, wrong, allowed)
     return None

@@ -399,7 +399,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
         return self.detections.cut or math.inf
 
 
-def switching_radius(s: Scenario, uav: Uav, ugv: Ugv) -> float:
+def switching_radius(scenario: Scenario, uav: Uav, ugv: Ugv) -> float:
     """r_s of (18) [m], whatever its sign."""
     bounds = uav.max_speed, ugv.max_speed, uav.max_acceleration
-    return float(raw_switching_radius(s.visibility.radius, *bounds))
+    return float(raw_switching_radius(scenario.visibility.radius, *bounds))

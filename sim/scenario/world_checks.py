@@ -27,16 +27,16 @@ _BOUND = re.compile(r"(uav|ugv)\.\d+\.(max_speed|max_acceleration)")
 _ROUNDING = 1e-12
 
 
-def vehicles(s: Scenario) -> Iterator[tuple[str, Uav | Ugv]]:
+def vehicles(scenario: Scenario) -> Iterator[tuple[str, Uav | Ugv]]:
     """Every vehicle with its path."""
-    yield from ((f"uav.{k}", uav) for k, uav in enumerate(s.uav))
-    yield from ((f"ugv.{k}", ugv) for k, ugv in enumerate(s.ugv))
+    yield from ((f"uav.{k}", uav) for k, uav in enumerate(scenario.uav))
+    yield from ((f"ugv.{k}", ugv) for k, ugv in enumerate(scenario.ugv))
 
 
-def escorts(s: Scenario) -> Iterator[tuple[str, Uav, Ugv]]:
+def escorts(scenario: Scenario) -> Iterator[tuple[str, Uav, Ugv]]:
     """Every UAV with its path and the UGV it escorts."""
-    ugvs = {ugv.name: ugv for ugv in s.ugv}
-    for k, uav in enumerate(s.uav):
+    ugvs = {ugv.name: ugv for ugv in scenario.ugv}
+    for k, uav in enumerate(scenario.uav):
         if uav.escorts in ugvs:
             yield f"uav.{k}", uav, ugvs[uav.escorts]
 
@@ -52,9 +52,9 @@ def _floats(value: object, path: str) -> Iterator[tuple[str, float]]:
             yield from _floats(getattr(value, field), f"{path}.{field}" if path else field)
 
 
-def numbers_are_finite(s: Scenario) -> Iterator[Fault]:
+def numbers_are_finite(scenario: Scenario) -> Iterator[Fault]:
     """NaN nowhere, infinity only as a vehicle's bound: the types' own bounds let both pass."""
-    for path, value in _floats(s, ""):
+    for path, value in _floats(scenario, ""):
         bound = _BOUND.fullmatch(path) is not None
         allowed = f"numbers up to {_LARGEST_BOUND:g}, or inf" if bound else "finite numbers"
         if math.isnan(value):
@@ -65,28 +65,28 @@ def numbers_are_finite(s: Scenario) -> Iterator[Fault]:
             yield Fault(path, value, "too large", allowed)
 
 
-def names_are_different(s: Scenario) -> Iterator[Fault]:
+def names_are_different(scenario: Scenario) -> Iterator[Fault]:
     """Each vehicle has a name of its own, which is not the simulator's."""
     taken = [*STAFF, *ROS2_STAFF]
-    for path, vehicle in vehicles(s):
+    for path, vehicle in vehicles(scenario):
         if vehicle.name in taken:
             allowed = f"any other than {', '.join(taken)}"
             yield Fault(f"{path}.name", vehicle.name, "the name is taken", allowed)
         taken.append(vehicle.name)
 
 
-def escorts_are_there(s: Scenario) -> Iterator[Fault]:
+def escorts_are_there(scenario: Scenario) -> Iterator[Fault]:
     """Each UAV escorts a UGV of the scenario."""
-    names = [ugv.name for ugv in s.ugv]
-    for k, uav in enumerate(s.uav):
+    names = [ugv.name for ugv in scenario.ugv]
+    for k, uav in enumerate(scenario.uav):
         if uav.escorts not in names:
             yield Fault(f"uav.{k}.escorts", uav.escorts, "no UGV has this name", ", ".join(names))
 
 
-def grid_divides_area(s: Scenario) -> Iterator[Fault]:
+def grid_divides_area(scenario: Scenario) -> Iterator[Fault]:
     """A whole number of cells, and not too many."""
-    cell = s.area.cell
-    for side, size in (("width", s.area.width), ("height", s.area.height)):
+    cell = scenario.area.cell
+    for side, size in (("width", scenario.area.width), ("height", scenario.area.height)):
         if size > _WIDEST:
             yield Fault(f"area.{side}", size, "too large", f"up to {_WIDEST:g} m")
         if not is_whole(size / cell, 1e-9 * max(1.0, size / cell)):
@@ -96,9 +96,9 @@ def grid_divides_area(s: Scenario) -> Iterator[Fault]:
                 f"does not divide area.{side} = {size:g} m",
                 "a whole part of both sides, in m",
             )
-    cells = (s.area.width / cell) * (s.area.height / cell)
+    cells = (scenario.area.width / cell) * (scenario.area.height / cell)
     if cells > _MOST_CELLS:
-        least = math.sqrt(s.area.width) * math.sqrt(s.area.height / _MOST_CELLS)
+        least = math.sqrt(scenario.area.width) * math.sqrt(scenario.area.height / _MOST_CELLS)
         yield Fault(
             "area.cell",
             cell,
@@ -107,69 +107,76 @@ def grid_divides_area(s: Scenario) -> Iterator[Fault]:
         )
 
 
-def time_is_whole(s: Scenario) -> Iterator[Fault]:
+def time_is_whole(scenario: Scenario) -> Iterator[Fault]:
     """A whole number of ticks, none of them too long, and not too many."""
-    if not _TICK[0] <= s.dt <= _TICK[1]:
-        yield Fault("dt", s.dt, "no sensible length of a tick", f"{_TICK[0]:g} to {_TICK[1]:g} s")
+    if not _TICK[0] <= scenario.dt <= _TICK[1]:
+        yield Fault(
+            "dt", scenario.dt, "no sensible length of a tick", f"{_TICK[0]:g} to {_TICK[1]:g} s"
+        )
         return
-    ticks = s.duration / s.dt
+    ticks = scenario.duration / scenario.dt
     if ticks > _MOST_TICKS:
         yield Fault(
             "duration",
-            s.duration,
+            scenario.duration,
             f"makes {ticks:.3g} ticks",
-            f"{_MOST_TICKS:,} ticks at most, {_MOST_TICKS * s.dt:g} s",
+            f"{_MOST_TICKS:,} ticks at most, {_MOST_TICKS * scenario.dt:g} s",
         )
     elif not is_whole(ticks, 1e-6):
-        near = max(1, round(ticks)) * s.dt
+        near = max(1, round(ticks)) * scenario.dt
         yield Fault(
             "duration",
-            s.duration,
+            scenario.duration,
             "no whole number of ticks",
-            f"multiples of dt = {s.dt:g} s, such as {near:.6g}",
+            f"multiples of dt = {scenario.dt:g} s, such as {near:.6g}",
         )
 
 
-def looks_fit_ticks(s: Scenario) -> Iterator[Fault]:
+def looks_fit_ticks(scenario: Scenario) -> Iterator[Fault]:
     """A whole number of ticks between two looks, at the UGV and at the ground."""
-    rates = {"detections.rate": s.detections.rate}
-    if s.has_ground:
-        rates["ground.rate"] = s.ground.rate
+    rates = {"detections.rate": scenario.detections.rate}
+    if scenario.has_ground:
+        rates["ground.rate"] = scenario.ground.rate
     for field, rate in rates.items():
-        looks = rate * s.dt
+        looks = rate * scenario.dt
         period = 1.0 / looks if looks > 0.0 else math.inf
         if period > _MOST_TICKS or not is_whole(period, 1e-6):
-            some = ", ".join(f"{1.0 / (n * s.dt):.4g}" for n in (1, 2, 3))
+            some = ", ".join(f"{1.0 / (n * scenario.dt):.4g}" for n in (1, 2, 3))
             wrong = "no whole number of ticks fits between two looks"
             yield Fault(field, rate, wrong, f"{some}, ... 1/s")
 
 
-def sight_is_within_range(s: Scenario) -> Iterator[Fault]:
+def sight_is_within_range(scenario: Scenario) -> Iterator[Fault]:
     """The UAV sees farther than r_v, Klodt 2015, eq. (5): r_v < r."""
-    if s.visibility.radius >= s.sensor.range:
-        allowed = f"less than sensor.range = {s.sensor.range:g} m"
-        yield Fault("visibility.radius", s.visibility.radius, "r_v < r does not hold (5)", allowed)
+    if scenario.visibility.radius >= scenario.sensor.range:
+        allowed = f"less than sensor.range = {scenario.sensor.range:g} m"
+        yield Fault(
+            "visibility.radius", scenario.visibility.radius, "r_v < r does not hold (5)", allowed
+        )
 
 
-def points_are_inside(s: Scenario) -> Iterator[Fault]:
+def points_are_inside(scenario: Scenario) -> Iterator[Fault]:
     """Vehicles and goals lie in Q."""
-    points = [(f"{path}.position", vehicle.position) for path, vehicle in vehicles(s)]
+    points = [(f"{path}.position", vehicle.position) for path, vehicle in vehicles(scenario)]
     points += [
         (f"ugv.{k}.goals.{i}", goal)
-        for k, ugv in enumerate(s.ugv)
+        for k, ugv in enumerate(scenario.ugv)
         for i, goal in enumerate(ugv.goals)
     ]
     for path, (x, y) in points:
-        if not (0.0 <= x <= s.area.width and 0.0 <= y <= s.area.height):
+        if not (0.0 <= x <= scenario.area.width and 0.0 <= y <= scenario.area.height):
             yield Fault(
-                path, [x, y], "outside Q", f"[0, {s.area.width:g}] x [0, {s.area.height:g}] m"
+                path,
+                [x, y],
+                "outside Q",
+                f"[0, {scenario.area.width:g}] x [0, {scenario.area.height:g}] m",
             )
 
 
-def covered_is_inside(s: Scenario) -> Iterator[Fault]:
+def covered_is_inside(scenario: Scenario) -> Iterator[Fault]:
     """Covered rectangles have an inside, and it lies in Q."""
-    for k, region in enumerate(s.coverage.covered):
-        for axis, letter, size in ((0, "x", s.area.width), (1, "y", s.area.height)):
+    for k, region in enumerate(scenario.coverage.covered):
+        for axis, letter, size in ((0, "x", scenario.area.width), (1, "y", scenario.area.height)):
             low, high = region.lower[axis], region.upper[axis]
             path, allowed = f"coverage.covered.{k}", f"{letter} from 0 to {size:g} m"
             if low >= high:
@@ -185,9 +192,9 @@ def covered_is_inside(s: Scenario) -> Iterator[Fault]:
                 yield Fault(f"{path}.upper.{axis}", high, "outside Q", allowed)
 
 
-def starts_are_within_bounds(s: Scenario) -> Iterator[Fault]:
+def starts_are_within_bounds(scenario: Scenario) -> Iterator[Fault]:
     """Nobody starts faster than it may move."""
-    for path, vehicle in vehicles(s):
+    for path, vehicle in vehicles(scenario):
         speed = math.hypot(*vehicle.velocity)
         if speed > vehicle.max_speed * (1.0 + _ROUNDING):
             allowed = f"up to {path}.max_speed = {vehicle.max_speed:g} m/s"
@@ -196,9 +203,9 @@ def starts_are_within_bounds(s: Scenario) -> Iterator[Fault]:
             )
 
 
-def uav_is_stronger(s: Scenario) -> Iterator[Fault]:
+def uav_is_stronger(scenario: Scenario) -> Iterator[Fault]:
     """The UAV outruns and outaccelerates the UGV (section II of the paper)."""
-    for path, uav, ugv in escorts(s):
+    for path, uav, ugv in escorts(scenario):
         for field, unit in (("max_speed", "m/s"), ("max_acceleration", "m/s²")):
             mine, its = getattr(uav, field), getattr(ugv, field)
             if mine <= its:
@@ -210,12 +217,12 @@ def uav_is_stronger(s: Scenario) -> Iterator[Fault]:
                 )
 
 
-def ugv_is_seen_at_start(s: Scenario) -> Iterator[Fault]:
+def ugv_is_seen_at_start(scenario: Scenario) -> Iterator[Fault]:
     """The constraint holds at the start (Proposition 2 of the paper)."""
-    for path, uav, ugv in escorts(s):
+    for path, uav, ugv in escorts(scenario):
         distance = math.dist(uav.position, ugv.position)
-        if distance >= s.visibility.radius:
-            allowed = f"nearer than visibility.radius = {s.visibility.radius:g} m"
+        if distance >= scenario.visibility.radius:
+            allowed = f"nearer than visibility.radius = {scenario.visibility.radius:g} m"
             yield Fault(
                 f"{path}.position",
                 uav.position,
@@ -224,46 +231,48 @@ def ugv_is_seen_at_start(s: Scenario) -> Iterator[Fault]:
             )
 
 
-def wind_is_possible(s: Scenario) -> Iterator[Fault]:
+def wind_is_possible(scenario: Scenario) -> Iterator[Fault]:
     """The wind's mean is within its limit."""
-    mean, limit = math.hypot(*s.wind.mean), s.wind.limit
+    mean, limit = math.hypot(*scenario.wind.mean), scenario.wind.limit
     if limit is not None and mean > limit * (1.0 + _ROUNDING):
         allowed = f"up to wind.limit = {limit:g} m/s²"
-        yield Fault("wind.mean", s.wind.mean, f"an acceleration of {mean:.4g} m/s²", allowed)
+        yield Fault("wind.mean", scenario.wind.mean, f"an acceleration of {mean:.4g} m/s²", allowed)
 
 
-def inner_loops_hold(s: Scenario) -> Iterator[Fault]:
+def inner_loops_hold(scenario: Scenario) -> Iterator[Fault]:
     r"""Checks that the inner loop of a UAV on which something acts is stable at dt and has the acceleration it needs.
 
     $z^2 - (2 - k_d dt - k_p dt^2 / 2) z + 1 - k_d dt + k_p dt^2 / 2$ has its roots within the unit circle if
     $k_d dt < 2$ and $k_p dt < 2 k_d$, by Jury's criterion.
     """
-    for k, uav in enumerate(s.uav):
-        path, loop, wind = f"uav.{k}.tracking", uav.tracking.loop, s.wind.largest
+    for k, uav in enumerate(scenario.uav):
+        path, loop, wind = f"uav.{k}.tracking", uav.tracking.loop, scenario.wind.largest
         k_p, k_d = loop.position_gain, loop.velocity_gain
         if wind == 0.0 and uav.own_error == 0.0:
             continue
-        unstable = f"the inner loop is unstable at dt = {s.dt:g} s"
-        needed = needed_reserve(loop, wind, uav.own_error, s.dt)
-        if k_d * s.dt >= 2.0:
-            yield Fault(f"{path}.velocity_gain", k_d, unstable, f"less than {2.0 / s.dt:g} 1/s")
-        elif k_p * s.dt >= 2.0 * k_d:
-            limit = f"less than 2 velocity_gain / dt = {2.0 * k_d / s.dt:g} 1/s²"
+        unstable = f"the inner loop is unstable at dt = {scenario.dt:g} s"
+        needed = needed_reserve(loop, wind, uav.own_error, scenario.dt)
+        if k_d * scenario.dt >= 2.0:
+            yield Fault(
+                f"{path}.velocity_gain", k_d, unstable, f"less than {2.0 / scenario.dt:g} 1/s"
+            )
+        elif k_p * scenario.dt >= 2.0 * k_d:
+            limit = f"less than 2 velocity_gain / dt = {2.0 * k_d / scenario.dt:g} 1/s²"
             yield Fault(f"{path}.position_gain", k_p, unstable, limit)
         elif math.isinf(needed):
             yield Fault(f"{path}.position_gain", k_p, "the inner loop is too slow", "larger ones")
-        elif math.isinf(tracking_error(loop, wind, uav.own_error, s.dt)):
+        elif math.isinf(tracking_error(loop, wind, uav.own_error, scenario.dt)):
             wrong = f"cannot hold a wind of {wind:g} m/s² and an own_error of {uav.own_error:g} m"
             allowed = f"{needed + 5e-4:.3f} m/s² or more"
             yield Fault(f"{path}.reserve", loop.reserve, wrong, allowed)
 
 
-def links_are_possible(s: Scenario) -> Iterator[Fault]:
+def links_are_possible(scenario: Scenario) -> Iterator[Fault]:
     """Each link can be what it says, and belongs to a vehicle."""
-    names, traces = [vehicle.name for _, vehicle in vehicles(s)], s.links.traces
+    names, traces = [vehicle.name for _, vehicle in vehicles(scenario)], scenario.links.traces
     for kind in LinkKind:
-        yield from link_faults(getattr(s.links, kind), f"links.{kind}.", traces)
-    for k, own in enumerate(s.links.only):
+        yield from link_faults(getattr(scenario.links, kind), f"links.{kind}.", traces)
+    for k, own in enumerate(scenario.links.only):
         if own.vehicle not in names:
             yield Fault(
                 f"links.only.{k}.vehicle", own.vehicle, "no vehicle has this name", ", ".join(names)
@@ -272,19 +281,19 @@ def links_are_possible(s: Scenario) -> Iterator[Fault]:
             yield from link_faults(getattr(own, kind), f"links.only.{k}.{kind}.", traces)
 
 
-def commands_act(s: Scenario) -> Iterator[Fault]:
+def commands_act(scenario: Scenario) -> Iterator[Fault]:
     """A command that arrives is not yet too old to act: else the vehicle brakes for ever, whoever flies it."""
-    for _, vehicle in vehicles(s):
-        commands = s.links.of(vehicle.name, LinkKind.COMMANDS)
-        least = least_ticks(link_parameters(commands, s.dt, traces=s.links.traces))
-        if least > round(s.hold / s.dt):
-            path = f"{s.links.path_of(vehicle.name, LinkKind.COMMANDS)} of {vehicle.name}"
-            age = f"{least * s.dt:g} s"
+    for _, vehicle in vehicles(scenario):
+        commands = scenario.links.of(vehicle.name, LinkKind.COMMANDS)
+        least = least_ticks(link_parameters(commands, scenario.dt, traces=scenario.links.traces))
+        if least > round(scenario.hold / scenario.dt):
+            path = f"{scenario.links.path_of(vehicle.name, LinkKind.COMMANDS)} of {vehicle.name}"
+            age = f"{least * scenario.dt:g} s"
             wrong = (
                 f"commands are {age} old or more when they arrive ({path}), "
                 "so that it would only brake"
             )
-            yield Fault("hold", s.hold, wrong, f"{age} or more")
+            yield Fault("hold", scenario.hold, wrong, f"{age} or more")
 
 
 WORLD_CHECKS: tuple[Check, ...] = (

@@ -321,9 +321,10 @@ class Flight:
             if seen:
                 self._ground[name][tick] = seen
 
-    def _is_told(self, k: int, block: GroundBlock) -> bool:
+    def _is_told(self, vehicle: int, block: GroundBlock) -> bool:
         """True if a block says of each tile what the UAV's own sensor has told, or nothing."""
-        unseen, known = TILE_LETTERS[UNSEEN], self.world.known_block(k, block.row, block.column)
+        unseen = TILE_LETTERS[UNSEEN]
+        known = self.world.known_block(vehicle, block.row, block.column)
         return all(said in (unseen, told) for said, told in zip(block.tiles, known, strict=True))
 
     def _observation(
@@ -457,19 +458,19 @@ class Flight:
         world.advance()
         answers.note(tick, commands, received, self.law.name, watched=watched)
 
-    def _send(self, k: int, name: str, command: Command) -> None:
-        """Let the command of the vehicle in row k, and what it radios, set out."""
+    def _send(self, vehicle: int, name: str, command: Command) -> None:
+        """Let the command of a vehicle, and what it radios, set out."""
         world = self.world
         if isinstance(command, UgvCommand):
-            world.send(k, command.tick, command.acceleration)
+            world.send(vehicle, command.tick, command.acceleration)
             if command.route is not None:
                 self.routes[name] = command.route
             return
-        world.send(k, command.tick, command.acceleration, command.motions)
+        world.send(vehicle, command.tick, command.acceleration, command.motions)
         for message in command.radio:  # received at the next tick at the earliest
             self._radios[name].send(world.tick + 1, message, world.tick)
         for block in command.blocks:
-            if self._grounded and self._is_told(k, block):
+            if self._grounded and self._is_told(vehicle, block):
                 self._radios[name].send(world.tick + 1, block, world.tick)
             else:
                 self.refused_blocks[name] += 1

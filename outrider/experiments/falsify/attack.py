@@ -150,27 +150,27 @@ def empty_room() -> Room:
 
 
 @borrowing
-def _keep_states(s: BatchState, states: RecordArray) -> None:
+def _keep_states(state: BatchState, states: RecordArray) -> None:
     for k in range(states.shape[0]):
         row = states[k]
-        row.p_x, row.p_y = s.truth.position[0, k, 0], s.truth.position[0, k, 1]
-        row.v_x, row.v_y = s.truth.velocity[0, k, 0], s.truth.velocity[0, k, 1]
+        row.p_x, row.p_y = state.truth.position[0, k, 0], state.truth.position[0, k, 1]
+        row.v_x, row.v_y = state.truth.velocity[0, k, 0], state.truth.velocity[0, k, 1]
 
 
 @borrowing
-def _place(c: Conditions, tables: BatchTables, s: BatchState, random: Words) -> None:
+def _place(conditions: Conditions, tables: BatchTables, state: BatchState, random: Words) -> None:
     """Put UGV and UAV where the run begins."""
-    w, position = tables.world[0], s.truth.position[0]
-    if c.area == AREAS.open:
+    w, position = tables.world[0], state.truth.position[0]
+    if conditions.area == AREAS.open:
         position[UGV, 0], position[UGV, 1] = 0.5 * w.width, 0.5 * w.height
-    elif c.area == AREAS.corner:
-        position[UGV, 0] = c.r_v * next_share(random)
-        position[UGV, 1] = c.r_v * next_share(random)
+    elif conditions.area == AREAS.corner:
+        position[UGV, 0] = conditions.r_v * next_share(random)
+        position[UGV, 1] = conditions.r_v * next_share(random)
     else:
         position[UGV, 0] = w.width * next_share(random)
         position[UGV, 1] = w.height * next_share(random)
     e_x, e_y = draw_direction(random)
-    far = c.r_v * (0.1 if next_share(random) < 0.5 else 0.5)
+    far = conditions.r_v * (0.1 if next_share(random) < 0.5 else 0.5)
     position[UAV, 0] = min(max(position[UGV, 0] + far * e_x, 0.0), w.width)
     position[UAV, 1] = min(max(position[UGV, 1] + far * e_y, 0.0), w.height)
 
@@ -196,8 +196,8 @@ def _begin_plots(room: Room, random: Words, u_a: float, u_g: float) -> None:
 
 @borrowing
 def _switch_command(
-    c: Conditions,
-    p: Promise,
+    conditions: Conditions,
+    promise: Promise,
     detections: RecordArray,
     plots: RecordArray,
     tick: int,
@@ -206,37 +206,43 @@ def _switch_command(
     z_y: float,
 ) -> tuple[float, float]:
     """The command of a law that switches, beyond its radius [m/s²]; z is p_a - p_g of the newest detection [m]."""
-    if c.law >= GUARDS.switch_tracking:
-        return clip_norm(plots[UAV].output_x, plots[UAV].output_y, p.u_a)
-    if c.law == GUARDS.switch_best:
+    if conditions.law >= GUARDS.switch_tracking:
+        return clip_norm(plots[UAV].output_x, plots[UAV].output_y, promise.u_a)
+    if conditions.law == GUARDS.switch_best:
         least = math.inf
         for k in range(KEPT):
             if detections[k].taken == NEVER:
                 continue
-            r = bound_of(p, detections, k, tick, here.p_x, here.p_y)
+            r = bound_of(promise, detections, k, tick, here.p_x, here.p_y)
             if r < least:
                 least = r
                 z_x, z_y = here.p_x - detections[k].x, here.p_y - detections[k].y
     e_x, e_y = direction(z_x, z_y)
-    return clip_norm((-p.v_a * e_x - here.v_x) / p.dt, (-p.v_a * e_y - here.v_y) / p.dt, p.u_a)
+    return clip_norm(
+        (-promise.v_a * e_x - here.v_x) / promise.dt,
+        (-promise.v_a * e_y - here.v_y) / promise.dt,
+        promise.u_a,
+    )
 
 
 @borrowing
 def _disturb_command(
-    c: Conditions, p: Promise, room: Room, random: Words, tick: int, carrying: bool
+    conditions: Conditions, promise: Promise, room: Room, random: Words, tick: int, carrying: bool
 ) -> tuple[float, float]:
     """The command of this tick as disturbed [m/s²]: NaN if it is lost, another one if it comes late."""
     trouble, ring = room.trouble[0], room.ring
     u_x, u_y = ring[tick % _RING, 0], ring[tick % _RING, 1]
-    if c.disturbance == DISTURBANCES.single_losses and next_share(random) < 0.02:
+    if conditions.disturbance == DISTURBANCES.single_losses and next_share(random) < 0.02:
         u_x = math.nan
-    if c.disturbance == DISTURBANCES.silences:
+    if conditions.disturbance == DISTURBANCES.silences:
         if trouble.silent == 0 and next_share(random) < 0.02:
-            trouble.silent = 1 + int(next_share(random) * max(1, round(c.silence / p.dt)))
+            trouble.silent = 1 + int(
+                next_share(random) * max(1, round(conditions.silence / promise.dt))
+            )
         if trouble.silent > 0:
             trouble.silent -= 1
             u_x = math.nan
-    if c.disturbance == DISTURBANCES.late:
+    if conditions.disturbance == DISTURBANCES.late:
         if next_share(random) < 0.01:
             trouble.late = int(next_share(random) * 6)
         if trouble.late > 0 and carrying:
@@ -244,50 +250,52 @@ def _disturb_command(
         elif trouble.late > 0 and tick >= trouble.late:
             then = (tick - trouble.late) % _RING
             u_x, u_y = ring[then, 0], ring[then, 1]
-    if (math.isnan(u_x) or trouble.late > 0) and not p.carries:
-        trouble.last_break = tick + p.delay_ticks
+    if (math.isnan(u_x) or trouble.late > 0) and not promise.carries:
+        trouble.last_break = tick + promise.delay_ticks
     return u_x, u_y
 
 
 @borrowing
-def _darken(c: Conditions, p: Promise, room: Room, random: Words, tick: int) -> None:
+def _darken(conditions: Conditions, promise: Promise, room: Room, random: Words, tick: int) -> None:
     """Begin a blackout now and then, with a detection at least since the last one."""
-    trouble, now, longest = room.trouble[0], room.now, round(c.blackout_time / p.dt)
+    trouble, now, longest = room.trouble[0], room.now, round(conditions.blackout_time / promise.dt)
     if trouble.dark > 0 or trouble.seen == 0 or tick <= 20 or longest == 0:
         return
-    if c.blackout == BLACKOUTS.periodic:
+    if conditions.blackout == BLACKOUTS.periodic:
         trouble.dark = longest
-    elif c.blackout == BLACKOUTS.random and next_share(random) < 0.02:
+    elif conditions.blackout == BLACKOUTS.random and next_share(random) < 0.02:
         trouble.dark = 1 + int(next_share(random) * longest)
-    elif c.blackout == BLACKOUTS.when_far:
+    elif conditions.blackout == BLACKOUTS.when_far:
         x, y = now[UAV].p_x - now[UGV].p_x, now[UAV].p_y - now[UGV].p_y
-        if norm(x, y) > 0.6 * c.r_v and next_share(random) < 0.2:
+        if norm(x, y) > 0.6 * conditions.r_v and next_share(random) < 0.2:
             trouble.dark = longest
 
 
 @borrowing
-def _acted(p: Promise, s: BatchState, room: Room, tick: int) -> bool:
+def _acted(promise: Promise, state: BatchState, room: Room, tick: int) -> bool:
     """True if the command acted in this tick that should have; else A5 is broken."""
     trouble, ring = room.trouble[0], room.ring
-    if p.carries:
-        acted = waited(tick, s.flown[0, UAV, 0].begins, p.delay_ticks) < p.outage_ticks
+    if promise.carries:
+        acted = (
+            waited(tick, state.flown[0, UAV, 0].begins, promise.delay_ticks) < promise.outage_ticks
+        )
         trouble.last_break = trouble.last_break if acted else tick
         return acted
     u_x, u_y = 0.0, 0.0
-    if tick >= p.delay_ticks:
-        should = (tick - p.delay_ticks) % _RING
+    if tick >= promise.delay_ticks:
+        should = (tick - promise.delay_ticks) % _RING
         u_x, u_y = ring[should, 0], ring[should, 1]
-    acting = s.truth.commands[0, UAV]
+    acting = state.truth.commands[0, UAV]
     acted = acting[0] == u_x and acting[1] == u_y
     if not acted:
-        trouble.last_break = max(trouble.last_break, tick + p.delay_ticks)
+        trouble.last_break = max(trouble.last_break, tick + promise.delay_ticks)
     return bool(acted)
 
 
 @released
 def fly_one(
     tables: BatchTables,
-    s: BatchState,
+    state: BatchState,
     memory: GuardState,
     room: Room,
     promise: Promise,
@@ -299,7 +307,7 @@ def fly_one(
     """One run of an attack, in world 0 of a batch that is as it was at the start, with its keys.
 
     Args:
-        tables, s: The world. UAV 0 is vehicle 0, the UGV vehicle 1.
+        tables, state: The world. UAV 0 is vehicle 0, the UGV vehicle 1.
         memory: Of the filter.
         room: Of all else.
         promise: The declared numbers; the laws that switch use its bounds only.
@@ -308,7 +316,7 @@ def fly_one(
         ticks: Length of the run.
         results: Filled: `AttackResult`. (1,)
     """
-    c, p, sent, result = conditions, promise, s.sent[0], results[0]
+    c, p, sent, result = conditions, promise, state.sent[0], results[0]
     plots, trouble, before, now = room.plots, room.trouble[0], room.before, room.now
     dt, u_a, d_ticks = p.dt, p.u_a, p.delay_ticks
     u_g = c.u_g if math.isfinite(c.u_g) else 2.0 * p.v_g / dt
@@ -318,25 +326,25 @@ def fly_one(
     _begin_plots(room, random, u_a, u_g)
     rate = 0.05 + 1.5 * next_share(random)  # of the phase [rad/s]
     xc_x, xc_y = 0.0, 0.0
-    _place(c, tables, s, random)
-    disturbed, blows = s.tracking.shape[1] > 0, 0
+    _place(c, tables, state, random)
+    disturbed, blows = state.tracking.shape[1] > 0, 0
     if disturbed:
         for k in (UAV, UGV):
             for i in range(2):
-                s.told.position[0, k, i] = s.truth.position[0, k, i]
+                state.told.position[0, k, i] = state.truth.position[0, k, i]
         plots[UGV].wind = 2.0 * math.pi * next_share(random)
         blows = choose(random, c.blows, len(WINDS))
     begin_guard(memory)
-    begin_world(tables, s, 0)
+    begin_world(tables, state, 0)
     certified_before, filtering, first_seen, seen_ticks = False, True, -1, 0
     suspected, since, total, intervened, uncertified = 0, 0, 0.0, 0, 0
     acts, code = INNER, NO_DETECTION
     result.max_distance, result.max_excess, result.max_age = 0.0, -math.inf, 0.0
     result.certified_lost, result.broken, result.max_certified = 0.0, 0.0, 0.0
-    _keep_states(s, now)
+    _keep_states(state, now)
     losses, allowed = choose(random, c.losses, len(LOSSES)), int(c.outage / dt + DUST)
     for tick in range(ticks + 1):
-        there, moving = s.told.position[0, UAV], s.told.velocity[0, UAV]
+        there, moving = state.told.position[0, UAV], state.told.velocity[0, UAV]
         here = Motion(there[0], there[1], moving[0], moving[1])
         w_x, w_y = now[UGV].v_x, now[UGV].v_y
         x, y = now[UAV].p_x - now[UGV].p_x, now[UAV].p_y - now[UGV].p_y
@@ -344,8 +352,8 @@ def fly_one(
         # what has reached the UAV's computer
         if trouble.away == 0:
             note_position(memory, tick, here.p_x, here.p_y)
-            for n in range(s.arrived[0, 0]):
-                look = s.received[0, 0, n]
+            for n in range(state.arrived[0, 0]):
+                look = state.received[0, 0, n]
                 taken = int(look[LOOK.taken])
                 note_detection(
                     p, memory, taken, tick, look[LOOK.x], look[LOOK.y], here.p_x, here.p_y
@@ -391,7 +399,7 @@ def fly_one(
                 if trouble.away == 0:
                     forget_commands(memory)
             elif filtering:
-                flown = s.flown[0, UAV, 0].begins
+                flown = state.flown[0, UAV, 0].begins
                 u_x, u_y, acts, code, _ = guard(p, memory, tick, here, u_x, u_y, flown)
                 carrying = p.carries
                 certified = code == CERTIFIED
@@ -426,7 +434,7 @@ def fly_one(
             left = held.turn + held.cruise + held.brake
             pending = Pending(tick, d_ticks, allowed, d / c.r_v, left)
             lost, plots[UAV].losing = loses(losses, random, plots[UAV].losing, pending)
-            keep_motion(s.motions[0, UAV], under[(tick + d_ticks) % under.shape[0]], tick)
+            keep_motion(state.motions[0, UAV], under[(tick + d_ticks) % under.shape[0]], tick)
             sent[UAV, COMMAND.last], sent[UAV, COMMAND.carried] = tick + d_ticks, 1.0
             if lost:
                 u_x = math.nan
@@ -443,14 +451,14 @@ def fly_one(
         )
         # the motion, as the world steps it, but that the adversary chooses which detections are made, and with
         # which error
-        _keep_states(s, before)
-        receive_commands(tables, s, 0)
+        _keep_states(state, before)
+        receive_commands(tables, state, 0)
         if disturbed:
-            blows = disturb(c, s, random, blows, trouble.dark, x, y, plots)
-        move(tables, s, 0)
+            blows = disturb(c, state, random, blows, trouble.dark, x, y, plots)
+        move(tables, state, 0)
         if c.jumps > 0.0:
-            jump(c, s, tables.escorts)
-        _keep_states(s, now)
+            jump(c, state, tables.escorts)
+        _keep_states(state, now)
         x, y = now[UAV].p_x - now[UGV].p_x, now[UAV].p_y - now[UGV].p_y
         _darken(c, p, room, random, tick)
         n_x, n_y = detection_error(error, random, tick, p.error * c.error_share, x, y, plots)
@@ -458,11 +466,11 @@ def fly_one(
         if trouble.dark > 0:
             trouble.dark -= 1
             n_x = math.nan
-        found = truth_of(s.truth, 0).detections[0]
+        found = truth_of(state.truth, 0).detections[0]
         if not math.isnan(found[0]):
             found[0], found[1] = x - n_x, y - n_y
-        deliver_detections(tables, s, 0)
-        if _acted(p, s, room, tick) and certified:
+        deliver_detections(tables, state, 0)
+        if _acted(p, state, room, tick) and certified:
             most = largest_between(before, now, dt)
             result.max_certified = max(result.max_certified, most)
             result.certified_lost += most >= c.r_v

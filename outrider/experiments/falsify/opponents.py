@@ -206,11 +206,11 @@ def detection_error(
 
 @borrowing
 def _push(
-    kind: int, dark: int, x: float, y: float, s: BatchState, plots: RecordArray
+    kind: int, dark: int, x: float, y: float, state: BatchState, plots: RecordArray
 ) -> tuple[float, float]:
     """The way in which wind and own position drive the UAV, a unit vector. Arguments as in `disturb`."""
     e_x, e_y = direction(x, y)
-    off, acting = s.tracking[0, 0], s.truth.commands[0, UAV]
+    off, acting = state.tracking[0, 0], state.truth.commands[0, UAV]
     if kind == WINDS.outward:
         return e_x, e_y
     if kind <= WINDS.random:
@@ -224,8 +224,8 @@ def _push(
 
 @borrowing
 def disturb(
-    c: Conditions,
-    s: BatchState,
+    conditions: Conditions,
+    state: BatchState,
     random: Words,
     kind: int,
     dark: int,
@@ -236,8 +236,8 @@ def disturb(
     """Set what acts on the UAV beside its commands in the coming tick; how the next one is directed.
 
     Args:
-        c: The conditions.
-        s: The world, changed.
+        conditions: The conditions.
+        state: The world, changed.
         random: Of the draws.
         kind: A code of `WINDS`.
         dark: Ticks for which nothing is detected yet.
@@ -247,25 +247,30 @@ def disturb(
     if next_share(random) < 0.02:
         if kind == WINDS.random:
             plots[UGV].wind = 2.0 * math.pi * next_share(random)
-        if c.blows == ANY and next_share(random) < 0.1:
-            kind = choose(random, c.blows, len(WINDS))
-    w_x, w_y = _push(kind, dark, x, y, s, plots)
-    strength, row = 1.0 if c.jumps > 0.0 else c.wind, s.tracking[0, 0]
+        if conditions.blows == ANY and next_share(random) < 0.1:
+            kind = choose(random, conditions.blows, len(WINDS))
+    w_x, w_y = _push(kind, dark, x, y, state, plots)
+    strength, row = 1.0 if conditions.jumps > 0.0 else conditions.wind, state.tracking[0, 0]
     row.wind_x, row.wind_y = strength * w_x, strength * w_y
-    row.own_x, row.own_y = -c.own_error * w_x, -c.own_error * w_y
+    row.own_x, row.own_y = -conditions.own_error * w_x, -conditions.own_error * w_y
     return kind
 
 
 @borrowing
-def jump(c: Conditions, s: BatchState, escorts: IntArray) -> None:
+def jump(conditions: Conditions, state: BatchState, escorts: IntArray) -> None:
     """Put the UAV off what it is told, the way that its wind blows."""
-    row = s.tracking[0, 0]
-    row.x, row.y, row.v_x, row.v_y = c.jumps * row.wind_x, c.jumps * row.wind_y, 0.0, 0.0
+    row = state.tracking[0, 0]
+    row.x, row.y, row.v_x, row.v_y = (
+        conditions.jumps * row.wind_x,
+        conditions.jumps * row.wind_y,
+        0.0,
+        0.0,
+    )
     put_off(
-        s.truth.position[0],
-        s.truth.velocity[0],
-        s.told.position[0],
-        s.told.velocity[0],
+        state.truth.position[0],
+        state.truth.velocity[0],
+        state.told.position[0],
+        state.told.velocity[0],
         escorts,
-        s.tracking[0],
+        state.tracking[0],
     )

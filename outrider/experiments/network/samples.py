@@ -103,7 +103,7 @@ def drawn_sample(settings: LinkSettings, interval: float) -> Sample:
     return _played(link_parameters(settings, dt), dt, _MESSAGES, every)
 
 
-def _played(p: LinkParameters, dt: float, messages: int, every: int) -> Sample:
-    arrived = arrivals_of(p, _KEY, messages, every=every)
+def _played(parameters: LinkParameters, dt: float, messages: int, every: int) -> Sample:
+    arrived = arrivals_of(parameters, _KEY, messages, every=every)
     took = (arrived - np.arange(messages) * every) * dt
     return Sample(every * dt, np.where(arrived >= 0, took, np.nan))
