@@ -7,6 +7,7 @@ over the compiled link itself. Detections and packets are sent as a flight sends
 played literally, packet by packet, and knows nothing of windows or chains of states.
 """
 
+import argparse
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -247,8 +248,14 @@ def rows(flights: int) -> Iterator[Row]:
 
 
 def main() -> None:
-    """Print the table."""
-    flights = int(sys.argv[1]) if len(sys.argv) > 1 else 100_000
+    """Exact chances beside the frequencies of simulated flights, as a table."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument(
+        "flights", type=int, nargs="?", default=100_000, help="how many (%(default)s)"
+    )
+    flights = parser.parse_args().flights
+    if flights < 1:
+        parser.error(f"flights = {flights}: must be 1 or more")
     sys.stdout.write(
         "| link, declared number | [s] | chance | | frequency | 99 % interval | agrees |\n"
     )

@@ -192,4 +192,4 @@ def findings(folder: Path) -> Iterator[Row]:
 
 
 if __name__ == "__main__":
-    sys.exit(report(findings))
+    sys.exit(report(findings, __doc__))

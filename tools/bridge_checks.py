@@ -1,5 +1,6 @@
 """Tools of the tests of the bridges: environments of others' programs, processes, and a table of findings."""
 
+import argparse
 import os
 import subprocess
 import sys
@@ -66,12 +67,14 @@ def started(
                 process.wait()
 
 
-def report(findings: Callable[[Path], Iterator[Row]]) -> int:
+def report(findings: Callable[[Path], Iterator[Row]], about: str | None) -> int:
     """Print all findings as rows of a table; the exit code, 1 if one does not hold.
 
     Args:
         findings: Makes them in a temporary folder, which is the working directory too.
+        about: The program's help text; it takes no arguments.
     """
+    argparse.ArgumentParser(description=about).parse_args()
     good = True
     with tempfile.TemporaryDirectory() as scratch:
         os.chdir(scratch)

@@ -9,6 +9,7 @@ It publishes two ports, the dashboard's and MAVLink's, to this machine alone, wr
 removes every container, network, volume and image that it has made.
 """
 
+import argparse
 import contextlib
 import http.client
 import json
@@ -1072,16 +1073,18 @@ def _interrupted(_number: int, _frame: FrameType | None) -> None:
 
 def main() -> int:
     """Run all checks, or those that are named after the always needed first two."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("names", metavar="NAME", nargs="*", help=", ".join(ORDER))
+    names = parser.parse_args().names
+    unknown = [name for name in names if name not in ORDER]
+    if unknown:
+        parser.error(f"{' '.join(unknown)}: unknown; allowed: {', '.join(ORDER)}")
     program = engine()
     if program is None:
         say("compose-test: skipped, no Docker engine with Compose v2 answers here")
         return NO_ENGINE
     signal.signal(signal.SIGTERM, _interrupted)
-    chosen = [
-        name
-        for name in ORDER
-        if not sys.argv[1:] or name in ("build", "credentials", *sys.argv[1:])
-    ]
+    chosen = [name for name in ORDER if not names or name in ("build", "credentials", *names)]
     with tempfile.TemporaryDirectory(
         prefix="outrider-compose-", ignore_cleanup_errors=True
     ) as folder:

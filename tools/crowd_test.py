@@ -6,6 +6,7 @@ and became, how many ticks were late, and how many of a crowd of sessions lasted
 `python tools/crowd_test.py ATTACK ...`; exit code 1 where a limit is not kept.
 """
 
+import argparse
 import contextlib
 import json
 import os
@@ -304,12 +305,14 @@ def kept(row: dict[str, Any]) -> bool:
     )
 
 
-def main(names: list[str]) -> int:
-    """Print the table."""
+def main() -> int:
+    """Attacks on a run by a crowd at its port, or by a vehicle with credentials, as a table."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("names", metavar="NAME", nargs="*", help=", ".join(ATTACKS))
+    names = parser.parse_args().names
     unknown = [name for name in names if name not in ATTACKS]
     if unknown:
-        sys.stderr.write(f"no attack {unknown[0]}; there are {', '.join(ATTACKS)}\n")
-        return 2
+        parser.error(f"{' '.join(unknown)}: unknown; allowed: {', '.join(ATTACKS)}")
     failed = 0
     limits = f"join {JOIN_LIMIT:g} s, +{GROWTH_LIMIT:g} MB, {LATE_LIMIT:.0%} of ticks late"
     sys.stdout.write(
@@ -332,4 +335,4 @@ def main(names: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))
+    raise SystemExit(main())

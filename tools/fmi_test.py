@@ -4,7 +4,6 @@ fmpy and pythonfmu3 live in an environment of their own, `.venv-fmi`, with Outri
 the first call. Half a minute then: python tools/fmi_test.py
 """
 
-import argparse
 import json
 import os
 import re
@@ -195,5 +194,4 @@ def findings(folder: Path) -> Iterator[Row]:
 
 
 if __name__ == "__main__":
-    argparse.ArgumentParser(description=__doc__).parse_args()
-    sys.exit(report(findings))
+    sys.exit(report(findings, __doc__))

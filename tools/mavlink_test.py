@@ -4,7 +4,6 @@ Both live in an environment of their own, `.venv-mavlink`, which is made on the 
 python tools/mavlink_test.py
 """
 
-import argparse
 import json
 import socket
 import subprocess
@@ -215,5 +214,4 @@ def findings(folder: Path) -> Iterator[Row]:
 
 
 if __name__ == "__main__":
-    argparse.ArgumentParser(description=__doc__).parse_args()
-    sys.exit(report(findings))
+    sys.exit(report(findings, __doc__))

@@ -382,4 +382,6 @@ def findings(folder: Path) -> Iterator[Row]:
 
 
 if __name__ == "__main__":
-    sys.exit(report(findings))  # in a folder of its own: pyzeros leaves its cache where it stands
+    sys.exit(
+        report(findings, __doc__)
+    )  # in a folder of its own: pyzeros leaves its cache where it stands
