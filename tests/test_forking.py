@@ -30,7 +30,6 @@ from processes import (
 from bus.errors import BusError
 from outrider.running import forking, launch
 from outrider.running.child import Child, environment_of
-from outrider.running.cores import cores_for
 from outrider.running.flying import fly
 from outrider.running.forking import Forkserver, forkserver
 from sim.kernels import compile as kernels
@@ -45,10 +44,10 @@ def forks() -> Iterator[Forkserver]:
         yield server
 
 
-def _waiting(forks: Forkserver, **named: object) -> Child:
+def _waiting(forks: Forkserver) -> Child:
     """A vehicle that waits for a router, for ever: nobody listens there."""
     words = ["uav", "--connect", "unixsock-stream//nowhere/bus.sock", "--join-timeout", "100"]
-    return Child("uav_0", words, forkserver=forks, **named)
+    return Child("uav_0", words, forkserver=forks)
 
 
 def test_what_is_loaded_before_a_fork_is_no_world_no_scenario_no_session_and_no_thread() -> None:
@@ -66,7 +65,7 @@ def test_what_is_loaded_before_a_fork_is_no_world_no_scenario_no_session_and_no_
 
 
 def test_a_forked_process_is_our_child_in_its_own_session_with_its_own_command_line(forks):
-    child = _waiting(forks, cores=cores_for(is_uav=True))
+    child = _waiting(forks)
     try:
         wait_until(lambda: " outrider uav " in command_line(child.pid))
         started = f"{sys.executable} -P -m outrider uav --connect unixsock-stream//nowhere/bus.sock"
@@ -74,7 +73,6 @@ def test_a_forked_process_is_our_child_in_its_own_session_with_its_own_command_l
         assert command_line(child.pid).endswith("--join-timeout 100 --watchdog")
         _, parent, _, session, *_ = stat_of(child.pid)
         assert (int(parent), int(session)) == (os.getpid(), child.pid)
-        assert os.sched_getaffinity(child.pid) == cores_for(is_uav=True)
         assert child.ended is None
         assert not child.wait(0.0)
         child.kill()

@@ -312,6 +312,7 @@ def test_the_example_trains_briefly_and_what_it_writes_flies(tmp_path):
 
 
 def test_the_example_refuses_what_it_cannot_do(capsys, monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLE.parent)  # as `python examples/train_uav.py` does
     monkeypatch.setattr(sys, "argv", ["train_uav.py", "--minutes", "0"])
     with pytest.raises(SystemExit):
         runpy.run_path(str(EXAMPLE), run_name="__main__")

@@ -120,8 +120,6 @@ def _become(files: list[int]) -> None:
     request = msgspec.json.decode(told, type=Request)
     os.environ.clear()
     os.environ.update(request.environment)
-    if request.cores:
-        os.sched_setaffinity(0, request.cores)
     sys.argv[:] = ["outrider", *request.command[4:]]  # without `python -P -m outrider`
     np.random.seed()  # noqa: NPY002 - its state is the forkserver's; a policy of the user's own may use it
     _show(request.command)

@@ -64,7 +64,6 @@ class Child:
         files: Open files that it inherits, by their numbers; none of a forked one.
         secret: Of the run: for the simulator alone.
         forkserver: What forks it; None: it is started as a new interpreter.
-        cores: The processor cores of a forked one, all its threads included; empty: as ours.
         log: The file that keeps all of its standard error, if it writes any; None: no file does.
     """
 
@@ -76,7 +75,6 @@ class Child:
         files: Sequence[int] = (),
         secret: str = "",
         forkserver: Forkserver | None = None,
-        cores: frozenset[int] = frozenset(),
         log: Path | None = None,
     ) -> None:
         self.name = name
@@ -86,7 +84,7 @@ class Child:
         command = outrider_command(*arguments, "--watchdog")
         if forkserver is not None and not files:
             self._process: Forked | subprocess.Popen[bytes] = forkserver.fork(
-                command, environment_of(secret), cores, piped=lines is not None
+                command, environment_of(secret), piped=lines is not None
             )
         else:
             with _readable(secret) as told:

@@ -35,13 +35,11 @@ READY, COMPILING = b"r", b"c"
 
 
 class Request(msgspec.Struct, frozen=True, kw_only=True):
-    """Command, environment and cores of a process that is forked."""
+    """Command and environment of a process that is forked."""
 
     command: list[str]
     """Its command line, from the interpreter on."""
     environment: dict[str, str]
-    cores: list[int]
-    """Processor cores; empty: all that the forkserver may use."""
 
 
 class Forked:
@@ -158,7 +156,6 @@ class Forkserver:
         self,
         command: Sequence[str],
         environment: Mapping[str, str],
-        cores: frozenset[int],
         *,
         piped: bool,
     ) -> Forked:
@@ -167,7 +164,6 @@ class Forkserver:
         Args:
             command: `python -P -m outrider ...`.
             environment: Of the process.
-            cores: Processor cores; empty: as the forkserver.
             piped: Whether its standard output is read.
 
         Raises:
@@ -175,7 +171,7 @@ class Forkserver:
         """
         while not self.ready(1.0):
             pass
-        request = Request(command=list(command), environment=dict(environment), cores=sorted(cores))
+        request = Request(command=list(command), environment=dict(environment))
         with contextlib.ExitStack() as ours, contextlib.ExitStack() as theirs:
 
             def pipe(mode: str) -> tuple[IO[bytes], int]:

@@ -22,7 +22,7 @@ from bus.errors import BusError, PeerLost
 from bus.keys import OPERATOR_NAME, SIMULATOR_NAME
 from bus.registry import DRIVERS
 from outrider.running.child import Child, environment_of
-from outrider.running.cores import can_be_kept_apart, cores_for, keep_apart
+from outrider.running.cores import can_be_kept_apart, keep_apart
 from outrider.running.exit_reports import Report
 from outrider.running.forking import Forkserver, forkserver
 from outrider.running.summary import Process, Summary
@@ -196,6 +196,7 @@ def launch(
             children,
             server,
             wiring,
+            lockstep=timing.realtime is None,
             logs=output.folder / "logs" if output.folder else None,
         )
         settings = [argument for override in overrides for argument in ("--set", override)]
@@ -262,6 +263,7 @@ class _Processes:
         forks: Forkserver | None,
         wiring: Wiring,
         *,
+        lockstep: bool,
         logs: Path | None,
     ) -> None:
         self.children = children
@@ -270,6 +272,7 @@ class _Processes:
         self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         """Reports of the simulator, a line each."""
         self._scenario, self._folder, self._run = scenario, folder, run
+        self._lockstep = lockstep
         self._pin = wiring.pin and can_be_kept_apart(len(scenario.vehicles))
         self._address: Path | tuple[str, int] = folder / "bus.sock"
         self._endpoint = f"unixsock-stream/{self._address}"
@@ -378,7 +381,6 @@ class _Processes:
             name,
             ["uav" if is_uav else "ugv", "--name", name, *self._joining(name), *given],
             forkserver=self._forks,
-            cores=cores_for(is_uav=is_uav) if self._pin else frozenset(),
             log=self._log(name),
         )
 
@@ -402,7 +404,8 @@ class _Processes:
 
     def _give_cores(self) -> None:
         if self._pin:
-            keep_apart({child.pid: child.name in self._uavs for child in self.children})
+            pids = {child.pid: child.name in self._uavs for child in self.children}
+            keep_apart(pids, lockstep=self._lockstep)
 
 
 def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcome:
