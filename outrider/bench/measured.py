@@ -53,6 +53,9 @@ WITHOUT_BRIDGE = "the same processes without the bridge"
 ALONE = "its kernels alone, compiled, as many grids and threads"
 ROWS: dict[str, Layer] = {
     "lockstep": Layer(runs.lockstep, "ticks/s", "bare three-process exchange", forked=True),
+    "exchange_apart": Layer(
+        runs.exchange_apart, "ticks/s", "bare three-process exchange, as the system places it"
+    ),
     "access_control": Layer(
         runs.access_control, "ticks/s", "lockstep without credentials", forked=True
     ),

@@ -15,7 +15,7 @@ import msgspec
 from bus.errors import BusError
 from outrider.bench.kernels import world_step
 from outrider.bench.pairs import pairs_toml
-from outrider.bench.raw_lockstep import ticks_per_second
+from outrider.bench.raw_lockstep import kept_apart, ticks_per_second
 from outrider.bench.timing import Pair
 from outrider.running.child import environment_of, outrider_command
 from outrider.running.flying import InProcess, fly, make_pilots
@@ -73,6 +73,13 @@ def lockstep(server: Forkserver | None) -> Pair:
     """Three processes with everything computed, beside a bare exchange of the same payloads."""
     scenario = load_scenario("escort", overrides={"duration": _SECONDS})
     return _launched(server), ticks_per_second(*_payloads(scenario), scenario.ticks)
+
+
+def exchange_apart() -> Pair:
+    """The bare exchange, its processes kept apart as a run's, beside the same as the system places them."""
+    scenario = load_scenario("escort", overrides={"duration": _SECONDS})
+    payloads = _payloads(scenario)
+    return kept_apart(*payloads, scenario.ticks), ticks_per_second(*payloads, scenario.ticks)
 
 
 def access_control(server: Forkserver | None) -> Pair:
