@@ -6,9 +6,10 @@ from pathlib import Path
 
 from agents.control.orbit import Path as VirtualPath
 from agents.control.weighting import Weighting
+from agents.process import Pilot as AnyPilot
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
-from bus.messages import Command, Observation, UavBriefing, UavObservation, UgvObservation
+from bus.messages import Command, Observation, UavBriefing
 from outrider.running.summary import Summary, summarize
 from outrider.running.user_code import check_code, load_function
 from sim.engine.briefing import briefing
@@ -52,7 +53,7 @@ def make_pilots(
 class InProcess:
     """The exchange without a bus: each pilot is called with its observation."""
 
-    def __init__(self, pilots: Mapping[str, Pilot]) -> None:
+    def __init__(self, pilots: Mapping[str, AnyPilot]) -> None:
         self._pilots = pilots
         self._observations: Mapping[str, Observation] = {}
 
@@ -66,12 +67,10 @@ class InProcess:
     def collect(self, tick: int) -> dict[str, Command]:
         """Let every pilot answer."""
         commands: dict[str, Command] = {}
-        for name, observation in self._observations.items():
-            pilot = self._pilots[name]
-            if isinstance(pilot, UavPilot) and isinstance(observation, UavObservation):
-                commands[name] = pilot.act(observation)
-            elif isinstance(pilot, UgvPilot) and isinstance(observation, UgvObservation):
-                commands[name] = pilot.act(observation)
+        for name, pilot in self._pilots.items():
+            command = pilot.act(self._observations[name])
+            if command is not None:
+                commands[name] = command
         return commands
 
 
