@@ -522,7 +522,7 @@ def check_touch(second: Page, context: Any) -> str:  # noqa: ANN401 - Playwright
         lambda: second.status["drivers"]["ugv_0"] == "waypoints", "the driver from before drives on"
     )
     wait_until(lambda: second.wheel() == "free" and second.speed() > 0.05, "and moves")
-    return "a finger drives; handing back seats the driver from before"
+    return "a finger drives; handing back gives the wheel to the driver from before"
 
 
 def check_controls(page: Page) -> str:
