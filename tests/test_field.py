@@ -21,6 +21,7 @@ from sim.models.field import (
     cover,
     coverage_error,
     coverage_gradient,
+    coverage_shares,
     density,
     empty_coverage,
     penalty,
@@ -248,6 +249,15 @@ def test_error_is_nothing_where_all_is_covered_and_only_there() -> None:
     coverage[80, 80] = math.nextafter(DESIRED, 0.0)
     assert coverage_error(coverage, 20.0, 20.0, R_O, DESIRED, 0.25) > 0.0
     assert coverage_error(coverage, 35.0, 35.0, R_O, DESIRED, 0.25) == 0.0  # it is not near the UGV
+
+
+@given(places(), st.sampled_from((DESIRED, 0.3, 7.0)))
+@PROPERTY
+def test_shares_are_those_of_every_cell(place: Place, desired: float) -> None:
+    for coverage in (place.coverage, np.minimum(place.coverage, desired)):  # also C = C*
+        covered, seen = coverage_shares(coverage, desired)
+        assert covered == np.count_nonzero(coverage >= desired) / coverage.size
+        assert seen == pytest.approx(np.minimum(coverage / desired, 1.0).mean(), rel=1e-12)
 
 
 def test_covered_ground_keeps_the_larger_value() -> None:

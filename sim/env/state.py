@@ -9,6 +9,7 @@ from gymnasium import spaces
 from bus.layout import CommonState, bounds
 from sim.env.episode import Episode
 from sim.env.spaces import box, extent_of
+from sim.models.field import coverage_shares
 from sim.scenario.types import Scenario
 from sim.world import World
 
@@ -33,11 +34,12 @@ def state_array(
     dtype: type[np.floating],
 ) -> npt.NDArray[np.floating[Any]]:
     """The common entries, each vehicle's in name order and, `with_cells`, min(C / C*, 1) of every cell, row by row."""
-    shares = np.minimum(world.coverage / world.parameters.desired, 1.0)
-    covered = np.count_nonzero(world.coverage >= world.parameters.desired) / shares.size
-    values = [*CommonState(time=world.time, covered=covered, seen=float(shares.mean()))]
+    desired = world.parameters.desired
+    covered, seen = coverage_shares(world.coverage, desired)
+    values = [*CommonState(time=world.time, covered=covered, seen=seen)]
     for name in episode.names:
         values += episode.state(name)
     if with_cells:
+        shares = np.minimum(world.coverage / desired, 1.0)
         return np.concatenate((values, shares.ravel()), dtype=dtype, casting="same_kind")
     return np.array(values, dtype=dtype)

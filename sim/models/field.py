@@ -324,6 +324,25 @@ def coverage_gradient(
 
 
 @compiled
+def coverage_shares(coverage: FloatArray, desired: float) -> tuple[float, float]:
+    """The share of cells with C >= C*, and the mean of min(C / C*, 1).
+
+    Args:
+        coverage: C on the grid.
+        desired: C*.
+    """
+    rows, columns = coverage.shape
+    terms, covered, seen = np.zeros(columns + LANES), 0, 0.0
+    for j in range(rows):
+        cells = coverage[j]
+        for i in range(columns):
+            terms[i] = min(cells[i] / desired, 1.0)
+            covered += 1 if cells[i] >= desired else 0
+        seen += lane_sum(terms, 0, columns)
+    return covered / (rows * columns), seen / (rows * columns)
+
+
+@compiled
 def is_uncovered(
     coverage: FloatArray,
     q_x: float,
