@@ -154,7 +154,7 @@ def test_garbage_leaves_nothing_behind(wire: Wire) -> None:
 
 OTHERS = ((UAV_COMMAND, "uav_0"), (UAV_OBSERVATION, "uav_0"), (OPERATOR, "ugv_0"))
 FOREIGN: tuple[tuple[Key, str], ...] = (*OTHERS, (CONTROL, ""))
-UNHEARD: tuple[tuple[Key, str], ...] = ((UGV_COMMAND, "nobody"), (TRUTH, ""), (STATUS, ""))
+UNREAD: tuple[tuple[Key, str], ...] = ((UGV_COMMAND, "nobody"), (TRUTH, ""), (STATUS, ""))
 """Keys that nobody reads in this run."""
 
 
@@ -172,7 +172,7 @@ class Flood:
         self._rng = random.Random(13)
         self._writers = [
             (key, publisher(session, key.expression("run", vehicle)))
-            for key, vehicle in (*own, *FOREIGN, *UNHEARD)
+            for key, vehicle in (*own, *FOREIGN, *UNREAD)
         ]
 
     def __call__(self) -> None:

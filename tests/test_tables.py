@@ -235,6 +235,7 @@ def test_no_file_and_no_public_class_has_the_name_of_another(trees: dict[Path, a
 
 PRIVATE = {
     "crew",
+    "crews",
     "deaf",
     "deeds",
     "desk",
@@ -245,6 +246,8 @@ PRIVATE = {
     "heed",
     "leash",
     "seat",
+    "seats",
+    "unheard",
 }
 """Private metaphors that have the field's word now: pilots, operator controls, channel, receive, slot and so on."""
 STRUCTURE = re.compile(r"[A-Z]\w+(?<!Array)(?<!Any)$")

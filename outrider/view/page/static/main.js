@@ -232,9 +232,9 @@ function showState(state, wheel) {
     ...(replay ? [] : ours),
     ...vehicles.map(([name, vehicle]) => {
       const notes = [...faultsOf(vehicle), vehicle.last_fault].filter(Boolean).join(", ");
-      const seat = status.drivers && status.drivers[name] ? ` · ${status.drivers[name]}` : "";
+      const driver = status.drivers && status.drivers[name] ? ` · ${status.drivers[name]}` : "";
       if (!known) return row(name, "unknown", ended ? "has left" : "not known now", notes);
-      return row(name, vehicle.present ? "good" : "bad", (vehicle.present ? "joined" : "lost") + seat, notes);
+      return row(name, vehicle.present ? "good" : "bad", (vehicle.present ? "joined" : "lost") + driver, notes);
     }),
     ...motionsOf(status, row),
     ...windOf(status, row),
