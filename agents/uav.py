@@ -117,8 +117,17 @@ def _act(
     if needs == DONE and part & DECIDE:
         target = kalman_estimate(kalman)
         command = uav_tick(law, promise, guarded, memory, own, tick, here, target, flown)
-    b = kalman.belief[0]
-    return needs, b.known, b.x, b.y, b.p_pp, b.age, kalman_refused(kalman), command
+    belief = kalman.belief[0]
+    return (
+        needs,
+        belief.known,
+        belief.x,
+        belief.y,
+        belief.p_pp,
+        belief.age,
+        kalman_refused(kalman),
+        command,
+    )
 
 
 def radio_ticks(dt: float) -> int:

@@ -191,28 +191,27 @@ def is_safe(
         here: Where it is when the command acts.
         u_x, u_y: The command.
     """
-    p, tile = bounds, bounds.tile
+    tile = bounds.tile
     a = here.p_x, here.p_y
     x, y, w_x, w_y, _, _ = step_vehicle(
-        a[0], a[1], here.v_x, here.v_y, u_x, u_y, p.v_max, p.u_max, p.dt
+        a[0], a[1], here.v_x, here.v_y, u_x, u_y, bounds.v_max, bounds.u_max, bounds.dt
     )
-    turn = a[0] + 0.5 * here.v_x * p.dt, a[1] + 0.5 * here.v_y * p.dt
+    turn = a[0] + 0.5 * here.v_x * bounds.dt, a[1] + 0.5 * here.v_y * bounds.dt
     speed = norm(w_x, w_y)
     e_x, e_y = (w_x / speed, w_y / speed) if speed > 0.0 else (0.0, 0.0)
-    way = braking_way(speed, p.u_max, p.dt)
+    way = braking_way(speed, bounds.u_max, bounds.dt)
     end = x + e_x * way, y + e_y * way
-    if not (0.0 <= x <= p.width and 0.0 <= y <= p.height):
+    if not (0.0 <= x <= bounds.width and 0.0 <= y <= bounds.height):
         return False
-    if not (0.0 <= end[0] <= p.width and 0.0 <= end[1] <= p.height):
+    if not (0.0 <= end[0] <= bounds.width and 0.0 <= end[1] <= bounds.height):
         return False
     if not _stays_open(tiles, tile, ground, a, turn, (x, y), end):
         return False
-    if p.late == 0 or speed <= p.slow:
+    if bounds.late == 0 or speed <= bounds.slow:
         return True
-    way = slowing_way(speed, p.slow, p.u_max, p.dt)
+    way = slowing_way(speed, bounds.slow, bounds.u_max, bounds.dt)
     there = x + e_x * way, y + e_y * way
-    g = ground
-    even = Open(g.unseen, 0, 1, g.row, g.column, g.end_row, g.end_column)
+    even = Open(ground.unseen, 0, 1, ground.row, ground.column, ground.end_row, ground.end_column)
     return _stays_open(tiles, tile, even, a, turn, (x, y), there)
 
 

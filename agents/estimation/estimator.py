@@ -222,13 +222,13 @@ class RelativeEstimator:
         if not self._known.item(0):
             return None
         x, y, v_x, v_y = self._mean.tolist()
-        variance, b = self._filter.P.item(0), self._belief
+        variance, belief = self._filter.P.item(0), self._belief
         return Estimate(
             position=(x, y),
             velocity=(v_x, v_y),
             covariance=(variance, 0.0, variance),
-            age=int(b.age) * self._numbers.dt,
-            refused=int(b.by_gate + self._counts.misdated),
+            age=int(belief.age) * self._numbers.dt,
+            refused=int(belief.by_gate + self._counts.misdated),
         )
 
     def get_ready(self, tick: int) -> None:
@@ -262,8 +262,8 @@ class RelativeEstimator:
             ticks = self._ticks.item(0)
             matrices = self._motions.get(ticks)
             if matrices is None:
-                c = self._numbers
-                matrices = motion(ticks=ticks, dt=c.dt, deviation=c.deviation)
+                numbers = self._numbers
+                matrices = motion(ticks=ticks, dt=numbers.dt, deviation=numbers.deviation)
                 self._motions[ticks] = matrices
             self._filter.predict(*matrices)
             self._predicted[0] = True

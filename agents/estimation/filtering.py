@@ -154,8 +154,10 @@ def kalman_state(depth: int) -> KalmanState:
 @borrowing
 def kalman_estimate(state: KalmanState) -> Target:
     """All that is believed of the UGV."""
-    b = state.belief[0]
-    return Target(b.known, b.x, b.y, b.v_x, b.v_y, b.p_pp, b.p_vv)
+    belief = state.belief[0]
+    return Target(
+        belief.known, belief.x, belief.y, belief.v_x, belief.v_y, belief.p_pp, belief.p_vv
+    )
 
 
 @borrowing
@@ -261,31 +263,32 @@ def _predict(parameters: KalmanParameters, belief: Belief, step: Step) -> None:
     The position's [m] never grows faster than at v_g,max, and is at least what the UGV may have strayed; the velocity's
     is at most v_g,max.
     """
-    c, n = parameters, step
-    belief.x += n.ticks * c.dt * belief.v_x
-    belief.y += n.ticks * c.dt * belief.v_y
-    most = math.sqrt(belief.p_pp) + c.speed * n.ticks * c.dt
+    belief.x += step.ticks * parameters.dt * belief.v_x
+    belief.y += step.ticks * parameters.dt * belief.v_y
+    most = math.sqrt(belief.p_pp) + parameters.speed * step.ticks * parameters.dt
     belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv = (
-        n.prior_pp,
-        n.prior_pv,
-        n.prior_vp,
-        n.prior_vv,
+        step.prior_pp,
+        step.prior_pv,
+        step.prior_vp,
+        step.prior_vv,
     )
-    if not c.speed < math.inf:
+    if not parameters.speed < math.inf:
         return
-    elapsed = (belief.age + n.ticks) * c.dt
-    least = SURE * strayed_distance(elapsed=elapsed, speed=c.speed, acceleration=c.acceleration)
+    elapsed = (belief.age + step.ticks) * parameters.dt
+    least = SURE * strayed_distance(
+        elapsed=elapsed, speed=parameters.speed, acceleration=parameters.acceleration
+    )
     position, velocity = math.sqrt(belief.p_pp), math.sqrt(belief.p_vv)
-    if least <= position <= most and not velocity > c.speed:
+    if least <= position <= most and not velocity > parameters.speed:
         return
-    p, v = min(max(least, position), most) / position, min(1.0, c.speed / velocity)
+    p, v = min(max(least, position), most) / position, min(1.0, parameters.speed / velocity)
     belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv = (
         belief.p_pp * (p * p),
         belief.p_pv * (p * v),
         belief.p_vp * (v * p),
         belief.p_vv * (v * v),
     )
-    n.weighed = False  # it was for another covariance
+    step.weighed = False  # it was for another covariance
 
 
 @borrowing
@@ -297,24 +300,24 @@ def _take(parameters: KalmanParameters, state: KalmanState, x: float, y: float) 
     Returns:
         False if that needs the gain, which is not there; then the belief has not changed.
     """
-    b, step = state.belief[0], state.step[0]
-    if not parameters.enabled or not b.known:
-        _start(parameters, b, step, x, y)
+    belief, step = state.belief[0], state.step[0]
+    if not parameters.enabled or not belief.known:
+        _start(parameters, belief, step, x, y)
         return True
-    nu_x, nu_y = x - b.x, y - b.y
-    s = b.p_pp + parameters.variance
+    nu_x, nu_y = x - belief.x, y - belief.y
+    s = belief.p_pp + parameters.variance
     squared = (s * nu_x * nu_x + s * nu_y * nu_y) / (s * s)
     if squared <= parameters.gate:
         # a gain that was worked ahead is for the tick that is predicted
         if step.predicted or not step.weighed:
             step.predicted = step.weighed = False
             return False
-        _correct(parameters, b, step, nu_x, nu_y)
+        _correct(parameters, belief, step, nu_x, nu_y)
     else:
-        b.by_gate += 1
-        b.in_a_row += 1
-        if b.in_a_row >= parameters.patience:
-            _start(parameters, b, step, x, y)
+        belief.by_gate += 1
+        belief.in_a_row += 1
+        if belief.in_a_row >= parameters.patience:
+            _start(parameters, belief, step, x, y)
     step.innovation = squared
     return True
 
@@ -339,12 +342,16 @@ def _correct(
     parameters: KalmanParameters, belief: Belief, step: Step, nu_x: float, nu_y: float
 ) -> None:
     """Believe a detection that is (nu_x, nu_y) [m] from where the UGV was thought to be."""
-    n = step
-    belief.x += n.k_p * nu_x
-    belief.y += n.k_p * nu_y
+    belief.x += step.k_p * nu_x
+    belief.y += step.k_p * nu_y
     belief.v_x, belief.v_y = clip_norm(
-        x=belief.v_x + n.k_v * nu_x, y=belief.v_y + n.k_v * nu_y, limit=parameters.speed
+        x=belief.v_x + step.k_v * nu_x, y=belief.v_y + step.k_v * nu_y, limit=parameters.speed
     )
-    belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv = n.post_pp, n.post_pv, n.post_vp, n.post_vv
+    belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv = (
+        step.post_pp,
+        step.post_pv,
+        step.post_vp,
+        step.post_vv,
+    )
     belief.age = belief.in_a_row = 0
     step.predicted = step.weighed = False

@@ -67,7 +67,7 @@ def world_stepper() -> Callable[[], None]:
     world = World(load_scenario("escort"), 1)
     world.coverage[:] = ground()
     commands = np.zeros((2, 2))
-    w = world.parameters
+    parameters = world.parameters
 
     def step() -> None:
         world.step(commands)
@@ -79,12 +79,12 @@ def world_stepper() -> Callable[[], None]:
             p_ay,
             p_gx,
             p_gy,
-            w.r_o,
-            w.desired,
-            w.sensor,
-            w.peak,
-            w.reach,
-            w.cell,
+            parameters.r_o,
+            parameters.desired,
+            parameters.sensor,
+            parameters.peak,
+            parameters.reach,
+            parameters.cell,
         )
 
     return step

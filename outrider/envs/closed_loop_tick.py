@@ -66,8 +66,10 @@ _RELATIVE, _GROUND = range(2)
 @inlined
 def _guard_of(tables: LoopTables, state: GuardState, world: int, uav: int) -> GuardState:
     course = state.course[world, uav, : tables.delays[uav] + 1]
-    w, rows = state.underway, tables.delays[uav] + 2
-    sent = Underway(w.sent[world, uav, :rows], w.flown[world, uav], w.expected[world, uav])
+    underway, rows = state.underway, tables.delays[uav] + 2
+    sent = Underway(
+        underway.sent[world, uav, :rows], underway.flown[world, uav], underway.expected[world, uav]
+    )
     return GuardState(
         state.detections[world, uav],
         state.plan[world, uav],
@@ -91,17 +93,17 @@ def _kalman_of(state: KalmanState, world: int, uav: int) -> KalmanState:
 
 @inlined
 def _ground_of(tables: LoopTables, state: LoopState, world: int, ugv: int) -> GroundMemory:
-    m = state.grounds
+    grounds = state.grounds
     return GroundMemory(
-        m.tiles[world, ugv],
-        m.sure[world, ugv],
-        m.draft[world, ugv],
-        m.way[world, ugv],
-        m.cost[world, ugv],
-        m.heap[world, ugv],
-        m.place[world, ugv],
-        m.commands[world, ugv, : tables.late[ugv]],
-        m.flags[world, ugv],
+        grounds.tiles[world, ugv],
+        grounds.sure[world, ugv],
+        grounds.draft[world, ugv],
+        grounds.way[world, ugv],
+        grounds.cost[world, ugv],
+        grounds.heap[world, ugv],
+        grounds.place[world, ugv],
+        grounds.commands[world, ugv, : tables.late[ugv]],
+        grounds.flags[world, ugv],
     )
 
 
@@ -244,8 +246,10 @@ def _receive_block(
     for place in range(BLOCK_TILES):
         states[place] = word_state(words, place)
     note_block(_ground_of(tables, state, world, ugv), row, column, states)
-    b, tick = state.batch, state.batch.ticks[world]
-    receive_block(tables.batch.ground, b.ground, b.mission, world, ugv, tick, (row, column), states)
+    batch, tick = state.batch, state.batch.ticks[world]
+    receive_block(
+        tables.batch.ground, batch.ground, batch.mission, world, ugv, tick, (row, column), states
+    )
 
 
 @inlined
@@ -336,7 +340,7 @@ def _add_cues(
     parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int, uav: int
 ) -> None:
     """Put the estimate and the gradient into the row of a UAV, where they are asked for and known."""
-    w, row = tables.batch.world[0], state.rows.uav_rows[world, uav]
+    world_parameters, row = tables.batch.world[0], state.rows.uav_rows[world, uav]
     row[GRADIENT_X], row[GRADIENT_Y] = 0.0, 0.0
     target = kalman_estimate(_kalman_of(state.kalman, world, uav))
     if not target.known:
@@ -345,7 +349,7 @@ def _add_cues(
     x, y = row[UAV.x], row[UAV.y]
     if parameters.estimate:
         row[UAV.detected], row[UAV.relative_x], row[UAV.relative_y] = 1.0, x - g_x, y - g_y
-        row[UAV.age] = state.kalman.belief[world, uav, 0].age * w.dt
+        row[UAV.age] = state.kalman.belief[world, uav, 0].age * world_parameters.dt
     if parameters.gradient:
         u_x, u_y, size = coverage_gradient(
             state.maps[world, uav] if parameters.own_maps else state.batch.truth.coverage[world],
@@ -353,12 +357,12 @@ def _add_cues(
             y,
             g_x,
             g_y,
-            w.r_o,
-            w.desired,
-            w.sensor,
-            w.peak,
-            w.reach,
-            w.cell,
+            world_parameters.r_o,
+            world_parameters.desired,
+            world_parameters.sensor,
+            world_parameters.peak,
+            world_parameters.reach,
+            world_parameters.cell,
         )
         if size > 0.0:
             row[GRADIENT_X], row[GRADIENT_Y] = u_x / size, u_y / size
@@ -367,7 +371,7 @@ def _add_cues(
 @inlined
 def _observe(parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int) -> None:
     """Everybody's row, and the UAVs' pictures."""
-    w = tables.batch.world[0]
+    world_parameters = tables.batch.world[0]
     position = state.batch.told.position[world]
     escorts = tables.batch.escorts
     observe_rows(tables.batch, state.batch, tables.rows, state.rows, world)
@@ -380,8 +384,8 @@ def _observe(parameters: LoopParameters, tables: LoopTables, state: LoopState, w
             state.maps[world, u] if parameters.own_maps else state.batch.truth.coverage[world],
             x,
             y,
-            w.desired,
-            w.cell,
+            world_parameters.desired,
+            world_parameters.cell,
             parameters.meters_per_pixel,
             state.patches[world, u],
         )
@@ -390,15 +394,15 @@ def _observe(parameters: LoopParameters, tables: LoopTables, state: LoopState, w
 @inlined
 def _note_action(tables: LoopTables, state: LoopState, world: int, uav: int, tick: int) -> None:
     """Count the action of a UAV in this tick, which has just been flown."""
-    v, b = tables.batch.escorts[uav, 0], tables.bounds[uav]
+    v, bounds = tables.batch.escorts[uav, 0], tables.bounds[uav]
     sent, command, acts = (
-        state.sent[world, uav, : b.delay + 1],
+        state.sent[world, uav, : bounds.delay + 1],
         state.batch.sent[world, v],
         state.batch.truth.commands[world, v],
     )
     note_sent(sent, tick, command[COMMAND.u_x], command[COMMAND.u_y])
     begins = state.batch.flown[world, v, 0].begins
-    note_action(b, state.certificates[world, uav], sent, tick, acts[0], acts[1], begins)
+    note_action(bounds, state.certificates[world, uav], sent, tick, acts[0], acts[1], begins)
 
 
 @inlined
@@ -428,17 +432,33 @@ def _fetch(
     """Bring a quarter of what the next tick of a world will touch of its grid near the core; of none if `world` < 0."""
     if world < 0:
         return
-    w = tables.batch.world[0]
+    world_parameters = tables.batch.world[0]
     position = state.batch.truth.position[world]
     coverage = state.batch.truth.coverage[world]
     for u in range(tables.batch.escorts.shape[0]):
         a, g = tables.batch.escorts[u, 0], tables.batch.escorts[u, 1]
         if parameters.error:
-            fetch_disc(coverage, position[g, 0], position[g, 1], w.cell, tables.around, part, 4)
-        fetch_disc(coverage, position[a, 0], position[a, 1], w.cell, tables.seen, part, 4)
+            fetch_disc(
+                coverage,
+                position[g, 0],
+                position[g, 1],
+                world_parameters.cell,
+                tables.around,
+                part,
+                4,
+            )
+        fetch_disc(
+            coverage, position[a, 0], position[a, 1], world_parameters.cell, tables.seen, part, 4
+        )
         if parameters.own_maps:
             fetch_disc(
-                state.maps[world, u], position[a, 0], position[a, 1], w.cell, tables.seen, part, 4
+                state.maps[world, u],
+                position[a, 0],
+                position[a, 1],
+                world_parameters.cell,
+                tables.seen,
+                part,
+                4,
             )
     _fetch_ground(tables, state, world, part)
 
@@ -448,13 +468,13 @@ def _fetch_rows(state: LoopState, world: int) -> None:
     """Bring what every tick of a world needs beside the grid near the core; of none if `world` < 0."""
     if world < 0:
         return
-    b, truth = state.batch, state.batch.truth
+    batch, truth = state.batch, state.batch.truth
     fetch_rows(
         (
-            b.keys,
-            b.ticks,
-            b.received,
-            b.arrived,
+            batch.keys,
+            batch.ticks,
+            batch.received,
+            batch.arrived,
             truth.velocity,
             truth.acceleration,
             truth.commands,
@@ -471,10 +491,18 @@ def _fetch_rows(state: LoopState, world: int) -> None:
         world,
     )
     fetch_rows(
-        (b.sent, state.rows.terms, state.rows.rewards, state.rows.terminated, state.rows.truncated),
+        (
+            batch.sent,
+            state.rows.terms,
+            state.rows.rewards,
+            state.rows.terminated,
+            state.rows.truncated,
+        ),
         world,
     )
-    fetch_rows((b.ground.told, b.ground.pace, b.ground.before, b.mission.ugvs), world)
+    fetch_rows(
+        (batch.ground.told, batch.ground.pace, batch.ground.before, batch.mission.ugvs), world
+    )
 
 
 @released

@@ -282,20 +282,21 @@ def _off(scenario: Scenario, uav: Uav, promise: Promise) -> Iterator[tuple[How, 
 
 def _ages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     """Looks are at multiples of the detector's period; each that gets through arrives after `least` to `most` ticks."""
-    s, p = link.scenario, link.parameters
-    period, age = s.detection_period, promise.age_ticks
+    scenario, p = link.scenario, link.parameters
+    period, age = scenario.detection_period, promise.age_ticks
     limit = f"certificate.age = {promise.age:g} s"
     if link.settings.trace:
         yield from _recorded_ages(link, promise, limit)
         yield from _dark_ages(link, age, limit)
         return
     waits, dark = _queue_ticks(p, period), list(_dark_ages(link, age, limit))
-    if waits is not None and s.detections.dropout == 0.0 and link.least + waits > age:
-        what = f"{link.named('bandwidth', 'queue')}: fewer than the detector's looks, {1.0 / (period * s.dt):g} /s"
+    if waits is not None and scenario.detections.dropout == 0.0 and link.least + waits > age:
+        rate = 1.0 / (period * scenario.dt)
+        what = f"{link.named('bandwidth', 'queue')}: fewer than the detector's looks, {rate:g} /s"
         yield How.CERTAIN, f"{what}: they are up to {link.seconds(link.most + waits)} old, {limit}"
     elif waits is None and link.least + period - 1 > age:
         how = How.THROUGHOUT if link.least > age else How.CERTAIN
-        why = link.named("delay", "jitter") or f"detections.rate = {s.detections.rate:g} /s"
+        why = link.named("delay", "jitter") or f"detections.rate = {scenario.detections.rate:g} /s"
         oldest = link.seconds(link.least + period - 1)
         yield (
             how,
@@ -308,14 +309,18 @@ def _ages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
 
 def _recorded_ages(link: _Link, promise: Promise, limit: str) -> Iterator[tuple[How, str]]:
     """Ages that a recording causes by itself in every round, or together with looks that find nothing."""
-    s = link.scenario
-    share = float(np.mean(link.played(s.detection_period) > promise.age_ticks))
+    scenario = link.scenario
+    share = float(np.mean(link.played(scenario.detection_period) > promise.age_ticks))
     lit = msgspec.structs.replace(link.settings, blackouts=())
-    chance = _chance_of_age(s, link.table, lit, promise.age)
+    chance = _chance_of_age(scenario, link.table, lit, promise.age)
     if chance.value is not None and chance.value <= _RARE:
         return
     often = in_flights(chance.value) if chance.value is not None else ""
-    dropout = f", detections.dropout = {s.detections.dropout:g}" if s.detections.dropout else ""
+    dropout = (
+        f", detections.dropout = {scenario.detections.dropout:g}"
+        if scenario.detections.dropout
+        else ""
+    )
     if share > 0.0:
         what = f"older than {limit} in {_percent(share)} of the ticks of a round"
         told = f"the newest detection is {what}{', and becomes so ' if often else ''}{often}"
@@ -339,16 +344,18 @@ def _queue_ticks(parameters: LinkParameters, period: int) -> int | None:
 
 def _unlucky_ages(link: _Link, promise: Promise, *, planned: bool) -> Iterator[tuple[How, str]]:
     """Ages that chance causes now and then; `planned`: with planned blackouts, which alone do not."""
-    s, p = link.scenario, link.parameters
+    scenario, parameters = link.scenario, link.parameters
     settings = link.settings if planned else msgspec.structs.replace(link.settings, blackouts=())
-    chance = _chance_of_age(s, link.table, settings, promise.age)
+    chance = _chance_of_age(scenario, link.table, settings, promise.age)
     if chance.value is not None and chance.value <= _RARE:
         return
-    missed = 1.0 - (1.0 - p.loss) * (1.0 - s.detections.dropout)
-    period, age = s.detection_period, promise.age_ticks
-    shares = np.array([1.0 - (1.0 - missed) * arrival_share(p, ticks) for ticks in range(age + 1)])
+    missed = 1.0 - (1.0 - parameters.loss) * (1.0 - scenario.detections.dropout)
+    period, age = scenario.detection_period, promise.age_ticks
+    shares = np.array(
+        [1.0 - (1.0 - missed) * arrival_share(parameters, ticks) for ticks in range(age + 1)]
+    )
     old = sum(float(np.prod(shares[phase::period])) for phase in range(period)) / period
-    dropout = s.detections.dropout
+    dropout = scenario.detections.dropout
     fields = (
         link.named("jitter", "reorder", "loss", "bandwidth"),
         link.named("burst_length", "burst_interval", "blackout_length", "blackout_interval"),
@@ -378,15 +385,15 @@ def _chance_of_age(
 
 def _dark_ages(link: _Link, age: int, limit: str) -> Iterator[tuple[How, str]]:
     """Planned blackouts after which the newest detection is too old before the next one can arrive."""
-    s, period = link.scenario, link.scenario.detection_period
+    scenario, period = link.scenario, link.scenario.detection_period
     rows = list(link.dark())
-    looks = np.arange(0, s.ticks, period)
+    looks = np.arange(0, scenario.ticks, period)
     through = np.ones(len(looks), dtype=bool)
     for first, after in rows:
         through[(looks >= first) & (looks < after)] = False
     for first, after in rows:
         before, later = looks[through & (looks < first)], looks[through & (looks >= after)]
-        until = min(int(later[0]) + link.least if later.size else s.ticks, s.ticks)
+        until = min(int(later[0]) + link.least if later.size else scenario.ticks, scenario.ticks)
         if not before.size:
             yield (
                 How.CERTAIN,
@@ -410,9 +417,11 @@ def _delays(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
 
     A copy of a command changes nothing: of two, the first acts, which is no earlier than `least`, and no more is lost.
     """
-    s, p = link.scenario, link.parameters
+    scenario, parameters = link.scenario, link.parameters
     exact = promise.delay_ticks
-    source = "the longest of its link" if s.certificate.delay is None else "certificate.delay"
+    source = (
+        "the longest of its link" if scenario.certificate.delay is None else "certificate.delay"
+    )
     tau = f"tau_c = {link.seconds(exact)} ({source})"
     if link.settings.trace:
         share = float(np.mean(link.played(1) != exact))
@@ -421,8 +430,8 @@ def _delays(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
             yield _often(share), f"{link.path}.trace: {what}"
         yield from _lost_commands(link)
         return
-    if p.spacing > 1.0 + DUST:
-        fewer = f"fewer than one message a tick, {1.0 / s.dt:g} /s, so that commands wait and are dropped"
+    if parameters.spacing > 1.0 + DUST:
+        fewer = f"fewer than one message a tick, {1.0 / scenario.dt:g} /s, so that commands wait and are dropped"
         yield How.THROUGHOUT, f"{link.named('bandwidth', 'queue')}: {fewer}"
     elif not link.least <= exact <= link.most:
         delays = link.named("delay", "jitter", "reorder_delay") or f"{link.path}.delay = 0"
@@ -431,10 +440,10 @@ def _delays(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
         )
         yield How.THROUGHOUT, f"{delays}: a command acts {acts} after its tick, {tau}"
     else:
-        kept = arrival_share(p, exact) * math.prod(
-            1.0 - arrival_share(p, ticks) for ticks in range(exact)
+        kept = arrival_share(parameters, exact) * math.prod(
+            1.0 - arrival_share(parameters, ticks) for ticks in range(exact)
         )
-        if (1.0 - kept) * s.ticks > _RARE:
+        if (1.0 - kept) * scenario.ticks > _RARE:
             what = f"{link.named('jitter', 'reorder')}: commands overtake each other or take other times than {tau}"
             yield _often(1.0 - kept), f"{what}, in {_percent(1.0 - kept)} of the ticks"
     yield from _lost_commands(link)
@@ -479,18 +488,18 @@ def _chance_of_outage(
 
 
 def _lost_commands(link: _Link) -> Iterator[tuple[How, str]]:
-    p, instead = link.parameters, "the command before goes on instead"
-    if p.loss > 0.0:
+    parameters, instead = link.parameters, "the command before goes on instead"
+    if parameters.loss > 0.0:
         yield (
-            _often(p.loss),
-            f"{link.named('loss')}: for {_percent(p.loss)} of the commands {instead}",
+            _often(parameters.loss),
+            f"{link.named('loss')}: for {_percent(parameters.loss)} of the commands {instead}",
         )
-    if p.bursts and p.burst_loss > 0.0:
-        share = p.bad_share * p.burst_loss
+    if parameters.bursts and parameters.burst_loss > 0.0:
+        share = parameters.bad_share * parameters.burst_loss
         fields = link.named("burst_length", "burst_interval", "burst_loss")
         yield _often(share), f"{fields}: for {_percent(share)} of the commands {instead}"
-    if p.up > 0.0:
-        share = p.down / (p.up + p.down)
+    if parameters.up > 0.0:
+        share = parameters.down / (parameters.up + parameters.down)
         yield (
             _often(share),
             f"{link.named('blackout_length', 'blackout_interval')}: for {_percent(share)} of the commands {instead}",

@@ -471,13 +471,13 @@ def _ages(
     traces: tuple[RecordedLink, ...],
 ) -> _Counted | _Played | str:
     """The ages of detections, one look every `period` ticks; a string: why nothing can be stated."""
-    p = link_parameters(settings, dt, traces=traces)
+    parameters = link_parameters(settings, dt, traces=traces)
     if settings.trace:
-        return _played_ages(p, period, dropout, ticks)
-    left, in_time = _left(p, ticks), _in_time(p)
-    reasons = _reasons(p, in_time)
+        return _played_ages(parameters, period, dropout, ticks)
+    left, in_time = _left(parameters, ticks), _in_time(parameters)
+    reasons = _reasons(parameters, in_time)
     looks = np.arange(ticks) % period == 0
-    queued = p.spacing > period + DUST
+    queued = parameters.spacing > period + DUST
     plan = _Plan(
         functools.partial(_age_window, in_time, 0),
         lambda _: _never(ticks),
@@ -486,11 +486,11 @@ def _ages(
     )
     plans: tuple[_Plan, ...] = (plan,)
     if queued:
-        plans = tuple(_queued(plan, p, in_time, period, dropout, left))
+        plans = tuple(_queued(plan, parameters, in_time, period, dropout, left))
         reasons.append("detections wait for others")
         if not plans:
             return "looks that find nothing let the queue run empty"
-    channel = _channel(p, 0.0 if queued else dropout)
+    channel = _channel(parameters, 0.0 if queued else dropout)
     regular = bool(left.all()) and not queued
     return _Counted(channel, plans, ticks, regular, _because(reasons), ticks - 1)
 
@@ -563,16 +563,16 @@ def _outages(
     traces: tuple[RecordedLink, ...],
 ) -> _Counted | _Played | str:
     """The outages of motions, one packet a tick; a string: why nothing can be stated."""
-    p = link_parameters(settings, dt, traces=traces)
+    parameters = link_parameters(settings, dt, traces=traces)
     if settings.trace:
-        return _played_outages(p, delay, repeats, ticks)
-    if p.spacing > 1.0 + DUST:
+        return _played_outages(parameters, delay, repeats, ticks)
+    if parameters.spacing > 1.0 + DUST:
         return "fewer packets leave than are sent, so that motions wait and are dropped"
-    left, in_time = _left(p, ticks), _in_time(p)
+    left, in_time = _left(parameters, ticks), _in_time(parameters)
     window = functools.partial(_outage_window, in_time, delay, repeats)
     plan = _Plan(window, window, ((1.0, left),), np.ones(ticks, dtype=bool))
-    why = _because(_reasons(p, in_time[: delay + 1]))
-    return _Counted(_channel(p, 0.0), (plan,), ticks, bool(left.all()), why, ticks - delay)
+    why = _because(_reasons(parameters, in_time[: delay + 1]))
+    return _Counted(_channel(parameters, 0.0), (plan,), ticks, bool(left.all()), why, ticks - delay)
 
 
 def _chance(counted: _Counted | _Played | str, bound: float, dt: float) -> Chance:

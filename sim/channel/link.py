@@ -427,14 +427,14 @@ def _play(
     traces: IntArray, parameters: LinkParameters, state: LinkState, key: Key, slot: int
 ) -> None:
     """The message leaves the sender, and has the fate of the recorded row that is nearest before it."""
-    slots, m = state.slots, state.memory[0]
+    slots, memory = state.slots, state.memory[0]
     place = (slots[slot].sent_at + trace_offset(key, parameters.period)) % parameters.period
     ticks = traces[_first_after(traces, 0, parameters.first_row, parameters.end_row, place) - 1, 1]
-    if m.dark or ticks < 0:
-        state.lost[BLACKOUT if m.dark else TRACE] += 1
-        release(slots, m, slot)
+    if memory.dark or ticks < 0:
+        state.lost[BLACKOUT if memory.dark else TRACE] += 1
+        release(slots, memory, slot)
     else:
-        fly(slots, state.buckets, m, slot, m.tick + ticks)
+        fly(slots, state.buckets, memory, slot, memory.tick + ticks)
 
 
 @borrowing
@@ -448,27 +448,27 @@ def _transmit(
         slot: Of the message.
         later: Time after the link's tick at which it leaves [s].
     """
-    slots, payload, buckets, m = state.slots, state.payload, state.buckets, state.memory[0]
+    slots, payload, buckets, memory = state.slots, state.payload, state.buckets, state.memory[0]
     tick, index = slots[slot].sent_at, slots[slot].number
-    lost, twice, held = _fate(parameters, m.dark, m.chain == 1, key, tick, index)
+    lost, twice, held = _fate(parameters, memory.dark, memory.chain == 1, key, tick, index)
     if lost >= 0:
         state.lost[lost] += 1
-        release(slots, m, slot)
+        release(slots, memory, slot)
         return
     share, share_too, held_too = 0.0, 0.0, False
     if parameters.jitter > 0.0 or twice:
         word_0, word_1, word_2, _ = draw(key, LINK_DELAY, tick, index)
         share, share_too = to_uniform(word_0), to_uniform(word_1)
         held_too = to_uniform(word_2) < parameters.reorder
-    fly(slots, buckets, m, slot, m.tick + _flight_time(parameters, share, held, later))
-    other = take(slots, m) if twice else -1
+    fly(slots, buckets, memory, slot, memory.tick + _flight_time(parameters, share, held, later))
+    other = take(slots, memory) if twice else -1
     if other >= 0:
-        m.duplicated += 1
+        memory.duplicated += 1
         slots[other].copy = True
         for k in range(payload.shape[1]):
             payload[other, k] = payload[slot, k]
-        due = m.tick + _flight_time(parameters, share_too, held_too, later)
-        fly(slots, buckets, m, other, due)
+        due = memory.tick + _flight_time(parameters, share_too, held_too, later)
+        fly(slots, buckets, memory, other, due)
 
 
 @borrowing
@@ -496,19 +496,19 @@ def _dark_by_chance(up: float, down: float, memory: LinkMemory, key: Key, tick: 
 @borrowing
 def _settle(numbers: LinkNumbers, row: int, state: LinkState, key: Key, tick: int) -> None:
     """Begin a tick: what the channel is like at it, good or bad, dark or not."""
-    p, m = numbers.rows[row], state.memory[0]
-    m.tick, m.index = tick, 0
-    if p.perfect and m.waiting == 0:
+    parameters, memory = numbers.rows[row], state.memory[0]
+    memory.tick, memory.index = tick, 0
+    if parameters.perfect and memory.waiting == 0:
         return
-    if p.bursts:
-        chance = p.bad_stay if m.chain == 1 else p.bad_enter
-        if m.chain < 0:
-            chance = p.bad_share
-        m.chain = 1 if uniform(key, LINK_STATE, tick, 0) < chance else 0
-    dark = _dark_by_plan(numbers.pairs, p.first_blackout, p.end_blackout, tick)
-    if p.up > 0.0:
-        dark = _dark_by_chance(p.up, p.down, m, key, tick) or dark
-    m.dark = dark
+    if parameters.bursts:
+        chance = parameters.bad_stay if memory.chain == 1 else parameters.bad_enter
+        if memory.chain < 0:
+            chance = parameters.bad_share
+        memory.chain = 1 if uniform(key, LINK_STATE, tick, 0) < chance else 0
+    dark = _dark_by_plan(numbers.pairs, parameters.first_blackout, parameters.end_blackout, tick)
+    if parameters.up > 0.0:
+        dark = _dark_by_chance(parameters.up, parameters.down, memory, key, tick) or dark
+    memory.dark = dark
 
 
 @borrowing
@@ -540,10 +540,10 @@ def make_up(numbers: LinkNumbers, row: int, state: LinkState, key: Key, tick: in
         key: Of the draws.
         tick: The last one that is over; the first is 0.
     """
-    m = state.memory[0]
-    while m.tick < tick:
-        _settle(numbers, row, state, key, m.tick + 1)
-        _note_age(m)
+    memory = state.memory[0]
+    while memory.tick < tick:
+        _settle(numbers, row, state, key, memory.tick + 1)
+        _note_age(memory)
 
 
 @compiled
@@ -555,28 +555,35 @@ def in_milliseconds(tick: int, dt: float) -> int:
 @borrowing
 def _grant(numbers: LinkNumbers, row: int, state: LinkState, key: Key, tick: int) -> None:
     """Let what waits leave at the recorded opportunities since the link's tick, up to this one, which is the next."""
-    p, m, traces = numbers.rows[row], state.memory[0], numbers.pairs
-    offset = trace_offset(key, p.period)
-    begin, end = in_milliseconds(tick - 1, p.dt) + offset, in_milliseconds(tick, p.dt) + offset
-    start, place = begin - begin % p.period, begin % p.period
-    k = _first_after(traces, 0, p.first_row, p.end_row, place)
-    while m.waiting > 0:
+    parameters, memory, traces = numbers.rows[row], state.memory[0], numbers.pairs
+    offset = trace_offset(key, parameters.period)
+    begin, end = (
+        in_milliseconds(tick - 1, parameters.dt) + offset,
+        in_milliseconds(tick, parameters.dt) + offset,
+    )
+    start, place = begin - begin % parameters.period, begin % parameters.period
+    k = _first_after(traces, 0, parameters.first_row, parameters.end_row, place)
+    while memory.waiting > 0:
         now = start + traces[k, 0]
         if now > end:
             return
-        bytes_left = p.opportunity
-        while bytes_left > 0 and m.waiting > 0:
-            used = min(bytes_left, p.message_bytes - m.granted)
+        bytes_left = parameters.opportunity
+        while bytes_left > 0 and memory.waiting > 0:
+            used = min(bytes_left, parameters.message_bytes - memory.granted)
             bytes_left -= used
-            m.granted += used
-            if m.granted == p.message_bytes:
-                m.granted = 0
+            memory.granted += used
+            if memory.granted == parameters.message_bytes:
+                memory.granted = 0
                 # a moment past the tick at least, so that what leaves after a tick arrives after it
-                later = max(0.001 * (now - offset) - (tick - 1) * p.dt, 2.0 * DUST * p.dt)
-                _transmit(p, state, key, leave_queue(state.slots, state.buckets, m), later)
+                later = max(
+                    0.001 * (now - offset) - (tick - 1) * parameters.dt, 2.0 * DUST * parameters.dt
+                )
+                _transmit(
+                    parameters, state, key, leave_queue(state.slots, state.buckets, memory), later
+                )
         k += 1
-        if k == p.end_row:
-            k, start = p.first_row, start + p.period
+        if k == parameters.end_row:
+            k, start = parameters.first_row, start + parameters.period
 
 
 @borrowing
@@ -588,18 +595,22 @@ def advance(numbers: LinkNumbers, row: int, state: LinkState, key: Key, tick: in
         state: Is changed.
         key, tick: Of the draws; tick 0 is the first.
     """
-    p, m = numbers.rows[row], state.memory[0]
+    parameters, memory = numbers.rows[row], state.memory[0]
     make_up(numbers, row, state, key, tick - 1)
-    if m.waiting > 0 and p.replay == OPPORTUNITIES:
+    if memory.waiting > 0 and parameters.replay == OPPORTUNITIES:
         _grant(numbers, row, state, key, tick)
     _settle(numbers, row, state, key, tick)
-    while m.waiting > 0 and p.replay != OPPORTUNITIES and _is_free(p.spacing, m):
-        m.served += 1
-        slot = leave_queue(state.slots, state.buckets, m)
-        if p.replay == FATES:
-            _play(numbers.pairs, p, state, key, slot)
+    while (
+        memory.waiting > 0
+        and parameters.replay != OPPORTUNITIES
+        and _is_free(parameters.spacing, memory)
+    ):
+        memory.served += 1
+        slot = leave_queue(state.slots, state.buckets, memory)
+        if parameters.replay == FATES:
+            _play(numbers.pairs, parameters, state, key, slot)
         else:
-            _transmit(p, state, key, slot, 0.0)
+            _transmit(parameters, state, key, slot, 0.0)
 
 
 @borrowing
@@ -612,41 +623,45 @@ def send(numbers: LinkNumbers, row: int, state: LinkState, key: Key, payload: Fl
         key: As in `advance`.
         payload: Is copied; element 0 is the tick that its content is from. Shape (width,).
     """
-    p = numbers.rows[row]
+    parameters = numbers.rows[row]
     slots = state.slots
     held = state.payload
     buckets = state.buckets
-    m = state.memory[0]
-    index = m.index
-    m.index += 1
-    m.sent += 1
-    busy = m.waiting > 0 or p.replay == OPPORTUNITIES or not _is_free(p.spacing, m)
-    begun = 1 if busy and m.granted > 0 else 0  # the first that waits is leaving already
-    if busy and m.waiting - begun >= p.queue:
+    memory = state.memory[0]
+    index = memory.index
+    memory.index += 1
+    memory.sent += 1
+    busy = (
+        memory.waiting > 0
+        or parameters.replay == OPPORTUNITIES
+        or not _is_free(parameters.spacing, memory)
+    )
+    begun = 1 if busy and memory.granted > 0 else 0  # the first that waits is leaving already
+    if busy and memory.waiting - begun >= parameters.queue:
         state.lost[QUEUE] += 1
-        if not p.newest:
+        if not parameters.newest:
             return
-        first = leave_queue(slots, buckets, m)
-        release(slots, m, leave_queue(slots, buckets, m) if begun else first)
+        first = leave_queue(slots, buckets, memory)
+        release(slots, memory, leave_queue(slots, buckets, memory) if begun else first)
         if begun:
-            wait_first(slots, buckets, m, first)
-    slot = take(slots, m)
+            wait_first(slots, buckets, memory, first)
+    slot = take(slots, memory)
     if slot < 0:
         state.lost[FULL] += 1
         return
     for k in range(held.shape[1]):
         held[slot, k] = payload[k]
-    slots[slot].sent_at, slots[slot].number, slots[slot].copy = m.tick, index, False
+    slots[slot].sent_at, slots[slot].number, slots[slot].copy = memory.tick, index, False
     if busy:
-        wait(slots, buckets, m, slot)
+        wait(slots, buckets, memory, slot)
         return
-    m.began, m.served = m.tick, 1
-    if p.perfect:
-        fly(slots, buckets, m, slot, m.tick)
-    elif p.replay == FATES:
-        _play(numbers.pairs, p, state, key, slot)
+    memory.began, memory.served = memory.tick, 1
+    if parameters.perfect:
+        fly(slots, buckets, memory, slot, memory.tick)
+    elif parameters.replay == FATES:
+        _play(numbers.pairs, parameters, state, key, slot)
     else:
-        _transmit(p, state, key, slot, 0.0)
+        _transmit(parameters, state, key, slot, 0.0)
 
 
 @borrowing
@@ -664,24 +679,24 @@ def receive(state: LinkState, out: FloatArray) -> int:
     Raises:
         ValueError: If `out` has too few rows.
     """
-    slots, payload, buckets, m = state.slots, state.payload, state.buckets, state.memory[0]
-    bucket = m.tick % (buckets.shape[0] - 1)
+    slots, payload, buckets, memory = state.slots, state.payload, state.buckets, state.memory[0]
+    bucket = memory.tick % (buckets.shape[0] - 1)
     n, slot = 0, buckets[bucket].first
     while slot >= 0:
         if n == out.shape[0]:
             raise ValueError("out has fewer rows than messages arrive")
         for k in range(payload.shape[1]):
             out[n, k] = payload[slot, k]
-        if not payload[slot, 0] <= m.newest:
-            m.newest = payload[slot, 0]
-        m.delivered += 1
-        m.originals += 0 if slots[slot].copy else 1
-        m.flying -= 1
+        if not payload[slot, 0] <= memory.newest:
+            memory.newest = payload[slot, 0]
+        memory.delivered += 1
+        memory.originals += 0 if slots[slot].copy else 1
+        memory.flying -= 1
         buckets[bucket].first = slots[slot].next
-        release(slots, m, slot)
+        release(slots, memory, slot)
         slot = buckets[bucket].first
         n += 1
-    _note_age(m)
+    _note_age(memory)
     return n
 
 

@@ -228,12 +228,12 @@ class Batch:
         No world can begin anew afterwards.
         """
         self.links.change(kind, vehicle, settings)
-        s, room = self.state, self.links.room
-        received = np.zeros((*s.received.shape[:2], room, MESSAGE_SIZE))
-        kept = min(room, s.received.shape[2])
-        received[:, :, :kept] = s.received[:, :, :kept]
+        state, room = self.state, self.links.room
+        received = np.zeros((*state.received.shape[:2], room, MESSAGE_SIZE))
+        kept = min(room, state.received.shape[2])
+        received[:, :, :kept] = state.received[:, :, :kept]
         self.tables = self.tables._replace(links=self.links.table)
-        self.state = s._replace(
+        self.state = state._replace(
             received=received,
             inbox=np.zeros((self.worlds, room, MESSAGE_SIZE)),
             links=self.links.states,

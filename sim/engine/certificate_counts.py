@@ -192,8 +192,8 @@ def note_action(
 @borrowing
 def begin_watch(counts: RecordArray, uav: int) -> None:
     """A filter begins that remembers no detection, and has promised nothing."""
-    c = counts[uav]
-    c.newest, c.exact, c.promised = NEVER, True, False
+    count = counts[uav]
+    count.newest, count.exact, count.promised = NEVER, True, False
 
 
 @borrowing

@@ -173,13 +173,20 @@ def _look(
     y: float,
 ) -> None:
     """A UAV looks at the ground from (x, y) [m]."""
-    p, numbers, looked = tables.parameters[0], parameters[0], ground.looked[world, uav]
+    settings, numbers, looked = tables.parameters[0], parameters[0], ground.looked[world, uav]
     accumulate(
-        looked, x, y, numbers.sensor, numbers.peak, numbers.reach, p.tile, p.period * numbers.dt
+        looked,
+        x,
+        y,
+        numbers.sensor,
+        numbers.peak,
+        numbers.reach,
+        settings.tile,
+        settings.period * numbers.dt,
     )
     known, rows, columns = ground.known[world, vehicle], looked.shape[0], looked.shape[1]
-    first_row, end_row = _tile_range(y, numbers.reach, p.tile, rows)
-    first, end = _tile_range(x, numbers.reach, p.tile, columns)
+    first_row, end_row = _tile_range(y, numbers.reach, settings.tile, rows)
+    first, end = _tile_range(x, numbers.reach, settings.tile, columns)
     for row in range(first_row, end_row):
         sums, states, news = looked[row, first:end], known[row, first:end], 0
         for i in range(sums.size):  # several to a vector: mostly there is none
@@ -195,7 +202,7 @@ def _look(
                     vehicle,
                     row,
                     column,
-                    _told_state(p, state, keys, vehicle, row, column),
+                    _told_state(settings, state, keys, vehicle, row, column),
                 )
 
 
@@ -204,16 +211,16 @@ def _feel(
     tables: GroundConstants, ground: GroundState, world: int, vehicle: int, x: float, y: float
 ) -> None:
     """The bumper of UGV v at (x, y) [m] tells of the tiles that have a point within its range."""
-    p, known = tables.parameters[0], ground.known[world, vehicle]
-    first_row, end_row = _tile_range(y, p.bumper, p.tile, known.shape[0])
-    first, end = _tile_range(x, p.bumper, p.tile, known.shape[1])
+    parameters, known = tables.parameters[0], ground.known[world, vehicle]
+    first_row, end_row = _tile_range(y, parameters.bumper, parameters.tile, known.shape[0])
+    first, end = _tile_range(x, parameters.bumper, parameters.tile, known.shape[1])
     for row in range(first_row, end_row):
-        d_y = max(row * p.tile - y, y - (row + 1) * p.tile, 0.0)
+        d_y = max(row * parameters.tile - y, y - (row + 1) * parameters.tile, 0.0)
         for column in range(first, end):
             if known[row, column] != UNSEEN:
                 continue
-            d_x = max(column * p.tile - x, x - (column + 1) * p.tile, 0.0)
-            if d_x * d_x + d_y * d_y <= p.bumper * p.bumper:
+            d_x = max(column * parameters.tile - x, x - (column + 1) * parameters.tile, 0.0)
+            if d_x * d_x + d_y * d_y <= parameters.bumper * parameters.bumper:
                 _tell(ground, world, vehicle, row, column, ground.tiles[world, row, column])
 
 
@@ -250,7 +257,7 @@ def drive_on(
         world: The world.
         position, velocity: Of its vehicles [m], [m/s]; one that is stuck stops. Shape (vehicles, 2).
     """
-    p = tables.parameters[0]
+    parameters = tables.parameters[0]
     for n in range(tables.ugvs.shape[0]):
         v, start = tables.ugvs[n], ground.before[world, n]
         if ground.pace[world, v] == 0.0:
@@ -258,7 +265,7 @@ def drive_on(
         hit, share = _meets_block(tables, ground, world, start, position[v])
         if hit >= 0:
             ground.hits[world, n, hit] = 1
-            if p.stuck:
+            if parameters.stuck:
                 ground.pace[world, v] = 0.0
                 for i in range(2):
                     position[v, i] = start[i] + share * (position[v, i] - start[i])
@@ -266,7 +273,7 @@ def drive_on(
                 continue
         x, y = position[v, 0], position[v, 1]
         ground.pace[world, v] = 1.0
-        if state_at(ground.tiles[world], p.tile, x, y) in (ROUGH, BLOCK):
+        if state_at(ground.tiles[world], parameters.tile, x, y) in (ROUGH, BLOCK):
             ground.pace[world, v] = rough_share(ground.hazards[world], tables.corners, x, y)
 
 

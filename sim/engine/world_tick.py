@@ -143,14 +143,19 @@ def measure(
 
     e(t) is left out, and 0, where `error` is not asked for.
     """
-    w = world[0]
+    parameters = world[0]
     for k in range(escorts.shape[0]):
         a, g = escorts[k, 0], escorts[k, 1]
         measures[k, 0] = norm(position[a, 0] - position[g, 0], position[a, 1] - position[g, 1])
         measures[k, 1] = 0.0
         if error:
             measures[k, 1] = coverage_error(
-                coverage, position[g, 0], position[g, 1], w.r_o, w.desired, w.cell
+                coverage,
+                position[g, 0],
+                position[g, 1],
+                parameters.r_o,
+                parameters.desired,
+                parameters.cell,
             )
 
 
@@ -211,7 +216,7 @@ def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None
     Where none has come for a while, it brakes. A receiver of motions begins each in its own tick, and flies on what it
     flies where none begins.
     """
-    w, keys, tick = tables.world[0], state.keys[world], state.ticks[world]
+    parameters, keys, tick = tables.world[0], state.keys[world], state.ticks[world]
     acting = state.truth.commands[world]
     sent = state.sent[world]
     answered = state.answered[world]
@@ -239,11 +244,11 @@ def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None
             flying = state.flown[world, v]
             u_max = tables.bounds[v, 1]
             moving = state.told.velocity[world, v]
-            if _fly_motion(w, motions, flying, acting[v], moving, tick, u_max):
+            if _fly_motion(parameters, motions, flying, acting[v], moving, tick, u_max):
                 continue
-        if tick - answered[v] > w.hold_ticks:
+        if tick - answered[v] > parameters.hold_ticks:
             v_x, v_y = state.told.velocity[world, v, 0], state.told.velocity[world, v, 1]
-            acting[v, 0], acting[v, 1] = brake(v_x, v_y, tables.bounds[v, 1], w.dt)
+            acting[v, 0], acting[v, 1] = brake(v_x, v_y, tables.bounds[v, 1], parameters.dt)
 
 
 @inlined
@@ -296,7 +301,7 @@ def move(tables: BatchTables, state: BatchState, world: int) -> None:
     Commands lead to where the vehicles are told that they are; a UAV that wind or a wrong own position takes from there
     is truly elsewhere.
     """
-    w, grounded = tables.world[0], tables.ground.parameters.shape[0] > 0
+    parameters, grounded = tables.world[0], tables.ground.parameters.shape[0] > 0
     state.ticks[world] += 1
     truth = truth_of(state.truth, world)
     there = state.told.position[world]
@@ -304,7 +309,7 @@ def move(tables: BatchTables, state: BatchState, world: int) -> None:
     if grounded:
         keep_before(tables.ground, state.ground, world, there)
     _move(
-        w,
+        parameters,
         there,
         moving,
         truth.acceleration,
@@ -318,12 +323,17 @@ def move(tables: BatchTables, state: BatchState, world: int) -> None:
         for u in range(tables.disturbances.shape[0]):
             row = tables.disturbances[u]
             step_error(
-                row.position_gain, row.velocity_gain, row.reserve, state.tracking[world], u, w.dt
+                row.position_gain,
+                row.velocity_gain,
+                row.reserve,
+                state.tracking[world],
+                u,
+                parameters.dt,
             )
         put_off(
             truth.position, truth.velocity, there, moving, tables.escorts, state.tracking[world]
         )
-    _see(w, truth.position, tables.escorts, truth.coverage, truth.gains)
+    _see(parameters, truth.position, tables.escorts, truth.coverage, truth.gains)
     _perceive(tables, state, world)
 
 

@@ -95,16 +95,27 @@ class OwnMaps:
         """Add what each UAV sees at this tick, as the world does (3)."""
         if self._shared:
             return
-        w = world.parameters
+        parameters = world.parameters
         for own, (uav, _) in zip(self._maps, world.escorts, strict=True):
             x, y = world.told.position[uav].tolist()
-            accumulate(own, x, y, w.sensor, w.peak, w.reach, w.cell, w.dt)
+            accumulate(
+                own,
+                x,
+                y,
+                parameters.sensor,
+                parameters.peak,
+                parameters.reach,
+                parameters.cell,
+                parameters.dt,
+            )
 
     def patch(self, escort: int, world: World, patch: CoveragePatch) -> FloatArray:
         """The picture around one UAV, row 0 in the south. Shape (pixels, pixels)."""
         x, y = world.told.position[world.escorts[escort, 0]].tolist()
         picture = np.empty((patch.pixels, patch.pixels))
-        w = world.parameters
+        parameters = world.parameters
         own = world.coverage if self._shared else self._maps[escort]
-        sample(own, x, y, w.desired, w.cell, float(patch.meters_per_pixel), picture)
+        sample(
+            own, x, y, parameters.desired, parameters.cell, float(patch.meters_per_pixel), picture
+        )
         return picture

@@ -218,7 +218,7 @@ def _pay(
     bt: BatchTables, bs: BatchState, tables: RowTables, state: RowState, world: int, ticks_lost: int
 ) -> None:
     """Everybody's reward of this tick: the sum of its terms, in their order."""
-    w, weights, dt = tables.episode[0], tables.weights[0], bt.world[0].dt
+    episode, weights, dt = tables.episode[0], tables.weights[0], bt.world[0].dt
     grounded = bt.ground.parameters.shape[0] > 0
     for v in range(tables.place.shape[0]):
         acceleration = bs.truth.acceleration[world, v, 0], bs.truth.acceleration[world, v, 1]
@@ -232,7 +232,7 @@ def _pay(
                 weights,
                 row[UAV_METRICS.error],
                 bs.truth.gains[world, tables.place[v]],
-                w.full,
+                episode.full,
                 row[UAV_METRICS.lost] != 0.0,
                 row[UAV_METRICS.was_lost] != 0.0,
                 ticks_lost,

@@ -77,16 +77,15 @@ def motion_command(
         u_max: Its largest acceleration [m/s²].
         dt: Length of a tick [s].
     """
-    m = motion
-    if m.begins >= 0:
-        if m.age == 0:
-            return m.first_x, m.first_y
-        if m.age <= m.turn:
-            return m.turn_x, m.turn_y
-        if m.age <= m.turn + m.cruise:
+    if motion.begins >= 0:
+        if motion.age == 0:
+            return motion.first_x, motion.first_y
+        if motion.age <= motion.turn:
+            return motion.turn_x, motion.turn_y
+        if motion.age <= motion.turn + motion.cruise:
             return 0.0, 0.0
-        if m.age <= m.turn + m.cruise + m.brake:
-            return m.brake_x, m.brake_y
+        if motion.age <= motion.turn + motion.cruise + motion.brake:
+            return motion.brake_x, motion.brake_y
     return brake(v_x, v_y, u_max, dt)
 
 

@@ -160,19 +160,19 @@ def _keep_states(state: BatchState, states: RecordArray) -> None:
 @borrowing
 def _place(conditions: Conditions, tables: BatchTables, state: BatchState, random: Words) -> None:
     """Put UGV and UAV where the run begins."""
-    w, position = tables.world[0], state.truth.position[0]
+    parameters, position = tables.world[0], state.truth.position[0]
     if conditions.area == AREAS.open:
-        position[UGV, 0], position[UGV, 1] = 0.5 * w.width, 0.5 * w.height
+        position[UGV, 0], position[UGV, 1] = 0.5 * parameters.width, 0.5 * parameters.height
     elif conditions.area == AREAS.corner:
         position[UGV, 0] = conditions.r_v * next_share(random)
         position[UGV, 1] = conditions.r_v * next_share(random)
     else:
-        position[UGV, 0] = w.width * next_share(random)
-        position[UGV, 1] = w.height * next_share(random)
+        position[UGV, 0] = parameters.width * next_share(random)
+        position[UGV, 1] = parameters.height * next_share(random)
     e_x, e_y = draw_direction(random)
     far = conditions.r_v * (0.1 if next_share(random) < 0.5 else 0.5)
-    position[UAV, 0] = min(max(position[UGV, 0] + far * e_x, 0.0), w.width)
-    position[UAV, 1] = min(max(position[UGV, 1] + far * e_y, 0.0), w.height)
+    position[UAV, 0] = min(max(position[UGV, 0] + far * e_x, 0.0), parameters.width)
+    position[UAV, 1] = min(max(position[UGV, 1] + far * e_y, 0.0), parameters.height)
 
 
 @borrowing
@@ -316,24 +316,24 @@ def fly_one(
         ticks: Length of the run.
         results: Filled: `AttackResult`. (1,)
     """
-    c, p, sent, result = conditions, promise, state.sent[0], results[0]
+    sent, result = state.sent[0], results[0]
     plots, trouble, before, now = room.plots, room.trouble[0], room.before, room.now
-    dt, u_a, d_ticks = p.dt, p.u_a, p.delay_ticks
-    u_g = c.u_g if math.isfinite(c.u_g) else 2.0 * p.v_g / dt
-    inner = choose(random, c.inner, len(INNERS))
-    ugv = choose(random, c.ugv, len(UGVS))
-    error = choose(random, c.error, len(ERRORS))
+    dt, u_a, d_ticks = promise.dt, promise.u_a, promise.delay_ticks
+    u_g = conditions.u_g if math.isfinite(conditions.u_g) else 2.0 * promise.v_g / dt
+    inner = choose(random, conditions.inner, len(INNERS))
+    ugv = choose(random, conditions.ugv, len(UGVS))
+    error = choose(random, conditions.error, len(ERRORS))
     _begin_plots(room, random, u_a, u_g)
     rate = 0.05 + 1.5 * next_share(random)  # of the phase [rad/s]
     xc_x, xc_y = 0.0, 0.0
-    _place(c, tables, state, random)
+    _place(conditions, tables, state, random)
     disturbed, blows = state.tracking.shape[1] > 0, 0
     if disturbed:
         for k in (UAV, UGV):
             for i in range(2):
                 state.told.position[0, k, i] = state.truth.position[0, k, i]
         plots[UGV].wind = 2.0 * math.pi * next_share(random)
-        blows = choose(random, c.blows, len(WINDS))
+        blows = choose(random, conditions.blows, len(WINDS))
     begin_guard(memory)
     begin_world(tables, state, 0)
     certified_before, filtering, first_seen, seen_ticks = False, True, -1, 0
@@ -342,7 +342,10 @@ def fly_one(
     result.max_distance, result.max_excess, result.max_age = 0.0, -math.inf, 0.0
     result.certified_lost, result.broken, result.max_certified = 0.0, 0.0, 0.0
     _keep_states(state, now)
-    losses, allowed = choose(random, c.losses, len(LOSSES)), int(c.outage / dt + DUST)
+    losses, allowed = (
+        choose(random, conditions.losses, len(LOSSES)),
+        int(conditions.outage / dt + DUST),
+    )
     for tick in range(ticks + 1):
         there, moving = state.told.position[0, UAV], state.told.velocity[0, UAV]
         here = Motion(there[0], there[1], moving[0], moving[1])
@@ -356,11 +359,11 @@ def fly_one(
                 look = state.received[0, 0, n]
                 taken = int(look[LOOK.taken])
                 note_detection(
-                    p, memory, taken, tick, look[LOOK.x], look[LOOK.y], here.p_x, here.p_y
+                    promise, memory, taken, tick, look[LOOK.x], look[LOOK.y], here.p_x, here.p_y
                 )
         detections = memory.detections
         new = newest_detection(detections)
-        bound = certified_distance(p, detections, tick, here.p_x, here.p_y)
+        bound = certified_distance(promise, detections, tick, here.p_x, here.p_y)
         age = tick - detections[new].taken  # if there is any
         result.max_distance = max(result.max_distance, d)
         if new >= 0:
@@ -371,26 +374,26 @@ def fly_one(
         # the adversary in the UAV
         if next_share(random) < 0.01:
             redraw(random, plots, UAV, u_a)
-            if c.inner == ANY and next_share(random) < 0.3:
-                inner = choose(random, c.inner, len(INNERS))
+            if conditions.inner == ANY and next_share(random) < 0.3:
+                inner = choose(random, conditions.inner, len(INNERS))
         z_x, z_y = 0.0, 0.0
         if new >= 0:
             z_x, z_y = here.p_x - detections[new].x, here.p_y - detections[new].y
-        if inner == INNERS.tracking or c.law >= GUARDS.switch_tracking:
+        if inner == INNERS.tracking or conditions.law >= GUARDS.switch_tracking:
             o_x, o_y = tracking_output(xc_x, xc_y, z_x, z_y, _C_C, _D_C)
             plots[UAV].output_x, plots[UAV].output_y = o_x, o_y
             xc_x, xc_y = tracking_step(xc_x, xc_y, z_x, z_y, _A_C, _B_C, dt)
         u_x, u_y = inner_command(inner, x, y, here, z_x, z_y, rate * (tick * dt), plots, u_a)
         u_x, u_y = clip_norm(u_x, u_y, u_a)
         certified = carrying = False
-        if c.law == GUARDS.filter:
-            if c.disturbance == DISTURBANCES.law_changes and next_share(random) < 0.01:
+        if conditions.law == GUARDS.filter:
+            if conditions.disturbance == DISTURBANCES.law_changes and next_share(random) < 0.01:
                 filtering = not filtering
                 if filtering:
                     begin_guard(memory)
                     note_position(memory, tick, here.p_x, here.p_y)
                 trouble.last_break = tick
-            leaves = c.disturbance == DISTURBANCES.rejoins and trouble.away == 0
+            leaves = conditions.disturbance == DISTURBANCES.rejoins and trouble.away == 0
             if leaves and next_share(random) < 0.005:
                 trouble.away = 1 + int(next_share(random) * 20)
             if trouble.away > 0:
@@ -400,26 +403,29 @@ def fly_one(
                     forget_commands(memory)
             elif filtering:
                 flown = state.flown[0, UAV, 0].begins
-                u_x, u_y, acts, code, _ = guard(p, memory, tick, here, u_x, u_y, flown)
-                carrying = p.carries
+                u_x, u_y, acts, code, _ = guard(promise, memory, tick, here, u_x, u_y, flown)
+                carrying = promise.carries
                 certified = code == CERTIFIED
                 intervened += acts != INNER
-        elif new >= 0 and (norm(z_x, z_y) if c.law == GUARDS.paper else bound) >= c.radius:
+        elif (
+            new >= 0
+            and (norm(z_x, z_y) if conditions.law == GUARDS.paper else bound) >= conditions.radius
+        ):
             intervened += 1
-            u_x, u_y = _switch_command(c, p, detections, plots, tick, here, z_x, z_y)
+            u_x, u_y = _switch_command(conditions, promise, detections, plots, tick, here, z_x, z_y)
         if first_seen >= 0:
             seen_ticks += 1
             uncertified += not certified
         quiet = tick - trouble.last_break
         if certified:
             result.max_certified = max(result.max_certified, d)
-            result.certified_lost += d >= c.r_v
-        elif certified_before and quiet > d_ticks + 1 and new >= 0 and age <= p.age_ticks:
+            result.certified_lost += d >= conditions.r_v
+        elif certified_before and quiet > d_ticks + 1 and new >= 0 and age <= promise.age_ticks:
             suspected, since = suspected + 1, tick
         if quiet <= 1:
             suspected = 0
         # an outage is known as soon as nothing that is under way can end it in time
-        if not p.carries or tick > since + d_ticks - 1:
+        if not promise.carries or tick > since + d_ticks - 1:
             result.broken += suspected
             suspected = 0
         certified_before = certified
@@ -427,12 +433,12 @@ def fly_one(
             break
         # what becomes of the command
         room.ring[tick % _RING, 0], room.ring[tick % _RING, 1] = u_x, u_y
-        u_x, u_y = _disturb_command(c, p, room, random, tick, carrying)
+        u_x, u_y = _disturb_command(conditions, promise, room, random, tick, carrying)
         sent[UAV, COMMAND.last], sent[UAV, COMMAND.carried] = -1.0, 0.0
         if carrying:
             held, under = memory.plan[0], memory.underway.sent
             left = held.turn + held.cruise + held.brake
-            pending = Pending(tick, d_ticks, allowed, d / c.r_v, left)
+            pending = Pending(tick, d_ticks, allowed, d / conditions.r_v, left)
             lost, plots[UAV].losing = loses(losses, random, plots[UAV].losing, pending)
             keep_motion(state.motions[0, UAV], under[(tick + d_ticks) % under.shape[0]], tick)
             sent[UAV, COMMAND.last], sent[UAV, COMMAND.carried] = tick + d_ticks, 1.0
@@ -443,8 +449,8 @@ def fly_one(
         # the UGV
         if next_share(random) < 0.01:
             redraw(random, plots, UGV, u_g)
-            if c.ugv == ANY and next_share(random) < 0.2:
-                ugv = choose(random, c.ugv, len(UGVS))
+            if conditions.ugv == ANY and next_share(random) < 0.2:
+                ugv = choose(random, conditions.ugv, len(UGVS))
         sent[UGV, COMMAND.answered] = tick
         sent[UGV, COMMAND.u_x], sent[UGV, COMMAND.u_y] = ugv_command(
             ugv, x, y, here, w_x, w_y, plots, u_g
@@ -454,14 +460,16 @@ def fly_one(
         _keep_states(state, before)
         receive_commands(tables, state, 0)
         if disturbed:
-            blows = disturb(c, state, random, blows, trouble.dark, x, y, plots)
+            blows = disturb(conditions, state, random, blows, trouble.dark, x, y, plots)
         move(tables, state, 0)
-        if c.jumps > 0.0:
-            jump(c, state, tables.escorts)
+        if conditions.jumps > 0.0:
+            jump(conditions, state, tables.escorts)
         _keep_states(state, now)
         x, y = now[UAV].p_x - now[UGV].p_x, now[UAV].p_y - now[UGV].p_y
-        _darken(c, p, room, random, tick)
-        n_x, n_y = detection_error(error, random, tick, p.error * c.error_share, x, y, plots)
+        _darken(conditions, promise, room, random, tick)
+        n_x, n_y = detection_error(
+            error, random, tick, promise.error * conditions.error_share, x, y, plots
+        )
         trouble.seen = 1 if trouble.dark == 0 else 0
         if trouble.dark > 0:
             trouble.dark -= 1
@@ -470,10 +478,10 @@ def fly_one(
         if not math.isnan(found[0]):
             found[0], found[1] = x - n_x, y - n_y
         deliver_detections(tables, state, 0)
-        if _acted(p, state, room, tick) and certified:
+        if _acted(promise, state, room, tick) and certified:
             most = largest_between(before, now, dt)
             result.max_certified = max(result.max_certified, most)
-            result.certified_lost += most >= c.r_v
+            result.certified_lost += most >= conditions.r_v
     result.intervened, result.mean_distance = intervened / (ticks + 1), total / (ticks + 1)
     result.uncertified = uncertified / seen_ticks if seen_ticks else 1.0
 

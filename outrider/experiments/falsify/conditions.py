@@ -215,17 +215,20 @@ def _strength(conditions: Conditions) -> float:
 
 def _inner_loop(conditions: Conditions, dt: float) -> Tracking:
     """The UAV's inner loop, with just the reserve that it needs."""
-    c, (k_p, k_d) = conditions, conditions.gains
-    needed = needed_reserve(InnerLoop(k_p, k_d, math.inf), _strength(c), c.own_error, dt)
+    k_p, k_d = conditions.gains
+    needed = needed_reserve(
+        InnerLoop(k_p, k_d, math.inf), _strength(conditions), conditions.own_error, dt
+    )
     return Tracking(position_gain=k_p, velocity_gain=k_d, reserve=needed or 1.0)
 
 
 def farthest_off(conditions: Conditions, dt: float) -> float:
     """The UAV's largest distance from what it is told, w [m]; at a tick of dt [s]."""
-    c = conditions
-    if c.jumps:
-        return c.jumps
-    return tracking_error(_inner_loop(c, dt).loop, c.wind, c.own_error, dt)
+    if conditions.jumps:
+        return conditions.jumps
+    return tracking_error(
+        _inner_loop(conditions, dt).loop, conditions.wind, conditions.own_error, dt
+    )
 
 
 def scenario_of(promise: Promise, conditions: Conditions) -> Scenario:
@@ -233,40 +236,41 @@ def scenario_of(promise: Promise, conditions: Conditions) -> Scenario:
 
     A coarse grid, as nobody looks at it.
     """
-    c, p = conditions, promise
-    width, height = area_of(c)
-    looks = LinkSettings(delay=c.latency)
-    if c.scattered:
-        looks = LinkSettings(delay=0.5 * c.latency, jitter=0.5 * c.latency)
-    delay = p.delay_ticks * p.dt
-    commands = LinkSettings(delay=delay, duplicates=c.duplicates)
-    if c.jitter:
-        commands = LinkSettings(delay=0.5 * delay, jitter=0.5 * delay, duplicates=c.duplicates)
+    width, height = area_of(conditions)
+    looks = LinkSettings(delay=conditions.latency)
+    if conditions.scattered:
+        looks = LinkSettings(delay=0.5 * conditions.latency, jitter=0.5 * conditions.latency)
+    delay = promise.delay_ticks * promise.dt
+    commands = LinkSettings(delay=delay, duplicates=conditions.duplicates)
+    if conditions.jitter:
+        commands = LinkSettings(
+            delay=0.5 * delay, jitter=0.5 * delay, duplicates=conditions.duplicates
+        )
     return Scenario(
-        dt=p.dt,
-        hold=c.hold,
-        certificate=Certificate(delay=delay, outage=c.outage or None),
+        dt=promise.dt,
+        hold=conditions.hold,
+        certificate=Certificate(delay=delay, outage=conditions.outage or None),
         area=Area(width=width, height=height, cell=0.5 * min(width, height)),
-        visibility=Visibility(radius=c.r_v),
-        sensor=Sensor(range=1.2 * c.r_v),
+        visibility=Visibility(radius=conditions.r_v),
+        sensor=Sensor(range=1.2 * conditions.r_v),
         coverage=Coverage(),
-        detections=Detections(rate=1.0 / p.dt),
+        detections=Detections(rate=1.0 / promise.dt),
         links=LinkTable(only=(VehicleLinks(vehicle="uav_0", detections=looks, commands=commands),)),
-        wind=Wind(mean=(_strength(c), 0.0)),
+        wind=Wind(mean=(_strength(conditions), 0.0)),
         uav=(
             Uav(
                 position=(0.0, 0.0),
-                max_speed=p.v_a,
-                max_acceleration=p.u_a,
-                own_error=c.own_error,
-                tracking=_inner_loop(c, p.dt),
+                max_speed=promise.v_a,
+                max_acceleration=promise.u_a,
+                own_error=conditions.own_error,
+                tracking=_inner_loop(conditions, promise.dt),
             ),
         ),
         ugv=(
             Ugv(
                 position=(0.0, 0.0),
-                max_speed=p.v_g,
-                max_acceleration=c.u_g if math.isfinite(c.u_g) else math.inf,
+                max_speed=promise.v_g,
+                max_acceleration=conditions.u_g if math.isfinite(conditions.u_g) else math.inf,
             ),
         ),
     )
@@ -274,9 +278,12 @@ def scenario_of(promise: Promise, conditions: Conditions) -> Scenario:
 
 def spec_radius(promise: Promise, *, with_latency: bool = True) -> float:
     """The radius of the specification without its angle, r_v - (v_a + v_g)(dt + tau_c) - (v_a + v_g)²/(2 u_a) [m]."""
-    c = promise
-    late = (c.v_a + c.v_g) * (1 + c.delay_ticks) * c.dt if with_latency else 0.0
-    radius: float = raw_switching_radius(c.r_v, c.v_a, c.v_g, c.u_a) - late
+    late = (
+        (promise.v_a + promise.v_g) * (1 + promise.delay_ticks) * promise.dt
+        if with_latency
+        else 0.0
+    )
+    radius: float = raw_switching_radius(promise.r_v, promise.v_a, promise.v_g, promise.u_a) - late
     return radius
 
 
@@ -288,21 +295,20 @@ def declared(
     conditions: Conditions, eps: float, *, margin: float = 0.0, **bounds: float
 ) -> Promise:
     """The certificate that just covers these conditions; eps and margin [m], bounds other than the paper's by name."""
-    c = conditions
-    numbers = {**PAPER_BOUNDS, "r_v": c.r_v, **bounds}
-    age = c.latency + c.blackout_time + numbers["dt"]
-    width, height = area_of(c)
+    numbers = {**PAPER_BOUNDS, "r_v": conditions.r_v, **bounds}
+    age = conditions.latency + conditions.blackout_time + numbers["dt"]
+    width, height = area_of(conditions)
     return certificate(
         Declared(
             **numbers,
             eps=eps,
             age=age,
-            delay=c.delay,
+            delay=conditions.delay,
             margin=margin,
             width=width,
             height=height,
-            hold=c.hold,
-            outage=c.outage or None,
-            tracking=farthest_off(c, numbers["dt"]),
+            hold=conditions.hold,
+            outage=conditions.outage or None,
+            tracking=farthest_off(conditions, numbers["dt"]),
         )
     )
