@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from markdown_tables import head
 
+from agents.process import Pilot
 from agents.uav import UavPilot
 from outrider.bench.kernels import world_stepper
-from outrider.running.flying import InProcess, Pilot, make_pilots
+from outrider.running.flying import InProcess, make_pilots
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight

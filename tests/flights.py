@@ -9,10 +9,11 @@ import numpy as np
 from seeded import a_told_key
 
 from agents.control.laws import LawParameters, law_parameters
+from agents.process import Pilot
 from bus.messages import Area, Command, Law, Limits, Observation, UavBriefing, UgvBriefing
 from bus.profiles import PROFILES
 from outrider.envs.env_pilots import pilots
-from outrider.running.flying import InProcess, Pilot, fly
+from outrider.running.flying import InProcess, fly
 from outrider.running.summary import Summary
 from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env

@@ -25,10 +25,11 @@ import msgspec
 from backup_filter import BackupFilter
 
 from agents.control.visibility import SafetyFilter
+from agents.process import Pilot
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.messages import UavBriefing, UavCommand, UavObservation, Vector
-from outrider.running.flying import InProcess, Pilot
+from outrider.running.flying import InProcess
 from outrider.running.summary import summarize
 from sim.engine.briefing import briefing
 from sim.scenario.loading import load_scenario

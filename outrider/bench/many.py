@@ -47,54 +47,24 @@ def _kernels_alone(
     end: int,
 ) -> None:
     """The kernels of so many ticks of each world, and nothing else but the hint which cells come next."""
+    r_o, desired, cell, dt = parameters.r_o, parameters.desired, parameters.cell, parameters.dt
+    sensor, peak, reach = parameters.sensor, parameters.peak, parameters.reach
     for k in range(begin, end):
         if k + 1 < end:
             n = k + 1
             of = 2 if full else 0
-            fetch_disc(grids[n], places[n, of], places[n, of + 1], parameters.cell, widths)
+            fetch_disc(grids[n], places[n, of], places[n, of + 1], cell, widths)
         a_x, a_y, g_x, g_y, grid = places[k, 0], places[k, 1], places[k, 2], places[k, 3], grids[k]
         for _ in range(ticks):
             if full:
-                accumulate(
-                    grid,
-                    a_x,
-                    a_y,
-                    parameters.sensor,
-                    parameters.peak,
-                    parameters.reach,
-                    parameters.cell,
-                    parameters.dt,
-                )
-                out[k] += coverage_error(
-                    grid, g_x, g_y, parameters.r_o, parameters.desired, parameters.cell
-                )
+                accumulate(grid, a_x, a_y, sensor, peak, reach, cell, dt)
+                out[k] += coverage_error(grid, g_x, g_y, r_o, desired, cell)
             else:
                 out[k] += accumulate_with_gain(
-                    grid,
-                    a_x,
-                    a_y,
-                    g_x,
-                    g_y,
-                    parameters.r_o,
-                    parameters.desired,
-                    parameters.sensor,
-                    parameters.peak,
-                    parameters.reach,
-                    parameters.cell,
-                    parameters.dt,
+                    grid, a_x, a_y, g_x, g_y, r_o, desired, sensor, peak, reach, cell, dt
                 )
             out[k] += coverage_gradient(
-                grid,
-                a_x,
-                a_y,
-                g_x,
-                g_y,
-                parameters.r_o,
-                parameters.desired,
-                parameters.sensor,
-                parameters.peak,
-                parameters.reach,
-                parameters.cell,
+                grid, a_x, a_y, g_x, g_y, r_o, desired, sensor, peak, reach, cell
             )[0]
 
 

@@ -15,7 +15,7 @@ from bus.layout import uav_observation, ugv_observation
 from bus.registry import DRIVERS
 from outrider.envs.escort_env import EscortEnv
 from outrider.envs.radio import Radio
-from outrider.running.flying import Pilot, make_pilots
+from outrider.running.flying import make_pilots
 from sim.kernels.compile import FloatArray
 
 Policy = Callable[[npt.NDArray[Any] | Mapping[str, npt.NDArray[Any]]], FloatArray]
@@ -39,7 +39,7 @@ class _EnvPilots:
             self._radio = env.radio
         elif receives and env.episode:
             self._radio = Radio(env)
-        self._pilots: dict[str, Pilot] = make_pilots(
+        self._pilots = make_pilots(
             env.scenario,
             env.episode_seed,
             secret=env.secret,

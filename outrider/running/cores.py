@@ -7,11 +7,11 @@ for themselves.
 
 import contextlib
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 
-def halves(cores: Collection[int]) -> tuple[set[int], set[int]]:
+def halves(cores: set[int]) -> tuple[set[int], set[int]]:
     """The cores in two halves, the first not smaller; twice all of them where there is only one."""
     ordered = sorted(cores)
     if len(ordered) < 2:

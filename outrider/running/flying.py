@@ -6,7 +6,7 @@ from pathlib import Path
 
 from agents.control.orbit import Path as VirtualPath
 from agents.control.weighting import Weighting
-from agents.process import Pilot as AnyPilot
+from agents.process import Pilot
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.messages import Command, Observation, UavBriefing
@@ -18,8 +18,6 @@ from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 
-Pilot = UavPilot | UgvPilot
-
 
 def make_pilots(
     scenario: Scenario,
@@ -28,7 +26,7 @@ def make_pilots(
     secret: str = "",
     weighting: Weighting | None = None,
     path: VirtualPath | None = None,
-) -> dict[str, Pilot]:
+) -> dict[str, UavPilot | UgvPilot]:
     """The scenario's pilots, briefed as they would be over the bus.
 
     Args:
@@ -40,7 +38,7 @@ def make_pilots(
     weighting = weighting or load_function(scenario.custom.weighting, what="custom.weighting")
     path = path or load_function(scenario.custom.path, what="custom.path")
     policy = load_function(scenario.custom.policy, what="custom.policy")
-    pilots: dict[str, Pilot] = {}
+    pilots: dict[str, UavPilot | UgvPilot] = {}
     for vehicle in scenario.vehicles:
         told = briefing(scenario, vehicle.name, seed, secret)
         if isinstance(told, UavBriefing):
@@ -53,7 +51,7 @@ def make_pilots(
 class InProcess:
     """The exchange without a bus: each pilot is called with its observation."""
 
-    def __init__(self, pilots: Mapping[str, AnyPilot]) -> None:
+    def __init__(self, pilots: Mapping[str, Pilot]) -> None:
         self._pilots = pilots
         self._observations: Mapping[str, Observation] = {}
 
