@@ -69,6 +69,15 @@ def test_a_users_function_that_wants_a_module_of_our_name_is_told_so(here, comma
     assert len(done.stderr.splitlines()) == 1
 
 
+def test_a_run_that_fails_leaves_no_empty_folder_but_that_of_the_user(here, command):
+    (here / "bad.py").write_text("def wheel(o, b): raise RuntimeError('off')\n")
+    (here / "mine").mkdir()
+    own = words("run --in-process --driver policy --policy bad:wheel")
+    for out in ((), ("--out", "mine"), ("--out", "deep/er")):
+        assert command(*own, *out).returncode == 2
+    assert sorted(path.name for path in here.iterdir() if path.is_dir()) == ["mine"]
+
+
 def test_brackets_in_a_path_are_no_markup(tmp_path, command):
     out = tmp_path / "[" / "x]" / "[bold]"
     done = command(*words("run --in-process --duration 1 --no-picture --out"), out)

@@ -100,7 +100,7 @@ def command(
     with _forkserver(wanted=not in_process) as forks:  # it loads meanwhile
         from outrider.cli.console import flight_progress, print_json, print_summary, print_warnings
         from outrider.running.user_code import check_code, check_own_functions
-        from outrider.view.output import default_folder, write_summary
+        from outrider.view.output import default_folder, making, write_summary
         from sim.scenario.checks import scenario_warnings
 
         own = {"weighting": weighting, "path": path, "policy": policy, "network": network}
@@ -117,11 +117,7 @@ def command(
         if record is not None:
             import outrider.recording.writer  # noqa: F401 - a missing extra shows here, not in a child
         folder = (out or default_folder(flown.name)) if files else None
-        if folder is not None:
-            folder.mkdir(
-                parents=True, exist_ok=True
-            )  # a folder that cannot be made shows before the flight, not after it
-        with stop_on_signals() as stop, _page(dashboard, port) as page:
+        with making(folder), stop_on_signals() as stop, _page(dashboard, port) as page:
             if in_process:
                 outcome = _fly_here(flown, kept, folder, picture, record, stop)
             else:

@@ -1,7 +1,8 @@
 """The files of a run: the trajectory, the picture and the summary."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,6 +30,25 @@ def default_folder(scenario: str) -> Path:
         taken += 1
         folder = Path("runs") / f"{stamp}-{scenario or 'scenario'}-{taken}"
     return folder
+
+
+@contextmanager
+def making(folder: Path | None) -> Iterator[None]:
+    """Make a folder before the flight: if it cannot be made it shows. With nothing in it in the end it goes again.
+
+    Raises:
+        OSError: If it cannot be made.
+    """
+    wanted = [] if folder is None else [folder, *folder.parents]
+    new = [one for one in wanted if not one.exists()]
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # one that holds something stays, and so do those that it is in
+            for one in new:
+                one.rmdir()
 
 
 def write_summary(summary: Summary, folder: Path) -> Path:
