@@ -9,7 +9,7 @@ import pytest
 from flights import altered
 from worlds import small
 
-from bus.messages import GroundBlock, SeenTile
+from bus.messages import BLOCK_SIDE, GroundBlock, SeenTile
 from outrider.running.flying import InProcess, make_pilots
 from sim.models.ground import BLOCK, CLEAR, ROUGH
 from sim.scenario.types import Ground, Hazard, Scenario, Ugv
@@ -215,6 +215,24 @@ def test_the_mission_tells_how_long_before_each_hazard_was_known() -> None:
     assert (mission.hazards_on_way, mission.warned, mission.hazards_hit) == (2, 1, 1)
     assert mission.near_misses == 0
     assert 0.0 < mission.seen_ahead < 1.0
+
+
+def test_the_way_seen_ahead_is_that_on_tiles_that_were_told_by_then() -> None:
+    world = World(on(FLAG, at=(7.2, 5.7)), 1)
+    block, told = GroundBlock(column=2, row=1, tiles="." * 64), False
+    side, way, seen = BLOCK_SIDE * world.scenario.ground.tile, 0.0, 0.0
+    for _ in range(401):
+        before = world.position[1].tolist()
+        if not told and [p // side for p in before] == [block.column, block.row]:
+            world.receive_block(1, block)  # where it has come to
+            told = True
+        drive(world, 1)
+        here = world.position[1].tolist()
+        way += math.dist(before, here)
+        if told and [p // side for p in here] == [block.column, block.row]:
+            seen += math.dist(before, here)
+    assert 0.1 * way < seen < 0.9 * way
+    assert world.mission.seen_ahead == pytest.approx(seen / way, rel=1e-9)
 
 
 def test_how_near_a_ugv_came_to_each_hazard_is_the_least_of_all_its_distances() -> None:
