@@ -14,6 +14,7 @@ from outrider.running.flying import InProcess, make_pilots
 from sim.models.ground import BLOCK, CLEAR, ROUGH
 from sim.scenario.types import Ground, Hazard, Scenario, Ugv
 from sim.server.flight import Flight
+from sim.server.perception import UgvPerception
 from sim.world import World
 
 DISC = Hazard(kind="block", center=(10.0, 6.0), radius=0.5)
@@ -175,22 +176,27 @@ def test_what_a_vehicle_perceives_depends_on_nothing_that_it_has_not_seen() -> N
         pytest.fail("nobody has come near")
 
 
+def blocks_received(flight: Flight) -> dict[int, tuple[GroundBlock, ...]]:
+    ugv = flight.perceptions["ugv_0"]
+    assert isinstance(ugv, UgvPerception)
+    return ugv.blocks
+
+
 def test_a_block_that_says_what_the_uavs_sensor_has_not_told_is_not_sent() -> None:
     scenario = msgspec.structs.replace(on(DISC), duration=5.0)
     flight, forged = Flight(scenario, 1), GroundBlock(column=0, row=0, tiles="." * 64)
     flight.fly(altered(make_pilots(scenario, 1), "uav_0", lambda _: {"blocks": (forged,)}))
     assert flight.refused_blocks == {"uav_0": scenario.ticks}
-    received = [one for seen in flight._blocks.values() for one in seen.values()]
-    assert received == []
+    assert not blocks_received(flight)
 
 
-def test_the_blocks_that_a_ugv_hears_are_what_the_uav_has_seen_of_the_ground_around_it() -> None:
+def test_the_blocks_that_a_ugv_receives_are_what_the_uav_has_seen_of_the_ground_around_it() -> None:
     scenario = msgspec.structs.replace(on(DISC, MUD), duration=30.0)
     flight = Flight(scenario, 1)
     flight.fly(InProcess(make_pilots(scenario, 1)))
     known = flight.world.arrays[1].ground.known[0, 0]
     received = np.zeros_like(known)
-    for tick, blocks in flight._blocks["ugv_0"].items():
+    for tick, blocks in blocks_received(flight).items():
         assert tick % 5 == 1  # four in a second, and a tick by radio
         for block in blocks:
             for place, letter in enumerate(block.tiles):

@@ -30,7 +30,8 @@ from outrider.running.assumptions import promise_warnings
 from sim.kernels.compile import FloatArray
 from sim.scenario.types import Scenario
 from sim.scene.told_tiles import ground_map
-from sim.server.flight import Flight, News
+from sim.server.flight import Flight
+from sim.server.perception import News
 from sim.world import World
 
 _WAKE = 0.02

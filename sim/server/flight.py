@@ -4,15 +4,10 @@ The same loop serves the pilots in this process and the three processes over the
 """
 
 import logging
-from array import array
-from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import msgspec
-import numpy as np
-import numpy.typing as npt
 
 from bus.messages import (
     TILE_LETTERS,
@@ -20,7 +15,6 @@ from bus.messages import (
     Change,
     Command,
     Control,
-    Detection,
     Drive,
     EscortTruth,
     GroundBlock,
@@ -28,35 +22,20 @@ from bus.messages import (
     LinkKind,
     LinkSettings,
     Observation,
-    RelativeInformation,
-    SeenTile,
     Status,
     Truth,
-    UavObservation,
     UgvCommand,
-    UgvObservation,
     Vector,
     VehicleTruth,
 )
 from bus.registry import LAWS
 from sim.kernels.compile import FloatArray
 from sim.models.ground import UNSEEN
-from sim.scenario.types import NO_UAV, Scenario
+from sim.scenario.types import NO_UAV, Scenario, Uav
 from sim.server.answers import Answers
+from sim.server.perception import News, Perception, UavPerception, UgvPerception
 from sim.server.recorder import Recorder
 from sim.world import World
-
-
-@dataclass(slots=True)
-class News:
-    """News for a vehicle at one tick, besides its perception."""
-
-    operator: tuple[Drive, ...] = ()
-    driver: str | None = None
-    law: Law | None = None
-
-
-_NO_NEWS = News()
 
 
 class _Observations(Mapping[str, Observation]):
@@ -100,9 +79,6 @@ class Exchange(Protocol):
 _LOG = logging.getLogger("outrider.sim")
 EXTERNAL = "external"
 """The law of a UAV, and the driver of a UGV, that is a program of the user's own."""
-_RADIO = 5
-_LOOK = 4
-"""Numbers that are kept of a radio message and of a detection that have arrived."""
 
 
 def law_title(scenario: Scenario, external: Collection[str]) -> str:
@@ -148,9 +124,15 @@ class Flight:
         """The law that the UAVs fly now."""
         self.drivers = {ugv.name: ugv.driver for ugv in scenario.ugv}
         """The driver of each UGV now."""
-        self._news: dict[str, dict[int, News]] = defaultdict(dict)
         self.world = World(scenario, seed, secret=secret)
         self.recorder = Recorder(self.world)
+        self.perceptions: dict[str, Perception] = {
+            vehicle.name: (UavPerception if isinstance(vehicle, Uav) else UgvPerception)(
+                self.world, vehicle.name, episode
+            )
+            for vehicle in scenario.vehicles
+        }
+        """The perception of each vehicle, in name order."""
         self.on_notice = on_notice
         self._answers = Answers(scenario, self.world, self.recorder, on_notice)
         self.routes: dict[str, tuple[Vector, ...]] = {}
@@ -159,25 +141,13 @@ class Flight:
         """Changes of links in flight, with their ticks."""
         self._stopped = self._abandoned = False
         self._ticks = scenario.ticks
-        self._rows = {name: k for k, name in enumerate(self.world.names)}
         self._uav_row = {uav.name: k for k, uav in enumerate(self.world.uavs)}
-        self._pairs = [(uav.name, uav.escorts) for uav in self.world.uavs]
-        self._radio: dict[
-            str, tuple[RelativeInformation, ...]
-        ] = {}  # what each UGV receives at this tick
         self._operators = self.world.links.of(LinkKind.OPERATOR)
         self._radios = self.world.links.of(LinkKind.RADIO)
         self._grounded = scenario.has_ground
-        self._ground: dict[str, dict[int, tuple[SeenTile, ...]]] = defaultdict(dict)
-        self._blocks: dict[str, dict[int, tuple[GroundBlock, ...]]] = defaultdict(dict)
-        """Tiles that each vehicle's sensor has told, and blocks that have come by radio, by tick."""
         self.refused_blocks: dict[str, int] = dict.fromkeys(self._uav_row, 0)
         """Blocks of each UAV that said of the ground what its sensor has not told."""
         self._listened = -1
-        self._arrived: dict[str, array[float]] = {name: array("d") for name in self.world.names}
-        """Messages that have reached each vehicle. UAV: tick, tick of the look, p_delta; UGV: tick, time, p_delta,
-        error.
-        """
 
     @property
     def commands(self) -> FloatArray:
@@ -218,22 +188,19 @@ class Flight:
         """End the flight at once, and tell the vehicles nothing: another begins."""
         self._stopped = self._abandoned = True
 
-    def _news_of(self, name: str) -> News:
-        return self._news[name].setdefault(self.world.tick, News())
-
     def say(self, ugv: str, words: Drive) -> None:
         """An operator says something to a UGV; its link brings it there, at once or later."""
         self._operators[ugv].send(self.world.tick, words, self.world.tick)
 
     def assign_driver(self, ugv: str, driver: str) -> None:
         """Another driver takes a UGV's wheel with the coming observation."""
-        self._news_of(ugv).driver = self.drivers[ugv] = driver
+        self.perceptions[ugv].news_now().driver = self.drivers[ugv] = driver
 
     def order(self, law: Law) -> None:
         """The UAVs fly another law from the coming observation on."""
         self.law = law
         for uav in self.world.uavs:
-            self._news_of(uav.name).law = law
+            self.perceptions[uav.name].news_now().law = law
             self.answers.assurance.excuse(self._uav_row[uav.name])
 
     def rejoin(self, name: str) -> None:
@@ -271,7 +238,7 @@ class Flight:
 
     def news(self, tick: int) -> dict[str, News]:
         """The news of a tick, by vehicle; only those that were told something."""
-        return {name: told[tick] for name, told in self._news.items() if tick in told}
+        return {name: one.news[tick] for name, one in self.perceptions.items() if tick in one.news}
 
     def degrade(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> None:
         """Links have other settings from now on.
@@ -289,37 +256,8 @@ class Flight:
         if self._listened == tick:
             return
         self._listened = tick
-        for name, link in self._operators.items():
-            words = link.arrivals(tick)
-            if words:
-                self._news_of(name).operator = tuple(words)
-        for (name, _), looks in zip(self._pairs, self.world.received, strict=True):
-            for look in looks:
-                self._arrived[name].extend((tick, *look))
-        if self._grounded:
-            self._perceive_ground(tick)
-        self._radio = {}
-        for uav, ugv in self._pairs:
-            arrived = self._radios[uav].arrivals(tick)
-            if arrived:
-                self._receive_radio(tick, ugv, arrived)
-
-    def _receive_radio(self, tick: int, ugv: str, arrived: list[Any]) -> None:
-        """A UGV receives what its UAV has radioed."""
-        for one in arrived:
-            if isinstance(one, GroundBlock):
-                self._blocks[ugv][tick] = (*self._blocks[ugv].get(tick, ()), one)
-                self.world.receive_block(self._rows[ugv], one)
-            elif isinstance(one, RelativeInformation):
-                self._radio[ugv] = (*self._radio.get(ugv, ()), one)
-                numbers = (tick, one.time, *one.relative_position, one.coverage_error)
-                self._arrived[ugv].extend(numbers)
-
-    def _perceive_ground(self, tick: int) -> None:
-        for k, name in enumerate(self.world.names):
-            seen = self.world.seen_ground(k)
-            if seen:
-                self._ground[name][tick] = seen
+        for perception in self.perceptions.values():
+            perception.receive(tick)
 
     def _is_told(self, vehicle: int, block: GroundBlock) -> bool:
         """True if a block says of each tile what the UAV's own sensor has told, or nothing."""
@@ -327,78 +265,13 @@ class Flight:
         known = self.world.known_block(vehicle, block.row, block.column)
         return all(said in (unseen, told) for said, told in zip(block.tiles, known, strict=True))
 
-    def _observation(
-        self,
-        name: str,
-        tick: int,
-        state: tuple[Vector, Vector],
-        perceived: tuple[Any, ...],
-        *,
-        flown: int | None = None,
-        known: bool = True,
-        over: bool = False,
-    ) -> Observation:
-        """The observation of a vehicle at a tick: its own row and nothing else.
-
-        Args:
-            name: The vehicle.
-            tick: When.
-            state: Its position [m] and velocity [m/s], as it is told them.
-            perceived: What a UAV has detected; what a UGV has received.
-            flown: The motion that a UAV's receiver flew in the tick before; None: none.
-            known: Whether its process was there to receive it: otherwise its own motion, law and driver alone.
-            over: Whether no command is awaited.
-        """
-        news = self._news[name].get(tick, _NO_NEWS) if self._news else _NO_NEWS
-        grounded = self._grounded and known
-        if name in self._uav_row:
-            return UavObservation(
-                tick=tick,
-                time=tick * self.world.parameters.dt,
-                position=state[0],
-                velocity=state[1],
-                detections=perceived if known else (),
-                ground=self._ground[name].get(tick, ()) if grounded else (),
-                flown=flown,
-                law=news.law,
-                over=over,
-                episode=self.episode,
-            )
-        return UgvObservation(
-            tick=tick,
-            time=tick * self.world.parameters.dt,
-            position=state[0],
-            velocity=state[1],
-            radio=perceived if known else (),
-            blocks=self._blocks[name].get(tick, ()) if grounded else (),
-            ground=self._ground[name].get(tick, ()) if grounded else (),
-            operator=news.operator if known else (),
-            driver=news.driver,
-            over=over,
-            episode=self.episode,
-        )
-
     def observations(self) -> Mapping[str, Observation]:
         """The observation of each vehicle at this tick, made when it is asked for, before the world moves on."""
         self._listen()
         return _Observations(self.world.names, self._observe)
 
     def _observe(self, name: str) -> Observation:
-        world, k, row = self.world, self._rows[name], self._uav_row.get(name)
-        position, velocity = world.told.position, world.told.velocity
-        state = (
-            (position.item(k, 0), position.item(k, 1)),
-            (velocity.item(k, 0), velocity.item(k, 1)),
-        )
-        if row is None:
-            received = self._radio.get(name, ())
-            return self._observation(name, world.tick, state, received, over=self.over)
-        dt = world.parameters.dt
-        looks = [
-            Detection(time=t * dt, relative_position=(x, y)) for t, x, y in world.received[row]
-        ]
-        flown = world.flown(k)
-        return self._observation(name, world.tick, state, tuple(looks), flown=flown, over=self.over)
+        return self.perceptions[name].observe(over=self.over)
 
     def past(
         self, name: str, begin: int, end: int, missed: Collection[int]
@@ -409,38 +282,11 @@ class Flight:
             name: The vehicle.
             begin: First tick.
             end: The tick after the last one; all must have been recorded.
-            missed: Ticks whose observation it was not sent: of those it is told its own motion, law and driver
-                and nothing else.
+            missed: Ticks whose observation it was not sent.
         """
-        states = self.recorder.told[begin:end, self._rows[name]].tolist()
-        perceived: dict[int, tuple[Any, ...]] = {}
-        if name in self._uav_row:
-            dt = self.world.parameters.dt
-            for tick, taken, x, y in self._arrived_between(name, _LOOK, begin, end):
-                look = Detection(time=taken * dt, relative_position=(x, y))
-                perceived[int(tick)] = (*perceived.get(int(tick), ()), look)
-        else:
-            for tick, time, x, y, error in self._arrived_between(name, _RADIO, begin, end):
-                message = RelativeInformation(
-                    time=time, relative_position=(x, y), coverage_error=error
-                )
-                perceived[int(tick)] = (*perceived.get(int(tick), ()), message)
-        return tuple(
-            self._observation(
-                name,
-                tick,
-                ((x, y), (v_x, v_y)),
-                perceived.get(tick, ()),
-                known=tick not in missed,
-            )
-            for tick, (x, y, v_x, v_y) in enumerate(states, begin)
-        )
-
-    def _arrived_between(self, name: str, width: int, begin: int, end: int) -> list[list[float]]:
-        rows: npt.NDArray[np.float64] = np.frombuffer(self._arrived[name]).reshape(-1, width)
-        first, last = np.searchsorted(rows[:, 0], (begin, end))
-        within: list[list[float]] = rows[first:last].tolist()
-        return within
+        perception = self.perceptions[name]
+        told = self.recorder.told[begin:end, perception.row]
+        return perception.past(begin, end, told, missed)
 
     def apply(self, commands: Mapping[str, Command]) -> None:
         """Let these commands set out, and what has arrived act for one tick.

@@ -1,0 +1,236 @@
+"""The perception of each vehicle: the messages that reach its process at a tick, its own row and nothing else.
+
+It is kept, so that a process that joins again is told the same once more.
+"""
+
+from array import array
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bus.messages import (
+    Detection,
+    Drive,
+    GroundBlock,
+    Law,
+    LinkKind,
+    Observation,
+    RelativeInformation,
+    SeenTile,
+    UavObservation,
+    UgvObservation,
+    Vector,
+)
+from sim.kernels.compile import FloatArray
+from sim.world import World
+
+
+@dataclass(slots=True)
+class News:
+    """News for a vehicle at one tick, besides its perception."""
+
+    operator: tuple[Drive, ...] = ()
+    driver: str | None = None
+    law: Law | None = None
+
+
+_NO_NEWS = News()
+
+
+class Perception:
+    """The perception of one vehicle, tick by tick: its own motion, the ground that it sees, and news.
+
+    Args:
+        world: Of the flight.
+        name: The vehicle.
+        episode: Which flight of the run it is.
+    """
+
+    numbers = 0
+    """Numbers that are kept of each message that has arrived: its tick, the one that it is of, and what it says."""
+
+    def __init__(self, world: World, name: str, episode: int) -> None:
+        self.name, self.row = name, world.names.index(name)
+        self.news: dict[int, News] = {}
+        """By tick; only where there are any."""
+        self._world, self._episode = world, episode
+        self._dt, self._grounded = world.parameters.dt, world.scenario.has_ground
+        self._ground: dict[int, tuple[SeenTile, ...]] = {}
+        self._now: tuple[Any, ...] = ()  # the messages that have arrived at the world's tick
+        self._arrived = array("d")
+
+    def news_now(self) -> News:
+        """The news of the world's tick, to be added to."""
+        return self.news.setdefault(self._world.tick, News())
+
+    def receive(self, tick: int) -> None:
+        """Take in what has crossed the links for this tick; once for every tick."""
+        if self._grounded:
+            seen = self._world.seen_ground(self.row)
+            if seen:
+                self._ground[tick] = seen
+
+    def observe(self, *, over: bool) -> Observation:
+        """The observation of the world's tick; `over`: no command is awaited."""
+        position, velocity = self._world.told.position.item, self._world.told.velocity.item
+        k = self.row
+        motion = (position(k, 0), position(k, 1)), (velocity(k, 0), velocity(k, 1))
+        return self._observation(self._world.tick, motion, arrived=self._now, over=over)
+
+    def past(
+        self, begin: int, end: int, told: FloatArray, missed: Collection[int]
+    ) -> tuple[Observation, ...]:
+        """The observations from tick `begin` up to `end`, for a process that joins again.
+
+        Args:
+            begin: First tick.
+            end: The tick after the last one.
+            told: Position [m] and velocity [m/s] as it was told them in between. Shape (ticks, 4).
+            missed: Ticks whose observation it was not sent: of those it is told its own motion, law and driver and
+                nothing else.
+        """
+        rows: FloatArray = np.frombuffer(self._arrived).reshape(-1, self.numbers)
+        first, last = np.searchsorted(rows[:, 0], (begin, end))
+        arrived: dict[int, tuple[Any, ...]] = {}
+        for tick, *numbers in rows[first:last].tolist():
+            arrived[int(tick)] = (*arrived.get(int(tick), ()), self._message(*numbers))
+        return tuple(
+            self._observation(tick, ((x, y), (v_x, v_y)), known=False)
+            if tick in missed
+            else self._observation(tick, ((x, y), (v_x, v_y)), arrived=arrived.get(tick, ()))
+            for tick, (x, y, v_x, v_y) in enumerate(told.tolist(), begin)
+        )
+
+    def _message(self, *numbers: float) -> Any:  # noqa: ANN401 - of the vehicle's kind
+        """A message of the numbers that were kept of it."""
+        raise NotImplementedError
+
+    def _observation(
+        self,
+        tick: int,
+        motion: tuple[Vector, Vector],
+        *,
+        arrived: tuple[Any, ...] = (),
+        known: bool = True,
+        over: bool = False,
+    ) -> Observation:
+        """An observation.
+
+        Args:
+            tick: When.
+            motion: Position [m] and velocity [m/s], as the vehicle is told them.
+            arrived: The messages that have.
+            known: Whether its process was there to receive it.
+            over: Whether no command is awaited.
+        """
+        raise NotImplementedError
+
+
+class UavPerception(Perception):
+    """The perception of a UAV: the detections of the UGV that it escorts."""
+
+    numbers = 4  # tick, tick of the detection, p_delta
+
+    def __init__(self, world: World, name: str, episode: int) -> None:
+        super().__init__(world, name, episode)
+        self._uav = [uav.name for uav in world.uavs].index(name)
+
+    def receive(self, tick: int) -> None:
+        """Take in what has crossed the links for this tick; once for every tick."""
+        super().receive(tick)
+        looks = self._world.received[self._uav]
+        for look in looks:
+            self._arrived.extend((tick, *look))
+        self._now = tuple([self._message(*look) for look in looks])
+
+    def _message(self, *numbers: float) -> Detection:
+        taken, x, y = numbers
+        return Detection(time=taken * self._dt, relative_position=(x, y))
+
+    def _observation(
+        self,
+        tick: int,
+        motion: tuple[Vector, Vector],
+        *,
+        arrived: tuple[Detection, ...] = (),
+        known: bool = True,
+        over: bool = False,
+    ) -> UavObservation:
+        news = self.news.get(tick, _NO_NEWS)
+        return UavObservation(
+            tick=tick,
+            time=tick * self._dt,
+            position=motion[0],
+            velocity=motion[1],
+            detections=arrived,
+            ground=self._ground.get(tick, ()) if known else (),
+            flown=self._world.flown(self.row) if tick == self._world.tick else None,
+            law=news.law,
+            over=over,
+            episode=self._episode,
+        )
+
+
+class UgvPerception(Perception):
+    """The perception of a UGV: its operators' commands, and what the UAVs that escort it have radioed."""
+
+    numbers = 5  # tick, time, p_delta, error
+
+    def __init__(self, world: World, name: str, episode: int) -> None:
+        super().__init__(world, name, episode)
+        self._operators = world.links.of(LinkKind.OPERATOR)[name]
+        radios = world.links.of(LinkKind.RADIO)
+        self._radios = [radios[uav.name] for uav in world.uavs if uav.escorts == name]
+        self.blocks: dict[int, tuple[GroundBlock, ...]] = {}
+        """Blocks of tiles that have come by radio, by tick."""
+
+    def receive(self, tick: int) -> None:
+        """Take in what has crossed the links for this tick; once for every tick."""
+        super().receive(tick)
+        commands = self._operators.arrivals(tick)
+        if commands:
+            self.news_now().operator = tuple(commands)
+        self._now = ()
+        for radio in self._radios:
+            for message in radio.arrivals(tick):
+                self._receive_message(tick, message)
+
+    def _receive_message(self, tick: int, message: object) -> None:
+        if isinstance(message, GroundBlock):
+            self.blocks[tick] = (*self.blocks.get(tick, ()), message)
+            self._world.receive_block(self.row, message)
+        elif isinstance(message, RelativeInformation):
+            self._now = (*self._now, message)
+            self._arrived.extend(
+                (tick, message.time, *message.relative_position, message.coverage_error)
+            )
+
+    def _message(self, *numbers: float) -> RelativeInformation:
+        time, x, y, error = numbers
+        return RelativeInformation(time=time, relative_position=(x, y), coverage_error=error)
+
+    def _observation(
+        self,
+        tick: int,
+        motion: tuple[Vector, Vector],
+        *,
+        arrived: tuple[RelativeInformation, ...] = (),
+        known: bool = True,
+        over: bool = False,
+    ) -> UgvObservation:
+        news = self.news.get(tick, _NO_NEWS)
+        return UgvObservation(
+            tick=tick,
+            time=tick * self._dt,
+            position=motion[0],
+            velocity=motion[1],
+            radio=arrived,
+            blocks=self.blocks.get(tick, ()) if known else (),
+            ground=self._ground.get(tick, ()) if known else (),
+            operator=news.operator if known else (),
+            driver=news.driver,
+            over=over,
+            episode=self._episode,
+        )
