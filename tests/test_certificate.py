@@ -16,6 +16,7 @@ from properties import PROPERTY
 from agents.control import certificate as c
 from agents.control import discs, handover
 from agents.control.promise import Declared, Promise
+from bus.ticks import first_tick_from
 from sim.kernels.compile import FloatArray
 from sim.kernels.records import RecordArray
 from sim.models.vehicles import Motion, norm, step_vehicle
@@ -98,6 +99,27 @@ def test_what_is_dropped_can_only_raise_the_bound(seed: int, eps: float) -> None
         assert bound >= least
         if tick < discs.KEPT:  # only what another makes superfluous has gone
             assert bound == pytest.approx(least, abs=1e-12)
+
+
+@pytest.mark.parametrize("v_g", [0.0, V_G])
+def test_an_older_detection_that_comes_late_never_takes_the_place_of_a_newer_one(
+    v_g: float,
+) -> None:
+    """Of a UGV that cannot move both discs are the same."""
+    kept = discs.no_detections()
+    for taken in (10, 1, 10):
+        discs.keep_detection(promise(v_g=v_g), kept, 1.0, 0.5, taken, 10, 0.0, 0.0)
+        assert kept["taken"].max() == 10
+
+
+@given(st.integers(1, 40_000), st.sampled_from([0.05, 0.02, 1e-3, 5e-4, 1e-4]))
+@settings(PROPERTY, max_examples=300)
+@example(16_004, 5e-4)
+@example(290, 1e-3)
+def test_commands_act_in_the_tick_in_which_their_link_delivers_them(ms: int, dt: float) -> None:
+    """A delay is a whole number of ticks but for rounding, for the link and for the certificate alike."""
+    declared = Declared(**{**NUMBERS, "dt": dt, "delay": 0.001 * ms, "age": math.inf})
+    assert handover.certificate(declared).delay_ticks == first_tick_from(0.001 * ms, dt)
 
 
 def test_the_bound_without_a_detection_is_infinite() -> None:

@@ -236,6 +236,21 @@ def test_an_operator_gives_a_link_a_recorded_one_that_was_read_and_no_other(tmp_
         flight.degrade(LinkKind.COMMANDS, None, LinkSettings(trace="/etc/hostname"))
 
 
+@pytest.mark.parametrize(("message_bytes", "queue"), [(1500, 2), (1500, 40), (4000, 1)])
+def test_no_message_is_under_way_for_longer_than_batches_have_room_for(
+    message_bytes: int, queue: int
+) -> None:
+    """Delivery opportunities come in a burst, then one in 0.6 s: what waits in the queue waits for long."""
+    gaps = [10] * 50 + [600] * 8
+    trace = a_trace("\n".join(map(str, np.cumsum(gaps).tolist())))
+    settings = LinkSettings(trace="trace", message_bytes=message_bytes, queue=queue, keep="oldest")
+    scenario = degraded(3000, LinkTable(detections=settings, traces=(trace,)))
+    longest = Batch(scenario, 1).links.longest(LinkKind.DETECTIONS)
+    link = Link(settings, dt=DT, key=a_key(4), traces=(trace,))
+    ages = [tick - number for tick, got in enumerate(arrivals(link, 3000)) for number in got]
+    assert 0.3 * longest < max(ages) <= longest
+
+
 # --- the same bits everywhere
 
 

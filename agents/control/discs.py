@@ -165,7 +165,7 @@ def keep_detection(
         apart, driven = norm(kept.x - z_x, kept.y - z_y), drift(promise, taken - kept.taken)
         if apart > 2.0 * promise.eps + abs(driven) + MARGIN:
             agrees = False
-        if apart <= driven:  # its disc holds the new one
+        if apart <= driven and taken > kept.taken:  # its disc holds the new one
             detections[k].taken = NEVER
             place = k
         elif apart <= -driven:

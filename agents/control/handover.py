@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from agents.control.discs import MARGIN, lens_distance
 from agents.control.promise import Declared, Promise
-from bus.ticks import ticks_within
+from bus.ticks import first_tick_from, ticks_within
 from sim.kernels.compile import compiled
 
 ROUNDING = 1e-12
@@ -192,7 +192,7 @@ def certificate(declared: Declared) -> Promise:
     dt, v_a, u_a, v_g = float(c.dt), float(c.v_a), float(c.u_a), float(c.v_g)
     tracking, age = float(c.tracking), float(c.age)
     eps = float(c.eps) + tracking
-    delay_ticks = math.ceil(c.delay / dt - ROUNDING)
+    delay_ticks = first_tick_from(c.delay, dt)
     r_v = float(c.r_v - c.margin) - tracking - tick_sagitta(v_a, u_a, dt)
     outage_ticks = 0 if c.outage is None else ticks_within(c.outage, dt)
     radius = reach = math.nan
