@@ -44,6 +44,7 @@ from bus.messages import (
     or_infinite,
 )
 from bus.registry import LAWS
+from bus.ticks import radio_ticks
 from sim.kernels.compile import FloatArray, borrowing, entry_point
 from sim.kernels.records import RecordArray, records
 from sim.models.field import cover, coverage_error, empty_coverage
@@ -51,9 +52,6 @@ from sim.models.vehicles import Motion, norm
 
 Inner = Callable[[UavObservation], Vector | None]
 """An inner control of one's own: the acceleration [m/s²] that it wants at this tick; None: the law flies."""
-
-_RADIO_PERIOD = 0.2
-"""Time between two radio messages to the UGV [s]."""
 
 _PATH_HORIZON = 600.0
 """The time that a path of one's own is checked ahead [s]: a pilot does not know how long the run will be."""
@@ -128,11 +126,6 @@ def _act(
         kalman_refused(kalman),
         command,
     )
-
-
-def radio_ticks(dt: float) -> int:
-    """Every how many ticks of this length [s] a UAV radios to its UGV."""
-    return max(1, round(_RADIO_PERIOD / dt))
 
 
 def _report(acted: _Acted, dt: float, verdict: Verdict | None) -> UavReport:

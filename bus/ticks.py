@@ -19,6 +19,10 @@ MOST_TICKS = 2**40
 """So many at most are counted with: those of a time that has no end."""
 
 
+RADIO_PERIOD = 0.2
+"""Time between two messages of relative information by radio [s]."""
+
+
 class Look(NamedTuple):
     """A detection, as everything inside takes it."""
 
@@ -50,6 +54,11 @@ def tick_of(time: float, dt: float) -> int:
 def looks_of(detections: Iterable[Detection], dt: float) -> tuple[Look, ...]:
     """The detections of a message; dt [s] is the length of a tick."""
     return tuple(Look(tick_of(one.time, dt), *one.relative_position) for one in detections)
+
+
+def radio_ticks(dt: float) -> int:
+    """Every how many ticks of this length [s] a UAV radios relative information to its UGV."""
+    return max(1, round(RADIO_PERIOD / dt))
 
 
 def ticks_within(duration: float, dt: float) -> int:

@@ -11,12 +11,14 @@ import typer
 from flights import R_V, escort
 from typer.testing import CliRunner
 
+from agents.uav import UavPilot
 from bus.messages import Command, Law, UavCommand, UavReport
 from outrider.cli import replay
 from outrider.cli.console import OUT, print_summary
 from outrider.experiments.sweep.columns import row_of
 from outrider.running.flying import InProcess, make_pilots
 from outrider.running.summary import Summary, summarize
+from sim.engine.briefing import briefing
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate, LinkTable, Scenario
 from sim.server.assurance import Assurance
@@ -215,9 +217,38 @@ def lied(tmp_path_factory: pytest.TempPathFactory) -> tuple[Flight, Summary, Pat
     return flight, summarize(flight, seconds=1.0), path
 
 
+def test_sight_that_is_lost_with_the_last_certified_tick_is_counted_once() -> None:
+    for ticks, last, lost in (
+        ((True, True), R_V, 1),
+        ((True, True), R_V - 1e-6, 0),
+        ((True, False), R_V, 0),
+        ((True, None), R_V, 0),
+    ):
+        assurance = taken(*ticks)
+        for _ in range(2):
+            assurance.end(0, last)
+            assert assurance.certified_while_lost == lost
+
+
+def test_a_filter_around_a_control_of_ones_own_is_held_against_the_truth_whatever_the_law() -> None:
+    """The laws of the paper are watched by no filter; `inner` is."""
+    counts = []
+    for law in ("certified", "linear"):
+        flown = msgspec.structs.replace(LOSING, law=Law(name=law))
+        flight, pilots = Flight(flown, 3), make_pilots(flown, 3)
+        pilots["uav_0"] = UavPilot(
+            briefing(flown, "uav_0", 3), inner=lambda observation: (-0.3, 0.0)
+        )
+        flight.fly(Liar(pilots))
+        told = flight.answers.assurance
+        counts.append((told.certified, told.certified_while_lost))
+    assert counts[0] == counts[1]
+    assert counts[0][1] > 20
+
+
 def test_every_lie_of_a_flight_is_in_its_summary(lied: tuple[Flight, Summary, Path]) -> None:
     flight, summary, _ = lied
-    lost = int((flight.recorder.escorts[:-1, 0, 0] >= R_V).sum())
+    lost = int((flight.recorder.escorts[:, 0, 0] >= R_V).sum())  # the last state included
     assert summary.certified_while_lost == lost > 20
     assert summary.certified_share == pytest.approx((LOSING.ticks - 1) / LOSING.ticks)
     assert summary.certificate_broken == 0
@@ -244,7 +275,9 @@ def test_the_trajectory_s_file_tells_each_tick_what_was_certified(lied, tmp_path
         for row in rows
         if row["uav_0.certified"] == "1" and float(row["uav_0.distance [m]"]) >= R_V
     ]
-    assert len(lies) == summary.certified_while_lost
+    assert (
+        len(lies) + 1 == summary.certified_while_lost
+    )  # and the last state, after a certified tick
 
 
 def test_a_recording_tells_the_same_counts_and_each_tick_s_claim(lied):
@@ -262,7 +295,7 @@ def test_a_recording_tells_the_same_counts_and_each_tick_s_claim(lied):
         for t, report in zip(truths, reports, strict=False)
         if report is not None
     ]
-    assert sum(lies) == summary.certified_while_lost
+    assert sum(lies) + 1 == summary.certified_while_lost  # and the last state
     app = typer.Typer()
     app.command()(replay.command)
     for arguments in ((str(path), "--json"), (str(path), "--refly", "--json")):

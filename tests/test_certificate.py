@@ -15,6 +15,7 @@ from properties import PROPERTY
 
 from agents.control import certificate as c
 from agents.control import discs, handover
+from agents.control.guard import track_ticks
 from agents.control.promise import Declared, Promise
 from bus.ticks import first_tick_from
 from sim.kernels.compile import FloatArray
@@ -395,6 +396,26 @@ def test_an_assumption_that_fails_names_itself_with_its_numbers(numbers, text):
     (reason,) = handover.check_assumptions(promise(**numbers))
     assert re.search(text, reason), reason
     assert math.isnan(promise(**numbers).handover)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "text"),
+    [
+        ({"u_a": 1.9e-6, "v_a": 1e-3, "v_g": 0.0}, "too little for a lost command to be noticed"),
+        ({"dt": 1e-3, "age": 1001.0, "v_g": 0.0}, "no detection is used that is older than"),
+        ({"width": 1e6, "age": 9000.0, "v_g": 1e-5}, "which no margin covers"),
+    ],
+)
+def test_numbers_beyond_what_can_be_computed_with_are_not_certified(
+    numbers: dict[str, float], text: str
+) -> None:
+    (reason,) = handover.check_assumptions(promise(**numbers))
+    assert text in reason
+
+
+def test_a_detection_is_of_use_for_as_long_as_is_declared() -> None:
+    assert track_ticks(promise(age=1.0)) == 2400
+    assert track_ticks(promise(age=200.0, v_g=0.001)) == 4001
 
 
 def test_a_hold_that_is_shorter_than_the_delay_is_named() -> None:

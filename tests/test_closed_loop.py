@@ -100,6 +100,7 @@ def test_what_is_certified_out_of_sight_is_counted_in_every_world() -> None:
         counted += far & (
             rows[:, GUARD_METRICS.sure] == 1.0
         )  # said of the tick at which it was so far
+    counted += (rows[:, UAV_METRICS.distance] >= 0.5) & (rows[:, GUARD_METRICS.sure] == 1.0)
     assert loop.metrics("uav_0")["certified_while_lost"].tolist() == counted.tolist()
     assert counted.min() > 100
 

@@ -201,8 +201,12 @@ OF_MESSAGES = {"sim.scene", "sim.scene.colors", "sim.scene.model"}
         ),
         ("agents.uav, outrider.cli.mavlink, outrider.bridges.mavlink.offboard", set()),
         ("outrider.cli.ros2, outrider.bridges.ros2.ros_pilot", OF_MESSAGES),
+        (
+            "agents.ugv, outrider.cli.pilots, outrider.bridges.fmi.driver, outrider.bridges.fmi.slave",
+            REFUSES_FUNCTIONS,
+        ),
     ],
-    ids=["by our pilots", "by setpoints of MAVLink", "by a node of ROS 2"],
+    ids=["by our pilots", "by setpoints of MAVLink", "by a node of ROS 2", "by a unit of FMI"],
 )
 def test_the_process_of_a_vehicle_never_loads_the_world_nor_a_scenario(modules, more):
     loaded = {name for name in loaded_by(f"agents.process, {modules}") if name.startswith("sim.")}

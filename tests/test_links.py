@@ -128,6 +128,7 @@ def test_one_network_for_the_environment_one_process_and_three(tmp_path: Path) -
     observations, infos = env.reset(seed=7)
     policies = pilots(env)
     while env.agents:
+        assert "links" not in infos["uav_0"]  # what was sent tells at once what comes later
         observations, _, _, _, infos = env.step(
             {name: policies[name](observations[name]) for name in env.agents}
         )
@@ -136,6 +137,7 @@ def test_one_network_for_the_environment_one_process_and_three(tmp_path: Path) -
     ours = infos["uav_0"]["links"]["uav_0/detections"]
     assert ours.lost == summary.links["uav_0/detections"].lost
     assert not any(name.startswith("ugv") for name in infos["uav_0"]["links"])
+    assert env.links() == env.world.links.status()
     with stage(tmp_path, 400, scenario=scenario) as run:
         run.start_both()
         over_bus = run.fly()

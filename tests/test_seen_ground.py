@@ -6,10 +6,10 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import altered
+from flights import Piloted, altered
 from worlds import small
 
-from bus.messages import BLOCK_SIDE, GroundBlock, SeenTile
+from bus.messages import BLOCK_SIDE, GroundBlock, RelativeInformation, SeenTile, UavObservation
 from outrider.running.flying import InProcess, make_pilots
 from sim.models.ground import BLOCK, CLEAR, ROUGH
 from sim.scenario.types import Ground, Hazard, Scenario, Ugv
@@ -182,12 +182,70 @@ def blocks_received(flight: Flight) -> dict[int, tuple[GroundBlock, ...]]:
     return ugv.blocks
 
 
-def test_a_block_that_says_what_the_uavs_sensor_has_not_told_is_not_sent() -> None:
+@pytest.mark.parametrize(
+    "forged",
+    [
+        GroundBlock(column=0, row=0, tiles="." * 64),
+        GroundBlock(column=1000, row=52_417, tiles="?" * 64),
+        GroundBlock(column=0, row=3, tiles="?" * 64),
+    ],
+    ids=["not told", "beyond the area", "nothing known"],
+)
+def test_a_block_that_says_what_the_uavs_sensor_has_not_told_is_not_sent(
+    forged: GroundBlock,
+) -> None:
     scenario = msgspec.structs.replace(on(DISC), duration=5.0)
-    flight, forged = Flight(scenario, 1), GroundBlock(column=0, row=0, tiles="." * 64)
+    flight = Flight(scenario, 1)
     flight.fly(altered(make_pilots(scenario, 1), "uav_0", lambda _: {"blocks": (forged,)}))
-    assert flight.refused_blocks == {"uav_0": scenario.ticks}
+    assert flight.refused_radio == {"uav_0": scenario.ticks}
     assert not blocks_received(flight)
+
+
+def test_no_number_is_smuggled_by_what_a_block_leaves_out() -> None:
+    """A UAV that says a tile for a 1 and nothing for a 0: the UGV receives all that the sensor has told."""
+    scenario = msgspec.structs.replace(on(DISC, MUD), duration=20.0)
+
+    pilots = make_pilots(scenario, 1)
+    act = pilots["uav_0"].act
+
+    def masked(observation: Any) -> Any:
+        command = act(observation)
+        blocks = [
+            msgspec.structs.replace(one, tiles="?" + one.tiles[1:32] + "?" * 32)
+            for one in command.blocks
+        ]
+        return msgspec.structs.replace(command, blocks=tuple(blocks))
+
+    flights = [Flight(scenario, 1) for _ in range(2)]
+    flights[0].fly(InProcess(make_pilots(scenario, 1)))
+    flights[1].fly(Piloted(pilots, "uav_0", masked))
+    honest, rogue = map(blocks_received, flights)
+    assert honest == rogue
+    assert len(honest) > 20
+
+
+def test_relative_information_is_of_its_tick_and_comes_five_times_a_second() -> None:
+    scenario = msgspec.structs.replace(on(DISC), duration=10.0)
+
+    def talkative(observation: UavObservation) -> dict[str, Any]:
+        now = observation.tick * scenario.dt
+        times = (now, now, 999_999.0, now + 0.5 * scenario.dt)
+        return {
+            "radio": tuple(
+                RelativeInformation(time=time, relative_position=(1.0, 2.0), coverage_error=0.0)
+                for time in times
+            )
+        }
+
+    flight, received = Flight(scenario, 1), []
+
+    def note() -> None:
+        received.extend(flight.observations()["ugv_0"].radio)  # type: ignore[union-attr]
+
+    flight.fly(altered(make_pilots(scenario, 1), "uav_0", talkative), on_tick=note)
+    ticks = [round(one.time / scenario.dt) for one in received]
+    assert ticks == list(range(0, scenario.ticks, 4))
+    assert flight.refused_radio == {"uav_0": 4 * scenario.ticks - len(ticks)}
 
 
 def test_the_blocks_that_a_ugv_receives_are_what_the_uav_has_seen_of_the_ground_around_it() -> None:
@@ -203,7 +261,7 @@ def test_the_blocks_that_a_ugv_receives_are_what_the_uav_has_seen_of_the_ground_
                 row, column = block.row * 8 + place // 8, block.column * 8 + place % 8
                 if letter != "?":
                     received[row, column] = "?.~#*".index(letter)
-    assert flight.refused_blocks == {"uav_0": 0}
+    assert flight.refused_radio == {"uav_0": 0}
     assert (received[received > 0] == known[received > 0]).all()
     assert (received > 0).sum() > 0.5 * (known > 0).sum()
     assert {BLOCK, ROUGH} <= set(received.ravel().tolist())

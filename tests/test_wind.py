@@ -13,7 +13,7 @@ from worlds import LOSSY, SCENARIOS, small, step
 from agents.control.handover import certificate, check_assumptions
 from agents.control.promise import Declared
 from bus.errors import ScenarioError
-from bus.messages import UavObservation
+from bus.messages import SeenTile, UavObservation
 from outrider.experiments.falsify.attack import attack
 from outrider.experiments.falsify.conditions import ANY, Conditions, declared
 from outrider.running.assumptions import shortfalls
@@ -22,7 +22,7 @@ from sim.engine.batch import Batch
 from sim.engine.world_state import no_tracking_errors
 from sim.models.inner_loop import InnerLoop, needed_reserve, step_error, tracking_error
 from sim.scenario.checks import check_scenario
-from sim.scenario.types import Certificate, LinkTable, Tracking, Uav, Wind
+from sim.scenario.types import Certificate, Hazard, LinkTable, Tracking, Uav, Wind
 from sim.world import World
 
 WINDY = SCENARIOS["wind"]
@@ -165,15 +165,22 @@ def test_wind_takes_the_uav_from_what_it_is_told_and_nothing_else(tmp_path) -> N
 
 
 def test_wind_changes_neither_the_draws_of_others_nor_what_a_vehicle_is_told_of_itself() -> None:
-    """Under the same commands the told states are those of still air."""
-    still = msgspec.structs.replace(
-        WINDY, wind=Wind(), uav=(msgspec.structs.replace(WINDY.uav[0], own_error=0.0),)
+    """Under the same commands the told states, and the tiles that are told when, are those of still air."""
+    windy = msgspec.structs.replace(
+        WINDY, hazard=(Hazard(kind="block", center=WINDY.ugv[0].position, radius=0.5),)
     )
-    worlds, push = [World(one, 3) for one in (WINDY, still)], np.array([[0.2, 0.1], [0.05, 0.0]])
+    still = msgspec.structs.replace(
+        windy, wind=Wind(), uav=(msgspec.structs.replace(WINDY.uav[0], own_error=0.0),)
+    )
+    worlds, push = [World(one, 3) for one in (windy, still)], np.array([[0.2, 0.1], [0.05, 0.0]])
+    tiles: list[list[tuple[SeenTile, ...]]] = [[], []]
     for _ in range(100):
-        for world in worlds:
+        for world, seen in zip(worlds, tiles, strict=True):
             world.step(push)
+            seen.append(world.seen_ground(0))
     one, other = worlds
+    assert tiles[0] == tiles[1]
+    assert sum(map(len, tiles[0])) > 100
     assert np.array_equal(one.told.position, other.told.position)
     assert np.array_equal(one.told.velocity, other.told.velocity)
     assert np.array_equal(other.told.position, other.position)

@@ -13,11 +13,18 @@ from sim.models.vehicles import norm
 KEPT = 16
 """Detections that are kept: the newest, and those that bound the distance best."""
 
+MOST_KEPT = 1_000_000
+"""Ticks for which own positions are kept at most, and after which no detection is of use."""
+
 NEVER = -1
 """The tick of what has not been: of an empty row of detections, of a place in a track where nothing was noted."""
 
 MARGIN = 1e-5
 """Taken off every radius [m], so that rounding changes no answer of the proof: more than all of its errors together."""
+
+AS_EXPECTED = 1e-10
+"""A state nearer than this [m, m/s] to the expected one is that. The course goes on from the state, so that a lost
+command is seen at once or has no consequence; a thousand ticks of this are less than `MARGIN`."""
 
 _NESTED = 1e-6
 """Discs that hold each other but for this [m] are not intersected: the formula of the corners would divide by it."""

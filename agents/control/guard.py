@@ -9,6 +9,7 @@ commands under way that lead there. The UAV is on course if its state is the one
 All positions in the world's frame [m], speeds [m/s], accelerations [m/s²], times in ticks.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +35,8 @@ from agents.control.certificate import (
     step_in_area,
 )
 from agents.control.discs import (
+    AS_EXPECTED,
+    MOST_KEPT,
     NEVER,
     certified_distance,
     keep_detection,
@@ -42,7 +45,6 @@ from agents.control.discs import (
 )
 from agents.control.promise import Promise
 from agents.control.underway import (
-    AS_EXPECTED,
     Underway,
     begin_underway,
     check_rest,
@@ -119,12 +121,22 @@ class GuardState(NamedTuple):
     """The motions that were sent, where commands carry them."""
 
 
+_TRACK = 120.0
+"""The UAV's own positions are kept for so long [s], or for the declared age of detections if that is longer."""
+
+
+def track_ticks(promise: Promise) -> int:
+    """Ticks for which a filter keeps the UAV's own positions; memory for all is taken at once, 24 bytes a tick."""
+    return max(1, min(MOST_KEPT, max(math.ceil(_TRACK / promise.dt), promise.age_ticks + 1)))
+
+
 def guard_state(delay_ticks: int, depth: int) -> GuardState:
     """A fresh memory: nothing seen, nothing commanded.
 
     Args:
         delay_ticks: From the tick that a command answers to the one in which it acts, as it is declared.
-        depth: For how many ticks own positions are kept; a detection that is older when it arrives is ignored.
+        depth: For how many ticks own positions are kept, at most `track_ticks`; a detection that is older when it
+            arrives is ignored.
     """
     if depth < 1:
         raise ValueError(f"depth must be at least 1, not {depth}")

@@ -10,13 +10,16 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from agents.control.discs import MARGIN, lens_distance
+from agents.control.discs import AS_EXPECTED, MARGIN, MOST_KEPT, lens_distance
 from agents.control.promise import Declared, Promise
 from bus.ticks import first_tick_from, ticks_within
 from sim.kernels.compile import compiled
 
 ROUNDING = 1e-12
 """Ticks by which a quotient may exceed a whole number and still be that number."""
+
+_LEAST_STEP = 1000.0 * AS_EXPECTED
+"""The least change of speed in a tick at u_a [m/s]: a command that does not act must be seen."""
 
 _GRID, _STEPS = 0.005, 950
 """Step of the distances [m] over which the hand-over is checked when a scenario loads, and its margin.
@@ -297,6 +300,11 @@ def largest_outage(promise: Promise) -> float:
     return _largest(promise, lambda outage: _hands_over(promise, promise.age, outage))
 
 
+def _largest_place(promise: Promise) -> float:
+    """The largest coordinate in an area with walls [m]; 0 without."""
+    return max(size if math.isfinite(size) else 0.0 for size in (promise.width, promise.height))
+
+
 def check_assumptions(promise: Promise) -> tuple[str, ...]:
     """The assumptions that do not hold, one line each with its numbers.
 
@@ -322,6 +330,22 @@ def check_assumptions(promise: Promise) -> tuple[str, ...]:
         )
     if not c.u_a > 0.0:
         faults.append(f"u_a = {c.u_a:g} m/s²: must be positive")
+    elif c.u_a * c.dt < _LEAST_STEP:
+        faults.append(
+            f"u_a = {c.u_a:g} m/s²: changes the speed by {c.u_a * c.dt:g} m/s in a tick, too little for a lost "
+            f"command to be noticed; {_LEAST_STEP:g} m/s at least"
+        )
+    if math.isfinite(c.age) and c.age_ticks >= MOST_KEPT:
+        faults.append(
+            f"A = {c.age:g} s: {c.age_ticks:,} ticks; no detection is used that is older than {MOST_KEPT:,}"
+        )
+    elif math.isfinite(c.age):
+        strayed = 0.5 * math.ulp(_largest_place(c)) * (c.age_ticks + c.delay_ticks)
+        if strayed > 0.5 * MARGIN:
+            faults.append(
+                f"area = {c.width:g} m x {c.height:g} m: far from its corner rounding alone moves the UGV by up to "
+                f"{strayed:.2g} m in A = {c.age:g} s, which no margin covers"
+            )
     if not faults and math.isnan(c.handover):
         rho, most = c.eps + c.v_g * (c.age + delay), largest_age(c)
         terms, sizes = "eps", f"eps {c.eps:g} m"

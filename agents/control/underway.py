@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.control.certificate import BEST_EFFORT, rest_radius, step_in_area
+from agents.control.discs import AS_EXPECTED
 from agents.control.promise import Promise
 from bus.messages import MOST_CARRIED
 from sim.kernels.compile import borrowing
@@ -33,10 +34,6 @@ _NOW, _END = 0, 1
 
 _BEGUN, _LOST = 0, 1
 """Rows of `Underway.expected`: the next state if the motion that is due in this tick begins, and if it does not."""
-
-AS_EXPECTED = 1e-10
-"""A state nearer than this [m, m/s] to the expected one is that. The course goes on from the state, so that a lost
-command is seen at once or has no consequence; a thousand ticks of this are less than `MARGIN`."""
 
 
 class Underway(NamedTuple):

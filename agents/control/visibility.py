@@ -1,6 +1,5 @@
 """The visibility constraint (5), the radius from which only tracking acts (18), and the filter that keeps sight."""
 
-import math
 from collections import Counter
 from collections.abc import Collection
 from typing import NamedTuple
@@ -15,6 +14,7 @@ from agents.control.guard import (
     note_commands,
     note_detection,
     note_position,
+    track_ticks,
 )
 from agents.control.handover import certificate, check_assumptions
 from agents.control.promise import Declared, Promise
@@ -25,12 +25,6 @@ from bus.ticks import looks_of
 from sim.kernels.compile import compiled
 from sim.models.motion import NO_MOTION, motion_plan
 from sim.models.vehicles import Motion, norm, raw_switching_radius
-
-_TRACK = 120.0
-"""The UAV's own positions are kept for so long [s]; detections that are older are of no use."""
-
-_MOST_TICKS = 1_000_000
-"""But for no more ticks, however short they are: memory for all of them is taken at once, 24 bytes a tick."""
 
 
 @compiled
@@ -132,10 +126,7 @@ class SafetyFilter:
         """Those that were not let through."""
         self.uncertified: Counter[str] = Counter()
         """Ticks that were not certified, by reason."""
-        self.state = guard_state(
-            self.promise.delay_ticks,
-            depth=max(1, min(_MOST_TICKS, math.ceil(_TRACK / briefing.dt))),
-        )
+        self.state = guard_state(self.promise.delay_ticks, depth=track_ticks(self.promise))
         """The memory that the compiled functions of `agents.control.guard` work on."""
         if sent:
             note_commands(self.state, np.array(list(sent), dtype=np.float64))

@@ -3,7 +3,6 @@
 World, links, filters, laws, drivers and rewards of a tick in one compiled pass.
 """
 
-import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Unpack
 
@@ -11,7 +10,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from agents.control.guard import GuardState, guard_state
+from agents.control.guard import GuardState, guard_state, track_ticks
 from agents.control.handover import check_assumptions
 from agents.control.laws import (
     WATCHED,
@@ -30,12 +29,11 @@ from agents.drivers.tile_map import GroundMemory
 from agents.estimation.estimator import SPAN
 from agents.estimation.filtering import KalmanState, kalman_state
 from agents.estimation.motion_model import KalmanParameters, kalman_parameters
-from agents.uav import radio_ticks
 from bus.errors import ScenarioError
 from bus.layout import GradientCue
 from bus.messages import LinkKind, LinkStatus, UavBriefing, UgvBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
-from bus.ticks import ticks_within
+from bus.ticks import radio_ticks, ticks_within
 from outrider.envs.closed_loop_state import (
     GUARD_METRICS,
     RADIO_SIZE,
@@ -65,12 +63,6 @@ from sim.kernels.prefetch import disc_widths
 from sim.kernels.records import records
 from sim.models.randomness import PILOT
 from sim.scenario.types import Scenario
-
-_TRACK = 120.0
-"""A detection older than this is of no use to the safety filter [s].
-
-`agents.control.guard` keeps the track no longer.
-"""
 
 _NO_ACTIONS = np.zeros((0, 0, 2))
 
@@ -236,7 +228,7 @@ class ClosedLoop:
         )
         late = self.batch.links.longest(LinkKind.DETECTIONS)
         kalman = kalman_state(min(late, ticks_within(SPAN, dt)) + 1)
-        guards = guard_state(numbers.longest, min(late + 1, max(1, math.ceil(_TRACK / dt))))
+        guards = guard_state(numbers.longest, min(late + 1, numbers.track))
         uavs, ugvs = len(self.uavs), len(self.ugvs)
         guards = _guards_of(guards, worlds, uavs)
         room = radio.room * uavs if receiving else 1
@@ -423,6 +415,7 @@ class _PilotNumbers:
         promises = [promise_of(one) for one in told_uavs]
         self.laws = records(LawParameters, laws)
         self.longest = max((promise.delay_ticks for promise in promises), default=0)
+        self.track = max((track_ticks(promise) for promise in promises), default=1)
         self.delays = np.array([promise.delay_ticks for promise in promises], dtype=np.int64)
         bounds = [certificate_bounds(one.certificate, one.dt) for one in told_uavs]
         self.bounds = records(CertificateBounds, bounds)

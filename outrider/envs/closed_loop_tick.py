@@ -38,6 +38,7 @@ from sim.engine.certificate_counts import (
     CertificateClaim,
     note_action,
     note_arrival,
+    note_end,
     note_report,
     note_sent,
 )
@@ -561,6 +562,9 @@ def run_worlds(
                     advance_rows(tables.batch, state.batch, tables.rows, state.rows, k, beginning)
                 elif part == 3:
                     over = state.rows.terminated[k] or state.rows.truncated[k]
+                    for u in range(tables.batch.escorts.shape[0] if over else 0):
+                        lost = state.rows.uavs[k, u, UAV_METRICS.lost] != 0.0
+                        note_end(state.certificates[k, u], lost)
                     if tick == ticks - 1 or over or beginning:
                         _observe(parameters, tables, state, k)
             after = -1

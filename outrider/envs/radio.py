@@ -6,7 +6,6 @@ import msgspec
 
 from agents.control.telling import GroundTeller
 from agents.estimation.estimator import estimator_of
-from agents.uav import radio_ticks
 from bus.messages import (
     GroundBlock,
     LinkKind,
@@ -14,7 +13,7 @@ from bus.messages import (
     UavBriefing,
     UgvObservation,
 )
-from bus.ticks import looks_of
+from bus.ticks import looks_of, radio_ticks
 
 
 class Radio:

@@ -61,7 +61,7 @@ class CertificateCounts:
     intervened: int
     """Ticks that are watched; those of them that were certified; those in which the filter acted."""
     lost: int
-    """Ticks that were certified although the UGV was out of sight."""
+    """Ticks that were certified although the UGV was out of sight, then or where the flight ended with the tick."""
     broken: int
     """Ticks that were not certified although the one before was and everything held."""
 
@@ -190,6 +190,20 @@ def note_action(
 
 
 @borrowing
+def note_end(counts: CertificateCounts, lost: bool) -> None:
+    """The flight ends, and nobody is asked at its last state any more.
+
+    Args:
+        counts: Of the UAV.
+        lost: Whether the UGV is out of sight there. If the tick before was certified, and everything held, that counts
+            as certified out of sight.
+    """
+    if counts.promised and counts.exact and counts.tracked and counts.obeyed and lost:
+        counts.lost += 1
+    counts.promised = False
+
+
+@borrowing
 def begin_watch(counts: RecordArray, uav: int) -> None:
     """A filter begins that remembers no detection, and has promised nothing."""
     count = counts[uav]
@@ -203,6 +217,12 @@ def count_tracking(bounds: RecordArray, counts: RecordArray, uav: int, off: floa
     Once that is farther than declared, what is seen from there may be wrong for as long as it is remembered.
     """
     counts[uav].tracked = counts[uav].tracked and off <= bounds[uav].tracking
+
+
+@borrowing
+def count_end(counts: RecordArray, uav: int, lost: bool) -> None:
+    """`note_end` of one UAV, for Python."""
+    note_end(counts[uav], lost)
 
 
 @borrowing

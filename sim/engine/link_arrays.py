@@ -48,7 +48,7 @@ def _longest_wait(parameters: LinkParameters) -> int:
     each = math.ceil(p.message_bytes / p.opportunity)
     rounds, last = np.divmod(np.arange(len(p.trace)) + (p.queue + 1) * each + 1, len(p.trace))
     waits = p.trace[last, 0] + p.period * rounds - p.trace[:, 0]  # [ms]
-    return math.ceil(waits.max() / (1000.0 * p.dt)) + 1
+    return math.ceil(float(waits.max()) / (1000.0 * p.dt)) + 1
 
 
 class LinkArrays:

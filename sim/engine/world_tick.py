@@ -282,12 +282,15 @@ def put_off(
 
 @inlined
 def _perceive(tables: BatchTables, state: BatchState, world: int) -> None:
-    """The vehicles' sensors look at the ground, and the UAVs' detectors at their UGVs."""
+    """The vehicles' sensors look at the ground, and the UAVs' detectors at their UGVs.
+
+    A sensor of the ground looks from where its vehicle is told that it is: when a tile is told depends on nothing but
+    the vehicle's own track, so that no UAV finds the wind by it.
+    """
     keys, tick, position = state.keys[world], state.ticks[world], state.truth.position[world]
     if tables.ground.parameters.shape[0] > 0:
-        perceive_ground(
-            tables.world, tables.ground, state.ground, world, tick, position, tables.escorts, keys
-        )
+        told, escorts = state.told.position[world], tables.escorts
+        perceive_ground(tables.world, tables.ground, state.ground, world, tick, told, escorts, keys)
         note_mission(
             tables.mission, tables.ground, state.ground, state.mission, world, tick, position
         )

@@ -15,7 +15,7 @@ from gymnasium.error import ResetNeeded
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
 from bus.layout import state_names
-from bus.messages import Briefing, Detection, MotionPlan, SeenTile, Vector
+from bus.messages import Briefing, Detection, LinkStatus, MotionPlan, SeenTile, Vector
 from sim.engine.briefing import briefing
 from sim.engine.mission import mission_numbers
 from sim.engine.run_keys import check_secret
@@ -236,18 +236,23 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """Take in what reaches the vehicles at this tick beside what is in their rows: here nothing."""
 
     def _infos(self) -> dict[str, dict[str, Any]]:
-        """Facts that are in no row; where the network is not perfect, also how each vehicle's own links do.
+        """Facts of a vehicle's own that are in no row.
 
-        At the end of an episode on ground with hazards a UGV's say how the mission went, too.
+        At the end of an episode, when nothing is decided any more, also what became of the messages on its links, where
+        the network is not perfect, and how a UGV's mission went, on ground with hazards.
         """
-        links, degraded, mission = self.world.links, self.degraded, self.world.mission
-        over = mission_numbers(mission) if mission is not None and not self.agents else {}
-        return {
-            name: self._episode.info(name)
-            | ({"links": links.status(name)} if degraded else {})
-            | ({} if self._episode.uav(name) is not None else over)
-            for name in self.possible_agents
+        infos: dict[str, dict[str, Any]] = {
+            name: {**self._episode.info(name)} for name in self.possible_agents
         }
+        if self.agents:
+            return infos
+        links, mission = self.world.links, self.world.mission
+        for name, info in infos.items():
+            if self.degraded:
+                info["links"] = links.status(name)
+            if mission is not None and self._episode.uav(name) is None:
+                info.update(mission_numbers(mission))
+        return infos
 
     def _observations(self) -> dict[str, Observation]:
         """A new array for each vehicle, which nobody changes later."""
@@ -308,6 +313,10 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """Each vehicle's true standing, and the terms of its last reward: for people and logs, not for policies."""
         _ = self.world  # there must be one
         return {name: self._episode.metrics(name) for name in self.possible_agents}
+
+    def links(self) -> dict[str, LinkStatus]:
+        """The counters of each link so far, by `vehicle/kind`: for people and logs, not for policies."""
+        return self.world.links.status()
 
     def received(self, agent: str) -> tuple[Detection, ...]:
         """All the detections that have reached a UAV at this tick, as it would be told on the bus.

@@ -117,8 +117,13 @@ class Answers:
             if isinstance(command, UavCommand):
                 self._judge_report(uav, command, last)
                 self.assurance.send(uav, command.tick, command.acceleration)
-        if last.watched:
-            self._check_reports(last)
+        self._check_reports(last)
+
+    def end(self) -> None:
+        """The flight is over, and its last state has been taken down: no vehicle is asked there any more."""
+        self.settle()
+        for uav in range(len(self._pairs)):
+            self.assurance.end(uav, self._recorder.distance(self._world.tick, uav))
 
     def _count(self, tick: int, commands: Mapping[str, Command]) -> None:
         """Note whether each vehicle's process was in time, and whether it asked for more than its bound."""
@@ -164,10 +169,16 @@ class Answers:
             )
 
     def _check_reports(self, last: _Tick) -> None:
-        """Hold what the UAVs have said of a tick against the truth."""
+        """Hold what the UAVs have said of a tick against the truth.
+
+        Those that a safety filter watches over: by the law, or around whatever flies them.
+        """
         recorder, acted = self._recorder, self._world.commands
         states = recorder.states
         for uav, (a, g) in enumerate(self._pairs):
+            report = self.reports[uav]
+            if not last.watched and (report is None or report.certified is None):
+                continue
             command, arrivals = last.commands.get(self._world.names[a]), []
             said = last.tick if command is None else command.tick
             for taken, x, y in last.received[uav] if command is not None else ():
@@ -181,7 +192,7 @@ class Answers:
             self.assurance.take(
                 uav,
                 last.tick,
-                self.reports[uav],
+                report,
                 distance=recorder.distance(said, uav),
                 arrivals=arrivals,
                 acts=(acted.item(a, 0), acted.item(a, 1)),

@@ -12,6 +12,7 @@ from sim.engine.certificate_counts import (
     begin_watch,
     certificate_bounds,
     certificate_counts,
+    count_end,
     count_tick,
     count_tracking,
     note_sent,
@@ -61,6 +62,7 @@ class Assurance:
             self._send = entry_point(note_sent, sent, 0, 0.0, 0.0)
             self._track = entry_point(count_tracking, *tables, 0, 0.0)
             self._begin = entry_point(begin_watch, self._counts, 0)
+            self._end = entry_point(count_end, self._counts, 0, False)
 
     def _sum(self, name: str) -> int:
         return int(self._counts[name].sum())
@@ -161,6 +163,10 @@ class Assurance:
         said = certified, intervened, distance >= self._radius, current and says
         tables = self._bounds, self._counts, self._sent[uav]
         self._tick(*tables, uav, tick, arrived, said, acts, begins)
+
+    def end(self, uav: int, distance: float) -> None:
+        """The flight is over with this UAV so far from its UGV [m]: the last tick's certificate is held against it."""
+        self._end(self._counts, uav, distance >= self._radius)
 
     def status(self) -> CertificateStatus | None:
         """All of it as a message; None where no filter has watched over anything."""

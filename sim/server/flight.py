@@ -22,6 +22,7 @@ from bus.messages import (
     LinkKind,
     LinkSettings,
     Observation,
+    RelativeInformation,
     Status,
     Truth,
     UgvCommand,
@@ -29,6 +30,7 @@ from bus.messages import (
     VehicleTruth,
 )
 from bus.registry import LAWS
+from bus.ticks import radio_ticks, tick_of
 from sim.kernels.compile import FloatArray
 from sim.models.ground import UNSEEN
 from sim.scenario.types import NO_UAV, Scenario, Uav
@@ -145,8 +147,11 @@ class Flight:
         self._operators = self.world.links.of(LinkKind.OPERATOR)
         self._radios = self.world.links.of(LinkKind.RADIO)
         self._grounded = scenario.has_ground
-        self.refused_blocks: dict[str, int] = dict.fromkeys(self._uav_row, 0)
-        """Blocks of each UAV that said of the ground what its sensor has not told."""
+        self._radioed: dict[str, int | None] = dict.fromkeys(self._uav_row)
+        self.refused_radio: dict[str, int] = dict.fromkeys(self._uav_row, 0)
+        """Radio messages of each UAV that were not sent: of another time, too soon after the last one, or of ground of
+        which its sensor has not told that.
+        """
         self._listened = -1
 
     @property
@@ -259,12 +264,6 @@ class Flight:
         for perception in self.perceptions.values():
             perception.receive(tick)
 
-    def _is_told(self, vehicle: int, block: GroundBlock) -> bool:
-        """True if a block says of each tile what the UAV's own sensor has told, or nothing."""
-        unseen = TILE_LETTERS[UNSEEN]
-        known = self.world.known_block(vehicle, block.row, block.column)
-        return all(said in (unseen, told) for said, told in zip(block.tiles, known, strict=True))
-
     def observations(self) -> Mapping[str, Observation]:
         """The observation of each vehicle at this tick, made when it is asked for, before the world moves on."""
         self._listen()
@@ -313,13 +312,41 @@ class Flight:
                 self.routes[name] = command.route
             return
         world.send(vehicle, command.tick, command.acceleration, command.motions)
-        for message in command.radio:  # received at the next tick at the earliest
-            self._radios[name].send(world.tick + 1, message, world.tick)
+        for message in command.radio:
+            self._radio(
+                name, message, message if self._is_due(name, command.tick, message) else None
+            )
         for block in command.blocks:
-            if self._grounded and self._is_told(vehicle, block):
-                self._radios[name].send(world.tick + 1, block, world.tick)
-            else:
-                self.refused_blocks[name] += 1
+            self._radio(name, block, self._told_block(vehicle, block))
+
+    def _radio(self, uav: str, said: object, sent: object | None) -> None:
+        """A UAV's radio message sets out, to arrive at the next tick at the earliest; None: it must not."""
+        if sent is None:
+            self.refused_radio[uav] += 1
+        else:
+            self._radios[uav].send(self.world.tick + 1, sent, self.world.tick)
+
+    def _is_due(self, uav: str, tick: int, message: RelativeInformation) -> bool:
+        """True if a message is of the tick that its command answers, and the last one was a radio period before."""
+        dt, last = self.world.parameters.dt, self._radioed[uav]
+        if tick_of(message.time, dt) != tick or (
+            last is not None and tick < last + radio_ticks(dt)
+        ):
+            return False
+        self._radioed[uav] = tick
+        return True
+
+    def _told_block(self, vehicle: int, block: GroundBlock) -> GroundBlock | None:
+        """A block with all that the UAV's own sensor has told of its tiles, whatever the UAV leaves out; or None.
+
+        So the states carry nothing else, and neither do blocks of which nothing is known, or beyond the area.
+        """
+        if not self._grounded:
+            return None
+        unseen = TILE_LETTERS[UNSEEN]
+        known = self.world.known_block(vehicle, block.row, block.column)
+        told = all(said in (unseen, true) for said, true in zip(block.tiles, known, strict=True))
+        return msgspec.structs.replace(block, tiles=known) if told and known.strip(unseen) else None
 
     def take_down(self) -> None:
         """Settle the answers to the tick before and record this one; again at the same tick it changes nothing.
@@ -342,7 +369,14 @@ class Flight:
         if not self._goes_on():
             return False
         self.apply(commands)
+        if self.complete:
+            self._close()
         return True
+
+    def _close(self) -> None:
+        """Settle what is known of the last state, at which no vehicle is asked any more."""
+        self.take_down()
+        self._answers.end()
 
     def fly(self, exchange: Exchange, *, on_tick: Callable[[], None] | None = None) -> None:
         """Fly to the end.
@@ -354,7 +388,7 @@ class Flight:
         while not self.over and self.fly_tick(exchange):
             if on_tick is not None:
                 on_tick()
-        self.take_down()
+        self._close()
         if not self._abandoned:
             exchange.publish(self.observations())
 

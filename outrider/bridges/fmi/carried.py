@@ -2,14 +2,16 @@
 
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from bus.errors import ScenarioError
 from bus.messages import UavBriefing, UgvBriefing
 from outrider.bridges.fmi.vehicle_unit import VehicleUnit
-from outrider.bridges.fmi.world_unit import WorldUnit
-from sim.scenario.types import Scenario
+
+if TYPE_CHECKING:
+    from outrider.bridges.fmi.world_unit import WorldUnit
 
 _VERSION = "version.txt"
 _BRIEFINGS: dict[str, type[UavBriefing] | type[UgvBriefing]] = {
@@ -19,24 +21,17 @@ _BRIEFINGS: dict[str, type[UavBriefing] | type[UgvBriefing]] = {
 _FLIGHT = "flight.msgpack"
 
 
-class FlightCarried(msgspec.Struct, frozen=True):
-    """A flight, in MessagePack: JSON has no infinite bounds."""
-
-    scenario: Scenario
-    seed: int
-
-
-def files_of(content: UavBriefing | UgvBriefing | FlightCarried) -> dict[str, bytes]:
-    """The files that a unit carries, by name."""
+def files_of(content: UavBriefing | UgvBriefing | bytes) -> dict[str, bytes]:
+    """The files that a unit carries, by name; of a flight, from `outrider.bridges.fmi.world_unit.packed`."""
     told = {_VERSION: version("outrider").encode()}
-    if isinstance(content, FlightCarried):
-        return told | {_FLIGHT: msgspec.msgpack.encode(content)}
+    if isinstance(content, bytes):
+        return told | {_FLIGHT: content}
     (name,) = (name for name, kind in _BRIEFINGS.items() if isinstance(content, kind))
     return told | {name: msgspec.json.format(msgspec.json.encode(content), indent=2)}
 
 
-def open_unit(folder: Path) -> VehicleUnit | WorldUnit:
-    """The unit of which the files lie in a folder.
+def open_unit(folder: Path) -> "VehicleUnit | WorldUnit":
+    """The unit of which the files lie in a folder; a vehicle's loads nothing of the world.
 
     Raises:
         ScenarioError: If another version of Outrider has made them.
@@ -45,8 +40,9 @@ def open_unit(folder: Path) -> VehicleUnit | WorldUnit:
     if made != here:
         raise ScenarioError(f"a unit of outrider {made}; allowed with this one: {here}")
     if (folder / _FLIGHT).exists():
-        flight = msgspec.msgpack.decode((folder / _FLIGHT).read_bytes(), type=FlightCarried)
-        return WorldUnit(flight.scenario, flight.seed)
+        from outrider.bridges.fmi.world_unit import unpacked  # noqa: PLC0415 - a vehicle's process flies units too
+
+        return unpacked((folder / _FLIGHT).read_bytes())
     for name, kind in _BRIEFINGS.items():
         if (folder / name).exists():
             return VehicleUnit(msgspec.json.decode((folder / name).read_bytes(), type=kind))

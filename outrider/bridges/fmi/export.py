@@ -6,9 +6,9 @@ from pathlib import Path
 
 from bus.errors import ScenarioError
 from bus.keys import Role
-from outrider.bridges.fmi.carried import FlightCarried, files_of
+from outrider.bridges.fmi.carried import files_of
 from outrider.bridges.fmi.vehicle_unit import check_exportable
-from outrider.bridges.fmi.world_unit import check_world
+from outrider.bridges.fmi.world_unit import check_world, packed
 from sim.engine.briefing import briefing
 from sim.scenario.types import Scenario
 
@@ -52,7 +52,7 @@ def export_vehicle(scenario: Scenario, role: Role, out: Path, *, name: str = "")
 def export_world(scenario: Scenario, out: Path) -> None:
     """Write the co-simulation unit of a whole flight; arguments and errors as of `export_vehicle`."""
     check_world(scenario)
-    _build(files_of(FlightCarried(scenario, scenario.seed)), out)
+    _build(files_of(packed(scenario)), out)
 
 
 def _build(carried: dict[str, bytes], out: Path) -> None:

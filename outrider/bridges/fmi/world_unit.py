@@ -3,6 +3,8 @@
 It tells what an observer is told. An operator's wish crosses the operator's link, as everybody's.
 """
 
+import msgspec
+
 from bus.errors import ScenarioError
 from bus.messages import Drive
 from bus.registry import DRIVERS
@@ -33,6 +35,22 @@ def check_world(scenario: Scenario) -> None:
                 f"{ugv.name}: the driver {ugv.driver!r} is another process, which a unit does not start; allowed: "
                 f"{', '.join(row.name for row in DRIVERS.values() if row.make)}"
             )
+
+
+class _Packed(msgspec.Struct, frozen=True):
+    scenario: Scenario
+    seed: int
+
+
+def packed(scenario: Scenario) -> bytes:
+    """A flight as a unit carries it, in MessagePack: JSON has no infinite bounds."""
+    return msgspec.msgpack.encode(_Packed(scenario, scenario.seed))
+
+
+def unpacked(flight: bytes) -> "WorldUnit":
+    """The unit of such a flight."""
+    found = msgspec.msgpack.decode(flight, type=_Packed)
+    return WorldUnit(found.scenario, found.seed)
 
 
 class WorldUnit:
