@@ -20,6 +20,7 @@ from bus.messages import LinkKind, LinkSettings
 from bus.profiles import PROFILES
 from outrider.experiments.network.fitting import fit_link
 from outrider.experiments.network.samples import drawn_sample
+from outrider.running import assumptions
 from outrider.running.assumptions import promise_warnings
 from outrider.running.flying import fly
 from sim.channel.description import Link, arrivals_of, check_link, link_parameters
@@ -32,6 +33,7 @@ from sim.server.flight import Flight
 from sim.world import World
 
 DT = 0.05
+AGED = "the newest detection is older than declared (age > A)"
 TABLE = "# by hand\nsent [s],delay [s]\n5.0,0.1\n5.2,lost\n5.3,0\n5.3,0.24\n5.5,\n5.51,0.05\n"
 """The round is 0.52 s long, eleven ticks: the last row lasts 10 ms, as the gap before it."""
 HAND = [0.1] * 4 + [None] * 2 + [0.24] * 4 + [None]
@@ -249,6 +251,55 @@ def test_no_message_is_under_way_for_longer_than_batches_have_room_for(
     link = Link(settings, dt=DT, key=a_key(4), traces=(trace,))
     ages = [tick - number for tick, got in enumerate(arrivals(link, 3000)) for number in got]
     assert 0.3 * longest < max(ages) <= longest
+
+
+def a_flight_over(tmp_path: Path, times: list[int], *changes: str) -> Any:
+    """A certified flight whose detections leave at these opportunities [ms]."""
+    (tmp_path / "granted.mahi").write_text("".join(f"{time}\n" for time in times))
+    overrides = [f"links.detections.trace={tmp_path}/granted.mahi", "detections.dropout=0.0"]
+    return load_scenario("escort", overrides=[*overrides, "duration=40.0", *changes])
+
+
+GRANTED = {
+    "few bytes at each": (
+        [45, 96, 1096],
+        ["links.detections.message_bytes=4000", "links.detections.queue=10"],
+    ),
+    "more seldom than it looks": ([51, 71, 72], ["detections.rate=1.0", "certificate.age=0.5"]),
+    "at another place of it": (
+        [100, 145, 190],
+        [
+            "certificate.age=0.5",
+            "links.detections.message_bytes=1500",
+            "links.detections.queue=10",
+            "links.detections.keep=newest",
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize("how", GRANTED)
+def test_no_recorded_link_that_is_said_to_be_fast_enough_is_too_slow(
+    how: str, tmp_path: Path
+) -> None:
+    times, changes = GRANTED[how]
+    scenario = a_flight_over(tmp_path, times, *changes)
+    assert fly(scenario, 1)[1].uncertified.get(AGED, 0) > 100
+    (warning,) = promise_warnings(scenario)
+    assert "A2 is broken" in warning
+
+
+def test_a_long_recording_is_looked_at_to_its_end_or_it_is_said_how_far(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten minutes, with nothing from 400 s to 408 s; a process that does not compile looks at a part alone."""
+    times = [time for time in range(10, 600_001, 10) if not 400_000 < time < 408_000]
+    scenario = a_flight_over(tmp_path, times, "certificate.age=2.0")
+    (warning,) = promise_warnings(scenario)
+    assert "older than certificate.age = 2 s in 1 % of the ticks of a round" in warning
+    monkeypatch.setattr(assumptions, "_MOST_PLAYED", 1000)
+    (warning,) = promise_warnings(msgspec.structs.replace(scenario, duration=50.0))  # no cached one
+    assert "was looked at for 50 s of it alone" in warning
 
 
 # --- the same bits everywhere

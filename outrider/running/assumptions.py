@@ -22,18 +22,24 @@ from bus.registry import LAWS
 from bus.ticks import DUST, first_tick_from
 from outrider.running.summary import PERHAPS_EVERY, in_flights
 from sim.channel.chances import Chance, chance_of_age, chance_of_error, chance_of_outage
-from sim.channel.description import arrival_share, arrivals_of, link_parameters, longest_delay
+from sim.channel.description import (
+    arrival_share,
+    arrivals_of,
+    link_parameters,
+    longest_delay,
+    longest_wait,
+)
 from sim.channel.link import FATES, LinkParameters
 from sim.channel.places import delays_by_place
 from sim.engine.briefing import briefing, largest_tracking_error
 from sim.engine.briefing import declared as declared_bounds
-from sim.kernels.compile import IntArray
+from sim.kernels.compile import IntArray, is_interpreted
 from sim.scenario.types import LinkTable, Scenario, Uav
 
 _RARE = 1e-6
 """Events that are expected less often than this in a whole flight are not told."""
-_MOST_PLAYED = 5_000
-"""Ticks of Mahimahi's opportunities that are looked at; a process that does not compile plays them too."""
+_MOST_PLAYED, _MOST_INTERPRETED = 1_000_000, 5_000
+"""Ticks of Mahimahi's opportunities that are looked at; the latter by a process that does not compile."""
 
 
 class How(StrEnum):
@@ -206,16 +212,26 @@ class _Link:
             if first < min(after, self.scenario.ticks):
                 yield first, min(after, self.scenario.ticks)
 
-    def played(self, every: int) -> IntArray:
-        """Age of the newest message at each tick of a round of the recorded link [ticks], without planned blackouts.
+    def played(self, every: int) -> tuple[IntArray, bool]:
+        """Age of the newest message at each tick of the recorded link [ticks], without planned blackouts.
 
         Args:
             every: Ticks between two messages.
+
+        Returns:
+            The ages until all repeats, and whether it is so: otherwise they are those of a part.
         """
         p = self.parameters
-        table = p.replay == FATES
-        ticks = p.period if table else min(math.ceil(p.period / (1000.0 * p.dt)), _MOST_PLAYED)
-        settled = p.longest + p.queue * every  # before that it has only begun
+        table, tick = p.replay == FATES, 1000.0 * p.dt
+        most = _MOST_INTERPRETED if is_interpreted() else _MOST_PLAYED
+        step = round(tick * every)
+        whole = p.period
+        if not table:
+            exact = step > 0 and abs(step - tick * every) < DUST
+            whole = math.ceil(math.lcm(p.period, step) / tick) if exact else most + 1
+        ticks, settled = whole, p.longest + p.queue * every  # before that it has only begun
+        if not table:
+            ticks, settled = min(whole, most), min(p.longest + longest_wait(p) + every, most)
         sent = np.arange(0, settled + ticks + every, every)
         if table:
             took = delays_by_place(p)[sent % p.period]
@@ -228,7 +244,7 @@ class _Link:
         there = (arrived >= 0) & (arrived < len(newest))
         np.maximum.at(newest, arrived[there], sent[there])
         newest = np.maximum.accumulate(newest)
-        return (np.arange(len(newest)) - newest)[settled:]
+        return (np.arange(len(newest)) - newest)[settled:], ticks == whole
 
     def seconds(self, ticks: float) -> str:
         """As a time."""
@@ -309,8 +325,9 @@ def _ages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
 
 def _recorded_ages(link: _Link, promise: Promise, limit: str) -> Iterator[tuple[How, str]]:
     """Ages that a recording causes by itself in every round, or together with looks that find nothing."""
-    scenario = link.scenario
-    share = float(np.mean(link.played(scenario.detection_period) > promise.age_ticks))
+    scenario, every = link.scenario, link.scenario.detection_period
+    ages, whole = link.played(every)
+    share = float(np.mean(ages > promise.age_ticks))
     lit = msgspec.structs.replace(link.settings, blackouts=())
     chance = _chance_of_age(scenario, link.table, lit, promise.age)
     if chance.value is not None and chance.value <= _RARE:
@@ -328,6 +345,12 @@ def _recorded_ages(link: _Link, promise: Promise, limit: str) -> Iterator[tuple[
     elif often:
         told = f"the newest detection becomes older than {limit} {often}"
         yield How.SOMETIMES, f"{link.path}.trace{dropout}: {told}"
+    elif not whole:
+        told = f"whether the newest detection becomes older than {limit} was looked at for"
+        yield How.SOMETIMES, f"{link.path}.trace: {told} {link.seconds(len(ages))} of it alone"
+    elif ages.max() + every + 1 > promise.age_ticks:
+        told = f"the newest detection becomes {link.seconds(ages.max())} old, so near to {limit} that it may be older"
+        yield How.SOMETIMES, f"{link.path}.trace: {told} where a run begins at another place of it"
 
 
 def _queue_ticks(parameters: LinkParameters, period: int) -> int | None:
@@ -424,7 +447,11 @@ def _delays(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     )
     tau = f"tau_c = {link.seconds(exact)} ({source})"
     if link.settings.trace:
-        share = float(np.mean(link.played(1) != exact))
+        ages, whole = link.played(1)
+        share = float(np.mean(ages != exact))
+        if share == 0.0 and not whole:
+            told = f"whether it acts {tau} after its tick was looked at for {link.seconds(len(ages))} of it alone"
+            yield How.SOMETIMES, f"{link.path}.trace: {told}"
         if share > 0.0:
             what = f"another command than that of {tau} before acts in {_percent(share)} of the ticks of a round"
             yield _often(share), f"{link.path}.trace: {what}"

@@ -86,6 +86,17 @@ def longest_delay(settings: LinkSettings, traces: Sequence[RecordedLink] = ()) -
     return settings.delay + extra_delays(settings)[1] + held + longest_recorded(settings, traces)
 
 
+def longest_wait(parameters: LinkParameters) -> int:
+    """The longest wait of a message at its sender that is not dropped [ticks]."""
+    p = parameters
+    if p.replay != OPPORTUNITIES:
+        return math.ceil(p.queue * p.spacing)
+    each = math.ceil(p.message_bytes / p.opportunity)
+    rounds, last = np.divmod(np.arange(len(p.trace)) + (p.queue + 1) * each + 1, len(p.trace))
+    waits = p.trace[last, 0] + p.period * rounds - p.trace[:, 0]  # [ms]
+    return math.ceil(float(waits.max()) / (1000.0 * p.dt)) + 1
+
+
 def link_faults(
     settings: LinkSettings, path: str = "", traces: Sequence[RecordedLink] = ()
 ) -> Iterator[Fault]:

@@ -3,7 +3,6 @@
 What each link does in one table, what it remembers with axes for worlds and links.
 """
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,8 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.messages import LinkKind, LinkSettings, LinkStatus
-from sim.channel.description import check_link, link_parameters, link_status, link_table, relink
-from sim.channel.link import OPPORTUNITIES, LinkParameters, LinkState, link_state
+from sim.channel.description import (
+    check_link,
+    link_parameters,
+    link_status,
+    link_table,
+    longest_wait,
+    relink,
+)
+from sim.channel.link import LinkState, link_state
 from sim.kernels.compile import inlined
 from sim.models.randomness import COMMAND_LINK, DETECTION_LINK, OPERATOR_LINK, RADIO_LINK
 from sim.scenario.types import Scenario, Uav, Ugv
@@ -38,17 +44,6 @@ _OWNERS = {
 def owners(scenario: Scenario, kind: LinkKind) -> tuple[str, ...]:
     """The vehicles that have a link of this kind, in name order."""
     return tuple(one.name for one in scenario.vehicles if isinstance(one, _OWNERS[kind]))
-
-
-def _longest_wait(parameters: LinkParameters) -> int:
-    """The longest wait of a message at its sender that is not dropped [ticks]."""
-    p = parameters
-    if p.replay != OPPORTUNITIES:
-        return math.ceil(p.queue * p.spacing)
-    each = math.ceil(p.message_bytes / p.opportunity)
-    rounds, last = np.divmod(np.arange(len(p.trace)) + (p.queue + 1) * each + 1, len(p.trace))
-    waits = p.trace[last, 0] + p.period * rounds - p.trace[:, 0]  # [ms]
-    return math.ceil(float(waits.max()) / (1000.0 * p.dt)) + 1
 
 
 class LinkArrays:
@@ -96,7 +91,7 @@ class LinkArrays:
     def longest(self, kind: LinkKind) -> int:
         """The longest time from a sending to an arrival by a link of this kind, with the wait in its queue [ticks]."""
         links = zip(self.names, self._parameters, strict=True)
-        times = (p.longest + _longest_wait(p) for (one, _), p in links if one is kind)
+        times = (p.longest + longest_wait(p) for (one, _), p in links if one is kind)
         return max(times, default=0)
 
     def change(self, kind: LinkKind, vehicle: str, settings: LinkSettings) -> None:
