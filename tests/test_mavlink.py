@@ -276,7 +276,7 @@ def test_each_command_is_answered(run):
     assert ask(pace, attitude, 50_000.0) == mavlink.MAV_RESULT_ACCEPTED
     assert ask(pace, attitude, 1.0) == mavlink.MAV_RESULT_DENIED
     assert ask(pace, attitude, math.nan) == mavlink.MAV_RESULT_UNSUPPORTED
-    assert run.gateway.refused[f"command {NOT_SUPPORTED}"] == 3
+    assert run.gateway.refusals.counts[f"command {NOT_SUPPORTED}"] == 3
 
 
 def test_the_runs_settings_are_parameters(run):
@@ -290,7 +290,7 @@ def test_the_runs_settings_are_parameters(run):
     (one,) = of(run.station.send(read), "PARAM_VALUE")
     assert one.param_value == pytest.approx(0.2)
     assert not run.station.send(mavlink.MAVLink_param_request_read_message(UGV, 1, b"NO", -1))[1:]
-    assert run.gateway.refused == {NOT_SUPPORTED: 1}
+    assert run.gateway.refusals.counts == {NOT_SUPPORTED: 1}
 
 
 def set_parameter(name, value):
@@ -319,7 +319,7 @@ def test_an_operator_pauses_hastens_and_changes_the_law_by_parameters(run):
 )
 def test_a_parameter_that_cannot_be_set_is_refused_and_told_as_it_is(run, name, value, cause):
     answer = run.station.send(set_parameter(name, value))
-    assert run.gateway.refused == {cause: 1}
+    assert run.gateway.refusals.counts == {cause: 1}
     assert run.client.said == []
     assert any(cause in text for text in texts(answer))
     for one in of(answer, "PARAM_VALUE"):
@@ -354,7 +354,7 @@ def test_a_second_ground_station_is_refused_until_the_first_falls_silent(run, mo
     second = second_station(run)
     assert any(SECOND_STATION in text for text in texts(second.send(sticks(-900, 0))))
     assert run.client.driven == first
-    assert run.gateway.refused == {SECOND_STATION: 1}
+    assert run.gateway.refusals.counts == {SECOND_STATION: 1}
     monkeypatch.setattr("outrider.bridges.mavlink.gateway._RELEASE", 0.0)
     second.send(sticks(-900, 0))
     assert run.client.driven[-1][1].velocity == pytest.approx((0.0, -0.18))
@@ -418,7 +418,7 @@ def test_no_content_of_any_message_ends_the_gateway(run):
 def test_an_observer_only_watches(watched):
     watched.station.send(sticks(500, 0), set_parameter("PAUSED", 1.0))
     assert watched.station.ask(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 1.0, target=UGV) == 2  # denied
-    assert watched.gateway.refused == {NOT_ALLOWED: 3}
+    assert watched.gateway.refusals.counts == {NOT_ALLOWED: 3}
     assert (watched.client.said, watched.client.driven) == ([], [])
 
 

@@ -183,7 +183,7 @@ def test_bad_telemetry_is_counted_by_cause_and_changes_no_bit(along, plain):
     times = flight.scenario.ticks // 10
     causes = [bad[n % len(bad)][2] for n in range(times)]
     wanted = {cause: causes.count(cause) for cause in causes} | {UNREADABLE: times}
-    assert dict(along.link.refused) == wanted
+    assert dict(along.link.refusals.counts) == wanted
 
 
 def test_a_run_that_declares_no_deviation_is_refused():

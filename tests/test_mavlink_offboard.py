@@ -23,11 +23,11 @@ from outrider.bridges.mavlink.setpoints import (
     POSITION,
     VERTICAL,
     WRONG_FRAME,
-    RefusedSetpoint,
     Setpoint,
     read_setpoint,
 )
 from outrider.bridges.mavlink.udp import UNREADABLE, Address, Network
+from outrider.bridges.refused import Refused
 from outrider.running.flying import fly, make_pilots
 from outrider.running.summary import summarize
 from sim.scenario.loading import load_scenario
@@ -82,7 +82,7 @@ BAD = [
 
 @pytest.mark.parametrize(("message", "cause"), BAD)
 def test_a_setpoint_that_cannot_be_flown_is_refused_with_its_cause(message, cause):
-    with pytest.raises(RefusedSetpoint) as refused:
+    with pytest.raises(Refused) as refused:
         read_setpoint(message, LIMITS)
     assert refused.value.cause == cause
 
@@ -161,7 +161,7 @@ def test_bad_messages_change_no_bit_and_each_is_counted_by_its_cause(run, plain)
     ticks = range(0, flight.scenario.ticks, 20)
     causes = [(BAD + others)[tick // 20 % len(messages)][1] for tick in ticks]
     wanted = {cause: causes.count(cause) for cause in causes}
-    refused = dict(run.gateway.refused)
+    refused = dict(run.gateway.refusals.counts)
     assert refused.pop(UNREADABLE) == len(ticks)
     assert refused == wanted
 
@@ -211,7 +211,7 @@ def test_hold_stops_the_uav(run):
 
 def test_a_ground_station_changes_modes_and_a_second_one_does_not(run):
     assert of(run.station.send(target()), "COMMAND_ACK") == []
-    assert run.gateway.refused == {TOO_EARLY: 1}
+    assert run.gateway.refusals.counts == {TOO_EARLY: 1}
     run.fly()
     assert offboard(run) == mavlink.MAV_RESULT_ACCEPTED
     assert run.pilot.mode is OFFBOARD
@@ -224,7 +224,7 @@ def test_a_ground_station_changes_modes_and_a_second_one_does_not(run):
     assert ask(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 4.0, 4.0) == mavlink.MAV_RESULT_DENIED
     before = run.pilot._setpoint
     assert any(SECOND_STATION in text for text in texts(second.send(target((0.1, 0.0, 0.0)))))
-    assert run.gateway.refused[SECOND_STATION] == 2
+    assert run.gateway.refusals.counts[SECOND_STATION] == 2
     assert (run.pilot.mode, run.pilot._setpoint) == (OFFBOARD, before)
 
 

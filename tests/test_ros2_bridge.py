@@ -21,10 +21,11 @@ from test_ros2_wire import truth_at
 from bus.access import new_credentials
 from bus.keys import CONTROL, COVERAGE, OPERATOR, SAMPLED_TRUTH, STATUS
 from bus.messages import Action, Control, CoverageMap, Limits, VehicleStatus
+from outrider.bridges.refused import Refused
 from outrider.bridges.ros2.conversion import header, view_of
 from outrider.bridges.ros2.interfaces import decode, encode, make, request_of, response_of
 from outrider.bridges.ros2.observing import RosObserver
-from outrider.bridges.ros2.ros_commands import TWISTS, Refused, RosCommands, wish_of
+from outrider.bridges.ros2.ros_commands import TWISTS, RosCommands, wish_of
 from outrider.bridges.ros2.ros_node import RosNode
 from outrider.bridges.ros2.topics import TOPICS, wire_topic
 from outrider.bridges.ros2.wire import Attachment, WireTopic

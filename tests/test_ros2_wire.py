@@ -9,9 +9,10 @@ import pytest
 from stamps import seconds_of
 from statuses import a_status, a_truth, a_vehicle
 
-from bus.errors import BusError, ScenarioError
+from bus.errors import ScenarioError
 from bus.messages import CoverageMap, GroundMap, LinkStatus, UavReport, VehicleStatus
 from bus.ros2_access import PILOT
+from outrider.bridges.refused import Refused
 from outrider.bridges.ros2.conversion import PathTrack, RunView
 from outrider.bridges.ros2.interfaces import decode, encode, make, type_hash
 from outrider.bridges.ros2.topics import PILOT_TOPICS, TOPICS, messages_of, wire_topic
@@ -215,10 +216,10 @@ def test_what_is_no_cdr_of_its_type_is_refused_with_a_reason():
     raw = encode("geometry_msgs/msg/Twist", twist)
     assert decode("geometry_msgs/msg/Twist", raw).linear.y == 2.0
     for bad in (b"", raw[:3], raw[:-8], b"\x00\x07" + raw[2:], raw + bytes(64)):
-        with pytest.raises(BusError, match="geometry_msgs/msg/Twist"):
+        with pytest.raises(Refused, match="geometry_msgs/msg/Twist"):
             decode("geometry_msgs/msg/Twist", bad)
     huge = raw[:4] + struct.pack("<I", 2**31) + bytes(8)
-    with pytest.raises(BusError):
+    with pytest.raises(Refused):
         decode("std_msgs/msg/String", huge)
 
 

@@ -10,7 +10,6 @@ detections of a UGV that is simulated are simulated too.
 import logging
 import math
 import time
-from collections import Counter
 from typing import NamedTuple
 
 import msgspec
@@ -23,6 +22,7 @@ from outrider.bridges.mavlink.gateway import BEYOND_BOUNDS, NOT_FINITE
 from outrider.bridges.mavlink.identity import AUTOPILOT
 from outrider.bridges.mavlink.setpoints import REST, bounds, setpoint_control
 from outrider.bridges.mavlink.udp import UNREADABLE, Network, Peer
+from outrider.bridges.refused import Refusals, Refused
 
 OTHER_AUTOPILOT = "comes from another party than the autopilot"
 OLDER = "is older than what came before"
@@ -68,6 +68,10 @@ class _Wanted(NamedTuple):
     """Of our clock [s]."""
 
 
+def _log_refused(refused: Refused, count: int) -> None:
+    _LOG.warning("refused %d: %s %s", count, refused.what, refused.cause)
+
+
 class AutopilotLink:
     """Receives from an autopilot, and tells it what to hold.
 
@@ -77,8 +81,7 @@ class AutopilotLink:
 
     def __init__(self, network: Network) -> None:
         self.network = network
-        self.refused: Counter[str] = Counter()
-        """Telemetry that was refused, by cause."""
+        self.refusals = Refusals(_log_refused)
         self.peer: Peer | None = None
         """The autopilot; None: none has been received from."""
         self.armed = False
@@ -102,7 +105,7 @@ class AutopilotLink:
         for peer, message in self.network.receive(patience):
             self._take(peer, message)
         if self.network.unreadable > before:
-            self._refuse(UNREADABLE, "bytes", self.network.unreadable - before)
+            self.refusals.add(Refused(UNREADABLE, "bytes"), self.network.unreadable - before)
 
     def refresh(self) -> None:
         """Tell the autopilot what to hold, if it is time."""
@@ -145,12 +148,6 @@ class AutopilotLink:
         to = None if self.peer is None else self.peer.address
         self.network.send(packed(message, self._packer), message.get_type(), to)
 
-    def _refuse(self, cause: str, what: str, count: int = 1) -> None:
-        before = self.refused[cause]
-        self.refused[cause] += count
-        if before.bit_length() != self.refused[cause].bit_length():
-            _LOG.warning("refused %d: %s %s", self.refused[cause], what, cause)
-
     def _take(self, peer: Peer, message: MavMessage) -> None:
         kind = message.get_type()
         if kind == "HEARTBEAT" and message.autopilot != _NO_AUTOPILOT and self.peer is None:
@@ -159,7 +156,7 @@ class AutopilotLink:
             return
         if peer != self.peer:
             if self.peer is not None and getattr(message, "autopilot", 0) != _NO_AUTOPILOT:
-                self._refuse(OTHER_AUTOPILOT, f"{kind} of {peer}")
+                self.refusals.add(Refused(OTHER_AUTOPILOT, f"{kind} of {peer}"))
             return
         if kind == "HEARTBEAT":
             self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
@@ -179,13 +176,12 @@ class AutopilotLink:
         values = (message.x, message.y, message.z, message.vx, message.vy)
         speed = math.hypot(message.vx, message.vy)
         if not all(map(math.isfinite, values)):
-            self._refuse(NOT_FINITE, "telemetry")
+            self.refusals.add(Refused(NOT_FINITE, "telemetry"))
         elif self.reported is not None and message.time_boot_ms <= self.reported.boot:
-            self._refuse(OLDER, "telemetry")
+            self.refusals.add(Refused(OLDER, "telemetry"))
         elif speed > self.max_speed * _SPEEDING:
-            self._refuse(
-                BEYOND_BOUNDS, f"telemetry of {speed:.2f} m/s with at most {self.max_speed:g}"
-            )
+            what = f"telemetry of {speed:.2f} m/s with at most {self.max_speed:g}"
+            self.refusals.add(Refused(BEYOND_BOUNDS, what))
         else:
             self.reports += 1
             self.reported = Reported(
@@ -309,5 +305,5 @@ class AutopilotPilot:
             "largest_deviation": self.largest_deviation,
             "setpoints": link.setpoints,
             "reports": link.reports,
-            "refused": {cause: count for cause, count in link.refused.items() if count},
+            "refused": dict(link.refusals.counts),
         }

@@ -2,12 +2,12 @@
 
 import math
 import time
-from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from outrider.bridges.mavlink.dialect import MavMessage, mavlink, packed
 from outrider.bridges.mavlink.identity import AUTOPILOT, VehicleSystem
 from outrider.bridges.mavlink.udp import UNREADABLE, Network, Peer
+from outrider.bridges.refused import Refusals, Refused
 
 ACCEPTED: int = mavlink.MAV_RESULT_ACCEPTED
 DENIED: int = mavlink.MAV_RESULT_DENIED
@@ -91,8 +91,7 @@ class Gateway:
     def __init__(self, network: Network, systems: Sequence[VehicleSystem]) -> None:
         self.network = network
         self.systems = {system.number: system for system in systems}
-        self.refused: Counter[str] = Counter()
-        """Refused messages, by cause."""
+        self.refusals = Refusals(self._say_refused)
         self.received = 0
         """Messages that were understood."""
         self.holder: Peer | None = None
@@ -199,11 +198,11 @@ class Gateway:
 
     def refuse(self, cause: str, what: str, count: int = 1) -> None:
         """Count what is refused, and say so the 1st, 2nd, 4th, 8th ... time."""
-        before = self.refused[cause]
-        self.refused[cause] = after = before + count
-        if before.bit_length() != after.bit_length():
-            first = next(iter(self.systems.values()))
-            self.say(first, f"refused {after}: {what} {cause}", warns=True)
+        self.refusals.add(Refused(cause, what), count)
+
+    def _say_refused(self, refused: Refused, count: int) -> None:
+        first = next(iter(self.systems.values()))
+        self.say(first, f"refused {count}: {refused.what} {refused.cause}", warns=True)
 
     def holds(self, peer: Peer) -> bool:
         """True if this ground station may steer: the first that does so, until it falls silent."""
@@ -281,7 +280,7 @@ class Gateway:
             case _:
                 result = UNSUPPORTED
         if result == UNSUPPORTED:
-            self.refused[f"command {NOT_SUPPORTED}"] += 1  # the answer says it
+            self.refusals.counts[f"command {NOT_SUPPORTED}"] += 1  # the answer says it
         answer = mavlink.MAVLink_command_ack_message(
             message.command, result, 0, 0, peer.system, peer.component
         )
@@ -344,7 +343,7 @@ class Gateway:
         return {
             "sent": dict(self.network.sent),
             "received": self.received,
-            "refused": {cause: count for cause, count in self.refused.items() if count},
+            "refused": dict(self.refusals.counts),
         }
 
 

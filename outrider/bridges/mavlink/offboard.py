@@ -22,13 +22,13 @@ from outrider.bridges.mavlink.identity import (
 )
 from outrider.bridges.mavlink.setpoints import (
     REST,
-    RefusedSetpoint,
     Setpoint,
     bounds,
     read_setpoint,
     setpoint_control,
 )
 from outrider.bridges.mavlink.udp import Network, Peer
+from outrider.bridges.refused import Refused
 
 if TYPE_CHECKING:
     from outrider.bridges.mavlink.autopilot import AutopilotLink
@@ -176,8 +176,8 @@ class OffboardGateway(Gateway):
             return
         try:
             wanted = read_setpoint(message, briefing.limits)
-        except RefusedSetpoint as error:
-            self.refuse(error.cause, error.what)
+        except Refused as refused:
+            self.refusals.add(refused)
             return
         if self.holds(peer):
             self._pilot.want(wanted)

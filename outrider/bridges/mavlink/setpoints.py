@@ -6,6 +6,7 @@ from typing import NamedTuple
 from bus.messages import Limits, UavBriefing, UavObservation, Vector
 from outrider.bridges.mavlink.dialect import MavMessage, mavlink
 from outrider.bridges.mavlink.gateway import BEYOND_BOUNDS, NOT_FINITE, NOT_SUPPORTED
+from outrider.bridges.refused import Refused
 from sim.models.vehicles import clip_norm
 
 WRONG_FRAME = "has another frame than LOCAL_NED"
@@ -37,19 +38,6 @@ REST = Setpoint((0.0, 0.0), None)
 """Of a UAV that is to stay where it is."""
 
 
-class RefusedSetpoint(Exception):
-    """A setpoint that is not flown; its cause is one of those that are counted.
-
-    Args:
-        cause: What is counted.
-        what: What it is, for people.
-    """
-
-    def __init__(self, cause: str, what: str) -> None:
-        super().__init__(f"{what} {cause}")
-        self.cause, self.what = cause, what
-
-
 def bounds(limits: Limits) -> Vector:
     """Largest speed [m/s] and acceleration [m/s²]."""
     v, u = limits.max_speed, limits.max_acceleration
@@ -58,15 +46,15 @@ def bounds(limits: Limits) -> Vector:
 
 def _level(ignored: bool, up: float, what: str) -> None:
     if not ignored and not abs(up) <= _LEVEL:  # NaN is none either
-        raise RefusedSetpoint(VERTICAL, f"{what} of {up:g} down")
+        raise Refused(VERTICAL, f"{what} of {up:g} down")
 
 
 def _vector(north: float, east: float, bound: float, what: str) -> Vector:
     size = math.hypot(north, east)
     if not math.isfinite(size):
-        raise RefusedSetpoint(NOT_FINITE, what)
+        raise Refused(NOT_FINITE, what)
     if size > bound * (1.0 + _ROUNDING):
-        raise RefusedSetpoint(BEYOND_BOUNDS, f"{what} of {size:.3g} with at most {bound:g}")
+        raise Refused(BEYOND_BOUNDS, f"{what} of {size:.3g} with at most {bound:g}")
     return east, north
 
 
@@ -78,15 +66,15 @@ def read_setpoint(message: MavMessage, limits: Limits) -> Setpoint:
         limits: Bounds of the UAV, which are not to be exceeded.
 
     Raises:
-        RefusedSetpoint: If it is none that can be flown, with the cause.
+        Refused: If it is none that can be flown, with the cause.
     """
     if message.get_type() != "SET_POSITION_TARGET_LOCAL_NED":
-        raise RefusedSetpoint(NOT_SUPPORTED, message.get_type())
+        raise Refused(NOT_SUPPORTED, message.get_type())
     if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED:
-        raise RefusedSetpoint(WRONG_FRAME, f"a setpoint in frame {message.coordinate_frame}")
+        raise Refused(WRONG_FRAME, f"a setpoint in frame {message.coordinate_frame}")
     mask, (v_max, u_max) = message.type_mask, bounds(limits)
     if mask & _POSITION != _POSITION:
-        raise RefusedSetpoint(POSITION, "a setpoint")
+        raise Refused(POSITION, "a setpoint")
     velocity = acceleration = None
     if mask & _VELOCITY == 0:
         _level(bool(mask & _UP_VELOCITY), message.vz, "a velocity")
@@ -96,7 +84,7 @@ def read_setpoint(message: MavMessage, limits: Limits) -> Setpoint:
         acceleration = _vector(message.afx, message.afy, u_max, "an acceleration")
     halves = {mask & _VELOCITY, mask & _ACCELERATION} - {0, _VELOCITY, _ACCELERATION}
     if halves or mask & _FORCE or (velocity is None and acceleration is None):
-        raise RefusedSetpoint(NOT_SUPPORTED, f"a type mask of {mask:#06x}")
+        raise Refused(NOT_SUPPORTED, f"a type mask of {mask:#06x}")
     return Setpoint(velocity, acceleration)
 
 

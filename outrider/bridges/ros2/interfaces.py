@@ -6,7 +6,9 @@ The types are those of Jazzy; of the ones that are used here every distribution 
 from functools import cache
 from typing import Any
 
-from bus.errors import BusError, ScenarioError
+from bus.errors import ScenarioError
+from outrider.bridges.refused import Refused
+from outrider.bridges.ros2.wire import dds_type
 
 _MOST_ITEMS = 1 << 20
 """Elements of a sequence that is read: what claims to have more is no message to us."""
@@ -82,9 +84,24 @@ def decode(name: str, raw: bytes) -> Any:  # noqa: ANN401 - an object of a gener
     """The message in these bytes.
 
     Raises:
-        BusError: If they are no CDR of this type.
+        Refused: If they are no CDR of this type.
     """
     try:
         return type_store().deserialize_cdr(raw, name)
     except Exception as error:  # generated code raises whatever it meets in foreign bytes
-        raise BusError(f"{name}: {error}") from error
+        raise Refused("no CDR of its type", f"{name}: {error}") from error
+
+
+def decode_checked(interface: str, hashed: str, raw: bytes, *allowed: str) -> Any:  # noqa: ANN401 - likewise
+    """The message in these bytes, whose key has this type and hash.
+
+    Raises:
+        Refused: If it is of none of the allowed types, or no CDR of its type.
+    """
+    name = next((one for one in allowed if dds_type(one) == interface), None)
+    if name is None:
+        verb = "are" if len(allowed) > 1 else "is"
+        raise Refused("another type", f"{interface}; allowed {verb} {' and '.join(allowed)}")
+    if hashed != type_hash(name):
+        raise Refused("another hash", f"{hashed} of {name}; here it is {type_hash(name)}")
+    return decode(name, raw)

@@ -7,9 +7,10 @@ from bus.keys import COVERAGE, GROUND, SAMPLED_TRUTH, STATUS, TRUTH, Key
 from bus.messages import CoverageMap, GroundMap, Message, Status, Truth
 from bus.queues import Inbox
 from bus.session import Session
+from outrider.bridges.refused import Refusals
 from outrider.bridges.ros2.conversion import RunView, diagnostic, view_of
-from outrider.bridges.ros2.ros_commands import Refusals, RosCommands
-from outrider.bridges.ros2.ros_node import RosNode, RosPublisher
+from outrider.bridges.ros2.ros_commands import RosCommands
+from outrider.bridges.ros2.ros_node import RosNode, RosPublisher, log_refused
 from outrider.bridges.ros2.topics import TOPICS, TopicRow, messages_of, wire_topic
 from sim.scene.model import Scene
 
@@ -54,7 +55,7 @@ class RosObserver:
         self.status: Status | None = None
         self.commands: RosCommands | None = None
         """The commands that it takes as an operator; None: it looks on."""
-        self.refusals = Refusals()
+        self.refusals = Refusals(log_refused)
 
     @property
     def topics(self) -> dict[str, int]:
@@ -153,7 +154,7 @@ class RosObserver:
             "ros2 bridge",
             told | {f"refused: {cause}": count for cause, count in refused.copy().items()},
             level=_WARNING if refused else b"\x00",
-            message=f"refused {self.refusals.fault}" if refused else "ok",
+            message=f"refused {self.refusals.newest}" if refused else "ok",
         )
 
     def close(self) -> None:

@@ -3,54 +3,37 @@
 A UGV has no heading: `linear.x` is its velocity east and `linear.y` north, in `map` as in its base_link.
 """
 
-import logging
 import math
 import threading
 import time
-from collections import Counter
 from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
-from bus.errors import BusError
 from bus.messages import Action, Control, Limits, Status, Vector
 from bus.registry import TELEOP
 from bus.ros2_access import CMD_VEL, COMMANDS, SERVICES
+from outrider.bridges.refused import Refusals, Refused
 from outrider.bridges.ros2.conversion import MAP, base_link
 from outrider.bridges.ros2.interfaces import (
     decode,
+    decode_checked,
     encode,
     make,
     request_of,
     response_of,
-    type_hash,
 )
 from outrider.bridges.ros2.ros_node import RosNode
 from outrider.bridges.ros2.topics import wire_topic
-from outrider.bridges.ros2.wire import NEWEST, dds_type
+from outrider.bridges.ros2.wire import NEWEST
 from outrider.view.operator import Helm, RunClient
 
-_LOG = logging.getLogger("outrider.ros2")
 TWISTS = ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist")
-_INTERFACES = {dds_type(one): one for one in TWISTS}
 _RELEASE = 1.0
 """Silence after which a wheel is free for another node, and is taken anew [s]."""
 _SLACK = 1e-9
 """Of a speed, as a share: what rounding alone may add."""
 _DRIVER = "ROS 2"
-
-
-class Refused(Exception):
-    """A message that is not passed on.
-
-    Args:
-        cause: In a few words, the same for all alike.
-        told: What was wrong with this one.
-    """
-
-    def __init__(self, cause: str, told: str) -> None:
-        super().__init__(f"{cause}: {told}")
-        self.cause = cause
 
 
 class Wish(NamedTuple):
@@ -59,24 +42,6 @@ class Wish(NamedTuple):
     vehicle: str
     velocity: Vector
     """[m/s]"""
-
-
-class Refusals:
-    """Counts what was refused, and logs the 1st, 2nd, 4th, 8th of each cause: a flood must not fill a log."""
-
-    def __init__(self) -> None:
-        self.counts: Counter[str] = Counter()
-        self.fault = ""
-        """Why the last one was refused."""
-
-    def add(self, refused: Refused) -> None:
-        """Take one down."""
-        line = "".join(one if one.isprintable() else "?" for one in str(refused)[:300])
-        self.counts[refused.cause] += 1
-        self.fault = line
-        count = self.counts[refused.cause]
-        if count & (count - 1) == 0:
-            _LOG.warning("refused %s (%d so far)", line, count)
 
 
 def wish_of(
@@ -101,15 +66,7 @@ def wish_of(
     vehicle = middle[-1] if middle else ""
     if middle[:-1] != parts or vehicle not in ugvs:
         raise Refused("no such UGV", f"{'/'.join(middle)}; there are {', '.join(ugvs)}")
-    name = _INTERFACES.get(interface)
-    if name is None:
-        raise Refused("another type", f"{interface}; allowed are {' and '.join(TWISTS)}")
-    if hashed != type_hash(name):
-        raise Refused("another hash", f"{hashed} of {name}; here it is {type_hash(name)}")
-    try:
-        told = decode(name, payload)
-    except BusError as error:
-        raise Refused("no CDR of its type", str(error)) from error
+    told = decode_checked(interface, hashed, payload, *TWISTS)
     return Wish(vehicle, _velocity(told, vehicle, ugvs[vehicle]))
 
 
@@ -212,10 +169,10 @@ class RosCommands:
         answer = response_of(interface)
         try:
             request = decode(request_of(interface), raw)
-        except BusError as error:
+        except Refused as refused:
             with self._lock:
-                self._refusals.add(Refused("no CDR of its type", str(error)))
-            return encode(answer, make(answer, success=False, message=str(error)[:300]))
+                self._refusals.add(refused)
+            return encode(answer, make(answer, success=False, message=refused.what[:300]))
         resumes = service == "pause" and not request.data
         action = Action.RESUME if resumes else Action(service)
         said = self._client.control(Control(action=action))

@@ -7,6 +7,7 @@ import itertools
 import logging
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import zenoh
@@ -17,6 +18,7 @@ from bus.session import Session
 from outrider.bridges.ros2.wire import RELIABLE, Attachment, Endpoint, Node, Qos, WireTopic, gid_of
 
 _LOG = logging.getLogger("outrider.ros2")
+log_refused = partial(_LOG.warning, "refused %s (%d so far)")
 _REMOTE = zenoh.Locality.REMOTE
 
 Receive = Callable[[str, bytes, bytes], None]

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from bus.errors import BusError, PeerLost
+from bus.errors import PeerLost
 from bus.keys import Party, Role
 from bus.messages import (
     Briefing,
@@ -22,10 +22,10 @@ from bus.messages import (
     UavObservation,
     UgvCommand,
 )
+from outrider.bridges.refused import Refusals, Refused
 from outrider.bridges.ros2.conversion import MAP, base_link, detection, odometry, stamp
-from outrider.bridges.ros2.interfaces import decode, encode, make, type_hash
-from outrider.bridges.ros2.ros_commands import Refusals, Refused
-from outrider.bridges.ros2.ros_node import RosNode, RosPublisher
+from outrider.bridges.ros2.interfaces import decode_checked, encode, make
+from outrider.bridges.ros2.ros_node import RosNode, RosPublisher, log_refused
 from outrider.bridges.ros2.topics import (
     BRIEFING,
     OBSERVATION,
@@ -36,7 +36,6 @@ from outrider.bridges.ros2.topics import (
     TopicRow,
     wire_topic,
 )
-from outrider.bridges.ros2.wire import dds_type
 
 _LOOK = 0.01
 """While it waits for an answer, it looks this often whether it need not wait any longer [s]."""
@@ -60,7 +59,7 @@ class RosPilot:
         self._awaited: Observation | None = None
         self._answer: Command | None = None
         self._waits: Callable[[], bool] | None = None
-        self.refusals = Refusals()
+        self.refusals = Refusals(log_refused)
         self.answered = 0
         """Commands that were passed on."""
         self._publishers: dict[str, RosPublisher] = {}
@@ -161,14 +160,7 @@ class RosPilot:
         if domain != str(self._node.domain):
             raise Refused("another domain", f"{domain}; this is {self._node.domain}")
         row = _TEXT if "/".join(topic) == _TEXT.name else _ACCEL
-        if interface != dds_type(row.interface):
-            raise Refused("another type", f"{interface}; allowed is {row.interface}")
-        if hashed != type_hash(row.interface):
-            raise Refused("another hash", f"{hashed} of {row.interface}")
-        try:
-            told = decode(row.interface, payload)
-        except BusError as error:
-            raise Refused("no CDR of its type", str(error)) from error
+        told = decode_checked(interface, hashed, payload, row.interface)
         awaited = self._awaited
         command = self._read(told.data) if row is _TEXT else self._accelerate(told, awaited)
         if awaited is None or command.tick != awaited.tick:
