@@ -8,8 +8,9 @@ import pytest
 from processes import outrider, python
 from tabular import rows, words
 
-from outrider.bench.pairs import pairs_toml
+from outrider.bench.pairs import many_pairs
 from outrider.cli.main import COMMANDS
+from outrider.experiments.falsify.saving import as_toml
 from sim.scenario.loading import load_scenario
 
 
@@ -111,7 +112,7 @@ def test_what_cannot_be_done_gets_one_line_its_exit_code_and_no_file(
     arguments, told, code, here, command
 ):
     (here / "taken").write_text("a file", encoding="utf-8")
-    (here / "pairs.toml").write_text(pairs_toml(2, seconds=10), encoding="utf-8")
+    (here / "pairs.toml").write_text(as_toml(many_pairs(2, seconds=10), []), encoding="utf-8")
     run = command(*words(arguments))
     assert run.returncode == code, run.stderr
     assert told in run.stderr
@@ -253,8 +254,9 @@ def test_only_this_machines_endpoints_need_no_credentials(local: bool, endpoints
 
 def test_many_pairs_can_be_flown(tmp_path: Path) -> None:
     for count in (1, 5, 50):
-        (tmp_path / "pairs.toml").write_text(pairs_toml(count, seconds=10), encoding="utf-8")
-        scenario = load_scenario(tmp_path / "pairs.toml")
+        scenario = many_pairs(count, seconds=10)
+        (tmp_path / "pairs.toml").write_text(as_toml(scenario, []), encoding="utf-8")
+        assert load_scenario(tmp_path / "pairs.toml") == scenario
         assert len(scenario.uav) == len(scenario.ugv) == count
     with pytest.raises(ValueError, match="count = 0"):
-        pairs_toml(0, seconds=10)
+        many_pairs(0, seconds=10)

@@ -2,27 +2,13 @@
 
 import math
 
-_HEAD = """title = "{count} pairs"
-seed = 7
-duration = {seconds}
-detections.noise = 0.1
-detections.dropout = 0.1
-"""
-_PAIR = """
-[[uav]]
-name = "uav_{k}"
-escorts = "ugv_{k}"
-position = [{x:.2f}, {above:.2f}]
-
-[[ugv]]
-name = "ugv_{k}"
-position = [{x:.2f}, {y:.2f}]
-goals = [[{x:.2f}, {up:.2f}], [{across:.2f}, {up:.2f}], [{across:.2f}, {y:.2f}]]
-"""
+from bus.registry import DEFAULT_LAW
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 
 
-def pairs_toml(count: int, *, seconds: float) -> str:
-    """The scenario as TOML.
+def many_pairs(count: int, *, seconds: float) -> Scenario:
+    """The scenario `escort` with so many pairs, under the paper's law.
 
     The UGVs stand in rows over the paper's area, and each drives along three sides of a square.
 
@@ -37,9 +23,14 @@ def pairs_toml(count: int, *, seconds: float) -> str:
         raise ValueError(f"count = {count}: allowed is 1 or more")
     columns = math.ceil(math.sqrt(count))
     pitch = 36.0 / columns
-    text = _HEAD.format(count=count, seconds=float(seconds))
+    uavs, ugvs = [], []
     for k in range(count):
         row, column = divmod(k, columns)
         x, y, side = 2.0 + pitch * column, 2.0 + pitch * row, 0.4 * pitch
-        text += _PAIR.format(k=k, x=x, y=y, above=y + 1.0, up=y + side, across=x + side)
-    return text
+        places = ((x, y + 1.0), (x, y), (x, y + side), (x + side, y + side), (x + side, y))
+        above, here, *goals = [(round(east, 2), round(north, 2)) for east, north in places]
+        uavs.append({"name": f"uav_{k}", "escorts": f"ugv_{k}", "position": above})
+        ugvs.append({"name": f"ugv_{k}", "position": here, "goals": goals})
+    told = {"name": f"pairs-{count}", "title": f"{count} pairs", "duration": seconds}
+    told |= {"law.name": DEFAULT_LAW, "uav": uavs, "ugv": ugvs}
+    return load_scenario("escort", overrides=told)

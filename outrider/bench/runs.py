@@ -14,9 +14,10 @@ import msgspec
 
 from bus.errors import BusError
 from outrider.bench.kernels import world_step
-from outrider.bench.pairs import pairs_toml
+from outrider.bench.pairs import many_pairs
 from outrider.bench.raw_lockstep import kept_apart, ticks_per_second
 from outrider.bench.timing import Pair
+from outrider.experiments.falsify.saving import as_toml
 from outrider.running.child import environment_of, outrider_command
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.forking import Forkserver, forkserver
@@ -96,12 +97,10 @@ def tls(server: Forkserver | None) -> Pair:
 
 def pairs(count: int, server: Forkserver | None) -> Pair:
     """So many pairs in lockstep, each vehicle in a process of its own, beside a bare exchange among as many peers."""
+    scenario = many_pairs(count, seconds=round(max(10.0, 200.0 / count)))
     with tempfile.TemporaryDirectory(prefix="outrider-pairs-") as folder:
-        path = Path(folder) / f"pairs-{count}.toml"
-        path.write_text(
-            pairs_toml(count, seconds=round(max(10.0, 200.0 / count))), encoding="utf-8"
-        )
-        scenario = load_scenario(path)
+        path = Path(folder) / "pairs.toml"
+        path.write_text(as_toml(scenario, []), encoding="utf-8")
         outcome = launch(
             scenario,
             str(path),

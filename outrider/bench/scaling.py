@@ -1,6 +1,5 @@
 """The speed of many worlds over their number, the grid and the vehicles: numbers, and a picture of them."""
 
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from outrider.bench.many import RATE, WORLDS, stepped
-from outrider.bench.pairs import pairs_toml
+from outrider.bench.pairs import many_pairs
 from outrider.style import DASHED, INK, MUTED, UAV, UGV, look, new_figure, panel, save
 from sim.kernels.threads import cores
 from sim.scenario.loading import load_scenario
@@ -51,13 +50,6 @@ def _grid(cell: float) -> Scenario:
     return msgspec.structs.replace(scenario, area=msgspec.structs.replace(scenario.area, cell=cell))
 
 
-def _pairs(count: int) -> Scenario:
-    with tempfile.TemporaryDirectory(prefix="outrider-pairs-") as folder:
-        path = Path(folder) / "pairs.toml"
-        path.write_text(pairs_toml(count, seconds=160.0), encoding="utf-8")
-        return load_scenario(path)
-
-
 def _fitting(scenario: Scenario, worlds: int) -> int:
     """So many worlds, or as many as there is memory for: each UAV of several has a map of its own."""
     maps = 1 + (len(scenario.uav) if len(scenario.uav) > 1 else 0)
@@ -79,7 +71,7 @@ def _cases(most: int) -> Iterator[_Case]:
         grid = _grid(cell)
         yield _Case("cells", cell, grid, _fitting(grid, usual))
     for count in PAIRS:
-        many = _pairs(count)
+        many = many_pairs(count, seconds=160.0)
         yield _Case("pairs", count, many, _fitting(many, usual))
 
 
