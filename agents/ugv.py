@@ -1,6 +1,7 @@
 """The UGV's pilot: observation in, command out."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Protocol
 
 from agents.drivers.compiled import NavigateDriver
@@ -18,7 +19,9 @@ class Driver(Protocol):
 
 
 _MAKERS: dict[str, Callable[[UgvBriefing], Driver]] = {
-    row.name: resolve(row.make) for row in DRIVERS.values() if row.make
+    row.name: resolve(row.make) if row.code is None else partial(resolve(row.make), name=row.name)
+    for row in DRIVERS.values()
+    if row.make
 }
 
 

@@ -167,7 +167,7 @@ class DriverRow:
     about: str
     """One line, for help texts."""
     make: str = ""
-    """The class, made from a `UgvBriefing`; empty where the driver is not ours to make."""
+    """The class, made from a `UgvBriefing`, with a code from the name too; empty where it is not ours to make."""
     code: int | None = None
     """Of its branch in `agents.drivers.ugv_tick`; None: it flies in no batch of worlds."""
     needs: str = ""
@@ -192,7 +192,7 @@ DRIVERS = _table(
     DriverRow(
         name="waypoints",
         about="from goal to goal",
-        make="agents.drivers.compiled:WaypointDriver",
+        make="agents.drivers.compiled:CompiledDriver",
         code=0,
         wants="goals",
         unbounded=True,
@@ -200,20 +200,20 @@ DRIVERS = _table(
     DriverRow(
         name="wander",
         about="to random points",
-        make="agents.drivers.compiled:WanderDriver",
+        make="agents.drivers.compiled:CompiledDriver",
         code=1,
     ),
     DriverRow(
         name="script",
         about="timed velocities",
-        make="agents.drivers.compiled:ScriptDriver",
+        make="agents.drivers.compiled:CompiledDriver",
         code=2,
         needs="script",
     ),
     DriverRow(
         name="evade",
         about="away from the UAV, by what it radios",
-        make="agents.drivers.compiled:EvadeDriver",
+        make="agents.drivers.compiled:CompiledDriver",
         code=3,
         listens=True,
     ),

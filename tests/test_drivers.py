@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -15,11 +16,8 @@ from properties import PROPERTY
 from seeded import a_told_key
 
 from agents.drivers.compiled import (
-    EvadeDriver,
+    CompiledDriver,
     NavigateDriver,
-    ScriptDriver,
-    WanderDriver,
-    WaypointDriver,
     driver_memory,
     driver_parameters,
 )
@@ -50,6 +48,9 @@ Receives = Callable[[int, Point], dict[str, Any]]
 """The messages to a UGV at a tick at a place: fields of its observation."""
 
 MIDDLE = (10.0, 10.0)
+waypoints, wander, script, evade = (
+    partial(CompiledDriver, name=name) for name in ("waypoints", "wander", "script", "evade")
+)
 
 
 SCRIPT = (
@@ -87,10 +88,10 @@ def _on_clear_ground(told: UgvBriefing) -> NavigateDriver:
 
 
 DRIVERS: dict[str, Callable[[UgvBriefing], Driver]] = {
-    "waypoints": WaypointDriver,
-    "wander": WanderDriver,
-    "script": ScriptDriver,
-    "evade": EvadeDriver,
+    "waypoints": waypoints,
+    "wander": wander,
+    "script": script,
+    "evade": evade,
     "navigate": _on_clear_ground,
     "teleop": TeleopDriver,
     "policy": _policy,
@@ -310,8 +311,8 @@ def test_an_operator_who_comes_back_drives_on() -> None:
 # script
 
 
-def _script(*steps: tuple[float, Point], **fields: Any) -> ScriptDriver:
-    return ScriptDriver(
+def _script(*steps: tuple[float, Point], **fields: Any) -> CompiledDriver:
+    return script(
         _told(script=tuple(ScriptStep(time=time, velocity=v) for time, v in steps), **fields)
     )
 
@@ -365,7 +366,7 @@ def test_an_empty_script_stands() -> None:
 @given(st.integers(0, 2**53 - 1), speeds, accelerations, steps, st.sampled_from((2.0, 20.0)))
 @settings(PROPERTY, max_examples=40)
 def test_a_wanderer_never_comes_to_the_border(key, v_max, u_max, dt, side):
-    driver = WanderDriver(_told(key=key, v_max=v_max, u_max=u_max, dt=dt, side=side))
+    driver = wander(_told(key=key, v_max=v_max, u_max=u_max, dt=dt, side=side))
     rows, _ = _drive(driver, 1500, start=(side / 2, side / 2), dt=dt)
     assert rows[:, :2].min() > 0.0
     assert rows[:, :2].max() < side
@@ -374,7 +375,7 @@ def test_a_wanderer_never_comes_to_the_border(key, v_max, u_max, dt, side):
 @given(st.integers(0, 2**53 - 1))
 @settings(PROPERTY, max_examples=10)
 def test_a_wanderer_reaches_one_goal_after_the_other(key: int) -> None:
-    driver = WanderDriver(_told(key=key, v_max=1.0, u_max=0.5))
+    driver = wander(_told(key=key, v_max=1.0, u_max=0.5))
     goals: list[Point | None] = []
 
     def notes(tick: int, place: Point) -> dict[str, Any]:
@@ -394,7 +395,7 @@ def test_a_wanderer_reaches_one_goal_after_the_other(key: int) -> None:
 def test_wanderers_of_other_keys_go_other_ways_and_all_over_the_area() -> None:
     goals = []
     for key in range(400):
-        driver = WanderDriver(_told(key=key))
+        driver = wander(_told(key=key))
         driver.drive(_observe(0, (*MIDDLE, 0.0, 0.0), {}))
         goals.append(driver.goal)
     places = np.array(goals)
@@ -451,7 +452,7 @@ def test_it_reverses_when_the_uav_comes_up_fast_and_keeps_on_when_that_has_passe
 def test_it_turns_off_sharply_now_and_then_when_its_key_says() -> None:
     turns, receives = [], _shadowed(lambda t: (499.0, 500.0))
     for key in (1, 2, 3):
-        driver = EvadeDriver(_told(key=key, side=1000.0))
+        driver = evade(_told(key=key, side=1000.0))
         rows, _ = _drive(driver, 2000, start=(500.0, 500.0), receives=receives)
         size = np.hypot(*rows[:-1, 4:6].T)
         turns.append(np.flatnonzero((size[:-1] < 0.02) & (size[1:] > 0.09)).tolist())
@@ -469,9 +470,9 @@ SLIDING = ((8.5, 16.0), (0.0, 0.0), 1.0, 0.05, 7, 20.0)  # while it still drives
 def test_it_neither_runs_into_the_border_nor_gets_stuck_there(
     uav: Point, circling: tuple[float, float], v_max: float, u_max: float, key: int, side: float
 ) -> None:
-    driver = EvadeDriver(_told(v_max=v_max, u_max=u_max, key=key, side=side))
+    driver = evade(_told(v_max=v_max, u_max=u_max, key=key, side=side))
     share, phase = circling
-    speed = WanderDriver(_told(v_max=v_max, u_max=u_max, side=side)).parameters.speed
+    speed = wander(_told(v_max=v_max, u_max=u_max, side=side)).parameters.speed
     x, y = uav[0] * side / 20.0, uav[1] * side / 20.0
     receives = _shadowed(
         lambda t: (x + share * math.cos(phase + 0.5 * t), y + share * math.sin(phase + 0.5 * t))
@@ -485,7 +486,7 @@ def test_it_neither_runs_into_the_border_nor_gets_stuck_there(
 
 
 def test_a_corner_is_left_again() -> None:
-    rows, _ = _drive(EvadeDriver(_told()), 20000, receives=_shadowed(lambda t: (14.0, 14.5)))
+    rows, _ = _drive(evade(_told()), 20000, receives=_shadowed(lambda t: (14.0, 14.5)))
     corner = np.hypot(rows[:, 0], rows[:, 1])
     arrived = int(np.argmax(corner < 2.0))
     assert 0 < arrived < 5000
@@ -495,7 +496,7 @@ def test_a_corner_is_left_again() -> None:
 
 def test_it_wanders_until_it_hears_the_uav_and_again_when_that_falls_silent() -> None:
     receives = _shadowed(lambda t: (9.0, 10.0))
-    evader, wanderer = EvadeDriver(_told()), WanderDriver(_told())
+    evader, wanderer = evade(_told()), wander(_told())
     for tick in range(300):
         state = (*MIDDLE, 0.05, 0.0)
         received = receives(tick, MIDDLE) if 100 <= tick < 150 else {}
@@ -515,9 +516,7 @@ def _flown(law: str, driver: Callable[[UgvBriefing], Driver], seed: int, **chang
 
 @pytest.mark.parametrize("law", ["linear", "logarithmic"])
 def test_in_flight_it_gets_further_from_the_uav_than_the_papers_driver(law: str) -> None:
-    evading, papers = (
-        distances(_flown(law, driver, 7)).max() for driver in (EvadeDriver, WaypointDriver)
-    )
+    evading, papers = (distances(_flown(law, driver, 7)).max() for driver in (evade, waypoints))
     assert evading > papers
     assert evading < 4.75
 
@@ -528,6 +527,6 @@ def test_without_noise_it_gets_beyond_the_visibility_radius_by_no_more_than_one_
     law: str, seed: int
 ) -> None:
     clear = {"detections.noise": 0.0, "detections.dropout": 0.0}
-    furthest = distances(_flown(law, EvadeDriver, seed, **clear)).max()
+    furthest = distances(_flown(law, evade, seed, **clear)).max()
     # (18) knows no ticks, but r_s is passed between two of them
     assert furthest < R_V + (V_A + V_G) * DT

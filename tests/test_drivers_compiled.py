@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from flights import DT, U_G, V_G, told_ugv
 
-from agents.drivers.compiled import WanderDriver, driver_parameters, told_route
+from agents.drivers.compiled import CompiledDriver, driver_parameters, told_route
 from agents.drivers.parameters import COMPILED_DRIVERS, WAYPOINTS
 from bus.errors import ScenarioError
 from bus.messages import (
@@ -45,7 +45,7 @@ def _told(bounds: tuple[float | None, float | None] = PAPERS, **fields: Any) -> 
 @pytest.mark.parametrize("bounds", [CALM, PAPERS, (None, None)], ids=str)
 def test_the_wanderers_goals_keep_its_margin(bounds: tuple[float | None, float | None]) -> None:
     told = _told(bounds)
-    driver, u_max = WanderDriver(told), told.limits.max_acceleration or 1e6
+    driver, u_max = CompiledDriver(told, "wander"), told.limits.max_acceleration or 1e6
     speed, margin = driver.parameters.speed, driver.parameters.margin
     assert margin == pytest.approx(speed**2 / u_max + 2.0 * speed * DT, rel=1e-12)
     assert driver.goal is None
@@ -113,7 +113,7 @@ def test_a_script_is_put_in_order_and_of_two_steps_at_one_time_the_later_stays_l
 
 
 def test_a_radio_message_of_no_tick_is_not_used() -> None:
-    drivers = [resolve(DRIVERS["evade"].make)(BRIEFING) for _ in range(2)]
+    drivers = [CompiledDriver(BRIEFING, "evade") for _ in range(2)]
     for tick in range(40):
         said = [0.05 * (tick + 0.4)] if tick == 20 else []
         radio = tuple(

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
 
-from agents.drivers.compiled import WaypointDriver
+from agents.drivers.compiled import CompiledDriver
 from agents.drivers.waypoints import goal_control
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
@@ -42,7 +42,8 @@ def _driver(goals, *, v_max=V_G, u_max=U_G, dt=DT, tolerance=0.05):
     limits = Limits(max_speed=v_max, max_acceleration=None if math.isinf(u_max) else u_max)
     area = Area(width=20.0, height=20.0, cell=0.5)
     task = {"driver": "waypoints", "goals": goals, "goal_tolerance": tolerance, "key": "0" * 32}
-    return WaypointDriver(UgvBriefing(vehicle="ugv_0", dt=dt, area=area, limits=limits, **task))
+    told = UgvBriefing(vehicle="ugv_0", dt=dt, area=area, limits=limits, **task)
+    return CompiledDriver(told, "waypoints")
 
 
 def _drive(driver, start, count, *, v_max=V_G, u_max=U_G, dt=DT):

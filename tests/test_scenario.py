@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from properties import PROPERTY
 from refusals import SHIPPED, SMALL, refusal, written
 
-from agents.drivers.compiled import WaypointDriver
+from agents.drivers.compiled import CompiledDriver
 from bus.errors import ScenarioError
 from bus.messages import Law, UgvObservation
 from sim.engine.briefing import briefing
@@ -67,7 +67,7 @@ def test_figures_1_and_3_and_the_circles_fly_the_line_of_the_independent_check(n
 def test_a_shipped_ugv_stands_at_its_last_goal_for_the_last_2_seconds(name: str) -> None:
     s = load_scenario(name)
     told = briefing(s, "ugv_0", 0)
-    driver = WaypointDriver(told)
+    driver = CompiledDriver(told, "waypoints")
     p_x, p_y, v_x, v_y = *s.ugv[0].position, 0.0, 0.0
     for tick in range(s.ticks - round(2.0 / s.dt)):
         seen = UgvObservation(tick=tick, time=tick * s.dt, position=(p_x, p_y), velocity=(v_x, v_y))

@@ -1,4 +1,4 @@
-"""The drivers that are compiled, each a shell around `agents.drivers.ugv_tick.ugv_tick`.
+"""The drivers that are compiled: a shell around `agents.drivers.ugv_tick.ugv_tick`.
 
 A driver that listens to a person or to a policy has no compiled form.
 """
@@ -151,12 +151,14 @@ class CompiledDriver:
 
     Args:
         briefing: What the UGV is told when it joins.
+        name: Of the driver, a row of the registry with a code.
+
+    Raises:
+        ScenarioError: If the driver has no compiled form, or the ground has too many tiles.
     """
 
-    name = ""
-
-    def __init__(self, briefing: UgvBriefing) -> None:
-        self.parameters = driver_parameters(briefing, self.name)
+    def __init__(self, briefing: UgvBriefing, name: str) -> None:
+        self.parameters = driver_parameters(briefing, name)
         """Its numbers."""
         self.memory = UgvMemory(driver_memory(), told_ground(briefing))
         """All that it remembers."""
@@ -186,37 +188,11 @@ class CompiledDriver:
         return (float(own["goal_x"]), float(own["goal_y"])) if own["chosen"] else None
 
 
-class WaypointDriver(CompiledDriver):
-    """The paper's driver, see `agents.drivers.waypoints`."""
-
-    name = "waypoints"
-
-
-class WanderDriver(CompiledDriver):
-    """From one random goal to the next, see `agents.drivers.wander`."""
-
-    name = "wander"
-
-
-class ScriptDriver(CompiledDriver):
-    """A timed list of velocities, see `agents.drivers.script`."""
-
-    name = "script"
-
-
-class EvadeDriver(CompiledDriver):
-    """The adversary, see `agents.drivers.evade`."""
-
-    name = "evade"
-
-
 class NavigateDriver(CompiledDriver):
     """From goal to goal over the ground as it knows it, see `agents.drivers.navigate`."""
 
-    name = "navigate"
-
-    def __init__(self, briefing: UgvBriefing) -> None:
-        super().__init__(briefing)
+    def __init__(self, briefing: UgvBriefing, name: str = "navigate") -> None:
+        super().__init__(briefing, name)
         self._plans = 0
         self._told: tuple[Vector, ...] = ()
         self._corners: PlaceArray = np.zeros(MOST_CORNERS, dtype=np.int32)
