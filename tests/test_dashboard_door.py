@@ -16,10 +16,10 @@ from starlette.websockets import WebSocketDisconnect
 
 from bus.errors import ScenarioError
 from outrider.view.page.access import attempts
-from outrider.view.page.access.admission import Guard
+from outrider.view.page.access.admission import Admission, choose_admission
 from outrider.view.page.access.attempts import Attempts, Judgement
-from outrider.view.page.access.door import Admission, choose_admission
 from outrider.view.page.access.headers import SecureHeaders
+from outrider.view.page.access.login import Guard
 from outrider.view.page.access.visitors import Visitors
 from outrider.view.page.app import application
 from outrider.view.page.hub import Hub

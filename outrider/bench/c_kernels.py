@@ -89,7 +89,7 @@ class CKernels:
         return float(self._library.passes(lanes, coverage, *coverage.shape, count))
 
     def check(self, places: int = 50) -> None:
-        """True if they compute what ours do: a benchmark that computes something else is no reference.
+        """Refuse kernels that compute something else than ours: they are no reference.
 
         Args:
             places: How many random grids, sensors and positions, inside Q and outside, are compared.

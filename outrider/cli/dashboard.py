@@ -49,7 +49,7 @@ def command(
     from bus.session import open_session
     from outrider.cli.console import ERR
     from outrider.running.watchdog import start_watchdog
-    from outrider.view.page.access.door import address_of, choose_admission, open_socket
+    from outrider.view.page.access.admission import address_of, choose_admission, open_socket
 
     if watchdog:
         start_watchdog()

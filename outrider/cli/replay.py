@@ -172,7 +172,7 @@ def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
 def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted: bool) -> None:
     """Serve the page until somebody ends it."""
     from outrider.cli.console import ERR
-    from outrider.view.page.access.door import address_of, choose_admission, open_socket
+    from outrider.view.page.access.admission import address_of, choose_admission, open_socket
 
     admission = choose_admission("127.0.0.1", token, wanted=wanted)
     check_extra("dashboard")

@@ -19,9 +19,9 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from bus.messages import Vector
-from outrider.view.page.access.admission import Guard
-from outrider.view.page.access.door import Admission
+from outrider.view.page.access.admission import Admission
 from outrider.view.page.access.headers import Nonces, SecureHeaders
+from outrider.view.page.access.login import Guard
 from outrider.view.page.access.visitors import Visitors
 from outrider.view.page.hub import Browser, Hub
 from outrider.view.page.shell import BuildControls, build_page, colors

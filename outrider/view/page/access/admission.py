@@ -1,197 +1,92 @@
-"""Lets browsers in that know the token or have the ticket, or this machine's own where there is none.
+"""Before the page is served: the socket it is served on, and who may come in."""
 
-A request is judged by its headers before anything is built for it. Pages of other sites get nothing, whatever the
-browser sends along with their requests: otherwise any page in the same browser could take the wheel.
-"""
-
-import hmac
 import re
 import secrets
-from collections.abc import Iterable, MutableMapping
-from http.cookies import CookieError, SimpleCookie
-from typing import Any
-from urllib.parse import parse_qs
+import socket
+from dataclasses import dataclass
 
-from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
-from starlette.types import ASGIApp, Receive, Scope, Send
-
+from bus.errors import ScenarioError
 from outrider.view.page import LOOPBACK
-from outrider.view.page.access.attempts import Attempts, Judgement
-from outrider.view.page.access.door import Admission
-
-_LARGEST = 4096
-"""Of a form [bytes]."""
-_AUTHORITY = r"(?P<host>\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9._-]{1,253})(:[0-9]{1,5})?"
-_HOST = re.compile(_AUTHORITY)
-_ORIGIN = re.compile(rf"https?://(?P<authority>{_AUTHORITY})")
-_OPAQUE = "null"
-"""Origin of a page that has none: a file, or a frame without rights."""
-_TRUSTED_SITES = ("same-origin", "none")
-"""The values of `Sec-Fetch-Site` that are let in: the page itself asks, or the browser's user.
-
-Clients that are no browsers do not say it.
-"""
-_ONCE = ("host", "origin", "sec-fetch-site", "cookie")
-_SERVED = re.compile(r"/(token|favicon\.ico|frames|(static|_nicegui|_nicegui_ws)/.*)?")
-"""Paths that lead anywhere: for others NiceGUI would build a page that says so."""
-
-FORM_STYLE = (
-    "body{font:16px/1.5 system-ui,sans-serif;background:#f4f5f7;color:#22262d;display:grid;place-items:center;"
-    "min-height:90vh}form{background:#fff;border:1px solid #e6e8ec;border-radius:12px;padding:28px 32px}"
-    "input,button{font:inherit;padding:8px 12px;border-radius:8px;border:1px solid #b9bec6}"
-    "button{background:#1f5fbf;color:#fff;border-color:#1f5fbf}p{color:#cf2a3c;margin:0 0 10px}"
-)
-"""Of the page that asks for the token; the policy of content names it by its hash."""
-_FORM = f"""<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<meta name="referrer" content="same-origin"><title>Outrider</title>
-<style>{FORM_STYLE}</style><form method="post" action="/token"><h3>Outrider</h3>%s
-<input type="password" name="token" placeholder="token" aria-label="token"
-autocomplete="off" autofocus> <button>Enter</button></form></html>"""
-"""Its own policy of referrers.
-
-Under the one of all responses, which is none, a browser sends a form as from nowhere.
-"""
-_NOT_FROM_THERE = "Not from another site: open the page by its address."
 
 
-class Guard:
-    """Stands before the whole application.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Admission:
+    """The secrets that let a browser in; all empty: none, but it must be on this machine."""
+
+    token: str = ""
+    """Lets in any number of browsers; it is typed, and never part of an address."""
+    ticket: str = ""
+    """Lets in one browser, once, as part of the address: histories keep addresses. Empty: there is none."""
+
+
+def choose_admission(host: str, token: str, *, wanted: bool = True) -> Admission:
+    """Choose the secrets that let a browser in.
 
     Args:
-        app: What it guards.
-        admission: What one must know.
+        host: The page is served on this address.
+        token: The one that is chosen; empty: a new one is made up, with a ticket.
+        wanted: Whether it must know anything.
+
+    Raises:
+        ScenarioError: If the token cannot be one, or there shall be none where other machines reach the page.
     """
-
-    def __init__(self, app: ASGIApp, admission: Admission) -> None:
-        self.app = app
-        """The application that it guards."""
-        self._attempts = Attempts(admission.token) if admission.token else None
-        self._ticket = admission.ticket
-        # Not made from the token: else a guess could be tried as a cookie, as fast as one likes.
-        self._pass = secrets.token_urlsafe(32)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let through, ask for the token, or refuse."""
-        if scope["type"] not in ("http", "websocket"):
-            await self.app(scope, receive, send)
-            return
-        answer = await self._answer(scope, receive)
-        if answer is None:
-            await self.app(scope, receive, send)
-            return
-        answer.headers["Cache-Control"] = "no-store"
-        if scope["type"] == "websocket":
-            await receive()  # that it wants to connect
-        await answer(scope, receive, send)
-
-    async def _answer(self, scope: Scope, receive: Receive) -> Response | None:
-        """The answer in the application's place; None: let through."""
-        headers = _headers_of(scope)
-        host = _HOST.fullmatch((headers or {}).get("host", ""))
-        origin = "" if headers is None else headers.get("origin", "")
-        said = _ORIGIN.fullmatch(origin)
-        if headers is None or host is None or not (said or origin in ("", _OPAQUE)):
-            return PlainTextResponse("malformed Host or Origin", status_code=400)
-        if self._is_stranger(host, origin, said, headers.get("sec-fetch-site")):
-            return PlainTextResponse(_NOT_FROM_THERE, status_code=403)
-        if not _SERVED.fullmatch(scope["path"]):
-            return PlainTextResponse("nothing is there", status_code=404)
-        return await self._admit(scope, receive, headers)
-
-    def _is_stranger(
-        self, host: re.Match[str], origin: str, said: re.Match[str] | None, site: str | None
-    ) -> bool:
-        if site is not None and site not in _TRUSTED_SITES:
-            return True
-        if origin and (said is None or said["authority"].lower() != host[0].lower()):
-            return True
-        return self._attempts is None and host["host"].strip("[]").lower() not in LOOPBACK
-
-    async def _admit(
-        self, scope: Scope, receive: Receive, headers: dict[str, str]
-    ) -> Response | None:
-        """Let through whoever has the pass, or give it to whoever knows token or ticket."""
-        ticket = _ticket_in(scope)
-        asked = scope["type"] == "http" and scope["path"] == "/token"
-        if self._attempts is None or self._has_pass(headers, scope):
-            return RedirectResponse("/", status_code=303) if ticket or asked else None
-        if ticket:
-            return (
-                self._welcome(scope)
-                if self._takes(ticket)
-                else _form(401, "This address has been used: it opens once.")
+    if not wanted:
+        if token:
+            raise ScenarioError(
+                "--no-token: there is one, in --token or OUTRIDER_TOKEN; leave one of them out"
             )
-        form = await _body(receive) if asked and scope["method"] == "POST" else b""
-        given = _field(form.decode("utf-8", "replace"), "token")
-        if not given:
-            return _form(401)
-        verdict, wait = await self._attempts.judge((scope.get("client") or ("", 0))[0], given)
-        if verdict is Judgement.RIGHT:
-            return self._welcome(scope)
-        if verdict is Judgement.WRONG:
-            return _form(401, "That is not the token.")
-        busy = _form(429, "Too many tokens from this address. Try again in a moment.")
-        busy.headers["Retry-After"] = str(max(1, round(wait)))
-        return busy
-
-    def _takes(self, ticket: str) -> bool:
-        """True if it is the one that has not been used yet. It is too long to be guessed, so that no try need wait."""
-        if not self._ticket or not hmac.compare_digest(ticket.encode(), self._ticket.encode()):
-            return False
-        self._ticket = ""
-        return True
-
-    def _welcome(self, scope: Scope) -> Response:
-        """To the page, by the address that stays in the browser's bar."""
-        response = RedirectResponse("/", status_code=303)
-        response.set_cookie(self._cookie(scope), self._pass, httponly=True, samesite="strict")
-        return response
-
-    def _cookie(self, scope: Scope) -> str:
-        return f"outrider_{(scope.get('server') or ('', 0))[1]}"  # cookies do not know ports
-
-    def _has_pass(self, headers: dict[str, str], scope: Scope) -> bool:
-        try:
-            found = SimpleCookie(headers.get("cookie", "")).get(self._cookie(scope))
-        except CookieError:
-            return False
-        return found is not None and hmac.compare_digest(found.value.encode(), self._pass.encode())
+        if host not in LOOPBACK:
+            raise ScenarioError(
+                f"--no-token: other machines reach --host {host}; allowed is this with {', '.join(LOOPBACK)}"
+            )
+        return Admission()
+    if not token:
+        return Admission(token=secrets.token_urlsafe(18), ticket=secrets.token_urlsafe(18))
+    if not re.fullmatch(r"[A-Za-z0-9_-]{8,128}", token):
+        raise ScenarioError("--token: allowed are 8 to 128 letters, digits, '_' and '-'")
+    return Admission(token=token)
 
 
-def _headers_of(scope: Scope) -> dict[str, str] | None:
-    """Headers by name; None where one that is looked at is there twice."""
-    rows: Iterable[tuple[bytes, bytes]] = scope["headers"]
-    found: dict[str, str] = {}
-    for raw, value in rows:
-        name = raw.decode("latin-1").lower()
-        if name in found and name in _ONCE:
-            return None
-        found[name] = value.decode("latin-1")
-    return found
+def open_socket(host: str, port: int) -> socket.socket:
+    """The socket to listen on.
 
+    Args:
+        host: An address of this machine.
+        port: 0 takes any that is free.
 
-def _form(status: int, line: str = "") -> Response:
-    return HTMLResponse(_FORM % (f"<p>{line}</p>" if line else ""), status_code=status)
-
-
-def _ticket_in(scope: Scope) -> str:
-    if scope["type"] != "http" or scope["path"] != "/":
-        return ""
-    return _field(scope.get("query_string", b"").decode("latin-1"), "ticket")
-
-
-def _field(text: str, name: str) -> str:
+    Raises:
+        ScenarioError: If the address is none of this machine's, or the port is taken.
+    """
     try:
-        return parse_qs(text, max_num_fields=16).get(name, [""])[0]
-    except ValueError:
-        return ""
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        opened = socket.socket(family, kind, protocol)
+    except OSError as error:
+        raise ScenarioError(f"--host {host}: {error.strerror or error}") from error
+    try:
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        opened.bind(address)
+        opened.listen(128)
+    except OSError as error:
+        opened.close()
+        raise ScenarioError(
+            f"cannot listen on {host}, port {port}: {error.strerror or error}; try another --port"
+        ) from error
+    return opened
 
 
-async def _body(receive: Receive) -> bytes:
-    body = b""
-    while len(body) <= _LARGEST:
-        message: MutableMapping[str, Any] = await receive()
-        body += message.get("body", b"")
-        if not message.get("more_body", False):
-            break
-    return body[:_LARGEST]
+def address_of(listening: socket.socket, admission: Admission) -> str:
+    """The page's address for a browser of this machine, in words for its user.
+
+    Whoever has chosen the token knows it, and may not want it in a log.
+    """
+    host, port = listening.getsockname()[:2]
+    known = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)  # noqa: S104 - is told, not served
+    address = f"http://{known}:{port}"
+    if admission.ticket:
+        return (
+            f"{address}/?ticket={admission.ticket} (opens once; another browser asks for the token "
+            f"{admission.token})"
+        )
+    return f"{address} to whoever has the token" if admission.token else address

@@ -12,7 +12,7 @@ from typing import Any
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from outrider.view.page.access.admission import FORM_STYLE
+from outrider.view.page.access.login import FORM_STYLE
 
 _PAGE = "x-nicegui-content"
 """NiceGUI's header of a page, and of nothing else."""
