@@ -20,19 +20,20 @@ def one_line(text: str) -> str:
     )
 
 
-def _written(value: object, depth: int) -> str:
-    if depth > _DEEPEST_VALUE:
+def toml_value(value: object, depth: float = math.inf) -> str:
+    """A value as TOML writes it, on one line; what lies deeper than so many levels is left out."""
+    if depth < 0:
         return "..."
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, int) and value.bit_length() > _LONGEST_INT_BITS:
         return hex(value)  # Python refuses to write very long numbers in decimals
     if isinstance(value, list | tuple):
-        return f"[{', '.join(_written(part, depth + 1) for part in value)}]"
+        return f"[{', '.join(toml_value(part, depth - 1) for part in value)}]"
     if isinstance(value, dict):
-        entries = (f"{key} = {_written(part, depth + 1)}" for key, part in value.items())
+        entries = (f"{key} = {toml_value(part, depth - 1)}" for key, part in value.items())
         return f"{{{', '.join(entries)}}}"
     return str(value)
 
@@ -45,7 +46,7 @@ def short(text: str) -> str:
 
 def shown(value: object) -> str:
     """A value as TOML writes it, on one line and not too long."""
-    return short(_written(value, 0))
+    return short(toml_value(value, _DEEPEST_VALUE))
 
 
 def near(word: str, known: Sequence[str]) -> str:

@@ -1,7 +1,5 @@
 """A scenario as TOML that loads as the same scenario, to the last bit."""
 
-import json
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,28 +7,17 @@ from typing import Any
 import msgspec
 
 from bus.messages import LinkKind
+from sim.input.faults import toml_value
 from sim.scenario.types import LinkTable, Scenario
 
 _WIDTH = 120
 
 
 def _value(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float):
-        return "inf" if value == math.inf else repr(value)
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, dict):
-        return f"{{ {', '.join(f'{key} = {_value(part)}' for key, part in value.items())} }}"
-    if isinstance(value, list | tuple):
-        flat = f"[{', '.join(_value(part) for part in value)}]"
-        return (
-            flat
-            if len(flat) <= _WIDTH
-            else "[\n{}]".format("".join(f"    {_value(part)},\n" for part in value))
-        )
-    return str(value)
+    flat = toml_value(value)
+    if len(flat) <= _WIDTH or not isinstance(value, list | tuple):
+        return flat
+    return "[\n{}]".format("".join(f"    {_value(part)},\n" for part in value))
 
 
 def _links(links: LinkTable) -> Iterator[str]:
