@@ -13,7 +13,7 @@ from agents.process import Pilot
 from bus.messages import Area, Command, Law, Limits, Observation, UavBriefing, UgvBriefing
 from bus.profiles import PROFILES
 from outrider.envs.env_pilots import pilots
-from outrider.running.flying import InProcess, fly
+from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import Summary
 from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env
@@ -134,6 +134,14 @@ class Piloted(InProcess):
 
     def collect(self, tick: int) -> dict[str, Command]:
         return {self._vehicle: self._act(self._seen), **super().collect(tick)}
+
+
+def flown_by(pilot: Any, scenario: Scenario, act: Callable[[Any], Command]) -> Flight:
+    """A flight with seed 0 whose UAV this pilot flies: it is briefed, and then `act` asks it."""
+    flight = Flight(scenario, 0)
+    pilot.make(briefing(scenario, "uav_0", 0))
+    flight.fly(Piloted(make_pilots(scenario, 0), "uav_0", act))
+    return flight
 
 
 def altered(

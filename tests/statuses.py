@@ -3,7 +3,10 @@
 from types import SimpleNamespace
 from typing import Any
 
-from bus.messages import EscortTruth, Status, Truth, VehicleTruth
+from bus.messages import EscortTruth, Status, Truth, VehicleStatus, VehicleTruth
+
+PRESENT = {name: VehicleStatus(present=True) for name in ("uav_0", "ugv_0")}
+"""Both vehicles of an escort, for a status."""
 
 
 def a_status(**told: Any) -> Status:

@@ -25,7 +25,7 @@ from pathlib import Path
 import pytest
 from processes import await_status, python, wait_until
 from scattered import scattered
-from statuses import a_status, a_truth, a_vehicle
+from statuses import PRESENT, a_status, a_truth, a_vehicle
 
 from bus.keys import CONTROL, OPERATOR, SAMPLED_TRUTH, STATUS, Party, Role
 from bus.messages import (
@@ -197,8 +197,7 @@ GEOMETRY = Geometry(
 
 
 def status_at(tick: int = 100, **changes: object) -> Status:
-    vehicles = {name: VehicleStatus(present=True) for name in ("uav_0", "ugv_0")}
-    shown = {"ticks": 4000, "wanted_factor": 1.0, "geometry": GEOMETRY, "vehicles": vehicles}
+    shown = {"ticks": 4000, "wanted_factor": 1.0, "geometry": GEOMETRY, "vehicles": PRESENT}
     shown |= {"tick": tick, "time": tick * 0.05, "drivers": {"ugv_0": "script"}}
     return a_status(**shown | changes)
 

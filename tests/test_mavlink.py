@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from statuses import a_status, a_truth, a_vehicle
+from statuses import PRESENT, a_status, a_truth, a_vehicle
 
 from bus.errors import ScenarioError
 from bus.messages import Action, Origin, VehicleStatus
@@ -140,8 +140,7 @@ SCENARIO = load_scenario("escort")
 
 def status(**changes):
     told = {"law": "certified", "drivers": {"ugv_0": "waypoints"}, "certified": {"uav_0": True}}
-    vehicles = {name: VehicleStatus(present=True) for name in ("uav_0", "ugv_0")}
-    told |= {"geometry": geometry_of(SCENARIO), "vehicles": vehicles}
+    told |= {"geometry": geometry_of(SCENARIO), "vehicles": PRESENT}
     return a_status(**told | changes)
 
 
@@ -234,7 +233,7 @@ def test_the_ugv_alone_can_be_followed(run):
 
 
 def test_what_is_lost_or_not_certified_is_said_and_so_is_its_end(run, monkeypatch):
-    gone = {"uav_0": VehicleStatus(present=False), "ugv_0": VehicleStatus(present=True)}
+    gone = PRESENT | {"uav_0": VehicleStatus(present=False)}
     why = "the newest detection is older than the largest age that is declared, 1 s"
     run.gateway.take(status(vehicles=gone, certified={"uav_0": False}, uncertified={"uav_0": why}))
     run.gateway.take(truth(distance=4.8))

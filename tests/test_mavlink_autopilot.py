@@ -5,7 +5,7 @@ import math
 
 import msgspec
 import pytest
-from flights import Piloted, distances
+from flights import distances, flown_by
 from test_mavlink import Station, of
 
 from bus.errors import ScenarioError
@@ -22,7 +22,6 @@ from outrider.bridges.mavlink.gateway import BEYOND_BOUNDS, NOT_FINITE
 from outrider.bridges.mavlink.udp import UNREADABLE, Address, Network
 from outrider.running.flying import fly, make_pilots
 from sim.scenario.loading import load_scenario
-from sim.server.flight import Flight
 
 CHANGES = ("law.name=certified", "duration=15.0", "certificate.tracking=0.3")
 START = (7.0, -3.0, -12.0)
@@ -75,8 +74,6 @@ class Along:
     def fly(self, each_tick=lambda _tick: None, *, moves=lambda _tick: True):
         told = self.autopilot.send(self.autopilot.heartbeat(), self.autopilot.report())
         self.autopilot.asked += of(told, "COMMAND_LONG")
-        flight, pilots = Flight(self.scenario, 0), make_pilots(self.scenario, 0)
-        self.pilot.make(pilots["uav_0"]._briefing)
 
         def act(seen):
             each_tick(seen.tick)
@@ -88,8 +85,7 @@ class Along:
             self.autopilot.live(moves=moves(seen.tick))
             return command
 
-        flight.fly(Piloted(pilots, "uav_0", act))
-        return flight
+        return flown_by(self.pilot, self.scenario, act)
 
     def close(self):
         self.network.close()

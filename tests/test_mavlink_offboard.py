@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from flights import Piloted, distances
+from flights import distances, flown_by
 from test_mavlink import Station, of, second_station, texts
 
 from bus.messages import Limits, Origin
@@ -28,10 +28,9 @@ from outrider.bridges.mavlink.setpoints import (
 )
 from outrider.bridges.mavlink.udp import UNREADABLE, Address, Network
 from outrider.bridges.refused import Refused
-from outrider.running.flying import fly, make_pilots
+from outrider.running.flying import fly
 from outrider.running.summary import summarize
 from sim.scenario.loading import load_scenario
-from sim.server.flight import Flight
 
 SHORT = ("law.name=certified", "duration=20.0")
 LIMITS = Limits(max_speed=0.6, max_acceleration=0.3)
@@ -102,15 +101,11 @@ class Run:
         self.station.told()
 
     def fly(self, each_tick=lambda _tick: None):
-        flight = Flight(self.scenario, 0)
-        pilots = make_pilots(self.scenario, 0)
-        self.pilot.make(pilots["uav_0"]._briefing)
-
         def act(seen):
             each_tick(seen.tick)
             return self.pilot.act(seen)
 
-        flight.fly(Piloted(pilots, "uav_0", act))
+        flight = flown_by(self.pilot, self.scenario, act)
         return flight, summarize(flight, seconds=1.0)
 
     def close(self):

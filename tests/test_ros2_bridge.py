@@ -15,12 +15,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from processes import wait_until
 from staging import client_of, hosted, raw_session
-from statuses import Box, a_status
+from statuses import PRESENT, Box, a_status
 from test_ros2_wire import truth_at
 
 from bus.access import new_credentials
 from bus.keys import CONTROL, COVERAGE, OPERATOR, SAMPLED_TRUTH, STATUS
-from bus.messages import Action, Control, CoverageMap, Limits, VehicleStatus
+from bus.messages import Action, Control, CoverageMap, Limits
 from outrider.bridges.refused import Refused
 from outrider.bridges.ros2.conversion import header, view_of
 from outrider.bridges.ros2.interfaces import decode, encode, make, request_of, response_of
@@ -36,9 +36,7 @@ from sim.scene.known import geometry_of
 GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], ros2=True)
 SCENARIO = load_scenario("escort")
 STATUS_NOW = a_status(
-    drivers={"ugv_0": "waypoints"},
-    vehicles={name: VehicleStatus(present=True) for name in ("uav_0", "ugv_0")},
-    geometry=geometry_of(SCENARIO),
+    drivers={"ugv_0": "waypoints"}, vehicles=PRESENT, geometry=geometry_of(SCENARIO)
 )
 
 
