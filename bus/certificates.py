@@ -330,7 +330,8 @@ def find_fault(host: str, port: int, identity: Identity) -> str:
     except ssl.SSLCertVerificationError as error:
         told = error.verify_message
         if "mismatch" in told:
-            return f"has a certificate that is not for {host!r}: name it with `outrider credentials --tls --host`"
+            mend = "name it with `outrider credentials --tls --router HOST`"
+            return f"has a certificate that is not for {host!r}: {mend}"
         return f"has a certificate that {_UNVERIFIED.get(told, f'cannot be verified: {told}')}"
     except ssl.SSLError as error:
         reason = error.reason or str(error)

@@ -153,7 +153,9 @@ def test_a_client_trusts_nobody_but_its_router(endpoint, monkeypatch):
     """Neither a router under a name that its certificate has not, nor another party that listens."""
     elsewhere = endpoint.replace("127.0.0.1", "127.0.0.2")
     with hosted(elsewhere, GIVEN):
-        assert "has a certificate that is not for '127.0.0.2'" in refusal(elsewhere, UAV)
+        told = refusal(elsewhere, UAV)
+    assert "has a certificate that is not for '127.0.0.2'" in told
+    assert "`outrider credentials --tls --router HOST`" in told
     thief = CredentialSet(run=RUN, parties=GIVEN.parties, tls=GIVEN.of("ugv_0").tls)
     monkeypatch.setattr(session, "_check_certificate", lambda *_: None)
     with hosted(endpoint, thief):

@@ -24,7 +24,7 @@ from outrider.running.summary import Summary, in_flights
 from sim.scenario.types import Scenario
 
 
-class Terminal(Console):
+class PlainConsole(Console):
     """A console on which nothing that comes from outside (paths, names, errors) is markup or an emoji."""
 
     def __init__(self, *, stderr: bool = False) -> None:
@@ -35,7 +35,7 @@ class Terminal(Console):
         self.print(text, soft_wrap=True)
 
 
-ERR, OUT = Terminal(stderr=True), Terminal()
+ERR, OUT = PlainConsole(stderr=True), PlainConsole()
 
 
 def print_json(value: object) -> None:
