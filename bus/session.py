@@ -3,7 +3,6 @@
 import json
 import logging
 import resource
-import socket
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -30,6 +29,7 @@ from bus.keys import (
     token_owner,
     written_by,
 )
+from bus.locator import UNIX, Locator
 from bus.queues import WAKE_PERIOD, Envelope, Inbox, Outbox
 from bus.ros2_access import LARGEST
 from bus.session_limit import SessionLimit
@@ -312,22 +312,13 @@ def _open_router(
         return _open_zenoh(settings, f"cannot listen on {', '.join(listen)}: is it in use?")
 
 
-def _address(endpoint: str) -> tuple[str, int]:
-    """Host and port.
-
-    Raises:
-        ValueError: If there are none.
-    """
-    host, _, port = endpoint.partition("/")[2].rpartition(":")
-    return host.strip("[]"), int(port)
-
-
 def _explained(
     endpoint: str, credential: Credential, identity: Identity, error: BusError
 ) -> BusError:
     """Names the fault that keeps a certificate from a router; all that Zenoh says is that it could not connect."""
+    found = Locator.of(endpoint)
     try:
-        fault = find_fault(*_address(endpoint), identity)
+        fault = find_fault(found.host, int(found.port), identity)
     except (OSError, ValueError):
         return error
     return AccessDenied(
@@ -358,21 +349,6 @@ def _check_certificate(identity: Identity, name: str) -> None:
         _LOG.warning("%s", warning)
 
 
-def _answers(endpoint: str) -> bool:
-    """True if somebody listens there: then it was not the way that failed."""
-    protocol, _, address = endpoint.partition("/")
-    try:
-        if protocol == "unixsock-stream":
-            with socket.socket(socket.AF_UNIX) as probe:
-                probe.settimeout(1.0)
-                probe.connect(address)
-            return True
-        with socket.create_connection(_address(endpoint), timeout=1.0):
-            return protocol == "tcp"
-    except (OSError, ValueError):
-        return False
-
-
 def _open_client(connect: str, party: Party, credential: Credential | None) -> zenoh.Session:
     size = _received(
         max((LARGEST, *(key.largest for key in (*read_by(party), *written_by(party)))))
@@ -385,8 +361,9 @@ def _open_client(connect: str, party: Party, credential: Credential | None) -> z
     except BusError as error:
         if credential is not None and credential.tls is not None:
             raise _explained(connect, credential, credential.tls, error) from error
-        if not _answers(connect):
-            raise
+        found = Locator.of(connect)
+        if found.protocol not in ("tcp", UNIX) or not found.listens():
+            raise  # it was the way that failed
         who = (
             "without credentials"
             if credential is None

@@ -22,6 +22,7 @@ from typing import NamedTuple
 import zenoh
 
 from bus.keys import PLACES, session_owner, session_token
+from bus.locator import Locator
 
 _LOG = logging.getLogger("outrider.bus")
 NAMELESS = 64
@@ -196,15 +197,13 @@ _Ends = tuple[object, int, object, int]
 
 
 def _ends(link: Connection) -> _Ends:
-    (host, port), (far_host, far_port) = (
-        end.partition("/")[2].rpartition(":")[::2] for end in (link.src, link.dst)
-    )
-    return _numeric(host), int(port), _numeric(far_host), int(far_port)
+    near, far = Locator.of(link.src), Locator.of(link.dst)
+    return _numeric(near.host), int(near.port), _numeric(far.host), int(far.port)
 
 
 def _numeric(host: str) -> object:
     """An address however it is written, without the name of an interface."""
-    return ip_address(host.strip("[]").partition("%")[0])
+    return ip_address(host.partition("%")[0])
 
 
 def end_connections(links: Collection[Connection]) -> list[Connection]:

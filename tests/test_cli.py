@@ -8,6 +8,7 @@ import pytest
 from processes import outrider, python
 from tabular import rows, words
 
+from bus.locator import Locator
 from outrider.bench.pairs import many_pairs
 from outrider.cli.main import COMMANDS
 from outrider.experiments.falsify.saving import as_toml
@@ -247,9 +248,7 @@ def test_a_password_may_come_from_the_environment(here, command, monkeypatch):
     ],
 )
 def test_only_this_machines_endpoints_need_no_credentials(local: bool, endpoints: str) -> None:
-    from outrider.cli.options import is_local
-
-    assert {is_local(endpoint) for endpoint in words(endpoints)} == {local}
+    assert {Locator.of(endpoint).is_local for endpoint in words(endpoints)} == {local}
 
 
 def test_many_pairs_can_be_flown(tmp_path: Path) -> None:

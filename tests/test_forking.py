@@ -28,6 +28,7 @@ from processes import (
 )
 
 from bus.errors import BusError
+from bus.locator import Locator
 from outrider.running import forking, launch
 from outrider.running.child import Child, environment_of
 from outrider.running.flying import fly
@@ -171,10 +172,8 @@ def test_while_it_compiles_the_simulator_is_a_process_of_its_own_which_compiles_
             return super().fork(command, *given, **named)
 
     listened: list[bool] = []
-    listens = launch._Processes._listens
-    monkeypatch.setattr(
-        launch._Processes, "_listens", lambda own: listens(own) and not listened.append(True)
-    )
+    listens = Locator.listens
+    monkeypatch.setattr(Locator, "listens", lambda own: listens(own) and not listened.append(True))
     monkeypatch.setattr(forking, "Forkserver", Busy)
     outcome = launched()
     assert Busy.forked == ["uav", "ugv"]

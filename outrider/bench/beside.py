@@ -14,6 +14,7 @@ from pathlib import Path
 
 from bus.errors import BusError
 from bus.keys import Party, Role
+from bus.locator import UNIX, Locator
 from bus.session import open_session
 from outrider.bench.timing import Pair
 from outrider.running.child import environment_of, outrider_command
@@ -48,10 +49,10 @@ def _rate(bridge: Callable[[ExitStack, str], None] | None = None) -> float:
         BusError: If the run fails.
     """
     with tempfile.TemporaryDirectory(prefix="outrider-beside-") as folder, ExitStack() as stack:
-        endpoint = f"unixsock-stream/{Path(folder) / 'bus.sock'}"
+        endpoint = f"{UNIX}/{Path(folder) / 'bus.sock'}"
         flight = ("simulator", "escort", "--duration", str(_SECONDS), "--json")
         simulator = stack.enter_context(_started(*flight, "--listen", endpoint))
-        while not Path(endpoint.partition("/")[2]).exists() and simulator.poll() is None:
+        while not Locator.of(endpoint).listens() and simulator.poll() is None:
             time.sleep(0.05)
         if bridge is not None:
             bridge(stack, endpoint)

@@ -10,11 +10,11 @@ import typer
 
 from bus.errors import PeerLost, ScenarioError
 from bus.keys import SAMPLED_TRUTH, STATUS, Party, Role
+from bus.locator import LOOPBACK
 from bus.messages import Origin, Status
 from outrider.cli import options
 from outrider.cli.pilots import JoinTimeout
 from outrider.cli.stopping import Stop, stop_on_signals
-from outrider.view.page import LOOPBACK
 
 if TYPE_CHECKING:
     from agents.process import MakePilot

@@ -12,9 +12,9 @@ import typer
 
 from bus.errors import AccessDenied, ScenarioError
 from bus.keys import OPERATOR_NAME, Party, Role, check_run_name
+from bus.locator import PROTOCOLS, Locator
 from bus.profiles import PROFILES
 from bus.registry import DRIVERS, LAWS, POLICY_FORMS, SAVED_POLICIES, DriverRow, LawRow, described
-from outrider.view.page import LOOPBACK
 
 if TYPE_CHECKING:
     from bus.access import Credential
@@ -334,23 +334,13 @@ def secret_of(given: str, *, wanted: bool = False) -> str:
         raise ScenarioError(str(error)) from error
 
 
-_PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream")
-
-
-def is_local(endpoint: str) -> bool:
-    """True if only processes of this machine can reach an endpoint."""
-    protocol, _, address = endpoint.partition("/")
-    host = address.rpartition(":")[0].strip("[]")
-    return protocol.startswith("unix") or host in LOOPBACK
-
-
 def check_endpoint(endpoint: str) -> None:
     """Refuse what is no endpoint, by a ScenarioError that says what one looks like."""
-    protocol, separator, address = endpoint.partition("/")
-    if protocol not in _PROTOCOLS or not separator or not address:
+    found = Locator.of(endpoint)
+    if found.protocol not in PROTOCOLS or not found.address:
         raise ScenarioError(
             f"endpoint {endpoint!r}: allowed are protocol/address, such as {DEFAULT_ENDPOINT}, "
-            f"with {', '.join(_PROTOCOLS)}"
+            f"with {', '.join(PROTOCOLS)}"
         )
 
 
@@ -362,7 +352,7 @@ def check_endpoints(endpoints: tuple[str, ...], *, secured: bool, insecure: bool
     """
     for endpoint in endpoints:
         check_endpoint(endpoint)
-        if not (secured or insecure or is_local(endpoint)):
+        if not (secured or insecure or Locator.of(endpoint).is_local):
             raise ScenarioError(
                 f"endpoint {endpoint}: other machines reach it, and there are no credentials; "
                 "make some with `outrider credentials`, or say --insecure"

@@ -20,6 +20,7 @@ from bus.access import ROUTER_FILE, new_certificates, new_credentials, write_cre
 from bus.certificates import new_authority
 from bus.errors import BusError, PeerLost
 from bus.keys import OPERATOR_NAME, SIMULATOR_NAME
+from bus.locator import UNIX, Locator
 from bus.registry import DRIVERS
 from outrider.running.child import Child, environment_of
 from outrider.running.cores import can_be_kept_apart, keep_apart
@@ -274,11 +275,11 @@ class _Processes:
         self._scenario, self._folder, self._run = scenario, folder, run
         self._lockstep = lockstep
         self._pin = wiring.pin and can_be_kept_apart(len(scenario.vehicles))
-        self._address: Path | tuple[str, int] = folder / "bus.sock"
-        self._endpoint = f"unixsock-stream/{self._address}"
-        if wiring.transport != "unix":
-            self._address = ("127.0.0.1", free_port())
-            self._endpoint = f"{wiring.transport}/127.0.0.1:{self._address[1]}"
+        self._endpoint = (
+            f"{UNIX}/{folder / 'bus.sock'}"
+            if wiring.transport == "unix"
+            else f"{wiring.transport}/127.0.0.1:{free_port()}"
+        )
         self._uavs = {uav.name for uav in scenario.uav}
         self._files: dict[str, Path] = {}
         self._page: Child | None = None
@@ -328,15 +329,9 @@ class _Processes:
                 log=self._log(SIMULATOR_NAME),
             )
         )
-        while not self._listens() and self.simulator.ended is None and not watcher.stop():
+        router = Locator.of(self._endpoint)
+        while not router.listens() and self.simulator.ended is None and not watcher.stop():
             time.sleep(0.02)
-
-    def _listens(self) -> bool:
-        if isinstance(self._address, Path):
-            return self._address.exists()
-        with contextlib.suppress(OSError), socket.create_connection(self._address, timeout=1.0):
-            return True
-        return False
 
     def show_on(self, page: socket.socket, pages: list[Child], watcher: Watcher) -> None:
         """Start the dashboard, and wait until it shows what comes: the first tick is part of it."""

@@ -5,6 +5,3 @@ what the charts need, `controls` are the cards that can be touched (its `wheel` 
 UGV), `access` says who may look, `shell` lays the page out, `app` puts them together. The pictures are drawn in the
 browser, by the files in `static`. Nothing is fetched from elsewhere.
 """
-
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
-"""Addresses that only this machine reaches."""

@@ -12,8 +12,8 @@ from typing import Any
 
 import msgspec
 
+from bus.locator import LOOPBACK
 from bus.messages import Action, CoverageMap, GroundMap, Law, Message, Status, Truth
-from outrider.view.page import LOOPBACK
 from outrider.view.page.chart_data import ChartData
 from outrider.view.page.controls.link_words import said_of_links
 from outrider.view.page.controls.wheel import SharedWheel

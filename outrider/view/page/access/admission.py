@@ -6,7 +6,7 @@ import socket
 from dataclasses import dataclass
 
 from bus.errors import ScenarioError
-from outrider.view.page import LOOPBACK
+from bus.locator import LOOPBACK
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,7 @@ from urllib.parse import parse_qs
 from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from outrider.view.page import LOOPBACK
+from bus.locator import LOOPBACK
 from outrider.view.page.access.admission import Admission
 from outrider.view.page.access.attempts import Attempts, Judgement
 
