@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from bus.errors import AccessDenied, BusError
+from bus.extras import from_extra
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -59,10 +60,8 @@ class Authority(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 def _need() -> None:
-    try:
-        import cryptography  # noqa: F401, PLC0415 - an extra
-    except ImportError as error:
-        raise BusError("certificates need cryptography: pip install -e '.[tls]'") from error
+    with from_extra("tls", kind=BusError):
+        import cryptography  # noqa: F401, PLC0415
 
 
 def _read(text: str, what: str) -> "x509.Certificate":

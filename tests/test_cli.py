@@ -149,7 +149,7 @@ def test_a_missing_extra_is_one_line_that_says_what_to_install(
 
 def test_without_any_extra_the_command_line_is_there() -> None:
     code = (
-        "import sys; from outrider.running.extras import EXTRAS;"
+        "import sys; from bus.extras import EXTRAS;"
         "sys.modules.update({module: None for extra in EXTRAS.values() for module in extra});"
         "from outrider.cli.main import main; main()"
     )

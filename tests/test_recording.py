@@ -627,7 +627,7 @@ def test_without_the_extra_there_is_one_clear_line(monkeypatch: pytest.MonkeyPat
     for name in ("mcap_file", "writer", "reader"):
         monkeypatch.delitem(sys.modules, f"outrider.recording.{name}")
     for name in ("writer", "reader"):
-        line = r"^recording needs the extra: pip install -e '\.\[record\]'$"
+        line = r"^(foxglove|mcap) is missing: pip install -e '\.\[record\]'$"
         with pytest.raises(ScenarioError, match=line):
             import_module(f"outrider.recording.{name}")
 

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import msgspec
 
 from bus.errors import ScenarioError
+from bus.extras import check_extra, missing_of
 from outrider.bench import beside, kernels, many, runs
 from outrider.bench.timing import Pair
-from outrider.running.extras import EXTRAS, missing_of
 
 Progress = Callable[[str, float], None]
 
@@ -125,11 +125,8 @@ def measure(only: list[str], repeats: int, *, on_progress: Progress | None = Non
         allowed = ", ".join((*ROWS, *GROUPS))
         raise ScenarioError(f"--only {unknown[0]}: no such row; allowed: {allowed}")
     for name in only:
-        if not _can(ROWS[name]):
-            extra = ROWS[name].extra
-            raise ScenarioError(
-                f"--only {name}: needs {' and '.join(EXTRAS[extra])}: pip install -e '.[{extra}]'"
-            )
+        if ROWS[name].extra:
+            check_extra(ROWS[name].extra, what=f"--only {name}")
     rows: list[Row] = []
     names = only or [name for name, layer in ROWS.items() if _can(layer)]
     for done, name in enumerate(names):

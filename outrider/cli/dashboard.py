@@ -8,10 +8,10 @@ from typing import Annotated
 import msgspec
 import typer
 
+from bus.extras import check_extra
 from bus.keys import Role
 from bus.messages import Law
 from outrider.cli import options
-from outrider.running.extras import check_extra
 
 _NICE = 5
 """On a machine that is busy the run goes first."""

@@ -7,8 +7,8 @@ from typing import Literal, NamedTuple
 
 import typer
 
+from bus.extras import EXTRAS, install_command, missing_of
 from outrider.cli.options import Json
-from outrider.running.extras import EXTRAS, missing_of
 
 State = Literal["ok", "missing", "wrong"]
 
@@ -65,7 +65,7 @@ def _cache() -> Iterator[Finding]:
 def _extras() -> Iterator[Finding]:
     for extra, modules in EXTRAS.items():
         if missing_of(extra):
-            yield Finding(f"[{extra}]", "missing", f"pip install -e '.[{extra}]' in the clone")
+            yield Finding(f"[{extra}]", "missing", f"{install_command(extra)} in the clone")
         else:
             yield Finding(f"[{extra}]", "ok", ", ".join(modules))
 

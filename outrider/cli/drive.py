@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bus.errors import ScenarioError
+from bus.extras import from_extra
 from bus.keys import STATUS, Role
 from bus.messages import Status
 from outrider.cli import options
@@ -95,10 +96,8 @@ def _drive(session: "Session", vehicle: str, first: Status, *, speed: float, bac
     from outrider.view.terminal.terminal import ending, know_colours, quiet_logs
 
     know_colours()
-    try:
+    with from_extra("drive"):
         from outrider.view.terminal.screen import DriveApp
-    except ImportError as error:
-        raise ScenarioError("drive: needs textual: pip install -e '.[drive]'") from error
     from outrider.cli.console import ERR
     from outrider.view.terminal.teleoperation import Teleoperation
 

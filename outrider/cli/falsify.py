@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bus.errors import PeerLost
+from bus.extras import check_extra
 from bus.registry import LAWS
 from outrider.cli.options import AllowCode, Json, ScenarioName, Set
 from outrider.cli.stopping import stop_on_signals
-from outrider.running.extras import check_extra
 
 if TYPE_CHECKING:
     from outrider.experiments.falsify.engines import Found, Wanted

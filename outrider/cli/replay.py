@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import typer
 
+from bus.extras import check_extra
 from outrider.cli.options import FlightNumber, Json, NoPageToken, PagePort, PageToken
 from outrider.cli.stopping import stop_on_signals
-from outrider.running.extras import check_extra
 
 if TYPE_CHECKING:
     from outrider.recording.reader import Recording

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from bus.extras import check_extra
 from outrider.cli.options import Json
-from outrider.running.extras import check_extra
 
 
 def command(

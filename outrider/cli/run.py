@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bus.errors import PeerLost
+from bus.extras import check_extra
 from bus.registry import DRIVERS
 from outrider.cli import options
 from outrider.cli.stopping import Stop, stop_on_signals
-from outrider.running.extras import check_extra
 
 if TYPE_CHECKING:
     from outrider.cli.console import FlightProgress

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bus.extras import check_extra
 from outrider.cli.options import AllowCode, Duration, Json, Set
-from outrider.running.extras import check_extra
 
 if TYPE_CHECKING:
     from outrider.experiments.sweep.folder import SweepFolder

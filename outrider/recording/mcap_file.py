@@ -12,18 +12,16 @@ from pathlib import Path
 
 import msgspec
 
-from bus.errors import ScenarioError
+from bus.extras import from_extra
 from bus.messages import CoverageMap, Drive, GroundMap, Message, Truth
 from outrider.recording import schemas
 from outrider.recording.tick_rows import Tick
 from outrider.recording.viewers import Place, Viewers
 from sim.scenario.types import Scenario
 
-try:  # an extra
+with from_extra("record"):
     import foxglove
     from foxglove.mcap import MCAPWriteOptions
-except ImportError as absent:
-    raise ScenarioError(schemas.EXTRA) from absent
 
 FLUSH_PERIOD = 0.25
 """Wall time between two flushes [s]: with the thread's own period, what a kill can cost stays under half a second."""

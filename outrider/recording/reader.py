@@ -14,6 +14,7 @@ from typing import Any, BinaryIO, TypeVar
 import msgspec
 
 from bus.errors import ScenarioError
+from bus.extras import from_extra
 from bus.files import open_regular
 from bus.messages import (
     CertificateStatus,
@@ -30,7 +31,7 @@ from outrider.recording import schemas
 from outrider.recording.bag_records import RECORDS, bag_files, record_in, size_of
 from sim.scenario.types import Scenario
 
-try:  # an extra
+with from_extra("record"):
     import lz4.frame
     import zstandard
     from mcap import records
@@ -38,8 +39,6 @@ try:  # an extra
     from mcap.exceptions import McapError
     from mcap.opcode import Opcode
     from mcap.writer import Writer
-except ImportError as absent:
-    raise ScenarioError(schemas.EXTRA) from absent
 
 Sent = TypeVar("Sent", bound=Message)
 

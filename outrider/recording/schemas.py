@@ -36,7 +36,6 @@ FORMAT = 1
 """Of the file. Another number cannot be read."""
 PROFILE = "outrider"
 """In the MCAP header."""
-EXTRA = "recording needs the extra: pip install -e '.[record]'"
 
 
 class Head(Message, frozen=True, kw_only=True):

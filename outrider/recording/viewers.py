@@ -8,19 +8,16 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bus.errors import ScenarioError
+from bus.extras import from_extra
 from bus.messages import CoverageMap, HazardOutline
-from outrider.recording.schemas import EXTRA
 from sim.scenario.types import Scenario
 from sim.scene.colors import HAZARDS, rgb
 from sim.scene.known import scene_of
 from sim.scene.model import Ring, Scene, SceneVehicle, observed_scene
 
-try:  # an extra
+with from_extra("record"):
     import foxglove
     from foxglove import channels, messages
-except ImportError as absent:
-    raise ScenarioError(EXTRA) from absent
 
 _VIEW_PERIOD = 0.2
 """Simulated time between two poses [s], at least."""

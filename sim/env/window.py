@@ -1,4 +1,4 @@
-"""A window that shows the environment's picture, by pygame, which is an extra: `pip install -e '.[window]'`."""
+"""A window that shows the environment's picture, by pygame, which is the extra [window]."""
 
 import importlib
 from typing import Any
@@ -7,15 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.errors import OutriderError
-
-
-def _load_pygame() -> Any:  # noqa: ANN401 - a module without types
-    try:
-        return importlib.import_module("pygame")
-    except ImportError as error:
-        raise OutriderError(
-            "render_mode 'human' needs pygame: pip install -e '.[window]', or use 'rgb_array'"
-        ) from error
+from bus.extras import from_extra
 
 
 class Window:
@@ -30,7 +22,8 @@ class Window:
     """
 
     def __init__(self, title: str, rate: float) -> None:
-        self._pygame = _load_pygame()
+        with from_extra("window", "render_mode 'human', unlike 'rgb_array'"):
+            self._pygame: Any = importlib.import_module("pygame")  # without types
         self._title, self._rate = title, rate
         self._screen: Any = None
         self._clock = self._pygame.time.Clock()

@@ -15,6 +15,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from bus.errors import ScenarioError
+from bus.extras import from_extra
 from bus.layout import Row, UgvRow
 from bus.messages import UgvObservation
 from outrider.bridges.fmi.variables import ACCELERATION, DRIVER_INPUTS, GOAL, OWN_STATE, RADIO
@@ -86,13 +87,9 @@ class FmuPolicy:
     def __init__(self, path: str, where: str) -> None:
         if not Path(path).is_file():
             raise ScenarioError(f"{where}: no such file: {path or 'none is named'}")
-        try:
-            import fmpy  # noqa: PLC0415 - an extra
+        with from_extra("fmi", where):
+            import fmpy  # noqa: PLC0415
             from fmpy.fmi3 import FMU3Slave  # noqa: PLC0415
-        except ImportError as error:
-            raise ScenarioError(
-                f"{where}: needs fmpy: pip install 'outrider[fmi]' ({_one_line(error)})"
-            ) from error
         self._where = where
         self._folder = tempfile.mkdtemp(prefix="outrider-fmu-")
         weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)

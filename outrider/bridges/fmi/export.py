@@ -5,6 +5,7 @@ import tempfile
 from pathlib import Path
 
 from bus.errors import ScenarioError
+from bus.extras import from_extra
 from bus.keys import Role
 from outrider.bridges.fmi.carried import files_of
 from outrider.bridges.fmi.vehicle_unit import check_exportable
@@ -58,12 +59,8 @@ def export_world(scenario: Scenario, out: Path) -> None:
 def _build(carried: dict[str, bytes], out: Path) -> None:
     if out.suffix != ".fmu":
         raise ScenarioError(f"--out {out}: is no unit's name; allowed: FILE.fmu")
-    try:
-        from pythonfmu3 import FmuBuilder  # noqa: PLC0415 - an extra
-    except ImportError as error:
-        raise ScenarioError(
-            f"fmu export: needs pythonfmu3: pip install 'outrider[fmi]' ({error})"
-        ) from error
+    with from_extra("fmi"):
+        from pythonfmu3 import FmuBuilder  # noqa: PLC0415
     with tempfile.TemporaryDirectory(prefix="outrider-fmu-") as name:
         folder = Path(name)
         script = folder / "outrider_unit.py"

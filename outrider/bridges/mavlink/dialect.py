@@ -2,14 +2,10 @@
 
 from typing import Any
 
-from bus.errors import ScenarioError
+from bus.extras import from_extra
 
-try:
+with from_extra("mavlink"):
     from pymavlink.dialects.v20 import common as mavlink
-except ImportError as error:
-    raise ScenarioError(
-        "mavlink: needs pymavlink: pip install 'outrider[mavlink]', or -e '.[mavlink]' in the clone"
-    ) from error
 
 __all__ = ["MavMessage", "mavlink", "packed"]
 

@@ -6,7 +6,7 @@ The types are those of Jazzy; of the ones that are used here every distribution 
 from functools import cache
 from typing import Any
 
-from bus.errors import ScenarioError
+from bus.extras import from_extra
 from outrider.bridges.refused import Refused
 from outrider.bridges.ros2.wire import dds_type
 
@@ -32,11 +32,9 @@ def require_extra() -> None:
     Raises:
         ScenarioError: If one is missing.
     """
-    try:
+    with from_extra("ros2"):
         import rosbags.typesys  # noqa: F401, PLC0415
         import xxhash  # noqa: F401, PLC0415
-    except ImportError as error:
-        raise ScenarioError(f"ros2: {error.name} is missing: pip install -e '.[ros2]'") from error
 
 
 @cache

@@ -1,8 +1,10 @@
 """The optional extras: which packages each needs, and a refusal in one line where one is not installed."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 
-from bus.errors import ScenarioError
+from bus.errors import OutriderError, ScenarioError
 
 EXTRAS = {
     "record": ("foxglove", "mcap"),
@@ -29,16 +31,36 @@ def missing_of(extra: str) -> list[str]:
     return [module for module in EXTRAS[extra] if find_spec(module) is None]
 
 
-def check_extra(extra: str, *needed: str) -> None:
+def install_command(extra: str) -> str:
+    """Installs it from the clone."""
+    return f"pip install -e '.[{extra}]'"
+
+
+def check_extra(extra: str, *needed: str, what: str = "") -> None:
     """Refuse to begin without an extra.
 
     Args:
         extra: Its name.
         needed: Those of its packages without which it cannot begin; by default all.
+        what: It needs them.
 
     Raises:
         ScenarioError: If one is not installed; with the command that installs it.
     """
-    for module in missing_of(extra):
-        if not needed or module in needed:
-            raise ScenarioError(f"{module} is missing: pip install -e '.[{extra}]'")
+    with from_extra(extra, what):
+        for module in missing_of(extra):
+            if not needed or module in needed:
+                raise ImportError(name=module)
+
+
+@contextmanager
+def from_extra(
+    extra: str, what: str = "", kind: type[OutriderError] = ScenarioError
+) -> Iterator[None]:
+    """Around imports from an extra: one that fails is told as by `check_extra`, as an error of this kind."""
+    try:
+        yield
+    except ImportError as absent:
+        needs = f"{what}: " if what else ""
+        told = f"{needs}{absent.name} is missing: {install_command(extra)}"
+        raise kind(told) from absent
