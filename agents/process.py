@@ -1,7 +1,6 @@
 """The loop that puts any pilot on the bus: a process of its own, which knows only what it is told."""
 
 import gc
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
@@ -15,6 +14,7 @@ from bus.access import Credential
 from bus.errors import BusError, PeerLost
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, SIMULATOR_NAME, Party, Role
 from bus.messages import Command, UavBriefing, UavObservation, UgvBriefing, UgvObservation
+from bus.presence import Presence
 from bus.registry import DEFAULT_DRIVER, TELEOP
 from bus.session import Envelope, Outbox, Session, open_session
 from sim.kernels.compile import compiling
@@ -130,21 +130,6 @@ def warm_up(role: Role, *, inner: "Inner | None" = None) -> None:
             uav.prepare()
 
 
-class _Presence:
-    """Follows on the bus whether the simulator is there."""
-
-    def __init__(self) -> None:
-        self._sessions: set[int] = set()
-        self._since = time.monotonic()
-
-    def change(self, _name: str, place: int, present: bool) -> None:
-        (self._sessions.add if present else self._sessions.discard)(place)
-        self._since = time.monotonic()
-
-    def absent_for(self) -> float:
-        return 0.0 if self._sessions else time.monotonic() - self._since
-
-
 class _Slot:
     """A vehicle's place in the run as its own process sees it: it waits for messages, but not for ever.
 
@@ -160,17 +145,16 @@ class _Slot:
     def __init__(self, session: Session, make_pilot: MakePilot, limit: float) -> None:
         party = session.party
         self._session, self._make_pilot, self._limit = session, make_pilot, limit
-        self._presence = _Presence()
         self._briefings = session.inbox(BRIEFING[party.role], party.name)
         self._observations = session.inbox(OBSERVATION[party.role], party.name, newest=_ROOM)
         self._flight: tuple[object, int] = (None, 0)  # who has briefed it for which flight
         self._first = 0  # the first tick of it that is still to be seen
-        session.watch(SIMULATOR_NAME, self._presence.change)
+        self._simulator = Presence(session, SIMULATOR_NAME)
         session.announce()
         self.pilot = self._take_over()
 
     def _mind_absence(self, what: str) -> None:
-        if self._presence.absent_for() > self._limit:
+        if self._simulator.absent_for() > self._limit:
             who = "simulator" if self._session.connected else "router"
             raise PeerLost(
                 f"the {who} has been away for {self._limit:g} s while {self._session.party.name} awaited {what}"
@@ -207,7 +191,7 @@ class _Slot:
     def _awaits(self) -> bool:
         """True while nothing newer has come than what the pilot answers, and the simulator is there."""
         newer = self._observations.holds_any() or self._briefings.holds_any()
-        return not newer and self._presence.absent_for() == 0.0
+        return not newer and self._simulator.there
 
     def look(self) -> list[Any]:
         """Wait for observations: those that have arrived since, the oldest first.

@@ -7,10 +7,11 @@ import typer
 
 from bus.errors import ScenarioError
 from bus.extras import from_extra
-from bus.keys import STATUS, Role
+from bus.keys import Role
 from bus.messages import Status
 from outrider.cli import options
 from outrider.cli.stopping import Stop, stop_on_signals
+from outrider.cli.waiting import await_status
 
 if TYPE_CHECKING:
     from bus.session import Session
@@ -69,22 +70,13 @@ def _await_run(session: "Session", vehicle: str, stop: Stop) -> Status | None:
     Raises:
         ScenarioError: If the run has no such UGV.
     """
-    from outrider.cli.console import ERR
     from outrider.view.terminal.teleoperation import ugvs_of
 
-    statuses = session.inbox(STATUS)
-    envelope = statuses.receive(1.0)
-    if envelope is None and not stop:
-        ERR.tell(f"waiting for the simulator of the run {session.run}; Ctrl-C leaves")
-    while envelope is None and not stop:
-        envelope = statuses.receive(0.5)
-    statuses.close()
-    if envelope is None or not isinstance(envelope.message, Status):
-        return None
-    known = ugvs_of(envelope.message)
+    status = await_status(session, stop)
+    known = () if status is None else ugvs_of(status)
     if known and vehicle not in known:
         raise ScenarioError(f"--name {vehicle}: no UGV of this run; there {_are(known)}")
-    return envelope.message
+    return status
 
 
 def _are(names: tuple[str, ...]) -> str:

@@ -11,10 +11,11 @@ import typer
 from bus.errors import PeerLost, ScenarioError
 from bus.keys import SAMPLED_TRUTH, STATUS, Party, Role
 from bus.locator import LOOPBACK
-from bus.messages import Origin, Status
+from bus.messages import Origin
 from outrider.cli import options
 from outrider.cli.pilots import JoinTimeout
 from outrider.cli.stopping import Stop, stop_on_signals
+from outrider.cli.waiting import RouterTimer, await_status
 
 if TYPE_CHECKING:
     from agents.process import MakePilot
@@ -31,8 +32,6 @@ _OUT, _OFFBOARD = "udpout:127.0.0.1:14550", "udpout:127.0.0.1:14540"
 _AUTOPILOT = "udpin:127.0.0.1:14540"
 _LINGER = 0.6
 """The time for which a run that is over is still told [s]: one that is reset goes on."""
-_ALONE = 3.0
-"""After so long without a router it has gone [s]."""
 _NICE = 5
 """On a machine that is busy the run goes first."""
 _TURN = 0.02
@@ -240,11 +239,10 @@ def _show(
 
     party, credential = options.staff_of(credentials, Role.OBSERVER)
     with open_session(party, run, connect=connect, credential=credential) as session:
-        client = RunClient(session, read=(STATUS, SAMPLED_TRUTH))
-        status = _await_run(client, run, stop)
+        status = await_status(session, stop)
         if status is None:
-            client.close()
             return {"vehicles": {}}
+        client = RunClient(session, status, read=(STATUS, SAMPLED_TRUTH))
         gateway = RunGateway(client, network, status, first=first, height=height)
         named = {system.name: number for number, system in gateway.systems.items()}
         ERR.tell(
@@ -259,29 +257,11 @@ def _show(
     return {"vehicles": named, **gateway.counts()}
 
 
-def _await_run(client: "RunClient", run: str, stop: Stop) -> Status | None:
-    """The first status that tells of the vehicles; None if a signal came before it."""
-    from outrider.cli.console import ERR
-
-    told, since = False, time.monotonic()
-    while not stop:
-        for _ in client.news():
-            pass
-        status = client.status
-        if status is not None and status.geometry is not None:
-            return status
-        if not told and time.monotonic() - since > 1.0:
-            told = True
-            ERR.tell(f"waiting for the simulator of the run {run}; Ctrl-C leaves")
-        time.sleep(_TURN)
-    return None
-
-
 def _follow(session: "Session", client: "RunClient", gateway: "RunGateway", stop: Stop) -> bool:
     """Tell the run until it is over or somebody wants the end; whether it was the router that went."""
     from outrider.view.operator import SILENCE
 
-    over_since = alone_since = None
+    over_since, router = None, RouterTimer(session)
     while not stop:
         for message in client.news():
             gateway.take(message)
@@ -290,10 +270,9 @@ def _follow(session: "Session", client: "RunClient", gateway: "RunGateway", stop
         now = time.monotonic()
         over = client.status is not None and client.status.over
         over_since = (over_since or now) if over else None
-        alone_since = None if session.connected else alone_since or now
         if over_since is not None and now - over_since > _LINGER:
             return False
-        if alone_since is not None and now - alone_since > _ALONE:
+        if router.has_gone():
             return True
     return False
 

@@ -1,6 +1,5 @@
 """`outrider record`: the record of a run in progress, and the repair of one that was killed."""
 
-import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +10,7 @@ from bus.errors import PeerLost
 from bus.keys import Role
 from outrider.cli import options
 from outrider.cli.stopping import Stop, stop_on_signals
+from outrider.cli.waiting import RouterTimer
 
 if TYPE_CHECKING:
     from bus.session import Session
@@ -119,7 +119,7 @@ def _follow(session: "Session", recorder: "RunRecorder", stop: Stop) -> bool:
     from outrider.cli.console import bar
 
     told = "{task.fields[seconds]:>7.1f} s simulated, {task.fields[missing]} ticks missing"
-    alone_since: float | None = None
+    router = RouterTimer(session)
     with bar(TextColumn(told)) as progress:
         task = progress.add_task("waiting for the run", total=None, seconds=0.0, missing=0)
         while not stop and not recorder.over:
@@ -132,12 +132,8 @@ def _follow(session: "Session", recorder: "RunRecorder", stop: Stop) -> bool:
                 seconds=recorder.newest_time,
                 missing=recorder.missing_ticks,
             )
-            if session.connected:
-                alone_since = None
-            else:
-                alone_since = alone_since or time.monotonic()
-                if time.monotonic() - alone_since > 3.0:
-                    return True
+            if router.has_gone():
+                return True
     return False
 
 

@@ -11,14 +11,12 @@ from bus.keys import SIMULATOR_NAME, Party, Role
 from outrider.cli import options
 from outrider.cli.pilots import JoinTimeout
 from outrider.cli.stopping import Stop, stop_on_signals
+from outrider.cli.waiting import AWAY, RouterTimer, tell_waiting
 
 if TYPE_CHECKING:
     from bus.access import Credential
     from bus.session import Session
     from outrider.bridges.ros2.observing import RosObserver
-
-_AWAY = 3.0
-"""The time after which a router that is away has gone for good, and so has the simulator of a run that is over [s]."""
 
 
 def command(
@@ -137,29 +135,20 @@ def _observe(
 
 
 def _follow(session: "Session", observer: "RosObserver", stop: Stop) -> bool:
-    from outrider.cli.console import ERR
+    from bus.presence import Presence
 
-    simulators: set[int] = set()
-
-    def see(_name: str, place: int, present: bool) -> None:
-        (simulators.add if present else simulators.discard)(place)
-
-    session.watch(SIMULATOR_NAME, see)
-    told, there, seen = False, time.monotonic(), time.monotonic()
+    simulator, router = Presence(session, SIMULATOR_NAME), RouterTimer(session)
+    told = False
     while not stop:
         observer.step(0.2)
-        now = time.monotonic()
-        if session.connected:
-            there = now
-        elif now - there > _AWAY:
-            return observer.status is None or not observer.status.over
-        if simulators:
-            seen = now
-        elif observer.status is not None and observer.status.over and now - seen > _AWAY:
+        over = observer.status is not None and observer.status.over
+        if router.has_gone():
+            return not over
+        if over and simulator.absent_for() > AWAY:
             return False
-        if not told and observer.status is None and now - there < _AWAY:
+        if not told and observer.status is None:
             told = True
-            ERR.tell(f"waiting for the simulator of the run {session.run}; Ctrl-C leaves")
+            tell_waiting(session.run)
     return False
 
 

@@ -70,15 +70,12 @@ def command(
 
 def _until_over(session: "Session", stop: Stop) -> None:
     """Until the simulator has said that the run is over, and has gone: one that dies may come back."""
-    import threading
+    from bus.presence import Presence
 
-    present = threading.Event()
-    session.watch(
-        SIMULATOR_NAME, lambda _name, _place, there: present.set() if there else present.clear()
-    )
+    simulator = Presence(session, SIMULATOR_NAME)
     statuses = session.inbox(STATUS)
     over = False
-    while not stop and not (over and not present.is_set()):
+    while not stop and not (over and not simulator.there):
         envelope = statuses.receive(0.5)
         if envelope is not None and isinstance(envelope.message, Status):
             over = envelope.message.over

@@ -20,6 +20,7 @@ from bus.messages import (
     Truth,
     Vector,
 )
+from bus.presence import Presence
 from bus.queues import Outbox
 from bus.registry import TELEOP
 from bus.session import Session
@@ -46,7 +47,6 @@ class RunClient:
     ) -> None:
         self._session = session
         self._inboxes = [session.inbox(key, newest=1) for key in read]
-        self._simulators: set[int] = set()
         self._clock: deque[tuple[float, float]] = deque(maxlen=_PACE)
         self._outboxes: dict[str, Outbox] = {}
         self._unsent: queue.Queue[tuple[Outbox, Message] | None] = queue.Queue(maxsize=64)
@@ -54,24 +54,14 @@ class RunClient:
         self.truth: Truth | None = None
         self.coverage: CoverageMap | None = None
         self.ground: GroundMap | None = None
-        self.received = time.monotonic()
-        """Time at which the simulator has told something last, or joined [s]."""
-        self.seen_simulator = False
+        self._received = time.monotonic()
         self.fault = ""
         """Why the last message could not be sent; empty: it was."""
         self.may_steer = session.party.role is keys.Role.OPERATOR
         self._controls = session.outbox(keys.CONTROL) if self.may_steer else None
-        session.watch(keys.SIMULATOR_NAME, self._see_simulator)
+        self.simulator = Presence(session, keys.SIMULATOR_NAME)
         self._sender = threading.Thread(target=self._send, name="outrider-operator", daemon=True)
         self._sender.start()
-
-    def _see_simulator(self, _name: str, place: int, present: bool) -> None:
-        if present:
-            self._simulators.add(place)
-            self.seen_simulator = True
-            self.received = time.monotonic()
-        else:
-            self._simulators.discard(place)
 
     @property
     def name(self) -> str:
@@ -84,14 +74,9 @@ class RunClient:
         return self._session.connected
 
     @property
-    def present(self) -> bool:
-        """True if the simulator is there."""
-        return bool(self._simulators)
-
-    @property
     def age(self) -> float:
-        """Time since the simulator has told something [s]."""
-        return time.monotonic() - self.received
+        """Time since the simulator has told something, or joined [s]."""
+        return time.monotonic() - max(self._received, self.simulator.joined)
 
     @property
     def factor(self) -> float:
@@ -116,12 +101,12 @@ class RunClient:
     def _take(self, message: Message) -> None:
         match message:
             case Status():
-                self.status, self.received = message, time.monotonic()
+                self.status, self._received = message, time.monotonic()
                 if message.time == 0.0 or (self._clock and message.time < self._clock[-1][1]):
                     self._clock.clear()  # nothing flown yet, or another flight
-                self._clock.append((self.received, message.time))
+                self._clock.append((self._received, message.time))
             case Truth():
-                self.truth, self.received = message, time.monotonic()
+                self.truth, self._received = message, time.monotonic()
             case CoverageMap():
                 self.coverage = message
             case GroundMap():

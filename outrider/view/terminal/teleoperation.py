@@ -161,7 +161,7 @@ class Teleoperation:
         if self._heir:
             return f"{ugv} was to be handed back to {self._heir}; nobody has confirmed it yet"
         if self._taken:
-            unknown = self._client.present and not (self._back or self._before)
+            unknown = self._client.simulator.there and not (self._back or self._before)
             why = "say --back DRIVER" if unknown else "the simulator has gone"
             return f"{ugv} could not be handed back ({why}); it brakes without an operator"
         return f"{ugv} was left to {self._driver or 'its driver'}"
@@ -187,7 +187,7 @@ class Teleoperation:
                 age=client.age,
                 factor=client.factor,
                 connected=client.connected,
-                present=client.present,
+                present=client.simulator.there,
                 driver=self._driver,
                 asked=self._taken and self._driver != TELEOP,
                 wanted=self._keys.velocity(time.monotonic()),
@@ -216,7 +216,7 @@ class Teleoperation:
             if not self._heir:
                 return
         limit = time.monotonic() + _SETTLE
-        while time.monotonic() < limit and self._client.present and not self.handed_to:
+        while time.monotonic() < limit and self._client.simulator.there and not self.handed_to:
             time.sleep(_LOOK / 2)
             with self._lock:
                 self._read()
@@ -224,7 +224,7 @@ class Teleoperation:
     def _turn(self, now: float) -> None:
         self._read()
         wanted, status = self._keys.velocity(now), self._client.status
-        if not self._client.present or status is None or status.over:
+        if not self._client.simulator.there or status is None or status.over:
             self._keys.release()
             # Nobody listens; the vehicle brakes when its operator is silent.
             self._braked = self._moving = False
@@ -247,7 +247,7 @@ class Teleoperation:
         """Hand the wheel back, if it was taken and there is somebody to take it."""
         self._keys.release()
         heir = self._back or self._before
-        if not (self._taken and heir and self._client.present):
+        if not (self._taken and heir and self._client.simulator.there):
             return
         self._steer(None, time.monotonic())
         self._heir = self._helm.hand_back(self.vehicle, heir)

@@ -11,7 +11,9 @@ class Live(RunClient):
     def standing(self) -> SourceState:
         """The run's state, with a line about what is wrong."""
         level, line = self._banner()
-        return SourceState(level=level, line=line, router=self.connected, simulator=self.present)
+        return SourceState(
+            level=level, line=line, router=self.connected, simulator=self.simulator.there
+        )
 
     def _banner(self) -> tuple[str, str]:
         over = self.status is not None and self.status.over
@@ -20,11 +22,11 @@ class Live(RunClient):
                 return "info", "The run is over, and its router has left. Waiting for the next one."
             cut_off = "this page is cut off from the run, and shows what it knew last."
             return "bad", f"The router is away: {cut_off}"
-        if not self.present:
+        if not self.simulator.there:
             if over:
                 left = "The run is over and its simulator has left."
                 return "info", f"{left} Waiting for the next one."
-            if self.seen_simulator:
+            if self.simulator.joined > 0.0:
                 gone = "The simulator is gone: its process has died or has lost its way."
                 return "bad", f"{gone} Waiting for it to come back."
             return "info", "Waiting for a simulator to join the run."
