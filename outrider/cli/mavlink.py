@@ -4,22 +4,20 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from bus.errors import PeerLost, ScenarioError
-from bus.keys import SAMPLED_TRUTH, STATUS, Party, Role
+from bus.keys import SAMPLED_TRUTH, STATUS, Role
 from bus.locator import LOOPBACK
 from bus.messages import Origin
 from outrider.cli import options
-from outrider.cli.pilots import JoinTimeout
 from outrider.cli.stopping import Stop, stop_on_signals
 from outrider.cli.waiting import RouterTimer, await_status
 
 if TYPE_CHECKING:
     from agents.process import MakePilot
-    from bus.access import Credential
     from bus.session import Session
     from outrider.bridges.mavlink.autopilot import AutopilotLink
     from outrider.bridges.mavlink.identity import VehicleSystem
@@ -85,7 +83,7 @@ def command(
         float,
         typer.Option(help="Height in m at which UAVs are told to fly: a run is flat.", min=0.0),
     ] = 10.0,
-    join_timeout: JoinTimeout = 30.0,
+    join_timeout: options.JoinTimeout = 30.0,
     insecure: options.Insecure = False,
     json: options.Json = False,
 ) -> None:
@@ -128,11 +126,9 @@ def command(
     try:
         if vehicle or autopilot:
             name = vehicle or autopilot
-            bus = _Bus(
-                connect, run, options.credential_of(credentials, Role.UAV, name), join_timeout
-            )
+            joining = options.joining(Role.UAV, name, connect, run, credentials, join_timeout)
             system = VehicleSystem(name, first, flies=True, origin=Origin(), height=height)
-            found = _fly(network, system, bus) if vehicle else _fly_along(network, name, bus)
+            found = _fly(network, system, joining) if vehicle else _fly_along(network, joining)
         else:
             os.nice(_NICE)
             with stop_on_signals() as stop:
@@ -146,38 +142,23 @@ def command(
         sys.stderr.write(_story(found) + "\n")
 
 
-class _Bus(NamedTuple):
-    """The way to the run."""
-
-    connect: str
-    run: str
-    credential: "Credential | None"
-    join_timeout: float
-    """[s]"""
-
-
 def _join(
-    bus: _Bus, name: str, make: "MakePilot", gateway: "OffboardGateway | AutopilotLink"
+    joining: options.Joining, make: "MakePilot", gateway: "OffboardGateway | AutopilotLink"
 ) -> None:
     """Fly a UAV until the run is over, and serve MAVLink beside it."""
-    from agents.process import fly, warm_up
+    from agents.process import warm_up
     from outrider.bridges.mavlink.offboard import serving
     from sim.kernels.compile import compiling
 
     with compiling("uav"):
         warm_up(Role.UAV, inner=lambda _observation: (0.0, 0.0))
     with serving(gateway):
-        fly(
-            Party(role=Role.UAV, name=name),
-            make,
-            connect=bus.connect,
-            run=bus.run,
-            credential=bus.credential,
-            join_timeout=bus.join_timeout,
-        )
+        joining.fly(make)
 
 
-def _fly(network: "Network", system: "VehicleSystem", bus: _Bus) -> dict[str, object]:
+def _fly(
+    network: "Network", system: "VehicleSystem", joining: options.Joining
+) -> dict[str, object]:
     """Fly a UAV by setpoints until the run is over; what became of them."""
     from outrider.bridges.mavlink.dialect import mavlink
     from outrider.bridges.mavlink.offboard import OffboardGateway, OffboardPilot
@@ -185,12 +166,12 @@ def _fly(network: "Network", system: "VehicleSystem", bus: _Bus) -> dict[str, ob
     system.capabilities |= mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
     pilot = OffboardPilot()
     gateway = OffboardGateway(pilot, network, system)
-    _join(bus, system.name, pilot.make, gateway)
+    _join(joining, pilot.make, gateway)
     gateway.say(system, "the run is over")
     return {"vehicles": {system.name: system.number}, **gateway.counts()}
 
 
-def _fly_along(network: "Network", name: str, bus: _Bus) -> dict[str, object]:
+def _fly_along(network: "Network", joining: options.Joining) -> dict[str, object]:
     """Let an autopilot fly along with a UAV until the run is over; what became of it."""
     from outrider.bridges.mavlink.autopilot import AutopilotLink, AutopilotPilot
 
@@ -203,10 +184,14 @@ def _fly_along(network: "Network", name: str, bus: _Bus) -> dict[str, object]:
         if not told and time.monotonic() - began > 1.0:
             told = True
             sys.stderr.write("waiting for the telemetry of an autopilot; Ctrl-C leaves\n")
-    _join(bus, name, pilot.make, link)
+    _join(joining, pilot.make, link)
     found = {"sent": dict(network.sent), "received": link.reports}
     peer = link.peer
-    return {"vehicles": {name: 0 if peer is None else peer.system}, **found, **pilot.counts()}
+    return {
+        "vehicles": {joining.party.name: 0 if peer is None else peer.system},
+        **found,
+        **pilot.counts(),
+    }
 
 
 def _check_listening(addresses: "dict[str, Address]", *, insecure: bool) -> None:

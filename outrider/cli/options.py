@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import msgspec
 import typer
@@ -17,6 +17,7 @@ from bus.profiles import PROFILES
 from bus.registry import DRIVERS, LAWS, POLICY_FORMS, SAVED_POLICIES, DriverRow, LawRow, described
 
 if TYPE_CHECKING:
+    from agents.process import MakePilot
     from bus.access import Credential
     from bus.session import Session
     from sim.scenario.types import Scenario
@@ -139,6 +140,14 @@ Record = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE", help="Record every tick into this MCAP file; needs the extra [record]."
+    ),
+]
+JoinTimeout = Annotated[
+    float,
+    typer.Option(
+        help="Seconds to wait for a simulator or router that is away.",
+        min=0.0,
+        envvar="OUTRIDER_JOIN_TIMEOUT",
     ),
 ]
 RealTime = Annotated[
@@ -381,16 +390,50 @@ def staff_of(file: Path | None, role: Role) -> "tuple[Party, Credential | None]"
     return found.party, found
 
 
+class Joining(NamedTuple):
+    """The way of one process into a run."""
+
+    party: Party
+    connect: str
+    run: str
+    credential: "Credential | None"
+    join_timeout: float
+    """The time for which a simulator may be away [s]."""
+
+    def session(self) -> "AbstractContextManager[Session]":
+        """Its session; errors as of `open_session`."""
+        from bus.session import open_session
+
+        return open_session(self.party, self.run, connect=self.connect, credential=self.credential)
+
+    def fly(self, make_pilot: "MakePilot") -> int:
+        """Fly the vehicle until the run is over; result and errors as of `agents.process.fly`."""
+        from agents.process import fly
+
+        return fly(
+            self.party,
+            make_pilot,
+            connect=self.connect,
+            run=self.run,
+            credential=self.credential,
+            join_timeout=self.join_timeout,
+        )
+
+
+def joining(
+    role: Role, name: str, connect: str, run: str, file: Path | None, join_timeout: float = 0.0
+) -> Joining:
+    """The way of a party; errors as of `check_endpoint` and `credential_of`."""
+    check_endpoint(connect)
+    credential = credential_of(file, role, name)
+    return Joining(Party(role=role, name=name), connect, run, credential, join_timeout)
+
+
 def join(
     role: Role, run: str, connect: str, file: Path | None
 ) -> "AbstractContextManager[Session]":
-    """The session of a run's operator, observer or bridge; errors as of `check_endpoint` and `credential_of`."""
-    from bus.session import open_session
-
-    check_endpoint(connect)
-    credential = credential_of(file, role, role.value)
-    party = Party(role=role, name=role.value)
-    return open_session(party, run, connect=connect, credential=credential)
+    """The session of a run's operator, observer or bridge; errors as of `joining`."""
+    return joining(role, role.value, connect, run, file).session()
 
 
 def credential_of(file: Path | None, role: Role, name: str) -> "Credential | None":

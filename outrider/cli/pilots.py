@@ -4,17 +4,8 @@ from typing import Annotated
 
 import typer
 
-from bus.keys import Party, Role
+from bus.keys import Role
 from outrider.cli import options
-
-JoinTimeout = Annotated[
-    float,
-    typer.Option(
-        help="Seconds to wait for a simulator or router that is away.",
-        min=0.0,
-        envvar="OUTRIDER_JOIN_TIMEOUT",
-    ),
-]
 
 
 def uav(
@@ -24,7 +15,7 @@ def uav(
     ] = "uav_0",
     run: options.RunName = options.DEFAULT_RUN,
     credentials: options.CredentialFile = None,
-    join_timeout: JoinTimeout = 30.0,
+    join_timeout: options.JoinTimeout = 30.0,
     weighting: options.Weighting = "",
     path: options.VirtualPath = "",
     watchdog: options.Watchdog = False,
@@ -35,24 +26,16 @@ def uav(
 
     Example: outrider uav --connect tcp/127.0.0.1:17447 --name uav_0
     """
-    from agents.process import fly, uav_maker
+    from agents.process import uav_maker
     from outrider.running.user_code import load_function
 
     _watch(watchdog)
-    options.check_endpoint(connect)
+    joining = options.joining(Role.UAV, name, connect, run, credentials, join_timeout)
     maker = uav_maker(
         weighting=load_function(weighting, what="weighting"),
         path=load_function(path, what="path"),
     )
-    credential = options.credential_of(credentials, Role.UAV, name)
-    fly(
-        Party(role=Role.UAV, name=name),
-        maker,
-        connect=connect,
-        run=run,
-        credential=credential,
-        join_timeout=join_timeout,
-    )
+    joining.fly(maker)
 
 
 def ugv(
@@ -62,7 +45,7 @@ def ugv(
     ] = "ugv_0",
     run: options.RunName = options.DEFAULT_RUN,
     credentials: options.CredentialFile = None,
-    join_timeout: JoinTimeout = 30.0,
+    join_timeout: options.JoinTimeout = 30.0,
     policy: options.PolicyName = "",
     watchdog: options.Watchdog = False,
 ) -> None:
@@ -72,21 +55,13 @@ def ugv(
 
     Example: outrider ugv --connect tcp/127.0.0.1:17447 --name ugv_0
     """
-    from agents.process import fly, ugv_maker
+    from agents.process import ugv_maker
     from outrider.running.user_code import load_function
 
     _watch(watchdog)
-    options.check_endpoint(connect)
-    credential = options.credential_of(credentials, Role.UGV, name)
+    joining = options.joining(Role.UGV, name, connect, run, credentials, join_timeout)
     maker = ugv_maker(policy=load_function(policy, what="policy"), policy_name=policy)
-    fly(
-        Party(role=Role.UGV, name=name),
-        maker,
-        connect=connect,
-        run=run,
-        credential=credential,
-        join_timeout=join_timeout,
-    )
+    joining.fly(maker)
 
 
 def _watch(watchdog: bool) -> None:

@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bus.errors import PeerLost, ScenarioError
-from bus.keys import SIMULATOR_NAME, Party, Role
+from bus.keys import SIMULATOR_NAME, Role
 from outrider.cli import options
-from outrider.cli.pilots import JoinTimeout
 from outrider.cli.stopping import Stop, stop_on_signals
 from outrider.cli.waiting import AWAY, RouterTimer, tell_waiting
 
 if TYPE_CHECKING:
-    from bus.access import Credential
     from bus.session import Session
     from outrider.bridges.ros2.observing import RosObserver
 
@@ -43,7 +41,7 @@ def command(
             help="Join as this vehicle, with its credentials: a ROS 2 node flies it by the topics /NAME/pilot/...",
         ),
     ] = "",
-    join_timeout: JoinTimeout = 30.0,
+    join_timeout: options.JoinTimeout = 30.0,
     every_tick: Annotated[
         bool,
         typer.Option(
@@ -82,7 +80,9 @@ def command(
     space = check_namespace(namespace)
     if vehicle:
         _refuse_with_vehicle(operator=operator, namespace=space, every_tick=every_tick)
-        _fly(vehicle, connect, run, credentials, domain=domain, patience=join_timeout, json=json)
+        kind = _role_of(vehicle, credentials)
+        joining = options.joining(kind, vehicle, connect, run, credentials, join_timeout)
+        _fly(joining, domain=domain, json=json)
         return
     role = Role.OPERATOR if operator else Role.ROS2
     with stop_on_signals() as stop, options.join(role, run, connect, credentials) as session:
@@ -164,44 +164,32 @@ def _refuse_with_vehicle(*, operator: bool, namespace: str, every_tick: bool) ->
             )
 
 
-def _party_of(name: str, credentials: Path | None) -> "tuple[Party, Credential | None]":
-    """The vehicle, by its credentials; without them by how its name begins."""
+def _role_of(name: str, credentials: Path | None) -> Role:
+    """The kind of vehicle, by its credentials; without them by how its name begins."""
     from bus.access import read_credential
 
-    kinds = {role: role.value for role in (Role.UAV, Role.UGV)}
+    kinds = (Role.UAV, Role.UGV)
     if credentials is not None:
         role: Role | None = read_credential(credentials).role
     else:
-        role = next((one for one, kind in kinds.items() if name.startswith(kind)), None)
+        role = next((kind for kind in kinds if name.startswith(kind)), None)
     if role not in kinds:
         raise ScenarioError(
             f"--vehicle {name}: a UAV or a UGV? without its credentials its name must begin with uav or ugv"
         )
-    return Party(role=role, name=name), options.credential_of(credentials, role, name)
+    return role
 
 
-def _fly(
-    name: str,
-    connect: str,
-    run: str,
-    credentials: Path | None,
-    *,
-    domain: int,
-    patience: float,
-    json: bool,
-) -> None:
+def _fly(joining: options.Joining, *, domain: int, json: bool) -> None:
     """Wait for a node that flies the vehicle, and let it."""
-    from agents.process import fly
-    from bus.session import open_session
     from outrider.bridges.ros2.ros_node import RosNode
     from outrider.bridges.ros2.ros_pilot import RosPilot
     from outrider.cli.console import ERR, print_json
 
-    options.check_endpoint(connect)
-    party, credential = _party_of(name, credentials)
-    with open_session(party, run, connect=connect, credential=credential) as session:
+    name = joining.party.name
+    with joining.session() as session:
         node = RosNode(session, domain=domain, name="outrider", namespace=f"/{name}")
-        pilot = RosPilot(node, party)
+        pilot = RosPilot(node, joining.party)
         with stop_on_signals() as stop:
             if not pilot.there:
                 ERR.tell(f"waiting for a ROS 2 node that reads /{name}/pilot/observation")
@@ -210,14 +198,7 @@ def _fly(
         if stop:
             raise typer.Exit(stop.exit_code)
         try:
-            sent = fly(
-                party,
-                pilot.make,
-                connect=connect,
-                run=run,
-                credential=credential,
-                join_timeout=patience,
-            )
+            sent = joining.fly(pilot.make)
         finally:
             pilot.close()
             node.close()
