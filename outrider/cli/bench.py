@@ -29,9 +29,7 @@ def command(
 
     Example: outrider bench --only lockstep
     """
-    from rich.table import Table
-
-    from outrider.cli.console import OUT, print_json, share_progress
+    from outrider.cli.console import OUT, print_json, print_table, share_progress
 
     if scaling is not None and (only or scaling.suffix.lower() != ".png"):
         raise ScenarioError(f"--scaling {scaling}: needs a file that ends in .png, and no --only")
@@ -52,11 +50,10 @@ def command(
     if json:
         print_json({"rows": rows})
         return
-    table = Table(title="Speed, medians", title_justify="left")
-    for heading in ("row", "value", "unit", "beside", "value", "ratio"):
-        table.add_column(heading, justify="right" if heading in ("value", "ratio") else "left")
+    told = []
     for row in rows:
         other = "" if row.reference_value is None else f"{row.reference_value:,.6g}"
         ratio = "" if row.ratio is None else f"{row.ratio:.2f}"
-        table.add_row(row.name, f"{row.value:,.6g}", row.unit, row.reference, other, ratio)
-    OUT.print(table)
+        told.append((row.name, f"{row.value:,.6g}", row.unit, row.reference, other, ratio))
+    headings = ("row", "value", "unit", "beside", "value", "ratio")
+    print_table(headings, told, title="Speed, medians", right=("value", "ratio"))

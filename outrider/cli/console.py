@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -57,6 +57,40 @@ def print_warnings(lines: Iterable[str]) -> None:
         ERR.tell(Text.assemble(("warning:", "yellow"), f" {first}{more}"))
 
 
+def print_table(
+    headings: Sequence[str],
+    rows: Iterable[Sequence[str | Text]],
+    *,
+    title: str = "",
+    right: Collection[str] = (),
+    whole: Collection[str] = (),
+) -> None:
+    """A table on stdout; it has lines if it has a title.
+
+    Args:
+        headings: Of its columns.
+        rows: A cell for each of them.
+        title: Above it.
+        right: The columns of numbers.
+        whole: Those that are never broken.
+    """
+    table = (
+        Table(title=title, title_justify="left")
+        if title
+        else Table(box=None, pad_edge=False, header_style="bold")
+    )
+    for heading in headings:
+        table.add_column(
+            heading,
+            justify="right" if heading in right else "left",
+            no_wrap=heading in whole,
+            overflow="ellipsis" if heading in whole else "fold",
+        )
+    for row in rows:
+        table.add_row(*row)
+    OUT.print(table)
+
+
 class FlightProgress:
     """A bar that fills with simulated time."""
 
@@ -75,11 +109,6 @@ class FlightProgress:
         ERR.tell(Text(line, style="yellow"))
 
 
-def blue(width: int = 40) -> BarColumn:
-    """The bar itself."""
-    return BarColumn(bar_width=width, complete_style="blue", finished_style="blue")
-
-
 def bar(*told: ProgressColumn, stays: bool = False, width: int = 40) -> Progress:
     """A bar on stderr, if that is a terminal: what is done, how much of it, and what is told behind it.
 
@@ -89,8 +118,9 @@ def bar(*told: ProgressColumn, stays: bool = False, width: int = 40) -> Progress
         width: Of the bar [characters].
     """
     what = TextColumn("{task.description}", style="bold", markup=False)
+    filled = BarColumn(bar_width=width, complete_style="blue", finished_style="blue")
     return Progress(
-        *(what, blue(width), *told),
+        *(what, filled, *told),
         console=ERR,
         transient=not stays,
         disable=not ERR.is_terminal,

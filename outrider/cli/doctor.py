@@ -153,22 +153,16 @@ def command(
 
     Example: outrider doctor
     """
-    from rich.table import Table
     from rich.text import Text
 
-    from outrider.cli.console import OUT, print_json
+    from outrider.cli.console import print_json, print_table
 
     findings = [finding for check in CHECKS for finding in check()]
     if json:
         print_json({"findings": [finding._asdict() for finding in findings]})
     else:
         colours = {"ok": "green", "missing": "yellow", "wrong": "red"}
-        table = Table(box=None, pad_edge=False, header_style="bold")
-        table.add_column("what", no_wrap=True)
-        table.add_column("", no_wrap=True)
-        table.add_column("found", overflow="fold")
-        for what, state, told in findings:
-            table.add_row(what, Text(state, style=colours[state]), told)
-        OUT.print(table)
+        rows = [(what, Text(state, style=colours[state]), told) for what, state, told in findings]
+        print_table(("what", "", "found"), rows, whole=("what", ""))
     if any(finding.state == "wrong" for finding in findings):
         raise typer.Exit(1)

@@ -20,10 +20,9 @@ def command(
 
     Example: outrider figures --out figures
     """
-    from rich.table import Table
     from rich.text import Text
 
-    from outrider.cli.console import OUT, print_json, share_progress
+    from outrider.cli.console import OUT, print_json, print_table, share_progress
     from outrider.experiments.paper_figures import make_figures
 
     with share_progress("drawing") as show:
@@ -31,17 +30,13 @@ def command(
     if json:
         print_json({"claims": claims, "folder": str(out)})
     else:
-        table = Table(title="What the paper's figures claim", title_justify="left")
-        for heading in ("figure", "claim", "found", "holds"):
-            table.add_column(heading, no_wrap=heading in ("figure", "holds"))
-        for claim in claims:
-            table.add_row(
-                claim.figure,
-                claim.claim,
-                claim.value,
-                Text("yes", style="green") if claim.holds else Text("no", style="red"),
-            )
-        OUT.print(table)
+        holds = {True: Text("yes", style="green"), False: Text("no", style="red")}
+        print_table(
+            ("figure", "claim", "found", "holds"),
+            [(one.figure, one.claim, one.value, holds[one.holds]) for one in claims],
+            title="What the paper's figures claim",
+            whole=("figure", "holds"),
+        )
         OUT.tell(f"  {out}/figure-1.png ... figure-5.png")
     if not all(claim.holds for claim in claims):
         raise typer.Exit(1)

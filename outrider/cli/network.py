@@ -81,9 +81,9 @@ def fit(
 
 
 def _print(found: "Fit") -> None:
-    from rich.table import Table
+    from rich.text import Text
 
-    from outrider.cli.console import OUT, print_warnings
+    from outrider.cli.console import OUT, print_table, print_warnings
 
     told = ", ".join(f"{name} {1000.0 * value:.3g} ms" for name, value in found.delay.items())
     OUT.tell(
@@ -91,12 +91,9 @@ def _print(found: "Fit") -> None:
         f"delay: {told}\n"
         f"lost: {100.0 * found.lost:.3g} %, at most {found.longest_burst:g} s in a row\n"
     )
-    table = Table(title="Waits differ by this factor", title_justify="left")
-    table.add_column("link")
-    table.add_column("factor", justify="right")
-    table.add_row("fitted", f"{found.factor:.2f}", style="bold")
-    for name, factor in found.profiles.items():
-        table.add_row(f"profile {name}", f"{factor:.2f}")
-    OUT.print(table)
+    fitted = Text("fitted", style="bold"), Text(f"{found.factor:.2f}", style="bold")
+    profiles = [(f"profile {name}", f"{factor:.2f}") for name, factor in found.profiles.items()]
+    title = "Waits differ by this factor"
+    print_table(("link", "factor"), [fitted, *profiles], title=title, right=("factor",))
     OUT.tell(f"\n{found.toml}")
     print_warnings(found.notes)

@@ -36,21 +36,18 @@ def command(
 
     Example: outrider render run.mcap -o run.gif --realtime 20
     """
-    from rich.progress import Progress
-
-    from outrider.cli.console import ERR
+    from outrider.cli.console import ERR, share_progress
     from outrider.recording.reader import flight_of
     from outrider.view.film import check_output, render
 
     check_output(out)
     recording = flight_of(file, flight)
-    with Progress(console=ERR, transient=True) as progress:
-        task = progress.add_task("drawing", total=None)
+    with share_progress("drawing") as tell:
         render(
             recording,
             out,
             fps=fps,
             speed=realtime,
-            on_frame=lambda done, total: progress.update(task, completed=done, total=total),
+            on_frame=lambda done, total: tell("drawing", done / total),
         )
     ERR.tell(f"{out}: {out.stat().st_size / 1e6:.2f} MB")

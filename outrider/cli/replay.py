@@ -136,20 +136,17 @@ def _refly(recording: "Recording", *, json: bool) -> None:
 
 
 def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
-    from rich.progress import Progress
-
     from outrider.bridges.ros2.ros_bag import RosBag, copy_flight
-    from outrider.cli.console import ERR, print_json
+    from outrider.cli.console import ERR, print_json, share_progress
     from outrider.recording.bag_records import size_of
 
     with (
         stop_on_signals() as stop,
         RosBag(folder) as bag,
-        Progress(console=ERR, transient=True) as progress,
+        share_progress("writing the bag") as tell,
     ):
-        task = progress.add_task("writing the bag", total=recording.truths[-1].time)
         for seconds in copy_flight(recording, bag):
-            progress.update(task, completed=seconds)
+            tell("writing the bag", seconds / max(recording.truths[-1].time, 1e-9))
             if stop:
                 raise typer.Exit(stop.exit_code)
     found = {
@@ -196,19 +193,18 @@ def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted
 
 def _play(recording: "Recording", speed: float) -> None:
     """Let simulated time pass at this speed."""
-    from rich.progress import Progress, TextColumn
+    from rich.progress import TextColumn
 
-    from outrider.cli.console import ERR, blue
+    from outrider.cli.console import bar
 
     truths = recording.truths
     begin, end = truths[0].time, truths[-1].time
     columns = (
         TextColumn("{task.fields[seconds]:>7.1f} s", markup=False),
-        blue(),
         TextColumn("{task.fields[told]}"),
     )
-    with Progress(*columns, console=ERR, transient=True) as progress, stop_on_signals() as stop:
-        task = progress.add_task("", total=max(end - begin, 1e-9), seconds=begin, told="")
+    with bar(*columns) as progress, stop_on_signals() as stop:
+        task = progress.add_task("playing", total=max(end - begin, 1e-9), seconds=begin, told="")
         started, row = time.monotonic(), 0
         while not stop and row < len(truths):
             now = begin + (time.monotonic() - started) * speed

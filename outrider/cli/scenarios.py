@@ -27,9 +27,7 @@ def command(
     """
     if context.invoked_subcommand is not None:
         return
-    from rich.table import Table
-
-    from outrider.cli.console import OUT, print_json
+    from outrider.cli.console import print_json, print_table
     from sim.scenario.loading import load_scenario, scenario_names
 
     shipped = [load_scenario(name) for name in scenario_names()]
@@ -46,16 +44,9 @@ def command(
         ]
         print_json({"scenarios": rows})
         return
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for heading in ("name", "law", "time", "what it is"):
-        table.add_column(
-            heading,
-            justify="right" if heading == "time" else "left",
-            no_wrap=heading != "what it is",
-        )
-    for scenario in shipped:
-        table.add_row(scenario.name, scenario.law.name, f"{scenario.duration:g} s", scenario.title)
-    OUT.print(table)
+    told = [(s.name, s.law.name, f"{s.duration:g} s", s.title) for s in shipped]
+    whole = ("name", "law", "time")
+    print_table((*whole, "what it is"), told, right=("time",), whole=whole)
 
 
 @app.command()

@@ -218,9 +218,7 @@ def _cell(told: "Result | Standing") -> "Text":
 
 
 def _tell_tasks(tasks: "Suite", *, json: bool) -> None:
-    from rich.table import Table
-
-    from outrider.cli.console import OUT, print_json
+    from outrider.cli.console import print_json, print_table
 
     if json:
         print_json(
@@ -231,9 +229,6 @@ def _tell_tasks(tasks: "Suite", *, json: bool) -> None:
             }
         )
         return
-    table = Table(title="The tasks of the suite", title_justify="left")
-    for heading in ("task", "what is hard", "at Gymnasium"):
-        table.add_column(heading, no_wrap=heading == "task")
-    for task in tasks:
-        table.add_row(task.name, task.hard, task.env_id)
-    OUT.print(table)
+    rows = [(task.name, task.hard, task.env_id) for task in tasks]
+    headings = ("task", "what is hard", "at Gymnasium")
+    print_table(headings, rows, title="The tasks of the suite", whole=("task",))
