@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import msgspec
 import typer
 
 from bus.errors import ScenarioError
@@ -50,22 +51,14 @@ def fit(
 
     Example: outrider network fit drive.csv --out fit.png
     """
-    from bus.files import read_regular
     from outrider.cli.console import ERR, OUT, print_json
     from outrider.experiments.network.fitting import fit_link
-    from sim.channel.recorded import MOST_BYTES, TRACE_RULE, pack, read_recording
     from sim.input.faults import one_line
+    from sim.scenario.recordings import read_link
 
     if out is not None and out.suffix.lower() != ".png":
         raise ScenarioError(f"--out {out}: needs a file that ends in .png")
-    where = one_line(str(file))
-    try:
-        data = read_regular(file, MOST_BYTES)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ScenarioError(f"{where}: cannot be read: {reason}; allowed: {TRACE_RULE}") from error
-    read_recording(data, where=where)
-    recorded = pack(file.name, data)
+    recorded = msgspec.structs.replace(read_link(str(file), one_line(str(file))), name=file.name)
     with ERR.status("fitting"):
         found, samples = fit_link(recorded, rate=rate, message_bytes=message_bytes)
     if out is not None:

@@ -58,7 +58,7 @@ def with_recordings(
     """
     kept = {one.name for one in scenario.links.traces}
     read = tuple(
-        _read(name, f"{file}: {field}", folder if name in inside else None)
+        read_link(name, f"{file}: {field} = {one_line(name)!r}", folder if name in inside else None)
         for name, field in _named(scenario.links).items()
         if name not in kept
     )
@@ -68,8 +68,8 @@ def with_recordings(
     return msgspec.structs.replace(scenario, links=links)
 
 
-def _read(name: str, where: str, folder: Path | None) -> RecordedLink:
-    where = f"{where} = {one_line(name)!r}"
+def read_link(name: str, where: str, folder: Path | None = None) -> RecordedLink:
+    """A recorded link from its file, below `folder` if that is given; or a ScenarioError that begins with `where`."""
     try:
         path = Path(name) if folder is None else _below(folder, name, where)
         data = read_regular(path, MOST_BYTES)
