@@ -15,7 +15,7 @@ from bus.profiles import PROFILES
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import Summary
-from sim.engine.briefing import briefing
+from sim.engine.briefing import uav_briefing
 from sim.env.parallel import parallel_env
 from sim.kernels.compile import FloatArray
 from sim.scenario.loading import load_scenario
@@ -44,9 +44,7 @@ def escort(law="logarithmic", *, uav=UAV, ugv=UGV, **fields):
 
 def told(scenario: Scenario, seed: int = 0) -> UavBriefing:
     """The briefing of the scenario's UAV."""
-    message = briefing(scenario, scenario.uav[0].name, seed)
-    assert isinstance(message, UavBriefing)
-    return message
+    return uav_briefing(scenario, scenario.uav[0].name, seed)
 
 
 def told_ugv(**fields: Any) -> UgvBriefing:

@@ -16,10 +16,10 @@ import pytest
 from blake2b import LANES, ROOM, begun, derive, key_of_lane
 
 from bus.layout import UavRow
-from bus.messages import Observation, UavBriefing, UavObservation
+from bus.messages import Observation, UavObservation
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import InProcess, make_pilots
-from sim.engine.briefing import briefing
+from sim.engine.briefing import uav_briefing
 from sim.engine.run_keys import derive_key
 from sim.env.parallel import parallel_env
 from sim.kernels.compile import FloatArray, IntArray, released
@@ -163,8 +163,7 @@ class _Bugged(InProcess):
 
 
 def _told(secret: str, ticks: IntArray, said: FloatArray) -> Told:
-    me = briefing(SCENARIO, "uav_0", SEED, secret)
-    assert isinstance(me, UavBriefing)
+    me = uav_briefing(SCENARIO, "uav_0", SEED, secret)
     assert me.detector.cut is not None
     return Told(
         key=words_of(me.key),

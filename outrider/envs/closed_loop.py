@@ -43,7 +43,7 @@ from outrider.envs.closed_loop_state import (
 )
 from outrider.envs.closed_loop_tick import run_worlds
 from sim.engine.batch import Batch, Fresh, arrays_of
-from sim.engine.briefing import briefing, largest_tracking_error
+from sim.engine.briefing import largest_tracking_error, uav_briefing, ugv_briefing
 from sim.engine.certificate_counts import (
     CertificateBounds,
     certificate_bounds,
@@ -405,9 +405,8 @@ class _PilotNumbers:
         *,
         shield: bool,
     ) -> None:
-        told = {name: briefing(scenario, name, 0) for name in (*uavs, *ugvs)}
-        told_uavs = [one for name in uavs if isinstance(one := told[name], UavBriefing)]
-        self.told_ugvs = [one for name in ugvs if isinstance(one := told[name], UgvBriefing)]
+        told_uavs = [uav_briefing(scenario, name, 0) for name in uavs]
+        self.told_ugvs = [ugv_briefing(scenario, name, 0) for name in ugvs]
         laws = [
             self._law(one, chosen.get(one.vehicle), outside=one.vehicle in external)
             for one in told_uavs

@@ -4,8 +4,9 @@ import msgspec
 
 from agents.drivers.compiled import take_ground, told_ground
 from agents.drivers.tile_map import GroundMemory
-from bus.messages import UgvBriefing, UgvObservation
+from bus.messages import UgvObservation
 from outrider.envs.radio import Radio
+from sim.engine.briefing import ugv_briefing
 from sim.env.parallel import OutriderEnv
 from sim.models.ground import TileArray
 
@@ -24,9 +25,9 @@ class EscortEnv(OutriderEnv):
         if self.world.tick == 0:
             self.radio = Radio(self)
             """From the UAVs to the UGVs, of this episode."""
-            told = {name: self.briefing(name) for name in self.possible_agents}
             self._known: dict[str, GroundMemory] = {
-                name: told_ground(one) for name, one in told.items() if isinstance(one, UgvBriefing)
+                ugv.name: told_ground(ugv_briefing(self.scenario, ugv.name, self.episode_seed))
+                for ugv in self.scenario.ugv
             }
         self.radio.receive()
         for ugv, known in self._known.items():

@@ -10,7 +10,6 @@ from bus.messages import (
     GroundBlock,
     LinkKind,
     RelativeInformation,
-    UavBriefing,
     UgvObservation,
 )
 from bus.ticks import looks_of, radio_ticks
@@ -26,15 +25,11 @@ class Radio:
     def __init__(self, env: Any) -> None:  # noqa: ANN401 - PettingZoo has no types
         self._env, self._dt, self._tick = env, env.scenario.dt, -1
         self._rows = {name: k for k, name in enumerate(env.possible_agents)}
-        told = [
-            one
-            for name in env.possible_agents
-            if isinstance(one := env.briefing(name), UavBriefing)
-        ]
-        self._filters = {one.vehicle: estimator_of(one) for one in told}
+        told = {uav.name: env.briefing(uav.name) for uav in env.scenario.uav}
+        self._filters = {uav: estimator_of(one) for uav, one in told.items()}
         self._escorts = {uav.name: uav.escorts for uav in env.scenario.uav}
         self._links = env.world.links.of(LinkKind.RADIO)
-        self._tellers = {one.vehicle: GroundTeller(one) for one in told}
+        self._tellers = {uav: GroundTeller(one) for uav, one in told.items()}
         self._said: dict[str, tuple[RelativeInformation | GroundBlock, ...]] = {}
         self._arrived: dict[str, tuple[RelativeInformation | GroundBlock, ...]] = {}
 

@@ -7,9 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.control.laws import OwnTerms, coverage_term, initial_state, law_parameters, weights
-from bus.messages import UavBriefing
 from outrider.running.summary import switching_radius_of
-from sim.engine.briefing import briefing
+from sim.engine.briefing import uav_briefing
 from sim.kernels.compile import FloatArray
 from sim.models.field import accumulate, cover, empty_coverage
 from sim.models.vehicles import Motion
@@ -58,13 +57,6 @@ def stop_row(flight: Flight) -> int:
     return int(moving[-1]) + 1 if moving.size else 0
 
 
-def _briefing(scenario: Scenario, seed: int, uav: str, secret: str = "") -> UavBriefing:
-    told = briefing(scenario, uav, seed, secret)
-    if not isinstance(told, UavBriefing):
-        raise ValueError(f"{uav} is no UAV")
-    return told
-
-
 def velocity_errors(flight: Flight) -> tuple[FloatArray, FloatArray]:
     """e_vel of (10) at each tick of the first UAV, and the velocity wanted (v_ref along u_si).
 
@@ -73,7 +65,7 @@ def velocity_errors(flight: Flight) -> tuple[FloatArray, FloatArray]:
     What the UAV flew is gone through once more with its own law: with k_v = 1 and no border, the coverage term
     (11) is e_vel.
     """
-    told = _briefing(flight.scenario, flight.seed, flight.world.uavs[0].name, flight.secret)
+    told = uav_briefing(flight.scenario, flight.world.uavs[0].name, flight.seed, flight.secret)
     c = law_parameters(told, told.law)._replace(k_v=1.0, margin=0.0)
     coverage, state = empty_coverage(c.width, c.height, c.cell), initial_state()
     for region in told.covered:
@@ -117,7 +109,7 @@ def peaks(speed_error: FloatArray, v_ref: float) -> npt.NDArray[np.intp]:
 
 def weighting_of(scenario: Scenario) -> tuple[Callable[[float, float], tuple[float, float]], float]:
     """Alpha and beta over distance and r_s, as the scenario's first UAV weighs them, and its r_s [m]."""
-    told = _briefing(scenario, scenario.seed, sorted(uav.name for uav in scenario.uav)[0])
+    told = uav_briefing(scenario, min(uav.name for uav in scenario.uav), scenario.seed)
     c, own = law_parameters(told, told.law), OwnTerms()
 
     def weighting(distance: float, r_s: float) -> tuple[float, float]:

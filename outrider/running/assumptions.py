@@ -17,7 +17,7 @@ import numpy as np
 from agents.control.handover import check_assumptions
 from agents.control.promise import Promise
 from agents.control.visibility import promise_of
-from bus.messages import MOST_CARRIED, LinkKind, LinkSettings, UavBriefing
+from bus.messages import MOST_CARRIED, LinkKind, LinkSettings
 from bus.registry import LAWS
 from bus.ticks import DUST, first_tick_from
 from outrider.running.summary import PERHAPS_EVERY, in_flights
@@ -31,8 +31,8 @@ from sim.channel.description import (
 )
 from sim.channel.link import FATES, LinkParameters
 from sim.channel.places import delays_by_place
-from sim.engine.briefing import briefing, largest_tracking_error
 from sim.engine.briefing import declared as declared_bounds
+from sim.engine.briefing import largest_tracking_error, uav_briefing
 from sim.kernels.compile import IntArray, is_interpreted
 from sim.scenario.types import LinkTable, Scenario, Uav
 
@@ -157,10 +157,7 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
         return ()
     table, found = links or scenario.links, list[Shortfall]()
     for uav in scenario.uav:
-        told = briefing(scenario, uav.name, scenario.seed)
-        if not isinstance(told, UavBriefing):
-            continue
-        promise = promise_of(told)
+        promise = promise_of(uav_briefing(scenario, uav.name, scenario.seed))
         found += [
             Shortfall(uav.name, "", How.THROUGHOUT, fault) for fault in check_assumptions(promise)
         ]

@@ -76,45 +76,21 @@ def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
     )
 
 
-def briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> Briefing:
-    """The briefing of the vehicle `name` in a run with this seed and secret; neither is in it.
+def _key(scenario: Scenario, name: str, seed: int, secret: str) -> str:
+    names = [vehicle.name for vehicle in scenario.vehicles]
+    return derive_key(seed, PILOT, names.index(name), secret)
 
-    Raises:
-        KeyError: If the scenario has no such vehicle.
-    """
-    vehicles = {vehicle.name: (index, vehicle) for index, vehicle in enumerate(scenario.vehicles)}
-    index, vehicle = vehicles[name]
-    key = derive_key(seed, PILOT, index, secret)
-    if isinstance(vehicle, Ugv):
-        return UgvBriefing(
-            vehicle=name,
-            dt=scenario.dt,
-            area=scenario.area,
-            limits=limits(vehicle),
-            driver=vehicle.driver,
-            goals=vehicle.goals,
-            goal_tolerance=vehicle.goal_tolerance,
-            script=vehicle.script,
-            hold=scenario.hold,
-            ground=UgvGround(
-                tile=scenario.ground.tile,
-                bumper=scenario.ground.bumper,
-                caution=vehicle.caution,
-                share=scenario.rough_share,
-                delay=longest_delay(
-                    scenario.links.of(name, LinkKind.COMMANDS), scenario.links.traces
-                ),
-            )
-            if scenario.has_ground
-            else None,
-            key=key,
-        )
+
+def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> UavBriefing:
+    """The briefing of a UAV; arguments and errors as of `briefing`."""
+    uav = {one.name: one for one in scenario.uav}[name]
+    escorted = {ugv.name: ugv for ugv in scenario.ugv}[uav.escorts]
     return UavBriefing(
         vehicle=name,
         dt=scenario.dt,
         area=scenario.area,
-        limits=limits(vehicle),
-        target_limits=limits(vehicles[vehicle.escorts][1]),
+        limits=limits(uav),
+        target_limits=limits(escorted),
         visibility_radius=scenario.visibility.radius,
         sensor=scenario.sensor,
         desired_coverage=scenario.coverage.desired,
@@ -131,5 +107,42 @@ def briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> Brie
         if scenario.has_ground
         else None,
         origin=scenario.origin,
-        key=key,
+        key=_key(scenario, name, seed, secret),
     )
+
+
+def ugv_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> UgvBriefing:
+    """The briefing of a UGV; arguments and errors as of `briefing`."""
+    ugv = {one.name: one for one in scenario.ugv}[name]
+    return UgvBriefing(
+        vehicle=name,
+        dt=scenario.dt,
+        area=scenario.area,
+        limits=limits(ugv),
+        driver=ugv.driver,
+        goals=ugv.goals,
+        goal_tolerance=ugv.goal_tolerance,
+        script=ugv.script,
+        hold=scenario.hold,
+        ground=UgvGround(
+            tile=scenario.ground.tile,
+            bumper=scenario.ground.bumper,
+            caution=ugv.caution,
+            share=scenario.rough_share,
+            delay=longest_delay(scenario.links.of(name, LinkKind.COMMANDS), scenario.links.traces),
+        )
+        if scenario.has_ground
+        else None,
+        key=_key(scenario, name, seed, secret),
+    )
+
+
+def briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> Briefing:
+    """The briefing of the vehicle `name` in a run with this seed and secret; neither is in it.
+
+    Raises:
+        KeyError: If the scenario has no such vehicle.
+    """
+    if any(ugv.name == name for ugv in scenario.ugv):
+        return ugv_briefing(scenario, name, seed, secret)
+    return uav_briefing(scenario, name, seed, secret)

@@ -8,7 +8,7 @@ from agents.drivers.steering import Steering
 from agents.ugv import UgvPilot
 from bus.messages import ScriptStep, UgvBriefing, UgvObservation, Vector
 from outrider.running.flying import InProcess, make_pilots
-from sim.engine.briefing import briefing
+from sim.engine.briefing import ugv_briefing
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 
@@ -88,9 +88,7 @@ def fly_adversary(
     """
     flight = Flight(scenario, scenario.seed)
     pilots = make_pilots(scenario, scenario.seed)
-    told = briefing(scenario, scenario.ugv[0].name, scenario.seed)
-    if not isinstance(told, UgvBriefing):
-        raise TypeError(f"{scenario.ugv[0].name} is no UGV")
+    told = ugv_briefing(scenario, scenario.ugv[0].name, scenario.seed)
     adversary = Adversary(tactics, flight, told)
     pilots[told.vehicle] = UgvPilot(told, driver=adversary)
     flight.fly(InProcess(pilots), on_tick=lambda: on_tick(flight))

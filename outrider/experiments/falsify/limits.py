@@ -8,9 +8,9 @@ import msgspec
 from agents.control.handover import check_assumptions
 from agents.control.visibility import promise_of
 from bus.errors import ScenarioError
-from bus.messages import LinkSettings, UavBriefing
+from bus.messages import LinkSettings
 from bus.registry import LAWS
-from sim.engine.briefing import briefing, declared
+from sim.engine.briefing import declared, uav_briefing
 from sim.scenario.types import DEFAULT_AGE, Certificate, LinkTable, Scenario, Uav, Ugv
 
 _NEVER = 1e-9
@@ -118,8 +118,7 @@ def _check_promise(base: Scenario, limits: SearchLimits) -> None:
     latest = msgspec.structs.replace(
         base, links=msgspec.structs.replace(base.links, commands=delay)
     )
-    told = briefing(latest, base.uav[0].name, 0)
-    faults = check_assumptions(promise_of(told)) if isinstance(told, UavBriefing) else ()
+    faults = check_assumptions(promise_of(uav_briefing(latest, base.uav[0].name, 0)))
     if faults:
         allowed = "narrower limits (--max-delay, --max-blackout, --max-loss, --noise), or a certificate in the scenario"
         raise ScenarioError(
