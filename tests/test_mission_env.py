@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from flights import Piloted
 from refusals import refused
-from worlds import equal, row_of, small
+from worlds import equal, small
 
 import outrider
 from agents.drivers.policy import PolicyDriver
@@ -28,6 +28,7 @@ from outrider.experiments.suite.scoring import Team
 from outrider.experiments.suite.tasks import MISSIONS, SEEDS, TASKS, Task
 from outrider.running.flying import make_pilots
 from sim.engine.briefing import briefing
+from sim.env.observation import one_of_world
 from sim.env.parallel import parallel_env as bare_env
 from sim.models.ground import BLOCK, CLEAR, OUTSIDE, ROUGH, UNSEEN
 from sim.scenario.loading import load_scenario, shipped_text
@@ -59,7 +60,7 @@ def test_a_world_of_the_vector_environment_is_the_parallel_one_bit_for_bit() -> 
     seen, _ = env.reset(seed=5)
     all_seen, _ = worlds.reset(seed=[5, 6])
     while env.agents:
-        assert all(equal(seen[name], row_of(all_seen[name], 0)) for name in seen)
+        assert all(equal(seen[name], one_of_world(all_seen[name], 0)) for name in seen)
         actions = {"uav_0": law(seen["uav_0"]), "ugv_0": np.array([0.1, 0.0])}
         seen, rewards, *_, infos = env.step(actions)
         all_seen, all_rewards, *_, all_infos = worlds.step(

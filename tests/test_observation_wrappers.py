@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pettingzoo.utils.conversions import parallel_to_aec
 from refusals import refused
-from worlds import FREE, ONE, equal, row_of
+from worlds import FREE, ONE, equal
 
 from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from bus.layout import UavRow, UgvRow, table
@@ -28,6 +28,7 @@ from outrider.envs.observations.image import CoverageImage
 from outrider.envs.observations.normalized import Normalized
 from outrider.envs.observations.stacking import History
 from outrider.envs.wrappers import coverage_image, egocentric, history, normalized, transformed
+from sim.env.observation import one_of_world
 from sim.env.parallel import parallel_env
 from sim.scenario.types import LinkTable, Uav, Ugv
 
@@ -481,7 +482,7 @@ class Arrays(SyncVectorEnv):
         seen, *told, infos = super().step(actions)
         if "final_obs" in infos:
             last = enumerate(infos["final_obs"])
-            rows = [row_of(seen, k) if one is None else one for k, one in last]
+            rows = [one_of_world(seen, k) if one is None else one for k, one in last]
             infos["final_obs"] = concatenate(
                 self.single_observation_space,
                 rows,
@@ -538,7 +539,7 @@ def test_each_world_of_a_batch_is_as_it_is_alone_across_the_ends_of_episodes(mak
     rng = np.random.default_rng(5)
     seen, _ = env.reset(seed=3)
     for k, one in enumerate(alone):
-        assert equal(row_of(seen, k), one.reset(seed=3 + k)[0])
+        assert equal(one_of_world(seen, k), one.reset(seed=3 + k)[0])
     same_step = env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     to_begin, finals = [False] * len(alone), 0
     for _ in range(16):
@@ -553,14 +554,14 @@ def test_each_world_of_a_batch_is_as_it_is_alone_across_the_ends_of_episodes(mak
             assert end == (terminations[k] or truncations[k])
             if end and same_step:
                 assert infos["_final_obs"][k]
-                assert equal(row_of(infos["final_obs"], k), now)
+                assert equal(one_of_world(infos["final_obs"], k), now)
                 of_objects = getattr(infos["final_obs"], "dtype", None) == np.dtype(object)
                 assert of_objects != isinstance(env.unwrapped, Arrays)
                 now, _ = one.reset()
                 finals += 1
             else:
                 to_begin[k] = end
-            assert equal(row_of(seen, k), now)
+            assert equal(one_of_world(seen, k), now)
     assert finals == (sum(16 // ticks for ticks in TICKS) if same_step else 0)
 
 

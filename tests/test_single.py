@@ -8,10 +8,11 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordEpisodeStatistics
-from worlds import CASES, SCENARIOS, equal, random_actions, row_of
+from worlds import CASES, SCENARIOS, equal, random_actions
 
 from outrider.envs.single import single_env
 from outrider.envs.vector import vector_env
+from sim.env.observation import one_of_world
 
 SCENARIO = SCENARIOS["certified"]
 SETTINGS: dict[str, dict[str, Any]] = {
@@ -31,7 +32,7 @@ def test_it_is_world_0_of_the_vector_environment_also_over_ends(name: str) -> No
     last, _ = one.reset(seed=21)
     seen, _ = many.reset(seed=21)
     for actions in random_actions(2, 420):
-        assert equal(last, row_of(seen, 0))
+        assert equal(last, one_of_world(seen, 0))
         seen, rewards, terminated, truncated, infos = many.step(actions)
         last, reward, ends, cut, info = one.step(actions[0])
         assert (reward, ends, cut) == (rewards[0], terminated[0], truncated[0])

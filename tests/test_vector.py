@@ -11,11 +11,12 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
-from worlds import CASES, LATE_LOOKS, SCENARIO, SCENARIOS, SEVERAL, equal, random_actions, row_of
+from worlds import CASES, LATE_LOOKS, SCENARIO, SCENARIOS, SEVERAL, equal, random_actions
 
 import outrider
 from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from outrider.envs.env_pilots import pilots
+from sim.env.observation import one_of_world
 from sim.scenario.types import Scenario
 
 
@@ -30,7 +31,7 @@ def test_each_world_is_the_parallel_environment_also_over_ends(name: str) -> Non
     last = [env.reset(seed=seed)[0] for env, seed in zip(singles, seeds, strict=True)]
     ends = 0
     for actions in random_actions(3, 420):
-        assert all(equal(last[k][agent], row_of(seen, k)) for k in range(3))
+        assert all(equal(last[k][agent], one_of_world(seen, k)) for k in range(3))
         seen, rewards, terminated, truncated, infos = many.step(actions)
         for k, env in enumerate(singles):
             commands = {one: policy(last[k][one]) for one, policy in policies[k].items()} | {

@@ -160,14 +160,6 @@ def equal(one: Any, other: Any) -> bool:
     return type(one) is type(other) and bool(one == other)
 
 
-def row_of(observations: Any, k: int) -> Any:
-    return (
-        {key: array[k] for key, array in observations.items()}
-        if isinstance(observations, dict)
-        else observations[k]
-    )
-
-
 CASES: dict[str, tuple[Scenario, str, dict[str, Any]]] = {
     "uav": (SCENARIO, "uav_0", {}),
     "ugv": (SCENARIO, "ugv_0", {"end_on_goals_reached": True}),

@@ -30,6 +30,7 @@ from outrider.learning.learned import LearnedPolicy
 from outrider.learning.mlp import load_policy
 from outrider.learning.repeat import ActionRepeat
 from outrider.learning.sb3 import VecEnvAdapter
+from sim.env.observation import one_of_world
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "train_uav.py"
 OUTWARDS = np.array([0.3, 0.1])
@@ -55,14 +56,6 @@ def _same(one, other):
     return one.dtype == other.dtype and np.array_equal(one, other)
 
 
-def _world(observations, k):
-    return (
-        {key: array[k] for key, array in observations.items()}
-        if isinstance(observations, dict)
-        else observations[k]
-    )
-
-
 @pytest.mark.parametrize("end", ["terminated", "truncated"])
 @pytest.mark.parametrize("name", ENVS)
 def test_the_adapter_says_what_the_vector_environment_says(name, end):
@@ -86,11 +79,11 @@ def test_the_adapter_says_what_the_vector_environment_says(name, end):
             assert infos[k]["TimeLimit.truncated"] is bool(truncated[k] and not terminated[k])
             assert ("terminal_observation" in infos[k]) == ("episode" in infos[k]) == dones[k]
             if dones[k]:
-                assert _same(_world(told["final_obs"], k), infos[k]["terminal_observation"])
+                assert _same(one_of_world(told["final_obs"], k), infos[k]["terminal_observation"])
                 assert infos[k]["episode"]["r"] == pytest.approx(returns[k], rel=1e-12)
                 assert infos[k]["episode"]["l"] == lengths[k]
                 assert infos[k]["episode"]["t"] > 0.0
-                assert not _same(infos[k]["terminal_observation"], _world(got, k))
+                assert not _same(infos[k]["terminal_observation"], one_of_world(got, k))
                 returns[k], lengths[k], ends = 0.0, 0, ends + 1
                 assert (truncated[k], terminated[k]) == (end == "truncated", end == "terminated")
     assert ends >= 3

@@ -12,10 +12,11 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from rich.text import Text
 
-    from outrider.envs.vector import Observation, Policy
+    from outrider.envs.vector import Policy
     from outrider.experiments.suite.board import Leaderboard, Standing
     from outrider.experiments.suite.scoring import Entry, Result
     from outrider.experiments.suite.tasks import Suite
+    from sim.env.observation import AgentObservation
 
 
 def command(
@@ -156,7 +157,7 @@ class _Own:
     def __init__(self, name: str, policy: "Policy") -> None:
         self._name, self._policy = name, policy
 
-    def __call__(self, seen: "Observation") -> "ArrayLike":
+    def __call__(self, seen: "AgentObservation") -> "ArrayLike":
         try:
             return self._policy(seen)
         except Exception as error:

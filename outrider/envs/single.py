@@ -10,9 +10,10 @@ import gymnasium
 import numpy.typing as npt
 from gymnasium.error import ResetNeeded
 
-from outrider.envs.vector import BatchSettings, Observation, Worlds
+from outrider.envs.vector import BatchSettings, Worlds
 from sim.engine.mission import mission_numbers
 from sim.env.actions import take_actions
+from sim.env.observation import AgentObservation, one_of_world
 from sim.env.seeds import Seeds
 from sim.scenario.types import Scenario
 
@@ -58,7 +59,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+    ) -> tuple[AgentObservation, dict[str, Any]]:
         """Begin an episode.
 
         Args:
@@ -78,7 +79,9 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         self._over = False
         return self._observation(), self._info()
 
-    def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(
+        self, action: npt.ArrayLike
+    ) -> tuple[AgentObservation, float, bool, bool, dict[str, Any]]:
         """Let the vehicle act for one tick.
 
         Args:
@@ -109,9 +112,8 @@ class SingleEnv(gymnasium.Env[Any, Any]):
             self._info(),
         )
 
-    def _observation(self) -> Observation:
-        seen = self.worlds.observe(self.agent)
-        return {key: array[0] for key, array in seen.items()} if isinstance(seen, dict) else seen[0]
+    def _observation(self) -> AgentObservation:
+        return one_of_world(self.worlds.observe(self.agent), 0)
 
     def _info(self) -> dict[str, Any]:
         """Facts of its own that are in no row, as plain numbers."""

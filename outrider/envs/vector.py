@@ -17,25 +17,22 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from bus.layout import GradientCue, UavRow, bounds
+from bus.layout import GradientCue, UavRow
 from bus.messages import LinkStatus, Mission
 from outrider.envs.closed_loop import LOOP_DEFAULTS, ClosedLoop, LoopSettings, pilot_names
 from outrider.envs.closed_loop_state import GUARD_METRICS
 from sim.engine.mission import mission_numbers, mission_of
 from sim.env.actions import take_batch
-from sim.env.patch import check_tile_patch, given_patch
-from sim.env.rows import UGV, UGV_METRICS
+from sim.env.observation import AgentObservation, ObservationFormat, one_of_world
+from sim.env.rows import UGV_METRICS
 from sim.env.seeds import Seeds
 from sim.env.settings import ENV_DEFAULTS, EnvSettings, completed
-from sim.env.spaces import action_space, box, check_dtype, observation_space
+from sim.env.spaces import action_space
 from sim.kernels.compile import FloatArray, IntArray
-from sim.models.ground import TileArray, tile_patches
 from sim.scenario.loading import given_scenario
 from sim.scenario.types import Scenario
 
-Array = npt.NDArray[Any]
-Observation = Array | dict[str, Array]
-Policy = Callable[[Observation], npt.ArrayLike]
+Policy = Callable[[AgentObservation], npt.ArrayLike]
 """The observations of one vehicle in all worlds in, its accelerations [m/s²] out, shape (num_envs, 2)."""
 
 
@@ -88,17 +85,15 @@ class Worlds:
     ) -> None:
         options = completed(settings, BATCH_DEFAULTS)
         self.num_envs = _checked_count(num_envs)
-        self._dtype = options["dtype"]
-        check_dtype(self._dtype)
         self.scenario = given_scenario(scenario, options["duration"])
         names = [vehicle.name for vehicle in self.scenario.vehicles]
         self.learners = list(names if learners is None else learners)
         for name in self.learners:
             if name not in names:
                 raise ValueError(f"agent = {name!r}; allowed: {', '.join(names)}")
-        self._patch = given_patch(options["coverage_patch"])
-        side = check_tile_patch(options["tile_patch"])
-        self._tile_patch = side if self.scenario.has_ground else 0
+        self._format = ObservationFormat(
+            self.scenario, options, estimate=options["estimate"], gradient=options["gradient"]
+        )
         given = dict(options["others"] or {})
         self._policies = {
             name: pilot for name, pilot in given.items() if not isinstance(pilot, str)
@@ -119,9 +114,7 @@ class Worlds:
         self._shielded = options["safety_filter"]
         self._rows = {vehicle.name: k for k, vehicle in enumerate(self.scenario.vehicles)}
         self.action_spaces = {v.name: action_space(v) for v in self.scenario.vehicles}
-        self.observation_spaces = {
-            name: self._space(name, estimate=options["estimate"]) for name in names
-        }
+        self.observation_spaces = self._format.spaces
         self._seeds = [Seeds(self.scenario.seed + k) for k in range(self.num_envs)]
         self._actions: FloatArray = np.zeros((self.num_envs, len(self._hands), 2))
         self._returns: FloatArray = np.zeros((self.num_envs, len(names)))
@@ -144,48 +137,17 @@ class Worlds:
             if name not in named and not callable(pilot):
                 raise ValueError(f"others: {name!r}: {pilot!r} is neither a name nor a policy")
 
-    def _space(self, name: str, *, estimate: bool) -> spaces.Space[Any]:
-        vehicle = self.scenario.vehicles[self._rows[name]]
-        is_uav = name in self.loop.uavs
-        space = observation_space(
-            self.scenario, vehicle, self._patch, self._dtype, self._tile_patch
-        )
-        row = space.spaces["row"] if isinstance(space, spaces.Dict) else space
-        if is_uav and isinstance(row, spaces.Box):
-            low, high = row.low.tolist(), row.high.tolist()
-            if estimate:
-                for entry in ("relative_x", "relative_y"):
-                    place = UavRow._fields.index(entry)
-                    low[place], high[place] = -np.inf, np.inf
-            if self._gradient:
-                least, largest = bounds(GradientCue, {})
-                low, high = low + least, high + largest
-            row = box(low, high, self._dtype)
-        return spaces.Dict({**space.spaces, "row": row}) if isinstance(space, spaces.Dict) else row
-
-    def observe(self, name: str) -> Observation:
+    def observe(self, name: str) -> AgentObservation:
         """The observations of a vehicle in all worlds: new arrays, which nobody changes later."""
-        state = self.loop.state
+        state, form = self.loop.state, self._format
         if name in self.loop.ugvs:
-            rows = state.rows.ugv_rows[:, self.loop.ugvs.index(name)]
-            own = rows.astype(self._dtype)
-            return {"row": own, "tiles": self._tiles_around(name)} if self._tile_patch else own
+            g = self.loop.ugvs.index(name)
+            known = state.grounds.tiles[:, g] if form.tile_patch else None
+            return form.shown(state.rows.ugv_rows[:, g], known=known)
         u = self.loop.uavs.index(name)
         width = len(UavRow._fields) + (len(GradientCue._fields) if self._gradient else 0)
-        row = state.rows.uav_rows[:, u, :width].astype(self._dtype)
-        return (
-            row
-            if self._patch is None
-            else {"row": row, "coverage": state.patches[:, u].astype(self._dtype)}
-        )
-
-    def _tiles_around(self, ugv: str) -> TileArray:
-        state, g, side = self.loop.state, self.loop.ugvs.index(ugv), self._tile_patch
-        pictures: TileArray = np.empty((self.num_envs, side, side), np.uint8)
-        position = state.rows.ugv_rows[:, g, UGV.x : UGV.y + 1].copy()
-        tile = float(self.scenario.ground.tile)
-        tile_patches(np.ascontiguousarray(state.grounds.tiles[:, g]), tile, position, pictures)
-        return pictures
+        coverage = None if form.patch is None else state.patches[:, u]
+        return form.shown(state.rows.uav_rows[:, u, :width], coverage=coverage)
 
     def mission(self, world: int) -> Mission | None:
         """The mission of one world so far; None where there are no hazards."""
@@ -309,11 +271,7 @@ class Worlds:
         last, told = self.observe(name), self.infos(name)
         observations = np.full(self.num_envs, None, dtype=object)
         for k in np.flatnonzero(ended).tolist():
-            observations[k] = (
-                {key: array[k] for key, array in last.items()}
-                if isinstance(last, dict)
-                else last[k]
-            )
+            observations[k] = one_of_world(last, k)
         info = {key: value for key, value in told.items() if not key.startswith("_")}
         if name in self.loop.ugvs:
             for k in np.flatnonzero(ended).tolist():
@@ -394,7 +352,7 @@ class OutriderVectorEnv(VectorEnv):
         *,
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
-    ) -> tuple[Observation, dict[str, Any]]:
+    ) -> tuple[AgentObservation, dict[str, Any]]:
         """Begin an episode in every world.
 
         Args:
@@ -411,7 +369,7 @@ class OutriderVectorEnv(VectorEnv):
     def step(
         self, actions: npt.ArrayLike
     ) -> tuple[
-        Observation, FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]
+        AgentObservation, FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]
     ]:
         """Let the vehicle act for one tick in every world.
 
@@ -494,18 +452,18 @@ class OutriderParallelVectorEnv:
         self,
         seed: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
-    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+    ) -> tuple[dict[str, AgentObservation], dict[str, dict[str, Any]]]:
         """Begin an episode in every world; arguments as in `OutriderVectorEnv.reset`."""
         self.worlds.reset(seed, options)
         return self._observations(), {name: self.worlds.infos(name) for name in self.agents}
 
-    def _observations(self) -> dict[str, Observation]:
+    def _observations(self) -> dict[str, AgentObservation]:
         return {name: self.worlds.observe(name) for name in self.agents}
 
     def step(
         self, actions: Mapping[str, npt.ArrayLike]
     ) -> tuple[
-        dict[str, Observation],
+        dict[str, AgentObservation],
         dict[str, FloatArray],
         dict[str, npt.NDArray[np.bool_]],
         dict[str, npt.NDArray[np.bool_]],

@@ -10,6 +10,7 @@ other, and around or inside those of others. What needs rows in SI units goes fi
 """
 
 from collections.abc import Callable, Collection, Mapping
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -27,10 +28,10 @@ from outrider.envs.observations.stacking import History
 from outrider.envs.observations.transformation import (
     COVERAGE,
     Channels,
-    Observation,
     Transformation,
     Worlds,
 )
+from sim.env.observation import AgentObservation, one_of_world
 
 _ONE_WORLD: Worlds = np.array(True)
 
@@ -146,7 +147,7 @@ class VectorObservations(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+    ) -> tuple[AgentObservation, dict[str, Any]]:
         """Begin an episode in every world, or in those of `options["reset_mask"]`."""
         worlds = (options or {}).get("reset_mask")  # read before the environment takes it out
         worlds = ~self._none if worlds is None else np.array(worlds, dtype=np.bool_)
@@ -154,7 +155,7 @@ class VectorObservations(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes
         self._begin_next = self._begin_next & ~worlds
         return self._transformation.begin(observations, worlds), infos
 
-    def step(self, actions: Any) -> tuple[Observation, Any, Any, Any, dict[str, Any]]:  # noqa: ANN401 - as the environment's
+    def step(self, actions: Any) -> tuple[AgentObservation, Any, Any, Any, dict[str, Any]]:  # noqa: ANN401 - as the environment's
         """Let all worlds go on by one tick."""
         own = self._transformation
         observations, rewards, terminations, truncations, infos = self.env.step(own.action(actions))
@@ -174,7 +175,7 @@ class VectorObservations(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes
         return seen, rewards, terminations, truncations, infos
 
 
-def _with(observations: Observation, final: Any, worlds: Worlds) -> Observation:  # noqa: ANN401 - any of its forms
+def _with(observations: AgentObservation, final: Any, worlds: Worlds) -> AgentObservation:  # noqa: ANN401 - any of its forms
     """The observations with the last ones of these worlds in their places."""
     if isinstance(observations, dict):
         if isinstance(final, dict):
@@ -193,17 +194,13 @@ def _placed(array: npt.NDArray[Any], final: Any, worlds: Worlds) -> npt.NDArray[
     return whole
 
 
-def _in_form(seen: Observation, final: Any, worlds: Worlds) -> Any:  # noqa: ANN401
+def _in_form(seen: AgentObservation, final: Any, worlds: Worlds) -> Any:  # noqa: ANN401
     """The transformed last observations as the environment gave its own."""
     if isinstance(final, dict) or final.dtype != object:
         return seen
     form = np.full(len(worlds), None, dtype=object)
-    for k in np.flatnonzero(worlds):
-        form[k] = (
-            {key: array[k].copy() for key, array in seen.items()}
-            if isinstance(seen, dict)
-            else seen[k].copy()
-        )
+    for k in np.flatnonzero(worlds).tolist():
+        form[k] = deepcopy(one_of_world(seen, k))
     return form
 
 

@@ -5,14 +5,11 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
-from outrider.envs.observations.transformation import Observation
 from outrider.learning.mlp import Mlp, load_policy
 from outrider.learning.policy_inputs import EscortView
+from sim.env.observation import AgentObservation, Array
 from sim.scenario.types import Scenario
-
-Array = npt.NDArray[Any]
 
 
 def make_view(recipe: Mapping[str, Any]) -> EscortView:
@@ -92,7 +89,7 @@ class LearnedPolicy:
                         f"{scenario.name}: {uav.name}: {name} = {value:g}: the policy is made for {made[name]:g}"
                     )
 
-    def __call__(self, observation: Observation) -> Array:
+    def __call__(self, observation: AgentObservation) -> Array:
         """The acceleration [m/s²] for this tick's observation, of one world (2,) or of all (worlds, 2)."""
         if not isinstance(observation, dict):
             raise ValueError(

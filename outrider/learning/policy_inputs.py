@@ -7,13 +7,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium import spaces
 
 from bus.layout import UavRow
-from outrider.envs.observations.transformation import Observation, Transformation, Worlds
-
-Array = npt.NDArray[Any]
+from outrider.envs.observations.transformation import Transformation, Worlds
+from sim.env.observation import AgentObservation, Array
 
 _ENTRIES = UavRow._fields
 _LARGEST = 5.0
@@ -87,7 +85,7 @@ class EscortView(Transformation):
         """A square of shares of v_max."""
         return spaces.Box(-1.0, 1.0, (2,), np.float32)
 
-    def begin(self, observation: Observation, worlds: Worlds) -> Array:
+    def begin(self, observation: AgentObservation, worlds: Worlds) -> Array:
         """Begin in these worlds."""
         if self._known.shape != worlds.shape:
             self._known = np.zeros(worlds.shape, dtype=np.bool_)
@@ -98,11 +96,11 @@ class EscortView(Transformation):
         self._axis[worlds] = (1.0, 0.0)
         return self.see(observation, worlds)
 
-    def apply(self, observation: Observation) -> Array:
+    def apply(self, observation: AgentObservation) -> Array:
         """The observation of the next step."""
         return self.see(observation, np.ones(self._known.shape, dtype=np.bool_))
 
-    def see(self, observation: Observation, moving: Worlds) -> Array:
+    def see(self, observation: AgentObservation, moving: Worlds) -> Array:
         """The array of all worlds, of which only these go on by a step."""
         if not isinstance(observation, dict):
             raise ValueError("EscortView needs the row and the coverage patch")

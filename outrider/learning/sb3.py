@@ -9,6 +9,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from outrider.learning.repeat import FINAL
+from sim.env.observation import one_of_world
 
 
 class VecEnvAdapter(VecEnv):  # type: ignore[misc]  # it has no types where it is not installed
@@ -85,7 +86,7 @@ class VecEnvAdapter(VecEnv):  # type: ignore[misc]  # it has no types where it i
             for k in ended:
                 self.reset_infos[k] = infos[k]
                 infos[k] = last[k] | {
-                    "terminal_observation": _of_world(told["final_obs"], k),
+                    "terminal_observation": one_of_world(told["final_obs"], k),
                     "episode": self._episode(k),
                 }
             self._returns[ended], self._lengths[ended] = 0.0, 0
@@ -179,8 +180,3 @@ def _by_world(infos: dict[str, Any], worlds: int) -> list[dict[str, Any]]:
         for k in range(worlds) if has is None else np.flatnonzero(has).tolist():
             found[k][key] = values[k]
     return found
-
-
-def _of_world(final: Any, k: int) -> Any:  # noqa: ANN401 - an array of objects, an array, or a dictionary of arrays
-    """One world's last observation."""
-    return {key: array[k] for key, array in final.items()} if isinstance(final, dict) else final[k]

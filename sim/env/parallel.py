@@ -21,21 +21,19 @@ from sim.engine.mission import mission_numbers
 from sim.engine.run_keys import check_secret
 from sim.env.actions import take_actions
 from sim.env.episode import Episode
-from sim.env.patch import OwnMaps, check_tile_patch, given_patch
+from sim.env.observation import AgentObservation, Array, ObservationFormat
+from sim.env.patch import OwnMaps
 from sim.env.rewards import RewardWeights
 from sim.env.seeds import Seeds
 from sim.env.settings import ENV_DEFAULTS, EnvSettings, completed
-from sim.env.spaces import action_space, check_dtype, observation_space
+from sim.env.spaces import action_space
 from sim.env.state import state_array, state_space
 from sim.env.view import Rendering
 from sim.models.field import empty_coverage
-from sim.models.ground import TileArray, tile_patches
+from sim.models.ground import TileArray
 from sim.scenario.loading import given_scenario
 from sim.scenario.types import Scenario
 from sim.world import World
-
-Array = npt.NDArray[Any]
-Observation = Array | dict[str, Array]
 
 
 class OutriderEnv(ParallelEnv):  # type: ignore[misc]
@@ -106,17 +104,14 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         options = completed(settings, ENV_DEFAULTS)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode = {render_mode!r}; allowed: None, 'human', 'rgb_array'")
-        dtype = self._dtype = options["dtype"]
-        check_dtype(dtype)
         self.scenario = given_scenario(scenario, options["duration"])
         """The scenario that is flown."""
         self.render_mode = render_mode
         self.end_on_sight_lost = options["end_on_sight_lost"]
         self.end_on_goals_reached = options["end_on_goals_reached"]
         self.coverage_in_state = coverage_in_state
-        self._patch = given_patch(options["coverage_patch"])
-        side = check_tile_patch(options["tile_patch"])
-        self._tile_patch = side if self.scenario.has_ground else 0
+        form = ObservationFormat(self.scenario, options, estimate=False, gradient=False)
+        self._format = form
         rewards = options["rewards"] or RewardWeights()
         vehicles = self.scenario.vehicles
         self.possible_agents: list[str] = [vehicle.name for vehicle in vehicles]
@@ -126,13 +121,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self._gains = rewards.seen > 0.0
         self._episode = Episode(self.scenario, rewards)
         self.action_spaces = {vehicle.name: action_space(vehicle) for vehicle in vehicles}
-        self.observation_spaces = {
-            vehicle.name: observation_space(
-                self.scenario, vehicle, self._patch, dtype, self._tile_patch
-            )
-            for vehicle in vehicles
-        }
-        self.state_space = state_space(self.scenario, self._episode, cells=cells, dtype=dtype)
+        self.observation_spaces = form.spaces
+        self.state_space = state_space(self.scenario, self._episode, cells=cells, dtype=form.dtype)
         self.state_names = state_names(self._episode.state_rows.items())
         """Names of the state's entries, but for the cells."""
         self.degraded = False
@@ -163,7 +153,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
 
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+    ) -> tuple[dict[str, AgentObservation], dict[str, dict[str, Any]]]:
         """Begin an episode.
 
         Args:
@@ -178,7 +168,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self.episode += 1
         self._world = World(self.scenario, self.episode_seed, secret=self.secret, gains=self._gains)
         self.degraded = self._world.links.degraded
-        self._maps = OwnMaps(self._world, needed=self._patch is not None)
+        self._maps = OwnMaps(self._world, needed=self._format.patch is not None)
         self.agents = list(self.possible_agents)
         self._carried.clear()
         self._perceive()
@@ -189,7 +179,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     def step(
         self, actions: Mapping[str, npt.ArrayLike]
     ) -> tuple[
-        dict[str, Observation],
+        dict[str, AgentObservation],
         dict[str, float],
         dict[str, bool],
         dict[str, bool],
@@ -254,28 +244,17 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
                 info.update(mission_numbers(mission))
         return infos
 
-    def _observations(self) -> dict[str, Observation]:
+    def _observations(self) -> dict[str, AgentObservation]:
         """A new array for each vehicle, which nobody changes later."""
         return {name: self._observe(name) for name in self.possible_agents}
 
-    def _observe(self, name: str) -> Observation:
-        row: Array = self._episode.row(name).astype(self._dtype)
-        uav = self._episode.uav(name)
-        if uav is None and self._tile_patch:
-            return {"row": row, "tiles": self._tiles_around(name)}
-        if uav is None or self._patch is None:
-            return row
-        picture = self._maps.patch(uav, self.world, self._patch)
-        return {"row": row, "coverage": picture.astype(self._dtype, copy=False)}
-
-    def _tiles_around(self, ugv: str) -> TileArray:
-        picture: TileArray = np.empty((1, self._tile_patch, self._tile_patch), np.uint8)
-        position = self._episode.row(ugv)[None, 1:3].astype(np.float64)
-        tile_patches(
-            self.known_tiles(ugv)[None], float(self.scenario.ground.tile), position, picture
-        )
-        around: TileArray = picture[0]
-        return around
+    def _observe(self, name: str) -> AgentObservation:
+        uav, form, coverage, known = self._episode.uav(name), self._format, None, None
+        if uav is None and form.tile_patch:
+            known = self.known_tiles(name)
+        if uav is not None and form.patch is not None:
+            coverage = self._maps.patch(uav, self.world, form.patch)
+        return form.shown(self._episode.row(name), coverage=coverage, known=known)
 
     def known_tiles(self, ugv: str) -> TileArray:
         """The ground as a UGV knows it. Shape (rows, columns).
@@ -306,7 +285,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             self.world,
             self._episode,
             with_cells=self.coverage_in_state,
-            dtype=self._dtype,
+            dtype=self._format.dtype,
         )
 
     def metrics(self) -> dict[str, dict[str, float]]:

@@ -1,4 +1,4 @@
-"""The spaces of actions and observations, from the scenario and the layout of the rows."""
+"""The space of actions, and the numbers that bound the spaces of observations and state."""
 
 import math
 from collections.abc import Sequence
@@ -6,9 +6,6 @@ from collections.abc import Sequence
 import numpy as np
 from gymnasium import spaces
 
-from bus.layout import UavRow, UgvRow, bounds
-from sim.env.patch import CoveragePatch
-from sim.models.ground import OUTSIDE
 from sim.scenario.types import Scenario, Uav, Ugv
 
 FREE_ACCELERATION = 10.0
@@ -57,23 +54,3 @@ def action_space(vehicle: Uav | Ugv) -> spaces.Box:
         else float(vehicle.max_acceleration)
     )
     return box([-limit, -limit], [limit, limit], np.float64)
-
-
-def observation_space(
-    scenario: Scenario,
-    vehicle: Uav | Ugv,
-    patch: CoveragePatch | None,
-    dtype: type[np.floating],
-    tiles: int = 0,
-) -> spaces.Box | spaces.Dict:
-    """The vehicle's row; for a UAV with a patch also coverage, for a UGV that is shown so many tiles those."""
-    extent = extent_of(scenario, vehicle)
-    if isinstance(vehicle, Ugv):
-        own = box(*bounds(UgvRow, extent), dtype)
-        seen = spaces.Box(0, OUTSIDE, (tiles, tiles), np.uint8)
-        return spaces.Dict({"row": own, "tiles": seen}) if tiles else own
-    row = box(*bounds(UavRow, extent), dtype)
-    if patch is None:
-        return row
-    picture = spaces.Box(0.0, 1.0, (patch.pixels, patch.pixels), dtype)
-    return spaces.Dict({"row": row, "coverage": picture})

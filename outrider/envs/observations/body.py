@@ -9,8 +9,6 @@ from bus.layout import SYMBOLS, Field, GradientCue, RowType, UavRow, UgvRow, bou
 from outrider.envs.observations.transformation import (
     COVERAGE,
     ROW,
-    Array,
-    Observation,
     Transformation,
     Worlds,
     check_picture,
@@ -19,6 +17,7 @@ from outrider.envs.observations.transformation import (
     the_box,
 )
 from sim.env.actions import LARGEST
+from sim.env.observation import AgentObservation, Array
 
 BODY_SYMBOLS = SYMBOLS | {"R": "half the diagonal of the area [m]"}
 """The meaning of the names in the ranges of the rows below."""
@@ -140,7 +139,7 @@ class Egocentric(Transformation):
             raise ValueError(f"Egocentric needs accelerations of shape (2,), not {one_line(space)}")
         return space
 
-    def begin(self, observation: Observation, worlds: Worlds) -> Observation:
+    def begin(self, observation: AgentObservation, worlds: Worlds) -> AgentObservation:
         """Let these worlds' vehicles look east, unless they move."""
         if self._heading.shape != (*worlds.shape, 2):
             self._heading = np.empty((*worlds.shape, 2))
@@ -148,11 +147,11 @@ class Egocentric(Transformation):
         self._heading[worlds] = (1.0, 0.0)
         return self._seen(observation, worlds)
 
-    def apply(self, observation: Observation) -> Observation:
+    def apply(self, observation: AgentObservation) -> AgentObservation:
         """The observation in the frame of this tick."""
         return self._seen(observation, np.ones(self._heading.shape[:-1], dtype=np.bool_))
 
-    def _seen(self, observation: Observation, turning: Worlds) -> Observation:
+    def _seen(self, observation: AgentObservation, turning: Worlds) -> AgentObservation:
         """The observation in the vehicles' frames; where `turning`, by their velocities of now."""
         whole = observation if isinstance(observation, dict) else {ROW: observation}
         entries = dict(

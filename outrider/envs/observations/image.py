@@ -8,11 +8,11 @@ from gymnasium import spaces
 from outrider.envs.observations.transformation import (
     COVERAGE,
     Channels,
-    Observation,
     Transformation,
     channel_axis,
     check_picture,
 )
+from sim.env.observation import AgentObservation
 
 
 class CoverageImage(Transformation):
@@ -44,7 +44,7 @@ class CoverageImage(Transformation):
         image = spaces.Box(0, 255, (*shape, 1) if self._axis == -1 else (1, *shape), np.uint8)
         return image if self._only else spaces.Dict({**space.spaces, COVERAGE: image})
 
-    def apply(self, observation: Observation) -> Observation:
+    def apply(self, observation: AgentObservation) -> AgentObservation:
         """The observation with the image."""
         if not isinstance(observation, dict):
             raise ValueError(

@@ -5,7 +5,8 @@ from typing import Any, cast
 import numpy as np
 from gymnasium import spaces
 
-from outrider.envs.observations.transformation import Array, EachArray, Part, inside_box
+from outrider.envs.observations.transformation import EachArray, Part, inside_box
+from sim.env.observation import Array
 from sim.env.spaces import check_dtype
 
 

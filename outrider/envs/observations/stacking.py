@@ -6,7 +6,6 @@ import numpy as np
 from gymnasium import spaces
 
 from outrider.envs.observations.transformation import (
-    Array,
     Channels,
     EachArray,
     Part,
@@ -14,6 +13,7 @@ from outrider.envs.observations.transformation import (
     channel_axis,
     one_line,
 )
+from sim.env.observation import Array
 
 
 class History(EachArray):

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-Array = npt.NDArray[Any]
-Observation = Array | dict[str, Array]
+from sim.env.observation import AgentObservation, Array
+
 Worlds = npt.NDArray[np.bool_]
 """One truth for each world, in the shape of the leading axes: () for one world."""
 Channels = Literal["last", "first"]
@@ -47,7 +47,7 @@ class Transformation(ABC):
         """
         return space
 
-    def begin(self, observation: Observation, worlds: Worlds) -> Observation:
+    def begin(self, observation: AgentObservation, worlds: Worlds) -> AgentObservation:
         """Begin an episode in these worlds with this observation; the memory of the others stays as it is.
 
         Args:
@@ -60,7 +60,7 @@ class Transformation(ABC):
         return self.apply(observation)
 
     @abstractmethod
-    def apply(self, observation: Observation) -> Observation:
+    def apply(self, observation: AgentObservation) -> AgentObservation:
         """The observation of the next tick, transformed: new arrays, inside the space."""
 
     def action(self, action: Any) -> Any:  # noqa: ANN401 - what is no action passes, and the environment refuses it
@@ -127,13 +127,13 @@ class EachArray(Transformation):
         self._parts[ROW] = self._part(the_box(space, what), picture=False)
         return self._parts[ROW].box
 
-    def begin(self, observation: Observation, worlds: Worlds) -> Observation:
+    def begin(self, observation: AgentObservation, worlds: Worlds) -> AgentObservation:
         """Begin an episode in these worlds, array by array."""
         if isinstance(observation, dict):
             return {key: part.begin(observation[key], worlds) for key, part in self._parts.items()}
         return self._parts[ROW].begin(observation, worlds)
 
-    def apply(self, observation: Observation) -> Observation:
+    def apply(self, observation: AgentObservation) -> AgentObservation:
         """The observation of the next tick, array by array."""
         if isinstance(observation, dict):
             return {key: part.apply(observation[key]) for key, part in self._parts.items()}

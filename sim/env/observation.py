@@ -1,0 +1,96 @@
+"""The observation that an environment gives an agent: the vehicle's row, alone or in a dictionary with a picture."""
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from bus.layout import GradientCue, Row, UavRow, UgvRow, bounds
+from sim.env.patch import check_tile_patch, given_patch
+from sim.env.rows import UGV
+from sim.env.settings import EnvSettings
+from sim.env.spaces import box, check_dtype, extent_of
+from sim.models.ground import OUTSIDE, TileArray, tile_patches
+from sim.scenario.types import Scenario, Uav, Ugv
+
+Array = npt.NDArray[Any]
+AgentObservation = Array | dict[str, Array]
+"""A row, or a dictionary of `row` and `coverage` or `tiles`; in a batch the worlds are leading axes of every array."""
+
+
+def one_of_world(seen: AgentObservation, k: int) -> AgentObservation:
+    """The observation in world k of a batch; views."""
+    return {key: array[k] for key, array in seen.items()} if isinstance(seen, dict) else seen[k]
+
+
+class ObservationFormat:
+    """The form of all vehicles' observations in one environment: type, pictures and spaces.
+
+    Args:
+        scenario: The scenario that is flown.
+        settings: All of the environment's.
+        estimate: Whether the UAVs' relative positions are estimates, which have no largest distance.
+        gradient: Whether the UAVs' rows end with `bus.layout.GradientCue`.
+
+    Raises:
+        ValueError: If `dtype`, `coverage_patch` or `tile_patch` is not allowed.
+    """
+
+    def __init__(
+        self, scenario: Scenario, settings: EnvSettings, *, estimate: bool, gradient: bool
+    ) -> None:
+        self.dtype = settings["dtype"]
+        check_dtype(self.dtype)
+        self.patch = given_patch(settings["coverage_patch"])
+        """Of a UAV's picture of its map; None: there is none."""
+        side = check_tile_patch(settings["tile_patch"])
+        self.tile_patch = side if scenario.has_ground else 0
+        """Tiles on each side of a UGV's picture of the ground; 0: there is none."""
+        self._tile, self._estimate, self._gradient = float(scenario.ground.tile), estimate, gradient
+        self.spaces: dict[str, spaces.Space[Any]] = {
+            vehicle.name: self._space(vehicle, extent_of(scenario, vehicle))
+            for vehicle in scenario.vehicles
+        }
+        """By vehicle, of an observation in one world."""
+
+    def _space(self, vehicle: Uav | Ugv, extent: dict[str, float]) -> spaces.Space[Any]:
+        if isinstance(vehicle, Ugv):
+            row, side = box(*bounds(UgvRow, extent), self.dtype), self.tile_patch
+            tiles = spaces.Box(0, OUTSIDE, (side, side), np.uint8)
+            return spaces.Dict({"row": row, "tiles": tiles}) if side else row
+        low, high = bounds(UavRow, extent | ({"d_max": math.inf} if self._estimate else {}))
+        least, largest = bounds(GradientCue, {}) if self._gradient else ([], [])
+        row = box(low + least, high + largest, self.dtype)
+        if self.patch is None:
+            return row
+        pixels = self.patch.pixels
+        picture = spaces.Box(0.0, 1.0, (pixels, pixels), self.dtype)
+        return spaces.Dict({"row": row, "coverage": picture})
+
+    def shown(
+        self, row: Row, *, coverage: Array | None = None, known: TileArray | None = None
+    ) -> AgentObservation:
+        """An observation in this form: new arrays, which nobody changes later. Worlds may be leading axes.
+
+        Args:
+            row: The vehicle's row. Shape (..., entries).
+            coverage: A UAV's picture of its map, if it has one. Shape (..., pixels, pixels).
+            known: The ground as a UGV knows it, if it has a picture of it. Shape (..., rows, columns).
+        """
+        own = row.astype(self.dtype)
+        if coverage is not None:
+            return {"row": own, "coverage": coverage.astype(self.dtype)}
+        return own if known is None else {"row": own, "tiles": self._tiles_around(row, known)}
+
+    def _tiles_around(self, row: Row, known: TileArray) -> TileArray:
+        side = self.tile_patch
+        pictures: TileArray = np.empty((*row.shape[:-1], side, side), np.uint8)
+        tile_patches(
+            np.ascontiguousarray(known).reshape(-1, *known.shape[-2:]),
+            self._tile,
+            np.ascontiguousarray(row[..., UGV.x : UGV.y + 1], np.float64).reshape(-1, 2),
+            pictures.reshape(-1, side, side),
+        )
+        return pictures
