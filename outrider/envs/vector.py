@@ -35,6 +35,15 @@ from sim.scenario.types import Scenario
 Policy = Callable[[AgentObservation], npt.ArrayLike]
 """The observations of one vehicle in all worlds in, its accelerations [m/s²] out, shape (num_envs, 2)."""
 
+BatchStep = tuple[
+    dict[str, AgentObservation],
+    dict[str, FloatArray],
+    dict[str, npt.NDArray[np.bool_]],
+    dict[str, npt.NDArray[np.bool_]],
+    dict[str, dict[str, Any]],
+]
+"""Observations, rewards, terminations, truncations and infos of all worlds, by learner."""
+
 
 def _checked_count(num_envs: int) -> int:
     try:
@@ -257,6 +266,27 @@ class Worlds:
         ended: npt.NDArray[np.bool_] = (state.rows.terminated | state.rows.truncated) != 0
         return ended
 
+    def step_with_autoreset(self, actions: Mapping[str, npt.ArrayLike]) -> BatchStep:
+        """All worlds advance by one tick; an episode that ends begins anew, with the seed that follows from its last.
+
+        Args:
+            actions: As for `step`, whose errors it raises.
+        """
+        ended = self.step(actions)
+        rewards = {name: self.rewards(name) for name in self.learners}
+        terminated, truncated = self.ends()
+        final: dict[str, dict[str, Any]] = {name: {} for name in self.learners}
+        if ended.any():
+            final = {name: self.final(name, ended) for name in self.learners}
+            self.reset(None, {"reset_mask": ended})
+        return (
+            {name: self.observe(name) for name in self.learners},
+            rewards,
+            {name: terminated.copy() for name in self.learners},
+            {name: truncated.copy() for name in self.learners},
+            {name: self.infos(name) | final[name] for name in self.learners},
+        )
+
     def rewards(self, name: str) -> FloatArray:
         """Of the last tick. Shape (num_envs,)."""
         return self.loop.state.rows.rewards[:, self._rows[name]].copy()
@@ -295,11 +325,6 @@ class Worlds:
             "final_info": final_info,
             "_final_info": ended.copy(),
         }
-
-    def begin_ended(self, ended: npt.NDArray[np.bool_]) -> None:
-        """New episodes in these worlds, each with the seed that follows from its last one."""
-        which = np.flatnonzero(ended)
-        self._begin(which, [None] * len(which))
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
         """Each UAV's true standing in its episode, in all worlds: for people and logs, not for policies."""
@@ -380,19 +405,9 @@ class OutriderVectorEnv(VectorEnv):
             ResetNeeded: Before the first reset.
             ValueError: If the actions are not two finite numbers for each world; nothing has happened then.
         """
-        ended = self.worlds.step({self.agent: actions})
-        rewards, (terminated, truncated) = self.worlds.rewards(self.agent), self.worlds.ends()
-        final: dict[str, Any] = {}
-        if ended.any():
-            final = self.worlds.final(self.agent, ended)
-            self.worlds.begin_ended(ended)
-        return (
-            self.worlds.observe(self.agent),
-            rewards,
-            terminated,
-            truncated,
-            self.worlds.infos(self.agent) | final,
-        )
+        stepped, one = self.worlds.step_with_autoreset({self.agent: actions}), self.agent
+        observations, rewards, terminations, truncations, infos = stepped
+        return observations[one], rewards[one], terminations[one], truncations[one], infos[one]
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
         """Each UAV's true standing in its episode, in all worlds: for people and logs, not for policies."""
@@ -455,20 +470,10 @@ class OutriderParallelVectorEnv:
     ) -> tuple[dict[str, AgentObservation], dict[str, dict[str, Any]]]:
         """Begin an episode in every world; arguments as in `OutriderVectorEnv.reset`."""
         self.worlds.reset(seed, options)
-        return self._observations(), {name: self.worlds.infos(name) for name in self.agents}
+        observations = {name: self.worlds.observe(name) for name in self.agents}
+        return observations, {name: self.worlds.infos(name) for name in self.agents}
 
-    def _observations(self) -> dict[str, AgentObservation]:
-        return {name: self.worlds.observe(name) for name in self.agents}
-
-    def step(
-        self, actions: Mapping[str, npt.ArrayLike]
-    ) -> tuple[
-        dict[str, AgentObservation],
-        dict[str, FloatArray],
-        dict[str, npt.NDArray[np.bool_]],
-        dict[str, npt.NDArray[np.bool_]],
-        dict[str, dict[str, Any]],
-    ]:
+    def step(self, actions: Mapping[str, npt.ArrayLike]) -> BatchStep:
         """Let all vehicles act for one tick in every world.
 
         Args:
@@ -482,22 +487,7 @@ class OutriderParallelVectorEnv:
             ValueError: If an agent's actions are missing or not two finite numbers for each world; nothing has
                 happened then.
         """
-        ended = self.worlds.step(actions)
-        rewards, (terminated, truncated) = (
-            {name: self.worlds.rewards(name) for name in self.agents},
-            self.worlds.ends(),
-        )
-        final: dict[str, dict[str, Any]] = {name: {} for name in self.agents}
-        if ended.any():
-            final = {name: self.worlds.final(name, ended) for name in self.agents}
-            self.worlds.begin_ended(ended)
-        return (
-            self._observations(),
-            rewards,
-            {name: terminated.copy() for name in self.agents},
-            {name: truncated.copy() for name in self.agents},
-            {name: self.worlds.infos(name) | final[name] for name in self.agents},
-        )
+        return self.worlds.step_with_autoreset(actions)
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
         """Each UAV's true standing in its episode, in all worlds: for people and logs, not for policies."""
