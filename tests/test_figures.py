@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from pages import marked
 
 from bus.messages import Law
 from outrider.experiments import paper_figures
@@ -105,11 +106,10 @@ def test_five_pictures_are_made(made):
 
 
 def test_the_claims_that_the_page_shows_are_those_that_the_figures_make(made):
-    page = (ROOT / "docs/explanation/paper.md").read_text(encoding="utf-8")
-    shown = page.split("<!-- claims -->")[1].split("<!-- /claims -->")[0]
-    rows = [line.split(" | ") for line in shown.strip().splitlines()[2:]]
-    told = [(row[0].removeprefix("| "), row[1], row[-1].removesuffix(" |")) for row in rows]
-    assert told == [(c.figure, c.claim, "yes" if c.holds else "**no**") for c in made[1]]
+    _, *rows = marked("claims", "docs/explanation/paper.md")
+    assert [(row[0], row[1], row[-1]) for row in rows] == [
+        (c.figure, c.claim, "yes" if c.holds else "**no**") for c in made[1]
+    ]
 
 
 def test_progress_rises_to_the_end(made):

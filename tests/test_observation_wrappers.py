@@ -5,7 +5,6 @@ import itertools
 import math
 import warnings
 from functools import partial
-from pathlib import Path
 
 import gymnasium
 import msgspec
@@ -16,6 +15,7 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 from gymnasium.wrappers import FrameStackObservation
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pages import PAGES, blocks, run_shown
 from pettingzoo.utils.conversions import parallel_to_aec
 from refusals import refused
 from worlds import FREE, ONE, equal
@@ -678,12 +678,10 @@ def test_a_transformation_of_ones_own_takes_its_place():
 
 
 def test_the_documentation_has_the_tables_and_its_example_runs():
-    page = Path(__file__).parent.parent / "docs" / "how-to" / "learning-observations.md"
-    text = page.read_text("utf-8")
-    assert table(UavBodyRow) in text
-    assert table(UgvBodyRow) in text
-    assert BODY_SYMBOLS["R"] in text
-    examples = [block.split("```")[0] for block in text.split("```python\n")[1:]]
-    assert len(examples) == 3
-    for example in examples[:2]:  # the third needs SuperSuit and Stable-Baselines3
-        exec(compile(example, "docs/how-to/learning-observations.md", "exec"), {})  # noqa: S102
+    page = "docs/how-to/learning-observations.md"
+    for told in (table(UavBodyRow), table(UgvBodyRow), BODY_SYMBOLS["R"]):
+        assert told in PAGES[page]
+    *examples, _ = blocks("python", page)  # the last needs SuperSuit and Stable-Baselines3
+    assert len(examples) == 2
+    for example in examples:
+        run_shown(example, page)

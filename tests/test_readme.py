@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import typer
+from pages import PAGES, ROOT, blocks, run_shown
 from tabular import words
 
 import outrider
@@ -15,17 +16,6 @@ from bus.messages import LinkKind
 from outrider.cli.main import make_app
 from outrider.running.user_code import check_own_functions
 from sim.scenario.loading import load_scenario
-
-ROOT = Path(__file__).resolve().parent.parent
-PAGES = {
-    str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
-    for path in (ROOT / "README.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md")))
-}
-README = PAGES["README.md"]
-
-
-def blocks(language: str, page: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", PAGES[page], flags=re.DOTALL)
 
 
 def prose(page: str) -> str:
@@ -43,11 +33,11 @@ def prose(page: str) -> str:
 )
 def test_the_examples_are_shown_as_they_are(example: str, page: str) -> None:
     text = (ROOT / "examples" / f"{example}.py").read_text(encoding="utf-8")
-    assert text.split('"""')[2].strip() in PAGES[page]
+    assert text.split('"""')[2].strip() in [shown.strip() for shown in blocks("python", page)]
 
 
 def test_the_readme_can_be_read_at_one_sitting() -> None:
-    assert len(README.splitlines()) <= 150
+    assert len(PAGES["README.md"].splitlines()) <= 150
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -78,7 +68,7 @@ def test_the_links_shown_can_be_flown(tmp_path: Path) -> None:
 def printed(page: str, capsys: pytest.CaptureFixture[str]) -> str:
     """The output of the only Python of a page."""
     (shown,) = blocks("python", page)
-    exec(compile(shown, page, "exec"), {})  # noqa: S102
+    run_shown(shown, page)
     return capsys.readouterr().out
 
 

@@ -7,14 +7,12 @@ import pkgutil
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
+from pages import ROOT, marked
 
 import agents.control
 
-ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "explanation" / "paper.md"
 NUMBERED = re.compile(r"\((\d+)\)")
 EQUATIONS = [f"({number})" for number in range(1, 26)]
 WEIGHTS = {"α₁, β₁": r"\alpha_1, \beta_1", "α₂, β₂": r"\alpha_2, \beta_2"}
@@ -40,15 +38,9 @@ def _quoted(cell: str) -> tuple[str, ...]:
 
 
 def rows() -> Iterator[Row]:
-    """The table between the page's markers."""
-    found = re.search(
-        r"<!-- equations -->(.*)<!-- /equations -->", PAGE.read_text(encoding="utf-8"), re.DOTALL
-    )
-    lines = found.group(1).strip().splitlines()[2:] if found else []
-    for line in lines:
-        equation, _, functions, tests = (
-            cell.strip() for cell in line.strip().strip("|").split("|")
-        )
+    """The table of the paper's page."""
+    _, *lines = marked("equations", "docs/explanation/paper.md")
+    for equation, _, functions, tests in lines:
         yield Row(equation=equation, functions=_quoted(functions), tests=_quoted(tests))
 
 
@@ -67,10 +59,6 @@ def _cited(function: object) -> list[str]:
     """The equations that a docstring cites as its own, in its first line."""
     first = (inspect.getdoc(function) or "").partition("\n")[0]
     return [f"({number})" for number in re.findall(r"Klodt 2015, eq\. \((\d+)[ab]?\)", first)]
-
-
-def test_the_page_has_the_table() -> None:
-    assert ROWS, f"{PAGE} lacks the table between <!-- equations --> and <!-- /equations -->"
 
 
 def test_every_equation_of_the_paper_has_its_row() -> None:
