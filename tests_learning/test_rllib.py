@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from episodes import DURATIONS, EXAMPLES, flown
 
 import outrider
 from outrider.envs.wrappers import normalized
@@ -21,37 +22,29 @@ pytestmark = pytest.mark.filterwarnings(
     "ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning"
 )
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "train_rllib.py"
 MAKE = {
     "raw": outrider.parallel_env,
     "normalized": lambda *args, **options: normalized(outrider.parallel_env(*args, **options)),
 }
-AWAY = {"uav_0": np.array([0.3, 0.0]), "ugv_0": np.array([-0.1, 0.0])}
 
 
 @pytest.mark.parametrize("kind", MAKE)
-@pytest.mark.parametrize("end", ["terminated", "truncated"])
+@pytest.mark.parametrize("end", DURATIONS)
 def test_an_episode_is_the_bare_environments_to_its_end(kind, end):
     from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 
-    duration = 30.0 if end == "terminated" else 2.0
-    bare, env = (MAKE[kind]("escort", duration=duration) for _ in range(2))
+    bare, env = (MAKE[kind]("escort", duration=DURATIONS[end]) for _ in range(2))
     env = ParallelPettingZooEnv(env)
     assert set(env.possible_agents) == {"uav_0", "ugv_0"}
     for name in env.possible_agents:
         assert env.get_observation_space(name) == bare.observation_space(name)
         assert env.get_action_space(name) == bare.action_space(name)
-    rng = np.random.default_rng(0)
-    expected, seen = bare.reset(seed=5)[0], env.reset(seed=5)[0]
-    while bare.agents:
+    seen = env.reset(seed=5)[0]
+    for expected, actions, answers in flown(bare, end):
         assert env.observation_space.contains(seen)
         for name, row in expected.items():
             np.testing.assert_array_equal(seen[name], row)
-        actions = {
-            name: rng.uniform(-1.0, 1.0, 2) * bare.action_space(name).high for name in bare.agents
-        }
-        actions = AWAY if end == "terminated" else actions
-        expected, rewards, terminations, truncations, infos = bare.step(actions)
+        _, rewards, terminations, truncations, infos = answers
         seen, paid, terminated, truncated, told = env.step(actions)
         assert paid == rewards
         assert terminated == {**terminations, "__all__": all(terminations.values())}
@@ -83,17 +76,8 @@ def marked(mark):
 def test_the_example_learns_saves_and_leaves_nothing_behind(tmp_path):
     mark = f"OUTRIDER_TEST_{uuid.uuid4().hex}"
     cache = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")  # not compiled anew
-    command = [
-        sys.executable,
-        str(EXAMPLE),
-        "--iterations",
-        "2",
-        "--batch",
-        "500",
-        "--duration",
-        "2",
-    ]
-    command += ["--runners", "1", "--out", str(tmp_path / "out")]
+    options = "--iterations 2 --batch 500 --duration 2 --runners 1 --out out"
+    command = [sys.executable, str(EXAMPLES / "train_rllib.py"), *options.split()]
     with tempfile.TemporaryDirectory(prefix="r") as short:  # Ray's sockets need a short path
         own = {"HOME": str(tmp_path), "XDG_CACHE_HOME": cache, "RAY_TMPDIR": short, mark: "1"}
         with (tmp_path / "log").open("w") as log:

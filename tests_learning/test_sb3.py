@@ -5,16 +5,15 @@ Run by `make learn-test`.
 
 import json
 import runpy
-import subprocess
 import sys
 import warnings
-from pathlib import Path
 from typing import ClassVar
 
 import gymnasium
 import numpy as np
 import pytest
 import torch
+from episodes import DURATIONS, EXAMPLES, run_example
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -23,6 +22,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecCheckNan, VecMonitor, VecNormalize
+from worlds import equal
 
 import outrider
 from outrider.envs.wrappers import VectorObservations, history, normalized
@@ -32,7 +32,7 @@ from outrider.learning.repeat import ActionRepeat
 from outrider.learning.sb3 import VecEnvAdapter
 from sim.env.observation import one_of_world
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "train_uav.py"
+EXAMPLE = EXAMPLES / "train_uav.py"
 OUTWARDS = np.array([0.3, 0.1])
 
 
@@ -50,26 +50,20 @@ ENVS = {
 }
 
 
-def _same(one, other):
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
-    return one.dtype == other.dtype and np.array_equal(one, other)
-
-
-@pytest.mark.parametrize("end", ["terminated", "truncated"])
+@pytest.mark.parametrize("end", DURATIONS)
 @pytest.mark.parametrize("name", ENVS)
 def test_the_adapter_says_what_the_vector_environment_says(name, end):
-    duration, steps = (30.0, 560) if end == "terminated" else (2.0, 90)
+    duration, steps = DURATIONS[end], 560 if end == "terminated" else 90
     raw, adapter = ENVS[name](duration=duration), VecEnvAdapter(ENVS[name](duration=duration))
     adapter.seed(5)
-    assert _same(raw.reset(seed=5)[0], adapter.reset())
+    assert equal(raw.reset(seed=5)[0], adapter.reset())
     rng, returns, lengths, ends = np.random.default_rng(0), np.zeros(3), np.zeros(3, int), 0
     for _ in range(steps):
         away = OUTWARDS if end == "terminated" else 0.0
         actions = (away + rng.uniform(-0.05, 0.05, (3, 2))).astype(np.float32)
         seen, rewards, terminated, truncated, told = raw.step(actions)
         got, paid, dones, infos = adapter.step(actions)
-        assert _same(seen, got)
+        assert equal(seen, got)
         assert paid.dtype == np.float32
         assert np.array_equal(paid, rewards.astype(np.float32))
         assert np.array_equal(dones, terminated | truncated)
@@ -79,11 +73,11 @@ def test_the_adapter_says_what_the_vector_environment_says(name, end):
             assert infos[k]["TimeLimit.truncated"] is bool(truncated[k] and not terminated[k])
             assert ("terminal_observation" in infos[k]) == ("episode" in infos[k]) == dones[k]
             if dones[k]:
-                assert _same(one_of_world(told["final_obs"], k), infos[k]["terminal_observation"])
+                assert equal(one_of_world(told["final_obs"], k), infos[k]["terminal_observation"])
                 assert infos[k]["episode"]["r"] == pytest.approx(returns[k], rel=1e-12)
                 assert infos[k]["episode"]["l"] == lengths[k]
                 assert infos[k]["episode"]["t"] > 0.0
-                assert not _same(infos[k]["terminal_observation"], one_of_world(got, k))
+                assert not equal(infos[k]["terminal_observation"], one_of_world(got, k))
                 returns[k], lengths[k], ends = 0.0, 0, ends + 1
                 assert (truncated[k], terminated[k]) == (end == "truncated", end == "terminated")
     assert ends >= 3
@@ -274,20 +268,7 @@ def test_ppo_learns_saves_and_loads(name, policy, tmp_path):
 
 def test_the_example_trains_briefly_and_what_it_writes_flies(tmp_path):
     out = tmp_path / "uav.npz"
-    command = [
-        sys.executable,
-        str(EXAMPLE),
-        "--minutes",
-        "0.2",
-        "--num-envs",
-        "16",
-        "--seed",
-        "2",
-        "--out",
-        str(out),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=170, check=False)
-    assert done.returncode == 0, done.stderr
+    done = run_example(EXAMPLE, f"--minutes 0.2 --num-envs 16 --seed 2 --out {out}", tmp_path)
     assert "mean e(t)" in done.stdout
     network, recipe = load_policy(out)
     assert recipe["trained"]["decisions"] > 0
@@ -312,10 +293,9 @@ def test_the_example_refuses_what_it_cannot_do(capsys, monkeypatch):
     assert "--minutes must be positive" in capsys.readouterr().err
 
 
-def test_a_team_trains_briefly_in_a_minefield_and_stands_in_the_table():
-    command = [sys.executable, str(EXAMPLE.with_name("train_mission.py")), "--minutes", "0.01"]
-    command += ["--worlds", "2", "--flights", "1", "--laws", "none"]
-    told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+def test_a_team_trains_briefly_in_a_minefield_and_stands_in_the_table(tmp_path):
+    options = "--minutes 0.01 --worlds 2 --flights 1 --laws none"
+    told = run_example(EXAMPLES / "train_mission.py", options, tmp_path).stdout
     (head,) = [line for line in told.splitlines() if line.startswith("| task | ")]
     assert set(head.strip("| ").split(" | ")) == {"task", "none", "untrained", "learned"}
     assert told.count(" of 1 arrived in ") == 3

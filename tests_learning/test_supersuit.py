@@ -1,18 +1,16 @@
 """SuperSuit's conversions meet the environment: values, ends, seeds, and the example. Run by `make learn-test`."""
 
 import runpy
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from episodes import DURATIONS, EXAMPLES, flown, run_example
 from stable_baselines3 import PPO
 
 import outrider
 from outrider.envs.wrappers import normalized
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "supersuit_sb3.py"
+EXAMPLE = EXAMPLES / "supersuit_sb3.py"
 
 
 @pytest.fixture(scope="module")
@@ -20,28 +18,17 @@ def make_env():
     return runpy.run_path(str(EXAMPLE))["make_env"]
 
 
-@pytest.mark.parametrize("end", ["terminated", "truncated"])
+@pytest.mark.parametrize("end", DURATIONS)
 def test_an_episode_is_the_bare_environments_to_its_end(make_env, end):
-    duration = 30.0 if end == "terminated" else 2.0
-    bare = normalized(outrider.parallel_env("escort", duration=duration))
-    env = make_env(1, duration=duration, seed=5)
-    expected, _ = bare.reset(seed=5)
+    bare = normalized(outrider.parallel_env("escort", duration=DURATIONS[end]))
+    env = make_env(1, duration=DURATIONS[end], seed=5)
     seen, _ = env.venv.reset(seed=5)  # SB3's own reset() begins the next episode
-    rng = np.random.default_rng(0)
-    dones = [False, False]
-    while bare.agents:
+    for expected, actions, answers in flown(bare, end):
         np.testing.assert_array_equal(seen[0], expected["uav_0"])
         np.testing.assert_array_equal(seen[1], np.append(expected["ugv_0"], np.float32(0.0)))
         assert all(env.observation_space.contains(row) for row in seen)
-        actions = (
-            np.array([[0.3, 0.0], [-0.1, 0.0]])
-            if end == "terminated"
-            else rng.uniform(-0.3, 0.3, (2, 2))
-        )
-        expected, rewards, terminations, truncations, _ = bare.step(
-            {"uav_0": actions[0], "ugv_0": actions[1]}
-        )
-        seen, paid, dones, infos = env.step(actions)
+        last, rewards, terminations, truncations, _ = answers
+        seen, paid, dones, infos = env.step(np.array([actions["uav_0"], actions["ugv_0"]]))
         assert paid.tolist() == [np.float32(rewards["uav_0"]), np.float32(rewards["ugv_0"])]
         assert list(dones) == [not bare.agents] * 2
         assert [info["TimeLimit.truncated"] for info in infos] == [
@@ -49,7 +36,7 @@ def test_an_episode_is_the_bare_environments_to_its_end(make_env, end):
         ] * 2
     assert all(dones)
     assert infos[0]["TimeLimit.truncated"] is (end == "truncated")
-    np.testing.assert_array_equal(infos[0]["terminal_observation"], expected["uav_0"])
+    np.testing.assert_array_equal(infos[0]["terminal_observation"], last["uav_0"])
     np.testing.assert_array_equal(seen[0], bare.reset()[0]["uav_0"])  # the next episode's first
     env.close()
 
@@ -68,20 +55,7 @@ def test_each_world_flies_episodes_of_its_own(make_env):
 
 
 def test_the_example_learns_and_saves(tmp_path):
-    command = [
-        sys.executable,
-        str(EXAMPLE),
-        "--steps",
-        "2000",
-        "--duration",
-        "5",
-        "--out",
-        str(tmp_path / "out"),
-    ]
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=170, cwd=tmp_path, check=False
-    )
-    assert done.returncode == 0, done.stderr
+    run_example(EXAMPLE, "--steps 2000 --duration 5 --out out", tmp_path)
     model = PPO.load(tmp_path / "out" / "policy.zip", device="cpu")
     assert model.num_timesteps >= 2000
     assert model.observation_space.shape == (9,)

@@ -2,14 +2,12 @@
 
 import json
 import runpy
-import subprocess
-import sys
-from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 import torch
+from episodes import AWAY, DURATIONS, EXAMPLES, flown, run_example
 from pettingzoo.utils import BaseParallelWrapper
 from torchrl.envs import PettingZooWrapper
 from torchrl.envs.utils import check_env_specs
@@ -25,7 +23,7 @@ pytestmark = pytest.mark.filterwarnings(
     "ignore::FutureWarning",
 )
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "train_torchrl.py"
+EXAMPLE = EXAMPLES / "train_torchrl.py"
 MAKE = {
     "raw": outrider.parallel_env,
     "float32": lambda *args, **options: outrider.parallel_env(*args, **options, dtype=np.float32),
@@ -37,17 +35,6 @@ MAKE = {
         *args, **options, coverage_patch=(8, 1.0)
     ),
 }
-AWAY = {"uav_0": np.array([0.3, 0.0]), "ugv_0": np.array([-0.1, 0.0])}
-
-
-def actions_of(env, rng, end):
-    """Random ones, or such as lose sight."""
-    if end == "terminated":
-        return AWAY
-    return {
-        name: rng.uniform(-1.0, 1.0, 2) * env.action_space(name).high
-        for name in env.possible_agents
-    }
 
 
 def put(frame, actions):
@@ -66,26 +53,22 @@ def test_torchrls_own_check_passes(kind, return_state):
 
 
 @pytest.mark.parametrize("kind", ["raw", "normalized"])
-@pytest.mark.parametrize("end", ["terminated", "truncated"])
+@pytest.mark.parametrize("end", DURATIONS)
 def test_an_episode_is_the_bare_environments_to_its_end(kind, end):
-    duration = 30.0 if end == "terminated" else 2.0
-    bare, env = (MAKE[kind]("escort", duration=duration) for _ in range(2))
+    bare, env = (MAKE[kind]("escort", duration=DURATIONS[end]) for _ in range(2))
     env = PettingZooWrapper(env, return_state=True)
-    rng = np.random.default_rng(0)
-    observations, _ = bare.reset(seed=5)
+    bare.reset(seed=5)
     frame = env.reset(seed=5)
-    ticks = 0
-    while bare.agents:
+    np.testing.assert_array_equal(frame["state"].numpy(), bare.state())
+    for observations, actions, answers in flown(bare, end):
         for name, group in (("uav_0", "uav"), ("ugv_0", "ugv")):
             seen = frame[group, "observation"][0].numpy()
             np.testing.assert_array_equal(seen, observations[name])
             assert bare.observation_space(name).contains(seen)
-        np.testing.assert_array_equal(frame["state"].numpy(), bare.state())
         assert env.observation_spec.is_in(frame.select(*env.observation_spec.keys(True, True)))
-        actions = actions_of(bare, rng, end)
-        observations, rewards, terminations, truncations, _ = bare.step(actions)
+        last, rewards, terminations, truncations, _ = answers
         frame = env.step(put(frame, actions))["next"]
-        ticks += 1
+        np.testing.assert_array_equal(frame["state"].numpy(), bare.state())
         for name, group in (("uav_0", "uav"), ("ugv_0", "ugv")):
             assert frame[group, "reward"].item() == np.float32(rewards[name])
             assert (
@@ -99,8 +82,8 @@ def test_an_episode_is_the_bare_environments_to_its_end(kind, end):
             assert frame[group, "done"].item() == (not bare.agents)
     assert frame[end].item()
     assert not frame["truncated" if end == "terminated" else "terminated"].item()
-    np.testing.assert_array_equal(frame["uav", "observation"][0].numpy(), observations["uav_0"])
-    np.testing.assert_array_equal(frame["state"].numpy(), bare.state())
+    np.testing.assert_array_equal(frame["uav", "observation"][0].numpy(), last["uav_0"])
+    ticks = bare.unwrapped.world.tick
     assert ticks == 40 if end == "truncated" else 100 < ticks < 600
 
 
@@ -177,20 +160,7 @@ def test_a_bad_network_needs_its_infos_left_out():
 
 
 def test_the_example_learns_saves_and_evaluates(tmp_path):
-    command = [
-        sys.executable,
-        str(EXAMPLE),
-        "--steps",
-        "2000",
-        "--duration",
-        "5",
-        "--out",
-        str(tmp_path / "out"),
-    ]
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=170, cwd=tmp_path, check=False
-    )
-    assert done.returncode == 0, done.stderr
+    done = run_example(EXAMPLE, "--steps 2000 --duration 5 --out out", tmp_path)
     assert "Warning" not in done.stderr
     assert "2000 steps" in done.stdout
     returns = json.loads((tmp_path / "out" / "evaluation.json").read_text())["returns"]
