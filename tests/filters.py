@@ -210,7 +210,7 @@ def drive(seed, count, legs):
     return np.array(states)
 
 
-def settled(target=UGV, ticks=400, speed=0.1, **chosen):
+def converged(target=UGV, ticks=400, speed=0.1, **chosen):
     """A filter that has followed a UGV along x for a while; the next tick is `ticks`."""
     estimator, noise = make(target=target, **chosen), cut_noise(9, ticks)
     for k in range(ticks):

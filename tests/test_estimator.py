@@ -15,13 +15,13 @@ from filters import (
     UGV,
     VARIANCE,
     by_both,
+    converged,
     cut_noise,
     drawn_from_the_model,
     drive,
     look,
     make,
     model,
-    settled,
     squared,
     within,
 )
@@ -235,7 +235,7 @@ def test_nothing_is_believed_before_the_first_detection():
 
 
 def test_outlier_is_refused_and_moves_nothing():
-    hit, alone = settled(), settled()
+    hit, alone = converged(), converged()
     outlier = look(hit, 400, (25.0, 20.0))
     nothing = look(alone, 400)
     assert (outlier.refused, nothing.refused) == (1, 0)
@@ -247,7 +247,7 @@ def test_outlier_is_refused_and_moves_nothing():
 
 
 def test_starts_anew_after_as_many_refusals_in_a_row_as_it_has_patience():
-    estimator = settled(patience=5)
+    estimator = converged(patience=5)
     for k in range(400, 404):
         assert look(estimator, k, (30.0, 25.0)).position != (30.0, 25.0)
     anew = look(estimator, 404, (30.0, 25.0))
@@ -259,7 +259,7 @@ def test_starts_anew_after_as_many_refusals_in_a_row_as_it_has_patience():
 
 
 def test_a_believed_detection_between_outliers_restores_patience():
-    estimator = settled(patience=3, speed=0.0)
+    estimator = converged(patience=3, speed=0.0)
     for k in range(400, 440):
         estimate = look(estimator, k, (20.0, 20.0) if k % 3 == 0 else (30.0, 20.0))
     assert estimate.position == pytest.approx((20.0, 20.0), abs=0.1)
@@ -267,7 +267,7 @@ def test_a_believed_detection_between_outliers_restores_patience():
 
 
 def test_coasting_goes_straight_on_while_age_and_covariance_grow():
-    estimator = settled()
+    estimator = converged()
     before = look(estimator, 400)
     for k in range(401, 600):
         after = look(estimator, k)
@@ -317,7 +317,7 @@ def test_uncertainty_while_coasting_is_bounded_by_what_the_ugv_can_do(
 
 def test_one_long_gap_and_many_ticks_end_in_the_same_place():
     for target in (FREE, UGV):
-        leap, walk = settled(target), settled(target)
+        leap, walk = converged(target), converged(target)
         at_once = look(leap, 399 + 50)
         for k in range(400, 400 + 50):
             step_by_step = look(walk, k)
@@ -329,7 +329,7 @@ def test_one_long_gap_and_many_ticks_end_in_the_same_place():
 
 
 def test_a_detection_after_a_long_gap_is_let_in_again():
-    soon, late = settled(speed=0.2), settled(speed=0.2)
+    soon, late = converged(speed=0.2), converged(speed=0.2)
     moved = (20.0 + 0.2 * 400 * DT - 1.5, 20.0)  # 1.5 m from where the UGV was going
     assert look(soon, 401, moved).refused == 1
     for k in range(400, 600):
@@ -340,7 +340,7 @@ def test_a_detection_after_a_long_gap_is_let_in_again():
 
 
 def test_detections_of_another_time_are_refused():
-    used, unused = settled(), settled()
+    used, unused = converged(), converged()
     late = Look(390, -22.0, -20.0)
     estimate = used.update(tick=400, own_position=(0.0, 0.0), looks=(late, late))
     assert estimate.refused == 2
@@ -349,7 +349,7 @@ def test_detections_of_another_time_are_refused():
 
 
 def test_duplicates_count_once_and_the_same_time_is_predicted_once():
-    once, twice = settled(), settled()
+    once, twice = converged(), converged()
     first, second = Look(400, -22.0, -20.0), Look(400, -22.1, -20.0)
 
     def told(estimator, *looks):
@@ -363,10 +363,10 @@ def test_duplicates_count_once_and_the_same_time_is_predicted_once():
 
 
 def test_a_copy_of_a_filter_goes_on_like_the_original_and_by_itself():
-    original = settled()
+    original = converged()
     original.prepare()
     for copied in (copy.deepcopy(original), pickle.loads(pickle.dumps(original))):  # noqa: S301 - our own
-        twin = settled()
+        twin = converged()
         for tick, seen in (
             (400, (20.1, 20.0)),
             (401, None),
@@ -380,7 +380,7 @@ def test_a_copy_of_a_filter_goes_on_like_the_original_and_by_itself():
 
 def test_time_that_goes_back_is_an_error():
     with pytest.raises(ValueError, match="tick = 398: is before the last one, 399"):
-        settled().update(tick=398, own_position=(0.0, 0.0), looks=())
+        converged().update(tick=398, own_position=(0.0, 0.0), looks=())
     with pytest.raises(ValueError, match="dt"):
         make(dt=math.inf)
 

@@ -12,12 +12,12 @@ from filters import (
     UGV,
     VARIANCE,
     by_both,
+    converged,
     cut_noise,
     drawn_from_the_model,
     drive,
     look,
     make,
-    settled,
     squared,
     straying,
     within,
@@ -386,7 +386,7 @@ def test_straying_is_what_a_ugv_does_that_turns_round_at_once():
 @pytest.mark.parametrize("gap", [2.0, 5.0, 10.0, 30.0, 60.0, 200.0, 1000.0])
 @pytest.mark.parametrize("at_once", [True, False])
 def test_a_ugv_that_turned_round_in_a_gap_is_let_in_again_however_long_the_gap(gap, at_once):
-    estimator, ticks = settled(speed=0.2), round(gap / DT)
+    estimator, ticks = converged(speed=0.2), round(gap / DT)
     x = 20.0 + 0.2 * 399 * DT + 0.2 * gap - straying(elapsed=gap, target=UGV, manoeuvre=1.0, dt=DT)
     for k in range(0 if at_once else 1, ticks):
         if not at_once:
