@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from clocks import Clock
 from nicegui import Client
 from starlette.responses import PlainTextResponse
 from starlette.testclient import TestClient
@@ -170,25 +171,6 @@ def test_every_answer_tells_the_browser_what_it_may_do() -> None:
         policy = answer.headers["content-security-policy"]
         assert "default-src 'none'" in policy
         assert "frame-ancestors 'none'" in policy
-
-
-class Clock:
-    """Time that passes where somebody waits."""
-
-    def __init__(self) -> None:
-        self.now, self.waits = 0.0, list[float]()
-        self.asleep = self.most = 0
-
-    def __call__(self) -> float:
-        return self.now
-
-    async def sleep(self, seconds: float) -> None:
-        self.asleep += 1
-        self.most = max(self.most, self.asleep)
-        await asyncio.sleep(0)
-        self.waits.append(seconds)
-        self.now += seconds
-        self.asleep -= 1
 
 
 def test_each_wrong_token_makes_the_next_wait_longer_and_the_right_one_waits_too() -> None:

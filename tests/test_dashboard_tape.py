@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from clocks import Clock
 from observed import recorded
 
 from bus.messages import Action, Control, CoverageMap, Drive, Status, Truth
@@ -17,16 +18,6 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("tape") / "run.mcap"
     recorded(path, load_scenario("escort", overrides=["duration=60.0"]))
     return path
-
-
-class Clock:
-    """Wall time that goes on when it is told to."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 def staged(path: Path, speed: float = 1.0) -> tuple[Clock, Tape, Hub]:
