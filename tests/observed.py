@@ -9,16 +9,25 @@ from statuses import Box, a_status
 from bus.keys import COVERAGE, GROUND, STATUS, TRUTH
 from outrider.recording.observer import RunRecorder
 from outrider.recording.writer import FlightRecorder
-from outrider.running.flying import fly
+from outrider.running.flying import InProcess, make_pilots
 from sim.scenario.types import Scenario
-from sim.server.flight import Flight
+from sim.server.flight import Exchange, Flight
 
 
-def recorded(path: Path, scenario: Scenario, seed: int | None = None) -> Flight:
-    """Such a flight; the scenario's own seed unless there is another."""
+def recorded(
+    path: Path,
+    scenario: Scenario,
+    seed: int | None = None,
+    *,
+    secret: str = "",
+    exchange: Exchange | None = None,
+) -> Flight:
+    """Such a flight; of the pilots, and with the scenario's own seed, unless there are others."""
     seed = scenario.seed if seed is None else seed
-    recorder = FlightRecorder(path, scenario, seed)
-    flight, _ = fly(scenario, seed, on_tick=recorder.tick)
+    recorder = FlightRecorder(path, scenario, seed, secret=secret)
+    flight = Flight(scenario, seed, secret=secret)
+    exchange = exchange or InProcess(make_pilots(scenario, seed, secret=secret))
+    flight.fly(exchange, on_tick=lambda: recorder.tick(flight))
     recorder.close()
     return flight
 

@@ -207,13 +207,10 @@ LOSING = msgspec.structs.replace(
 @pytest.fixture(scope="module")
 def lied(tmp_path_factory: pytest.TempPathFactory) -> tuple[Flight, Summary, Path]:
     pytest.importorskip("foxglove", reason="the extra [record] is not installed")
-    from outrider.recording.writer import FlightRecorder
+    from observed import recorded
 
     path = tmp_path_factory.mktemp("lied") / "run.mcap"
-    flight = Flight(LOSING, 3)
-    recorder = FlightRecorder(path, LOSING, 3)
-    flight.fly(Liar(make_pilots(LOSING, 3)), on_tick=lambda: recorder.tick(flight))
-    recorder.close()
+    flight = recorded(path, LOSING, 3, exchange=Liar(make_pilots(LOSING, 3)))
     return flight, summarize(flight, seconds=1.0), path
 
 

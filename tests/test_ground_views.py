@@ -14,6 +14,8 @@ from worlds import small
 
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 
+from observed import recorded
+
 from bus.keys import GROUND, Role
 from bus.messages import GroundMap
 from outrider.cli import console
@@ -25,9 +27,8 @@ from outrider.experiments.sweep.columns import RESULTS, row_of
 from outrider.recording.reader import entries, flight_of, grounds, statuses
 from outrider.recording.refly import refly
 from outrider.recording.schemas import GROUND as TOPIC
-from outrider.recording.writer import FlightRecorder
-from outrider.running.flying import InProcess, fly, make_pilots
-from outrider.running.summary import Summary
+from outrider.running.flying import InProcess, make_pilots
+from outrider.running.summary import Summary, summarize
 from outrider.view.film import Film, render
 from outrider.view.flight_picture import draw_flight
 from outrider.view.page.hub import Hub
@@ -64,11 +65,9 @@ def course(driver: str = "waypoints", **ground: Any) -> Scenario:
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flight, Summary]:
-    path, scenario = tmp_path_factory.mktemp("ground") / "run.mcap", course()
-    recorder = FlightRecorder(path, scenario, 1, secret="5" * 32)
-    flight, summary = fly(scenario, 1, secret="5" * 32, on_tick=recorder.tick)
-    recorder.close()
-    return path, flight, summary
+    path = tmp_path_factory.mktemp("ground") / "run.mcap"
+    flight = recorded(path, course(), 1, secret="5" * 32)
+    return path, flight, summarize(flight, seconds=1.0)
 
 
 class Watched(InProcess):
@@ -124,11 +123,8 @@ class Routed(InProcess):
 def planned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flight, Routed]:
     path = tmp_path_factory.mktemp("route") / "run.mcap"
     scenario = msgspec.structs.replace(course("navigate"), duration=6.0)
-    recorder, routed = FlightRecorder(path, scenario, 1), Routed(scenario)
-    flight = Flight(scenario, 1)
-    flight.fly(routed, on_tick=lambda: recorder.tick(flight))
-    recorder.close()
-    return path, flight, routed
+    routed = Routed(scenario)
+    return path, recorded(path, scenario, 1, exchange=routed), routed
 
 
 def test_no_vehicle_is_told_of_the_route_that_a_ugv_plans(planned) -> None:
@@ -224,9 +220,8 @@ def test_the_summary_tells_the_mission_and_its_table_in_plain_words(flown, capsy
 
 
 def test_without_hazards_nobody_is_told_of_a_mission(tmp_path: Path, capsys: Any) -> None:
-    recorder = FlightRecorder(tmp_path / "run.mcap", small("tracking", duration=1.0), 1)
-    flight, summary = fly(small("tracking", duration=1.0), 1, on_tick=recorder.tick)
-    recorder.close()
+    flight = recorded(tmp_path / "run.mcap", small("tracking", duration=1.0), 1)
+    summary = summarize(flight, seconds=1.0)
     assert summary.hazards_hit is summary.arrived is summary.mission_time is None
     assert ground_map(flight.world) is None
     assert not [one for one in entries(tmp_path / "run.mcap") if one.topic == TOPIC.name]

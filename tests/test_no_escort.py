@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 from flights import record, sha256
+from observed import recorded
 from processes import flown_both_ways
 
 import outrider
@@ -22,9 +23,8 @@ from outrider.experiments.sweep.plan import lay_out
 from outrider.experiments.sweep.running import cost_of
 from outrider.recording.reader import flight_of
 from outrider.recording.refly import refly
-from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import fly
-from outrider.running.summary import Summary
+from outrider.running.summary import Summary, summarize
 from outrider.view.film import Film
 from outrider.view.flight_picture import flight_figure
 from outrider.view.page.hub import Hub
@@ -47,10 +47,8 @@ def alone() -> Scenario:
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flight, Summary]:
     path = tmp_path_factory.mktemp("alone") / "run.mcap"
-    recorder = FlightRecorder(path, alone(), 4)
-    flight, summary = fly(alone(), 4, on_tick=recorder.tick)
-    recorder.close()
-    return path, flight, summary
+    flight = recorded(path, alone(), 4)
+    return path, flight, summarize(flight, seconds=1.0)
 
 
 def positions(scenario: Scenario, seeds: list[int]) -> np.ndarray:
