@@ -42,6 +42,14 @@ def escort(law="logarithmic", *, uav=UAV, ugv=UGV, **fields):
     )
 
 
+def pairs(uavs, ugvs, **fields):
+    """UAVs and UGVs at these places, or with these fields; uav_k escorts ugv_k unless its fields say otherwise."""
+    given = [[v if isinstance(v, dict) else {"position": v} for v in kind] for kind in (uavs, ugvs)]
+    uav = (Uav(**{"name": f"uav_{k}", "escorts": f"ugv_{k}"} | v) for k, v in enumerate(given[0]))
+    ugv = (Ugv(**{"name": f"ugv_{k}"} | v) for k, v in enumerate(given[1]))
+    return Scenario(uav=(*uav,), ugv=(*ugv,), **fields)
+
+
 def told(scenario: Scenario, seed: int = 0) -> UavBriefing:
     """The briefing of the scenario's UAV."""
     return uav_briefing(scenario, scenario.uav[0].name, seed)

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from flights import flown_in_both, record, sha256
+from flights import escort, flown_in_both, pairs, record, sha256
 
 from agents.env_wrappers import EstimateWrapper
 from agents.estimation.estimator import RelativeEstimator
@@ -19,24 +19,24 @@ from outrider.envs.env_pilots import pilots
 from outrider.running.flying import fly
 from sim.env.parallel import parallel_env
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Custom, Detections, Scenario, Uav, Ugv
+from sim.scenario.types import Custom, Detections, Uav, Ugv
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "environment.py"
-NOISY = Scenario(
+NOISY = pairs(
+    ((11.0, 10.0), (30.0, 31.0)),
+    (
+        {"position": (10.0, 10.0), "goals": ((20.0, 10.0), (20.0, 20.0))},
+        {"position": (30.0, 30.0), "goals": ((25.0, 25.0),)},
+    ),
     name="noisy",
     duration=100.0,
     detections=Detections(noise=0.1, dropout=0.3, rate=10.0),
-    uav=(Uav(position=(11.0, 10.0)), Uav(name="uav_1", escorts="ugv_1", position=(30.0, 31.0))),
-    ugv=(
-        Ugv(position=(10.0, 10.0), goals=((20.0, 10.0), (20.0, 20.0))),
-        Ugv(name="ugv_1", position=(30.0, 30.0), goals=((25.0, 25.0),)),
-    ),
 )
-ABOVE = Scenario(
+ABOVE = escort(
     name="above: every direction is as good, and the pilot's own random numbers choose",
     duration=100.0,
-    uav=(Uav(position=(10.0, 10.0)),),
-    ugv=(Ugv(position=(10.0, 10.0), goals=((20.0, 10.0),)),),
+    uav=Uav(position=(10.0, 10.0)),
+    ugv=Ugv(position=(10.0, 10.0), goals=((20.0, 10.0),)),
 )
 
 

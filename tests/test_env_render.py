@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+from flights import pairs
 from matplotlib.colors import to_rgb
 from processes import python
 from refusals import refused
@@ -94,14 +95,8 @@ def test_picture_depends_on_the_episode_alone_not_on_earlier_pictures():
 
 def test_several_and_unbounded_vehicles_are_drawn():
     free = {"max_speed": float("inf"), "max_acceleration": float("inf")}
-    many = Scenario(
-        law=Law(reference_speed=0.5),
-        uav=(
-            Uav(position=(10.0, 10.0)),
-            Uav(name="uav_1", escorts="ugv_1", position=(20.0, 10.0), **free),
-        ),
-        ugv=(Ugv(position=(10.0, 11.0)), Ugv(name="ugv_1", position=(20.0, 11.0))),
-    )
+    uavs, ugvs = ((10.0, 10.0), free | {"position": (20.0, 10.0)}), ((10.0, 11.0), (20.0, 11.0))
+    many = pairs(uavs, ugvs, law=Law(reference_speed=0.5))
     frame = begun(many).render()
     assert all(len(pixels_of(frame, color)) > 20 for color in (*UAV[:2], *UGV[:2]))
 

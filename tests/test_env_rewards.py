@@ -5,35 +5,25 @@ import math
 
 import numpy as np
 import pytest
+from flights import escort, pairs
 
 from sim.env.parallel import parallel_env
 from sim.env.rewards import RewardWeights, full_error
-from sim.scenario.types import Scenario, Uav, Ugv
+from sim.scenario.types import Uav, Ugv
 
 STILL = np.zeros(2)
 
 
 def scenario(*, duration=60.0, goals=((14.0, 20.0),)):
-    return Scenario(
-        duration=duration,
-        uav=(Uav(position=(12.0, 20.0)),),
-        ugv=(Ugv(position=(10.0, 20.0), goals=goals),),
-    )
+    ugv = Ugv(position=(10.0, 20.0), goals=goals)
+    return escort(uav=Uav(position=(12.0, 20.0)), ugv=ugv, duration=duration)
 
 
-TWO = Scenario(
+TWO = pairs(
+    ((12.0, 20.0), (22.0, 20.0)),
+    ({"position": (12.0, 20.0), "goals": ((12.2, 20.0),)}, (22.0, 20.0)),
     duration=60.0,
-    uav=(
-        Uav(name="uav_0", escorts="ugv_0", position=(12.0, 20.0)),
-        Uav(name="uav_1", escorts="ugv_1", position=(22.0, 20.0)),
-    ),
-    ugv=(
-        Ugv(name="ugv_0", position=(12.0, 20.0), goals=((12.2, 20.0),)),
-        Ugv(name="ugv_1", position=(22.0, 20.0)),
-    ),
 )
-
-
 AWAY = [0.3, 0.0]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import HERE, escort
+from flights import HERE, escort, pairs
 from refusals import refused
 
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
@@ -41,18 +41,12 @@ from outrider.recording.schemas import (
 from outrider.recording.tick_rows import TickTexts
 from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import InProcess, make_pilots
-from sim.scenario.types import Detections, Scenario, Uav, Ugv
+from sim.scenario.types import Detections, Scenario, Ugv
 from sim.server.flight import Flight
 
-PAIRS = Scenario(
-    uav=(
-        Uav(name="uav_0", position=HERE, escorts="ugv_0"),
-        Uav(name="uav_1", position=(12.0, 21.0), escorts="ugv_1"),
-    ),
-    ugv=(
-        Ugv(name="ugv_0", position=HERE, goals=((26.0, 21.0),)),
-        Ugv(name="ugv_1", position=(12.0, 20.0)),
-    ),
+PAIRS = pairs(
+    (HERE, (12.0, 21.0)),
+    ({"position": HERE, "goals": ((26.0, 21.0),)}, (12.0, 20.0)),
     detections=Detections(noise=0.1, dropout=0.3, rate=10.0),
     duration=8.0,
     name="pairs",

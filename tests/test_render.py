@@ -7,6 +7,7 @@ import matplotlib as mpl
 import msgspec
 import numpy as np
 import pytest
+from flights import escort, pairs
 from matplotlib.text import Text
 from processes import python
 
@@ -14,7 +15,7 @@ from bus.messages import Area, Law
 from outrider.running.flying import fly
 from outrider.view.flight_picture import SIZE, draw_flight, flight_figure
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Detections, Scenario, Uav, Ugv
+from sim.scenario.types import Detections, Uav, Ugv
 from sim.scene.frames import Frames
 from sim.scene.known import geometry_of, scene_of
 from sim.scene.model import observed_scene
@@ -28,9 +29,7 @@ GOALS = ((26.0, 20.0), (26.0, 26.0))
 def scenario(law="logarithmic", *, uav=None, **fields):
     one = Uav(position=(20.0, 21.0), **(uav or {}))
     fields = {"name": "test", "duration": 10.0, "detections": NOISY, **fields}
-    return Scenario(
-        law=Law(name=law), uav=(one,), ugv=(Ugv(position=(20.0, 20.0), goals=GOALS),), **fields
-    )
+    return escort(law, uav=one, ugv=Ugv(position=(20.0, 20.0), goals=GOALS), **fields)
 
 
 @pytest.fixture(scope="module")
@@ -153,15 +152,10 @@ def test_nothing_flown_is_refused(tmp_path):
 
 
 def test_two_pairs_have_colors_and_names_of_their_own(tmp_path):
-    uavs = (
-        Uav(name="uav_0", escorts="ugv_1", position=(9.0, 8.0)),
-        Uav(name="uav_1", escorts="ugv_0", position=(30.0, 28.0)),
-    )
-    ugvs = (
-        Ugv(name="ugv_0", position=(30.0, 27.0), goals=GOALS),
-        Ugv(name="ugv_1", position=(8.0, 8.0)),
-    )
-    flown = fly(Scenario(name="pairs", duration=5.0, detections=NOISY, uav=uavs, ugv=ugvs), 1)[0]
+    places = ((9.0, 8.0), (30.0, 28.0))
+    uavs = [{"escorts": f"ugv_{1 - k}", "position": place} for k, place in enumerate(places)]
+    ugvs = ({"position": (30.0, 27.0), "goals": GOALS}, (8.0, 8.0))
+    flown = fly(pairs(uavs, ugvs, name="pairs", duration=5.0, detections=NOISY), 1)[0]
     figure = flight_figure(flown)
     lines = panel(figure, "Distance").get_legend_handles_labels()
     assert lines[1] == ["uav_0", "uav_1"]
