@@ -145,7 +145,7 @@ class Piloted(InProcess):
 def flown_by(pilot: Any, scenario: Scenario, act: Callable[[Any], Command]) -> Flight:
     """A flight with seed 0 whose UAV this pilot flies: it is briefed, and then `act` asks it."""
     flight = Flight(scenario, 0)
-    pilot.make(briefing(scenario, "uav_0", 0))
+    pilot.make(uav_briefing(scenario, "uav_0", 0))
     flight.fly(Piloted(make_pilots(scenario, 0), "uav_0", act))
     return flight
 
