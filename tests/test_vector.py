@@ -210,3 +210,29 @@ def test_all_worlds_must_be_reset_before_a_part_of_them() -> None:
     env = outrider.vector_env(SCENARIO, num_envs=2)
     with pytest.raises(ResetNeeded):
         env.reset(options={"reset_mask": np.array([True, False])})
+
+
+def test_what_is_true_of_an_ended_episode_can_be_had_after_the_next_has_begun() -> None:
+    """A filter that lies by half a metre, and a UGV that flees: each end is certified out of sight."""
+    env = outrider.parallel_vector_env("escort", num_envs=4, duration=60.0, safety_filter=True)
+    with pytest.raises(ResetNeeded, match="metrics"):
+        env.metrics()
+    for field in ("r_v", "handover", "reach"):
+        env.worlds.loop.tables.promises[field] += 0.5
+    env.reset(seed=1)
+    position = env.worlds.loop.batch.state.truth.position
+    lengths, lost = np.zeros(4), 0
+    assert np.isnan(env.metrics(last=True)["uav_0"]["ticks"]).all()
+    for _ in range(400):
+        apart = position[:, 0] - position[:, 1]
+        apart /= np.maximum(np.linalg.norm(apart, axis=1, keepdims=True), 1e-9)
+        _, _, terminated, _, _ = env.step({"uav_0": 10.0 * apart, "ugv_0": -10.0 * apart})
+        lengths += 1
+        ended = terminated["uav_0"]
+        told = env.metrics(last=True)["uav_0"]
+        assert (told["ticks"][ended] == lengths[ended]).all()
+        assert (told["max_distance"][ended] >= 4.75).all()
+        assert (told["certified_while_lost"][ended] == 1.0).all()
+        assert (env.metrics()["uav_0"]["ticks"][ended] == 0.0).all()
+        lost, lengths[ended] = lost + ended.sum(), 0.0
+    assert lost >= 8

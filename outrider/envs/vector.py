@@ -127,6 +127,7 @@ class Worlds:
         self._seeds = [Seeds(self.scenario.seed + k) for k in range(self.num_envs)]
         self._actions: FloatArray = np.zeros((self.num_envs, len(self._hands), 2))
         self._returns: FloatArray = np.zeros((self.num_envs, len(names)))
+        self._last: dict[str, dict[str, FloatArray]] = {}
         self.begun = False
         """True if there is an episode to step."""
 
@@ -219,6 +220,7 @@ class Worlds:
     def _begin(self, which: npt.NDArray[np.int64], seeds: Sequence[int | None]) -> None:
         for seed in seeds:
             Seeds.check(seed)
+        self._keep_metrics(which)
         for k, seed in zip(which.tolist(), seeds, strict=True):
             self._seeds[k].begin(seed)
         self.loop.begin([self._seeds[k].current for k in which.tolist()], which)
@@ -326,9 +328,36 @@ class Worlds:
             "_final_info": ended.copy(),
         }
 
-    def metrics(self) -> dict[str, dict[str, FloatArray]]:
-        """Each UAV's true standing in its episode, in all worlds: for people and logs, not for policies."""
-        return {uav: self.loop.metrics(uav) for uav in self.loop.uavs}
+    def _keep_metrics(self, which: npt.NDArray[np.int64]) -> None:
+        """Keep how the UAVs stood in the end where an episode of these worlds has ended."""
+        state = self.loop.state.rows
+        over = which[(state.terminated[which] | state.truncated[which]) != 0]
+        for uav in self.loop.uavs if self.begun and len(over) else ():
+            for key, values in self.loop.metrics(uav).items():
+                kept = self._last.setdefault(uav, {}).setdefault(
+                    key, np.full(self.num_envs, np.nan)
+                )
+                kept[over] = values[over]
+
+    def metrics(self, *, last: bool = False) -> dict[str, dict[str, FloatArray]]:
+        """Each UAV's true standing in its episode, in all worlds: for people and logs, not for policies.
+
+        Args:
+            last: In the end of each world's last episode that is over, instead; NaN where none is.
+
+        Raises:
+            ResetNeeded: Before the first reset.
+        """
+        if not self.begun:
+            raise ResetNeeded("metrics() before reset()")
+        now = {uav: self.loop.metrics(uav) for uav in self.loop.uavs}
+        if not last:
+            return now
+        none = np.full(self.num_envs, np.nan)
+        return {
+            uav: {key: self._last.get(uav, {}).get(key, none).copy() for key in told}
+            for uav, told in now.items()
+        }
 
     def links(self, world: int) -> dict[str, LinkStatus]:
         """The counters of each link of one world so far, by `vehicle/kind`."""
@@ -409,9 +438,9 @@ class OutriderVectorEnv(VectorEnv):
         observations, rewards, terminations, truncations, infos = stepped
         return observations[one], rewards[one], terminations[one], truncations[one], infos[one]
 
-    def metrics(self) -> dict[str, dict[str, FloatArray]]:
-        """Each UAV's true standing in its episode, in all worlds: for people and logs, not for policies."""
-        return self.worlds.metrics()
+    def metrics(self, *, last: bool = False) -> dict[str, dict[str, FloatArray]]:
+        """Each UAV's true standing, as `Worlds.metrics` tells it: for people and logs, not for policies."""
+        return self.worlds.metrics(last=last)
 
     def close_extras(self, **_: Any) -> None:  # noqa: ANN401 - Gymnasium's
         """End the threads."""
@@ -489,9 +518,9 @@ class OutriderParallelVectorEnv:
         """
         return self.worlds.step_with_autoreset(actions)
 
-    def metrics(self) -> dict[str, dict[str, FloatArray]]:
-        """Each UAV's true standing in its episode, in all worlds: for people and logs, not for policies."""
-        return self.worlds.metrics()
+    def metrics(self, *, last: bool = False) -> dict[str, dict[str, FloatArray]]:
+        """Each UAV's true standing, as `Worlds.metrics` tells it: for people and logs, not for policies."""
+        return self.worlds.metrics(last=last)
 
     def close(self) -> None:
         """End the threads."""
