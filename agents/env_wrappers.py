@@ -22,6 +22,35 @@ def _briefings(env: Any) -> dict[str, UavBriefing]:  # noqa: ANN401 - PettingZoo
     return {agent: one for agent, one in told.items() if isinstance(one, UavBriefing)}
 
 
+def _row_box(space: object) -> spaces.Box | None:
+    row = space.spaces.get("row") if isinstance(space, spaces.Dict) else space
+    return row if isinstance(row, spaces.Box) else None
+
+
+def _check_rows(wrapper: str, env: Any) -> None:  # noqa: ANN401 - whatever is given
+    """Refuse what is no parallel environment of ours, or whose UAVs' own rows and actions are others already."""
+    world: Any = getattr(env, "unwrapped", None)
+    if not hasattr(env, "possible_agents") or not hasattr(world, "own_row"):
+        raise ValueError(
+            f"{wrapper}: goes around outrider.parallel_env; many worlds have estimate= and safety_filter="
+        )
+    for agent in _briefings(env):
+        own, seen = _row_box(world.observation_space(agent)), _row_box(env.observation_space(agent))
+        kept = np.ones(0 if own is None else own.shape, dtype=np.bool_)
+        kept[_RELATIVE] = False  # an estimate has no bounds
+        if (
+            own is None
+            or seen is None
+            or seen.shape != own.shape
+            or not np.array_equal(seen.low[kept], own.low[kept])
+            or not np.array_equal(seen.high[kept], own.high[kept])
+        ):
+            raise ValueError(
+                f"{wrapper}: {agent}'s observations are not its own row any more: it goes around the environment "
+                "before whatever changes them"
+            )
+
+
 class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
     """Puts the filter's estimate in the place of the UAVs' raw detections; everything else stays.
 
@@ -31,9 +60,13 @@ class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
 
     Args:
         env: The environment, or a wrapper of it whose UAVs still have their own rows.
+
+    Raises:
+        ValueError: If it is another.
     """
 
     def __init__(self, env: Any) -> None:  # noqa: ANN401 - PettingZoo has no types
+        _check_rows("EstimateWrapper", env)
         super().__init__(env)
         self._filters: dict[str, RelativeEstimator] = {}
         self._briefings = _briefings(env)
@@ -47,8 +80,7 @@ class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
             return spaces.Dict(
                 {**space.spaces, "row": EstimateWrapper._without_bounds(space.spaces["row"])}
             )
-        if not isinstance(space, spaces.Box):
-            raise TypeError(f"EstimateWrapper needs UAVs that observe their rows, not {space}")
+        assert isinstance(space, spaces.Box)  # noqa: S101 - checked
         low, high = space.low.copy(), space.high.copy()
         low[_RELATIVE], high[_RELATIVE] = -np.inf, np.inf
         return spaces.Box(low, high, dtype=space.low.dtype.type)
@@ -82,8 +114,9 @@ class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
 
     def _replace(self, agent: str, row: Row) -> Row:
         """The row with the estimate in it, once there is one."""
-        observation = uav_observation(row, dt=self._briefings[agent].dt)
-        (p_x, p_y), world = observation.position, self.env.unwrapped
+        world = self.env.unwrapped
+        observation = uav_observation(world.own_row(agent), dt=self._briefings[agent].dt)
+        p_x, p_y = observation.position
         # The row has room for one.
         found = world.received(agent) if world.degraded else observation.detections
         estimate = self._filters[agent].update(
@@ -107,10 +140,14 @@ class SafetyFilterWrapper(BaseParallelWrapper):  # type: ignore[misc]
     is) and `certified_distance` [m]. `filters` has the filters of the episode, with their counts.
 
     Args:
-        env: The environment, or a wrapper of it whose UAVs still have their own rows, float64.
+        env: The environment, or a wrapper of it whose UAVs still have their own rows.
+
+    Raises:
+        ValueError: If it is another.
     """
 
     def __init__(self, env: Any) -> None:  # noqa: ANN401 - PettingZoo has no types
+        _check_rows("SafetyFilterWrapper", env)
         super().__init__(env)
         self.filters: dict[str, SafetyFilter] = {}
         """By agent."""
@@ -128,9 +165,7 @@ class SafetyFilterWrapper(BaseParallelWrapper):  # type: ignore[misc]
     def _see(self, observations: Mapping[str, Any]) -> None:
         env = self.env.unwrapped
         for agent in self.filters.keys() & observations.keys():
-            seen = observations[agent]
-            row = seen["row"] if isinstance(seen, dict) else seen
-            observation = uav_observation(row, dt=env.scenario.dt)
+            observation = uav_observation(env.own_row(agent), dt=env.scenario.dt)
             self._seen[agent] = msgspec.structs.replace(
                 observation, detections=env.received(agent), flown=env.flown(agent)
             )

@@ -427,3 +427,14 @@ def test_an_observer_only_watches(watched):
 def test_an_address_that_is_none_is_named(text):
     with pytest.raises(ScenarioError, match="--to"):
         parse_address(text, listens=False)
+
+
+def test_who_is_not_the_party_that_is_told_is_not_read(run):
+    """A socket that sends to one ground station is reached by every process of the host, and of the network."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.sendto(sticks(500, 0).pack(run.station.mav), run.station.to)
+        run.gateway.turn(0.5)
+    assert run.client.driven == []
+    assert run.gateway.network.strangers == 1
+    run.station.send(sticks(500, 0))
+    assert run.client.driven

@@ -11,8 +11,11 @@ import pytest
 from flights import distances, told
 
 from agents.control.visibility import SafetyFilter, promise_of
-from agents.env_wrappers import SafetyFilterWrapper
+from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from bus.messages import Detection, LinkSettings, UavObservation
+from outrider.envs.single import single_env
+from outrider.envs.vector import vector_env
+from outrider.envs.wrappers import egocentric, history, normalized
 from outrider.running.assumptions import promise_warnings
 from outrider.running.flying import fly
 from sim.env.parallel import parallel_env
@@ -171,6 +174,26 @@ def test_a_wrapped_environment_refuses_nonsense_before_anything_is_filtered(
     assert env.filters["uav_0"].ticks == 0
     env.step(good)
     assert env.filters["uav_0"].ticks == 1
+
+
+@pytest.mark.parametrize("wrapper", [SafetyFilterWrapper, EstimateWrapper])
+def test_who_has_no_rows_of_its_own_any_more_is_refused_when_it_is_made(wrapper: Any) -> None:
+    env = parallel_env(watched(duration=5.0))
+    for changed in (normalized(env), egocentric(env), history(env, 2)):
+        with pytest.raises(ValueError, match="uav_0's observations are not its own row"):
+            wrapper(changed)
+    for other in (vector_env("escort", num_envs=2), single_env("escort")):
+        with pytest.raises(ValueError, match=r"goes around outrider\.parallel_env"):
+            wrapper(other)
+        other.close()
+
+
+def test_the_filter_keeps_sight_whatever_the_observations_are_rounded_to() -> None:
+    env = SafetyFilterWrapper(EstimateWrapper(parallel_env(watched(), dtype=np.float32)))
+    env.reset(seed=7)
+    while env.agents:
+        *_, infos = env.step({"uav_0": outward(env, "uav_0"), "ugv_0": np.array([-0.1, 0.0])})
+        assert infos["uav_0"]["certified"], infos
 
 
 def test_commands_on_their_way_before_the_first_detection_are_known_to_the_filter() -> None:

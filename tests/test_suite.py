@@ -19,7 +19,9 @@ from outrider.experiments.suite.scoring import evaluate
 from outrider.experiments.suite.tasks import SEEDS, TASKS, Suite, Task, suite
 from outrider.running.flying import InProcess, make_pilots, run
 from sim.engine.briefing import briefing
+from sim.engine.run_keys import derive_secret
 from sim.engine.world_state import first_state
+from sim.kernels.compile import FloatArray
 from sim.models.field import coverage_error
 from sim.scenario.checks import scenario_warnings
 from sim.server.flight import Flight
@@ -78,8 +80,9 @@ def test_the_score_is_the_mean_share_of_what_there_was_to_see() -> None:
     half = {"coverage.covered": [{"lower": [0.0, 0.0], "upper": [8.0, 12.0]}]}
     task = Task(name="half", hard="", changes=SHORT | half)
     scenario = task.scenario
-    flight = Flight(scenario, 9001, secret=SECRET)
-    flight.fly(InProcess(make_pilots(scenario, 9001, secret=SECRET)))
+    own = derive_secret(SECRET, task.name)
+    flight = Flight(scenario, 9001, secret=own)
+    flight.fly(InProcess(make_pilots(scenario, 9001, secret=own)))
     errors = flight.recorder.escorts[:, 0, 1]
     places = flight.recorder.states[:, flight.world.escorts[0, 1], :2].tolist()
     r_o, nothing = (
@@ -96,7 +99,8 @@ def test_the_score_is_the_mean_share_of_what_there_was_to_see() -> None:
 
 def test_the_mean_error_is_that_of_single_runs() -> None:
     result = TASK.evaluate("certified", seeds=[9000, 9001], secret=SECRET)
-    alone = [run(TASK.scenario, seed=seed, secret=SECRET).mean_error for seed in (9000, 9001)]
+    own = derive_secret(SECRET, TASK.name)
+    alone = [run(TASK.scenario, seed=seed, secret=own).mean_error for seed in (9000, 9001)]
     assert result.mean_error == pytest.approx(np.mean(alone))
 
 
@@ -110,8 +114,9 @@ def test_a_law_and_the_same_flight_from_outside_have_the_same_score() -> None:
             said.append(commands["uav_0"].acceleration)
             return commands
 
-    flight = Flight(TASK.scenario, 9003, secret=SECRET)
-    flight.fly(Recording(make_pilots(TASK.scenario, 9003, secret=SECRET)))
+    own = derive_secret(SECRET, TASK.name)
+    flight = Flight(TASK.scenario, 9003, secret=own)
+    flight.fly(Recording(make_pilots(TASK.scenario, 9003, secret=own)))
     commands = iter(said)
     outside = TASK.evaluate(lambda seen: [next(commands)], seeds=[9003], secret=SECRET)
     assert outside.scores == TASK.evaluate("certified", seeds=[9003], secret=SECRET).scores
@@ -156,7 +161,7 @@ def test_what_is_certified_out_of_sight_is_told_with_the_score(monkeypatch):
     assert SLOW.evaluate("certified", seeds=[9000], secret=SECRET).certified_while_lost == 0
     monkeypatch.setattr(vector, "ClosedLoop", Near)
     result = SLOW.evaluate("certified", seeds=[9000], secret=SECRET)
-    # at the tick at which sight is lost; then the task is over
+    # the tick with which sight is lost; then the task is over
     assert (result.lost, result.certified_while_lost) == (1, 1)
     result = SLOW.evaluate("certified", seeds=[9000, 9001], secret=SECRET)
     assert (result.lost, result.certified_while_lost) == (2, 2)
@@ -309,6 +314,34 @@ def test_a_scenario_of_ones_own_is_scored_alike() -> None:
 
     assert Own(name="own", hard="", changes={}).evaluate("linear", seeds=[1, 2]).task == "own"
     assert Suite([TASK]).names == ("short",)
+
+
+def test_what_an_entry_observes_in_one_task_tells_nothing_of_the_noise_in_another() -> None:
+    """Everybody moves alike in both, so that what differs of a detection is noise."""
+
+    def looks(name: str) -> FloatArray:
+        seen = []
+
+        def act(observations: FloatArray) -> FloatArray:
+            seen.append(observations[:, 5:8].copy())
+            return np.zeros((len(observations), 2))
+
+        changes = SHORT | {"detections.noise": 0.1, "detections.dropout": 0.0}
+        Task(name=name, hard="", changes=changes).evaluate(act, seeds=(9000,), secret=SECRET)
+        return np.concatenate(seen)
+
+    one, again, other = looks("one"), looks("one"), looks("other")
+    assert np.array_equal(one, again)
+    assert one[1:, 0].all()
+    assert (one[1:, 1:] != other[1:, 1:]).all()
+    assert derive_secret("", "one") == ""
+
+
+def test_two_tasks_of_one_name_and_an_entry_that_is_none_are_refused() -> None:
+    with refused(ValueError, "short, slow, short: two have one name"):
+        leaderboard({"mine": hover}, tasks=[TASK, SLOW, TASK])
+    with refused(ValueError, "entry = None: allowed is a law by name, a policy or a team"):
+        leaderboard({"mine": None}, tasks=[TASK])
 
 
 def test_the_command_scores_laws_and_policies(here, command, monkeypatch) -> None:

@@ -48,6 +48,19 @@ def check_secret(secret: str, source: str = "secret") -> str:
     return kept
 
 
+def derive_secret(secret: str, name: str) -> str:
+    """The secret of one among several evaluations that share one: draws of one tell nothing of another's.
+
+    Args:
+        secret: Theirs, as `check_secret` returns it; empty: none, and so is what is derived.
+        name: Of the one.
+    """
+    if not secret:
+        return ""
+    key = bytes.fromhex(secret)
+    return blake2b(name.encode(), digest_size=16, key=key, person=b"outrider-task").hexdigest()
+
+
 def derive_keys(seeds: Iterable[int], vehicles: int, secret: str = "") -> WordArray:
     """The keys of runs that differ in their seeds.
 

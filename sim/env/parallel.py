@@ -297,6 +297,10 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """The counters of each link so far, by `vehicle/kind`: for people and logs, not for policies."""
         return self.world.links.status()
 
+    def own_row(self, agent: str) -> Array:
+        """A vehicle's own row in double precision, whatever its observations are made of."""
+        return self._episode.row(agent).astype(np.float64)
+
     def received(self, agent: str) -> tuple[Detection, ...]:
         """All the detections that have reached a UAV at this tick, as it would be told on the bus.
 

@@ -91,6 +91,8 @@ class Network:
     def __init__(self, out: Iterable[Address] = (), listen: Iterable[Address] = ()) -> None:
         self.unreadable = 0
         """Datagrams, or parts of them, that held no message."""
+        self.strangers = 0
+        """Datagrams to a socket that reaches one party, from another: nobody reads them."""
         self.sent: Counter[str] = Counter()
         """Messages by type, however many parties each went to."""
         self._lines: list[_Line] = []
@@ -146,13 +148,12 @@ class Network:
                 return
             except OSError:  # nobody listened where we have sent
                 continue
-            found = self._parse(data)
             address = Address(host, port)
-            if (
-                found
-                and line.fixed is None
-                and (address in line.received or len(line.received) < _MOST_PEERS)
-            ):
+            if line.fixed not in (None, address):
+                self.strangers += 1
+                continue
+            found = self._parse(data)
+            if found and (address in line.received or len(line.received) < _MOST_PEERS):
                 line.received[address] = time.monotonic()
             for message in found:
                 yield Peer(address, message.get_srcSystem(), message.get_srcComponent()), message

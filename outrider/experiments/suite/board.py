@@ -142,6 +142,8 @@ def leaderboard(
         raise ValueError(
             f"{len(field)} entries and {len(flown)} tasks: allowed is one or more of each"
         )
+    if len(set(flown.names)) < len(flown):
+        raise ValueError(f"tasks: {', '.join(flown.names)}: two have one name")
     kept = new_secret() if secret is None else check_secret(secret)
     jobs = [(name, entry, task) for task in flown for name, entry in field.items()]
 

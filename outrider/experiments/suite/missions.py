@@ -15,6 +15,7 @@ from outrider.envs.vector import Worlds
 from outrider.experiments.suite.scoring import Entry, Result, Team, begun, check_law, result_of
 from outrider.experiments.suite.tasks import NO_ESCORT, Task
 from sim.engine.mission import mission_of
+from sim.engine.run_keys import derive_secret
 from sim.env.rewards import RewardWeights
 from sim.scenario.types import Scenario
 
@@ -108,7 +109,8 @@ def evaluate_mission(
     team = entry if isinstance(entry, Team) else Team(uav=entry)
     pilots = {uav.name: team.uav for uav in scenario.uav}
     pilots |= {ugv.name: team.ugv for ugv in scenario.ugv}
-    with begun(scenario, pilots, seeds, secret, settings | _MISSION) as worlds:
+    own = derive_secret(secret, task.name)
+    with begun(scenario, pilots, seeds, own, settings | _MISSION) as worlds:
         if isinstance(entry, str):
             worlds.loop.fly()
         else:

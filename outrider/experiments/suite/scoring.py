@@ -14,7 +14,7 @@ from outrider.envs.closed_loop import ClosedLoop, pilot_names
 from outrider.envs.vector import Policy, Worlds
 from outrider.experiments.intervals import mean_interval
 from outrider.experiments.suite.tasks import SEEDS, Task
-from sim.engine.run_keys import check_secret, new_secret
+from sim.engine.run_keys import check_secret, derive_secret, new_secret
 from sim.engine.world_state import first_state
 from sim.env.rows import UAV_METRICS
 from sim.env.seeds import Seeds
@@ -144,15 +144,13 @@ def begun(
 
 
 def _fly(worlds: Worlds) -> _Meter:
-    """Fly each world until what was said at the tick at which it lost sight has been said."""
+    """Fly each world until it has lost sight, or to the end."""
     meter = _Meter(worlds.loop)
-    flying = meter.in_sight.copy()
     meter.note()
     for _ in range(worlds.scenario.ticks):
-        worlds.step({}, np.flatnonzero(flying))
-        flying = meter.in_sight.copy()
-        if not flying.any():
+        if not meter.in_sight.any():
             break
+        worlds.step({}, np.flatnonzero(meter.in_sight))
         meter.note()
     return meter
 
@@ -239,6 +237,8 @@ def evaluate(
         ValueError: If the law is unknown, a seed, the secret or a setting is not allowed, or the policy answers
             what is no action.
     """
+    if entry is None:
+        raise ValueError("entry = None: allowed is a law by name, a policy or a team")
     if not seeds:
         raise ValueError("seeds: none are given; allowed is one or more")
     for seed in seeds:
@@ -261,7 +261,8 @@ def evaluate(
     uavs = [uav.name for uav in scenario.uav]
     if isinstance(entry, str):
         check_law(entry, pilot_names(scenario, uavs[0]))
-    with begun(scenario, dict.fromkeys(uavs, entry), seeds, kept, settings) as worlds:
+    own = derive_secret(kept, task.name)
+    with begun(scenario, dict.fromkeys(uavs, entry), seeds, own, settings) as worlds:
         meter, flown = _fly(worlds), worlds.metrics()
     scores = (100.0 * meter.seen / (scenario.ticks + 1)).tolist()
     return result_of(
