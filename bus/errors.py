@@ -27,6 +27,15 @@ def told_with_place(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}" + (f" ({place})" if place else "")
 
 
+def shortened(text: str, longest: int = 160) -> str:
+    """A text on one line; of a longer one its beginning and its end, where libraries say what was wrong."""
+    flat = " ".join(text.split())
+    if len(flat) <= longest:
+        return flat
+    head = longest // 3
+    return f"{flat[:head]} ... {flat[-(longest - head - 5) :]}"
+
+
 class OutriderError(Exception):
     """Base of all errors below; its text is one line for a person."""
 

@@ -221,6 +221,13 @@ def _bad_files(folder: Path) -> dict[str, str]:
     )
     save_policy(folder / "recipe.npz", network, {"dt": 0.05})
     save_policy(folder / "view.npz", network, recipe | {"view": recipe["view"] | {"sectors": 3}})
+    for name, change in {
+        "repeat": {"repeat": 2.5},
+        "tick": {"dt": 0.0},
+        "patch": {"coverage_patch": [0, 1.5]},
+        "lag": {"view": recipe["view"] | {"lag": 0}},
+    }.items():
+        save_policy(folder / f"{name}.npz", network, recipe | change)
     save_policy(folder / "list.npz", network, [])  # type: ignore[arg-type]
     cannot = "cannot be read"
     return dict.fromkeys(("missing", "text", "empty", "half", "other", "objects"), cannot) | {
@@ -229,6 +236,10 @@ def _bad_files(folder: Path) -> dict[str, str]:
         "recipe": "recipe: KeyError",
         "view": "the recipe's view needs 21 to 2",
         "list": "its recipe is no table",
+        "repeat": "recipe: repeat = 2.5; allowed: a positive whole number",
+        "tick": "recipe: dt = 0.0; allowed: a positive number",
+        "patch": "recipe: coverage_patch = 0; allowed: a positive whole number",
+        "lag": "recipe: view.lag = 0; allowed: a positive whole number",
     }
 
 
@@ -253,6 +264,11 @@ def test_a_policy_asks_for_the_observations_that_it_needs(evaluation: ModuleType
         transformed(
             outrider.vector_env(fast, num_envs=2, **policy.setup), lambda: make_view(policy.recipe)
         )
+    with pytest.raises(ValueError, match=r"uav_0: max_speed = 0.7: the policy is made for 0.6"):
+        outrider.vector_env(fast, num_envs=2, agent="ugv_0", others={"uav_0": policy})
+    other = outrider.vector_env(NOISY, num_envs=2, estimate=True, coverage_patch=(8, 0.5))
+    with pytest.raises(ValueError, match=r"coverage of shape \(8, 8\): the policy is made for"):
+        policy(other.reset(seed=1)[0])
     with pytest.raises(ValueError, match="flights = 0"):
         evaluation.evaluate(POLICY, flights=0)
     with pytest.raises(ValueError, match="allowed: escort, wander, evade, covered"):

@@ -29,6 +29,7 @@ from bus.layout import UgvRow
 from bus.messages import Command, UgvObservation
 from bus.registry import SAVED_POLICIES
 from outrider.envs.env_pilots import pilots
+from outrider.running import user_code
 from outrider.running.flying import fly, make_pilots
 from outrider.running.user_code import load_function, load_policy
 from sim.models.vehicles import norm
@@ -277,6 +278,28 @@ def test_a_policy_that_raises_is_named_in_one_line(kind: Any) -> None:
     ) as caught:
         driver.drive(_seen(3))
     assert isinstance(caught.value.__cause__, RuntimeError)
+
+
+def test_of_a_long_reason_the_end_is_told_too() -> None:
+    """There a learning library says what was wrong."""
+
+    def broken(seen: UgvObservation, told: object) -> object:
+        raise RuntimeError(
+            "The following operation failed.\n" + "at\n" * 99 + "shapes 1x8 and 12x2"
+        )
+
+    driver = PolicyDriver(told_ugv(), policy=broken, name="mine:broken")
+    with refused(ScenarioError, r"raised RuntimeError: The following .* shapes 1x8 and 12x2"):
+        driver.drive(_seen(3))
+
+
+def test_a_saved_policy_of_normalized_rows_is_refused_when_it_is_loaded() -> None:
+    width = len(UgvRow._fields)
+    raw, unknown = np.array([0.0] * 3 + [-1.0] * (width - 3)), np.full(width, -np.inf)
+    for low in (raw, unknown, None):
+        user_code._check_units(low, "policy = 'sb3:ppo:model.zip'")
+    with refused(ScenarioError, "which are no rows in SI units"):
+        user_code._check_units(np.full(width, -1.0), "policy = 'sb3:ppo:model.zip'")
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import numpy as np
 
 from agents.drivers.compiled import take_ground, told_ground
 from agents.drivers.steering import LARGEST, Steering
-from bus.errors import ScenarioError, told_with_place
+from bus.errors import ScenarioError, shortened, told_with_place
 from bus.layout import Row, UgvRow
 from bus.messages import UgvBriefing, UgvObservation
 from sim.models.ground import TileArray, tile_patches
@@ -42,13 +42,6 @@ Policy = Callable[[UgvObservation, UgvBriefing], object] | RowPolicy
 """A function: what a UGV perceives and was told in, its acceleration x and y [m/s²] out, as a pair, a list or an array
 of two numbers. Or an object that predicts it from a row.
 """
-
-_WIDEST = 80  # characters of what was returned that an error shows
-
-
-def _one_line(text: str) -> str:
-    flat = " ".join(text.split())
-    return flat if len(flat) <= _WIDEST else f"{flat[:_WIDEST]} ..."
 
 
 def _pair(answer: object) -> tuple[float, float] | None:
@@ -201,12 +194,12 @@ class PolicyDriver:
         except ScenarioError as error:
             raise ScenarioError(f"{where}: {error}") from error
         except Exception as error:
-            raise ScenarioError(f"{where}: raised {_one_line(told_with_place(error))}") from error
+            raise ScenarioError(f"{where}: raised {shortened(told_with_place(error))}") from error
         self._mind_time(where, time.perf_counter() - begun)
         pair = _pair(answer)
         if pair is None or (self._sees_rows and max(map(abs, pair)) > LARGEST):
             raise ScenarioError(
-                f"{where}: returned {_one_line(repr(answer))}; allowed: two finite numbers, the acceleration x "
+                f"{where}: returned {shortened(repr(answer), 80)}; allowed: two finite numbers, the acceleration x "
                 "and y [m/s²]"
             )
         if self._sees_rows:

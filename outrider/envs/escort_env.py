@@ -37,8 +37,8 @@ class EscortEnv(OutriderEnv):
                 take_ground(known, seen)
 
     def known_tiles(self, ugv: str) -> TileArray:
-        """The ground as a UGV knows it, from its bumper and by radio. Shape (rows, columns)."""
-        return self._known[ugv].tiles
+        """The ground as a UGV knows it, from its bumper and by radio; a copy. Shape (rows, columns)."""
+        return self._known[ugv].tiles.copy()
 
 
 parallel_env = EscortEnv

@@ -146,6 +146,8 @@ class Worlds:
                 )
             if name not in named and not callable(pilot):
                 raise ValueError(f"others: {name!r}: {pilot!r} is neither a name nor a policy")
+            if hasattr(pilot, "check"):  # as outrider.learning's: it knows what it was made for
+                pilot.check(self.scenario)
 
     def observe(self, name: str) -> AgentObservation:
         """The observations of a vehicle in all worlds: new arrays, which nobody changes later."""

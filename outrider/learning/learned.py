@@ -1,5 +1,6 @@
 """A learned UAV that flies: its network behind the very transformation that it was trained with, called once a tick."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
@@ -54,6 +55,16 @@ class LearnedPolicy:
                 f"network from {inputs} to {outputs} numbers: the recipe's view needs {self._view.size} to 2"
             )
         pixels, meters = recipe["coverage_patch"]
+        for name, value, whole in (
+            ("repeat", recipe["repeat"], True),
+            ("coverage_patch", pixels, True),
+            ("coverage_patch", meters, False),
+            ("dt", recipe["dt"], False),
+            ("view.lag", recipe["view"]["lag"], True),
+        ):
+            if not (value > 0 and math.isfinite(value) and (value == int(value) or not whole)):
+                kind = "whole number" if whole else "number"
+                raise ValueError(f"recipe: {name} = {value!r}; allowed: a positive {kind}")
         self.setup: dict[str, Any] = {
             "estimate": True,
             "coverage_patch": (int(pixels), float(meters)),
@@ -101,6 +112,12 @@ class LearnedPolicy:
         return self._act(observation)
 
     def _act(self, observation: dict[str, Array]) -> Array:
+        side = self.setup["coverage_patch"][0]
+        if observation["coverage"].shape[1:] != (side, side):
+            raise ValueError(
+                f"coverage of shape {observation['coverage'].shape[1:]}: the policy is made for {(side, side)}; make "
+                "the environment with its setup"
+            )
         tick = np.rint(observation["row"][:, 0] / self._dt).astype(np.int64)
         begun, due = tick == 0, tick % self._ticks == 0
         if self._held.shape != (len(tick), 2):

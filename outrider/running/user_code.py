@@ -1,5 +1,6 @@
 """Functions of the user's own, named as module:function, and policies that a learning library has saved."""
 
+import math
 import sys
 from collections.abc import Callable, Iterable
 from importlib import import_module
@@ -11,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agents.drivers.policy import RowPolicy
-from bus.errors import ScenarioError, told_with_place
+from bus.errors import ScenarioError, shortened, told_with_place
 from bus.layout import Row, UgvRow
 from bus.registry import LAWS, POLICY_FORMS, SAVED_POLICIES, resolve
 from sim.input.faults import one_line
+from sim.kernels.compile import FloatArray
 
 if TYPE_CHECKING:
     from sim.scenario.types import Scenario
@@ -31,8 +33,7 @@ def has_loaded() -> bool:
 
 
 def _reason(error: BaseException) -> str:
-    flat = " ".join(told_with_place(error).split())
-    return flat if len(flat) <= 160 else f"{flat[:160]} ..."
+    return shortened(told_with_place(error))
 
 
 def load_function(name: str, *, what: str) -> Callable[..., Any] | None:
@@ -142,6 +143,15 @@ def _check_shapes(row: object, action: object, where: str) -> None:
         )
 
 
+def _check_units(low: FloatArray | None, where: str) -> None:
+    """Refuse a policy of rows that were normalized: here it is given SI units, whose time and place begin at 0."""
+    if low is not None and any(-math.inf < least < 0.0 for least in low[:3].tolist()):
+        raise ScenarioError(
+            f"{where}: made for observations from {low[:3].tolist()} on, which are no rows in SI units; allowed: rows "
+            "as the environment gives them, or a policy of your own that transforms them"
+        )
+
+
 def load_sb3(rest: str, where: str) -> RowPolicy:
     """`ALGORITHM:FILE.zip`, of stable_baselines3 or of sb3_contrib, imported here, and never else."""
     algorithm, separator, path = rest.partition(":")
@@ -160,11 +170,10 @@ def load_sb3(rest: str, where: str) -> RowPolicy:
         model: RowPolicy = found.load(file, device="cpu")
     except Exception as error:
         raise ScenarioError(f"{where}: cannot be loaded: {_reason(error)}") from error
-    seen, done = (
-        getattr(getattr(model, space, None), "shape", None)
-        for space in ("observation_space", "action_space")
-    )
-    _check_shapes(seen, done, where)
+    seen, done = getattr(model, "observation_space", None), getattr(model, "action_space", None)
+    row = getattr(seen, "spaces", {}).get("row", seen)  # of a dictionary of row and tiles
+    _check_shapes(getattr(row, "shape", None), getattr(done, "shape", None), where)
+    _check_units(getattr(row, "low", None), where)
     return model
 
 

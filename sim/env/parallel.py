@@ -257,12 +257,12 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         return form.shown(self._episode.row(name), coverage=coverage, known=known)
 
     def known_tiles(self, ugv: str) -> TileArray:
-        """The ground as a UGV knows it. Shape (rows, columns).
+        """The ground as a UGV knows it; a copy. Shape (rows, columns).
 
         In here from its bumper alone: `outrider.parallel_env` has the radio of the UAVs' computers, too.
         """
         known: TileArray = self.world.arrays[1].ground.known[0, self.world.names.index(ugv)]
-        return known
+        return known.copy()
 
     @property
     def world(self) -> World:
