@@ -1,6 +1,7 @@
 """The loop that puts any pilot on the bus: a process of its own, which knows only what it is told."""
 
 import gc
+import logging
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
@@ -130,6 +131,14 @@ def warm_up(role: Role, *, inner: "Inner | None" = None) -> None:
             uav.prepare()
 
 
+_LOG = logging.getLogger("outrider.agents")
+_LONG = 5
+"""Seconds with a simulator and without a briefing, after which a vehicle says that it waits."""
+_UNBRIEFED = (
+    "%s: the simulator does not brief it: has its scenario such a vehicle, and is the slot free?"
+)
+
+
 class _Slot:
     """A vehicle's place in the run as its own process sees it: it waits for messages, but not for ever.
 
@@ -166,10 +175,14 @@ class _Slot:
         It acts on all of its past, and none of its answers is sent. A briefing that is interrupted begins anew.
         """
         pilot: Pilot | None = None
+        waited = 0
         while True:
             envelope = self._briefings.receive(1.0)
             if envelope is None:
                 self._mind_absence("its briefing")
+                waited = waited + 1 if self._simulator.there else 0
+                if waited == _LONG:
+                    _LOG.warning(_UNBRIEFED, self._session.party.name)
                 continue
             told: Any = envelope.message
             begins = not told.past or told.past[0].tick == 0

@@ -143,7 +143,10 @@ def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a
     monkeypatch.setattr(flying, "fly", fly_off)
     candidate = next(one for one in candidates(8) if one.kind != "adversary")
     _, flight, result = flown(candidate, base("certified"), UNDEGRADED)
-    lies = sum(distance >= R_V for distance in distances(flight)[9:-1:10])
+    said = (
+        distances(flight)[9:-1:10] + distances(flight)[-1:]
+    )  # and the last state, after the last claim
+    lies = sum(distance >= R_V for distance in said)
     assert result.certified_while_lost == lies > 5
     assert result.violated
     assert result.score >= R_V

@@ -21,6 +21,7 @@ from rich.text import Text
 
 from bus.messages import LinkStatus
 from outrider.running.summary import Summary, in_flights
+from sim.kernels.compile import Share, is_compiled
 from sim.scenario.types import Scenario
 
 
@@ -36,6 +37,12 @@ class PlainConsole(Console):
 
 
 ERR, OUT = PlainConsole(stderr=True), PlainConsole()
+
+
+def tell_compiling(*shares: Share) -> None:
+    """Say on a terminal that compiling takes its time, where these have never been compiled."""
+    if ERR.is_terminal and not is_compiled(*shares):
+        ERR.tell("compiling: the first start takes twenty to thirty seconds")
 
 
 def print_json(value: object) -> None:

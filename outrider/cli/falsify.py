@@ -293,6 +293,9 @@ def _search(wanted: "Wanted", expect: Expect | None, *, json: bool) -> None:
     if stop:
         ERR.tell(f"outrider: interrupted after {found.runs:,} runs; what was found by then is told")
         raise typer.Exit(stop.exit_code)
+    if expect is not None and not found.runs:
+        ERR.tell(f"outrider: --expect {expect}, but the time was over before anything had flown")
+        raise typer.Exit(1)
     if expect is not None and (found.violations > 0) is (expect is Expect.NONE):
         ERR.tell(
             f"outrider: --expect {expect}, but {found.violations:,} of {found.runs:,} runs are violations"

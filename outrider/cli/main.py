@@ -1,7 +1,9 @@
 """The command line's table, and what becomes of its errors: one clear line, and an exit code."""
 
+import contextlib
 import functools
 import gc
+import io
 import logging
 import os
 import signal
@@ -196,6 +198,10 @@ def run_command_line() -> int:
         os.environ[_DEBUG] = "1"
     # Pools start their workers by themselves: none of them is to import what lies in the folder where the user stands.
     os.environ["PYTHONSAFEPATH"] = "1"
+    for stream in (sys.stdout, sys.stderr):  # a letter that a terminal lacks is no fault
+        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+            with contextlib.suppress(OSError):  # a child's pipe
+                stream.reconfigure(errors="replace")
     logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)
     signal.signal(signal.SIGTERM, _end)
     return _run()

@@ -409,7 +409,9 @@ class Joining(NamedTuple):
     def fly(self, make_pilot: "MakePilot") -> int:
         """Fly the vehicle until the run is over; result and errors as of `agents.process.fly`."""
         from agents.process import fly
+        from outrider.cli.console import tell_compiling
 
+        tell_compiling("uav" if self.party.role is Role.UAV else "ugv")
         return fly(
             self.party,
             make_pilot,

@@ -96,7 +96,14 @@ def command(
     """
     from bus.access import read_credentials
     from bus.session import open_session
-    from outrider.cli.console import ERR, flight_progress, print_json, print_summary, print_warnings
+    from outrider.cli.console import (
+        ERR,
+        flight_progress,
+        print_json,
+        print_summary,
+        print_warnings,
+        tell_compiling,
+    )
     from outrider.running.assumptions import promise_warnings
     from outrider.running.exit_reports import Report, Reports
     from outrider.running.summary import summarize
@@ -131,6 +138,8 @@ def command(
     )
     secured = given is not None or credential is not None
     kept = options.secret_of(secret, wanted=secured and not events)  # a parent has decided
+    if not events:
+        tell_compiling("world")
     with compiling("world"):
         warm_up(flown)
     reports, promised = Reports(enabled=events), promise_warnings(flown)

@@ -39,13 +39,17 @@ class Stop:
         return 0 if self.signal is None else 128 + self.signal
 
 
+def ended_by() -> list[signal.Signals]:
+    """The signals that ask for the end."""
+    kept = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return [signal.SIGINT, signal.SIGTERM, *([] if kept else [signal.SIGHUP])]
+
+
 @contextmanager
 def stop_on_signals() -> Iterator[Stop]:
-    """While this lasts, SIGINT and SIGTERM only set a flag."""
+    """While this lasts, SIGINT, SIGTERM and SIGHUP only set a flag; the last not where it is ignored, as by nohup."""
     stop = Stop()
-    before = {
-        number: signal.signal(number, stop.handle) for number in (signal.SIGINT, signal.SIGTERM)
-    }
+    before = {number: signal.signal(number, stop.handle) for number in ended_by()}
     try:
         yield stop
     finally:
@@ -63,7 +67,7 @@ def leave(code: int) -> NoReturn:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     threading._shutdown()  # type: ignore[attr-defined]
     atexit._run_exitfuncs()
-    for stream in (sys.stdout, sys.stderr):
+    for stream in filter(None, (sys.stdout, sys.stderr)):  # None: it was closed from the start
         try:
             stream.flush()
         except (OSError, ValueError):  # a full disk, a reader that has gone; or closed already

@@ -447,7 +447,7 @@ def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcom
             asked = True
             simulator.ask_to_end()
         if watcher.stop() > 1:
-            raise BusError("killed before the end")
+            raise KeyboardInterrupt  # who asks twice does not wait for a summary
         for child in processes.children[1:]:
             for notice in child.notices():
                 watcher.on_event(notice)

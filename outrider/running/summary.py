@@ -268,6 +268,7 @@ def summarize(
     radii = [switching_radius_of(flight, k) for k in range(len(world.uavs))]
     steered = any(change.control.action in _FLOWN for change in changes)
     chances = None if steered else odds(scenario)
+    certified = flight.answers.assurance.status()
     beyond = distance >= np.array([math.inf if r_s is None else r_s for r_s in radii])
     return Summary(
         scenario=scenario.name,
@@ -292,9 +293,9 @@ def summarize(
         detection_rmse=_rms(recorder.escorts[:, :, 2:4] - (p_a - p_g)),
         missing_commands=dict(flight.answers.missing),
         faults=_faults(vehicles or {}, flight.answers.shortened),
-        **certificate_fields(flight.answers.assurance.status()),
+        **certificate_fields(certified),
         exceeded_chance=chances.exceeded if chances is not None else {},
-        lost_chance=chances.lost if chances is not None else None,
+        lost_chance=chances.lost if chances is not None and certified is not None else None,
         tracking_error=recorder.tracking_error,
         **mission_fields(world.mission),
         links=world.links.status(),
