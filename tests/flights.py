@@ -10,7 +10,17 @@ from seeded import a_told_key
 
 from agents.control.laws import LawParameters, law_parameters
 from agents.process import Pilot
-from bus.messages import Area, Command, Law, Limits, Observation, UavBriefing, UgvBriefing
+from bus.messages import (
+    Area,
+    Command,
+    Detection,
+    Law,
+    Limits,
+    Observation,
+    UavBriefing,
+    UavObservation,
+    UgvBriefing,
+)
 from bus.profiles import PROFILES
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import InProcess, fly, make_pilots
@@ -48,6 +58,13 @@ def pairs(uavs, ugvs, **fields):
     uav = (Uav(**{"name": f"uav_{k}", "escorts": f"ugv_{k}"} | v) for k, v in enumerate(given[0]))
     ugv = (Ugv(**{"name": f"ugv_{k}"} | v) for k, v in enumerate(given[1]))
     return Scenario(uav=(*uav,), ugv=(*ugv,), **fields)
+
+
+def uav_sees(tick: int, *looks: Any, **fields: Any) -> UavObservation:
+    """An observation of a UAV at rest in the middle, but for these fields; looks: when [s], and p_a - p_g [m]."""
+    detections = tuple(Detection(time=time, relative_position=place) for time, place in looks)
+    usual = {"time": tick * DT, "position": HERE, "velocity": (0.0, 0.0), "detections": detections}
+    return UavObservation(tick=tick, **usual | fields)
 
 
 def told(scenario: Scenario, seed: int = 0) -> UavBriefing:

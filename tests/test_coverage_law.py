@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from flights import DESIRED, DT, HERE, U_A, V_A, errors, escort, parameters, told, tracks
+from flights import DESIRED, DT, HERE, U_A, V_A, errors, escort, parameters, told, tracks, uav_sees
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
@@ -19,7 +19,7 @@ from agents.control.coverage import (
 )
 from agents.control.laws import coverage_term, initial_state
 from agents.uav import UavPilot
-from bus.messages import Area, Detection, Law, Sensor, UavObservation
+from bus.messages import Area, Law, Sensor
 from bus.registry import SENSORS
 from outrider.running.flying import fly
 from sim.models.vehicles import Motion, clip_norm, norm, step_vehicle
@@ -150,10 +150,7 @@ PLACES = {"cell centre": (20.125, 20.125), "cell corner": (20.0, 20.0)}
 def _first_command(law: str, place: tuple[float, float], seed: int) -> tuple[float, float]:
     """The UAV's command when it first sees the UGV, exactly below."""
     pilot = UavPilot(told(escort(law), seed))
-    looks = (Detection(time=0.0, relative_position=(0.0, 0.0)),)
-    return pilot.act(
-        UavObservation(tick=0, time=0.0, position=place, velocity=(0.0, 0.0), detections=looks)
-    ).acceleration
+    return pilot.act(uav_sees(0, (0.0, (0.0, 0.0)), position=place)).acceleration
 
 
 @pytest.mark.parametrize("place", PLACES.values(), ids=PLACES.keys())

@@ -10,10 +10,11 @@ from types import ModuleType
 
 import msgspec
 import pytest
+from flights import uav_sees
 
-from bus.messages import Detection, UavObservation
 from sim.engine.briefing import briefing
 
+EVADED = {"network": "undegraded", "inner": "outward", "driver": "evade", "seed": 7}
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks" / "filters"
 
 
@@ -25,16 +26,7 @@ def compare(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 def test_the_peer_keeps_sight_where_the_inner_control_alone_loses_it(compare: ModuleType) -> None:
     flown = {
-        name: compare.fly(
-            compare.Case(
-                network="undegraded",
-                inner="outward",
-                filter=name,
-                driver="evade",
-                seed=7,
-                duration=20.0,
-            )
-        )
+        name: compare.fly(compare.Case(filter=name, duration=20.0, **EVADED))
         for name in ("none", "ours", "backup, γ = 1")
     }
     assert flown["none"].lost
@@ -51,21 +43,14 @@ def test_the_peer_keeps_sight_where_the_inner_control_alone_loses_it(compare: Mo
 
 
 def test_the_peer_takes_the_nearest_input_that_keeps_its_barrier(compare: ModuleType) -> None:
-    case = compare.Case(
-        network="undegraded", inner="outward", filter="ours", driver="evade", seed=7, duration=30.0
-    )
+    case = compare.Case(filter="ours", duration=30.0, **EVADED)
     told = briefing(compare.scenario_of(case), "uav_0", 7)
     peer = importlib.import_module("backup_filter")
 
     def answer(distance: float, speed: float, wanted: tuple[float, float], gamma: float = 1.0):
         watch = peer.BackupFilter(told, gamma=gamma)
-        seen = UavObservation(
-            tick=0,
-            time=0.0,
-            position=(20.0 + distance, 20.0),
-            velocity=(speed, 0.0),
-            detections=(Detection(time=0.0, relative_position=(distance, 0.0)),),
-        )
+        there = {"position": (20.0 + distance, 20.0), "velocity": (speed, 0.0)}
+        seen = uav_sees(0, (0.0, (distance, 0.0)), **there)
         watch.see(seen)
         return watch.filter(seen, wanted)
 

@@ -5,7 +5,7 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from flights import DT, PROMISED, U_A, V_A, V_G, escort, told
+from flights import DT, PROMISED, U_A, V_A, V_G, escort, told, uav_sees
 
 from agents.control.certificate import (
     BEST_EFFORT,
@@ -39,7 +39,7 @@ from agents.control.guard import (
 from agents.control.handover import certificate
 from agents.control.promise import Declared
 from agents.control.visibility import SafetyFilter, promise_of
-from bus.messages import DeclaredBounds, Detection, UavBriefing, UavObservation
+from bus.messages import DeclaredBounds, UavBriefing
 from sim.engine.batch import arrays_of
 from sim.kernels.compile import FloatArray
 from sim.models.vehicles import Motion, step_vehicle
@@ -57,13 +57,9 @@ def declared(delay: float = 0.0, error: float | None = 0.3) -> UavBriefing:
 
 def observed(tick, *found, time=None):
     """An observation from (20 + tick / 100, 20) at rest, with detections: when [s], and p_a - p_g [m]."""
-    return UavObservation(
-        tick=tick,
-        time=tick * DT if time is None else time,
-        position=(20.0 + 0.01 * tick, 20.0),
-        velocity=(0.0, 0.0),
-        detections=tuple(Detection(time=t, relative_position=(x, y)) for t, x, y in found),
-    )
+    other = {} if time is None else {"time": time}
+    looks = ((t, (x, y)) for t, x, y in found)
+    return uav_sees(tick, *looks, position=(20.0 + 0.01 * tick, 20.0), **other)
 
 
 def kept_by(state: GuardState) -> list[tuple[float, float, int]]:
@@ -101,12 +97,9 @@ def flown(seed: int, delay: float) -> tuple[SafetyFilter, FloatArray, FloatArray
         if not 150 <= tick < 155:
             now = [one for one in underway if one[0] <= tick]
             underway = [one for one in underway if one[0] > tick]
-            looks = tuple(
-                Detection(time=taken * DT, relative_position=(x, y)) for _, taken, x, y in now
-            )
+            looks = ((taken * DT, (x, y)) for _, taken, x, y in now)
             arrived += [(len(inputs), taken, x, y) for _, taken, x, y in now]
-            state = {"tick": tick, "time": tick * DT, "position": p, "velocity": v}
-            seen = UavObservation(**state, detections=looks)
+            seen = uav_sees(tick, *looks, position=p, velocity=v)
             inputs.append((tick, *p, *v, *wanted))
             watch.see(seen)
             verdict = watch.filter(seen, wanted)

@@ -5,22 +5,21 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from flights import escort, parameters, told
+from flights import escort, parameters, told, uav_sees
 from worlds import SCENARIOS
 
 from agents.control.laws import LawParameters
 from agents.control.lookahead import Ahead, Target, look_ahead, worth
 from agents.uav import UavPilot
-from bus.messages import Detection, Law, UavObservation
+from bus.messages import Law, UavObservation
 from outrider.envs.closed_loop import ClosedLoop
 from sim.models.field import accumulate, coverage_error, empty_coverage
 from sim.models.vehicles import Motion, step_vehicle
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Area
 
-pytestmark = pytest.mark.xdist_group(
-    "many worlds"
-)  # on one worker: what they compile takes a minute, once
+# on one worker: what they compile takes a minute, once
+pytestmark = pytest.mark.xdist_group("many worlds")
 
 HERE = Motion(17.0, 16.0, 0.2, -0.3)
 UGV = Target(True, 15.0, 15.0, 0.12, 0.08, 0.0, 0.0)  # and nothing is unsure
@@ -38,6 +37,7 @@ def _flown(parameters: LawParameters, ahead: Ahead, motion: np.ndarray, looks: i
     """The result of `worth`, by the world's own step and kernels: so many looks in each step."""
     seen = empty_coverage(parameters.width, parameters.height, parameters.cell)
     seen[:, 12:] = 0.7
+    sensor = parameters.sensor, parameters.peak, parameters.reach, parameters.cell
     unseen, saved, state = seen.copy(), 0.0, tuple(HERE)
     parts, tick = TICKS, ahead.step / TICKS
     tail = round(5.0 / ahead.step)
@@ -49,27 +49,10 @@ def _flown(parameters: LawParameters, ahead: Ahead, motion: np.ndarray, looks: i
                 state = step_vehicle(*state, *u.tolist(), math.inf, parameters.u_max, tick)[:4]
                 if looks > 1 and part % (parts // looks) == parts // looks // 2:
                     place, time = state[:2], ahead.step / looks
-                    accumulate(
-                        seen,
-                        *place,
-                        parameters.sensor,
-                        parameters.peak,
-                        parameters.reach,
-                        parameters.cell,
-                        time,
-                    )
+                    accumulate(seen, *place, *sensor, time)
             if looks == 1:
                 x, y = (0.5 * (a + b) for a, b in zip(began, state[:2], strict=True))
-                accumulate(
-                    seen,
-                    x,
-                    y,
-                    parameters.sensor,
-                    parameters.peak,
-                    parameters.reach,
-                    parameters.cell,
-                    ahead.step,
-                )
+                accumulate(seen, x, y, *sensor, ahead.step)
         after = (k + 1) * ahead.step
         place = (UGV.p_x + after * UGV.v_x, UGV.p_y + after * UGV.v_y)
         errors = (
@@ -81,9 +64,7 @@ def _flown(parameters: LawParameters, ahead: Ahead, motion: np.ndarray, looks: i
 
 
 @pytest.mark.parametrize(("cell", "looks", "within"), [(1.5, 1, 1e-3), (0.25, 20, 0.05)])
-def test_a_motion_is_worth_what_the_kernels_of_the_world_say(
-    cell: float, looks: int, within: float
-) -> None:
+def test_a_motion_is_worth_what_the_kernels_of_the_world_say(cell, looks, within) -> None:
     """On the coarse cells themselves, and on cells of the world with a look at every tick."""
     c, rng = _parameters(cell), np.random.default_rng(3)
     coverage = empty_coverage(c.width, c.height, c.cell)
@@ -164,22 +145,12 @@ def test_it_leaves_less_unseen_than_the_logarithmic_law_and_the_horizon_is_why()
 
 def _observations(law: Law | None = None) -> list[UavObservation]:
     rng, here = np.random.default_rng(8), np.array([8.0, 7.0])
-    return [
-        UavObservation(
-            tick=tick,
-            time=tick * 0.05,
-            position=tuple((here + 0.02 * tick).tolist()),
-            velocity=(0.4, 0.4),
-            detections=(
-                Detection(
-                    time=tick * 0.05,
-                    relative_position=tuple((rng.normal(0.0, 0.1, 2) + 0.01 * tick).tolist()),
-                ),
-            ),
-            law=law if tick == 25 else None,
-        )
-        for tick in range(60)
-    ]
+    found = []
+    for tick in range(60):
+        look = tick * 0.05, tuple((rng.normal(0.0, 0.1, 2) + 0.01 * tick).tolist())
+        own = {"position": tuple((here + 0.02 * tick).tolist()), "velocity": (0.4, 0.4)}
+        found.append(uav_sees(tick, look, **own, law=law if tick == 25 else None))
+    return found
 
 
 def test_a_process_that_joins_again_goes_on_with_the_same_motion() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from flights import EVADED, PROMISED, flown_in_both, record, told
+from flights import EVADED, PROMISED, flown_in_both, record, told, uav_sees
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from processes import flown_both_ways
@@ -17,7 +17,7 @@ from agents.control.handover import certificate, largest_outage
 from agents.control.promise import Declared
 from agents.control.visibility import SafetyFilter
 from agents.env_wrappers import SafetyFilterWrapper
-from bus.messages import MOST_CARRIED, Detection, MotionPlan, UavCommand, UavObservation
+from bus.messages import MOST_CARRIED, MotionPlan, UavCommand
 from outrider.envs.env_pilots import pilots
 from outrider.experiments.falsify.attack import attack
 from outrider.experiments.falsify.conditions import DISTURBANCES, Conditions, declared
@@ -186,15 +186,8 @@ COMBINATIONS = [
 
 @pytest.mark.parametrize(("outage", "delay", "kind"), COMBINATIONS)
 def test_no_certified_run_loses_sight_whatever_motions_are_lost(outage, delay, kind) -> None:
-    conditions = Conditions(
-        outage=outage,
-        delay=delay,
-        losses=kind,
-        jitter=delay > 0.0,
-        blackout=3,
-        blackout_time=4.0,
-        u_g=math.inf,
-    )
+    dark = {"blackout": 3, "blackout_time": 4.0, "u_g": math.inf, "jitter": delay > 0.0}
+    conditions = Conditions(outage=outage, delay=delay, losses=kind, **dark)
     rows = attack(declared(conditions, 0.3), conditions, 5, 0, 4, 100.0)
     assert rows["max_distance"].max() < conditions.r_v
     assert rows["certified_lost"].sum() == rows["broken"].sum() == 0
@@ -276,21 +269,11 @@ def reasons(
     delay: float, outage: float, ticks: range, flown, moved=lambda _: (8.0, 7.0)
 ) -> list[str]:
     """A filter's answers to each tick, at rest and with one detection in the first; `flown` and `moved` by tick."""
-    pilot = SafetyFilter(
-        told(small("certified", certificate=Certificate(delay=delay, outage=outage)))
-    )
-    found = []
+    declared = Certificate(delay=delay, outage=outage)
+    pilot, found = SafetyFilter(told(small("certified", certificate=declared))), []
     for tick in ticks:
-        seen = UavObservation(
-            tick=tick,
-            time=tick * 0.05,
-            position=moved(tick),
-            velocity=(0.0, 0.0),
-            detections=(Detection(time=tick * 0.05, relative_position=(0.0, 1.0)),)
-            if tick == ticks[0]
-            else (),
-            flown=flown(tick),
-        )
+        looks = [(tick * 0.05, (0.0, 1.0))] if tick == ticks[0] else []
+        seen = uav_sees(tick, *looks, position=moved(tick), flown=flown(tick))
         pilot.see(seen)
         found.append(pilot.filter(seen, (0.0, 0.0)).reason)
     return found

@@ -8,11 +8,12 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import distances, told
+from flights import distances, told, uav_sees
+from tabular import rows, words
 
 from agents.control.visibility import SafetyFilter, promise_of
 from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
-from bus.messages import Detection, LinkSettings, UavObservation
+from bus.messages import LinkSettings
 from outrider.envs.single import single_env
 from outrider.envs.vector import vector_env
 from outrider.envs.wrappers import egocentric, history, normalized
@@ -73,22 +74,16 @@ def test_undegraded_the_filter_leaves_the_law_alone() -> None:
     assert np.allclose(distances(certified[0]), distances(plain[0]), atol=1e-6)
 
 
-BROKEN = {
-    "older than declared": (["links.detections.blackouts=[[20.0, 6.0]]"], "older than declared"),
-    "commands later than declared": (
-        ["links.commands.delay=0.5", "certificate.delay=0.0"],
-        "not where its commands",
-    ),
-    "errors larger than declared": (
-        ["detections.noise=0.5", "certificate.error=0.2"],
-        "contradict",
-    ),
-}
-
-
-@pytest.mark.parametrize(("changes", "reason"), BROKEN.values(), ids=BROKEN)
-def test_a_broken_assumption_is_told_with_its_name(changes: list[str], reason: str) -> None:
-    _, summary = fly(watched(*changes, duration=60.0), 7)
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    rows("""
+links.detections.blackouts=[[20.0,6.0]] | older than declared
+links.commands.delay=0.5 certificate.delay=0.0 | not where its commands
+detections.noise=0.5 certificate.error=0.2 | contradict
+"""),
+)
+def test_a_broken_assumption_is_told_with_its_name(changes: str, reason: str) -> None:
+    _, summary = fly(watched(*words(changes), duration=60.0), 7)
     assert summary.certified_share < 1.0
     assert any(reason in line for line in summary.uncertified)
     assert summary.certified_while_lost == summary.certificate_broken == 0
@@ -123,10 +118,8 @@ def test_what_is_declared_follows_from_the_scenario() -> None:
 def test_a_detection_counts_for_where_the_uav_was_when_it_was_taken() -> None:
     watch = SafetyFilter(told(watched()))
     for tick in range(10):
-        found = (Detection(time=0.1, relative_position=(1.0, 0.0)),) if tick == 9 else ()
-        position = (5.0 + 0.5 * tick, 5.0)
-        own = {"position": position, "velocity": (0.0, 0.0)}
-        watch.see(UavObservation(tick=tick, time=tick * 0.05, **own, detections=found))
+        looks = [(0.1, (1.0, 0.0))] if tick == 9 else []
+        watch.see(uav_sees(tick, *looks, position=(5.0 + 0.5 * tick, 5.0)))
     newest = watch.state.detections[watch.state.detections["taken"] >= 0]
     assert newest.tolist() == [(5.0, 5.0, 2)]  # it was at 6 m at tick 2
 
@@ -163,9 +156,7 @@ def test_a_wrapped_environment_keeps_sight_whatever_the_policy_wants() -> None:
 
 @pytest.mark.parametrize("agent", ["uav_0", "ugv_0"])
 @pytest.mark.parametrize("action", [[np.nan, 0.0], [1.0], "fast"])
-def test_a_wrapped_environment_refuses_nonsense_before_anything_is_filtered(
-    agent: str, action: Any
-) -> None:
+def test_a_wrapped_environment_refuses_nonsense_before_anything_is_filtered(agent, action) -> None:
     env = SafetyFilterWrapper(parallel_env(watched(duration=5.0)))
     env.reset(seed=7)
     good = {"uav_0": np.zeros(2), "ugv_0": np.zeros(2)}
@@ -220,14 +211,12 @@ def test_a_filter_may_be_taken_up_in_the_middle_of_a_flight() -> None:
     scenario = watched("law.name=logarithmic", duration=10.0)
     pilot = UavPilot(told(scenario))
     assert pilot.filter is None
-    base = {"position": (7.0, 9.0), "velocity": (0.0, 0.0)}
-    look = Detection(time=0.0, relative_position=(0.0, 1.0))
-    pilot.act(UavObservation(tick=0, time=0.0, detections=(look,), **base))
-    command = pilot.act(UavObservation(tick=1, time=0.05, law=Law(name="certified"), **base))
+    there = {"position": (7.0, 9.0)}
+    pilot.act(uav_sees(0, (0.0, (0.0, 1.0)), **there))
+    command = pilot.act(uav_sees(1, law=Law(name="certified"), **there))
     assert command.report.certified is False
     assert "no detection" in command.report.uncertified
-    look = Detection(time=0.1, relative_position=(0.0, 1.0))
-    command = pilot.act(UavObservation(tick=2, time=0.1, detections=(look,), **base))
+    command = pilot.act(uav_sees(2, (0.1, (0.0, 1.0)), **there))
     assert command.report.certified is True
     assert command.report.certified_distance == pytest.approx(1.3)
     assert promise_of(told(scenario)).eps == pytest.approx(0.3)
