@@ -171,6 +171,7 @@ def test_a_bad_seed_is_refused_and_the_episode_goes_on(names: tuple[str, ...], s
         (OF_ONE_AGENT, {"others": {"ugv_9": "wander"}}, "no such vehicle"),
         (OF_ONE_AGENT, {"others": {"ugv_0": 3}}, "neither a name nor a policy"),
         (OF_ONE_AGENT, {"threads": 0}, "threads"),
+        (ALL, {"secret": "1234"}, "secret: 4 characters that are no secret"),
         *((("vector", "parallel vector"), {"num_envs": n}, "num_envs") for n in (0, -3, 1.5, "2")),
     ],
     ids=str,

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 from flights import degraded, escort
-from staging import PILOT, operating, stage
+from staging import operating, stage
 from tabular import words
 
 from bus.messages import (
@@ -23,7 +23,6 @@ from bus.messages import (
 from bus.profiles import PROFILES
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import fly
-from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Detections, LinkTable, Ugv, VehicleLinks
@@ -143,23 +142,6 @@ def test_one_network_for_the_environment_one_process_and_three(tmp_path: Path) -
         over_bus = run.fly()
     assert over_bus.recorder.sha256() == summary.trajectory_sha256
     assert over_bus.world.links.status() == summary.links
-
-
-def test_a_process_that_joins_again_is_told_what_had_arrived() -> None:
-    scenario = degraded(300)
-    flight = Flight(scenario, 7)
-    pilots = {name: PILOT[name](briefing(scenario, name, 7)) for name in flight.world.names}
-    seen: dict[str, list[Any]] = {name: [] for name in pilots}
-    for _ in range(300):
-        flight.say("ugv_0", Drive(driver="me", velocity=(0.1, 0.0)))
-        now = flight.observations()
-        flight.recorder.record(flight.answers.reports)
-        for name, observation in now.items():
-            seen[name].append(observation)
-        flight.apply({name: pilot.act(now[name]) for name, pilot in pilots.items()})
-    for name in pilots:
-        assert flight.past(name, 0, 250, ()) == tuple(seen[name][:250])
-        assert flight.past(name, 100, 300, ()) == tuple(seen[name][100:300])
 
 
 def test_perfect_links_are_the_identity() -> None:

@@ -79,10 +79,6 @@ def test_the_circle_has_its_radius_its_rate_and_its_second_derivative(t, r_pv, o
     )
 
 
-def test_the_papers_vehicles_can_fly_the_circle_up_to_this_rate() -> None:
-    assert largest_circle_rate(R_S, V_A, V_G, U_A) == pytest.approx(0.1086, abs=5e-5)
-
-
 @given(
     st.floats(0.1, 10.0),
     st.floats(0.3, 5.0),

@@ -21,6 +21,7 @@ import pytest
 from flights import DT, U_G, V_G, Piloted, told_ugv
 from processes import python
 from refusals import refused
+from tabular import rows, words
 
 import outrider
 from agents.drivers.policy import Policy, PolicyDriver, UgvRows
@@ -453,19 +454,15 @@ def test_a_damaged_file_is_named_in_one_line(here: Path, name: str, content: byt
 
 
 @pytest.mark.parametrize(
-    "name", ["sb3:ppo:none.zip", "sb3:ppo:", "torch:none.pt", "torch:", "onnx:none.onnx", "onnx:."]
+    ("names", "said"),
+    rows("""
+sb3:ppo:none.zip sb3:ppo: torch:none.pt torch: onnx:none.onnx onnx:. | no such file
+model.zip model.pt folder/model.onnx sb3:model.zip | sb3:ALGORITHM:FILE.zip
+sb3:ddq:model.zip | unknown algorithm 'ddq'; installed: ppo
+"""),
 )
-def test_a_missing_file_is_named_in_one_line(here: Path, name: str) -> None:
-    assert "no such file" in refusal(name)
-
-
-@pytest.mark.parametrize("name", ["model.zip", "model.pt", "folder/model.onnx", "sb3:model.zip"])
-def test_a_file_without_its_library_or_algorithm_is_told_the_forms(here: Path, name: str) -> None:
-    assert "sb3:ALGORITHM:FILE.zip" in refusal(name)
-
-
-def test_an_unknown_algorithm_is_told_which_there_are(here: Path) -> None:
-    assert "unknown algorithm 'ddq'; installed: ppo" in refusal("sb3:ddq:model.zip")
+def test_a_name_lacks_its_file_its_library_or_its_algorithm_in_one_line(here, names, said):
+    assert all(said in refusal(name) for name in words(names))
 
 
 @pytest.mark.parametrize(

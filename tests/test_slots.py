@@ -12,16 +12,17 @@ from typing import Any
 import msgspec
 import pytest
 import zenoh
-from flights import Piloted
+from flights import Piloted, degraded
 from processes import wait_until
 from staging import GIVEN, PILOT, Vehicle, client_of, hosted, operating, stage, whole
 
 from agents import process
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, Role
-from bus.messages import Action, Control, UavCommand, UgvCommand
+from bus.messages import Action, Control, Drive, UavCommand, UgvCommand
 from outrider.running.flying import make_pilots
+from sim.engine.briefing import briefing
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Scenario
+from sim.scenario.types import LinkTable, Scenario
 from sim.server.flight import Flight
 
 
@@ -45,12 +46,13 @@ def test_a_vehicle_that_comes_back_with_its_past_flies_the_same_bits(victim, tmp
     ]
 
 
-def test_a_past_is_what_the_vehicle_has_perceived(tmp_path: Path) -> None:
-    scenario = load_scenario("escort", overrides=["duration=20.0"])
+@pytest.mark.parametrize("scenario", [degraded(400, LinkTable()), degraded(400)], ids=["", "late"])
+def test_a_past_is_what_the_vehicle_has_perceived(scenario: Scenario) -> None:
     flight = Flight(scenario, 7)
     pilots = {name: PILOT[name](told) for name, told in _briefings(scenario).items()}
     seen: dict[str, list[Any]] = {name: [] for name in pilots}
     for _ in range(300):
+        flight.say("ugv_0", Drive(driver="me", velocity=(0.1, 0.0)))
         observations = flight.observations()
         flight.recorder.record(flight.answers.reports)
         for name, observation in observations.items():
@@ -74,12 +76,8 @@ def test_a_past_is_what_the_vehicle_has_perceived(tmp_path: Path) -> None:
 
 
 def _briefings(scenario: Scenario) -> dict[str, Any]:
-    from sim.engine.briefing import briefing
-
-    return {
-        vehicle.name: briefing(scenario, vehicle.name, scenario.seed)
-        for vehicle in scenario.vehicles
-    }
+    names = [vehicle.name for vehicle in scenario.vehicles]
+    return {name: briefing(scenario, name, scenario.seed) for name in names}
 
 
 def test_a_lost_vehicle_brakes_and_one_that_returns_is_told_nothing_it_has_missed(tmp_path):
@@ -93,9 +91,8 @@ def test_a_lost_vehicle_brakes_and_one_that_returns_is_told_nothing_it_has_misse
         def come_back() -> None:
             if flight.world.tick >= 300 and not started.is_set():
                 started.set()
-                run.start(
-                    "uav_0"
-                )  # the clock waits here, else the UGV may be out of its sight by then
+                # the clock waits here, else the UGV may be out of its sight by then
+                run.start("uav_0")
                 wait_until(lambda: run.server.vehicles()["uav_0"].rejoined)
                 returned.append(flight.world.tick)
             if returned and flight.world.tick == returned[0] + 60:
@@ -178,9 +175,8 @@ def test_real_time_keeps_the_clock_and_flies_the_lockstep_bits_if_all_are_in_tim
         started: list[float] = []
         flight = run.fly(lambda: started.append(time.monotonic()))
     seconds = started[-1] - started[0]
-    assert (
-        seconds >= 99 * 0.025 - 0.05
-    )  # never faster than asked for; how much slower is the machine's affair
+    # never faster than asked for; how much slower is the machine's affair
+    assert seconds >= 99 * 0.025 - 0.05
     if flight.answers.first_missing is None:
         assert flight.recorder.sha256() == whole(100).recorder.sha256()
     assert flight.answers.missing["uav_0"] + flight.answers.missing["ugv_0"] < 100
@@ -344,9 +340,8 @@ def test_a_vehicle_acts_once_on_each_observation_of_its_own_run_alone(endpoint: 
         (old_briefing, old_sight), (briefing, sight) = writers
         part = msgspec.structs.replace
         old_briefing.send(part(told, past=tuple(observations[:2]), more=True))  # interrupted
-        wait_until(
-            lambda: len(vehicle.seen) == 2
-        )  # two sessions: nothing else says whose words come first
+        # two sessions: nothing else says whose words come first
+        wait_until(lambda: len(vehicle.seen) == 2)
         briefing.send(part(told, past=tuple(observations[:3]), more=True))
         briefing.send(part(told, past=tuple(observations[3:5])))
         wait_until(lambda: len(vehicle.seen) == 5)

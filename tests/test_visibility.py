@@ -60,17 +60,18 @@ def test_a_uav_that_stops_on_the_spot_may_use_the_whole_radius() -> None:
     assert switching_radius(R_V, V_A, V_G, math.inf) == R_V
 
 
-@pytest.mark.parametrize(("v_a", "u_a"), [(2.0, 0.3), (V_A, 0.06), (math.inf, 0.3)])
-def test_a_uav_too_weak_for_the_radius_is_refused(v_a: float, u_a: float) -> None:
+@pytest.mark.parametrize(
+    ("r_v", "v_a", "v_g", "u_a", "r_s"),
+    [
+        *((R_V, 2.0, V_G, 0.3, r"-\S+"), (R_V, V_A, V_G, 0.06, r"-\S+")),
+        *((R_V, math.inf, V_G, 0.3, "-inf"), (4.0, 0.75, 0.25, 0.125, "0")),
+    ],
+)
+def test_a_uav_too_weak_for_the_radius_is_refused(r_v, v_a, v_g, u_a, r_s) -> None:
     with pytest.raises(
-        ScenarioError, match=r"r_s = -?\S+ m: the UAV .* too weak .*must be positive"
+        ScenarioError, match=f"r_s = {r_s} m: the UAV .* too weak .*must be positive"
     ):
-        switching_radius(R_V, v_a, V_G, u_a)
-
-
-def test_a_switching_radius_of_nothing_is_refused() -> None:
-    with pytest.raises(ScenarioError, match=r"r_s = 0 m"):
-        switching_radius(4.0, 0.75, 0.25, 0.125)
+        switching_radius(r_v, v_a, v_g, u_a)
 
 
 @pytest.mark.parametrize(
