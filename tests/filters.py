@@ -38,9 +38,8 @@ FREE = Limits(max_speed=None, max_acceleration=0.1)  # no caps: the plain Kalman
 VARIANCE = cut_variance(sigma=SIGMA, cut=3.0)  # of the detections, per axis
 
 
-PUSH = np.array(
-    [[DT * DT / 2, 0], [0, DT * DT / 2], [DT, 0], [0, DT]]
-)  # a tick's acceleration to the state
+# a tick's acceleration to the state
+PUSH = np.array([[DT * DT / 2, 0], [0, DT * DT / 2], [DT, 0], [0, DT]])
 
 
 def straying(*, elapsed: float, target: Limits, manoeuvre: float, dt: float) -> float:

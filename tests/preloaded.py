@@ -251,9 +251,8 @@ def _forked(call: Callable[[], None]) -> int:
 
 
 def _serve_pages(channel: socket.socket) -> None:
-    _close_all_but(
-        {0, 1, 2, channel.fileno()}
-    )  # so that it ends with the command, and keeps nothing open
+    # so that it ends with the command, and keeps nothing open
+    _close_all_but({0, 1, 2, channel.fileno()})
     forkserver._show(["pages"])
     _serve(channel)()
 

@@ -185,9 +185,8 @@ def fly_to(operator: Session, tick: int) -> None:
     controls.send(Control(action=Action.STEP, ticks=tick))
     await_status(operator, lambda status: status.paused and status.tick >= tick, compiled)
     controls.send(Control(action=Action.RESUME))
-    await_status(
-        operator, lambda status: not status.paused
-    )  # else a router that dies takes it away
+    # else a router that dies takes it away
+    await_status(operator, lambda status: not status.paused)
 
 
 @contextmanager

@@ -64,12 +64,7 @@ def taken(*claims: bool | None, at: float = 1.0, scenario: Scenario = DELAYED) -
 def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) -> None:
     assurance.send(0, tick, command(tick))
     report = None if certified is None else said(certified, reason="" if certified else "because")
-    arguments = {
-        "distance": 1.0,
-        "arrivals": [(tick, 0.3)],
-        "acts": command(tick - 2),
-        **given,
-    }
+    arguments = {"distance": 1.0, "arrivals": [(tick, 0.3)], "acts": command(tick - 2), **given}
     assurance.take(0, tick, report, **arguments)
 
 
@@ -137,9 +132,7 @@ def test_before_the_first_command_acts_nothing_excuses_a_certificate_that_ends()
     assert assurance.certificate_broken == 1
 
 
-def test_who_was_farther_than_declared_from_where_it_is_told_that_it_is_is_excused_for_good() -> (
-    None
-):
+def test_who_was_farther_than_declared_from_where_it_is_told_that_it_is_is_excused_for_good():
     certificate = msgspec.structs.replace(DELAYED.certificate, tracking=0.2)
     for off, broken in ((0.2, 1), (0.21, 0)):
         assurance = Assurance(msgspec.structs.replace(DELAYED, certificate=certificate))
@@ -263,9 +256,8 @@ def test_the_trajectory_s_file_tells_each_tick_what_was_certified(lied, tmp_path
         rows = list(csv.DictReader(file))
     assert list(rows[0])[-2:] == ["uav_0.certified", "uav_0.certified_distance [m]"]
     claims = [row["uav_0.certified"] for row in rows]
-    assert claims == ["1"] * 7 + [""] + ["1"] * (LOSING.ticks - 8) + [
-        ""
-    ]  # no report at tick 7, none after the last tick
+    # no report at tick 7, none after the last tick
+    assert claims == ["1"] * 7 + [""] + ["1"] * (LOSING.ticks - 8) + [""]
     assert {row["uav_0.certified_distance [m]"] for row in rows} == {"0.5", ""}
     lies = [
         row

@@ -142,10 +142,7 @@ def test_no_tick_is_certified_while_sight_is_lost_whatever_becomes_of_commands(n
 
 
 def test_commands_that_do_not_act_lose_sight_without_a_margin() -> None:
-    for conditions in (
-        DISTURBED["jitter"],
-        Conditions(disturbance=DISTURBANCES.silences),
-    ):
+    for conditions in (DISTURBED["jitter"], Conditions(disturbance=DISTURBANCES.silences)):
         rows = flown(conditions, 0.3)
         assert rows["max_distance"].max() > R_V
         assert flown(conditions, 0.3, margin=0.6)["max_distance"].max() < R_V

@@ -21,22 +21,16 @@ from sim.scenario.types import (
 )
 from sim.world import World
 
+HARSH = Detections(noise=0.3, dropout=0.3, rate=5.0)
+CORNER = Region(lower=(2.0, 2.0), upper=(20.0, 20.0))
+JAMMED = VehicleLinks(vehicle="uav_0", commands=PROFILES["jammed"])
 SCENARIOS: dict[str, Scenario] = {
     "plain": escort(),
-    "noise": escort(
-        detections=Detections(noise=0.3, dropout=0.3, rate=5.0),
-        sensor=Sensor(model="plateau"),
-        area=SMALL,
-    ),
-    "covered": escort(
-        coverage=Coverage(desired=1.0, covered=(Region(lower=(2.0, 2.0), upper=(20.0, 20.0)),))
-    ),
+    "noise": escort(detections=HARSH, sensor=Sensor(model="plateau"), area=SMALL),
+    "covered": escort(coverage=Coverage(desired=1.0, covered=(CORNER,))),
     "several": SEVERAL,
     "network": small("tracking", links=POOR),
-    "one link": small(
-        "tracking",
-        links=LinkTable(only=(VehicleLinks(vehicle="uav_0", commands=PROFILES["jammed"]),)),
-    ),
+    "one link": small("tracking", links=LinkTable(only=(JAMMED,))),
 }
 
 

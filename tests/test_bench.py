@@ -91,9 +91,8 @@ def test_many_worlds_have_a_rate_and_a_limit(paid: Any) -> None:
 def test_pilots_and_memory_have_both_numbers() -> None:
     assert min(many.pilots(worlds=4, ticks=3)) > 0.0  # type: ignore[type-var]
     told = "import json; from outrider.bench.many import growth; print(json.dumps(growth(64)))"
-    counted, grown = json.loads(
-        python(told).stdout
-    )  # a process that has memory to spare grows by nothing
+    # a process that has memory to spare grows by nothing
+    counted, grown = json.loads(python(told).stdout)
     assert counted > 160 * 160 * 8
     assert grown == pytest.approx(counted, rel=0.5)
 

@@ -288,14 +288,7 @@ def fly_plan(promise: Promise, plan: c.Plan, state: list[float], g: FloatArray) 
 @given(st.floats(0.0, 4.7), angles, shares, angles, errors, ages, seeds)
 @settings(PROPERTY, max_examples=300)
 def test_a_plan_keeps_in_sight_whatever_agrees_with_the_detections(
-    kind: str,
-    far: float,
-    where: float,
-    share: float,
-    angle: float,
-    eps: float,
-    age: float,
-    seed: int,
+    kind, far, where, share, angle, eps, age, seed
 ) -> None:
     rng = np.random.default_rng(seed)
     q = promise(eps=eps, age=age)

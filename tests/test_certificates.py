@@ -12,6 +12,7 @@ import msgspec
 import pytest
 import zenoh
 from staging import client_of, hosted, raw_session
+from tabular import rows
 
 from bus import session
 from bus.access import (
@@ -113,20 +114,14 @@ def test_a_certificate_that_would_be_refused_is_named_before_anything_is_sent(ma
 
 @pytest.mark.parametrize(
     ("kind", "told"),
-    [
-        ("no certificate", "needs certificates; `outrider credentials --tls` makes them"),
-        ("a password", "needs certificates; `outrider credentials --tls` makes them"),
-        (
-            "a foreign authority",
-            "has a certificate that is of another authority than this process' own",
-        ),
-        (
-            "a foreign authority that trusts ours",
-            "does not trust the authority of this certificate",
-        ),
-        ("a router's certificate", "says that this certificate is not for a client"),
-        ("expired", "says that this certificate has expired"),
-    ],
+    rows("""
+no certificate | needs certificates; `outrider credentials --tls` makes them
+a password | needs certificates; `outrider credentials --tls` makes them
+a foreign authority | has a certificate that is of another authority than this process' own
+a foreign authority that trusts ours | does not trust the authority of this certificate
+a router's certificate | says that this certificate is not for a client
+expired | says that this certificate has expired
+"""),
 )
 def test_who_is_not_of_the_run_is_refused_by_the_router_and_told_why(
     endpoint: str, kind: str, told: str, monkeypatch: pytest.MonkeyPatch
@@ -163,10 +158,7 @@ def test_a_client_trusts_nobody_but_its_router(endpoint, monkeypatch):
 
 
 def test_certificates_and_unencrypted_endpoints_do_not_go_together() -> None:
-    with (
-        pytest.raises(AccessDenied, match="must begin with tls/"),
-        hosted("tcp/[::1]:0", GIVEN),
-    ):
+    with pytest.raises(AccessDenied, match="must begin with tls/"), hosted("tcp/[::1]:0", GIVEN):
         pass
     assert "must begin with tls/" in refusal("tcp/127.0.0.1:1", UAV)
     with (

@@ -110,9 +110,7 @@ def is_interrupted(arrives: list[float], delay: int, repeats: int, outage: int) 
 @pytest.mark.parametrize(
     ("period", "flies", "age"), [(1, 0, 2), (1, 1, 3), (2, 0, 2), (3, 1, 4), (2, 2, 1), (1, 0, 0)]
 )
-def test_the_chance_of_an_age_is_that_of_all_outcomes(
-    link: dict[str, Any], period: int, flies: int, age: int
-) -> None:
+def test_the_chance_of_an_age_is_that_of_all_outcomes(link, period, flies, age) -> None:
     told = LinkSettings(delay=flies * DT, **link)
     chance = chance_of_age(told, dt=DT, period_ticks=period, dropout=0.1, ticks=10, age=age * DT)
     found = sum(
@@ -128,19 +126,11 @@ def test_the_chance_of_an_age_is_that_of_all_outcomes(
 @pytest.mark.parametrize(
     ("flies", "delay", "repeats", "outage"),
     [
-        (0, 0, 6, 2),
-        (0, 1, 6, 1),
-        (0, 2, 2, 4),
-        (1, 2, 6, 5),
-        (1, 3, 2, 4),
-        (2, 2, 1, 3),
-        (0, 3, 6, 2),
-        (2, 1, 6, 4),
+        *((0, 0, 6, 2), (0, 1, 6, 1), (0, 2, 2, 4), (1, 2, 6, 5)),
+        *((1, 3, 2, 4), (2, 2, 1, 3), (0, 3, 6, 2), (2, 1, 6, 4)),
     ],
 )
-def test_the_chance_of_an_outage_is_that_of_all_outcomes(
-    link: dict[str, Any], flies: int, delay: int, repeats: int, outage: int
-) -> None:
+def test_the_chance_of_an_outage_is_that_of_all_outcomes(link, flies, delay, repeats, outage):
     told = LinkSettings(delay=flies * DT, **link)
     chance = chance_of_outage(
         told, dt=DT, delay_ticks=delay, repeats=repeats, ticks=11, outage=outage * DT
@@ -207,9 +197,7 @@ FAR = Path(__file__).resolve().parent.parent / "examples" / "networks" / "wifi-f
 
 
 @pytest.mark.parametrize(("number", "ticks"), [(1, 30), (2, 30), (3, 6)])
-def test_over_a_recorded_table_the_chance_is_the_share_of_all_its_places(
-    number: int, ticks: int
-) -> None:
+def test_over_a_recorded_table_the_chance_is_the_share_of_all_its_places(number, ticks) -> None:
     random, places = np.random.default_rng(number), 41
     took = random.choice([math.inf, 0.0, 1.0, 2.0, 6.0], size=places, p=[0.4, 0.2, 0.2, 0.1, 0.1])
     rows = [f"{k * DT:.2f},{n * DT if n < math.inf else 'lost'}" for k, n in enumerate(took)]
@@ -268,9 +256,7 @@ def rises(chance: Callable[..., Any], less: dict[str, Any], **more: Any) -> bool
 
 @FEW
 @given(KINDS, st.floats(0.0, 0.5), st.integers(4, 30), st.integers(1, 3))
-def test_the_chance_of_an_age_rises_with_all_that_is_worse(
-    kind: dict[str, Any], loss: float, age: int, period: int
-) -> None:
+def test_the_chance_of_an_age_rises_with_all_that_is_worse(kind, loss, age, period) -> None:
     link = LinkSettings(delay=0.1, loss=loss, **kind)
     numbers = {"settings": link, "dt": DT, "period_ticks": period, "dropout": 0.1, "ticks": 200}
     numbers["age"] = age * DT
@@ -283,9 +269,7 @@ def test_the_chance_of_an_age_rises_with_all_that_is_worse(
 
 @FEW
 @given(KINDS, st.floats(0.0, 0.5), st.integers(10, 40), st.integers(2, 10), st.integers(1, 6))
-def test_the_chance_of_an_outage_rises_with_all_that_is_worse(
-    kind: dict[str, Any], loss: float, outage: int, delay: int, repeats: int
-) -> None:
+def test_the_chance_of_an_outage_rises_with_all_that_is_worse(kind, loss, outage, delay, repeats):
     link = LinkSettings(delay=0.1, loss=loss, **kind)
     numbers: dict[str, Any] = {"settings": link, "dt": DT, "delay_ticks": delay, "ticks": 200}
     numbers.update(outage=outage * DT, repeats=repeats)

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from properties import PROPERTY
 from scipy import stats
 from seeded import a_key
+from tabular import words
 
 from bus.errors import ScenarioError
 from bus.messages import LinkSettings, LinkStatus
@@ -406,20 +407,14 @@ spans = st.sampled_from([0.0, 0.0, 0.02, 0.05, 0.3, 1.0])
 @st.composite
 def links(draw: st.DrawFn) -> LinkSettings:
     blackouts = st.lists(st.tuples(st.floats(0.0, 20.0), st.floats(0.01, 3.0)), max_size=3)
+    times = words("delay jitter jitter_cut burst_length blackout_interval")
     return LinkSettings(
-        delay=draw(spans),
-        jitter=draw(spans),
+        **{name: draw(spans) for name in times},
+        **{name: draw(shares) for name in words("loss burst_loss duplicates reorder")},
         jitter_shape=draw(st.sampled_from(list(SHAPES))),
-        jitter_cut=draw(spans),
-        loss=draw(shares),
-        burst_length=draw(spans),
         burst_interval=draw(st.floats(0.01, 3.0)),
-        burst_loss=draw(shares),
         blackouts=tuple(draw(blackouts)),
-        blackout_interval=draw(spans),
         blackout_length=draw(st.floats(0.01, 2.0)),
-        duplicates=draw(shares),
-        reorder=draw(shares),
         reorder_delay=draw(st.floats(0.01, 1.0)),
         bandwidth=draw(st.sampled_from([0.0, 0.0, 3.0, 19.0, 45.0])),
         queue=draw(st.integers(1, 6)),
@@ -476,21 +471,10 @@ def test_too_few_rows_for_what_arrives_is_an_error() -> None:
 # --- the same bits
 
 
-BUSY = LinkSettings(
-    delay=0.1,
-    jitter=0.1,
-    jitter_shape="pareto",
-    loss=0.1,
-    bandwidth=15.0,
-    burst_length=0.3,
-    burst_interval=1.0,
-    burst_loss=0.8,
-    duplicates=0.1,
-    blackout_interval=5.0,
-    blackout_length=0.5,
-    reorder=0.1,
-    reorder_delay=0.1,
-)
+LATE = {"delay": 0.1, "jitter": 0.1, "jitter_shape": "pareto", "reorder": 0.1, "reorder_delay": 0.1}
+BURSTS = {"burst_length": 0.3, "burst_interval": 1.0, "burst_loss": 0.8}
+DARK = {"blackout_interval": 5.0, "blackout_length": 0.5}
+BUSY = LinkSettings(loss=0.1, bandwidth=15.0, duplicates=0.1, **LATE, **BURSTS, **DARK)
 
 
 def _many(parameters: LinkParameters, worlds: int) -> LinkState:

@@ -22,7 +22,7 @@ from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
 from sim.env.rows import UAV_METRICS
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Certificate, Detections, LinkTable
+from sim.scenario.types import Certificate, Detections, LinkTable, Scenario
 from sim.server.flight import Flight
 
 
@@ -39,12 +39,24 @@ def _same(one: np.ndarray, other: np.ndarray) -> bool:
     return one.tobytes() == np.ascontiguousarray(other).tobytes()
 
 
+def _flown(scenario: Scenario, seeds: list[int], **options: Any) -> ClosedLoop:
+    """Worlds of these seeds that have flown to their ends."""
+    loop = ClosedLoop(scenario, len(seeds), **options)
+    loop.begin(seeds)
+    loop.fly()
+    return loop
+
+
+def _flown_with(loop: ClosedLoop, seeds: list[int]) -> dict[str, np.ndarray]:
+    loop.begin(seeds)
+    loop.fly()
+    return loop.metrics("uav_0")
+
+
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_world_k_flies_as_the_single_flight_of_its_seed(name: str) -> None:
     scenario, seeds = SCENARIOS[name], [5, 11]
-    loop = ClosedLoop(scenario, len(seeds), error=True, end_on_sight_lost=False)
-    loop.begin(seeds)
-    loop.fly()
+    loop = _flown(scenario, seeds, error=True, end_on_sight_lost=False)
     for k, seed in enumerate(seeds):
         flight, summary = fly(scenario, seed)
         for single, many in zip(flight.world.state[:6], loop.state.batch.truth[:6], strict=True):
@@ -81,12 +93,6 @@ def test_world_k_flies_as_the_single_flight_of_its_seed(name: str) -> None:
             }
 
 
-def _flown_with(loop: ClosedLoop, seeds: list[int]) -> dict[str, np.ndarray]:
-    loop.begin(seeds)
-    loop.fly()
-    return loop.metrics("uav_0")
-
-
 def test_what_is_certified_out_of_sight_is_counted_in_every_world() -> None:
     """Sight ends at half a metre there, and the filter was told another r_v."""
     scenario, seeds = SCENARIOS["evade"], [5, 11]
@@ -97,9 +103,8 @@ def test_what_is_certified_out_of_sight_is_counted_in_every_world() -> None:
     for _ in range(scenario.ticks):
         far = rows[:, UAV_METRICS.distance] >= 0.5
         loop.fly(1)
-        counted += far & (
-            rows[:, GUARD_METRICS.sure] == 1.0
-        )  # said of the tick at which it was so far
+        # said of the tick at which it was so far
+        counted += far & (rows[:, GUARD_METRICS.sure] == 1.0)
     counted += (rows[:, UAV_METRICS.distance] >= 0.5) & (rows[:, GUARD_METRICS.sure] == 1.0)
     assert loop.metrics("uav_0")["certified_while_lost"].tolist() == counted.tolist()
     assert counted.min() > 100
@@ -130,9 +135,7 @@ def test_a_certificate_that_ends_is_counted_unless_an_assumption_has_failed() ->
 
 def test_the_whole_escort_is_the_run_that_the_readme_shows() -> None:
     scenario = load_scenario("escort")
-    loop = ClosedLoop(scenario, 1)
-    loop.begin([7])
-    loop.fly()
+    loop = _flown(scenario, [7])
     flight, summary = fly(scenario, 7)
     assert _same(flight.world.position, loop.state.batch.truth.position[0])
     assert _same(flight.world.coverage, loop.state.batch.truth.coverage[0])
@@ -149,42 +152,28 @@ def test_a_ugv_that_evades_hears_a_uav_that_is_flown_from_outside(name: str) -> 
         loop.step(np.broadcast_to(action, (2, 1, 2)).copy())
     for k, seed in enumerate([4, 3]):
         flight = Flight(scenario, seed)
-        flight.fly(
-            altered(
-                make_pilots(scenario, seed),
-                "uav_0",
-                lambda seen: {"acceleration": tuple(actions[seen.tick].tolist())},
-            )
-        )
+        told = lambda seen: {"acceleration": tuple(actions[seen.tick].tolist())}  # noqa: E731
+        flight.fly(altered(make_pilots(scenario, seed), "uav_0", told))
         assert _same(flight.world.position, loop.state.batch.truth.position[k])
-    still = ClosedLoop(
-        msgspec.structs.replace(
-            scenario, ugv=(msgspec.structs.replace(scenario.ugv[0], driver="wander"),)
-        ),
-        1,
-    )
-    still.begin([4])
-    still.fly()
+    wanders = msgspec.structs.replace(scenario.ugv[0], driver="wander")
+    still = _flown(msgspec.structs.replace(scenario, ugv=(wanders,)), [4])
     assert not _same(still.state.batch.truth.position[0, 1], loop.state.batch.truth.position[0, 1])
 
 
 def test_pilots_are_chosen_by_name() -> None:
     scenario = small("tracking", "waypoints")
-    loop = ClosedLoop(scenario, 1, pilots={"uav_0": "circle", "ugv_0": "wander"})
-    loop.begin([2])
-    loop.fly()
+    loop = _flown(scenario, [2], pilots={"uav_0": "circle", "ugv_0": "wander"})
     flight, _ = fly(small("circle", "wander"), 2)
     assert _same(flight.world.position, loop.state.batch.truth.position[0])
+
+
+ANY = "(uav_0, ugv_0|ugv_0, uav_0)"
 
 
 @pytest.mark.parametrize(
     ("settings", "error", "message"),
     [
-        (
-            {"external": ["uav_9"]},
-            ValueError,
-            "vehicle = 'uav_9'; allowed: uav_0, ugv_0|vehicle = 'uav_9'; allowed: ugv_0, uav_0",
-        ),
+        ({"external": ["uav_9"]}, ValueError, f"vehicle = 'uav_9'; allowed: {ANY}"),
         ({"pilots": {"uav_0": "weighted"}}, ScenarioError, "function of your own"),
         ({"pilots": {"ugv_0": "teleop"}}, ScenarioError, "no compiled form"),
         ({"pilots": {"uav_0": "nonsense"}}, ScenarioError, "unknown; allowed"),

@@ -162,12 +162,7 @@ def _arguments() -> Iterator[object]:
     for k in range(2):
         yield from (k, 2**62 + k, float(k), bool(k), np.float32(k), "text", None, np.int64(k))
         arrays = [np.full((4, 3), k, kind) for kind in (np.float64, np.float32, np.int64, np.bool_)]
-        for kind in (
-            record_type(HeldPlan),
-            record_type(Motion),
-            packed,
-            padded,
-        ):
+        for kind in (record_type(HeldPlan), record_type(Motion), packed, padded):
             arrays += [np.zeros((4, 3), kind), np.zeros((4, 3), kind).view(np.recarray)]
         for array in arrays:
             yield from (array, array.T, array[::2], array[:, 1], array[0], array[:1, :1], array[:0])

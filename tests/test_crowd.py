@@ -30,9 +30,8 @@ def test_a_client_joins_beside_connections_that_say_nothing_or_nonsense(
         for number in range(300):
             opened = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
             if number % 2:
-                opened.sendall(
-                    b"\xff\xff" + b"\xa5" * 300
-                )  # the beginning of a message that never ends
+                # the beginning of a message that never ends
+                opened.sendall(b"\xff\xff" + b"\xa5" * 300)
         assert stack.enter_context(client_of(endpoint, GIVEN.of("observer"))).connected
 
 

@@ -52,9 +52,8 @@ def test_gains_that_nobody_has_told_are_not_known() -> None:
     assert running_law(status("logarithmic"), None) is None
     assert running_law(status("switching"), FIRST) is None  # chosen without our having seen it
     step = Control(action=Action.STEP)
-    assert (
-        running_law(status("logarithmic", *[step] * 20), FIRST) is None
-    )  # older changes are no longer told
+    # older changes are no longer told
+    assert running_law(status("logarithmic", *[step] * 20), FIRST) is None
     assert running_law(status("logarithmic", *[step] * 19), FIRST) == FIRST
 
 
@@ -76,7 +75,5 @@ def test_an_operator_whom_nobody_here_has_put_at_a_wheel_is_a_stranger() -> None
     assert wheel.strangers(drivers) == ["ugv_1"]
     wheel.hand_back(1, drivers)
     assert said[-1].driver == "waypoints"
-    assert wheel.strangers(drivers) == [
-        "ugv_0",
-        "ugv_1",
-    ]  # until the simulator has assigned the driver from before
+    # until the simulator has assigned the driver from before
+    assert wheel.strangers(drivers) == ["ugv_0", "ugv_1"]

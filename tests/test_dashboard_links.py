@@ -37,7 +37,7 @@ from sim.channel.description import check_link
 from sim.scenario.loading import load_scenario
 
 NAMES = ("uav_0/detections", "uav_0/commands", "ugv_0/commands", "ugv_0/operator", "uav_0/radio")
-PERFECT = LinkSettings()
+PERFECT, BURSTS = LinkSettings(), LinkSettings(jitter=0.1, burst_length=0.3, burst_interval=4.0)
 
 
 def link(sent: int = 0, **lost: int) -> LinkStatus:
@@ -64,14 +64,8 @@ def test_a_profile_is_called_by_its_name_whatever_is_planned(name: str) -> None:
     ("settings", "said"),
     [
         (LinkSettings(delay=0.5, loss=0.2), "delay 0.5 s, loss 20 %"),
-        (
-            LinkSettings(jitter=0.1, burst_length=0.3, burst_interval=4.0),
-            "jitter 0.1 s, bursts 0.3 s every 4 s",
-        ),
-        (
-            LinkSettings(burst_interval=5.0, burst_loss=0.5),
-            "perfect",
-        ),  # without a length there are no bursts
+        (BURSTS, "jitter 0.1 s, bursts 0.3 s every 4 s"),
+        (LinkSettings(burst_interval=5.0, burst_loss=0.5), "perfect"),  # there are none of 0 s
         (msgspec.structs.replace(PROFILES["wifi-poor"], loss=0.5), "wifi-poor, loss 50 %"),
         (msgspec.structs.replace(PROFILES["wifi-poor"], burst_length=0.0), "wifi-poor, no bursts"),
         (LinkSettings(bandwidth=2.0), "2 messages/s"),
@@ -165,9 +159,7 @@ def test_a_row_tells_the_age_the_share_lost_lately_and_a_blackout() -> None:
     assert told(history, 3.0, None) == (None, 0.0, 0.0)
 
 
-def test_a_new_flight_begins_to_count_anew_and_a_status_that_says_nothing_new_changes_nothing() -> (
-    None
-):
+def test_a_new_flight_begins_to_count_anew_and_a_status_that_says_nothing_new_changes_nothing():
     history = ChartData()
     for time, sent in ((0.0, 0), (1.0, 100)):
         history.losses.take(status(time, uav_0__detections=link(sent, blackout=sent)))

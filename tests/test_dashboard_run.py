@@ -100,9 +100,8 @@ def test_a_page_opens_with_the_run_shows_all_of_it_and_ends_with_it() -> None:
                 statuses += [frame["status"]] if "status" in frame else []
         out, err = run.communicate(timeout=60)
         assert run.returncode == 0, err
-    assert (
-        rows[0][0] < 8.0
-    )  # it was there before the first tick, and looks every 0.1 s, in which 4 s are flown
+    # it was there before the first tick, and looks every 0.1 s, in which 4 s are flown
+    assert rows[0][0] < 8.0
     assert rows[-1][0] >= 59.0
     assert statuses[-1]["over"] is True
     assert {status["wanted_factor"] for status in statuses} == {40.0}

@@ -126,9 +126,7 @@ def test_a_recording_that_was_cut_off_says_so_at_its_end(path: Path, tmp_path: P
     assert "not whole" in tape.standing.line
 
 
-def test_a_recording_without_a_status_is_shown_all_the_same(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recording_without_a_status_is_shown_all_the_same(path, monkeypatch) -> None:
     monkeypatch.setattr(
         "outrider.view.page.sources.tape.statuses", lambda *_args, **_more: iter(())
     )

@@ -16,21 +16,8 @@ LOOKS = 4000
 
 
 def _looks(distance, dropout, sigma=0.0, cut=3.0, seed=1):
-    return [
-        detect(
-            0.6 * distance,
-            -0.8 * distance,
-            R_V,
-            R,
-            dropout,
-            sigma,
-            cut,
-            a_key(seed, 1),
-            a_key(seed, 2),
-            tick,
-        )
-        for tick in range(LOOKS)
-    ]
+    place, keys = (0.6 * distance, -0.8 * distance), (a_key(seed, 1), a_key(seed, 2))
+    return [detect(*place, R_V, R, dropout, sigma, cut, *keys, tick) for tick in range(LOOKS)]
 
 
 def _spread(share: float) -> float:

@@ -53,10 +53,7 @@ waypoints, wander, script, evade = (
 )
 
 
-SCRIPT = (
-    ScriptStep(time=1.0, velocity=(1e6, -1e6)),
-    ScriptStep(time=7.0, velocity=(-0.1, 0.05)),
-)
+SCRIPT = (ScriptStep(time=1.0, velocity=(1e6, -1e6)), ScriptStep(time=7.0, velocity=(-0.1, 0.05)))
 
 
 def _told(
@@ -158,14 +155,7 @@ def _velocity(heading: tuple[float, float], v_max: float) -> Point:
 @given(receptions, places, headings, st.integers(0, 100_000), speeds, accelerations, steps)
 @settings(PROPERTY, max_examples=60)
 def test_whatever_it_hears_and_whenever_it_takes_the_wheel_a_driver_keeps_the_bounds(
-    name: str,
-    received: dict[int, dict[str, Any]],
-    start: Point,
-    heading: tuple[float, float],
-    begin: int,
-    v_max: float,
-    u_max: float,
-    dt: float,
+    name, received, start, heading, begin, v_max, u_max, dt
 ) -> None:
     driver = DRIVERS[name](_told(v_max=v_max, u_max=u_max, dt=dt))
     told = {"start": start, "velocity": _velocity(heading, v_max), "begin": begin, "dt": dt}
@@ -238,12 +228,7 @@ holds = st.sampled_from((0.0, 0.4, 1.0))
 @given(st.lists(drives, min_size=1, max_size=3), headings, speeds, accelerations, steps, holds)
 @settings(PROPERTY)
 def test_when_the_operator_falls_silent_the_ugv_comes_to_rest_in_time_and_stays_there(
-    words: list[Drive],
-    heading: tuple[float, float],
-    v_max: float,
-    u_max: float,
-    dt: float,
-    hold: float,
+    words, heading, v_max, u_max, dt, hold
 ) -> None:
     driver = TeleopDriver(_told(v_max=v_max, u_max=u_max, dt=dt, hold=hold))
     still = 1 + round(hold / dt) + _ticks_to_rest(v_max, u_max, dt)

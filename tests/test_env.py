@@ -22,9 +22,8 @@ from sim.models.vehicles import clip_norm
 from sim.scenario.types import Detections, Scenario, Uav, Ugv
 
 with warnings.catch_warnings():
-    warnings.simplefilter(
-        "ignore", DeprecationWarning
-    )  # PettingZoo 1.27 makes an old environment of its own
+    # PettingZoo 1.27 makes an old environment of its own
+    warnings.simplefilter("ignore", DeprecationWarning)
     from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, state_test
 
 MANY = Scenario(

@@ -17,9 +17,7 @@ VECTOR, SUITE = "docs/reference/vector-environment.md", "docs/reference/suite.md
 
 
 @pytest.mark.parametrize(
-    "block",
-    blocks("python", VECTOR),
-    ids=lambda block: re.search(r"outrider\.\w+|make", block)[0],
+    "block", blocks("python", VECTOR), ids=lambda block: re.search(r"outrider\.\w+|make", block)[0]
 )
 def test_the_environments_shown_can_be_flown(block, capsys):
     run_shown(block, VECTOR)

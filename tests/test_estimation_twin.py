@@ -71,6 +71,8 @@ class Case(NamedTuple):
         return Detector(noise=self.noise, period=self.dt)
 
 
+OFF, RESTLESS = Estimator(enabled=False), Estimator(manoeuvre=2.5)
+HASTY = Estimator(patience=2, gate=5.0)
 CASES = {
     "in time": Case(12000),
     "tick of 0.1 s": Case(8000, dt=0.1),
@@ -80,21 +82,15 @@ CASES = {
     "nothing known": Case(4000, target=UNKNOWN),
     "no patience": Case(6000, settings=Estimator(patience=1, gate=6.0)),
     "no noise": Case(4000, noise=0.0),
-    "restless": Case(4000, target=AGILE, noise=0.01, settings=Estimator(manoeuvre=2.5)),
-    "switched off": Case(4000, settings=Estimator(enabled=False)),
+    "restless": Case(4000, target=AGILE, noise=0.01, settings=RESTLESS),
+    "switched off": Case(4000, settings=OFF),
     "twice": Case(4000, wild=0.3),
     "late": Case(5000, late=2.0, every=4, wild=0.1),
     "late at 0.1 s": Case(5000, dt=0.1, late=2.0, every=2, wild=0.1),
     "late at unknown speed": Case(2400, target=FREE, late=2.0, every=4, wild=0.1),
-    "late, no patience": Case(
-        2400, late=1.0, every=2, wild=0.3, settings=Estimator(patience=2, gate=5.0)
-    ),
-    "late, restless": Case(
-        2000, dt=0.1, target=AGILE, late=1.5, noise=0.01, settings=Estimator(manoeuvre=2.5)
-    ),
-    "late, switched off": Case(
-        4000, late=2.0, every=2, wild=0.2, settings=Estimator(enabled=False)
-    ),
+    "late, no patience": Case(2400, late=1.0, every=2, wild=0.3, settings=HASTY),
+    "late, restless": Case(2000, dt=0.1, target=AGILE, late=1.5, noise=0.01, settings=RESTLESS),
+    "late, switched off": Case(4000, late=2.0, every=2, wild=0.2, settings=OFF),
 }
 
 

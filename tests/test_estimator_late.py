@@ -175,9 +175,8 @@ def test_working_ahead_is_undone_by_what_comes_late():
         assert bits(ahead) == bits(plain)
     ahead.prepare()
     later = detection(204, (20.9, 20.3))
-    assert call(ahead, 205, later) == call(
-        plain, 205, later
-    )  # of the same tick that it has worked ahead from
+    # of the same tick that it has worked ahead from
+    assert call(ahead, 205, later) == call(plain, 205, later)
     assert call(ahead, 206) == call(plain, 206)
     assert bits(ahead) == bits(plain)
 
@@ -202,9 +201,8 @@ def test_duplicates_are_ignored_and_counted_whenever_they_come():
     assert (once.duplicates, often.duplicates, often.too_old) == (0, 3, 0)
     refused = detection(201, (30.0, 30.0))
     first = call(often, 201, refused)
-    assert (
-        call(often, 202, refused).refused == first.refused == 1
-    )  # a copy of a refused one is a copy
+    # a copy of a refused one is a copy
+    assert call(often, 202, refused).refused == first.refused == 1
     assert often.duplicates == 4
 
 

@@ -194,15 +194,8 @@ def extended(root: Path) -> dict[str, Any]:
 def test_every_block_of_the_guide_is_done() -> None:
     assert len(BLOCKS) == GUIDE.count("```") // 2
     sections = set(re.findall(r"^## An? (.+)$", GUIDE, re.MULTILINE))
-    assert sections == {
-        "law",
-        "driver",
-        "sensor",
-        "field of a scenario",
-        "scenario",
-        "profile of links",
-        "message",
-    }
+    some = {"field of a scenario", "profile of links"}
+    assert sections == {"law", "driver", "sensor", "scenario", "message"} | some
 
 
 def test_what_the_guide_adds_flies_and_is_no_other(extended: dict[str, Any]) -> None:

@@ -238,9 +238,8 @@ def test_cma_goes_on_from_the_best_and_leaves_numpys_own_random_numbers_alone() 
         flown(one, base("linear", duration=6.0), SearchLimits())[2].score for one in candidates(0)
     )
     assert result.worst > first
-    assert all(
-        candidate.number >= 64 for candidate, _ in result.flights.elite
-    )  # two batches are chance's
+    # two batches are chance's
+    assert all(candidate.number >= 64 for candidate, _ in result.flights.elite)
 
 
 def test_the_budget_is_kept() -> None:

@@ -61,18 +61,9 @@ def places(draw: st.DrawFn) -> Place:
         st.sampled_from((0.0, side, 0.5 * side)) | st.floats(-3.0, side + 3.0)
         for side in (columns * cell, rows * cell)
     )
-    reach = draw(st.floats(0.05, 8.0))
-    return Place(
-        coverage=coverage,
-        cell=cell,
-        p_ax=draw(x),
-        p_ay=draw(y),
-        p_gx=draw(x),
-        p_gy=draw(y),
-        reach=reach,
-        r_o=reach * draw(st.floats(1.01, 2.0)),
-        sensor=draw(st.sampled_from([row.code for row in SENSORS.values()])),
-    )
+    reach, sensor = draw(st.floats(0.05, 8.0)), st.sampled_from([s.code for s in SENSORS.values()])
+    both, r_o = (draw(one) for one in (x, y, x, y)), reach * draw(st.floats(1.01, 2.0))
+    return Place(coverage, cell, *both, reach, r_o, draw(sensor))
 
 
 @given(places())

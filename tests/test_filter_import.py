@@ -88,9 +88,7 @@ def test_the_filter_has_its_likelihood_as_filterpy_computes_it():
 
 @given(st.lists(st.booleans(), min_size=1, max_size=30), st.integers(0, 2**32 - 1))
 @PROPERTY
-def test_the_filter_without_bookkeeping_has_the_bits_of_filterpys_own(
-    seen: list[bool], seed: int
-) -> None:
+def test_the_filter_without_bookkeeping_has_the_bits_of_filterpys_own(seen, seed) -> None:
     rng = np.random.default_rng(seed)
     F, Q = motion(ticks=1, dt=0.05, deviation=rng.uniform(0.0, 2.0))
     spread, variance = rng.normal(size=(2, 2)), rng.uniform(1e-6, 1.0)

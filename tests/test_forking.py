@@ -135,9 +135,7 @@ def test_a_forkserver_that_has_ended_is_one_line() -> None:
             _waiting(server)
 
 
-def test_it_tells_that_it_compiles_first_where_nothing_is_compiled(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_tells_that_it_compiles_first_where_nothing_is_compiled(tmp_path, monkeypatch) -> None:
     with forkserver(environment_of("") | {"OUTRIDER_CACHE": str(tmp_path)}) as server:
         assert server is not None
         wait_until(lambda: server.ready(0.1) or server.is_compiling, 60.0)
@@ -181,9 +179,7 @@ def test_while_it_compiles_the_simulator_is_a_process_of_its_own_which_compiles_
     assert outcome.summary.trajectory_sha256 == fly(SHORT, SHORT.seed)[1].trajectory_sha256
 
 
-def test_what_is_compiled_at_once_waits_for_no_other_and_the_same_waits(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_compiled_at_once_waits_for_no_other_and_the_same_waits(tmp_path, monkeypatch):
     monkeypatch.setattr(kernels, "cache_folder", lambda: tmp_path)
     entered = threading.Event()
 

@@ -261,9 +261,7 @@ def test_sides_that_meet_but_at_their_corners_are_refused(corners) -> None:
     assert wrong.startswith("it crosses itself")
 
 
-def test_ten_thousand_hazards_of_a_file_are_read_and_checked_without_a_compiler_as_with_it() -> (
-    None
-):
+def test_ten_thousand_hazards_of_a_file_are_read_and_checked_without_a_compiler_as_with_it():
     program = """
 from sim.kernels.compile import interpret
 interpret()

@@ -53,18 +53,10 @@ def place(fields, routes, key, given=()) -> tuple[np.ndarray, np.ndarray, int]:
     hazards = records(HazardRow, [*given, *[HazardRow(9, *[0.0] * 5, 0, 0)] * room])
     tiles = np.zeros(SHAPE, dtype=np.uint8)
     fill_tiles(hazards[: len(given)], NO_CORNERS, TILE, tiles)
-    behind = place_hazards(
-        records(HazardFieldRow, fields),
-        np.array([point for route in routes for point in route]),
-        ways_of(*routes),
-        AREA,
-        TILE,
-        key,
-        hazards,
-        len(given),
-        tiles,
-        work_array(*SHAPE),
-    )
+    points = np.array([point for route in routes for point in route])
+    wanted, ways = records(HazardFieldRow, fields), ways_of(*routes)
+    ground = hazards, len(given), tiles, work_array(*SHAPE)
+    behind = place_hazards(wanted, points, ways, AREA, TILE, key, *ground)
     return hazards, tiles, behind
 
 

@@ -208,19 +208,9 @@ def test_the_tasks_of_a_suite_with_a_number_never_change() -> None:
 
 
 def test_a_missions_score_is_the_share_of_the_shortest_time() -> None:
-    went = Mission(
-        arrived=True,
-        mission_time=50.0,
-        hazards_hit=0,
-        near_misses=0,
-        hazards_on_way=3,
-        warned=3,
-        warned_before=5.0,
-        seen_ahead=0.5,
-        still_time=0.0,
-        finds=0,
-        found=0,
-    )
+    none = dict.fromkeys(("hazards_hit", "near_misses", "finds", "found"), 0)
+    told = {"hazards_on_way": 3, "warned": 3, "warned_before": 5.0, "seen_ahead": 0.5}
+    went = Mission(arrived=True, mission_time=50.0, still_time=0.0, **told, **none)
     changed = msgspec.structs.replace
     assert mission_score(went, 20.0) == pytest.approx(40.0)
     assert mission_score(changed(went, hazards_hit=1), 20.0) == pytest.approx(20.0)

@@ -332,9 +332,7 @@ def test_it_leaves_a_blocked_tile_that_it_stands_in_but_enters_none() -> None:
 # under attack
 
 
-def test_no_adversary_brings_a_cautious_ugv_into_a_tile_that_it_does_not_know(
-    cautious: ModuleType,
-) -> None:
+def test_no_adversary_brings_a_cautious_ugv_into_a_tile_that_it_does_not_know(cautious) -> None:
     """The long version, 10,000 flights: `python benchmarks/cautious_attacks.py attack`."""
     flights = [cautious.fly(cautious.draw_trial(seed), seed) for seed in range(60)]
     assert sum(one.entered for one in flights) == 0

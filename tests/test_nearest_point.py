@@ -24,21 +24,10 @@ def _searches(draw: st.DrawFn) -> tuple[np.ndarray, float, float, float, float, 
     rows, columns = draw(st.integers(1, 40)), draw(st.integers(1, 40))
     cell = draw(st.sampled_from((0.25, 0.4, 1.0)))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
-    coverage = np.where(
-        rng.random((rows, columns)) < draw(st.sampled_from((0.0, 0.01, 0.1, 1.0))),
-        1.0,
-        2.0 * DESIRED,
-    )
+    share = draw(st.sampled_from((0.0, 0.01, 0.1, 1.0)))
+    coverage = np.where(rng.random((rows, columns)) < share, 1.0, 2.0 * DESIRED)
     points = st.floats(-2.0, 42 * cell) | st.sampled_from((0.0, cell, 3.5 * cell))
-    return (
-        coverage,
-        draw(points),
-        draw(points),
-        draw(points),
-        draw(points),
-        draw(st.floats(0.2, 15.0)),
-        cell,
-    )
+    return coverage, *(draw(points) for _ in range(4)), draw(st.floats(0.2, 15.0)), cell
 
 
 @given(_searches(), st.integers(0, 2**53 - 1))

@@ -272,10 +272,8 @@ def test_answers_in_wrong_units_are_counted_or_told_once(tmp_path, monkeypatch, 
     assert flight.answers.shortened == {"uav_0": 0, "ugv_0": 40}
     assert summary.faults == {"ugv_0": {"command beyond its bound": 40}}
     flight, summary = fly(msgspec.structs.replace(scenario, custom=Custom(policy="units:wheel")), 7)
-    assert flight.answers.shortened == {
-        "uav_0": 0,
-        "ugv_0": 0,
-    }  # it is kept within its bounds on board
+    # it is kept within its bounds on board
+    assert flight.answers.shortened == {"uav_0": 0, "ugv_0": 0}
     first, second = (record.getMessage() for record in caplog.records)
     assert first == (
         "ugv_0: its command for tick 0, 5 m/s², is longer than its bound 0.1 m/s² and is shortened "

@@ -33,9 +33,8 @@ from sim.env.parallel import parallel_env
 from sim.scenario.types import LinkTable, Uav, Ugv
 
 with warnings.catch_warnings():
-    warnings.simplefilter(
-        "ignore", DeprecationWarning
-    )  # PettingZoo 1.27 makes an old environment of its own
+    # PettingZoo 1.27 makes an old environment of its own
+    warnings.simplefilter("ignore", DeprecationWarning)
     from pettingzoo.test import api_test, parallel_api_test
 
 MANY = msgspec.structs.replace(

@@ -110,9 +110,8 @@ def test_a_reset_begins_a_new_flight_with_its_own_seed_and_new_pilots(tmp_path: 
     assert (flight.seed, flight.episode) == (8, 2)
     assert flight.answers.first_missing is None
     assert status.vehicles["uav_0"].lost == 0
-    assert [seen.tick for seen in vehicles[0].seen] == list(
-        range(400)
-    )  # of the last flight: the pilot before is gone
+    # of the last flight: the pilot before is gone
+    assert [seen.tick for seen in vehicles[0].seen] == list(range(400))
     assert {seen.episode for seen in vehicles[0].seen} == {2}
     from outrider.running.flying import fly
 

@@ -78,22 +78,11 @@ def lockstep(bus: Any, on_event: Callable[[str], None], *, patience: float = 5.0
 
 
 BOTH = set(NAMES)
+BEGIN, END = [(0.05, {"r"}, set()), (0.15, {"r"}, BOTH), (0.5, set(), BOTH)], (9.0, {"s"}, set())
 TIMETABLES = {
-    "tokens first": [
-        (0.05, {"r"}, set()),
-        (0.15, {"r"}, BOTH),
-        (0.5, set(), BOTH),
-        (0.8, {"s"}, BOTH),
-        (9.0, {"s"}, set()),
-    ],
-    "one comes back late": [
-        (0.05, {"r"}, set()),
-        (0.15, {"r"}, BOTH),
-        (0.5, set(), BOTH),
-        (0.8, {"s"}, {"uav_0"}),
-        (9.0, {"s"}, set()),
-    ],
-    "so fast that nobody saw it": [(0.2, {"r"}, set()), (0.6, {"s"}, BOTH), (9.0, {"s"}, set())],
+    "tokens first": [*BEGIN, (0.8, {"s"}, BOTH), END],
+    "one comes back late": [*BEGIN, (0.8, {"s"}, {"uav_0"}), END],
+    "so fast that nobody saw it": [(0.2, {"r"}, set()), (0.6, {"s"}, BOTH), END],
 }
 
 

@@ -145,9 +145,8 @@ def test_what_takes_too_long_is_ended_with_all_it_has_started(load: Any, tmp_pat
     started = time.monotonic()
     with pytest.raises(processes.Failed, match="not done after"):
         processes.run(command, cwd=tmp_path, deadline=0.3)
-    assert (
-        time.monotonic() - started < 30.0
-    )  # the child holds our pipe: while it lives, nothing comes back
+    # the child holds our pipe: while it lives, nothing comes back
+    assert time.monotonic() - started < 30.0
 
 
 def test_only_a_whole_environment_with_the_same_requirements_is_used_again(load, tmp_path):

@@ -6,12 +6,7 @@ import pytest
 from outrider import RewardWeights, vector_env
 from sim.engine.world_state import grid_in
 from sim.kernels.compile import FloatArray
-from sim.models.field import (
-    accumulate,
-    accumulate_with_gain,
-    coverage_error,
-    coverage_gradient,
-)
+from sim.models.field import accumulate, accumulate_with_gain, coverage_error, coverage_gradient
 
 SETTINGS = {
     "num_envs": 2,

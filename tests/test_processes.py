@@ -232,9 +232,8 @@ def test_what_lies_in_the_working_folder_takes_no_modules_place(tmp_path: Path) 
     for name in ("agents", "sim", "bus", "outrider"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text(hostile, encoding="utf-8")
-    script = Path(sys.executable).with_name(
-        "outrider"
-    )  # `python -m outrider` is the folder's own outrider, if it has one
+    # `python -m outrider` is the folder's own outrider, if it has one
+    script = Path(sys.executable).with_name("outrider")
     arguments = words("run --driver policy --policy mine:policy --duration 1 --no-files --json")
     run = ran([script, *arguments], cwd=tmp_path, timeout=120)
     assert run.returncode == 0, run.stderr

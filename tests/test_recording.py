@@ -187,9 +187,8 @@ def test_a_command_is_what_was_asked_for_before_the_bounds(tmp_path: Path) -> No
     asked = [(0.1 * k, -7.0 / 3.0) for k in range(30)]
     for k, u in enumerate(asked):
         flight.recorder.record(flight.answers.reports)
-        flight.apply(
-            {"uav_0": UavCommand(tick=k, acceleration=u)}
-        )  # beyond u_max; the UGV is silent and brakes in the end
+        # beyond u_max; the UGV is silent and brakes in the end
+        flight.apply({"uav_0": UavCommand(tick=k, acceleration=u)})
         recorder.tick(flight)
     flight.recorder.record(flight.answers.reports)
     recorder.close()

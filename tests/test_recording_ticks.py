@@ -35,9 +35,7 @@ from bus.messages import (
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.reader import entries, flight_of, load
 from outrider.recording.refly import refly, restore
-from outrider.recording.schemas import (
-    Commands,
-)
+from outrider.recording.schemas import Commands
 from outrider.recording.tick_rows import TickTexts
 from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import InProcess, make_pilots

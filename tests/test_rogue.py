@@ -98,10 +98,8 @@ def _try_seeds(
         if way == KEY:
             fits = tried[0] == key[0] and tried[1] == key[1]
         elif way == FLAGS:
-            low, high = (
-                0.0,
-                1.0,
-            )  # whatever the share of dropouts is, it divides what failed from what did not
+            # whatever the share of dropouts is, it divides what failed from what did not
+            low, high = (0.0, 1.0)
             for n in range(ticks.shape[0]):
                 drawn = uniform(tried, DETECTION_CHANCE, ticks[n], 0)
                 if found[n]:

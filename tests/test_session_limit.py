@@ -107,12 +107,7 @@ def flooded(protocol: str, count: int, *, claimed: bool = False) -> Iterator[tup
     ids=["nameless", "claimed", "certified"],
 )
 def test_one_vehicle_with_hundreds_of_sessions_keeps_no_other_out(
-    protocol: str,
-    count: int,
-    claimed: bool,
-    left: int,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
+    protocol, count, claimed, left, monkeypatch, caplog
 ) -> None:
     """Its own first one stays connected, and a few beside it; the rest are ended whenever they come again."""
     monkeypatch.setattr(session_limit, "GRACE", 1.0)

@@ -35,6 +35,7 @@ SMALL = {
 }
 GRID = [*words("sweep escort --law linear,switching --vary detections.noise=0,0.5 --set"), CELLS]
 
+GOALS = "ugv.0.goals=[[1, 2]],[[3.5, 4]]"
 LONG = words("--seeds 12 --set duration=20.0")
 
 
@@ -125,12 +126,7 @@ def test_blocks_vary_one_thing_each_and_the_columns_say_what_the_others_are(tmp_
 
 def test_values_of_any_kind_can_be_varied():
     plan = plan_of(
-        vary=[
-            "ugv.0.driver=evade,wander",
-            "estimator.enabled=true,false",
-            "ugv.0.goals=[[1, 2]],[[3.5, 4]]",
-        ],
-        seeds=1,
+        vary=[*words("ugv.0.driver=evade,wander estimator.enabled=true,false"), GOALS], seeds=1
     )
     assert plan.columns["ugv.0.driver"] == plan.columns["ugv.0.goals"] == "string"
     assert plan.columns["estimator.enabled"] == "bool"
@@ -249,9 +245,8 @@ def test_many_small_files_are_merged_and_rows_that_are_there_twice_count_once(
         )
     assert parts(folder.path) < 6
     assert (folder.rows, folder.failed) == (11, 1)
-    folder.add(
-        [{**results[0], "run": 3}, {**results[0], "run": 4}]
-    )  # 3 was flown again; 4 is there already
+    # 3 was flown again; 4 is there already
+    folder.add([{**results[0], "run": 3}, {**results[0], "run": 4}])
     assert (folder.rows, folder.failed) == (11, 0)
     file = folder.finish()
     folder.close()
@@ -287,9 +282,8 @@ def test_ctrl_c_keeps_what_is_done_says_how_to_go_on_and_leaves_no_process(tmp_p
     process = started(*command, stdout=subprocess.PIPE)
     wait_for(lambda: parts(tmp_path / "sweep") >= 1, process)
     workers = [pid for pid in _session(process.pid) if "LokyProcess" in command_line(pid)]
-    blocking = [
-        blocks(pid, signal.SIGINT) for pid in workers
-    ]  # else one may show where it was interrupted
+    # else one may show where it was interrupted
+    blocking = [blocks(pid, signal.SIGINT) for pid in workers]
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
     out, err = process.communicate(timeout=30)
     assert blocking == [True, True]

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 from flights import escort, parameters
+from tabular import words
 
 from agents.control.laws import OwnTerms, weights
 from agents.drivers import parameters as parameters_of_drivers
@@ -234,20 +235,7 @@ def test_no_file_and_no_public_class_has_the_name_of_another(trees: dict[Path, a
 
 
 PRIVATE = {
-    "crew",
-    "crews",
-    "deaf",
-    "deeds",
-    "desk",
-    "ether",
-    "glance",
-    "hear",
-    "heard",
-    "heed",
-    "leash",
-    "seat",
-    "seats",
-    "unheard",
+    *words("crew crews deaf deeds desk ether glance hear heard heed leash seat seats unheard")
 }
 """Private metaphors that have the field's word now: pilots, operator controls, channel, receive, slot and so on."""
 STRUCTURE = re.compile(r"[A-Z]\w+(?<!Array)(?<!Any)$")

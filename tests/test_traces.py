@@ -122,9 +122,7 @@ def granted(
 @pytest.mark.parametrize("dt", [0.05, 1.0 / 30.0, 0.004])
 @pytest.mark.parametrize("size", [400, 1500, 5000])
 @pytest.mark.parametrize(("queue", "keep"), [(3, "newest"), (1, "newest"), (2, "oldest")])
-def test_a_message_leaves_when_its_bytes_have_been_granted(
-    dt: float, size: int, queue: int, keep: str
-) -> None:
+def test_a_message_leaves_when_its_bytes_have_been_granted(dt, size, queue, keep) -> None:
     key, ticks, delay = a_key(7, size), 300, 0.06
     settings = LinkSettings(trace="trace", message_bytes=size, queue=queue, keep=keep, delay=delay)
     times = [int(line) for line in MAHIMAHI.split()]
@@ -424,9 +422,7 @@ def test_too_many_lines_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: P
         ("a\\u0000b", "cannot be read"),
     ],
 )
-def test_a_scenario_names_recordings_beside_it_or_below(
-    trace: str, told: str, tmp_path: Path
-) -> None:
+def test_a_scenario_names_recordings_beside_it_or_below(trace, told, tmp_path) -> None:
     (tmp_path / "outside.csv").write_text(TABLE)
     folder = tmp_path / "mine"
     folder.mkdir()
@@ -444,9 +440,7 @@ def test_a_scenario_names_recordings_beside_it_or_below(
         (("links.radio.duplicates=0.5",), "allowed: 0; delay and blackouts may"),
     ],
 )
-def test_what_cannot_stand_beside_a_recording_is_refused(
-    changes: tuple[str, ...], told: str, tmp_path: Path
-) -> None:
+def test_what_cannot_stand_beside_a_recording_is_refused(changes, told, tmp_path) -> None:
     (tmp_path / "t.csv").write_text(TABLE)
     assert told in refusal(overrides=[f"links.radio.trace={tmp_path}/t.csv", *changes])
     (tmp_path / "t.csv").write_text(MAHIMAHI)

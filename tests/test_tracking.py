@@ -51,15 +51,7 @@ def test_the_error_accelerates_by_the_difference_of_the_commands(
 @given(*[numbers] * 8, st.floats(0.0, 5.0))
 @settings(PROPERTY)
 def test_around_a_ugv_of_constant_velocity_the_error_is_a_double_integrator(
-    p_ax: float,
-    p_ay: float,
-    v_ax: float,
-    v_ay: float,
-    u_ax: float,
-    u_ay: float,
-    v_gx: float,
-    v_gy: float,
-    t: float,
+    p_ax, p_ay, v_ax, v_ay, u_ax, u_ay, v_gx, v_gy, t
 ) -> None:
     a = step_vehicle(p_ax, p_ay, v_ax, v_ay, u_ax, u_ay, math.inf, math.inf, t)
     g = step_vehicle(1.0, 2.0, v_gx, v_gy, 0.0, 0.0, math.inf, math.inf, t)
@@ -169,9 +161,8 @@ def test_tracking_keeps_integrating_while_its_weight_is_zero(law: str) -> None:
     angle = np.linspace(0.0, 7.0, 120)
     positions = np.stack(((1.0 + 0.2 * angle) * np.cos(angle), 2.0 * np.sin(2.0 * angle)), axis=1)
     assert np.hypot(*positions.T).max() < R_S
-    age = DT * np.arange(
-        len(positions) - 1, -1, -1
-    )  # from the end of a sample's tick to the end of the last one
+    # from the end of a sample's tick to the end of the last one
+    age = DT * np.arange(len(positions) - 1, -1, -1)
     share = np.exp(A_C * age) * (np.exp(A_C * DT) - 1.0) / A_C * B_C
     found = _state_after(law, positions, empty_coverage(40.0, 40.0, 0.25))
     np.testing.assert_allclose(found, share @ positions, rtol=1e-10)

@@ -69,24 +69,15 @@ def test_gathering_speed_up_to_the_bound_is_the_closed_form_within_one_tick(v_ma
         t, full = k * dt, v_max / u_max
         wanted = 0.5 * u_max * t * t if t <= full else 0.5 * v_max * full + v_max * (t - full)
         assert state[2] == pytest.approx(min(u_max * t, v_max), rel=1e-12)
-        assert (
-            abs(state[0] - wanted) <= u_max * dt * dt / 8.0 + 1e-9
-        )  # the tick in which the bound is met
+        # the tick in which the bound is met
+        assert abs(state[0] - wanted) <= u_max * dt * dt / 8.0 + 1e-9
         assert state[1] == state[3] == 0.0
 
 
 @given(*[numbers] * 6, bounds, bounds, ticks)
 @settings(PROPERTY, max_examples=500)
 def test_speed_and_acceleration_never_exceed_their_bounds(
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
-    u_x: float,
-    u_y: float,
-    v_max: float,
-    u_max: float,
-    dt: float,
+    p_x, p_y, v_x, v_y, u_x, u_y, v_max, u_max, dt
 ) -> None:
     q_x, q_y, w_x, w_y, a_x, a_y = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, v_max, u_max, dt)
     assert norm(a_x, a_y) <= u_max * ONE

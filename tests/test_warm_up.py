@@ -113,9 +113,7 @@ def every_control() -> Iterator[Control]:
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_no_control_makes_a_tick_late_in_real_time_on_a_cold_cache(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_control_makes_a_tick_late_in_real_time_on_a_cold_cache(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("OUTRIDER_CACHE", str(tmp_path / "cache"))
     words = ("escort", "--realtime", "1", "--duration", "20000", "--no-files", "--json")
     with started("run", *words, fresh=True) as run:

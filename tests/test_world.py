@@ -21,13 +21,8 @@ ON_THE_WAY = Ugv(position=HERE, goals=((25.0, 20.0), (25.0, 26.0)))
 
 def _noisy(seed_of_file: int = 0, **fields: float) -> Scenario:
     noise = Detections(noise=0.1, dropout=0.1)
-    return escort(
-        "logarithmic",
-        seed=seed_of_file,
-        ugv=ON_THE_WAY,
-        detections=noise,
-        **{"duration": 20.0, **fields},
-    )
+    fields = {"seed": seed_of_file, "duration": 20.0, **fields}
+    return escort("logarithmic", ugv=ON_THE_WAY, detections=noise, **fields)
 
 
 def test_the_same_seed_flies_the_same_bits_and_another_seed_others() -> None:
@@ -39,10 +34,8 @@ def test_the_same_seed_flies_the_same_bits_and_another_seed_others() -> None:
 
 
 def test_the_seed_that_counts_is_the_runs_and_not_the_files() -> None:
-    assert (
-        fly(_noisy(seed_of_file=1), 4)[1].trajectory_sha256
-        == fly(_noisy(seed_of_file=2), 4)[1].trajectory_sha256
-    )
+    one, other = (fly(_noisy(seed_of_file=seed), 4)[1].trajectory_sha256 for seed in (1, 2))
+    assert one == other
 
 
 @pytest.mark.parametrize("dt", [0.05, 0.1, 0.3])
@@ -60,14 +53,8 @@ def test_time_is_the_tick_times_the_length_of_a_tick(dt: float) -> None:
 
 def test_a_vehicle_that_runs_into_a_wall_stops_there_on_that_axis_and_can_leave() -> None:
     area = Area(width=10.0, height=8.0, cell=0.5)
-    world = World(
-        escort(
-            uav=Uav(position=(9.9, 4.0), velocity=(0.5, 0.1)),
-            ugv=Ugv(position=(0.1, 7.9)),
-            area=area,
-        ),
-        0,
-    )
+    uav, ugv = Uav(position=(9.9, 4.0), velocity=(0.5, 0.1)), Ugv(position=(0.1, 7.9))
+    world = World(escort(uav=uav, ugv=ugv, area=area), 0)
     uav, ugv = world.names.index("uav_0"), world.names.index("ugv_0")
     for _ in range(40):
         push = np.zeros((2, 2))
@@ -131,10 +118,8 @@ def test_the_ugv_is_seen_at_every_look_within_the_visibility_radius_and_at_none_
     covered = Coverage(covered=(Region(lower=(0.0, 0.0), upper=(40.0, 24.0)),))
     ugv = Ugv(position=HERE, goals=((20.0, 2.0),))
     flight, _ = fly(escort("coverage", ugv=ugv, coverage=covered, duration=60.0), 0)
-    distance, detected = (
-        flight.recorder.escorts[:, 0, 0],
-        ~np.isnan(flight.recorder.escorts[:, 0, 2]),
-    )
+    escorts = flight.recorder.escorts[:, 0]
+    distance, detected = escorts[:, 0], ~np.isnan(escorts[:, 2])
     assert detected[distance < R_V].all()
     assert not detected[distance >= R].any()
     between = (distance >= R_V) & (distance < R)
@@ -194,9 +179,8 @@ def test_two_pairs_fly_each_uav_with_the_ugv_it_escorts() -> None:
         distance = np.hypot(*(states[:, a, :2] - states[:, g, :2]).T)
         np.testing.assert_allclose(flight.recorder.escorts[:, row, 0], distance, rtol=1e-13)
         assert 1.0 < distance.max() < R_V
-    np.testing.assert_allclose(
-        states[-1, 2:, :2], [(17.8, 11.0), (30.0, 21.2)], atol=1e-6
-    )  # V_G t - V_G²/(2 U_G)
+    # V_G t - V_G²/(2 U_G)
+    np.testing.assert_allclose(states[-1, 2:, :2], [(17.8, 11.0), (30.0, 21.2)], atol=1e-6)
 
 
 def test_one_map_holds_what_all_uavs_have_seen() -> None:

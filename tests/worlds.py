@@ -6,6 +6,7 @@ from typing import Any
 import msgspec
 import numpy as np
 from flights import escort
+from tabular import words
 
 from bus.messages import Estimator, Law, ScriptStep
 from bus.profiles import PROFILES
@@ -87,15 +88,8 @@ FREE = Scenario(
 SCENARIOS: dict[str, Scenario] = {
     **{
         law: small(law)
-        for law in (
-            "tracking",
-            "coverage",
-            "linear",
-            "switching",
-            "logarithmic",
-            "circle",
-            "certified",
-            "lookahead",
+        for law in words(
+            "tracking coverage linear switching logarithmic circle certified lookahead"
         )
     },
     **{driver: small("certified", driver) for driver in ("wander", "script", "evade")},
