@@ -9,7 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.transforms import offset_copy
 
+from bus.errors import shortened
 from bus.messages import GroundMap
 from outrider import style
 from sim.kernels.compile import FloatArray
@@ -120,7 +122,8 @@ def _draw_map(figure: Figure, axes: Axes, flight: Flight, hazards: GroundMap | N
         axes.legend(
             handles=legend_of(scene),
             loc="upper center",
-            bbox_to_anchor=(0.5, -0.08),
+            bbox_to_anchor=(0.5, 0.0),
+            bbox_transform=offset_copy(axes.transAxes, figure, y=-30.0, units="points"),
             ncols=3,
             columnspacing=1.6,
         )
@@ -230,7 +233,7 @@ def _verdict(flight: Flight) -> _Verdict | None:
 
 def _draw_header(figure: Figure, flight: Flight, hazards: GroundMap | None) -> None:
     scenario, verdict = flight.scenario, _verdict(flight)
-    named = f"{scenario.name}   ·   " if scenario.title else ""
+    named = f"{shortened(scenario.name, 24)}   ·   " if scenario.title else ""
     facts = [
         flight.law_name if verdict is None else f"law {flight.law_name}",
         f"seed {flight.seed}",
