@@ -1,7 +1,7 @@
 """Wrappers for the environment: what an agent may compute from its own row, put into that row."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -80,10 +80,10 @@ class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
             return spaces.Dict(
                 {**space.spaces, "row": EstimateWrapper._without_bounds(space.spaces["row"])}
             )
-        assert isinstance(space, spaces.Box)  # noqa: S101 - checked
-        low, high = space.low.copy(), space.high.copy()
+        box = cast("spaces.Box", space)
+        low, high = box.low.copy(), box.high.copy()
         low[_RELATIVE], high[_RELATIVE] = -np.inf, np.inf
-        return spaces.Box(low, high, dtype=space.low.dtype.type)
+        return spaces.Box(low, high, dtype=low.dtype.type)
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """The space of an agent's observations."""

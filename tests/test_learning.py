@@ -195,6 +195,9 @@ def test_a_curve_is_drawn(tmp_path: Path) -> None:
         draw_curve(tmp_path / "none.npz", tmp_path / "curve.png", laws=())
 
 
+_UNREADABLE = ("missing", "text", "empty", "half", "other", "objects", "complex")
+
+
 def _bad_files(folder: Path) -> dict[str, str]:
     """Files that are no policy, and what is said of them."""
     network, recipe = load_policy(POLICY)
@@ -219,12 +222,15 @@ def _bad_files(folder: Path) -> dict[str, str]:
         "repeat": {"repeat": 2.5},
         "tick": {"dt": 0.0},
         "patch": {"coverage_patch": [0, 1.5]},
+        "word": {"coverage_patch": ["a", 1.5]},
         "lag": {"view": recipe["view"] | {"lag": 0}},
     }.items():
         save_policy(folder / f"{name}.npz", network, recipe | change)
+    with np.load(POLICY) as archive:
+        np.savez(folder / "complex.npz", **{**archive, "bias_0": archive["bias_0"] * 1j})
     save_policy(folder / "list.npz", network, [])  # type: ignore[arg-type]
     cannot = "cannot be read"
-    return dict.fromkeys(("missing", "text", "empty", "half", "other", "objects"), cannot) | {
+    return dict.fromkeys(_UNREADABLE, cannot) | {
         "gap": "do not follow each other",
         "nan": "not finite",
         "recipe": "recipe: KeyError",
@@ -233,6 +239,7 @@ def _bad_files(folder: Path) -> dict[str, str]:
         "repeat": "recipe: repeat = 2.5; allowed: a positive whole number",
         "tick": "recipe: dt = 0.0; allowed: a positive number",
         "patch": "recipe: coverage_patch = 0; allowed: a positive whole number",
+        "word": "recipe: coverage_patch = 'a'; allowed: a positive whole number",
         "lag": "recipe: view.lag = 0; allowed: a positive whole number",
     }
 
@@ -260,9 +267,10 @@ def test_a_policy_asks_for_the_observations_that_it_needs(evaluation: ModuleType
         )
     with pytest.raises(ValueError, match=r"uav_0: max_speed = 0.7: the policy is made for 0.6"):
         outrider.vector_env(fast, num_envs=2, agent="ugv_0", others={"uav_0": policy})
-    other = outrider.vector_env(NOISY, num_envs=2, estimate=True, coverage_patch=(8, 0.5))
-    with pytest.raises(ValueError, match=r"coverage of shape \(8, 8\): the policy is made for"):
-        policy(other.reset(seed=1)[0])
+    for change in ({"coverage_patch": (8, 0.5)}, {"gradient": True}):
+        other = outrider.vector_env(NOISY, num_envs=2, **policy.setup | change)
+        with pytest.raises(ValueError, match=r"observations of shapes .*: the policy is made for"):
+            policy(other.reset(seed=1)[0])
     with pytest.raises(ValueError, match="flights = 0"):
         evaluation.evaluate(POLICY, flights=0)
     with pytest.raises(ValueError, match="allowed: escort, wander, evade, covered"):

@@ -30,7 +30,6 @@ from bus.layout import UgvRow
 from bus.messages import Command, UgvObservation
 from bus.registry import SAVED_POLICIES
 from outrider.envs.env_pilots import pilots
-from outrider.running import user_code
 from outrider.running.flying import fly, make_pilots
 from outrider.running.user_code import load_function, load_policy
 from sim.models.vehicles import norm
@@ -48,7 +47,9 @@ import numpy as np
 
 class PPO:
     def __init__(self, told):
-        self.observation_space = SimpleNamespace(shape=tuple(told["row"]), dtype=np.dtype(told["dtype"]))
+        row = SimpleNamespace(shape=tuple(told["row"]), dtype=np.dtype(told["dtype"]), low=np.array(told["low"]))
+        parts = {name: SimpleNamespace(shape=tuple(shape)) for name, shape in told["pictures"].items()}
+        self.observation_space = SimpleNamespace(spaces={"row": row} | parts) if parts else row
         self.action_space = SimpleNamespace(shape=tuple(told["action"]))
         self.weights, self.seen, self.asked = np.array(told["weights"]), [], []
 
@@ -104,7 +105,7 @@ class InferenceSession:
 
     def get_inputs(self):
         shape = (*self.told["batch"], *self.told["row"])
-        return [SimpleNamespace(name="x", type="tensor(double)", shape=list(shape))] * self.told["inputs"]
+        return [SimpleNamespace(name="x", type=self.told["type"], shape=list(shape))] * self.told["inputs"]
 
     def run(self, outputs, given):
         assert outputs is None and given["x"].dtype == np.float64
@@ -115,7 +116,10 @@ WEIGHTS = [
     *([0.0, 0.0], [0.1, -0.02], [-0.1, 0.03], [0.5, 0.1]),
     *([0.1, -0.7], [0.2, 0.2], [0.01, 0.0], [0.0, -0.02]),
 ]
-TOLD = {"row": [8], "action": [2], "dtype": "float64", "weights": WEIGHTS, "batch": [], "inputs": 1}
+LOW = [0.0, 0.0, 0.0, -0.5, -0.5, 0.0, 0.0, 0.0]
+SEEN = {"row": [8], "low": LOW, "pictures": {}, "dtype": "float64"}
+INPUT = {"batch": [], "inputs": 1, "type": "tensor(double)"}
+TOLD = SEEN | INPUT | {"action": [2], "weights": WEIGHTS}
 
 
 @pytest.fixture
@@ -294,15 +298,6 @@ def test_of_a_long_reason_the_end_is_told_too() -> None:
         driver.drive(_seen(3))
 
 
-def test_a_saved_policy_of_normalized_rows_is_refused_when_it_is_loaded() -> None:
-    width = len(UgvRow._fields)
-    raw, unknown = np.array([0.0] * 3 + [-1.0] * (width - 3)), np.full(width, -np.inf)
-    for low in (raw, unknown, None):
-        user_code._check_units(low, "policy = 'sb3:ppo:model.zip'")
-    with refused(ScenarioError, "which are no rows in SI units"):
-        user_code._check_units(np.full(width, -1.0), "policy = 'sb3:ppo:model.zip'")
-
-
 @pytest.mark.parametrize(
     "scenario",
     [_scenario(), load_scenario("escort", overrides={"duration": 20.0})],
@@ -470,13 +465,31 @@ def test_a_name_lacks_its_file_its_library_or_its_algorithm_in_one_line(here, na
     [
         ("sb3:ppo:model.zip", {"row": [9]}),
         ("sb3:ppo:model.zip", {"action": [4]}),
+        ("sb3:ppo:model.zip", {"pictures": {"coverage": [21, 21]}}),
+        ("sb3:ppo:model.zip", {"pictures": {"tiles": [3, 21, 21]}}),
+        ("sb3:ppo:model.zip", {"pictures": {"tiles": [20, 20]}}),
         ("onnx:model.onnx", {"row": [9]}),
         ("onnx:model.onnx", {"inputs": 2}),
+        ("onnx:model.onnx", {"batch": [2]}),
+        ("onnx:model.onnx", {"batch": [1, 1]}),
+        ("onnx:model.onnx", {"type": "tensor(float16)"}),
     ],
 )
 def test_a_policy_of_another_agent_is_refused_before_it_flies(here, name, changes):
     tell(here, name.rpartition(":")[2], **changes)
     assert "allowed: " in refusal(name)
+
+
+@pytest.mark.parametrize("pictures", [{}, {"tiles": [21, 21]}], ids=str)
+def test_a_saved_policy_of_normalized_rows_is_refused_when_it_is_loaded(
+    here: Path, pictures: dict[str, Any]
+) -> None:
+    for low in (LOW, [-math.inf] * 8):
+        tell(here, "model.zip", low=low, pictures=pictures)
+        assert load_policy("sb3:ppo:model.zip")
+    for low in ([-1.0] * 8, [0.0] * 8):  # as `normalized` scales them, and as SuperSuit does
+        tell(here, "model.zip", low=low, pictures=pictures)
+        assert "which are no rows in SI units" in refusal("sb3:ppo:model.zip")
 
 
 @pytest.mark.parametrize("batch", [[], [1], ["batch"]], ids=str)

@@ -7,6 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from bus.layout import UavRow
 from outrider.learning.mlp import Mlp, load_policy
 from outrider.learning.policy_inputs import EscortView
 from sim.env.observation import AgentObservation, Array
@@ -62,14 +63,15 @@ class LearnedPolicy:
             ("dt", recipe["dt"], False),
             ("view.lag", recipe["view"]["lag"], True),
         ):
-            if not (value > 0 and math.isfinite(value) and (value == int(value) or not whole)):
-                kind = "whole number" if whole else "number"
+            allowed, kind = (int, "whole number") if whole else (int | float, "number")
+            if not (isinstance(value, allowed) and 0 < value < math.inf):
                 raise ValueError(f"recipe: {name} = {value!r}; allowed: a positive {kind}")
         self.setup: dict[str, Any] = {
             "estimate": True,
             "coverage_patch": (int(pixels), float(meters)),
         }
         """Arguments for the vector environment whose observations it needs."""
+        self._shapes = {"row": (len(UavRow._fields),), "coverage": (int(pixels), int(pixels))}
         self._ticks, self._dt = int(recipe["repeat"]), float(recipe["dt"])
         self._held: Array = np.zeros((0, 2))
 
@@ -101,7 +103,11 @@ class LearnedPolicy:
                     )
 
     def __call__(self, observation: AgentObservation) -> Array:
-        """The acceleration [m/s²] for this tick's observation, of one world (2,) or of all (worlds, 2)."""
+        """The acceleration [m/s²] for this tick's observation, of one world (2,) or of all (worlds, 2).
+
+        Raises:
+            ValueError: If the observation is of an environment that was not made with its `setup`.
+        """
         if not isinstance(observation, dict):
             raise ValueError(
                 "a learned policy needs the row and the coverage patch: make the environment with its setup"
@@ -112,11 +118,11 @@ class LearnedPolicy:
         return self._act(observation)
 
     def _act(self, observation: dict[str, Array]) -> Array:
-        side = self.setup["coverage_patch"][0]
-        if observation["coverage"].shape[1:] != (side, side):
+        shapes = {key: array.shape[1:] for key, array in observation.items()}
+        if shapes != self._shapes:
             raise ValueError(
-                f"coverage of shape {observation['coverage'].shape[1:]}: the policy is made for {(side, side)}; make "
-                "the environment with its setup"
+                f"observations of shapes {shapes}: the policy is made for {self._shapes}; make the environment with "
+                "its setup"
             )
         tick = np.rint(observation["row"][:, 0] / self._dt).astype(np.int64)
         begun, due = tick == 0, tick % self._ticks == 0

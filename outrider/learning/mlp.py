@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from bus.errors import shortened
 from bus.files import open_regular
 
 Array = npt.NDArray[np.floating[Any]]
@@ -76,8 +77,10 @@ def load_policy(path: str | Path) -> tuple[Mlp, dict[str, Any]]:
             arrays = {name: archive[name] for name in archive.files}
         recipe = json.loads(str(arrays.pop(_RECIPE)[()]))
         layers = range(len(arrays) // 2)
-        weights = tuple(arrays[f"weight_{k}"].astype(np.float64) for k in layers)
-        biases = tuple(arrays[f"bias_{k}"].astype(np.float64) for k in layers)
+        weights, biases = (
+            tuple(arrays[f"{part}_{k}"].astype(np.float64, casting="same_kind") for k in layers)
+            for part in ("weight", "bias")
+        )
     except (
         OSError,
         KeyError,
@@ -88,7 +91,7 @@ def load_policy(path: str | Path) -> tuple[Mlp, dict[str, Any]]:
         MemoryError,
         zipfile.BadZipFile,
     ) as error:
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:160]
+        reason = shortened(f"{type(error).__name__}: {error}")
         raise ValueError(
             f"policy {str(path)!r}: cannot be read: {reason}; allowed: a file of examples/train_uav.py"
         ) from error

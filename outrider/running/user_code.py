@@ -1,8 +1,7 @@
 """Functions of the user's own, named as module:function, and policies that a learning library has saved."""
 
-import math
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,7 +15,6 @@ from bus.errors import ScenarioError, shortened, told_with_place
 from bus.layout import Row, UgvRow
 from bus.registry import LAWS, POLICY_FORMS, SAVED_POLICIES, resolve
 from sim.input.faults import one_line
-from sim.kernels.compile import FloatArray
 
 if TYPE_CHECKING:
     from sim.scenario.types import Scenario
@@ -143,12 +141,34 @@ def _check_shapes(row: object, action: object, where: str) -> None:
         )
 
 
-def _check_units(low: FloatArray | None, where: str) -> None:
-    """Refuse a policy of rows that were normalized: here it is given SI units, whose time and place begin at 0."""
-    if low is not None and any(-math.inf < least < 0.0 for least in low[:3].tolist()):
+def _row_of(space: object, where: str) -> object:
+    """The space of the row in what a policy observes: all of it, or that beside the picture of the tiles."""
+    parts = getattr(space, "spaces", None)
+    if not isinstance(parts, Mapping):
+        return space
+    shapes = {name: getattr(part, "shape", None) for name, part in parts.items()}
+    side, *more = shapes.get("tiles") or (0,)
+    if shapes.keys() != {"row", "tiles"} or more != [side] or side % 2 == 0:
         raise ScenarioError(
-            f"{where}: made for observations from {low[:3].tolist()} on, which are no rows in SI units; allowed: rows "
-            "as the environment gives them, or a policy of your own that transforms them"
+            f"{where}: made for observations of shapes {shapes}; allowed: the UGV's row, alone or with 'tiles', a "
+            "picture of as many rows as columns, an odd number"
+        )
+    return parts["row"]
+
+
+def _check_units(row: object, where: str) -> None:
+    """Refuse a policy of rows that were normalized: here it is given SI units.
+
+    Theirs begin at 0, but for the velocity; a bound that is infinite says nothing.
+    """
+    low = getattr(row, "low", None)
+    if low is None:
+        return
+    below = np.array([name in {"vx", "vy"} for name in UgvRow._fields])
+    if (np.isfinite(low) & ((low < 0.0) != below)).any():
+        raise ScenarioError(
+            f"{where}: made for observations from {low.tolist()} on, which are no rows in SI units; allowed: rows as "
+            "the environment gives them, or a policy of your own that transforms them"
         )
 
 
@@ -170,10 +190,10 @@ def load_sb3(rest: str, where: str) -> RowPolicy:
         model: RowPolicy = found.load(file, device="cpu")
     except Exception as error:
         raise ScenarioError(f"{where}: cannot be loaded: {_reason(error)}") from error
-    seen, done = getattr(model, "observation_space", None), getattr(model, "action_space", None)
-    row = getattr(seen, "spaces", {}).get("row", seen)  # of a dictionary of row and tiles
+    row = _row_of(getattr(model, "observation_space", None), where)
+    done = getattr(model, "action_space", None)
     _check_shapes(getattr(row, "shape", None), getattr(done, "shape", None), where)
-    _check_units(getattr(row, "low", None), where)
+    _check_units(row, where)
     return model
 
 
@@ -213,6 +233,18 @@ def load_torch(path: str, where: str) -> RowPolicy:
     return _Torch(torch, module)
 
 
+_ONNX_TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
+_ONNX_SHAPES = ([*_ROW], [1, *_ROW])
+
+
+def _may_be(told: list[Any], shape: list[int]) -> bool:
+    """Whether an input can have this shape: a size that is no number is free, and none at all are not known."""
+    return len(told) in (0, len(shape)) and all(
+        size == wanted or not isinstance(size, int)
+        for size, wanted in zip(told, shape, strict=False)
+    )
+
+
 class _Onnx:
     """An ONNX graph with one input: the row, or a batch of one."""
 
@@ -221,12 +253,15 @@ class _Onnx:
         if len(inputs) != 1:
             raise ScenarioError(f"{where}: has {len(inputs)} inputs; allowed: one, the UGV's row")
         (told,) = inputs
+        fits = any(_may_be(told.shape, shape) for shape in _ONNX_SHAPES)
+        if told.type not in _ONNX_TYPES or not fits:
+            raise ScenarioError(
+                f"{where}: its input is a {told.type} of shape {told.shape}; allowed: {', '.join(_ONNX_TYPES)} of "
+                f"shape {' or '.join(map(str, _ONNX_SHAPES))}, the UGV's row"
+            )
         self._session, self._name = session, told.name
-        self._dtype = np.float64 if told.type == "tensor(double)" else np.float32
+        self._dtype = _ONNX_TYPES[told.type]
         self._batched = len(told.shape) == 2
-        width = told.shape[-1] if told.shape else None
-        if isinstance(width, int):
-            _check_shapes((width,), None, where)
 
     def predict(self, row: Row) -> object:
         """The action: the first output."""
