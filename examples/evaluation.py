@@ -1,5 +1,6 @@
 """Compares a learned UAV with the paper's laws, on flights that its training never saw."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -76,7 +77,7 @@ class Result:
     mean_error: float
     """Mean over flights of the mean of e(t) [m²]."""
     half_width: float
-    """Of its 95 % interval [m²]."""
+    """Of its 95 % interval [m²]; NaN for a single flight."""
     difference: float
     """Mean over flights of what it has more than the logarithmic law on the same flight [m²]."""
     difference_half_width: float
@@ -235,15 +236,19 @@ def markdown(results: Sequence[Result]) -> str:
     return "\n\n".join(tables)
 
 
+def _about(half_width: float) -> str:
+    return "" if math.isnan(half_width) else f" ± {half_width:.1f}"
+
+
 def _line(result: Result) -> str:
     acts = "no filter" if result.intervened is None else f"{100.0 * result.intervened:.1f} %"
     more = (
         "-"
         if result.pilot == DEFAULT_LAW
-        else f"{result.difference:+.1f} ± {result.difference_half_width:.1f}"
+        else f"{result.difference:+.1f}{_about(result.difference_half_width)}"
     )
     return (
-        f"| {result.pilot} | {result.mean_error:.1f} ± {result.half_width:.1f} | {more} "
+        f"| {result.pilot} | {result.mean_error:.1f}{_about(result.half_width)} | {more} "
         f"| {result.max_distance:.2f} | {acts} | {result.lost} of {result.flights} "
         f"| {result.violations} |"
     )

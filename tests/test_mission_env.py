@@ -230,7 +230,8 @@ def test_the_interquartile_mean_and_its_interval_are_rliables() -> None:
         for _ in range(4000)
     ]
     assert (low, high) == pytest.approx(np.percentile(again, [2.5, 97.5]), abs=1.5)
-    assert interquartile_interval([[3.0], [5.0]]) == (4.0, 4.0, 4.0)
+    middle, *interval = interquartile_interval([[3.0], [5.0]])
+    assert (middle, np.isnan(interval).all()) == (4.0, True)
     with refused(ValueError, "the scores: allowed is one task or more"):
         interquartile_interval([[1.0, 2.0], [1.0]])
 
@@ -270,6 +271,15 @@ def test_a_mission_goes_on_out_of_sight_and_what_comes_after_its_end_does_not_co
     result = task.evaluate(Team(uav=away, ugv=drive), seeds=[1, 2], secret=SECRET)
     assert (result.arrived, result.lost) == (2, 1)  # type: ignore[attr-defined]
     assert result.scores[0] > result.scores[1] > 0.0
+
+
+@pytest.mark.parametrize("make", [bare_env, outrider.parallel_env])
+def test_a_map_that_was_asked_for_is_ones_own(make: Any) -> None:
+    env = make(grounded())
+    env.reset(seed=1)
+    known = env.known_tiles("ugv_0")
+    known[:] = BLOCK
+    assert not (env.known_tiles("ugv_0") == BLOCK).all()
 
 
 def test_missions_are_flown_by_laws_policies_and_teams() -> None:

@@ -40,7 +40,8 @@ def test_the_interval_of_a_mean_is_student_s():
     half = 4.3027 / 3**0.5
     assert (mean, low, high) == pytest.approx((5.0, 5.0 - half, 5.0 + half), abs=1e-4)
     assert mean_interval([3.0, 3.0]) == (3.0, 3.0, 3.0)
-    assert mean_interval([2.0]) == (2.0, 2.0, 2.0)
+    mean, low, high = mean_interval([2.0])
+    assert (mean, math.isnan(low), math.isnan(high)) == (2.0, True, True)
     with pytest.raises(ValueError, match="no values"):
         mean_interval([])
 

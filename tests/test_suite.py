@@ -1,6 +1,7 @@
 """The suite: its tasks can be flown, its score is what it says, and losing sight never pays."""
 
 import json
+import math
 import sys
 from typing import Any
 
@@ -14,8 +15,8 @@ from bus.messages import Command
 from outrider.envs import vector
 from outrider.envs.closed_loop import ClosedLoop, pilot_names
 from outrider.envs.vector import OutriderVectorEnv
-from outrider.experiments.suite.board import BASELINES, leaderboard
-from outrider.experiments.suite.scoring import evaluate
+from outrider.experiments.suite.board import BASELINES, leaderboard, middle_cell
+from outrider.experiments.suite.scoring import Team, evaluate
 from outrider.experiments.suite.tasks import SEEDS, TASKS, Suite, Task, suite
 from outrider.running.flying import InProcess, make_pilots, run
 from sim.engine.briefing import briefing
@@ -270,6 +271,17 @@ def test_the_board_has_the_best_first_and_says_who_lost_sight() -> None:
     assert lines[3].startswith("| **mean** | ")
 
 
+def test_a_single_seed_has_no_interval() -> None:
+    board = leaderboard(["tracking"], tasks=[TASK], seeds=[5], secret=SECRET)
+    (standing,) = board.standings
+    told = (standing.low, standing.high, standing.middle_low, standing.results[0].high)
+    assert all(map(math.isnan, told))
+    assert [line.split(" | ")[1] for line in board.markdown().splitlines()[2:]] == [
+        f"{standing.score:.1f} |"
+    ] * 2
+    assert middle_cell(standing) == f"{standing.score:.1f}"
+
+
 @pytest.mark.parametrize(
     ("entry", "settings", "message"),
     [
@@ -316,8 +328,12 @@ def test_a_scenario_of_ones_own_is_scored_alike() -> None:
     assert Suite([TASK]).names == ("short",)
 
 
-def test_what_an_entry_observes_in_one_task_tells_nothing_of_the_noise_in_another() -> None:
+@pytest.mark.parametrize("base", ["escort", "minefield"])
+def test_what_an_entry_observes_in_one_task_tells_nothing_of_the_noise_in_another(
+    base: str,
+) -> None:
     """Everybody moves alike in both, so that what differs of a detection is noise."""
+    mission = base == "minefield"
 
     def looks(name: str) -> FloatArray:
         seen = []
@@ -326,8 +342,13 @@ def test_what_an_entry_observes_in_one_task_tells_nothing_of_the_noise_in_anothe
             seen.append(observations[:, 5:8].copy())
             return np.zeros((len(observations), 2))
 
-        changes = SHORT | {"detections.noise": 0.1, "detections.dropout": 0.0}
-        Task(name=name, hard="", changes=changes).evaluate(act, seeds=(9000,), secret=SECRET)
+        def stand(_observations: Any) -> FloatArray:
+            return np.zeros((1, 2))
+
+        changes = {"duration": 4.0, "detections.noise": 0.1, "detections.dropout": 0.0}
+        task = Task(name=name, hard="", base=base, changes=changes, mission=mission)
+        entry = Team(uav=act, ugv=stand) if mission else act
+        task.evaluate(entry, seeds=(9000,), secret=SECRET)
         return np.concatenate(seen)
 
     one, again, other = looks("one"), looks("one"), looks("other")

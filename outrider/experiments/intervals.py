@@ -30,7 +30,7 @@ def wilson_interval(hits: int, trials: int, level: float = 0.95) -> tuple[float,
 
 
 def mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
-    """The mean and its interval by Student's t, from the spread of the values; of a single one, itself thrice.
+    """The mean and its interval by Student's t, from the spread of the values; of a single one NaN.
 
     Raises:
         ValueError: If there are none.
@@ -39,7 +39,7 @@ def mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
         raise ValueError("no values: allowed is one or more")
     mean = fmean(values)
     if len(values) == 1:
-        return mean, mean, mean
+        return mean, math.nan, math.nan
     t = float(stats.t.ppf(0.975, len(values) - 1))
     half = t * stdev(values) / math.sqrt(len(values))
     return mean, mean - half, mean + half
@@ -49,7 +49,7 @@ def interquartile_interval(tasks: Sequence[Sequence[float]]) -> tuple[float, flo
     """The interquartile mean, of the middle half of all scores, and its interval by the stratified bootstrap.
 
     As Agarwal et al. 2021 (rliable) define it: seeds are drawn anew within each task, with percentiles of 2000 such
-    draws, the same ones for the same scores. Of a single seed, itself thrice.
+    draws, the same ones for the same scores. Of a single seed it is NaN.
 
     Args:
         tasks: The scores of each, as many as there are seeds.
@@ -64,7 +64,7 @@ def interquartile_interval(tasks: Sequence[Sequence[float]]) -> tuple[float, flo
     scores = np.array(tasks, dtype=np.float64)
     middle, count = float(stats.trim_mean(scores, 0.25, axis=None)), scores.shape[1]
     if count == 1:
-        return middle, middle, middle
+        return middle, math.nan, math.nan
     draws = np.random.default_rng(0).integers(0, count, (_RESAMPLES, *scores.shape))
     drawn = np.take_along_axis(scores[None], draws, axis=2).reshape(_RESAMPLES, -1)
     low, high = np.percentile(stats.trim_mean(drawn, 0.25, axis=1), [2.5, 97.5]).tolist()

@@ -1,5 +1,6 @@
 """The leaderboard: entries beside each other, task by task."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -7,8 +8,8 @@ from statistics import fmean
 from typing import Any
 
 from bus.registry import LAWS
-from outrider.experiments.intervals import interquartile_interval, mean_interval
-from outrider.experiments.suite.scoring import Entry, Result, evaluate
+from outrider.experiments.intervals import interquartile_interval
+from outrider.experiments.suite.scoring import Entry, Result, evaluate, score_interval
 from outrider.experiments.suite.tasks import NO_ESCORT, SEEDS, Suite, Task, suite
 from sim.engine.run_keys import check_secret, new_secret
 from sim.kernels.threads import cores
@@ -28,12 +29,12 @@ class Standing:
     """Mean over the tasks."""
     low: float
     high: float
-    """Its 95 % interval over the seeds."""
+    """Its 95 % interval over the seeds; NaN for a single one."""
     middle: float
     """Interquartile mean over the tasks and seeds."""
     middle_low: float
     middle_high: float
-    """Its 95 % interval, by the bootstrap stratified by tasks."""
+    """Its 95 % interval, by the bootstrap stratified by tasks; NaN for a single seed."""
     lost: int
     """Episodes in which sight was lost."""
     episodes: int
@@ -80,24 +81,26 @@ class Leaderboard:
 
 
 def _cell(told: Result | Standing) -> str:
-    lost = f" ({told.lost} lost)" if told.lost else ""
-    return f"{told.score:.1f} ± {0.5 * (told.high - told.low):.1f}{lost}"
+    half, lost = 0.5 * (told.high - told.low), f" ({told.lost} lost)" if told.lost else ""
+    about = "" if math.isnan(half) else f" ± {half:.1f}"
+    return f"{told.score:.1f}{about}{lost}"
 
 
 def middle_cell(told: Standing) -> str:
-    """The interquartile mean with its interval, as tables have it."""
-    return f"{told.middle:.1f} [{told.middle_low:.1f}, {told.middle_high:.1f}]"
+    """The interquartile mean with its interval, where there is one, as tables have it."""
+    low, high = told.middle_low, told.middle_high
+    return f"{told.middle:.1f}" + ("" if math.isnan(low) else f" [{low:.1f}, {high:.1f}]")
 
 
 def _standing(entry: str, results: Sequence[Result]) -> Standing:
     by_seed = [fmean(scores) for scores in zip(*(result.scores for result in results), strict=True)]
-    score, low, high = mean_interval(by_seed)
+    score, low, high = score_interval(by_seed)
     middle, middle_low, middle_high = interquartile_interval([one.scores for one in results])
     return Standing(
         entry=entry,
         score=score,
-        low=max(0.0, low),
-        high=min(100.0, high),
+        low=low,
+        high=high,
         middle=middle,
         middle_low=middle_low,
         middle_high=middle_high,

@@ -49,7 +49,7 @@ class Result:
     """Mean over the episodes, 0 to 100."""
     low: float
     high: float
-    """The 95 % interval of that mean."""
+    """The 95 % interval of that mean; NaN for a single episode."""
     scores: tuple[float, ...]
     """Of each episode, in the order of the seeds."""
     mean_error: float
@@ -167,6 +167,12 @@ def check_law(law: str, allowed: Sequence[str]) -> None:
         )
 
 
+def score_interval(scores: Sequence[float]) -> tuple[float, float, float]:
+    """The mean score and its 95 % interval, cut to 0 to 100; NaN for a single one."""
+    score, low, high = mean_interval(scores)
+    return score, max(low, 0.0), min(high, 100.0)  # in this order NaN stays
+
+
 def result_of(
     kind: type[_Scored],
     task: Task,
@@ -189,14 +195,14 @@ def result_of(
         secret: Of the episodes' random numbers.
         told: The other fields of that kind of result.
     """
-    score, low, high = mean_interval(scores)
+    score, low, high = score_interval(scores)
     own = entry if isinstance(entry, str) else getattr(entry, "__name__", type(entry).__name__)
     return kind(
         task=task.name,
         entry=name or own,
         score=score,
-        low=max(0.0, low),
-        high=min(100.0, high),
+        low=low,
+        high=high,
         scores=tuple(scores),
         episodes=len(scores),
         secret=secret,
