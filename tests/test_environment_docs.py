@@ -63,15 +63,20 @@ def test_the_tasks_told_are_the_suites() -> None:
 
 
 def test_the_leaderboard_told_is_what_the_command_makes() -> None:
-    """Its frame, and the cell that is soonest flown."""
+    """Its frame, and three cells: soonest flown, a driver that draws its way, and a filter on bad links."""
     head, *rows = marked("board", SUITE)
     assert [row[0] for row in rows] == [*suite().names, "**mean**"]
     assert set(head[1:]) == set(BASELINES)
     means = [float(cell.split(" ± ")[0]) for cell in rows[-1][1:]]
     assert means == sorted(means, reverse=True)
     (secret,) = re.findall(r"outrider suite --secret ([0-9a-f]{32}) --markdown", PAGES[SUITE])
-    made = leaderboard(["tracking"], tasks=[suite()["covered"]], secret=secret).rows()[1][1]
-    assert made == rows[suite().names.index("covered")][head.index("tracking")]
+    for task, law in (
+        ("covered", "tracking"),
+        ("wander", "tracking"),
+        ("all-at-once", "certified"),
+    ):
+        made = leaderboard([law], tasks=[suite()[task]], secret=secret).rows()[1][1]
+        assert made == rows[suite().names.index(task)][head.index(law)]
 
 
 def test_the_tutorial_shows_the_example_as_it_is() -> None:
