@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from rich.text import Text
 
-    from outrider.envs.vector import Policy
+    from outrider.envs.vector import BatchPolicy
     from outrider.experiments.suite.board import Leaderboard, Standing
     from outrider.experiments.suite.scoring import Entry, Result
     from outrider.experiments.suite.tasks import Suite
@@ -154,7 +154,7 @@ def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str,
 class _Own:
     """A policy of the user's own whose errors become one line that names it; a copy of it has a memory of its own."""
 
-    def __init__(self, name: str, policy: "Policy") -> None:
+    def __init__(self, name: str, policy: "BatchPolicy") -> None:
         self._name, self._policy = name, policy
 
     def __call__(self, seen: "AgentObservation") -> "ArrayLike":

@@ -18,7 +18,7 @@ from outrider.envs.radio import Radio
 from outrider.running.flying import make_pilots
 from sim.kernels.compile import FloatArray
 
-Policy = Callable[[npt.NDArray[Any] | Mapping[str, npt.NDArray[Any]]], FloatArray]
+AgentPolicy = Callable[[npt.NDArray[Any] | Mapping[str, npt.NDArray[Any]]], FloatArray]
 """A vehicle's observation in, its acceleration [m/s²] out."""
 
 
@@ -79,7 +79,7 @@ def pilots(
     *,
     weighting: Weighting | None = None,
     path: VirtualPath | None = None,
-) -> dict[str, Policy]:
+) -> dict[str, AgentPolicy]:
     """A policy for each agent of the environment: the scenario's law for a UAV, its driver for a UGV.
 
     Each knows what it would know over the bus: its briefing, and then the rows of its own observations. They have a

@@ -32,7 +32,7 @@ from sim.kernels.compile import FloatArray, IntArray
 from sim.scenario.loading import given_scenario
 from sim.scenario.types import Scenario
 
-Policy = Callable[[AgentObservation], npt.ArrayLike]
+BatchPolicy = Callable[[AgentObservation], npt.ArrayLike]
 """The observations of one vehicle in all worlds in, its accelerations [m/s²] out, shape (num_envs, 2)."""
 
 BatchStep = tuple[
@@ -58,7 +58,7 @@ def _checked_count(num_envs: int) -> int:
 class BatchSettings(EnvSettings, LoopSettings, total=False):
     """Settings of the environments of many worlds; by default `BATCH_DEFAULTS`."""
 
-    others: Mapping[str, str | Policy] | None
+    others: Mapping[str, str | BatchPolicy] | None
     """Pilots of the vehicles that do not learn: a law or driver by name, or a policy for all worlds at once;
     None: the scenario's law and drivers."""
 

@@ -28,12 +28,12 @@ from outrider.envs.observations.stacking import History
 from outrider.envs.observations.transformation import (
     COVERAGE,
     Channels,
+    Mask,
     Transformation,
-    Worlds,
 )
 from sim.env.observation import AgentObservation, one_of_world
 
-_ONE_WORLD: Worlds = np.array(True)
+_ONE_WORLD: Mask = np.array(True)
 
 
 class ParallelObservations(BaseParallelWrapper):  # type: ignore[misc]
@@ -142,7 +142,7 @@ class VectorObservations(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes
         self._begin_next = self._none
 
     @property
-    def _none(self) -> Worlds:
+    def _none(self) -> Mask:
         return np.zeros(self.num_envs, dtype=np.bool_)
 
     def reset(
@@ -175,7 +175,7 @@ class VectorObservations(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes
         return seen, rewards, terminations, truncations, infos
 
 
-def _with(observations: AgentObservation, final: Any, worlds: Worlds) -> AgentObservation:  # noqa: ANN401 - any of its forms
+def _with(observations: AgentObservation, final: Any, worlds: Mask) -> AgentObservation:  # noqa: ANN401 - any of its forms
     """The observations with the last ones of these worlds in their places."""
     if isinstance(observations, dict):
         if isinstance(final, dict):
@@ -187,14 +187,14 @@ def _with(observations: AgentObservation, final: Any, worlds: Worlds) -> AgentOb
     return _placed(observations, final, worlds)
 
 
-def _placed(array: npt.NDArray[Any], final: Any, worlds: Worlds) -> npt.NDArray[Any]:  # noqa: ANN401
+def _placed(array: npt.NDArray[Any], final: Any, worlds: Mask) -> npt.NDArray[Any]:  # noqa: ANN401
     whole = array.copy()
     for k in np.flatnonzero(worlds):
         whole[k] = final[k]
     return whole
 
 
-def _in_form(seen: AgentObservation, final: Any, worlds: Worlds) -> Any:  # noqa: ANN401
+def _in_form(seen: AgentObservation, final: Any, worlds: Mask) -> Any:  # noqa: ANN401
     """The transformed last observations as the environment gave its own."""
     if isinstance(final, dict) or final.dtype != object:
         return seen

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from bus.layout import UavRow
-from outrider.envs.observations.transformation import Transformation, Worlds
+from outrider.envs.observations.transformation import Mask, Transformation
 from sim.env.observation import AgentObservation, Array
 
 _ENTRIES = UavRow._fields
@@ -85,7 +85,7 @@ class EscortView(Transformation):
         """A square of shares of v_max."""
         return spaces.Box(-1.0, 1.0, (2,), np.float32)
 
-    def begin(self, observation: AgentObservation, worlds: Worlds) -> Array:
+    def begin(self, observation: AgentObservation, worlds: Mask) -> Array:
         """Begin in these worlds."""
         if self._known.shape != worlds.shape:
             self._known = np.zeros(worlds.shape, dtype=np.bool_)
@@ -100,7 +100,7 @@ class EscortView(Transformation):
         """The observation of the next step."""
         return self.see(observation, np.ones(self._known.shape, dtype=np.bool_))
 
-    def see(self, observation: AgentObservation, moving: Worlds) -> Array:
+    def see(self, observation: AgentObservation, moving: Mask) -> Array:
         """The array of all worlds, of which only these go on by a step."""
         if not isinstance(observation, dict):
             raise ValueError("EscortView needs the row and the coverage patch")

@@ -9,8 +9,8 @@ from bus.layout import SYMBOLS, Field, GradientCue, RowType, UavRow, UgvRow, bou
 from outrider.envs.observations.transformation import (
     COVERAGE,
     ROW,
+    Mask,
     Transformation,
-    Worlds,
     check_picture,
     inside_box,
     one_line,
@@ -139,7 +139,7 @@ class Egocentric(Transformation):
             raise ValueError(f"Egocentric needs accelerations of shape (2,), not {one_line(space)}")
         return space
 
-    def begin(self, observation: AgentObservation, worlds: Worlds) -> AgentObservation:
+    def begin(self, observation: AgentObservation, worlds: Mask) -> AgentObservation:
         """Let these worlds' vehicles look east, unless they move."""
         if self._heading.shape != (*worlds.shape, 2):
             self._heading = np.empty((*worlds.shape, 2))
@@ -151,7 +151,7 @@ class Egocentric(Transformation):
         """The observation in the frame of this tick."""
         return self._seen(observation, np.ones(self._heading.shape[:-1], dtype=np.bool_))
 
-    def _seen(self, observation: AgentObservation, turning: Worlds) -> AgentObservation:
+    def _seen(self, observation: AgentObservation, turning: Mask) -> AgentObservation:
         """The observation in the vehicles' frames; where `turning`, by their velocities of now."""
         whole = observation if isinstance(observation, dict) else {ROW: observation}
         entries = dict(

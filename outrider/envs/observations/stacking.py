@@ -8,8 +8,8 @@ from gymnasium import spaces
 from outrider.envs.observations.transformation import (
     Channels,
     EachArray,
+    Mask,
     Part,
-    Worlds,
     channel_axis,
     one_line,
 )
@@ -92,7 +92,7 @@ class _Frames(Part):
         moved = np.moveaxis(frames, 0, len(worlds) + self._at)
         return np.ascontiguousarray(moved.reshape(*worlds, *self._out))
 
-    def begin(self, array: Array, worlds: Worlds) -> Array:
+    def begin(self, array: Array, worlds: Mask) -> Array:
         """Forget these worlds."""
         if self._memory.shape[1:] != array.shape or not self._memory.size:
             self._memory = np.empty((self._span, *array.shape), dtype=self._memory.dtype)

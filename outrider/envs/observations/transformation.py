@@ -14,7 +14,7 @@ from gymnasium import spaces
 
 from sim.env.observation import AgentObservation, Array
 
-Worlds = npt.NDArray[np.bool_]
+Mask = npt.NDArray[np.bool_]
 """One truth for each world, in the shape of the leading axes: () for one world."""
 Channels = Literal["last", "first"]
 
@@ -47,7 +47,7 @@ class Transformation(ABC):
         """
         return space
 
-    def begin(self, observation: AgentObservation, worlds: Worlds) -> AgentObservation:
+    def begin(self, observation: AgentObservation, worlds: Mask) -> AgentObservation:
         """Begin an episode in these worlds with this observation; the memory of the others stays as it is.
 
         Args:
@@ -96,7 +96,7 @@ class Part(ABC):
     box: spaces.Box
     """Of what comes out."""
 
-    def begin(self, array: Array, worlds: Worlds) -> Array:
+    def begin(self, array: Array, worlds: Mask) -> Array:
         """As `Transformation.begin`."""
         return self.apply(array)
 
@@ -127,7 +127,7 @@ class EachArray(Transformation):
         self._parts[ROW] = self._part(the_box(space, what), picture=False)
         return self._parts[ROW].box
 
-    def begin(self, observation: AgentObservation, worlds: Worlds) -> AgentObservation:
+    def begin(self, observation: AgentObservation, worlds: Mask) -> AgentObservation:
         """Begin an episode in these worlds, array by array."""
         if isinstance(observation, dict):
             return {key: part.begin(observation[key], worlds) for key, part in self._parts.items()}

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from outrider.envs.closed_loop import ClosedLoop, pilot_names
-from outrider.envs.vector import Policy, Worlds
+from outrider.envs.vector import BatchPolicy, Worlds
 from outrider.experiments.intervals import mean_interval
 from outrider.experiments.suite.tasks import SEEDS, Task
 from sim.engine.run_keys import check_secret, derive_secret, new_secret
@@ -26,13 +26,13 @@ from sim.scenario.types import Scenario
 class Team(NamedTuple):
     """The pilots of both sides in a mission."""
 
-    uav: str | Policy | None = None
+    uav: str | BatchPolicy | None = None
     """A law by name, or a policy for all worlds at once; None: the scenario's law."""
-    ugv: str | Policy | None = None
+    ugv: str | BatchPolicy | None = None
     """A driver by name, or a policy; None: the scenario's driver."""
 
 
-Entry = str | Policy | Team
+Entry = str | BatchPolicy | Team
 """The pilot of the UAVs: a law by name, or a policy for all worlds at once; in a mission also a whole team."""
 
 SETTINGS = ("estimate", "gradient", "safety_filter", "coverage_patch", "dtype", "threads")
@@ -121,7 +121,7 @@ class _Meter:
 @contextmanager
 def begun(
     scenario: Scenario,
-    pilots: Mapping[str, str | Policy | None],
+    pilots: Mapping[str, str | BatchPolicy | None],
     seeds: Sequence[int],
     secret: str,
     settings: dict[str, Any],
