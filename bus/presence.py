@@ -1,4 +1,4 @@
-"""Whether a party is there."""
+"""The presence of a party in a run, as a session follows it."""
 
 import math
 import time

@@ -238,7 +238,7 @@ _ONNX_SHAPES = ([*_ROW], [1, *_ROW])
 
 
 def _may_be(told: list[Any], shape: list[int]) -> bool:
-    """Whether an input can have this shape: a size that is no number is free, and none at all are not known."""
+    """True if an input can have this shape: a size that is no number is free, and no sizes at all are not known."""
     return len(told) in (0, len(shape)) and all(
         size == wanted or not isinstance(size, int)
         for size, wanted in zip(told, shape, strict=False)

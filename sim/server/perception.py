@@ -3,6 +3,7 @@
 It is kept, so that a process that joins again is told the same once more.
 """
 
+from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -39,7 +40,7 @@ class News:
 _NO_NEWS = News()
 
 
-class Perception:
+class Perception(ABC):
     """The perception of one vehicle, tick by tick: its own motion, the ground that it sees, and news.
 
     Args:
@@ -103,10 +104,11 @@ class Perception:
             for tick, (x, y, v_x, v_y) in enumerate(told.tolist(), begin)
         )
 
+    @abstractmethod
     def _message(self, *numbers: float) -> Any:  # noqa: ANN401 - of the vehicle's kind
         """A message of the numbers that were kept of it."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _observation(
         self,
         tick: int,
@@ -125,7 +127,6 @@ class Perception:
             known: Whether its process was there to receive it.
             over: Whether no command is awaited.
         """
-        raise NotImplementedError
 
 
 class UavPerception(Perception):
