@@ -229,7 +229,7 @@ def test_relative_information_is_of_its_tick_and_comes_five_times_a_second() -> 
 
     def talkative(observation: UavObservation) -> dict[str, Any]:
         now = observation.tick * scenario.dt
-        times = (now, now, 999_999.0, now + 0.5 * scenario.dt)
+        times = (now + 1e-8 * scenario.dt, now, 999_999.0, now + 0.5 * scenario.dt)
         return {
             "radio": tuple(
                 RelativeInformation(time=time, relative_position=(1.0, 2.0), coverage_error=0.0)
@@ -243,8 +243,8 @@ def test_relative_information_is_of_its_tick_and_comes_five_times_a_second() -> 
         received.extend(flight.observations()["ugv_0"].radio)  # type: ignore[union-attr]
 
     flight.fly(altered(make_pilots(scenario, 1), "uav_0", talkative), on_tick=note)
-    ticks = [round(one.time / scenario.dt) for one in received]
-    assert ticks == list(range(0, scenario.ticks, 4))
+    ticks = list(range(0, scenario.ticks, 4))
+    assert [one.time for one in received] == [tick * scenario.dt for tick in ticks]  # to the bit
     assert flight.refused_radio == {"uav_0": 4 * scenario.ticks - len(ticks)}
 
 

@@ -312,29 +312,25 @@ class Flight:
                 self.routes[name] = command.route
             return
         world.send(vehicle, command.tick, command.acceleration, command.motions)
-        for message in command.radio:
-            self._radio(
-                name, message, message if self._is_due(name, command.tick, message) else None
-            )
-        for block in command.blocks:
-            self._radio(name, block, self._told_block(vehicle, block))
+        radioed = [self._due(name, command.tick, message) for message in command.radio]
+        for sent in (*radioed, *(self._told_block(vehicle, block) for block in command.blocks)):
+            if sent is None:
+                self.refused_radio[name] += 1
+            else:  # it arrives at the next tick at the earliest
+                self._radios[name].send(world.tick + 1, sent, world.tick)
 
-    def _radio(self, uav: str, said: object, sent: object | None) -> None:
-        """A UAV's radio message sets out, to arrive at the next tick at the earliest; None: it must not."""
-        if sent is None:
-            self.refused_radio[uav] += 1
-        else:
-            self._radios[uav].send(self.world.tick + 1, sent, self.world.tick)
+    def _due(self, uav: str, tick: int, message: RelativeInformation) -> RelativeInformation | None:
+        """A message with the time of the tick that its command answers; None: of another, or too soon after the last.
 
-    def _is_due(self, uav: str, tick: int, message: RelativeInformation) -> bool:
-        """True if a message is of the tick that its command answers, and the last one was a radio period before."""
+        The stamp may be off by rounding, and carries nothing by that.
+        """
         dt, last = self.world.parameters.dt, self._radioed[uav]
         if tick_of(message.time, dt) != tick or (
             last is not None and tick < last + radio_ticks(dt)
         ):
-            return False
+            return None
         self._radioed[uav] = tick
-        return True
+        return msgspec.structs.replace(message, time=tick * dt)
 
     def _told_block(self, vehicle: int, block: GroundBlock) -> GroundBlock | None:
         """A block with all that the UAV's own sensor has told of its tiles, whatever the UAV leaves out; or None.
