@@ -76,7 +76,8 @@ def _too_old(
         for tick in range(ticks):
             found = tick % period == 0 and uniform(looks, DETECTION_CHANCE, tick, 0) >= dropout
             message[0, 0] = tick
-            for k in range(exchange(table, state, key, tick, message[: int(found)], out)):
+            arrived, _ = exchange(table, state, key, tick, message, int(found), out)
+            for k in range(arrived):
                 newest = max(newest, int(out[k, 0]))
             if newest >= 0 and tick - newest > age:
                 count += 1
@@ -112,7 +113,8 @@ def _interrupted(
             parents[tick] = flown if tick == chain else tick - 1
             lowest[tick] = max(chain, tick - repeats + 1)
             message[0, 0] = tick
-            for k in range(exchange(table, state, key, tick, message, out)):
+            arrived, _ = exchange(table, state, key, tick, message, 1, out)
+            for k in range(arrived):
                 packet = int(out[k, 0])
                 for motion in range(lowest[packet], packet + 1):
                     known[motion] = True

@@ -455,7 +455,7 @@ def test_more_messages_than_the_room_holds_are_counted_and_break_nothing() -> No
     state, out = link_state(parameters, 2), np.zeros((parameters.room, 2))
     numbers, key = link_table([parameters]), a_key(1, 1)
     for tick in range(100):
-        exchange(numbers, state, key, tick, np.full((5, 2), float(tick)), out)
+        exchange(numbers, state, key, tick, np.full((5, 2), float(tick)), 5, out)
     status = link_status(parameters, state)
     assert status.lost["full"] == status.sent - status.delivered - status.flying == 400
     assert _conserved(status)
@@ -465,7 +465,7 @@ def test_too_few_rows_for_what_arrives_is_an_error() -> None:
     parameters = link_parameters(LinkSettings(), DT, per_tick=2)
     numbers, state, two = link_table([parameters]), link_state(parameters, 2), np.zeros((2, 2))
     with pytest.raises(ValueError, match="fewer rows"):
-        exchange(numbers, state, a_key(1, 1), 0, two, np.zeros((1, 2)))
+        exchange(numbers, state, a_key(1, 1), 0, two, 2, np.zeros((1, 2)))
 
 
 # --- the same bits
@@ -658,7 +658,7 @@ def test_a_perfect_link_counts_what_the_compiled_path_counts(every: int) -> None
             link.send(tick, stamp, stamp)
         assert link.arrivals(tick) == stamps
         rows = np.array([[stamp, 0.0] for stamp in stamps]).reshape(-1, 2)
-        exchange(link_table([parameters]), state, a_key(1, 1), tick, rows, out)
+        exchange(link_table([parameters]), state, a_key(1, 1), tick, rows, len(rows), out)
         if tick % 13 == 0:
             assert link.counters() == link_status(parameters, state, LinkSettings())
     assert link.counters() == link_status(parameters, state, LinkSettings())

@@ -132,6 +132,7 @@ ON_BOARD = {
     "sim.kernels.linking",
     "sim.kernels.lanes",
     "sim.kernels.lazy_packages",
+    "sim.kernels.packing",
     "sim.kernels.records",
 }
 """All that a vehicle carries of the simulator."""

@@ -49,8 +49,11 @@ from sim.channel.recorded import (
 from sim.input.faults import Fault, near
 from sim.input.reading import as_raw, typed
 from sim.kernels.compile import IntArray, entry_point
+from sim.kernels.packing import NUMBER, writer
 from sim.kernels.records import records
 from sim.models.randomness import Key
+
+_write = writer(2)
 
 KEEPS = ("newest", "oldest")
 """The messages that a full queue keeps."""
@@ -523,8 +526,9 @@ class Link:
         self._out = np.empty_like(self._state.payload)
         self._tick = 0
         self._number = 0
-        self._pending: list[tuple[float, float]] = []
-        self._objects: dict[int, Any] = {}  # those that are sent, wait or fly
+        self._sent = np.empty((per_tick, 2))  # stamps and numbers of this tick's messages
+        self._count = 0
+        self._objects: dict[float, Any] = {}  # those that are sent, wait or fly
 
     @property
     def perfect(self) -> bool:
@@ -541,8 +545,11 @@ class Link:
         """
         if tick != self._tick:
             raise self._out_of_order(tick)
+        if self._count == len(self._sent):
+            self._sent = np.concatenate((self._sent, np.empty_like(self._sent)))
         self._objects[self._number] = message
-        self._pending.append((stamp, self._number))
+        _write(self._sent, self._count * 2 * NUMBER, stamp, self._number)
+        self._count += 1
         self._number += 1
 
     def arrivals(self, tick: int) -> list[Any]:
@@ -552,18 +559,20 @@ class Link:
         self._tick = tick + 1
         if not self._objects:
             return []
-        payloads = np.array(self._pending, dtype=np.float64) if self._pending else self._out[:0]
-        self._pending.clear()
-        arrived = self._exchange(self._table, self._state, self._key, tick, payloads, self._out)
-        messages = [self._objects[number] for number in self._out[:arrived, 1].tolist()]
-        self._forget()
+        out, link = self._out, (self._table, self._state, self._key)
+        arrived, left = self._exchange(*link, tick, self._sent, self._count, out)
+        self._count = 0
+        messages = [self._objects[out.item(row, 1)] for row in range(arrived)]
+        if not left:
+            self._objects.clear()
+        elif len(self._objects) != left:
+            self._forget()
         return messages
 
     @functools.cached_property
-    def _exchange(self) -> Callable[..., int]:
-        return entry_point(
-            exchange, self._table, self._state, self._key, 0, self._out[:0], self._out
-        )
+    def _exchange(self) -> Callable[..., tuple[int, int]]:
+        link = self._table, self._state, self._key
+        return entry_point(exchange, *link, 0, self._sent, 0, self._out)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_exchange"}
@@ -593,14 +602,5 @@ class Link:
 
     def _forget(self) -> None:
         """Drop the objects that nobody will get any more."""
-        memory = self._state.memory  # column by column: a row costs 2 µs an attribute
-        delivered, originals = memory["delivered"].item(), memory["originals"].item()
-        copies = memory["duplicated"].item() - (delivered - originals)
-        left = memory["waiting"].item() + memory["flying"].item()
-        if copies == 0 and len(self._objects) == left:
-            return
-        if not left:
-            self._objects = {}
-            return
-        left = underway(self._state, self._out)
-        self._objects = {int(number): self._objects[int(number)] for number in self._out[:left, 1]}
+        numbers = self._out[: underway(self._state, self._out), 1].tolist()
+        self._objects = {number: self._objects[number] for number in numbers}

@@ -707,16 +707,18 @@ def exchange(
     key: Key,
     tick: int,
     payloads: FloatArray,
+    count: int,
     out: FloatArray,
-) -> int:
-    """One whole tick of a table's only link: `advance`, `send` for each row of `payloads`, `receive` into `out`.
+) -> tuple[int, int]:
+    """One whole tick of a table's only link: `advance`, `send` for the first rows of `payloads`, `receive` into `out`.
 
-    How many have arrived.
+    How many have arrived, and how many wait or fly, with all copies.
     """
     advance(numbers, 0, state, key, tick)
-    for k in range(payloads.shape[0]):
+    for k in range(count):
         send(numbers, 0, state, key, payloads[k])
-    return receive(state, out)
+    arrived = receive(state, out)
+    return arrived, state.memory[0].waiting + state.memory[0].flying
 
 
 @borrowing
