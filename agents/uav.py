@@ -22,7 +22,7 @@ from agents.control.telling import GroundTeller
 from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
 from agents.control.visibility import SafetyFilter, Verdict, flown_in, promise_of
 from agents.control.weighting import Weighting, check_weighting
-from agents.estimation.estimator import LookRows, estimator_of
+from agents.estimation.estimator import estimator_of
 from agents.estimation.filtering import (
     DONE,
     KalmanState,
@@ -31,6 +31,7 @@ from agents.estimation.filtering import (
     kalman_go_on,
     kalman_refused,
 )
+from agents.looks import LookRows
 from bus.errors import ScenarioError
 from bus.messages import (
     LONGEST_TEXT,
@@ -196,6 +197,7 @@ class UavPilot:
         """The sender of the ground's blocks."""
         self._tick: int | None = None
         self._radio_ticks = radio_ticks(briefing.dt)
+        self._dt, self._grounded = briefing.dt, briefing.ground is not None
         c = self._parameters
         self._fixed_error = c.r_o, c.desired, c.cell
         self._error = entry_point(coverage_error, self.coverage, 0.0, 0.0, *self._fixed_error)
@@ -209,6 +211,7 @@ class UavPilot:
     def _take_on(self) -> None:
         """The law and the filter that there are now, as compiled code takes them."""
         guard = self._no_guard if self.filter is None else self.filter.state
+        self._asks = self._parameters.law in _OWN
         self._fixed = (
             records(LawParameters, [self._parameters]),
             self._promises,
@@ -243,16 +246,6 @@ class UavPilot:
 
     def act(self, observation: UavObservation) -> UavCommand:
         """The command for this observation."""
-        command = self._answer(observation)
-        self._sent.append(command.acceleration)
-        return command
-
-    def forget_commands(self) -> None:
-        """The last answers may not have been sent."""
-        if self.filter is not None:
-            self.filter.forget_commands()
-
-    def _answer(self, observation: UavObservation) -> UavCommand:
         tick = observation.tick
         if observation.law is not None:
             self._fly(observation.law)
@@ -264,25 +257,33 @@ class UavPilot:
             acceleration = verdict.acceleration
         else:
             own, part = _NOTHING_OWN, BOTH
-            if self._parameters.law in _OWN:
+            if self._asks:
                 acted = self._take(observation, PERCEIVE)
                 own, part = self._own_terms(observation, acted), DECIDE
             acted = self._take(observation, part, own)
-            acceleration = acted[-1][:2]
+            u_x, u_y, acts, code, distance = acted[-1]
+            acceleration = u_x, u_y
             if self.filter is not None:
-                verdict = self.filter.verdict(tick, *acted[-1])
-        _, known, g_x, g_y, *_ = acted
+                verdict = self.filter.verdict(tick, u_x, u_y, acts, code, distance)
+        self._sent.append(acceleration)
         motions = () if verdict is None else verdict.motions
-        if not known:
+        if not acted[1]:
             return UavCommand(tick=tick, acceleration=acceleration, motions=motions)
+        report = _report(acted, self._dt, verdict)
+        target = report.estimate
         return UavCommand(
             tick=tick,
             acceleration=acceleration,
             motions=motions,
-            radio=() if tick % self._radio_ticks else self._radio(observation, g_x, g_y),
-            blocks=self.teller.blocks(tick, (g_x, g_y)),
-            report=_report(acted, self._briefing.dt, verdict),
+            radio=() if tick % self._radio_ticks else self._radio(observation, *target),
+            blocks=self.teller.blocks(tick, target) if self._grounded else (),
+            report=report,
         )
+
+    def forget_commands(self) -> None:
+        """The last answers may not have been sent."""
+        if self.filter is not None:
+            self.filter.forget_commands()
 
     def perceive(self, observation: UavObservation) -> None:
         """Take an observation into the map and the filters that comes too late to be answered."""

@@ -434,6 +434,20 @@ def test_it_reverses_when_the_uav_comes_up_fast_and_keeps_on_when_that_has_passe
     assert rows[130:, 2].max() < -0.95 * V_G
 
 
+def test_a_message_whose_time_is_none_of_a_tick_is_used_for_nothing() -> None:
+    near = _shadowed(lambda t: (11.0, 10.0))
+
+    def with_more(tick: int, at: Point) -> dict[str, Any]:
+        wrong = RelativeInformation(
+            time=(tick + 0.5) * DT, relative_position=(0.0, 3.0), coverage_error=1.0
+        )
+        return {"radio": (wrong, *near(tick, at).get("radio", ()), wrong)}
+
+    plain, _ = _drive(evade(_told()), 200, receives=near)
+    told, _ = _drive(evade(_told()), 200, receives=with_more)
+    assert told.tobytes() == plain.tobytes()
+
+
 def test_it_turns_off_sharply_now_and_then_when_its_key_says() -> None:
     turns, receives = [], _shadowed(lambda t: (499.0, 500.0))
     for key in (1, 2, 3):

@@ -2,8 +2,8 @@
 
 from collections import Counter
 from collections.abc import Collection
-from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from agents.control.certificate import CERTIFIED, INNER, UNCERTIFIED
@@ -87,7 +87,7 @@ def flown_in(observation: UavObservation) -> int:
     return NO_MOTION if observation.flown is None else observation.flown
 
 
-class Verdict(NamedTuple):
+class Verdict(msgspec.Struct, frozen=True):
     """The filter's answer to a command."""
 
     acceleration: Vector
@@ -156,10 +156,8 @@ class SafetyFilter:
         u_x, u_y, flown = float(acceleration[0]), float(acceleration[1]), flown_in(observation)
         return self.verdict(tick, *guard(self.promise, self.state, tick, here, u_x, u_y, flown))
 
-    def motions(self, tick: int) -> tuple[MotionPlan, ...]:
+    def _motions(self, tick: int) -> tuple[MotionPlan, ...]:
         """The motions that this tick's command carries: its own last, before it those that may be missing."""
-        if not self.promise.carries:
-            return ()
         sent, last = self.state.underway.sent, tick + self.promise.delay_ticks
         count = carried(self.promise, self.state.underway, tick)
         places = [begins % len(sent) for begins in range(last - count + 1, last + 1)]
@@ -172,9 +170,10 @@ class SafetyFilter:
         reason = "" if code == CERTIFIED else UNCERTIFIED[code]
         if self.faults:
             reason = self.faults[0]
+        intervened = acts != INNER
         self.ticks += 1
-        self.interventions += acts != INNER
+        self.interventions += intervened
         if reason:
             self.uncertified[reason] += 1
-        motions = self.motions(tick)
-        return Verdict((u_x, u_y), acts != INNER, not reason, reason, distance, motions)
+        motions = self._motions(tick) if self.promise.carries else ()
+        return Verdict((u_x, u_y), intervened, not reason, reason, distance, motions)

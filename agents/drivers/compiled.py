@@ -20,10 +20,11 @@ from agents.drivers.tile_map import (
 )
 from agents.drivers.ugv_tick import UgvMemory, ugv_tick
 from agents.drivers.wander import wander_pace
+from agents.looks import LookRows
 from bus.errors import ScenarioError
 from bus.messages import MOST_CORNERS, UgvBriefing, UgvObservation, Vector, or_infinite
 from bus.registry import BOLD, DRIVERS
-from bus.ticks import NO_TICK, first_tick_from, tick_of
+from bus.ticks import first_tick_from
 from sim.kernels.compile import FloatArray, borrowing, entry_point
 from sim.kernels.records import RecordArray, record_type, records
 from sim.models.ground import tile_index, tile_states, tiles_shape
@@ -32,7 +33,6 @@ from sim.models.vehicles import Motion
 
 MOST_TILES = 1_000_000
 """More than that no UGV keeps."""
-_NO_RADIO = np.zeros((0, 3))
 _PLAN_PERIOD = 0.2
 """The driver that navigates keeps a plan for so long at least [s]."""
 PLAN_TILES = 8192
@@ -136,6 +136,7 @@ def _drive(
     route: Route,
     memory: UgvMemory,
     radio: FloatArray,
+    received: int,
     tick: int,
     p_x: float,
     p_y: float,
@@ -143,7 +144,7 @@ def _drive(
     v_y: float,
 ) -> tuple[float, float]:
     here = Motion(p_x, p_y, v_x, v_y)
-    return ugv_tick(rows[0], route, memory, radio, len(radio), tick, here)
+    return ugv_tick(rows[0], route, memory, radio, received, tick, here)
 
 
 class CompiledDriver:
@@ -167,19 +168,17 @@ class CompiledDriver:
             told_route(briefing),
             self.memory,
         )
-        self._drive = entry_point(_drive, *self._fixed, _NO_RADIO, 0, 0.0, 0.0, 0.0, 0.0)
+        self._looks = LookRows(briefing.dt)
+        here = 0.0, 0.0, 0.0, 0.0
+        self._drive = entry_point(_drive, *self._fixed, *self._looks.take(()), 0, *here)
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """The acceleration [m/s²] for this observation."""
-        (p_x, p_y), (v_x, v_y), radio = observation.position, observation.velocity, _NO_RADIO
         if observation.ground or observation.blocks:
             take_ground(self.memory.ground, observation)
-        if observation.radio:
-            dt = self.parameters.dt
-            told = [(tick_of(one.time, dt), *one.relative_position) for one in observation.radio]
-            of_ticks = [row for row in told if row[0] != NO_TICK]
-            radio = np.array(of_ticks, dtype=np.float64).reshape(-1, 3)
-        return self._drive(*self._fixed, radio, observation.tick, p_x, p_y, v_x, v_y)
+        radio, here = self._looks.take(observation.radio), observation.position
+        tick, moving = observation.tick, observation.velocity
+        return self._drive(*self._fixed, *radio, tick, *here, *moving)
 
     @property
     def goal(self) -> tuple[float, float] | None:

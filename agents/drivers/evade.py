@@ -19,7 +19,7 @@ import math
 from agents.drivers.parameters import DriverParameters
 from agents.drivers.steering import velocity_control
 from agents.drivers.wander import wander_control
-from bus.ticks import first_tick_from, ticks_within
+from bus.ticks import NO_TICK, first_tick_from, ticks_within
 from sim.kernels.compile import FloatArray, borrowing, compiled
 from sim.kernels.records import RecordArray
 from sim.models.randomness import WANDER, Key, uniform
@@ -51,10 +51,13 @@ def receive_radio(
 ) -> None:
     """Take in what has come at this tick: place and smoothed velocity of the UAV.
 
-    Of several, that which came last. Arguments as in `evade_control`.
+    Of several, that which came last; one whose time is none of a tick is used for nothing. Arguments as in
+    `evade_control`.
     """
     m = memory[0]
     for row in range(received):
+        if radio[row, 0] == NO_TICK:
+            continue
         at = min(max(radio[row, 0], tick - parameters.forgotten), tick)
         age = tick * parameters.dt - at * parameters.dt
         gap = at * parameters.dt - m.at * parameters.dt

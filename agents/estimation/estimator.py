@@ -8,7 +8,7 @@ Deviation: the paper's laws see the true $p_\Delta$. Ours see this estimate, nev
 
 import functools
 import math
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import msgspec
@@ -25,8 +25,8 @@ from agents.estimation.filtering import (
 )
 from agents.estimation.kalman import AxisFilter
 from agents.estimation.motion_model import KalmanParameters, kalman_parameters, motion
-from bus.messages import Detection, Detector, Estimator, Limits, UavBriefing
-from bus.ticks import Look, tick_of, ticks_within
+from bus.messages import Detector, Estimator, Limits, UavBriefing
+from bus.ticks import Look, ticks_within
 from sim.kernels.compile import FloatArray, borrowing, entry_point
 from sim.kernels.records import RecordArray, records
 
@@ -48,24 +48,6 @@ class Estimate(msgspec.Struct, frozen=True, kw_only=True):
     covariance: tuple[float, float, float]  # xx, xy, yy of the position [m²]
     age: float  # since the newest believed detection [s]
     refused: int  # detections, by the gate (as if all had come in order) or for the wrong time
-
-
-class LookRows:
-    """Detections as compiled code takes them, in an array that is used again."""
-
-    def __init__(self, dt: float) -> None:
-        self._dt = dt
-        self._rows: FloatArray = np.zeros((4, len(Look._fields)))
-
-    def take(self, detections: Collection[Detection]) -> tuple[FloatArray, int]:
-        """The detections of a message in the columns of `Look`, and how many rows they are."""
-        rows = self._rows
-        if len(detections) > len(rows):
-            rows = self._rows = np.zeros((2 * len(detections), len(Look._fields)))
-        for k, one in enumerate(detections):
-            rows[k, 0] = tick_of(one.time, self._dt)
-            rows[k, 1], rows[k, 2] = one.relative_position
-        return rows, len(detections)
 
 
 def _view(row: RecordArray, first: str, shape: tuple[int, ...]) -> FloatArray:
@@ -251,10 +233,10 @@ class RelativeEstimator:
         if self._is_ahead or not self._numbers.enabled or not self._known.item(0):
             return
         self._is_ahead = True
-        self._ticks[0] = 1
-        self.work_out(PREDICT)
-        self._filter.weigh(self._filter.P_prior)
-        self._weighed[0] = True
+        kalman, (F, Q) = self._filter, self._motions[1]
+        kalman.predict(F, Q)
+        kalman.weigh(kalman.P_prior)
+        self._ticks[0], self._predicted[0], self._weighed[0] = 1, True, True
 
     def work_out(self, needs: int) -> None:
         """Put what a step needs (`agents.estimation.filtering.kalman_go_on`) into `arrays`."""

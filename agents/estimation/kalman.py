@@ -12,8 +12,11 @@ import numpy as np
 
 from sim.kernels.compile import FloatArray
 from sim.kernels.lazy_packages import enter
+from sim.kernels.packing import writer
 
 __all__ = ["AxisFilter", "KalmanFilter"]
+
+_write_matrix = writer(4)
 
 
 def _log_density(*arguments: Any, **named: Any) -> float:  # noqa: ANN401 - filterpy's
@@ -69,23 +72,26 @@ class AxisFilter(KalmanFilter):  # type: ignore[misc]
         super().__init__(dim_x=2, dim_z=1)
         self.P, self.P_prior, self.P_post, self.K = P, P_prior, P_post, K
         self.R, self._variance = np.array([[variance]]), variance
-        self._KR, self._K_T, self._I_KH = np.zeros((2, 1)), K.T, np.eye(2)
+        self._I_KH = np.eye(2)
         self._I_KH_T = self._I_KH.T
+        self._half, self._whole, self._KRK = np.empty((3, 2, 2))  # of products on the way
 
     def predict(self, F: FloatArray, Q: FloatArray) -> None:
         """`P_prior` from `P`: the covariance one step on, without control and without fading memory."""
-        np.add(F.dot(self.P).dot(F.T), Q, out=self.P_prior)
+        np.add(F.dot(self.P, self._half).dot(F.T, self._whole), Q, self.P_prior)
 
     def weigh(self, P: FloatArray) -> None:
         """`K` and `P_post` from this covariance, as `update` works them out: neither depends on what is measured.
 
-        H picks the position out, so products with it are read off. 1 / S is rounded as in the inverse of the 2 x 2
-        matrix S of both axes.
+        H picks the position out, so products with it are read off, and those with a column by a row are four numbers.
+        1 / S is rounded as in the inverse of the 2 x 2 matrix S of both axes.
         """
-        S, R = P.item(0) + self._variance, self._variance
+        p_pp, R = P.item(0), self._variance
+        S = p_pp + R
         inverse = S * (1.0 / (S * S))
-        k_p, k_v = P.item(0) * inverse, P.item(2) * inverse
-        K, KR, I_KH = self.K, self._KR, self._I_KH
-        K[0, 0], K[1, 0], KR[0, 0], KR[1, 0] = k_p, k_v, k_p * R, k_v * R
-        I_KH[0, 0], I_KH[1, 0] = 1.0 - k_p, 0.0 - k_v
-        np.add(I_KH.dot(P).dot(self._I_KH_T), KR.dot(self._K_T), out=self.P_post)
+        k_p, k_v = p_pp * inverse, P.item(2) * inverse
+        K, I_KH, kr_p, kr_v = self.K, self._I_KH, k_p * R, k_v * R
+        K[0, 0], K[1, 0], I_KH[0, 0], I_KH[1, 0] = k_p, k_v, 1.0 - k_p, 0.0 - k_v
+        _write_matrix(self._KRK, 0, kr_p * k_p, kr_p * k_v, kr_v * k_p, kr_v * k_v)
+        left = I_KH.dot(P, self._half).dot(self._I_KH_T, self._whole)
+        np.add(left, self._KRK, self.P_post)
