@@ -48,10 +48,10 @@ def _timed(
 def parts(flight: Flight, pilots: dict[str, Pilot]) -> dict[str, tuple[Any, str]]:
     """The parts of a tick: an object, and its method; those that begin with a dash are within the one above."""
     found: dict[str, tuple[Any, str]] = {
-        "observations": (flight, "_observe"),
+        "observations": (flight, "observations"),
         "the tick recorded, commands taken and applied": (flight, "apply"),
         "- row of the record, with e(t)": (flight.recorder, "record"),
-        "- answers counted, reports held against the truth": (flight._answers, "settle"),
+        "- answers counted, reports held against the truth": (flight.answers, "settle"),
         "- the world moves": (flight.world, "advance"),
     }
     for name, pilot in pilots.items():

@@ -9,20 +9,36 @@ from typing import Any
 
 import numpy as np
 
-from bus.messages import TILE_LETTERS, CoverageMap, GroundBlock, Mission, MotionPlan, SeenTile
+from bus.messages import (
+    TILE_LETTERS,
+    CoverageMap,
+    Detection,
+    GroundBlock,
+    Mission,
+    MotionPlan,
+    SeenTile,
+)
 from bus.ticks import Look
 from sim.engine.batch import Batch
 from sim.engine.links import Links
 from sim.engine.mission import mission_of, receive_block
-from sim.engine.world_state import COMMAND, BatchState, BatchTables, Told, WorldState
+from sim.engine.world_state import COMMAND, MESSAGE_SIZE, BatchState, BatchTables, Told, WorldState
 from sim.engine.world_tick import measure
-from sim.kernels.compile import FloatArray, entry_point
+from sim.kernels.compile import FloatArray, IntArray, entry_point
+from sim.kernels.packing import NUMBER, reader, writer
+from sim.kernels.records import RecordArray
 from sim.models.ground import TileArray, block_letters, tile_states
 from sim.models.motion import NO_MOTION, keep_motion, motion_row
 from sim.scenario.types import Scenario, Uav
 
-_KEPT = ("scenario", "seed", "_batch", "names", "uavs", "parameters", "links", "_tick", "received")
+_KEPT = ("scenario", "seed", "_batch", "names", "uavs", "parameters", "links", "tick")
 """The attributes that a copy takes over; it makes views of its own."""
+
+_ROW = MESSAGE_SIZE * NUMBER
+"""Bytes of a detection or a command."""
+_read_look = reader(len(Look._fields))
+_write_command, _write_carried = writer(COMMAND.last), writer(2)
+"""The numbers of a `CommandRow`: those that every command has, and those of one that carries motions."""
 
 
 class World:
@@ -50,17 +66,17 @@ class World:
         self.parameters = self._batch.parameters
         self.links = Links(scenario, self._batch)
         """All links of the run."""
-        self._tick = 0
+        self.tick = 0
+        """The tick that it is at; `move_to` changes it."""
         self._bind()
-        self.received = self._received()
-        """The detections that have reached each UAV's computer at this tick, in the order of arrival."""
 
     def _bind(self) -> None:
         """Name the batch's arrays: views, which stay the same ones."""
         state, tables = self._batch.state, self._batch.tables
         self._sent, self._motions = state.sent[0], state.motions[0]
         self._begun = state.flown["begins"][0, :, 0]
-        self._carries = bool(tables.receivers.any())
+        self.carries = bool(tables.receivers.any())
+        """True if a vehicle flies the motions that its commands carry."""
         self.keys = state.keys[0]
         """Of all random numbers. Shape (RUN_PURPOSES, vehicles, 2)."""
         self.escorts = tables.escorts
@@ -98,33 +114,37 @@ class World:
         self.__dict__.update(kept)
         self._bind()
 
-    @property
-    def tick(self) -> int:
-        """The tick that it is at."""
-        return self._tick
-
-    @tick.setter
-    def tick(self, tick: int) -> None:
-        self._tick = self._batch.state.ticks[0] = tick
+    def move_to(self, tick: int) -> None:
+        """Be at another tick, with everything as it is."""
+        self.tick = self._batch.state.ticks[0] = tick
 
     @property
     def time(self) -> float:
         """Simulated time [s]: tick times dt, never a sum."""
-        return self._tick * self.parameters.dt
+        return self.tick * self.parameters.dt
 
     @property
     def arrays(self) -> tuple[BatchTables, BatchState]:
         """The batch of one, for compiled functions."""
         return self._batch.tables, self._batch.state
 
-    def _received(self) -> list[list[Look]]:
-        received, arrived = self._batch.state.received, self._batch.state.arrived[0].tolist()
-        looks: list[list[Look]] = [[] for _ in arrived]
-        for k, count in enumerate(arrived):
-            if count:
-                for taken, x, y, *_ in received[0, k, :count].tolist():
-                    looks[k].append(Look(int(taken), x, y))
-        return looks
+    @property
+    def arrived(self) -> tuple[FloatArray, IntArray]:
+        """`received` and `arrived` of the batch: they are other arrays once a link has changed."""
+        return self._batch.state.received, self._batch.state.arrived
+
+    def received(self, uav: int) -> tuple[Detection, ...]:
+        """The detections that have reached a UAV's computer at this tick, in the order of arrival."""
+        state = self._batch.state
+        count = state.arrived.item(0, uav)
+        if not count:
+            return ()
+        found, dt, place = [], self.parameters.dt, uav * self._batch.links.room * _ROW
+        for _ in range(count):
+            taken, x, y = _read_look(state.received, place)
+            found.append(Detection(time=taken * dt, relative_position=(x, y)))
+            place += _ROW
+        return tuple(found)
 
     def send(
         self,
@@ -141,14 +161,14 @@ class World:
             acceleration: [m/s²]
             motions: That it carries, one a tick, the oldest first. Without a receiver for them the acceleration acts.
         """
-        sent = self._sent
-        sent[vehicle, COMMAND.answered] = answered
-        sent[vehicle, COMMAND.u_x], sent[vehicle, COMMAND.u_y] = acceleration
-        if self._carries:
-            sent[vehicle, COMMAND.last] = motions[-1].begins if motions else -1
-            sent[vehicle, COMMAND.carried] = len(motions)
+        row = vehicle * _ROW
+        u_x, u_y = acceleration
+        _write_command(self._sent, row, answered, u_x, u_y)
+        if self.carries:
+            last = motions[-1].begins if motions else -1
+            _write_carried(self._sent, row + COMMAND.last * NUMBER, last, len(motions))
             for motion in motions:
-                keep_motion(self._motions[vehicle], motion_row(motion)[0], self._tick)
+                keep_motion(self._motions[vehicle], motion_row(motion)[0], self.tick)
 
     def seen_ground(self, vehicle: int) -> tuple[SeenTile, ...]:
         """The tiles of which a vehicle's own sensor has told since the tick before."""
@@ -167,7 +187,7 @@ class World:
         """A UGV is told of a block of tiles by radio: for measuring how long before it knew of what was on its way."""
         tables, state = self.arrays
         n = int(np.flatnonzero(tables.ground.ugvs == vehicle)[0])
-        told = tables.ground, state.ground, state.mission, 0, n, self._tick
+        told = tables.ground, state.ground, state.mission, 0, n, self.tick
         receive_block(*told, (block.row, block.column), tile_states(block.tiles))
 
     @property
@@ -188,9 +208,15 @@ class World:
         """A block of tiles as a vehicle's own sensor has told them, by `TILE_LETTERS`; not seen beyond the area."""
         return block_letters(self._batch.state.ground.known[0, vehicle], row, column)
 
+    @property
+    def motions_flown(self) -> RecordArray:
+        """`MotionRecord` of the motion that each vehicle flies. Shape (vehicles,)."""
+        flown: RecordArray = self._batch.state.flown[0, :, 0]
+        return flown
+
     def flown(self, vehicle: int) -> int | None:
         """The motion that a vehicle flies, by the tick in which it began; None: none."""
-        begins = self._begun.item(vehicle) if self._carries else NO_MOTION
+        begins = self._begun.item(vehicle) if self.carries else NO_MOTION
         return begins if begins >= 0 else None
 
     def advance(self) -> None:
@@ -198,7 +224,8 @@ class World:
 
         Where none comes, the last one is held for a while; then the vehicle brakes.
         """
-        self._advance(linked=True)
+        self._batch.advance(linked=True)
+        self.tick += 1
 
     def step(self, commands: FloatArray) -> None:
         """Advance by one tick in which everybody acts on these commands, whatever the links do.
@@ -207,12 +234,8 @@ class World:
             commands: Accelerations [m/s²], shape (vehicles, 2), float64, finite; the bounds of (1) are applied here.
         """
         self.commands[:] = commands
-        self._advance(linked=False)
-
-    def _advance(self, *, linked: bool) -> None:
-        self._batch.advance(linked=linked)
-        self._tick += 1
-        self.received = self._received()
+        self._batch.advance(linked=False)
+        self.tick += 1
 
     def measure(self) -> FloatArray:
         """Distance [m] and e(t) (4) with the true p_g [m²] of each escort at this tick.

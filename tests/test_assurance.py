@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 import typer
 from flights import R_V, escort
@@ -19,6 +20,9 @@ from outrider.experiments.sweep.columns import row_of
 from outrider.running.flying import InProcess, make_pilots
 from outrider.running.summary import Summary, summarize
 from sim.engine.briefing import briefing
+from sim.engine.certificate_counts import NEVER, ArrivalRecord
+from sim.kernels.records import record_type
+from sim.models.motion import NO_MOTION, no_motions
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate, LinkTable, Scenario
 from sim.server.assurance import Assurance
@@ -62,10 +66,30 @@ def taken(*claims: bool | None, at: float = 1.0, scenario: Scenario = DELAYED) -
 
 
 def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) -> None:
-    assurance.send(0, tick, command(tick))
+    """A tick with this claim, unless nothing `answers`; a report that is not `current` is of the tick before."""
+    truth = {
+        "distance": 1.0,
+        "arrivals": [(tick, 0.3)],
+        "acts": command(tick - 2),
+        "flown": NO_MOTION,
+        "current": True,
+        "answers": True,
+    } | given
     report = None if certified is None else said(certified, reason="" if certified else "because")
-    arguments = {"distance": 1.0, "arrivals": [(tick, 0.3)], "acts": command(tick - 2), **given}
-    assurance.take(0, tick, report, **arguments)
+    answered = tick if truth["current"] else tick - 1
+    arrivals, flown = np.zeros(1, record_type(ArrivalRecord)), no_motions(2)
+    arrivals["newest"] = max((taken for taken, _ in truth["arrivals"]), default=NEVER)
+    arrivals["error"] = max((error for _, error in truth["arrivals"]), default=0.0)
+    flown["begins"] = truth["flown"]
+    assurance.take(
+        0,
+        tick,
+        UavCommand(tick=answered, acceleration=command(answered), report=report)
+        if truth["answers"]
+        else None,
+        evidence=(arrivals, np.array([truth["acts"]] * 2), flown),
+        distance=truth["distance"],
+    )
 
 
 def test_a_tick_that_is_certified_out_of_sight_is_counted() -> None:
@@ -114,6 +138,17 @@ def test_a_certificate_may_end_where_an_assumption_fails_and_only_there(excused:
         for tick in range(AT + 1):
             take(assurance, tick, tick < AT, **given.get(tick, {}))
         assert assurance.certificate_broken == (0 if excused else 1), what
+
+
+@pytest.mark.parametrize(("answers", "broken"), [(True, 1), (False, 0)])
+def test_a_vehicle_that_does_not_answer_has_seen_nothing_of_its_tick(answers, broken) -> None:
+    """The detection of tick 3 is the only one that would be new enough at tick 12."""
+    assurance = Assurance(DELAYED)
+    for tick in range(13):
+        arrivals = [(tick, 0.0)] if tick in (0, 3) else []
+        claim = {"arrivals": arrivals, "answers": answers or tick != 3}
+        take(assurance, tick, tick < 12, **claim)
+    assert assurance.certificate_broken == broken
 
 
 def test_however_old_detections_may_be_there_must_have_been_one() -> None:

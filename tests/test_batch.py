@@ -8,6 +8,7 @@ from flights import escort
 from worlds import POOR, SEVERAL, SMALL, small, step
 
 from bus.profiles import PROFILES
+from bus.ticks import looks_of
 from sim.engine.batch import Batch
 from sim.kernels.threads import WorkerThreads
 from sim.scenario.types import (
@@ -54,10 +55,9 @@ def _same(batch: Batch, worlds: list[World]) -> None:
     s = batch.state
     for k, world in enumerate(worlds):
         assert s.ticks[k] == world.tick
-        for u, looks in enumerate(world.received):
-            assert s.received[k, u, : s.arrived[k, u], :3].tolist() == [
-                list(look) for look in looks
-            ]
+        for u in range(len(world.uavs)):
+            looks = looks_of(world.received(u), world.parameters.dt)
+            assert s.received[k, u, : s.arrived[k, u], :3].tolist() == [list(one) for one in looks]
         for single, many in zip(world.state, s.truth, strict=True):
             assert single.tobytes() == many[k].tobytes()
 

@@ -5,27 +5,36 @@ import hashlib
 import math
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from flights import DT, HERE, escort
 
-from outrider.running.flying import fly
-from sim.scenario.types import Detections, Uav, Ugv
+from bus.messages import LinkSettings
+from bus.ticks import looks_of
+from outrider.running.flying import InProcess, fly, make_pilots
+from sim.engine.certificate_counts import NEVER
+from sim.scenario.types import Detections, LinkTable, Scenario, Uav, Ugv
+from sim.server import recorder
 from sim.server.flight import Flight
 
 
 @pytest.fixture(scope="module")
 def flight() -> Flight:
-    """Longer than the recorder's first arrays, with looks that fail and velocities of -0.0."""
-    scenario = escort(
+    """With looks that fail and velocities of -0.0."""
+    return fly(wobbling(), 6)[0]
+
+
+def wobbling(**changes: Any) -> Scenario:
+    return escort(
         "logarithmic",
         uav=Uav(position=HERE, velocity=(-0.0, -0.0)),
         ugv=Ugv(position=(20.0, 21.0), velocity=(0.0, -0.0), goals=((26.0, 21.0),)),
         detections=Detections(noise=0.1, dropout=0.2, rate=10.0),
         duration=60.0,
+        **changes,
     )
-    return fly(scenario, 6)[0]
 
 
 def _documented(flight: Flight, ticks: int) -> str:
@@ -48,6 +57,40 @@ def test_the_hash_is_the_documented_one(flight: Flight) -> None:
     assert flight.recorder.sha256(ticks=10**9) == flight.recorder.sha256()
 
 
+def test_a_flight_that_is_longer_than_the_first_arrays_is_recorded_the_same(
+    flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder, "_ROOM", 100)
+    longer = fly(wobbling(), 6)[0].recorder
+    np.testing.assert_array_equal(longer.states, flight.recorder.states)
+    np.testing.assert_array_equal(longer.escorts, flight.recorder.escorts)
+
+
+def test_arrivals_are_the_detections_that_have_come_and_how_wrong_they_were() -> None:
+    """Late, reordered and twice, held against the true positions when each was taken."""
+    late = LinkSettings(delay=0.3, jitter=0.3, duplicates=0.2, loss=0.2)
+    flown = Flight(wobbling(links=LinkTable(detections=late)), 6)
+    pilots = InProcess(make_pilots(flown.scenario, 6))
+    newest = largest = silent = 0
+    while flown.fly_tick(pilots):
+        flown.take_down()
+        arrival = flown.recorder.arrivals[0]
+        looks = looks_of(flown.world.received(0), DT)
+        errors = []
+        for taken, x, y in looks:
+            (p_x, p_y), (g_x, g_y) = flown.recorder.states[taken, :, :2].tolist()
+            errors.append(math.hypot(x - (p_x - g_x), y - (p_y - g_y)))
+        assert arrival["newest"] == max((one.taken for one in looks), default=NEVER)
+        assert arrival["error"] == pytest.approx(max(errors, default=0.0), abs=1e-12)
+        newest, silent = max(newest, len(looks)), silent + (not looks)
+        largest = max(largest, arrival["error"])
+        if flown.over:
+            break
+    assert newest > 1
+    assert silent > 100
+    assert 0.1 < largest <= 0.3
+
+
 def test_vehicles_are_recorded_in_name_order_with_the_command_of_their_tick(flight: Flight) -> None:
     assert flight.world.names == ("uav_0", "ugv_0")
     states = flight.recorder.states
@@ -66,15 +109,15 @@ def test_the_file_gives_back_every_number_exactly(flight: Flight, tmp_path: Path
     with (tmp_path / "trajectory.csv").open(newline="", encoding="utf-8") as file:
         header, *rows = csv.reader(file)
     found = np.array([[math.nan if field == "" else float(field) for field in row] for row in rows])
-    recorder = flight.recorder
-    count = recorder.rows
+    record = flight.recorder
+    count = record.rows
     time = np.arange(count) * DT
     wanted = np.column_stack(
         (
             np.arange(count),
             time,
-            recorder.states.reshape(count, -1),
-            recorder.escorts.reshape(count, -1),
+            record.states.reshape(count, -1),
+            record.escorts.reshape(count, -1),
         )
     )
     assert found.tobytes() == wanted.tobytes()

@@ -248,6 +248,19 @@ def test_relative_information_is_of_its_tick_and_comes_five_times_a_second() -> 
     assert flight.refused_radio == {"uav_0": 4 * scenario.ticks - len(ticks)}
 
 
+def test_the_sign_of_a_zero_carries_nothing_either() -> None:
+    scenario = msgspec.structs.replace(on(DISC), duration=1.0)
+    told = RelativeInformation(time=-0.0, relative_position=(1.0, 2.0), coverage_error=0.0)
+    flight, received = Flight(scenario, 1), []
+
+    def note() -> None:
+        received.extend(flight.observations()["ugv_0"].radio)  # type: ignore[union-attr]
+
+    pilots = altered(make_pilots(scenario, 1), "uav_0", lambda _: {"radio": (told,)})
+    flight.fly(pilots, on_tick=note)
+    assert [math.copysign(1.0, one.time) for one in received] == [1.0]
+
+
 def test_the_blocks_that_a_ugv_receives_are_what_the_uav_has_seen_of_the_ground_around_it() -> None:
     scenario = msgspec.structs.replace(on(DISC, MUD), duration=30.0)
     flight = Flight(scenario, 1)

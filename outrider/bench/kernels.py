@@ -71,6 +71,7 @@ def world_stepper() -> Callable[[], None]:
 
     def step() -> None:
         world.step(commands)
+        world.received(0)
         world.measure()
         (p_ax, p_ay), (p_gx, p_gy) = world.position.tolist()
         coverage_gradient(

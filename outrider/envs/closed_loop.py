@@ -420,9 +420,7 @@ class _PilotNumbers:
         self.bounds = records(CertificateBounds, bounds)
         self.certificates = certificate_counts(len(uavs))
         self.certificates["exact"] = [_is_bounded(scenario, one) for one in told_uavs]
-        self.sent = np.zeros((len(uavs), self.longest + 1, 3))
-        for sent, bound in zip(self.sent, bounds, strict=True):
-            sent[: bound.delay + 1] = sent_commands(bound)
+        self.sent = sent_commands(bounds)
         self.promises = records(Promise, promises)
         self.faults = np.array([bool(check_assumptions(one)) for one in promises], dtype=np.bool_)
         self.kalman = records(

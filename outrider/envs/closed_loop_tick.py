@@ -397,7 +397,7 @@ def _note_action(tables: LoopTables, state: LoopState, world: int, uav: int, tic
     """Count the action of a UAV in this tick, which has just been flown."""
     v, bounds = tables.batch.escorts[uav, 0], tables.bounds[uav]
     sent, command, acts = (
-        state.sent[world, uav, : bounds.delay + 1],
+        state.sent[world, uav],
         state.batch.sent[world, v],
         state.batch.truth.commands[world, v],
     )

@@ -182,7 +182,7 @@ def refly(recording: Recording) -> Reflight:
         flight.world.step(flight.commands)
         flight.recorder.record(flight.answers.reports)
         truth = recording.truths[flight.world.tick]
-        copy.world.tick = truth.tick
+        copy.world.move_to(truth.tick)
         _put(copy, truth)
         difference = difference or _difference(flight, truth)
     return Reflight(

@@ -65,8 +65,9 @@ class InProcess:
     def collect(self, tick: int) -> dict[str, Command]:
         """Let every pilot answer."""
         commands: dict[str, Command] = {}
+        observations = self._observations
         for name, pilot in self._pilots.items():
-            command = pilot.act(self._observations[name])
+            command = pilot.act(observations[name])
             if command is not None:
                 commands[name] = command
         return commands

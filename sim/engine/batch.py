@@ -4,7 +4,6 @@ No laws in here. World k with a seed is, bit for bit, the `World` of that seed a
 a single world is a batch of one.
 """
 
-import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -111,9 +110,11 @@ class Batch:
         self.scenario = scenario
         self.worlds = worlds
         self._secret = secret
+        self._step: Callable[..., object] | None = None
         self.parameters = world_parameters(scenario, gains=gains)
         self.workers = WorkerThreads(threads)
         """The threads that share the worlds."""
+        self._shared = self.workers.shares(worlds)
         self.links = LinkArrays(
             scenario, (LinkKind.DETECTIONS, LinkKind.COMMANDS), MESSAGE_SIZE, worlds
         )
@@ -213,14 +214,15 @@ class Batch:
         Args:
             linked: Whether commands cross their links.
         """
-        self.workers.share(self._step, self.worlds, self.tables, self.state, linked)
+        if self._step is None:
+            self._step = entry_point(_step_worlds, self.tables, self.state, True, 0, 1)
+        if self._shared:
+            self.workers.share(self._step, self.worlds, self.tables, self.state, linked)
+        else:
+            self._step(self.tables, self.state, linked, 0, self.worlds)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_step"}
-
-    @functools.cached_property
-    def _step(self) -> Callable[..., object]:
-        return entry_point(_step_worlds, self.tables, self.state, True, 0, 1)
+        return self.__dict__ | {"_step": None}
 
     def change_link(self, kind: LinkKind, vehicle: str, settings: LinkSettings) -> None:
         """Give a link other settings in all worlds, between two ticks: what is under way arrives as it would have.

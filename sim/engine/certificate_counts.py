@@ -6,6 +6,7 @@ of a run, and the closed loop for each of many worlds.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -66,6 +67,15 @@ class CertificateCounts:
     """Ticks that were not certified although the one before was and everything held."""
 
 
+class ArrivalRecord:
+    """The detections that have reached a UAV at one tick, a row of a table."""
+
+    newest: int
+    """The newest tick that one was taken in; NEVER: there is none."""
+    error: float
+    """The largest norm of an error, by the true relative position then [m]."""
+
+
 class CertificateClaim(NamedTuple):
     """The claim of a safety filter at one tick, and what is true of it."""
 
@@ -106,14 +116,14 @@ def certificate_counts(uavs: int) -> RecordArray:
     return counts
 
 
-def sent_commands(bounds: CertificateBounds) -> FloatArray:
-    """Room for a UAV's last commands: the tick that each answers, and the acceleration [m/s²].
+def sent_commands(bounds: Sequence[CertificateBounds]) -> FloatArray:
+    """Room for each UAV's last commands: the tick that each answers, and the acceleration [m/s²].
 
-    Before the first there is none, and nothing acts. Shape (delay + 1, 3).
+    Before the first there is none, and nothing acts. Shape (UAVs, largest delay + 1, 3).
     """
-    rows = bounds.delay + 1
-    sent = np.zeros((rows, 3))
-    sent[:, 0] = np.arange(rows) - rows
+    rows = max((one.delay for one in bounds), default=0) + 1
+    sent = np.zeros((len(bounds), rows, 3))
+    sent[:, :, 0] = np.arange(rows) - rows
     return sent
 
 
@@ -227,25 +237,28 @@ def count_end(counts: RecordArray, uav: int, lost: bool) -> None:
 
 @borrowing
 def count_tick(
-    bounds: RecordArray,
-    counts: RecordArray,
-    sent: FloatArray,
-    uav: int,
-    tick: int,
-    arrived: tuple[int, float],
+    tables: tuple[RecordArray, RecordArray, FloatArray],
+    evidence: tuple[RecordArray, FloatArray, RecordArray],
+    place: tuple[int, int, int],
+    command: tuple[int, float, float],
     said: tuple[bool, bool, bool, bool],
-    acts: tuple[float, float],
-    begins: int,
 ) -> None:
-    """`note_arrival`, `note_report` and `note_action` of one UAV, for Python.
+    """`note_sent`, `note_arrival`, `note_report` and `note_action` of one UAV, for Python.
 
     Args:
-        bounds, counts, sent, uav, tick: Of the UAV in this row.
-        arrived: The newest tick of all detections that have reached it at this tick, and the largest error [m].
+        tables: `CertificateBounds`, `CertificateCounts` and `sent_commands` of all UAVs.
+        evidence: What is true of this tick: `ArrivalRecord` of each UAV, the commands that acted [m/s²] in the shape
+            (vehicles, 2), and `MotionRecord` of the motion that each vehicle flew.
+        place: Its row among the UAVs, its row among all vehicles, and the tick.
+        command: The tick that its new command answers, and the acceleration [m/s²]; NEVER: it has none, and so it has
+            seen nothing either.
         said: A `CertificateClaim`.
-        acts, begins: As in `note_action`.
     """
+    (bounds, counts, sent), (arrivals, acted, flown), (uav, vehicle, tick) = tables, evidence, place
     b, c = bounds[uav], counts[uav]
-    note_arrival(b, c, arrived[0], arrived[1])
+    if command[0] != NEVER:
+        note_sent(sent[uav], command[0], command[1], command[2])
+        note_arrival(b, c, arrivals[uav].newest, arrivals[uav].error)
     note_report(b, c, tick, CertificateClaim(said[0], said[1], said[2], said[3]))
-    note_action(b, c, sent, tick, acts[0], acts[1], begins)
+    u_x, u_y = acted[vehicle, 0], acted[vehicle, 1]
+    note_action(b, c, sent[uav], tick, u_x, u_y, flown[vehicle].begins)

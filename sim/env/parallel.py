@@ -314,11 +314,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             raise ValueError(
                 f"agent = {agent!r}; allowed: {', '.join(uav.name for uav in self.scenario.uav)}"
             )
-        dt = self.scenario.dt
-        looks = self.world.received[uav]
-        return tuple(
-            Detection(time=look.taken * dt, relative_position=(look.x, look.y)) for look in looks
-        )
+        return self.world.received(uav)
 
     def ground(self, agent: str) -> tuple[SeenTile, ...]:
         """The tiles of which a vehicle's own sensor has told since the tick before, as it would be told on the bus.

@@ -42,6 +42,10 @@ class WorkerThreads:
     def __reduce__(self) -> tuple[type["WorkerThreads"], tuple[int]]:
         return WorkerThreads, (self.threads,)  # a copy has threads of its own
 
+    def shares(self, count: int) -> bool:
+        """True if so many worlds are worth more than one thread."""
+        return count >= 2 * _LEAST and self.threads > 1
+
     def share(self, work: Callable[..., object], count: int, *arguments: object) -> None:
         """Call `work(*arguments, begin, end)` so that the ranges cover 0 to `count`, and wait for all of them.
 
@@ -50,7 +54,7 @@ class WorkerThreads:
         Raises:
             Exception: One that any of them raised.
         """
-        if count < 2 * _LEAST or self.threads == 1:
+        if not self.shares(count):
             work(*arguments, 0, count)
             return
         parts = min(_PARTS * self.threads, count // _LEAST)

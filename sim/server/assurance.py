@@ -2,12 +2,14 @@
 
 import math
 from collections import Counter
-from collections.abc import Sequence
 
-from bus.messages import CertificateStatus, UavReport, Vector
+import numpy as np
+
+from bus.messages import CertificateStatus, UavCommand
 from sim.engine.briefing import declared
 from sim.engine.certificate_counts import (
     NEVER,
+    ArrivalRecord,
     CertificateBounds,
     begin_watch,
     certificate_bounds,
@@ -18,15 +20,20 @@ from sim.engine.certificate_counts import (
     note_sent,
     sent_commands,
 )
-from sim.kernels.compile import entry_point
-from sim.kernels.records import records
-from sim.models.motion import NO_MOTION
+from sim.kernels.compile import FloatArray, entry_point
+from sim.kernels.records import RecordArray, record_type, records
+from sim.models.motion import no_motions
 from sim.scenario.types import Scenario, Uav
 
 _SILENT = "the UAV has no estimate yet, or its command did not come"
 """Why a tick is not certified of which no filter has said anything."""
+_NOTHING_SENT = (NEVER, 0.0, 0.0)
 _NOBODY = -2
 """The last tick that was watched, before the first: the one before tick 0 is -1."""
+
+
+Evidence = tuple[RecordArray, FloatArray, RecordArray]
+"""The truth of a tick, as `count_tick` takes it; arrays that change with the flight."""
 
 
 class Assurance:
@@ -41,7 +48,8 @@ class Assurance:
         """Why ticks were not certified."""
         self.tracking_error = 0.0
         """The farthest that a UAV was from where it was told that it is [m]."""
-        uavs = [one.name for one in scenario.vehicles if isinstance(one, Uav)]  # as the world's
+        rows = [k for k, one in enumerate(scenario.vehicles) if isinstance(one, Uav)]
+        uavs, self._rows = [scenario.vehicles[k].name for k in rows], rows  # as the world's
         self._radius, self._dt = scenario.visibility.radius, scenario.dt
         self._disturbed = scenario.disturbed
         told = [declared(scenario, uav) for uav in uavs]
@@ -51,16 +59,17 @@ class Assurance:
         bounds = [certificate_bounds(one, scenario.dt) for one in told]
         self._bounds = records(CertificateBounds, bounds)
         self._counts = certificate_counts(len(uavs))
-        self._sent = [sent_commands(one) for one in bounds]
+        self._sent = sent_commands(bounds)
+        self._tables = self._bounds, self._counts, self._sent
         self._last = [_NOBODY] * len(uavs)
         self._silent = [0] * len(uavs)  # ticks of which nothing was said
         self._disregarded = [False] * len(uavs)
         if uavs:
-            tables, sent = (self._bounds, self._counts), self._sent[0]
-            nothing = (0, 0.0), (False, False, False, False), (0.0, 0.0)
-            self._tick = entry_point(count_tick, *tables, sent, 0, 0, *nothing, 0)
-            self._send = entry_point(note_sent, sent, 0, 0.0, 0.0)
-            self._track = entry_point(count_tracking, *tables, 0, 0.0)
+            evidence = np.zeros(1, record_type(ArrivalRecord)), np.zeros((1, 2)), no_motions(1)
+            given = (0, 0, 0), _NOTHING_SENT, (False, False, False, False)
+            self._tick = entry_point(count_tick, self._tables, evidence, *given)
+            self._send = entry_point(note_sent, self._sent[0], *_NOTHING_SENT)
+            self._track = entry_point(count_tracking, self._bounds, self._counts, 0, 0.0)
             self._begin = entry_point(begin_watch, self._counts, 0)
             self._end = entry_point(count_end, self._counts, 0, False)
 
@@ -90,16 +99,6 @@ class Assurance:
         """Ticks that were not certified although the one before was and all assumptions hold; likewise."""
         return self._sum("broken")
 
-    def send(self, uav: int, answered: int, acceleration: Vector) -> None:
-        """A command has set out: whatever the law, the next one may be watched.
-
-        Args:
-            uav: Row of the UAV.
-            answered: The tick whose observation it answers.
-            acceleration: [m/s²]
-        """
-        self._send(self._sent[uav], answered, *acceleration)
-
     def track(self, uav: int, off: float) -> None:
         """A UAV truly is so far from where it is told that it is at the tick that is taken next [m]."""
         self.tracking_error = max(self.tracking_error, off)
@@ -121,48 +120,44 @@ class Assurance:
         self,
         uav: int,
         tick: int,
-        report: UavReport | None,
-        *,
+        command: UavCommand | None,
+        evidence: Evidence,
         distance: float,
-        arrivals: Sequence[tuple[int, float]] = (),
-        acts: Vector = (0.0, 0.0),
-        flown: int | None = None,
-        current: bool = True,
+        *,
+        watched: bool = True,
     ) -> None:
-        """Count a tick in which a UAV flies a law that a filter watches over.
+        """Count a tick of a UAV that a safety filter watches over: by the law, or around whatever flies it.
 
         Args:
             uav: Row of the UAV.
             tick: Which.
-            report: What it says; None if no command came, or one without a report.
+            command: Its new command, with what it says; with a clock that waits for nobody it may be of an earlier
+                tick. None: it has none.
+            evidence: What is true of this tick.
             distance: The true one at the tick that is reported of [m].
-            arrivals: The detections that have reached it at this tick: when each was taken, and the norm of its error,
-                by the true relative position then [m].
-            acts: The command that acts in this tick [m/s²].
-            flown: The tick in which the motion began that is flown in this tick; None: none is.
-            current: Whether the report is of this tick; with a clock that waits for nobody it may be of an earlier one.
+            watched: Whether a filter watches over its law.
         """
-        says = report is not None and report.certified is not None
-        if self._disregarded[uav] and not says:
+        certified = intervened = says = False
+        sent, reason = _NOTHING_SENT, _SILENT
+        if command is not None:
+            (u_x, u_y), report = command.acceleration, command.report
+            sent = command.tick, u_x, u_y
+            if report is not None and report.certified is not None:
+                says, certified, intervened = True, report.certified, report.intervened
+                reason = report.uncertified
+        if not says and (not watched or self._disregarded[uav]):
+            if command is not None:  # the next one may be watched
+                self._send(self._sent[uav], *sent)
             return
         if self._last[uav] != tick - 1:  # not watched just before: the filter is new
             self._begin(self._counts, uav)
         self._last[uav] = tick
-        newest, farthest = NEVER, 0.0
-        for taken, error in arrivals:
-            newest, farthest = max(newest, taken), max(farthest, error)
-        certified = intervened = False
-        if report is not None and report.certified is not None:
-            certified, intervened = report.certified, report.intervened
-            if not certified:
-                self.reasons[report.uncertified] += 1
-        else:
-            self.reasons[_SILENT] += 1
+        if not certified:
+            self.reasons[reason] += 1
+        if not says:
             self._silent[uav] += 1
-        arrived, begins = (newest, farthest), NO_MOTION if flown is None else flown
-        said = certified, intervened, distance >= self._radius, current and says
-        tables = self._bounds, self._counts, self._sent[uav]
-        self._tick(*tables, uav, tick, arrived, said, acts, begins)
+        claim = certified, intervened, distance >= self._radius, says and sent[0] == tick
+        self._tick(self._tables, evidence, (uav, self._rows[uav], tick), sent, claim)
 
     def end(self, uav: int, distance: float) -> None:
         """The flight is over with this UAV so far from its UGV [m]: the last tick's certificate is held against it."""

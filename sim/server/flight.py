@@ -4,7 +4,7 @@ The same loop serves the pilots in this process and the three processes over the
 """
 
 import logging
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Protocol
 
 import msgspec
@@ -25,11 +25,10 @@ from bus.messages import (
     RelativeInformation,
     Status,
     Truth,
-    UgvCommand,
+    UavCommand,
     Vector,
     VehicleTruth,
 )
-from bus.registry import LAWS
 from bus.ticks import radio_ticks, tick_of
 from sim.kernels.compile import FloatArray
 from sim.models.ground import UNSEEN
@@ -38,31 +37,6 @@ from sim.server.answers import Answers
 from sim.server.perception import News, Perception, UavPerception, UgvPerception
 from sim.server.recorder import Recorder
 from sim.world import World
-
-
-class _Observations(Mapping[str, Observation]):
-    """Each vehicle's observation of a tick, made when it is asked for: the first is on its way before the next is made.
-
-    Args:
-        names: The vehicles.
-        make: Makes the observation of one.
-    """
-
-    def __init__(self, names: tuple[str, ...], make: Callable[[str], Observation]) -> None:
-        self._names, self._make = names, make
-        self._made: dict[str, Observation] = {}
-
-    def __getitem__(self, name: str) -> Observation:
-        made = self._made.get(name)
-        if made is None:
-            made = self._made[name] = self._make(name)
-        return made
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)
 
 
 class Exchange(Protocol):
@@ -147,6 +121,7 @@ class Flight:
         self._operators = self.world.links.of(LinkKind.OPERATOR)
         self._radios = self.world.links.of(LinkKind.RADIO)
         self._grounded = scenario.has_ground
+        self._radio_ticks = radio_ticks(self.world.parameters.dt)
         self._radioed: dict[str, int | None] = dict.fromkeys(self._uav_row)
         self.refused_radio: dict[str, int] = dict.fromkeys(self._uav_row, 0)
         """Radio messages of each UAV that were not sent: of another time, too soon after the last one, or of ground of
@@ -183,7 +158,7 @@ class Flight:
     @property
     def over(self) -> bool:
         """True once nothing more is flown: complete, or stopped."""
-        return self._stopped or self.complete
+        return self._stopped or self.world.tick >= self._ticks
 
     def stop(self) -> None:
         """End the flight before the next command acts."""
@@ -256,21 +231,19 @@ class Flight:
         self.degradations.append(Change(tick=self.world.tick, control=control))
 
     def _listen(self) -> None:
-        """Take in what has crossed the links for this tick, once."""
-        tick = self.world.tick
-        if self._listened == tick:
-            return
-        self._listened = tick
+        """Take in what has crossed the links for this tick; once for every tick."""
+        self._listened = tick = self.world.tick
         for perception in self.perceptions.values():
             perception.receive(tick)
 
-    def observations(self) -> Mapping[str, Observation]:
-        """The observation of each vehicle at this tick, made when it is asked for, before the world moves on."""
-        self._listen()
-        return _Observations(self.world.names, self._observe)
-
-    def _observe(self, name: str) -> Observation:
-        return self.perceptions[name].observe(over=self.over)
+    def observations(self) -> dict[str, Observation]:
+        """The observation of each vehicle at this tick."""
+        if self._listened < self.world.tick:
+            self._listen()
+        over, observations = self.over, {}
+        for name, perception in self.perceptions.items():
+            observations[name] = perception.observe(over=over)
+        return observations
 
     def past(
         self, name: str, begin: int, end: int, missed: Collection[int]
@@ -292,32 +265,36 @@ class Flight:
 
         What the UAVs radio arrives at the next one.
         """
-        self._listen()
+        if self._listened < self.world.tick:
+            self._listen()
         self.take_down()  # what is said of this tick is held against it
-        world, answers, watched = self.world, self.answers, LAWS[self.law.name].watched
+        world = self.world
         for k, name in enumerate(world.names):
             command = commands.get(name)
-            if command is not None:
-                self._send(k, name, command)
-        tick, received = world.tick, world.received
+            if isinstance(command, UavCommand):
+                world.send(k, command.tick, command.acceleration, command.motions)
+                if command.radio or command.blocks:
+                    self._send_radio(k, name, command)
+            elif command is not None:
+                world.send(k, command.tick, command.acceleration)
+                if command.route is not None:
+                    self.routes[name] = command.route
+        tick = world.tick
         world.advance()
-        answers.note(tick, commands, received, self.law.name, watched=watched)
+        self._answers.note(tick, commands, self.law.name)
 
-    def _send(self, vehicle: int, name: str, command: Command) -> None:
-        """Let the command of a vehicle, and what it radios, set out."""
-        world = self.world
-        if isinstance(command, UgvCommand):
-            world.send(vehicle, command.tick, command.acceleration)
-            if command.route is not None:
-                self.routes[name] = command.route
-            return
-        world.send(vehicle, command.tick, command.acceleration, command.motions)
-        radioed = [self._due(name, command.tick, message) for message in command.radio]
-        for sent in (*radioed, *(self._told_block(vehicle, block) for block in command.blocks)):
-            if sent is None:
-                self.refused_radio[name] += 1
-            else:  # it arrives at the next tick at the earliest
-                self._radios[name].send(world.tick + 1, sent, world.tick)
+    def _send_radio(self, vehicle: int, name: str, command: UavCommand) -> None:
+        """Let what a UAV radios set out, as far as the simulator knows it for the truth."""
+        for message in command.radio:
+            self._set_out(name, self._due(name, command.tick, message))
+        for block in command.blocks:
+            self._set_out(name, self._told_block(vehicle, block))
+
+    def _set_out(self, uav: str, message: RelativeInformation | GroundBlock | None) -> None:
+        if message is None:
+            self.refused_radio[uav] += 1
+        else:  # it arrives at the next tick at the earliest
+            self._radios[uav].send(self.world.tick + 1, message, self.world.tick)
 
     def _due(self, uav: str, tick: int, message: RelativeInformation) -> RelativeInformation | None:
         """A message with the time of the tick that its command answers; None: of another, or too soon after the last.
@@ -325,12 +302,15 @@ class Flight:
         The stamp may be off by rounding, and carries nothing by that.
         """
         dt, last = self.world.parameters.dt, self._radioed[uav]
-        if tick_of(message.time, dt) != tick or (
-            last is not None and tick < last + radio_ticks(dt)
-        ):
+        time = tick * dt
+        if message.time != time or not tick:  # where the sign of a zero would do
+            if tick_of(message.time, dt) != tick:
+                return None
+            message = msgspec.structs.replace(message, time=time)
+        if last is not None and tick < last + self._radio_ticks:
             return None
         self._radioed[uav] = tick
-        return msgspec.structs.replace(message, time=tick * dt)
+        return message
 
     def _told_block(self, vehicle: int, block: GroundBlock) -> GroundBlock | None:
         """A block with all that the UAV's own sensor has told of its tiles, whatever the UAV leaves out; or None.
@@ -349,7 +329,8 @@ class Flight:
 
         Nobody needs it before the world moves on, so it is best done while the vehicles think.
         """
-        self.recorder.record(self.answers.reports)
+        self._answers.settle()
+        self.recorder.record(self._answers.reports)
 
     def _goes_on(self) -> bool:
         """True if nobody has stopped it meanwhile."""
@@ -357,15 +338,16 @@ class Flight:
 
     def fly_tick(self, exchange: Exchange) -> bool:
         """Fly one tick; False if it was stopped meanwhile, and nothing was flown."""
-        exchange.begin(self.world.tick)
+        tick = self.world.tick
+        exchange.begin(tick)
         if not self._goes_on():
             return False
         exchange.publish(self.observations())
-        commands = exchange.collect(self.world.tick)
+        commands = exchange.collect(tick)
         if not self._goes_on():
             return False
         self.apply(commands)
-        if self.complete:
+        if self.world.tick >= self._ticks:
             self._close()
         return True
 
@@ -445,7 +427,7 @@ def warm_up(scenario: Scenario) -> None:
         for kind in LinkKind:
             flight.degrade(kind, None, settings)
         for _ in range(3):
-            dict(flight.observations())
+            flight.observations()
             for k in range(len(world.names)):
                 world.send(k, world.tick, (0.0, 0.0))
             for link in carried:

@@ -4,7 +4,6 @@ It is kept, so that a process that joins again is told the same once more.
 """
 
 from abc import ABC, abstractmethod
-from array import array
 from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
@@ -25,6 +24,7 @@ from bus.messages import (
     Vector,
 )
 from sim.kernels.compile import FloatArray
+from sim.kernels.packing import NUMBER, packer, reader
 from sim.world import World
 
 
@@ -38,6 +38,7 @@ class News:
 
 
 _NO_NEWS = News()
+_read_vector = reader(2)
 
 
 class Perception(ABC):
@@ -60,25 +61,27 @@ class Perception(ABC):
         self._dt, self._grounded = world.parameters.dt, world.scenario.has_ground
         self._ground: dict[int, tuple[SeenTile, ...]] = {}
         self._now: tuple[Any, ...] = ()  # the messages that have arrived at the world's tick
-        self._arrived = array("d")
+        self._arrived, self._pack = bytearray(), packer(self.numbers)
+        self._place = self.row * 2 * NUMBER  # of its vectors in the world's arrays [bytes]
 
     def news_now(self) -> News:
         """The news of the world's tick, to be added to."""
         return self.news.setdefault(self._world.tick, News())
 
+    @abstractmethod
     def receive(self, tick: int) -> None:
-        """Take in what has crossed the links for this tick; once for every tick."""
-        if self._grounded:
-            seen = self._world.seen_ground(self.row)
-            if seen:
-                self._ground[tick] = seen
+        """Take in what has crossed the links for this tick, and what the sensors say; once for every tick."""
+
+    def _see_ground(self, tick: int) -> None:
+        seen = self._world.seen_ground(self.row)
+        if seen:
+            self._ground[tick] = seen
 
     def observe(self, *, over: bool) -> Observation:
         """The observation of the world's tick; `over`: no command is awaited."""
-        position, velocity = self._world.told.position.item, self._world.told.velocity.item
-        k = self.row
-        motion = (position(k, 0), position(k, 1)), (velocity(k, 0), velocity(k, 1))
-        return self._observation(self._world.tick, motion, arrived=self._now, over=over)
+        tick, told, place = self._world.tick, self._world.told, self._place
+        motion = _read_vector(told.position, place), _read_vector(told.velocity, place)
+        return self._observation(tick, motion, self._now, over=over)
 
     def past(
         self, begin: int, end: int, told: FloatArray, missed: Collection[int]
@@ -92,7 +95,7 @@ class Perception(ABC):
             missed: Ticks whose observation it was not sent: of those it is told its own motion, law and driver and
                 nothing else.
         """
-        rows: FloatArray = np.frombuffer(self._arrived).reshape(-1, self.numbers)
+        rows: FloatArray = np.frombuffer(bytes(self._arrived)).reshape(-1, self.numbers)
         first, last = np.searchsorted(rows[:, 0], (begin, end))
         arrived: dict[int, tuple[Any, ...]] = {}
         for tick, *numbers in rows[first:last].tolist():
@@ -100,7 +103,7 @@ class Perception(ABC):
         return tuple(
             self._observation(tick, ((x, y), (v_x, v_y)), known=False)
             if tick in missed
-            else self._observation(tick, ((x, y), (v_x, v_y)), arrived=arrived.get(tick, ()))
+            else self._observation(tick, ((x, y), (v_x, v_y)), arrived.get(tick, ()))
             for tick, (x, y, v_x, v_y) in enumerate(told.tolist(), begin)
         )
 
@@ -113,8 +116,8 @@ class Perception(ABC):
         self,
         tick: int,
         motion: tuple[Vector, Vector],
-        *,
         arrived: tuple[Any, ...] = (),
+        *,
         known: bool = True,
         over: bool = False,
     ) -> Observation:
@@ -132,42 +135,46 @@ class Perception(ABC):
 class UavPerception(Perception):
     """The perception of a UAV: the detections of the UGV that it escorts."""
 
-    numbers = 4  # tick, tick of the detection, p_delta
+    numbers = 4  # tick, time, p_delta
 
     def __init__(self, world: World, name: str, episode: int) -> None:
         super().__init__(world, name, episode)
         self._uav = [uav.name for uav in world.uavs].index(name)
+        self._carries = world.carries
 
     def receive(self, tick: int) -> None:
-        """Take in what has crossed the links for this tick; once for every tick."""
-        super().receive(tick)
-        looks = self._world.received[self._uav]
-        for look in looks:
-            self._arrived.extend((tick, *look))
-        self._now = tuple([self._message(*look) for look in looks])
+        """Take in what has crossed the links for this tick, and what the sensors say; once for every tick."""
+        if self._grounded:
+            self._see_ground(tick)
+        self._now = self._world.received(self._uav)
+        for one in self._now:
+            x, y = one.relative_position
+            self._arrived += self._pack(tick, one.time, x, y)
 
     def _message(self, *numbers: float) -> Detection:
-        taken, x, y = numbers
-        return Detection(time=taken * self._dt, relative_position=(x, y))
+        time, x, y = numbers
+        return Detection(time=time, relative_position=(x, y))
 
     def _observation(
         self,
         tick: int,
         motion: tuple[Vector, Vector],
-        *,
         arrived: tuple[Detection, ...] = (),
+        *,
         known: bool = True,
         over: bool = False,
     ) -> UavObservation:
-        news = self.news.get(tick, _NO_NEWS)
+        news = self.news.get(tick, _NO_NEWS) if self.news else _NO_NEWS
         return UavObservation(
             tick=tick,
             time=tick * self._dt,
             position=motion[0],
             velocity=motion[1],
             detections=arrived,
-            ground=self._ground.get(tick, ()) if known else (),
-            flown=self._world.flown(self.row) if tick == self._world.tick else None,
+            ground=self._ground.get(tick, ()) if known and self._grounded else (),
+            flown=self._world.flown(self.row)
+            if self._carries and tick == self._world.tick
+            else None,
             law=news.law,
             over=over,
             episode=self._episode,
@@ -188,8 +195,9 @@ class UgvPerception(Perception):
         """Blocks of tiles that have come by radio, by tick."""
 
     def receive(self, tick: int) -> None:
-        """Take in what has crossed the links for this tick; once for every tick."""
-        super().receive(tick)
+        """Take in what has crossed the links for this tick, and what the sensors say; once for every tick."""
+        if self._grounded:
+            self._see_ground(tick)
         commands = self._operators.arrivals(tick)
         if commands:
             self.news_now().operator = tuple(commands)
@@ -199,14 +207,13 @@ class UgvPerception(Perception):
                 self._receive_message(tick, message)
 
     def _receive_message(self, tick: int, message: object) -> None:
-        if isinstance(message, GroundBlock):
+        if isinstance(message, RelativeInformation):
+            self._now = (*self._now, message)
+            numbers = message.time, *message.relative_position, message.coverage_error
+            self._arrived += self._pack(tick, *numbers)
+        elif isinstance(message, GroundBlock):
             self.blocks[tick] = (*self.blocks.get(tick, ()), message)
             self._world.receive_block(self.row, message)
-        elif isinstance(message, RelativeInformation):
-            self._now = (*self._now, message)
-            self._arrived.extend(
-                (tick, message.time, *message.relative_position, message.coverage_error)
-            )
 
     def _message(self, *numbers: float) -> RelativeInformation:
         time, x, y, error = numbers
@@ -216,20 +223,20 @@ class UgvPerception(Perception):
         self,
         tick: int,
         motion: tuple[Vector, Vector],
-        *,
         arrived: tuple[RelativeInformation, ...] = (),
+        *,
         known: bool = True,
         over: bool = False,
     ) -> UgvObservation:
-        news = self.news.get(tick, _NO_NEWS)
+        news = self.news.get(tick, _NO_NEWS) if self.news else _NO_NEWS
         return UgvObservation(
             tick=tick,
             time=tick * self._dt,
             position=motion[0],
             velocity=motion[1],
             radio=arrived,
-            blocks=self.blocks.get(tick, ()) if known else (),
-            ground=self._ground.get(tick, ()) if known else (),
+            blocks=self.blocks.get(tick, ()) if known and self._grounded else (),
+            ground=self._ground.get(tick, ()) if known and self._grounded else (),
             operator=news.operator if known else (),
             driver=news.driver,
             over=over,

@@ -11,13 +11,17 @@ from pathlib import Path
 import numpy as np
 
 from bus.messages import UavReport
-from sim.engine.world_state import WorldState
+from sim.engine.certificate_counts import NEVER, ArrivalRecord
+from sim.engine.world_state import LOOK, WorldState
 from sim.engine.world_tick import measure
 from sim.kernels.compile import FloatArray, IntArray, borrowing, entry_point
-from sim.kernels.records import RecordArray
+from sim.kernels.packing import NUMBER, writer
+from sim.kernels.records import RecordArray, record_type
+from sim.models.vehicles import norm
 from sim.world import World
 
-_ROOM = 1024
+_ROOM = 65_536
+"""Rows that there is room for at first, where the flight has so many: memory that nobody writes to costs nothing."""
 _VEHICLE = ("x [m]", "y [m]", "vx [m/s]", "vy [m/s]", "ux [m/s2]", "uy [m/s2]")
 """Columns of `Recorder.states`; the last two are of the command that is applied during the tick."""
 _ESCORT = (
@@ -32,15 +36,10 @@ _ESCORT = (
 )
 """Columns of `Recorder.escorts`."""
 _CERTIFIED = _ESCORT.index("certified")
-
-
-def _certificate(report: UavReport) -> tuple[float, float]:
-    """Certified or not (1 or 0), and the certified distance [m]; NaN where a report does not say."""
-    if report.certified is None:
-        return math.nan, math.nan
-    return float(
-        report.certified
-    ), math.nan if report.certified_distance is None else report.certified_distance
+_REPORT = _ESCORT[4:]
+_write_report = writer(len(_REPORT))
+_ROW, _SAID = len(_ESCORT) * NUMBER, (len(_ESCORT) - len(_REPORT)) * NUMBER
+"""Bytes of a row, and of those before what a UAV reports."""
 
 
 @borrowing
@@ -48,11 +47,21 @@ def _take_down(
     parameters: RecordArray,
     pairs: IntArray,
     truth: WorldState,
+    arrivals: RecordArray,
+    received: FloatArray,
+    arrived: IntArray,
     states: FloatArray,
     escorts: FloatArray,
     k: int,
 ) -> None:
-    """Measure the world at tick k, and write its row, and into the row before what was applied."""
+    """Measure the world at tick k, and write its row, and into the row before what was applied.
+
+    Args:
+        parameters, pairs, truth, received, arrived: Of the world, as in its batch.
+        arrivals: Of each UAV, see `Recorder.arrivals`.
+        states, escorts: The record.
+        k: The tick.
+    """
     measure(parameters, truth.position, pairs, truth.coverage, truth.measures, True)
     for vehicle in range(states.shape[1]):
         for axis in range(2):
@@ -67,6 +76,15 @@ def _take_down(
             escorts[k, uav, 2 + n] = truth.detections[uav, n]
         for n in range(4, 8):
             escorts[k, uav, n] = np.nan
+        arrivals[uav].newest, arrivals[uav].error = NEVER, 0.0
+        for n in range(arrived[0, uav]):
+            look = received[0, uav, n]
+            then = states[int(look[LOOK.taken])]
+            d_x = then[pairs[uav, 0], 0] - then[pairs[uav, 1], 0]
+            d_y = then[pairs[uav, 0], 1] - then[pairs[uav, 1], 1]
+            error = norm(look[LOOK.x] - d_x, look[LOOK.y] - d_y)
+            arrivals[uav].newest = max(arrivals[uav].newest, int(look[LOOK.taken]))
+            arrivals[uav].error = max(arrivals[uav].error, error)
 
 
 class Recorder:
@@ -83,18 +101,22 @@ class Recorder:
         self.rows = 0
         """Number of states taken down: one more than complete ticks, once the flight is over."""
         vehicles, uavs = len(world.names), len(world.uavs)
-        self._states: FloatArray = np.empty((_ROOM, vehicles, len(_VEHICLE)))
-        self._escorts: FloatArray = np.empty((_ROOM, uavs, len(_ESCORT)))
-        self._truth = world.arrays[0].world, world.escorts, world.state
-        self._take_down = entry_point(_take_down, *self._truth, self._states, self._escorts, 0)
-        told = vehicles if world.scenario.disturbed else 0
-        self._told: FloatArray = np.empty((_ROOM, told, 4))
+        room = min(world.scenario.ticks + 1, _ROOM)
+        self._states: FloatArray = np.empty((room, vehicles, len(_VEHICLE)))
+        self._escorts: FloatArray = np.empty((room, uavs, len(_ESCORT)))
+        self.arrivals: RecordArray = np.zeros(uavs, record_type(ArrivalRecord))
+        """`ArrivalRecord` of each UAV, of the tick that was taken down last. Shape (UAVs,)."""
+        self._truth = world.arrays[0].world, world.escorts, world.state, self.arrivals
+        arrays = *world.arrived, self._states, self._escorts
+        self._take_down = entry_point(_take_down, *self._truth, *arrays, 0)
+        self._tells = world.scenario.disturbed
+        told = vehicles if self._tells else 0
+        self._told: FloatArray = np.empty((room, told, 4))
 
-    def _make_room(self, k: int) -> None:
-        if k == len(self._states):
-            self._states = np.concatenate((self._states, np.empty_like(self._states)))
-            self._escorts = np.concatenate((self._escorts, np.empty_like(self._escorts)))
-            self._told = np.concatenate((self._told, np.empty_like(self._told)))
+    def _make_room(self) -> None:
+        self._states = np.concatenate((self._states, np.empty_like(self._states)))
+        self._escorts = np.concatenate((self._escorts, np.empty_like(self._escorts)))
+        self._told = np.concatenate((self._told, np.empty_like(self._told)))
 
     def record(self, reports: list[UavReport | None]) -> None:
         """Take down the state at this tick and, with it, what was applied and reported during the one before.
@@ -107,16 +129,26 @@ class Recorder:
         k = self._world.tick
         if k < self.rows:
             return
-        self._make_room(k)
-        self._take_down(*self._truth, self._states, self._escorts, k)
-        if self._told.size:
+        if k == len(self._states):
+            self._make_room()
+        self._take_down(*self._truth, *self._world.arrived, self._states, self._escorts, k)
+        if self._tells:
             self._told[k, :, 0:2], self._told[k, :, 2:4] = self._world.told
         if k:
-            for uav, report in enumerate(reports):
+            place = (k - 1) * len(reports) * _ROW + _SAID
+            for report in reports:
                 if report is not None:
-                    numbers = (*report.estimate, *_certificate(report))
-                    for column, number in enumerate(numbers, 4):  # a slice would cost twice that
-                        self._escorts[k - 1, uav, column] = number
+                    certified, distance = report.certified, report.certified_distance
+                    x, y = report.estimate
+                    _write_report(
+                        self._escorts,
+                        place,
+                        x,
+                        y,
+                        math.nan if certified is None else certified,
+                        math.nan if certified is None or distance is None else distance,
+                    )
+                place += _ROW
         self.ticks, self.rows = k, k + 1
 
     @property
@@ -130,15 +162,21 @@ class Recorder:
     @property
     def told(self) -> FloatArray:
         """Position [m] and velocity [m/s] as each vehicle is told them, shape (rows, vehicles, 4): mostly the truth."""
-        return self._told[: self.rows] if self._told.size else self.states[:, :, :4]
+        return self._told[: self.rows] if self._tells else self.states[:, :, :4]
 
     @property
     def tracking_error(self) -> float | None:
         """The farthest that a UAV was from where it was told that it is [m]; None where nothing takes it from there."""
-        if not self._told.size:
+        if not self._tells:
             return None
         off = self.states[:, :, :2] - self.told[:, :, :2]
         return float(np.hypot(off[..., 0], off[..., 1]).max())
+
+    def tracking_error_at(self, tick: int, uav: int) -> float:
+        """The distance of a UAV from where it was told that it is at a tick that has been taken down [m]."""
+        row = self._world.escorts.item(uav, 0)
+        off = self.states[tick, row, :2] - self.told[tick, row, :2]
+        return math.hypot(*off.tolist())
 
     @property
     def escorts(self) -> FloatArray:
@@ -148,6 +186,10 @@ class Recorder:
         distance [m].
         """
         return self._escorts[: self.rows]
+
+    def has_seen(self, uav: int) -> bool:
+        """True if a detection had reached a UAV at the tick that was taken down last."""
+        return bool(self.arrivals[uav]["newest"] != NEVER)
 
     def distance(self, tick: int, uav: int) -> float:
         """Distance of a UAV from its UGV at a tick that has been taken down [m]."""
@@ -170,7 +212,7 @@ class Recorder:
                 numbers += escort
                 if not math.isnan(escort[_CERTIFIED]):
                     numbers[_CERTIFIED - len(escort)] = int(escort[_CERTIFIED])
-            if self._told.size:
+            if self._tells:
                 numbers += self._told[k, self._world.escorts[:, 0], :2].ravel().tolist()
             yield [k, k * dt, *("" if math.isnan(number) else number for number in numbers)]
 
@@ -184,7 +226,7 @@ class Recorder:
         header = ["tick", "time [s]"]
         header += [f"{name}.{field}" for name in self._world.names for field in _VEHICLE]
         header += [f"{name}.{field}" for name in uavs for field in _ESCORT]
-        if self._told.size:
+        if self._tells:
             header += [f"{name}.told_{axis} [m]" for name in uavs for axis in "xy"]
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
