@@ -1,6 +1,7 @@
 """The command line: help with examples, one clear line for bad input, one JSON object where it is asked for."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -20,6 +21,16 @@ def test_every_command_has_help_with_an_example(name, command):
     told = command(name, "--help")
     assert told.returncode == 0
     assert f"Example: outrider {name}" in " ".join(told.stdout.split())
+
+
+@pytest.mark.parametrize("name", ["", *COMMANDS, "network", "scenarios", "fmu"])
+def test_no_help_is_cut_or_too_wide_in_a_terminal_of_80_columns(name, command, monkeypatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    told = command(*name.split(), "--help").stdout
+    assert max(map(len, told.splitlines())) <= 80
+    assert "…" not in told
+    assert not re.search(r"\w\.\.\.$", told, re.MULTILINE)
+    assert "<bool>" not in told
 
 
 BAD = rows(r"""

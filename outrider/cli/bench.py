@@ -25,7 +25,7 @@ def command(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Measure each layer, and in the same run the limit that it stands beside.
+    """Measure each layer's speed, and its limit in the same run.
 
     Example: outrider bench --only lockstep
     """

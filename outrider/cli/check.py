@@ -24,12 +24,12 @@ def command(
     allow_code: options.AllowCode = False,
     json: options.Json = False,
 ) -> None:
-    """Validate what `outrider run` would fly: exit code 0, or 2 and one line naming file, field and value.
+    """Validate what `outrider run` would fly, and fly nothing.
 
-    It takes the options of `run` that change the scenario, and warns of all that `run` warns of. For the law
-    certified that is each declared assumption that links or detector cannot keep, and whether sight can be certified
-    always, not always or hardly ever, and how seldom it is lost by proof. Functions of your own are loaded and tried;
-    those that the file names with --allow-code alone.
+    Exit code 0, or 2 and one line naming file, field and value. It takes the options of `run` that change the scenario,
+    and warns of all that `run` warns of. For the law certified that is each declared assumption that links or detector
+    cannot keep, and whether sight can be certified always, not always or hardly ever, and how seldom it is lost by
+    proof. Functions of your own are loaded and tried; those that the file names with --allow-code alone.
 
     Example: outrider check my-scenario.toml --network wifi-poor
     """

@@ -38,11 +38,11 @@ def command(
     ] = -1,
     watchdog: options.Watchdog = False,
 ) -> None:
-    """Show a run in the browser while it is flown, and steer it: pause, speed, law, driver, and a UGV's wheel.
+    """Show a run in the browser while it is flown, and steer it.
 
-    With the operator's credentials; with the observer's it only shows. Runs until Ctrl-C or SIGTERM. Needs no
-    internet. The printed address lets in one browser, once, and another one asks for the token.
-    `outrider run --dashboard` starts one with the run.
+    Pause, speed, law, driver, and a UGV's wheel are steered with the operator's credentials; with the observer's it
+    only shows. Runs until Ctrl-C or SIGTERM. Needs no internet. The printed address lets in one browser, once, and
+    another one asks for the token. `outrider run --dashboard` starts one with the run.
 
     Example: outrider dashboard --connect tcp/127.0.0.1:17447 --credentials credentials/operator.json
     """

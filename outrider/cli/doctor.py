@@ -147,9 +147,10 @@ CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
 def command(
     json: Json = False,
 ) -> None:
-    """Tell what this machine has of what Outrider can use, and how to get the rest.
+    """Tell what this machine lacks of what Outrider can use.
 
-    Exit code 1 if something keeps every run from flying; what only some commands need is called missing.
+    It says how to get it. Exit code 1 if something keeps every run from flying; what only some commands need is called
+    missing.
 
     Example: outrider doctor
     """

@@ -32,7 +32,7 @@ def command(
         ),
     ] = "",
 ) -> None:
-    """Drive a UGV from this terminal, and see how its escort fares.
+    """Drive a UGV from this terminal, and see its escort.
 
     Over SSH and in containers too (`ssh -t`, `docker run -it`).
 

@@ -146,12 +146,12 @@ def command(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Search for a run in which the UAV loses sight of the UGV, on all cores.
+    """Search for a run in which the UAV loses sight of its UGV.
 
-    Turned are the UGV's motion within its bounds, the start, the draws of the noise and, within the limits below, the
-    network: first what the proofs fear, then chance, then CMA-ES on the largest distance. Starts are such that braking
-    at once keeps the UGV within r_s, so that a law that loses it did so itself. The worst run with a violation is saved
-    as a scenario that flies it again, to the last bit: `outrider run FILE --in-process`.
+    On all cores. Turned are the UGV's motion within its bounds, the start, the draws of the noise and, within the
+    limits below, the network: first what the proofs fear, then chance, then CMA-ES on the largest distance. Starts are
+    such that braking at once keeps the UGV within r_s, so that a law that loses it did so itself. The worst run with a
+    violation is saved as a scenario that flies it again, to the last bit: `outrider run FILE --in-process`.
 
     The law `certified` promises only where it says so: a run counts as violated if every tick from its first certified
     one up to the loss was certified (after a gap: those of the last second), or if any tick was certified while the UGV

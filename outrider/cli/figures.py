@@ -14,9 +14,9 @@ def command(
     ),
     json: Json = False,
 ) -> None:
-    """Draw figures 1 to 5 of the paper and print the table of their claims, each with its number.
+    """Draw the paper's figures 1 to 5, and check their claims.
 
-    Exit code 1 if a claim does not hold.
+    Prints the table of the claims, each with its number. Exit code 1 if one does not hold.
 
     Example: outrider figures --out figures
     """

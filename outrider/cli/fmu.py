@@ -52,12 +52,12 @@ def export(
     changes: options.Set = None,
     json: options.Json = False,
 ) -> None:
-    """Write a co-simulation unit: a vehicle's pilot or driver, or the world with all of them.
+    """Write a vehicle, or the world, as a co-simulation unit.
 
-    A UAV's inputs are its own position and velocity and the noisy relative detection; a UGV's its own position and
-    velocity, and what it is told by radio or an operator where its driver uses it; the world's an operator's wish,
-    for the driver `teleop`. One step is one tick of the scenario. The unit is Python: the Python that loads it needs
-    this outrider.
+    A vehicle is its pilot or driver, the world is all of them. A UAV's inputs are its own position and velocity and the
+    noisy relative detection; a UGV's its own position and velocity, and what it is told by radio or an operator where
+    its driver uses it; the world's an operator's wish, for the driver `teleop`. One step is one tick of the scenario.
+    The unit is Python: the Python that loads it needs this outrider.
 
     Example: outrider fmu export world escort --seed 3 --out world.fmu
     """

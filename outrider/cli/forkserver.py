@@ -30,7 +30,6 @@ PRELOADED = (
     "rich.markup",
     "rich.progress",
     "rich.table",
-    "typer.rich_utils",
 )
 """Modules that vehicles and simulator load besides the pilots' code."""
 

@@ -98,7 +98,7 @@ def make_app() -> typer.Typer:
     app = typer.Typer(
         no_args_is_help=True,
         pretty_exceptions_enable=False,
-        rich_markup_mode="markdown",
+        rich_markup_mode=None,
     )
 
     @app.callback(help=_about.__doc__)

@@ -87,12 +87,12 @@ def command(
     insecure: options.Insecure = False,
     json: options.Json = False,
 ) -> None:
-    """Show a run to MAVLink ground stations while it is flown, one system a vehicle, or fly a UAV of it over MAVLink.
+    """Show a run to MAVLink ground stations, or fly a UAV by it.
 
-    Each tells HEARTBEAT, ATTITUDE, GLOBAL_POSITION_INT (from the scenario's origin), LOCAL_POSITION_NED, a UGV also
-    FOLLOW_TARGET, and in texts what is lost or not certified and when it is well again. The run's settings are
-    parameters. With the operator's credentials a ground station's sticks drive a UGV, and LAW, PAUSED and RT_FACTOR can
-    be set; with the observer's it only shows. Ends with the run, or at Ctrl-C.
+    While it is flown each vehicle is a system. Each tells HEARTBEAT, ATTITUDE, GLOBAL_POSITION_INT (from the scenario's
+    origin), LOCAL_POSITION_NED, a UGV also FOLLOW_TARGET, and in texts what is lost or not certified and when it is
+    well again. The run's settings are parameters. With the operator's credentials a ground station's sticks drive a
+    UGV, and LAW, PAUSED and RT_FACTOR can be set; with the observer's it only shows. Ends with the run, or at Ctrl-C.
 
     With --vehicle it is that UAV's process, in the place of `outrider uav`: in the mode OFFBOARD it flies
     SET_POSITION_TARGET_LOCAL_NED (velocity, acceleration), in HOLD it stays, in MISSION and where no setpoint has come

@@ -43,11 +43,12 @@ def fit(
     ] = 1000,
     json: Json = False,
 ) -> None:
-    """Find the settings and the shipped profile that come nearest to a recorded link.
+    """Find the settings that come nearest to a recorded link.
 
-    Fitted are delay, jitter and its shape, loss, bursts and random blackouts; the lines that a scenario needs are
-    printed. A link's waits are the times until a message or a later one is there: the factor tells by how much those
-    of two links differ, on average over their quantiles. Duplicates cannot be seen in such a file.
+    And the shipped profile that does. Fitted are delay, jitter and its shape, loss, bursts and random blackouts; the
+    lines that a scenario needs are printed. A link's waits are the times until a message or a later one is there: the
+    factor tells by how much those of two links differ, on average over their quantiles. Duplicates cannot be seen in
+    such a file.
 
     Example: outrider network fit drive.csv --out fit.png
     """

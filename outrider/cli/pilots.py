@@ -20,9 +20,10 @@ def uav(
     path: options.VirtualPath = "",
     watchdog: options.Watchdog = False,
 ) -> None:
-    """Fly one UAV: join the run, answer every observation with a command, leave when it is over.
+    """Fly one UAV of a run, in a process of its own.
 
-    Joins again when simulator or router have been away. OUTRIDER_PASSWORD may stand for the credentials' file.
+    Joins the run, answers every observation with a command, leaves when it is over. Joins again when simulator or
+    router have been away. OUTRIDER_PASSWORD may stand for the credentials' file.
 
     Example: outrider uav --connect tcp/127.0.0.1:17447 --name uav_0
     """
@@ -49,9 +50,10 @@ def ugv(
     policy: options.PolicyName = "",
     watchdog: options.Watchdog = False,
 ) -> None:
-    """Drive one UGV: join the run, answer every observation with a command, leave when it is over.
+    """Drive one UGV of a run, in a process of its own.
 
-    Joins again when simulator or router have been away. OUTRIDER_PASSWORD may stand for the credentials' file.
+    Joins the run, answers every observation with a command, leaves when it is over. Joins again when simulator or
+    router have been away. OUTRIDER_PASSWORD may stand for the credentials' file.
 
     Example: outrider ugv --connect tcp/127.0.0.1:17447 --name ugv_0
     """

@@ -49,7 +49,9 @@ def command(
     changes: options.Set = None,
     json: options.Json = False,
 ) -> None:
-    """Record a run in progress into an MCAP file: an observer, who disturbs nobody. Ends with the run, or at Ctrl-C.
+    """Record a run in progress into an MCAP file.
+
+    It observes and disturbs nobody. Ends with the run, or at Ctrl-C.
 
     The run's own `--record` keeps every tick whatever happens; an observer of a fast run in lockstep may miss some, and
     says so. A recording whose process was killed can be replayed as it is; with --repair every whole record of it goes

@@ -32,7 +32,9 @@ def command(
     ] = 10.0,
     flight: FlightNumber = None,
 ) -> None:
-    """Draw a recorded flight: the picture of a whole run as PNG, or a film from above as GIF or MP4.
+    """Draw a recorded flight as a picture or a film.
+
+    The picture of a whole run as PNG, or a film from above as GIF or MP4.
 
     Example: outrider render run.mcap -o run.gif --realtime 20
     """

@@ -61,10 +61,11 @@ def command(
     flight: FlightNumber = None,
     json: Json = False,
 ) -> None:
-    """Tell what is in a recording: the run's numbers, and whether the file is whole.
+    """Tell the numbers of a recorded run, or fly it again.
 
-    With --refly the recorded commands go through the same simulator again, without pilots: exit code 0 where every
-    position, velocity and applied command is the same to the last bit, 1 at the first that is not, which is named.
+    It says whether the file is whole. With --refly the recorded commands go through the same simulator again, without
+    pilots: exit code 0 where every position, velocity and applied command is the same to the last bit, 1 at the first
+    that is not, which is named.
 
     With --to-ros2 the flight becomes a bag for ros2 bag play, Foxglove and PlotJuggler: the topics of outrider ros2 at
     every tick. The recording itself goes with it on a topic of its own, so that such a folder can be replayed, drawn

@@ -51,11 +51,12 @@ def command(
     ] = False,
     json: options.Json = False,
 ) -> None:
-    """Show a run to ROS 2 nodes, with no bridge in between: it speaks the wire format of rmw_zenoh on the run's router.
+    """Show a run to ROS 2 nodes, or let them fly its vehicles.
 
-    Nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp connect to the same router, as clients, and find odometry, transforms,
-    maps, markers, diagnostics and simulated time. Only what somebody reads is asked for and converted. Ends with the
-    run, or at Ctrl-C.
+    There is no bridge in between: it speaks the wire format of rmw_zenoh on the run's router. Nodes with
+    RMW_IMPLEMENTATION=rmw_zenoh_cpp connect to the same router, as clients, and find odometry, transforms, maps,
+    markers, diagnostics and simulated time. Only what somebody reads is asked for and converted. Ends with the run, or
+    at Ctrl-C.
 
     With --operator a node may drive: a Twist or TwistStamped takes the wheel, a second of silence lets another node
     have it, and in the end it goes back to whoever drove before. What cannot be passed on is counted by cause, and told

@@ -32,7 +32,7 @@ def command(
     ] = False,
     insecure: options.Insecure = False,
 ) -> None:
-    """Route messages between the processes of a run, and let each have its own keys only.
+    """Route the messages of a run, each party's own keys only.
 
     Runs until Ctrl-C or SIGTERM. `outrider simulator` hosts a router itself; this one is for containers and
     several machines.

@@ -81,11 +81,12 @@ def command(
     picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
     json: options.Json = False,
 ) -> None:
-    """Fly a scenario as three operating-system processes over Zenoh: simulator, UAV and UGV.
+    """Fly a scenario: simulator and vehicles, a process each.
 
-    Ends with a table of numbers, a picture and the trajectory. Ctrl-C ends the run and keeps what was flown. A vehicle
-    whose process dies brakes, and the run goes on without it; with --respawn it is started again and flies on. With
-    --dashboard a page shows it live; the page ends with the run, and what it shows stays in the browser.
+    The processes exchange over Zenoh. Ends with a table of numbers, a picture and the trajectory. Ctrl-C ends the run
+    and keeps what was flown. A vehicle whose process dies brakes, and the run goes on without it; with --respawn it is
+    started again and flies on. With --dashboard a page shows it live; the page ends with the run, and what it shows
+    stays in the browser.
 
     Example: outrider run escort --seed 3 --law switching
     """

@@ -21,7 +21,9 @@ def command(
     context: typer.Context,
     json: Json = False,
 ) -> None:
-    """List the shipped scenarios; show one, begin a file of one's own, or print the schema for an editor.
+    """List the shipped scenarios, show one, or begin your own.
+
+    Its schema for an editor is printed, too.
 
     Example: outrider scenarios, or outrider scenarios show escort
     """

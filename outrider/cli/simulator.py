@@ -87,10 +87,11 @@ def command(
         Path | None, typer.Option(hidden=True, help="Removed when the parent has gone.")
     ] = None,
 ) -> None:
-    """Simulate: wait for the scenario's vehicles, fly it with them, and sum it up.
+    """Simulate a scenario for vehicles that join over Zenoh.
 
-    In lockstep it goes as fast as they answer; with --realtime it keeps the wall clock. Where it hosts the router
-    its credentials are the file with everybody's (router.json), where it uses another its own (simulator.json).
+    It waits for them, flies with them, and sums the run up. In lockstep it goes as fast as they answer; with --realtime
+    it keeps the wall clock. Where it hosts the router its credentials are the file with everybody's (router.json),
+    where it uses another its own (simulator.json).
 
     Example: outrider simulator escort --listen tcp/127.0.0.1:17447 --out runs/mine
     """

@@ -72,10 +72,10 @@ def command(
     ] = False,
     json: Json = False,
 ) -> None:
-    """Fly laws and policies over the tasks of the benchmark suite, 20 seeds each, and score them.
+    """Score laws and policies over the benchmark's tasks.
 
-    The score is the share of the ground around the UGV that was seen, averaged over the flight, in percent; from
-    the tick at which sight is lost on, nothing counts as seen.
+    Each task is flown with 20 seeds. The score is the share of the ground around the UGV that was seen, averaged over
+    the flight, in percent; from the tick at which sight is lost on, nothing counts as seen.
 
     In missions it is 100 T*/T of a flight that arrives in the time T, T* being that of straight ways, times the share
     of the things that were found, divided by 1 and the hazards that were run into.

@@ -69,10 +69,11 @@ def command(
     ] = False,
     json: Json = False,
 ) -> None:
-    """Fly each law at each degradation with many seeds, on all cores; each run is a row of a Parquet table.
+    """Fly each law at each degradation with many seeds.
 
-    Interrupted or killed, the same command goes on where it stopped. A run that raises is a row with its error,
-    and the exit code is then 1. `outrider report FOLDER` draws the results. Needs the extra [sweep].
+    On all cores; each run is a row of a Parquet table. Interrupted or killed, the same command goes on where it
+    stopped. A run that raises is a row with its error, and the exit code is then 1. `outrider report FOLDER` draws the
+    results. Needs the extra [sweep].
 
     Example: outrider sweep escort --law linear,switching --vary links.detections.delay=0,0.5,1 --seeds 20 --out
     sweeps/delay
