@@ -170,7 +170,7 @@ def test_a_bad_seed_is_refused_and_the_episode_goes_on(names: tuple[str, ...], s
         ),
         (OF_ONE_AGENT, {"others": {"ugv_9": "wander"}}, "no such vehicle"),
         (OF_ONE_AGENT, {"others": {"ugv_0": 3}}, "neither a name nor a policy"),
-        (OF_ONE_AGENT, {"threads": 0}, "threads"),
+        *((OF_ONE_AGENT, {"threads": n}, "threads") for n in (0, 1.5, math.nan)),
         (ALL, {"secret": "1234"}, "secret: 4 characters that are no secret"),
         *((("vector", "parallel vector"), {"num_envs": n}, "num_envs") for n in (0, -3, 1.5, "2")),
     ],
@@ -180,6 +180,38 @@ def test_a_bad_argument_is_refused_in_one_line(names, options, words):
     for name in names:
         with refused(ValueError, words):
             MAKERS[name](SCENARIO, **options)
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "words"),
+    [
+        (
+            ALL,
+            {"rewards": {"seen": 1.0}},
+            "rewards: is of type dict; allowed: RewardWeights or None",
+        ),
+        (ALL, {"coverage_patch": 5}, r"coverage_patch: .* int; allowed: .* tuple\[int, float\]"),
+        (ALL, {"coverage_patch": ("16", 1.0)}, "coverage_patch: is of type tuple"),
+        (ALL, {"secret": b"b" * 32}, "secret: is of type bytes; allowed: str"),
+        (ALL, {"duration": "5"}, "duration: is of type str; allowed: float or None"),
+        (ALL, {"end_on_sight_lost": None}, "end_on_sight_lost: .* allowed: bool"),
+        (ALL, {"dtype": 3}, "dtype: is of type int"),
+        (OF_ONE_AGENT, {"others": "evade"}, "others: is of type str; allowed: Mapping"),
+        (OF_ONE_AGENT, {"threads": "2"}, "threads: is of type str; allowed: int or None"),
+    ],
+    ids=str,
+)
+def test_an_argument_of_another_type_is_refused_in_one_line(names, options, words) -> None:
+    for name in names:
+        with refused(TypeError, words):
+            MAKERS[name](SCENARIO, **options)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    env = MAKERS["parallel"](
+        SCENARIO, duration=np.float32(10), coverage_patch=[np.int64(16), 1], tile_patch=np.int8(5)
+    )
+    assert env.scenario.duration == 10.0
 
 
 @pytest.mark.parametrize("name", MAKERS)

@@ -141,7 +141,7 @@ class ClosedLoop:
         error: bool = False,
         **settings: Unpack[LoopSettings],
     ) -> None:
-        options = completed(settings, LOOP_DEFAULTS)
+        options = completed(LoopSettings, settings, LOOP_DEFAULTS)
         estimate, gradient = options["estimate"], options["gradient"]
         patch = given_patch(options["coverage_patch"])
         self.scenario = scenario

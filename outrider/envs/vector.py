@@ -92,7 +92,7 @@ class Worlds:
         learners: Sequence[str] | None,
         **settings: Unpack[BatchSettings],
     ) -> None:
-        options = completed(settings, BATCH_DEFAULTS)
+        options = completed(BatchSettings, settings, BATCH_DEFAULTS)
         self.num_envs = _checked_count(num_envs)
         self.scenario = given_scenario(scenario, options["duration"])
         names = [vehicle.name for vehicle in self.scenario.vehicles]

@@ -101,7 +101,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         render_mode: str | None = None,
         **settings: Unpack[EnvSettings],
     ) -> None:
-        options = completed(settings, ENV_DEFAULTS)
+        options = completed(EnvSettings, settings, ENV_DEFAULTS)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode = {render_mode!r}; allowed: None, 'human', 'rgb_array'")
         self.scenario = given_scenario(scenario, options["duration"])

@@ -1,7 +1,18 @@
 """Settings of the environments, each given by keyword."""
 
-from collections.abc import Mapping
-from typing import TypedDict, TypeVar, cast
+from collections.abc import Callable, Mapping
+from types import UnionType
+from typing import (
+    Any,
+    Literal,
+    TypedDict,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 
@@ -52,13 +63,53 @@ ENV_DEFAULTS = EnvSettings(
 Settings = TypeVar("Settings", bound=Mapping[str, object])
 
 
-def completed(given: Settings, defaults: Settings) -> Settings:
+def completed(kind: type[Settings], given: Settings, defaults: Settings) -> Settings:
     """The settings that are given, and of the rest the defaults.
 
     Raises:
-        TypeError: If something of another name is given, as where a function lists its arguments.
+        TypeError: If something of another name or type is given.
     """
-    for name in given:
+    types = get_type_hints(kind)
+    for name, value in given.items():
         if name not in defaults:
             raise TypeError(f"{name!r}: no such setting; allowed: {', '.join(sorted(defaults))}")
+        if not _is_of(value, types[name]):
+            given_type = type(value).__name__  # and not the value, which may be a secret
+            raise TypeError(f"{name}: is of type {given_type}; allowed: {_in_words(types[name])}")
     return cast("Settings", {**defaults, **given})
+
+
+def _is_of(value: object, kind: Any) -> bool:  # noqa: ANN401 - a type as an annotation tells it
+    """True if a value is of this type; what is within a mapping or a function is not looked at."""
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin in (Union, UnionType):
+        return any(_is_of(value, one) for one in arguments)
+    if origin is Literal:
+        return isinstance(value, tuple(map(type, arguments)))
+    if origin is tuple:
+        return (
+            isinstance(value, (tuple, list))
+            and len(value) == len(arguments)
+            and all(map(_is_of, value, arguments))
+        )
+    if origin is type:  # whatever numpy takes for one
+        return isinstance(value, (type, str, np.dtype))
+    if kind is bool:
+        return isinstance(value, (bool, np.bool_))
+    if kind in (int, float):  # which of them it must be is checked where it is used
+        return isinstance(value, (int, float, np.number))
+    return callable(value) if origin is Callable else isinstance(value, origin or kind)
+
+
+def _in_words(kind: Any) -> str:  # noqa: ANN401 - likewise
+    """A type as one would write it."""
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin in (Union, UnionType):
+        return " or ".join(_in_words(one) for one in arguments)
+    if origin is Literal:
+        return " or ".join(map(repr, arguments))
+    if origin is Callable:
+        return "a function"
+    if origin is None:
+        return "None" if kind is type(None) else str(kind.__name__)
+    return f"{origin.__name__}[{', '.join(_in_words(one) for one in arguments)}]"

@@ -32,8 +32,8 @@ class WorkerThreads:
     """
 
     def __init__(self, threads: int | None = None) -> None:
-        if threads is not None and threads < 1:
-            raise ValueError(f"threads = {threads}: must be 1 or more")
+        if threads is not None and not (threads >= 1 and threads % 1 == 0):
+            raise ValueError(f"threads = {threads}: must be a whole number, 1 or more")
         self.threads = threads or cores()
         self._pool: ThreadPoolExecutor | None = None
         self._owner = -1  # a process that was forked has the pool's object, but not its threads

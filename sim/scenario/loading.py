@@ -167,7 +167,12 @@ def load_scenario(
     Raises:
         ScenarioError: If it cannot be read or cannot be flown; one line with file, field, value, what is wrong and
             allowed.
+        TypeError: If it is neither a name nor a file.
     """
+    if not isinstance(source, (str, Path)):
+        raise TypeError(
+            f"scenario: is of type {type(source).__name__}; allowed: a shipped name, or a file"
+        )
     file = one_line(str(source)) or "."
     raw = parse_toml(_read(source, file), file=file)
     named = traces_in(raw)
