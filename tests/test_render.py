@@ -183,6 +183,18 @@ def test_observers_have_the_same_scene_as_who_knows_the_scenario():
     )
 
 
+@pytest.mark.parametrize(
+    ("driver", "shown"),
+    [("waypoints", True), ("teleop", True), ("evade", False), ("wander", False)],
+)
+def test_goals_are_shown_where_the_driver_may_go_to_them(driver: str, shown: bool) -> None:
+    one = scenario()
+    ugv = msgspec.structs.replace(one.ugv[0], driver=driver)
+    scene = scene_of(msgspec.structs.replace(one, ugv=(ugv,)))
+    (goals,) = (vehicle.goals for vehicle in scene.vehicles if vehicle.name == ugv.name)
+    assert goals == (ugv.goals if shown else ())
+
+
 def narrow(width, height):
     place = {"position": (6.0, 6.0)}
     return msgspec.structs.replace(

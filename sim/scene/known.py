@@ -2,9 +2,10 @@
 
 import math
 
-from bus.messages import Geometry
+from bus.messages import Geometry, Vector
+from bus.registry import DRIVERS
 from sim.engine.briefing import limits
-from sim.scenario.types import Scenario, switching_radius
+from sim.scenario.types import Scenario, Ugv, switching_radius
 from sim.scenario.world_checks import escorts
 from sim.scene.model import Scene, assembled
 
@@ -33,6 +34,12 @@ def geometry_of(scenario: Scenario) -> Geometry:
     )
 
 
+def _goals(ugv: Ugv) -> tuple[Vector, ...]:
+    """The goals that a UGV may drive to [m]: none where its driver goes elsewhere by itself."""
+    driver = DRIVERS[ugv.driver]
+    return ugv.goals if driver.wants == "goals" or driver.code is None else ()
+
+
 def scene_of(scenario: Scenario) -> Scene:
     """The scene of a scenario that is known."""
     ugvs = sorted(ugv.name for ugv in scenario.ugv)
@@ -41,7 +48,7 @@ def scene_of(scenario: Scenario) -> Scene:
         (scenario.area.width, scenario.area.height),
         {uav.name: uav.escorts for uav in scenario.uav},
         ugvs,
-        goals={ugv.name: ugv.goals for ugv in scenario.ugv},
+        goals={ugv.name: _goals(ugv) for ugv in scenario.ugv},
         radii=(scenario.visibility.radius, scenario.sensor.range),
         inner={ugv: inner_radius(scenario, ugv) for ugv in ugvs},
     )
