@@ -6,6 +6,7 @@ from bus.layout import Row, UavRow, UavState, UgvRow, UgvState
 from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rewards import MISSION_TERMS, RewardWeights, UavTerms, UgvTerms
 from sim.env.rows import (
+    UGV_METRICS,
     RowState,
     RowTables,
     UavMetrics,
@@ -42,6 +43,9 @@ class Episode:
         self._dt, self._r_v = scenario.dt, float(scenario.visibility.radius)
         self._grounded = scenario.has_ground
         self._tables = row_tables(scenario, weights, end_on_sight_lost=True, end_on_goals=False)
+        self._places: dict[str, int] = dict(
+            zip(self.names, self._tables.place.tolist(), strict=True)
+        )
         self.state_rows: dict[str, type[UavState | UgvState]] = {
             vehicle.name: UgvState if isinstance(vehicle, Ugv) else UavState
             for vehicle in scenario.vehicles
@@ -53,7 +57,7 @@ class Episode:
 
     def uav(self, name: str) -> int | None:
         """A vehicle's row among the UAVs; None where it is none."""
-        place = self._place(name) if name in self.names else -1
+        place = self._places.get(name, -1)
         return place if place >= 0 else None
 
     def begin(self, world: World) -> None:
@@ -84,9 +88,6 @@ class Episode:
         """True if it is over by its length."""
         return bool(self._state.truncated[0])
 
-    def _place(self, name: str) -> int:
-        return int(self._tables.place[self.names.index(name)])
-
     def _uav(self, place: int) -> UavMetrics:
         return UavMetrics._make(self._state.uavs[0, place].tolist())
 
@@ -95,7 +96,7 @@ class Episode:
 
     def row(self, name: str) -> Row:
         """The observation of a vehicle; a view."""
-        place, state = self._place(name), self._state
+        place, state = self._places[name], self._state
         row: Row = state.uav_rows[0, place] if place >= 0 else state.ugv_rows[0, -1 - place]
         return row
 
@@ -105,7 +106,7 @@ class Episode:
 
     def state(self, name: str) -> UavState | UgvState:
         """The truth of a vehicle."""
-        place, row = self._place(name), self.row(name).tolist()
+        place, row = self._places[name], self.row(name).tolist()
         if place >= 0:
             own, metrics = UavRow._make(row), self._uav(place)
             age = own.time - metrics.newest * self._dt if metrics.newest >= 0.0 else own.age
@@ -114,12 +115,14 @@ class Episode:
 
     def info(self, name: str) -> dict[str, float]:
         """Facts of a vehicle's own that are in no row."""
-        place = self._place(name)
-        return {} if place >= 0 else {"goals_reached": int(self._ugv(place).reached)}
+        place = self._places[name]
+        if place >= 0:
+            return {}
+        return {"goals_reached": int(self._state.ugvs.item(0, -1 - place, UGV_METRICS.reached))}
 
     def metrics(self, name: str) -> dict[str, float]:
         """A vehicle's true standing, for people."""
-        place, numbers = self._place(name), self._state.terms[0, self.names.index(name)].tolist()
+        place, numbers = self._places[name], self._state.terms[0, self.names.index(name)].tolist()
         found: dict[str, float]
         terms: UavTerms | UgvTerms
         if place >= 0:
