@@ -65,8 +65,8 @@ class Answers:
         self.assurance = Assurance(scenario)
         """Checks the reports of the safety filters."""
         self._reporting = [False] * len(world.uavs)
-        largest = np.square(world.bounds[:, 1] * (1.0 + _ROUNDING)).tolist()
-        self._limits = dict(zip(world.names, largest, strict=True))
+        limits = np.square(world.bounds[:, 1] * (1.0 + _ROUNDING)).tolist()
+        self._limits = dict(zip(world.names, limits, strict=True))  # of a command's square [m²/s⁴]
         self._uavs = [uav.name for uav in world.uavs]
         self._evidence = recorder.arrivals, world.commands, world.motions_flown
         self._unsettled: _Tick | None = None
