@@ -149,12 +149,11 @@ def step_in_area(promise: Promise, here: Motion, u_x: float, u_y: float) -> tupl
     Returns:
         Where it is then, and how far a wall has kept it from where (1) alone leads [m].
     """
-    c = promise
     q_x, q_y, w_x, w_y, _, _ = step_vehicle(
-        here.p_x, here.p_y, here.v_x, here.v_y, u_x, u_y, c.v_a, c.u_a, c.dt
+        here.p_x, here.p_y, here.v_x, here.v_y, u_x, u_y, promise.v_a, promise.u_a, promise.dt
     )
-    x, w_x = within_walls(q_x, w_x, c.width)
-    y, w_y = within_walls(q_y, w_y, c.height)
+    x, w_x = within_walls(q_x, w_x, promise.width)
+    y, w_y = within_walls(q_y, w_y, promise.height)
     return Motion(x, y, w_x, w_y), norm(q_x - x, q_y - y)
 
 
@@ -269,9 +268,8 @@ def _is_off_wall(p: float, v: float, a: float, duration: float, size: float) -> 
 
 @compiled
 def _is_in_area(promise: Promise, x: float, y: float) -> bool:
-    c = promise
-    return (math.isinf(c.width) or 0.0 <= x <= c.width) and (
-        math.isinf(c.height) or 0.0 <= y <= c.height
+    return (math.isinf(promise.width) or 0.0 <= x <= promise.width) and (
+        math.isinf(promise.height) or 0.0 <= y <= promise.height
     )
 
 
@@ -281,9 +279,8 @@ def _stays_in_area(promise: Promise, here: Motion, a_x: float, a_y: float, durat
 
     One that it touched would take the UAV off its plan.
     """
-    c = promise
-    return _is_off_wall(here.p_x, here.v_x, a_x, duration, c.width) and _is_off_wall(
-        here.p_y, here.v_y, a_y, duration, c.height
+    return _is_off_wall(here.p_x, here.v_x, a_x, duration, promise.width) and _is_off_wall(
+        here.p_y, here.v_y, a_y, duration, promise.height
     )
 
 
@@ -293,12 +290,12 @@ def _end_radius(promise: Promise, known: Known, tick: int, x: float, y: float, t
 
     It may have to rest there until the next motion begins, for the declared outage.
     """
-    c, n, growth = promise, known.newest, drift(promise, ticks + promise.outage_ticks)
+    n, growth = known.newest, drift(promise, ticks + promise.outage_ticks)
     single = norm(x - n.x, y - n.y) + radius_at(promise, n, tick)
-    if not single + growth <= c.reach:
+    if not single + growth <= promise.reach:
         return math.inf
-    bound = farthest(promise, known, tick, x, y, c.handover - growth)
-    return bound if bound + growth <= c.handover else math.inf
+    bound = farthest(promise, known, tick, x, y, promise.handover - growth)
+    return bound if bound + growth <= promise.handover else math.inf
 
 
 @compiled
@@ -308,21 +305,22 @@ def stop_from(promise: Promise, known: Known, tick: int, here: Motion) -> Plan:
     Along a straight line on which it only slows down, the bound is largest at one of the ends: the distance to a
     fixed point is convex in the way, and the way concave in time.
     """
-    c = promise
     speed = norm(here.v_x, here.v_y)
-    ticks = 0 if speed <= _REST else max(1, math.ceil(speed / (c.u_a * c.dt) - ROUNDING))
-    duration = ticks * c.dt
+    ticks = (
+        0 if speed <= _REST else max(1, math.ceil(speed / (promise.u_a * promise.dt) - ROUNDING))
+    )
+    duration = ticks * promise.dt
     share = -1.0 / duration if ticks else 0.0
     a_x, a_y = share * here.v_x, share * here.v_y
     x, y = here.p_x + 0.5 * here.v_x * duration, here.p_y + 0.5 * here.v_y * duration
-    if not _is_in_area(c, here.p_x, here.p_y):
+    if not _is_in_area(promise, here.p_x, here.p_y):
         return _nothing()
-    if ticks and not _stays_in_area(c, here, a_x, a_y, duration):
+    if ticks and not _stays_in_area(promise, here, a_x, a_y, duration):
         return _nothing()
-    radius = _end_radius(c, known, tick, x, y, ticks)
+    radius = _end_radius(promise, known, tick, x, y, ticks)
     if radius == math.inf:
         return _nothing()
-    if not farthest(c, known, tick, here.p_x, here.p_y, c.r_v) <= c.r_v:
+    if not farthest(promise, known, tick, here.p_x, here.p_y, promise.r_v) <= promise.r_v:
         return _nothing()
     return Plan(0, 0, ticks, 0.0, 0.0, a_x, a_y, Disc(x, y, radius, tick))
 
@@ -335,36 +333,35 @@ def _turn_is_safe(
 
     Ticks that the bound cannot reach r_v by, as it grows by no more than v_a + v_g, are not looked at.
     """
-    c = promise
     k = 0
     while k <= ticks:
-        s = k * c.dt
+        s = k * promise.dt
         x = here.p_x + (here.v_x + 0.5 * a_x * s) * s
         y = here.p_y + (here.v_y + 0.5 * a_y * s) * s
-        most = c.r_v - c.v_g * s
-        room = most - farthest(c, known, tick, x, y, most)
+        most = promise.r_v - promise.v_g * s
+        room = most - farthest(promise, known, tick, x, y, most)
         if not room >= 0.0:
             return False
-        k += max(1, int(room / ((c.v_a + c.v_g) * c.dt)))
+        k += max(1, int(room / ((promise.v_a + promise.v_g) * promise.dt)))
     return True
 
 
 @compiled
 def _return_at(promise: Promise, known: Known, tick: int, here: Motion, speed: float) -> Plan:
     """`return_from` at one speed [m/s]."""
-    c, z = promise, known.newest
+    z = known.newest
     at_rest = norm(here.v_x, here.v_y) <= _REST
     q_x, q_y = here.p_x, here.p_y  # where the turn ends: found with the heading by iteration
     if at_rest:
-        if not (_is_in_area(c, here.p_x, here.p_y) and _is_in_area(c, z.x, z.y)):
+        if not (_is_in_area(promise, here.p_x, here.p_y) and _is_in_area(promise, z.x, z.y)):
             return _nothing()
         x, y = z.x - here.p_x, z.y - here.p_y
         way = norm(x, y)
-        turn, cruise, speed = rest_to_rest(way, speed, c.u_a, c.dt)
+        turn, cruise, speed = rest_to_rest(way, speed, promise.u_a, promise.dt)
         here, stop = Motion(here.p_x, here.p_y, 0.0, 0.0), turn
         w_x, w_y = (speed * x / way, speed * y / way) if turn else (0.0, 0.0)
     else:
-        stop = max(1, math.ceil(speed / (c.u_a * c.dt) - ROUNDING))
+        stop = max(1, math.ceil(speed / (promise.u_a * promise.dt) - ROUNDING))
         w_x, w_y, turn = 0.0, 0.0, 0
         for _ in range(4):
             way = norm(z.x - q_x, z.y - q_y)
@@ -372,32 +369,32 @@ def _return_at(promise: Promise, known: Known, tick: int, here: Motion, speed: f
                 return _nothing()
             w_x, w_y = speed * (z.x - q_x) / way, speed * (z.y - q_y) / way
             change = norm(w_x - here.v_x, w_y - here.v_y)
-            turn = max(1, math.ceil(change / (c.u_a * c.dt) - ROUNDING))
-            q_x = here.p_x + 0.5 * (here.v_x + w_x) * turn * c.dt
-            q_y = here.p_y + 0.5 * (here.v_y + w_y) * turn * c.dt
+            turn = max(1, math.ceil(change / (promise.u_a * promise.dt) - ROUNDING))
+            q_x = here.p_x + 0.5 * (here.v_x + w_x) * turn * promise.dt
+            q_y = here.p_y + 0.5 * (here.v_y + w_y) * turn * promise.dt
         along = (z.x - q_x) * w_x + (z.y - q_y) * w_y
-        left = along / (speed * speed * c.dt) - 0.5 * stop  # ticks at constant speed
+        left = along / (speed * speed * promise.dt) - 0.5 * stop  # ticks at constant speed
         if not left >= 0.0:
             return _nothing()
         cruise = int(left)
-    level = (0.5 * turn + cruise + 0.5 * stop) * c.dt
-    end_x = here.p_x + 0.5 * here.v_x * turn * c.dt + w_x * level
-    end_y = here.p_y + 0.5 * here.v_y * turn * c.dt + w_y * level
-    radius = _end_radius(c, known, tick, end_x, end_y, turn + cruise + stop)
+    level = (0.5 * turn + cruise + 0.5 * stop) * promise.dt
+    end_x = here.p_x + 0.5 * here.v_x * turn * promise.dt + w_x * level
+    end_y = here.p_y + 0.5 * here.v_y * turn * promise.dt + w_y * level
+    radius = _end_radius(promise, known, tick, end_x, end_y, turn + cruise + stop)
     if radius == math.inf:
         return _nothing()
     a_x, a_y = 0.0, 0.0
     if turn:
-        a_x, a_y = (w_x - here.v_x) / (turn * c.dt), (w_y - here.v_y) / (turn * c.dt)
+        a_x, a_y = (w_x - here.v_x) / (turn * promise.dt), (w_y - here.v_y) / (turn * promise.dt)
     if not at_rest:  # from rest the way is a chord of the area
         way_on = Motion(q_x, q_y, end_x - q_x, end_y - q_y)
-        if not _stays_in_area(c, here, a_x, a_y, turn * c.dt):
+        if not _stays_in_area(promise, here, a_x, a_y, turn * promise.dt):
             return _nothing()
-        if not _stays_in_area(c, way_on, 0.0, 0.0, 1.0):
+        if not _stays_in_area(promise, way_on, 0.0, 0.0, 1.0):
             return _nothing()
-    if not _turn_is_safe(c, known, tick, here, a_x, a_y, turn):
+    if not _turn_is_safe(promise, known, tick, here, a_x, a_y, turn):
         return _nothing()
-    b_x, b_y = (-w_x / (stop * c.dt), -w_y / (stop * c.dt)) if stop else (0.0, 0.0)
+    b_x, b_y = (-w_x / (stop * promise.dt), -w_y / (stop * promise.dt)) if stop else (0.0, 0.0)
     return Plan(turn, cruise, stop, a_x, a_y, b_x, b_y, Disc(end_x, end_y, radius, tick))
 
 
@@ -452,12 +449,14 @@ def _may_go_on(
     over: float,
 ) -> bool:
     """True if the UGV is surely within r_v now, and until the next tick where a wall keeps the UAV `over` [m] back."""
-    c = promise
-    within = plan[0].valid != 0 or farthest(c, known, tick, here.p_x, here.p_y, c.r_v) <= c.r_v
+    within = (
+        plan[0].valid != 0
+        or farthest(promise, known, tick, here.p_x, here.p_y, promise.r_v) <= promise.r_v
+    )
     if within and over > 0.0:
         # within the tick the bound is at most that of the point beyond the wall
-        room = c.r_v - over
-        within = farthest(c, known, tick + 1, then.p_x, then.p_y, room) <= room
+        room = promise.r_v - over
+        within = farthest(promise, known, tick + 1, then.p_x, then.p_y, room) <= room
     return within
 
 
@@ -487,33 +486,32 @@ def safe_control(
     Returns:
         The command [m/s²], and who acts: INNER, PLAN or BEST_EFFORT.
     """
-    c = promise
     new = newest_detection(detections)
     if new < 0:
-        u_x, u_y = brake(here.v_x, here.v_y, c.u_a, c.dt)
+        u_x, u_y = brake(here.v_x, here.v_y, promise.u_a, promise.dt)
         return u_x, u_y, BEST_EFFORT
     held = plan[0]
     going = held.valid != 0 and held.turn + held.cruise + held.brake > 0
-    known = known_from(c, detections, plan, new, tick, here.p_x, here.p_y)
-    w_x, w_y = clip_norm(u_x, u_y, c.u_a)
-    then, over = step_in_area(c, here, w_x, w_y)
-    if _may_go_on(c, known, plan, tick, here, then, over):
-        after = stop_from(c, known, tick + 1, then)
+    known = known_from(promise, detections, plan, new, tick, here.p_x, here.p_y)
+    w_x, w_y = clip_norm(u_x, u_y, promise.u_a)
+    then, over = step_in_area(promise, here, w_x, w_y)
+    if _may_go_on(promise, known, plan, tick, here, then, over):
+        after = stop_from(promise, known, tick + 1, then)
         if not exists(after):
-            after = return_from(c, known, tick + 1, then)
+            after = return_from(promise, known, tick + 1, then)
         if exists(after):
             _hold(plan, after)
             return w_x, w_y, INNER
-    now = return_from(c, known, tick, here)
+    now = return_from(promise, known, tick, here)
     if not exists(now) and not going:
-        now = stop_from(c, known, tick, here)
+        now = stop_from(promise, known, tick, here)
     if exists(now):
         _hold(plan, now)
     if exists(now) or going:
-        w_x, w_y = follow(c, plan, here.v_x, here.v_y)
+        w_x, w_y = follow(promise, plan, here.v_x, here.v_y)
         return w_x, w_y, PLAN
     z = known.newest
-    w_x, w_y = servo(here, z.x, z.y, c.v_a, c.u_a, c.dt)
+    w_x, w_y = servo(here, z.x, z.y, promise.v_a, promise.u_a, promise.dt)
     drop_plan(plan)
     return w_x, w_y, BEST_EFFORT
 
@@ -531,11 +529,15 @@ def rest_radius(
 
     That is for so many ticks, and then until the next motion begins.
     """
-    c, newest = promise, newest_detection(detections)
-    if newest < 0 or norm(here.v_x, here.v_y) > _REST or not _is_in_area(c, here.p_x, here.p_y):
+    newest = newest_detection(detections)
+    if (
+        newest < 0
+        or norm(here.v_x, here.v_y) > _REST
+        or not _is_in_area(promise, here.p_x, here.p_y)
+    ):
         return math.inf
-    known = known_from(c, detections, plan, newest, tick, here.p_x, here.p_y)
-    return _end_radius(c, known, tick, here.p_x, here.p_y, ticks)
+    known = known_from(promise, detections, plan, newest, tick, here.p_x, here.p_y)
+    return _end_radius(promise, known, tick, here.p_x, here.p_y, ticks)
 
 
 @compiled
@@ -562,9 +564,9 @@ def contradicts_plan(promise: Promise, detections: RecordArray, plan: RecordArra
 
     An assumption is broken.
     """
-    c, end, new = promise, end_disc(plan), newest_detection(detections)
+    end, new = end_disc(plan), newest_detection(detections)
     if new < 0 or math.isinf(end.radius):
         return False
     z = detections[new]
     apart = norm(z.x - end.x, z.y - end.y)
-    return bool(apart > radius_at(c, end, z.taken) + c.eps + MARGIN)
+    return bool(apart > radius_at(promise, end, z.taken) + promise.eps + MARGIN)

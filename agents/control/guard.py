@@ -201,10 +201,9 @@ def note_detection(
     was = state.track[taken % state.track.shape[0]]
     if taken < 0 or was.tick != taken:
         return
-    c = promise
-    z_x, _ = within_walls(was.x - p_delta_x, 0.0, c.width)  # the UGV is in the area
-    z_y, _ = within_walls(was.y - p_delta_y, 0.0, c.height)
-    if not keep_detection(c, state.detections, z_x, z_y, taken, tick, p_x, p_y):
+    z_x, _ = within_walls(was.x - p_delta_x, 0.0, promise.width)  # the UGV is in the area
+    z_y, _ = within_walls(was.y - p_delta_y, 0.0, promise.height)
+    if not keep_detection(promise, state.detections, z_x, z_y, taken, tick, p_x, p_y):
         state.flags[0].contradicted = 1
 
 
@@ -329,22 +328,24 @@ def _guard_motions(
     flown: int,
 ) -> tuple[float, float, int, int]:
     """`guard` for a UAV whose commands carry motions."""
-    c, flags, sent, plan = promise, state.flags[0], state.underway, state.plan
+    flags, sent, plan = state.flags[0], state.underway, state.plan
     expected = take_observation(sent, tick, here, flown, flags.tick)
     flags.known = 1 if tick == 0 else flags.known
     if flags.known == 1:
-        check_rest(c, sent, state.detections, plan, tick, here)
-    ahead, checked, wait = due_end(c, sent, tick, here)
+        check_rest(promise, sent, state.detections, plan, tick, here)
+    ahead, checked, wait = due_end(promise, sent, tick, here)
     take_rest(sent, plan)
-    if contradicts_plan(c, state.detections, plan):
+    if contradicts_plan(promise, state.detections, plan):
         flags.contradicted = 1
-    u_x, u_y, acts = safe_control(c, state.detections, plan, tick + c.delay_ticks, ahead, u_x, u_y)
-    send_motion(c, sent, plan, tick, here, u_x, u_y, acts)
+    u_x, u_y, acts = safe_control(
+        promise, state.detections, plan, tick + promise.delay_ticks, ahead, u_x, u_y
+    )
+    send_motion(promise, sent, plan, tick, here, u_x, u_y, acts)
     flags.tick, flags.safe = tick, 1 if checked else 0
-    code = _reason(c, state, tick, acts, expected, True)
+    code = _reason(promise, state, tick, acts, expected, True)
     if code == UNSAFE_COURSE:
         code = UNCHECKED_MOTION
-    if code in (CERTIFIED, NO_PLAN, UNCHECKED_MOTION) and wait > c.outage_ticks:
+    if code in (CERTIFIED, NO_PLAN, UNCHECKED_MOTION) and wait > promise.outage_ticks:
         # Also if it is yet to come, but no motion that is under way can begin any more.
         code = OUTAGE
     return u_x, u_y, acts, code
@@ -377,21 +378,23 @@ def guard(
         `UNCERTIFIED`, or CERTIFIED, which holds only if `check_assumptions` finds nothing in the promise; and the
         certified distance now [m]. The motion that the command carries is in `state.underway`.
     """
-    c, flags = promise, state.flags[0]
-    bound = certified_distance(c, state.detections, tick, here.p_x, here.p_y)
-    if c.carries:
-        u_x, u_y, acts, code = _guard_motions(c, state, tick, here, u_x, u_y, flown)
+    flags = state.flags[0]
+    bound = certified_distance(promise, state.detections, tick, here.p_x, here.p_y)
+    if promise.carries:
+        u_x, u_y, acts, code = _guard_motions(promise, state, tick, here, u_x, u_y, flown)
         return u_x, u_y, acts, code, bound
-    on_course = _set_out(c, state, tick, here)
-    if contradicts_plan(c, state.detections, state.plan):
+    on_course = _set_out(promise, state, tick, here)
+    if contradicts_plan(promise, state.detections, state.plan):
         flags.contradicted = 1
     last = state.course.shape[0] - 1
     ahead = motion_in(state.course, last)
-    u_x, u_y, acts = safe_control(c, state.detections, state.plan, tick + last, ahead, u_x, u_y)
+    u_x, u_y, acts = safe_control(
+        promise, state.detections, state.plan, tick + last, ahead, u_x, u_y
+    )
     if acts == BEST_EFFORT:
         flags.safe = 0
-    elif flags.safe == 0 and _course_is_safe(c, state, tick):
+    elif flags.safe == 0 and _course_is_safe(promise, state, tick):
         flags.safe = 1
-    code = _reason(c, state, tick, acts, on_course, flags.known >= last)
-    _send(c, state, tick, u_x, u_y)
+    code = _reason(promise, state, tick, acts, on_course, flags.known >= last)
+    _send(promise, state, tick, u_x, u_y)
     return u_x, u_y, acts, code, bound
