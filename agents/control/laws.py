@@ -189,7 +189,7 @@ def initial_state() -> RecordArray:
 
 @compiled
 def way_to_uncovered(
-    parameters: LawParameters,
+    law: LawParameters,
     coverage: FloatArray,
     state: RecordArray,
     tick: int,
@@ -203,14 +203,14 @@ def way_to_uncovered(
     Returns:
         True if anything is uncovered at all, and the direction.
     """
-    c, key = parameters, (parameters.key_0, parameters.key_1)
+    key = law.key_0, law.key_1
     own = state[0]
     held = own.held != 0 and is_uncovered(
-        coverage, own.q_x, own.q_y, p_gx, p_gy, c.r_o, c.desired, c.cell
+        coverage, own.q_x, own.q_y, p_gx, p_gy, law.r_o, law.desired, law.cell
     )
     if not held:
         held, own.q_x, own.q_y = nearest_uncovered(
-            coverage, p_ax, p_ay, p_gx, p_gy, c.r_o, c.desired, c.cell, key, tick
+            coverage, p_ax, p_ay, p_gx, p_gy, law.r_o, law.desired, law.cell, key, tick
         )
         own.held = 1 if held else 0
     if not held:
@@ -225,7 +225,7 @@ def way_to_uncovered(
 
 @compiled
 def coverage_term(
-    parameters: LawParameters,
+    law: LawParameters,
     coverage: FloatArray,
     state: RecordArray,
     tick: int,
@@ -234,44 +234,52 @@ def coverage_term(
     p_gy: float,
 ) -> tuple[float, float]:
     """Section III as a whole, u_a,cov [m/s²]: (6), (7) where that is zero, (8), (10), (11), the border of Q."""
-    c = parameters
     p_ax, p_ay, v_ax, v_ay = here
     u_cov_x, u_cov_y, size = coverage_gradient(
-        coverage, p_ax, p_ay, p_gx, p_gy, c.r_o, c.desired, c.sensor, c.peak, c.reach, c.cell
+        coverage,
+        p_ax,
+        p_ay,
+        p_gx,
+        p_gy,
+        law.r_o,
+        law.desired,
+        law.sensor,
+        law.peak,
+        law.reach,
+        law.cell,
     )
     uncovered, other_x, other_y = True, 0.0, 0.0
     if is_zero_gradient(u_cov_x, u_cov_y, size):
         uncovered, other_x, other_y = way_to_uncovered(
-            parameters, coverage, state, tick, p_ax, p_ay, p_gx, p_gy
+            law, coverage, state, tick, p_ax, p_ay, p_gx, p_gy
         )
     u_si_x, u_si_y = single_integrator_command(u_cov_x, u_cov_y, size, other_x, other_y)
-    e_x, e_y = velocity_error(u_si_x, u_si_y, c.v_ref, v_ax, v_ay, uncovered)
-    u_x, u_y = coverage_control(e_x, e_y, c.k_v)
-    return keep_off_border(u_x, u_y, here, c.k_v, c.width, c.height, c.margin, c.dt)
+    e_x, e_y = velocity_error(u_si_x, u_si_y, law.v_ref, v_ax, v_ay, uncovered)
+    u_x, u_y = coverage_control(e_x, e_y, law.k_v)
+    return keep_off_border(u_x, u_y, here, law.k_v, law.width, law.height, law.margin, law.dt)
 
 
 @compiled
-def weights(parameters: LawParameters, own: OwnTerms, distance: float) -> tuple[float, float]:
+def weights(law: LawParameters, own: OwnTerms, distance: float) -> tuple[float, float]:
     """Alpha and beta of the law at this distance [m]."""
-    c = parameters
-    if c.law == LINEAR:
-        return linear_weights(distance, c.r_s)
-    if c.law == SWITCHING:
-        return switching_weights(distance, c.r_s)
-    if c.law == LOGARITHMIC or c.law == CERTIFIED:
-        return logarithmic_weights(distance, c.r_s, c.k_beta, c.beta_limit)
-    if c.law == WEIGHTED:
+    if law.law == LINEAR:
+        return linear_weights(distance, law.r_s)
+    if law.law == SWITCHING:
+        return switching_weights(distance, law.r_s)
+    if law.law == LOGARITHMIC or law.law == CERTIFIED:
+        return logarithmic_weights(distance, law.r_s, law.k_beta, law.beta_limit)
+    if law.law == WEIGHTED:
         return own.alpha, own.beta
-    if c.law == COVERAGE:
+    if law.law == COVERAGE:
         return 0.0, 1.0
-    if c.law == TRACKING or c.law == CIRCLE or c.law == PATH or c.law == LOOKAHEAD:
+    if law.law == TRACKING or law.law == CIRCLE or law.law == PATH or law.law == LOOKAHEAD:
         return 1.0, 0.0
     return math.nan, math.nan  # a row without its branch
 
 
 @compiled
 def uav_control(
-    parameters: LawParameters,
+    law: LawParameters,
     own: OwnTerms,
     coverage: FloatArray,
     state: RecordArray,
@@ -283,7 +291,7 @@ def uav_control(
     """The UAV's command [m/s²] under any law, before the bound of (1).
 
     Args:
-        parameters: Of the law.
+        law: Its parameters.
         own: The answer of the user's function at this tick, for the laws `weighted` and `path`.
         coverage: The UAV's own map, up to now.
         state: `LawState`, changed in place. Shape (1,).
@@ -291,22 +299,21 @@ def uav_control(
         here: Where the UAV is.
         p_gx, p_gy: Where it believes the UGV to be [m].
     """
-    c = parameters
     x, y = here.p_x - p_gx, here.p_y - p_gy
     distance = norm(x, y)
-    orbiting = c.law == CIRCLE or c.law == PATH
+    orbiting = law.law == CIRCLE or law.law == PATH
     p_vx, p_vy, a_vx, a_vy = own.p_vx, own.p_vy, own.a_vx, own.a_vy
-    if c.law == CIRCLE:
-        p_vx, p_vy, a_vx, a_vy = circle(tick * c.dt, c.r_pv, c.omega)
+    if law.law == CIRCLE:
+        p_vx, p_vy, a_vx, a_vy = circle(tick * law.dt, law.r_pv, law.omega)
     if orbiting:
         x, y = x - p_vx, y - p_vy
     m = state[0]
-    u_tr_x, u_tr_y = tracking_output(m.x_cx, m.x_cy, x, y, c.c_c, c.d_c)
-    m.x_cx, m.x_cy = tracking_step(m.x_cx, m.x_cy, x, y, c.a_c, c.b_c, c.dt)
+    u_tr_x, u_tr_y = tracking_output(m.x_cx, m.x_cy, x, y, law.c_c, law.d_c)
+    m.x_cx, m.x_cy = tracking_step(m.x_cx, m.x_cy, x, y, law.a_c, law.b_c, law.dt)
     if orbiting:
         return orbit_control(u_tr_x, u_tr_y, a_vx, a_vy)
-    if c.law == TRACKING:
+    if law.law == TRACKING:
         return u_tr_x, u_tr_y
-    u_cov_x, u_cov_y = coverage_term(parameters, coverage, state, tick, here, p_gx, p_gy)
-    alpha, beta = weights(parameters, own, distance)
+    u_cov_x, u_cov_y = coverage_term(law, coverage, state, tick, here, p_gx, p_gy)
+    alpha, beta = weights(law, own, distance)
     return combine(alpha, beta, u_tr_x, u_tr_y, u_cov_x, u_cov_y)

@@ -220,7 +220,7 @@ def add_lack(
 
 @compiled
 def look_ahead(
-    parameters: "LawParameters",
+    law: "LawParameters",
     coverage: FloatArray,
     tick: int,
     target: Target,
@@ -229,40 +229,39 @@ def look_ahead(
     """All that the motions of a decision have in common.
 
     Args:
-        parameters: Of the law.
+        law: Its parameters.
         coverage: The UAV's own map.
         tick: Now.
         target: What is believed of the UGV.
         persistence: How long it keeps a velocity [s].
     """
-    c = parameters
-    steps = max(1, min(STEPS, math.ceil(c.horizon / PERIOD - 1e-9)))
-    step = c.horizon / steps
+    steps = max(1, min(STEPS, math.ceil(law.horizon / PERIOD - 1e-9)))
+    step = law.horizon / steps
     tail = math.ceil(_TAIL / step - 1e-9) if steps > 1 else 0
     v_x, v_y = expected_velocity(target)
-    kept = kept_time(persistence, c.horizon)
-    way_x, way_y = clip_norm(kept * v_x, kept * v_y, 2.0 * c.r_o)
-    ratio = max(1, math.ceil(c.reach / (_CELLS * c.cell) - 1e-9))
-    cell = ratio * c.cell
-    size = math.ceil((2.0 * c.r_o + max(abs(way_x), abs(way_y))) / cell) + 2
+    kept = kept_time(persistence, law.horizon)
+    way_x, way_y = clip_norm(kept * v_x, kept * v_y, 2.0 * law.r_o)
+    ratio = max(1, math.ceil(law.reach / (_CELLS * law.cell) - 1e-9))
+    cell = ratio * law.cell
+    size = math.ceil((2.0 * law.r_o + max(abs(way_x), abs(way_y))) / cell) + 2
     size = max(size, _WINDOW)
     column = math.floor((target.p_x + 0.5 * way_x) / cell - 0.5 * size)
     row = math.floor((target.p_y + 0.5 * way_y) / cell - 0.5 * size)
     lack, total = np.zeros((size, size)), np.zeros((size, size))
-    add_lack(lack, coverage, c.desired, column, row, ratio)
+    add_lack(lack, coverage, law.desired, column, row, ratio)
     weight, track = np.empty((steps, size, size)), np.empty((steps, 2))
-    legs, leg = np.empty(steps, dtype=np.int64), leg_ticks(c.horizon, c.dt)
+    legs, leg = np.empty(steps, dtype=np.int64), leg_ticks(law.horizon, law.dt)
     for k in range(steps + tail - 1, -1, -1):
         time = (k + 1) * step
         kept, spread = kept_time(persistence, time), expected_spread(target, persistence, time)
-        g_x = min(max(target.p_x + kept * v_x, 0.0), c.width)
-        g_y = min(max(target.p_y + kept * v_y, 0.0), c.height)
+        g_x = min(max(target.p_x + kept * v_x, 0.0), law.width)
+        g_y = min(max(target.p_y + kept * v_y, 0.0), law.height)
         x, y = (column + 0.5) * cell - g_x, (row + 0.5) * cell - g_y
-        add_density(total, x, y, cell, spread, c.r_o, step * math.exp(-_RATE * time))
+        add_density(total, x, y, cell, spread, law.r_o, step * math.exp(-_RATE * time))
         if k < steps:
             _copy(total, weight[k])
             track[k, 0], track[k, 1] = g_x, g_y
-            legs[k] = int((tick + (k + 0.5) * step / c.dt) / leg) - tick // leg
+            legs[k] = int((tick + (k + 0.5) * step / law.dt) / leg) - tick // leg
     return Ahead(step, cell, column * cell, row * cell, legs, track, lack, weight)
 
 
@@ -284,24 +283,23 @@ def fly_step(
 
 
 @borrowing
-def strayed(parameters: "LawParameters", here: Motion, g_x: float, g_y: float) -> float:
+def strayed(law: "LawParameters", here: Motion, g_x: float, g_y: float) -> float:
     """Distance of a state beyond what the safety filter lets through, and beyond the border's safety distance [m].
 
     The filter must be able to stop before the UGV, whatever it does, is out of sight: as in (18), with the UAV's own
     velocity away from the UGV in place of its largest.
     """
-    c = parameters
     x, y = here.p_x - g_x, here.p_y - g_y
     distance = norm(x, y)
     outward = max(0.0, (x * here.v_x + y * here.v_y) / distance) if distance > 0.0 else 0.0
-    over = max(0.0, distance + stopping_distance(outward + c.v_g, c.u_max) - c.room - _SLACK)
-    inside = min(here.p_x, c.width - here.p_x, here.p_y, c.height - here.p_y)
-    return over + max(0.0, c.margin - inside)
+    over = max(0.0, distance + stopping_distance(outward + law.v_g, law.u_max) - law.room - _SLACK)
+    inside = min(here.p_x, law.width - here.p_x, here.p_y, law.height - here.p_y)
+    return over + max(0.0, law.margin - inside)
 
 
 @borrowing
 def worth(
-    parameters: "LawParameters",
+    law: "LawParameters",
     ahead: Ahead,
     here: Motion,
     motion: FloatArray,
@@ -317,14 +315,14 @@ def worth(
     with $\Phi_k$ the density that is still to come after step k, `Ahead.weight`.
 
     Args:
-        parameters: Of the law.
+        law: Its parameters.
         ahead: From `look_ahead`.
         here: Where the UAV is.
         motion: The velocity of each leg [m/s]. Shape (any, 2).
         lack: Room for numbers of the shape of `ahead.lack`.
         gains: Room for numbers. Shape (8,).
     """
-    c, step, cell = parameters, ahead.step, ahead.cell
+    step, cell = ahead.step, ahead.cell
     size, width = lack.shape[0], gains.size  # not a constant: numba would take the cells one by one
     for j in range(size):
         row, now = lack[j], ahead.lack[j]
@@ -335,18 +333,20 @@ def worth(
     cost = 0.0
     for k in range(ahead.legs.size):
         leg = ahead.legs[k]
-        here, x, y = fly_step(here, motion[leg, 0], motion[leg, 1], c.u_max, step)
-        cost += step * _STRAY_COST * strayed(c, here, ahead.track[k, 0], ahead.track[k, 1])
-        i = min(max(math.floor((x - c.reach - ahead.x) / cell), 0), size - width)
-        first = max(math.floor((y - c.reach - ahead.y) / cell), 0)
-        end = min(math.floor((y + c.reach - ahead.y) / cell) + 1, size)
+        here, x, y = fly_step(here, motion[leg, 0], motion[leg, 1], law.u_max, step)
+        cost += step * _STRAY_COST * strayed(law, here, ahead.track[k, 0], ahead.track[k, 1])
+        i = min(max(math.floor((x - law.reach - ahead.x) / cell), 0), size - width)
+        first = max(math.floor((y - law.reach - ahead.y) / cell), 0)
+        end = min(math.floor((y + law.reach - ahead.y) / cell) + 1, size)
         left = ahead.x + (i + 0.5) * cell - x
         for j in range(first, end):
             up = ahead.y + (j + 0.5) * cell - y
             row, weight = lack[j, i : i + width], ahead.weight[k, j, i : i + width]
             for n in range(width):
                 off = left + n * cell
-                quality = sensor_quality(c.sensor, off * off + up * up, c.peak, c.reach) * step
+                quality = (
+                    sensor_quality(law.sensor, off * off + up * up, law.peak, law.reach) * step
+                )
                 before = row[n]
                 seen = quality if quality < before else before
                 row[n] = before - seen
@@ -359,7 +359,7 @@ def worth(
 
 @borrowing
 def aim(
-    parameters: "LawParameters",
+    law: "LawParameters",
     ahead: Ahead,
     here: Motion,
     motion: FloatArray,
@@ -369,15 +369,15 @@ def aim(
     """Let a motion from its leg `first` on lead to a place beside the UGV, and from there to another.
 
     Args:
-        parameters: Of the law.
+        law: Its parameters.
         ahead: From `look_ahead`.
         here: Where the UAV is.
         motion: Changed in place. Shape (any, 2).
         first: The leg.
         places: From the UGV [m]: x and y of the one and of the other.
     """
-    c, steps = parameters, ahead.legs.size
-    leg = leg_ticks(c.horizon, c.dt) * c.dt
+    steps = ahead.legs.size
+    leg = leg_ticks(law.horizon, law.dt) * law.dt
     p_x, p_y, arrived = here.p_x, here.p_y, False
     for n in range(motion.shape[0]):
         if n >= first:
@@ -385,15 +385,15 @@ def aim(
             a_x, a_y = (places[2], places[3]) if arrived else (places[0], places[1])
             w_x = (ahead.track[k, 0] + a_x - p_x) / leg
             w_y = (ahead.track[k, 1] + a_y - p_y) / leg
-            arrived = arrived or norm(w_x, w_y) < c.v_ref
-            motion[n, 0], motion[n, 1] = clip_norm(w_x, w_y, c.v_ref)
+            arrived = arrived or norm(w_x, w_y) < law.v_ref
+            motion[n, 0], motion[n, 1] = clip_norm(w_x, w_y, law.v_ref)
         p_x += motion[n, 0] * leg
         p_y += motion[n, 1] * leg
 
 
 @borrowing
 def draw_motion(
-    parameters: "LawParameters",
+    law: "LawParameters",
     ahead: Ahead,
     here: Motion,
     motion: FloatArray,
@@ -405,14 +405,13 @@ def draw_motion(
     By turns: it leads to two places beside the UGV; it keeps another velocity in one leg; its velocities in one or two
     legs are a little different; from some leg on it leads to two places.
     """
-    c = parameters
-    words = draw((c.key_0, c.key_1), LOOKAHEAD_MOTION, tick, n)
+    words = draw((law.key_0, law.key_1), LOOKAHEAD_MOTION, tick, n)
     a, b = to_uniform(words[0]), to_uniform(words[1])
     d, e = to_uniform(words[2]), to_uniform(words[3])
     used = ahead.legs[ahead.legs.size - 1] + 1
     leg, turn = int(b * used), 2.0 * math.pi * a
     if n % 4 == 0 or n % 4 == 3:
-        near, far = max(0.0, c.room) * math.sqrt(d), max(0.0, c.room) * e
+        near, far = max(0.0, law.room) * math.sqrt(d), max(0.0, law.room) * e
         other = 2.0 * math.pi * (16.0 * b - math.floor(16.0 * b))
         places = (
             near * math.cos(turn),
@@ -420,14 +419,16 @@ def draw_motion(
             far * math.cos(other),
             far * math.sin(other),
         )
-        aim(parameters, ahead, here, motion, 0 if n % 4 == 0 else leg, places)
+        aim(law, ahead, here, motion, 0 if n % 4 == 0 else leg, places)
     elif n % 4 == 1:
-        speed = c.v_ref * min(1.0, 1.5 * d)
+        speed = law.v_ref * min(1.0, 1.5 * d)
         motion[leg, 0], motion[leg, 1] = speed * math.cos(turn), speed * math.sin(turn)
     else:
-        d_x, d_y = c.v_ref * (a - 0.5), c.v_ref * (e - 0.5)
+        d_x, d_y = law.v_ref * (a - 0.5), law.v_ref * (e - 0.5)
         for m in range(leg, min(leg + 1 + int(2.0 * d), used)):
-            motion[m, 0], motion[m, 1] = clip_norm(motion[m, 0] + d_x, motion[m, 1] + d_y, c.v_ref)
+            motion[m, 0], motion[m, 1] = clip_norm(
+                motion[m, 0] + d_x, motion[m, 1] + d_y, law.v_ref
+            )
 
 
 @borrowing
@@ -464,7 +465,7 @@ def recall(memory: LookaheadMemory, now: int, motion: FloatArray) -> None:
 
 @compiled
 def decide(
-    parameters: "LawParameters",
+    law: "LawParameters",
     coverage: FloatArray,
     memory: LookaheadMemory,
     tick: int,
@@ -475,23 +476,23 @@ def decide(
 
     Where there is but one candidate nothing is compared: it is flown to its end, and then one is drawn.
     """
-    c, state = parameters, memory.state[0]
-    ahead = look_ahead(c, coverage, tick, target, learn_persistence(memory, target))
-    now = tick // leg_ticks(c.horizon, c.dt)
+    state = memory.state[0]
+    ahead = look_ahead(law, coverage, tick, target, learn_persistence(memory, target))
+    now = tick // leg_ticks(law.horizon, law.dt)
     best, tried = np.empty((_SLOTS, 2)), np.empty((_SLOTS, 2))
     recall(memory, now, best)
-    if c.candidates > 1:
+    if law.candidates > 1:
         lack, gains = np.empty_like(ahead.lack), np.empty(_WINDOW)
-        most = worth(c, ahead, here, best, lack, gains)
-        for n in range(1, c.candidates):
+        most = worth(law, ahead, here, best, lack, gains)
+        for n in range(1, law.candidates):
             _copy(best, tried)
-            draw_motion(c, ahead, here, tried, tick, n)
-            value = worth(c, ahead, here, tried, lack, gains)
+            draw_motion(law, ahead, here, tried, tick, n)
+            value = worth(law, ahead, here, tried, lack, gains)
             if value > most:
                 most = value
                 _copy(tried, best)
     elif state.noted == 1 or now - state.first >= LEGS:
-        draw_motion(c, ahead, here, best, tick, 0)
+        draw_motion(law, ahead, here, best, tick, 0)
     else:
         return
     state.first = now
@@ -500,7 +501,7 @@ def decide(
 
 @compiled
 def lookahead_control(
-    parameters: "LawParameters",
+    law: "LawParameters",
     coverage: FloatArray,
     memory: LookaheadMemory,
     tick: int,
@@ -510,18 +511,20 @@ def lookahead_control(
     """The UAV's command, within the bound of (1) [m/s²].
 
     Args:
-        parameters: Of the law.
+        law: Its parameters.
         coverage: The UAV's own map, up to now.
         memory: Of the law, changed in place.
         tick: Now.
         here: Where the UAV is.
         target: What its filter believes of the UGV, which is known.
     """
-    c, state = parameters, memory.state[0]
+    state = memory.state[0]
     if tick >= state.due:
-        decide(parameters, coverage, memory, tick, here, target)
-        period = max(1, round(PERIOD / c.dt))
+        decide(law, coverage, memory, tick, here, target)
+        period = max(1, round(PERIOD / law.dt))
         state.due = (tick // period + 1) * period
-    leg = tick // leg_ticks(c.horizon, c.dt) - state.first
+    leg = tick // leg_ticks(law.horizon, law.dt) - state.first
     velocity = memory.velocities[min(max(leg, 0), _SLOTS - 1)]
-    return clip_norm((velocity[0] - here.v_x) / c.dt, (velocity[1] - here.v_y) / c.dt, c.u_max)
+    return clip_norm(
+        (velocity[0] - here.v_x) / law.dt, (velocity[1] - here.v_y) / law.dt, law.u_max
+    )
