@@ -191,13 +191,13 @@ def tick_sagitta(v_a: float, u_a: float, dt: float) -> float:
 @functools.lru_cache(maxsize=1024)
 def certificate(declared: Declared) -> Promise:
     """The certificate of one UAV. What fails is NaN in it and named by `check_assumptions`."""
-    c = declared
-    dt, v_a, u_a, v_g = float(c.dt), float(c.v_a), float(c.u_a), float(c.v_g)
-    tracking, age = float(c.tracking), float(c.age)
-    eps = float(c.eps) + tracking
-    delay_ticks = first_tick_from(c.delay, dt)
-    r_v = float(c.r_v - c.margin) - tracking - tick_sagitta(v_a, u_a, dt)
-    outage_ticks = 0 if c.outage is None else ticks_within(c.outage, dt)
+    dt, v_g = float(declared.dt), float(declared.v_g)
+    v_a, u_a = float(declared.v_a), float(declared.u_a)
+    tracking, age = float(declared.tracking), float(declared.age)
+    eps = float(declared.eps) + tracking
+    delay_ticks = first_tick_from(declared.delay, dt)
+    r_v = float(declared.r_v - declared.margin) - tracking - tick_sagitta(v_a, u_a, dt)
+    outage_ticks = 0 if declared.outage is None else ticks_within(declared.outage, dt)
     radius = reach = math.nan
     if all(math.isfinite(x) for x in (r_v, v_a, v_g, eps, age)) and 0.0 <= v_g < v_a and u_a > 0.0:
         rho = eps + v_g * (age + delay_ticks * dt)
@@ -206,7 +206,7 @@ def certificate(declared: Declared) -> Promise:
         reach = float(handover_reach(bounds, radius))
     return Promise(
         dt=dt,
-        error=float(c.eps),
+        error=float(declared.eps),
         eps=eps,
         tracking=tracking,
         age=age,
@@ -216,12 +216,12 @@ def certificate(declared: Declared) -> Promise:
         v_a=v_a,
         u_a=u_a,
         v_g=v_g,
-        width=float(c.width),
-        height=float(c.height),
+        width=float(declared.width),
+        height=float(declared.height),
         handover=radius,
         reach=reach,
-        hold=float(c.hold),
-        carries=c.outage is not None,
+        hold=float(declared.hold),
+        carries=declared.outage is not None,
         outage_ticks=outage_ticks,
     )
 
@@ -277,9 +277,17 @@ def _largest(promise: Promise, fits: Callable[[float], bool]) -> float:
 
 def _hands_over(promise: Promise, age: float, outage: float) -> bool:
     """True if the hand-over holds with these A and B [s], other numbers as they are."""
-    c = promise
-    rho = c.eps + c.v_g * (age + c.delay_ticks * c.dt)
-    bounds = HandoverBounds(c.r_v + MARGIN, c.eps, rho, c.v_a, c.u_a, c.v_g, c.dt, outage)
+    rho = promise.eps + promise.v_g * (age + promise.delay_ticks * promise.dt)
+    bounds = HandoverBounds(
+        promise.r_v + MARGIN,
+        promise.eps,
+        rho,
+        promise.v_a,
+        promise.u_a,
+        promise.v_g,
+        promise.dt,
+        outage,
+    )
     return not math.isnan(handover_radius(bounds))
 
 
@@ -310,62 +318,65 @@ def check_assumptions(promise: Promise) -> tuple[str, ...]:
 
     Empty if all hold that are known when a run is loaded.
     """
-    c = promise
-    delay, faults = c.delay_ticks * c.dt, list[str]()
-    if not math.isfinite(c.tracking):
+    delay, faults = promise.delay_ticks * promise.dt, list[str]()
+    if not math.isfinite(promise.tracking):
         faults.append(
-            f"w = {c.tracking:g} m: how far the UAV is from where it is told that it is has no bound"
+            f"w = {promise.tracking:g} m: how far the UAV is from where it is told that it is has no bound"
         )
-    elif not math.isfinite(c.eps):
+    elif not math.isfinite(promise.eps):
         faults.append(
-            f"eps = {c.eps:g} m: the noise of the detections is not cut, so none of them bounds the distance"
+            f"eps = {promise.eps:g} m: the noise of the detections is not cut, so none of them bounds the distance"
         )
-    if not math.isfinite(c.age):
-        faults.append(f"A = {c.age:g} s: the age of the newest detection has no bound")
-    if not math.isfinite(c.v_a) or not math.isfinite(c.v_g):
-        faults.append(f"v_a = {c.v_a:g} m/s, v_g = {c.v_g:g} m/s: both speeds must be bounded")
-    elif not c.v_g < c.v_a:
+    if not math.isfinite(promise.age):
+        faults.append(f"A = {promise.age:g} s: the age of the newest detection has no bound")
+    if not math.isfinite(promise.v_a) or not math.isfinite(promise.v_g):
         faults.append(
-            f"v_a = {c.v_a:g} m/s: the UAV must be faster than the UGV, v_g = {c.v_g:g} m/s"
+            f"v_a = {promise.v_a:g} m/s, v_g = {promise.v_g:g} m/s: both speeds must be bounded"
         )
-    if not c.u_a > 0.0:
-        faults.append(f"u_a = {c.u_a:g} m/s²: must be positive")
-    elif c.u_a * c.dt < _LEAST_STEP:
+    elif not promise.v_g < promise.v_a:
         faults.append(
-            f"u_a = {c.u_a:g} m/s²: changes the speed by {c.u_a * c.dt:g} m/s in a tick, too little for a lost "
-            f"command to be noticed; {_LEAST_STEP:g} m/s at least"
+            f"v_a = {promise.v_a:g} m/s: the UAV must be faster than the UGV, v_g = {promise.v_g:g} m/s"
         )
-    if math.isfinite(c.age) and c.age_ticks >= MOST_KEPT:
+    if not promise.u_a > 0.0:
+        faults.append(f"u_a = {promise.u_a:g} m/s²: must be positive")
+    elif promise.u_a * promise.dt < _LEAST_STEP:
         faults.append(
-            f"A = {c.age:g} s: {c.age_ticks:,} ticks; no detection is used that is older than {MOST_KEPT:,}"
+            f"u_a = {promise.u_a:g} m/s²: changes the speed by {promise.u_a * promise.dt:g} m/s in a tick, "
+            f"too little for a lost command to be noticed; {_LEAST_STEP:g} m/s at least"
         )
-    elif math.isfinite(c.age):
-        strayed = 0.5 * math.ulp(_largest_place(c)) * (c.age_ticks + c.delay_ticks)
+    if math.isfinite(promise.age) and promise.age_ticks >= MOST_KEPT:
+        faults.append(
+            f"A = {promise.age:g} s: {promise.age_ticks:,} ticks; no detection is used that is older than {MOST_KEPT:,}"
+        )
+    elif math.isfinite(promise.age):
+        strayed = (
+            0.5 * math.ulp(_largest_place(promise)) * (promise.age_ticks + promise.delay_ticks)
+        )
         if strayed > 0.5 * MARGIN:
             faults.append(
-                f"area = {c.width:g} m x {c.height:g} m: far from its corner rounding alone moves the UGV by up to "
-                f"{strayed:.2g} m in A = {c.age:g} s, which no margin covers"
+                f"area = {promise.width:g} m x {promise.height:g} m: far from its corner rounding alone moves the "
+                f"UGV by up to {strayed:.2g} m in A = {promise.age:g} s, which no margin covers"
             )
-    if not faults and math.isnan(c.handover):
-        rho, most = c.eps + c.v_g * (c.age + delay), largest_age(c)
-        terms, sizes = "eps", f"eps {c.eps:g} m"
-        if c.tracking > 0.0:
-            terms, sizes = "eps + w", f"eps {c.error:g} m, w {c.tracking:g} m"
+    if not faults and math.isnan(promise.handover):
+        rho, most = promise.eps + promise.v_g * (promise.age + delay), largest_age(promise)
+        terms, sizes = "eps", f"eps {promise.eps:g} m"
+        if promise.tracking > 0.0:
+            terms, sizes = "eps + w", f"eps {promise.error:g} m, w {promise.tracking:g} m"
         limit = "for no A" if math.isnan(most) else f"for A up to {most:.2f} s"
-        if c.carries:
-            most = largest_outage(c)
+        if promise.carries:
+            most = largest_outage(promise)
             limit += ", or for no B" if math.isnan(most) else f", or for B up to {most:.2f} s"
-            limit += f", not {c.outage_ticks * c.dt:g} s"
+            limit += f", not {promise.outage_ticks * promise.dt:g} s"
         faults.append(
-            f"{terms} + v_g (A + tau_c) = {rho:.4g} m ({sizes}, A {c.age:g} s, tau_c {delay:g} s): "
-            f"too much for r_v = {c.r_v:.4g} m; with these numbers the hand-over holds {limit}"
+            f"{terms} + v_g (A + tau_c) = {rho:.4g} m ({sizes}, A {promise.age:g} s, tau_c {delay:g} s): "
+            f"too much for r_v = {promise.r_v:.4g} m; with these numbers the hand-over holds {limit}"
         )
-    if c.carries and c.outage_ticks < 1:
+    if promise.carries and promise.outage_ticks < 1:
         faults.append(
-            f"B: must be at least a tick, {c.dt:g} s, as the next motion begins in the next tick"
+            f"B: must be at least a tick, {promise.dt:g} s, as the next motion begins in the next tick"
         )
-    if not c.carries and c.hold < delay - 0.5 * c.dt:
+    if not promise.carries and promise.hold < delay - 0.5 * promise.dt:
         faults.append(
-            f"hold = {c.hold:g} s: shorter than tau_c = {delay:g} s, so that the UAV brakes before a command acts"
+            f"hold = {promise.hold:g} s: shorter than tau_c = {delay:g} s, so that the UAV brakes before a command acts"
         )
     return tuple(faults)

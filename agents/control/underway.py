@@ -258,8 +258,8 @@ def send_motion(
         u_x, u_y: The first tick's acceleration [m/s²].
         acts: As from `safe_control`; without a plan the vehicle rests after the first tick.
     """
-    c, held = promise, plan[0]
-    begins = tick + c.delay_ticks
+    held = plan[0]
+    begins = tick + promise.delay_ticks
     place = begins % state.sent.shape[0]
     _clear(state.sent, place)
     row = state.sent[place]
@@ -277,8 +277,8 @@ def send_motion(
         ahead[0] = state.flown[_NOW]
         if k == _BEGUN:
             follow_on(state.sent, ahead, tick)
-        w_x, w_y = motion_command(ahead[0], here.v_x, here.v_y, c.u_a, c.dt)
-        there, _ = step_in_area(c, here, w_x, w_y)
+        w_x, w_y = motion_command(ahead[0], here.v_x, here.v_y, promise.u_a, promise.dt)
+        there, _ = step_in_area(promise, here, w_x, w_y)
         set_motion(state.expected, k, there)
 
 
