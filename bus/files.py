@@ -1,11 +1,13 @@
-"""Reading files that others may have made.
+"""Files: reading those that others may have made, and writing.
 
-Regular ones alone, and none that is larger than it can have reason to be.
+Read are regular ones alone, and none that is larger than it can have reason to be.
 """
 
 import errno
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -42,6 +44,17 @@ def read_regular(path: Path, most: int) -> bytes:
     if len(content) > most:
         raise _too_large(path, most)
     return content
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Let an error while a file is written name it: a disk that is full knows no file, nor does a write that fails."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
 
 def _too_large(path: Path, most: int) -> OSError:

@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
+from bus.files import writing
 from bus.registry import LAWS
 from sim.scene.colors import GOOD, INK, LIMIT, MUTED, UAV, UGV, color
 from sim.scene.drawing import COVERAGE, DASHED, DPI, key, look
@@ -64,7 +65,8 @@ def new_figure(width: int, height: int, *, header: float = 0.0) -> Figure:
 def save(figure: Figure, path: Path) -> None:
     """Write the figure as PNG; the same figure gives the same bytes."""
     FigureCanvasAgg(figure)
-    figure.savefig(path, format="png", metadata={"Software": None})
+    with writing(path):
+        figure.savefig(path, format="png", metadata={"Software": None})
 
 
 def law_color(law: str) -> str:

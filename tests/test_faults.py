@@ -6,10 +6,12 @@ import signal
 import socket
 import subprocess
 import time
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 from processes import (
     SHORT,
@@ -26,8 +28,12 @@ from scattered import SECONDS, SECRET, scattered
 from tabular import words
 
 from bus.messages import Status
+from outrider import style
+from outrider.cli import scenarios
+from outrider.learning.mlp import Mlp, save_policy
 from outrider.running import launch
 from outrider.running.flying import fly
+from outrider.view import film
 from sim.scenario.loading import load_scenario
 from sim.server.run_timing import Timing
 
@@ -235,6 +241,24 @@ def test_a_full_disk_takes_the_file_and_not_the_result(tmp_path: Path) -> None:
     kept = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     assert kept["trajectory_sha256"] == summary["trajectory_sha256"]
     assert (tmp_path / "coverage.npy").stat().st_size > 100_000
+
+
+@pytest.mark.parametrize("written", ["figure-1.png", "film.gif", "mine.toml", "policy.npz"])
+def test_a_full_disk_names_the_file_that_could_not_be_written(tmp_path: Path, written) -> None:
+    """By itself neither the system nor a library that writes names it."""
+    full = tmp_path / written
+    full.symlink_to("/dev/full")
+    frames = iter(np.zeros((2, 8, 8, 4), np.uint8))
+    network = Mlp(weights=(np.eye(2),), biases=(np.zeros(2),))
+    writers: dict[str, Callable[[], object]] = {
+        "figure-1.png": lambda: style.save(style.new_figure(200, 200), full),
+        "film.gif": lambda: film._write_gif(frames, full, 20, hazards=False),
+        "mine.toml": lambda: scenarios.new(full, force=True, schema=False),
+        "policy.npz": lambda: save_policy(full, network, {}),
+    }
+    with pytest.raises(OSError, match="No space left") as told:
+        writers[written]()
+    assert told.value.filename == str(full)
 
 
 def test_a_late_vehicle_is_named_on_the_terminal() -> None:

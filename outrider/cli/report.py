@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from bus.extras import check_extra
+from bus.files import writing
 from outrider.cli.options import Json
 
 
@@ -54,9 +55,10 @@ def command(
         where.mkdir(parents=True, exist_ok=True)
         pictures = draw_all(material, where)
         file = where / "report.html"
-        file.write_text(
-            page(material, pictures, shlex.join(["outrider", *sys.argv[1:]])), encoding="utf-8"
-        )
+        with writing(file):
+            file.write_text(
+                page(material, pictures, shlex.join(["outrider", *sys.argv[1:]])), encoding="utf-8"
+            )
     if markdown:
         sys.stdout.write(markdown_of(material))
         return

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from bus.files import writing
 from outrider.cli.options import Json
 
 Name = Annotated[str, typer.Argument(help="A shipped scenario's name.")]
@@ -23,7 +24,7 @@ def command(
 ) -> None:
     """List the shipped scenarios, show one, or begin your own.
 
-    Its schema for an editor is printed, too.
+    The schema is for an editor that knows JSON Schema.
 
     Example: outrider scenarios, or outrider scenarios show escort
     """
@@ -88,10 +89,11 @@ def new(
     text = shipped_text(base)
     if file.exists() and not force:
         raise typer.BadParameter(f"{file}: is there already; --force replaces it")
-    if schema:
-        text = f"#:schema {SCHEMA_FILE}\n{text}"
-        file.with_name(SCHEMA_FILE).write_text(schema_text(), encoding="utf-8")
-    file.write_text(text, encoding="utf-8")
+    with writing(file):
+        if schema:
+            text = f"#:schema {SCHEMA_FILE}\n{text}"
+            file.with_name(SCHEMA_FILE).write_text(schema_text(), encoding="utf-8")
+        file.write_text(text, encoding="utf-8")
     OUT.tell(
         f"{file}: written; outrider check {shlex.quote(str(file))} says whether it can be flown"
     )

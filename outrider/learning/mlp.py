@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.errors import shortened
-from bus.files import open_regular
+from bus.files import open_regular, writing
 
 Array = npt.NDArray[np.floating[Any]]
 
@@ -56,7 +56,7 @@ def save_policy(path: str | Path, network: Mlp, recipe: dict[str, Any]) -> None:
     for k, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         arrays |= {f"weight_{k}": weight.astype(np.float32), f"bias_{k}": bias.astype(np.float32)}
     Path(path).parent.mkdir(parents=True, exist_ok=True)
-    with Path(path).open("wb") as file:
+    with writing(Path(path)), Path(path).open("wb") as file:
         np.savez_compressed(file, **arrays)
 
 

@@ -15,7 +15,7 @@ import msgspec
 
 from bus.errors import ScenarioError
 from bus.extras import from_extra
-from bus.files import open_regular
+from bus.files import open_regular, writing
 from bus.messages import (
     CertificateStatus,
     Change,
@@ -520,7 +520,7 @@ def repair(path: Path, out: Path) -> Repair:
         raise ScenarioError(f"{path}: nothing whole is in it ({damage.reason})")
     messages = 0
     kinds, channels = {0: 0}, dict[int, int]()
-    with out.open("wb") as file:
+    with writing(out), out.open("wb") as file:
         writer = Writer(file)
         writer.start(
             profile=getattr(first, "profile", ""), library=f"outrider repair of {path.name}"

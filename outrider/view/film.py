@@ -11,6 +11,7 @@ import numpy as np
 from PIL import Image
 
 from bus.errors import ScenarioError
+from bus.files import writing
 from outrider.recording.reader import Recording, coverages, grounds
 from outrider.recording.refly import external_uavs, from_the_start, restore
 from sim.kernels.compile import FloatArray
@@ -89,7 +90,8 @@ def render(
     shown = film.times[-1:] if ending == ".png" else film.frame_times(speed / fps)
     frames = _counted(film.frames(shown), len(shown), on_frame)
     if ending == ".png":
-        Image.fromarray(next(frames)).convert("RGB").save(out, format="PNG")
+        with writing(out):
+            Image.fromarray(next(frames)).convert("RGB").save(out, format="PNG")
     elif ending == ".gif":
         _write_gif(frames, out, fps, hazards=film.hazards)
     else:
@@ -137,7 +139,7 @@ def _write_gif(
     pictures = (one.quantize(palette=palette, dither=Image.Dither.NONE) for one in colored)
     first = next(pictures)
     held = round(1000.0 / fps)
-    with out.open("wb") as file:
+    with writing(out), out.open("wb") as file:
         first.save(
             file,
             format="GIF",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
+from bus.files import writing
 from outrider.running.summary import Summary
 
 if TYPE_CHECKING:
@@ -95,12 +96,11 @@ def write_flight(
     for name, write in work.items():
         path = folder / name
         try:
-            write(path)
+            with writing(path):
+                write(path)
             files.append(path)
         except OSError as error:
-            faults.append(
-                OSError(error.errno, error.strerror or str(error), str(path))
-            )  # a failed write does not know its file
+            faults.append(error)
     if faults:
         raise faults[0]
     return files

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from bus.files import writing
 from outrider.experiments.falsify.attacks import AttackTally, again, run_attack
 from outrider.experiments.falsify.attacks import warm as warm_attack
 from outrider.experiments.falsify.candidate import flown
@@ -230,5 +231,6 @@ def save(found: Found) -> None:
         f"The law {scenario.law.name} loses sight: found by outrider falsify, seed {wanted.seed}"
     )
     saved = check_scenario(msgspec.structs.replace(scenario, name=path.stem, title=title))
-    path.write_text(as_toml(saved, found.words), encoding="utf-8")
+    with writing(path):
+        path.write_text(as_toml(saved, found.words), encoding="utf-8")
     found.path = path

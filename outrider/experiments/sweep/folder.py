@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 import msgspec
 
 from bus.errors import ScenarioError
-from bus.files import read_regular
+from bus.files import read_regular, writing
 from outrider.experiments.sweep.definition import Sweep
 from outrider.experiments.sweep.plan import SweepPlan
 
@@ -64,7 +64,7 @@ def read_head(folder: Path) -> SweepHead | None:
 def _replace(path: Path, content: bytes) -> None:
     """Write a file so that it is there whole or not at all."""
     beside = path.with_name(f"{path.name}{_UNFINISHED}")
-    with beside.open("wb") as file:
+    with writing(path), beside.open("wb") as file:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())
