@@ -84,8 +84,8 @@ def _is_of(value: object, kind: Any) -> bool:  # noqa: ANN401 - a type as an ann
     origin, arguments = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
         return any(_is_of(value, one) for one in arguments)
-    if origin is Literal:
-        return isinstance(value, tuple(map(type, arguments)))
+    if origin is Literal:  # one of those that are named: checked where it is used
+        return True
     if origin is tuple:
         return (
             isinstance(value, (tuple, list))
@@ -106,8 +106,6 @@ def _in_words(kind: Any) -> str:  # noqa: ANN401 - likewise
     origin, arguments = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
         return " or ".join(_in_words(one) for one in arguments)
-    if origin is Literal:
-        return " or ".join(map(repr, arguments))
     if origin is Callable:
         return "a function"
     if origin is None:
