@@ -30,6 +30,7 @@ from bus.layout import UgvRow
 from bus.messages import Command, UgvObservation
 from bus.registry import SAVED_POLICIES
 from outrider.envs.env_pilots import pilots
+from outrider.running import user_code
 from outrider.running.flying import fly, make_pilots
 from outrider.running.user_code import load_function, load_policy
 from sim.models.vehicles import norm
@@ -515,3 +516,26 @@ def test_only_what_is_flown_is_imported() -> None:
     found = python(body)
     assert found.stdout.strip() == "[]"
     assert set(SAVED_POLICIES) == {"sb3", "torch", "onnx", "fmu"}
+
+
+def test_a_module_of_the_working_folder_goes_before_a_clone_s_and_behind_a_library_s(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What one has tried in the clone, as the README says, is not flown from elsewhere."""
+    clone, library, here = (tmp_path / name for name in ("clone", "library", "here"))
+    for folder, modules in (
+        (clone, ("tried", "kept")),
+        (library, ("known",)),
+        (here, ("tried", "known")),
+    ):
+        folder.mkdir()
+        for name in modules:
+            text = f"def policy(observation, briefing):\n    return {folder.name!r}\n"
+            (folder / f"{name}_{tmp_path.name}.py").write_text(text, encoding="utf-8")
+    (clone / "pyproject.toml").touch()
+    monkeypatch.setattr(sys, "path", [*sys.path, str(clone), str(library)])
+    monkeypatch.setattr(user_code, "_HOME", str(clone))
+    monkeypatch.chdir(here)
+    for module, folder in (("tried", here), ("known", library), ("kept", clone)):
+        policy = load_policy(f"{module}_{tmp_path.name}:policy")
+        assert policy(None, None) == folder.name

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 _ROW, _ACTION = (len(UgvRow._fields),), (2,)
 """Shapes of what a saved policy sees and answers."""
 _FORMS = f"allowed: {POLICY_FORMS}"
+_HOME = str(Path(__file__).resolve().parents[2])
+"""The folder that our packages lie in."""
 _loaded: list[str] = []
 
 
@@ -64,14 +66,27 @@ def _named(name: str, what: str) -> Any:  # noqa: ANN401 - whatever it is
         raise ScenarioError(f"{what} = {name!r}: not of the form module:function")
     _loaded.append(name)
     here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)  # behind all others: a file there takes no library's place
+    _search_last(here)
     try:
         return getattr(import_module(module_name), function_name)
     except (ImportError, AttributeError) as error:
         raise ScenarioError(f"{what} = {name!r}: {error}{_hidden(here)}") from error
     except Exception as error:
         raise ScenarioError(f"{what} = {name!r}: cannot be imported: {_reason(error)}") from error
+
+
+def _search_last(folder: str) -> None:
+    """Let modules of a folder be found: behind all libraries, so that no file there takes one's place.
+
+    But before a clone that is installed as it lies there: what a user has written in it beside our packages, which are
+    loaded by now, is of no other folder.
+    """
+    if folder in sys.path:
+        return
+    sys.path.append(folder)
+    if _HOME in sys.path and Path(_HOME, "pyproject.toml").exists():
+        sys.path.remove(_HOME)
+        sys.path.append(_HOME)
 
 
 def _hidden(folder: str) -> str:
