@@ -197,7 +197,7 @@ class UavPilot:
         """The sender of the ground's blocks."""
         self._tick: int | None = None
         self._radio_ticks = radio_ticks(briefing.dt)
-        self._dt, self._grounded = briefing.dt, briefing.ground is not None
+        self._dt = briefing.dt
         c = self._parameters
         self._fixed_error = c.r_o, c.desired, c.cell
         self._error = entry_point(coverage_error, self.coverage, 0.0, 0.0, *self._fixed_error)
@@ -276,7 +276,7 @@ class UavPilot:
             acceleration=acceleration,
             motions=motions,
             radio=() if tick % self._radio_ticks else self._radio(observation, *target),
-            blocks=self.teller.blocks(tick, target) if self._grounded else (),
+            blocks=self.teller.blocks(tick, target),
             report=report,
         )
 

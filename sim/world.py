@@ -18,15 +18,21 @@ from bus.messages import (
     MotionPlan,
     SeenTile,
 )
-from bus.ticks import Look
 from sim.engine.batch import Batch
 from sim.engine.links import Links
 from sim.engine.mission import mission_of, receive_block
-from sim.engine.world_state import COMMAND, MESSAGE_SIZE, BatchState, BatchTables, Told, WorldState
+from sim.engine.world_state import (
+    COMMAND,
+    LOOK,
+    MESSAGE_SIZE,
+    BatchState,
+    BatchTables,
+    Told,
+    WorldState,
+)
 from sim.engine.world_tick import measure
-from sim.kernels.compile import FloatArray, IntArray, entry_point
-from sim.kernels.packing import NUMBER, reader, writer
-from sim.kernels.records import RecordArray
+from sim.kernels.compile import FloatArray, entry_point
+from sim.kernels.packing import NUMBER, writer
 from sim.models.ground import TileArray, block_letters, tile_states
 from sim.models.motion import NO_MOTION, keep_motion, motion_row
 from sim.scenario.types import Scenario, Uav
@@ -35,8 +41,7 @@ _KEPT = ("scenario", "seed", "_batch", "names", "uavs", "parameters", "links", "
 """The attributes that a copy takes over; it makes views of its own."""
 
 _ROW = MESSAGE_SIZE * NUMBER
-"""Bytes of a detection or a command."""
-_read_look = reader(len(Look._fields))
+"""Bytes of a command."""
 _write_command, _write_carried = writer(COMMAND.last), writer(2)
 """The numbers of a `CommandRow`: those that every command has, and those of one that carries motions."""
 
@@ -128,23 +133,15 @@ class World:
         """The batch of one, for compiled functions."""
         return self._batch.tables, self._batch.state
 
-    @property
-    def arrived(self) -> tuple[FloatArray, IntArray]:
-        """`received` and `arrived` of the batch: they are other arrays once a link has changed."""
-        return self._batch.state.received, self._batch.state.arrived
-
     def received(self, uav: int) -> tuple[Detection, ...]:
         """The detections that have reached a UAV's computer at this tick, in the order of arrival."""
         state = self._batch.state
         count = state.arrived.item(0, uav)
         if not count:
             return ()
-        found, dt, place = [], self.parameters.dt, uav * self._batch.links.room * _ROW
-        for _ in range(count):
-            taken, x, y = _read_look(state.received, place)
-            found.append(Detection(time=taken * dt, relative_position=(x, y)))
-            place += _ROW
-        return tuple(found)
+        dt = self.parameters.dt
+        rows = state.received[0, uav, :count, : len(LOOK)].tolist()
+        return tuple([Detection(time=taken * dt, relative_position=(x, y)) for taken, x, y in rows])
 
     def send(
         self,
@@ -207,12 +204,6 @@ class World:
     def known_block(self, vehicle: int, row: int, column: int) -> str:
         """A block of tiles as a vehicle's own sensor has told them, by `TILE_LETTERS`; not seen beyond the area."""
         return block_letters(self._batch.state.ground.known[0, vehicle], row, column)
-
-    @property
-    def motions_flown(self) -> RecordArray:
-        """`MotionRecord` of the motion that each vehicle flies. Shape (vehicles,)."""
-        flown: RecordArray = self._batch.state.flown[0, :, 0]
-        return flown
 
     def flown(self, vehicle: int) -> int | None:
         """The motion that a vehicle flies, by the tick in which it began; None: none."""

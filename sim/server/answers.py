@@ -68,7 +68,8 @@ class Answers:
         limits = np.square(world.bounds[:, 1] * (1.0 + _ROUNDING)).tolist()
         self._limits = dict(zip(world.names, limits, strict=True))  # of a command's square [m²/s⁴]
         self._uavs = [uav.name for uav in world.uavs]
-        self._evidence = recorder.arrivals, world.commands, world.motions_flown
+        flown = world.arrays[1].flown[0, :, 0]
+        self._evidence = recorder.arrivals, world.commands, flown
         self._unsettled: _Tick | None = None
 
     def counted(self, name: str) -> VehicleStatus:

@@ -158,7 +158,7 @@ class Flight:
     @property
     def over(self) -> bool:
         """True once nothing more is flown: complete, or stopped."""
-        return self._stopped or self.world.tick >= self._ticks
+        return self._stopped or self.complete
 
     def stop(self) -> None:
         """End the flight before the next command acts."""
@@ -231,15 +231,17 @@ class Flight:
         self.degradations.append(Change(tick=self.world.tick, control=control))
 
     def _listen(self) -> None:
-        """Take in what has crossed the links for this tick; once for every tick."""
-        self._listened = tick = self.world.tick
+        """Take in what has crossed the links for this tick, once."""
+        tick = self.world.tick
+        if self._listened == tick:
+            return
+        self._listened = tick
         for perception in self.perceptions.values():
             perception.receive(tick)
 
     def observations(self) -> dict[str, Observation]:
         """The observation of each vehicle at this tick."""
-        if self._listened < self.world.tick:
-            self._listen()
+        self._listen()
         over, observations = self.over, {}
         for name, perception in self.perceptions.items():
             observations[name] = perception.observe(over=over)
@@ -265,8 +267,7 @@ class Flight:
 
         What the UAVs radio arrives at the next one.
         """
-        if self._listened < self.world.tick:
-            self._listen()
+        self._listen()
         self.take_down()  # what is said of this tick is held against it
         world = self.world
         for k, name in enumerate(world.names):
@@ -347,7 +348,7 @@ class Flight:
         if not self._goes_on():
             return False
         self.apply(commands)
-        if self.world.tick >= self._ticks:
+        if self.complete:
             self._close()
         return True
 

@@ -164,14 +164,14 @@ class UavPerception(Perception):
         known: bool = True,
         over: bool = False,
     ) -> UavObservation:
-        news = self.news.get(tick, _NO_NEWS) if self.news else _NO_NEWS
+        news = self.news.get(tick, _NO_NEWS)
         return UavObservation(
             tick=tick,
             time=tick * self._dt,
             position=motion[0],
             velocity=motion[1],
             detections=arrived,
-            ground=self._ground.get(tick, ()) if known and self._grounded else (),
+            ground=self._ground.get(tick, ()) if known else (),
             flown=self._world.flown(self.row)
             if self._carries and tick == self._world.tick
             else None,
@@ -228,15 +228,15 @@ class UgvPerception(Perception):
         known: bool = True,
         over: bool = False,
     ) -> UgvObservation:
-        news = self.news.get(tick, _NO_NEWS) if self.news else _NO_NEWS
+        news = self.news.get(tick, _NO_NEWS)
         return UgvObservation(
             tick=tick,
             time=tick * self._dt,
             position=motion[0],
             velocity=motion[1],
             radio=arrived,
-            blocks=self.blocks.get(tick, ()) if known and self._grounded else (),
-            ground=self._ground.get(tick, ()) if known and self._grounded else (),
+            blocks=self.blocks.get(tick, ()) if known else (),
+            ground=self._ground.get(tick, ()) if known else (),
             operator=news.operator if known else (),
             driver=news.driver,
             over=over,

@@ -107,7 +107,8 @@ class Recorder:
         self.arrivals: RecordArray = np.zeros(uavs, record_type(ArrivalRecord))
         """`ArrivalRecord` of each UAV, of the tick that was taken down last. Shape (UAVs,)."""
         self._truth = world.arrays[0].world, world.escorts, world.state, self.arrivals
-        arrays = *world.arrived, self._states, self._escorts
+        state = world.arrays[1]
+        arrays = state.received, state.arrived, self._states, self._escorts
         self._take_down = entry_point(_take_down, *self._truth, *arrays, 0)
         self._tells = world.scenario.disturbed
         told = vehicles if self._tells else 0
@@ -131,7 +132,9 @@ class Recorder:
             return
         if k == len(self._states):
             self._make_room()
-        self._take_down(*self._truth, *self._world.arrived, self._states, self._escorts, k)
+        state = self._world.arrays[1]  # which has other arrays once a link has changed
+        arrays = state.received, state.arrived, self._states, self._escorts
+        self._take_down(*self._truth, *arrays, k)
         if self._tells:
             self._told[k, :, 0:2], self._told[k, :, 2:4] = self._world.told
         if k:
