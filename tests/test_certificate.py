@@ -334,6 +334,20 @@ def test_from_rest_within_the_handover_radius_there_is_a_plan_to_every_later_det
     assert c.exists(c.return_from(q, known, NOW, Motion(7.0, 7.0, 0.0, 0.0)))
 
 
+@pytest.mark.parametrize("off", [-0.02, 0.02])
+def test_a_plan_may_end_only_where_the_newest_detection_s_own_bound_is_within_reach(off) -> None:
+    """However small the disc is that all discs together leave: by then that of the newest has grown."""
+    q, radius, ticks = promise(age=10.0), 2.0, 100
+    rho, growth = q.eps + q.age_ticks * DT * V_G, ticks * DT * V_G
+    way = q.reach + off - rho - growth
+    assert radius - rho < way < radius + rho  # the discs meet
+    assert radius + growth < q.handover
+    z = (7.0 + way, 7.0, NOW - q.age_ticks)
+    known = c.known_from(q, seen(z), last_seen_in(7.0, 7.0, radius, NOW), 0, NOW, 7.0, 7.0)
+    bound = c._end_radius(q, known, NOW, 7.0, 7.0, ticks)
+    assert math.isinf(bound) == (off > 0.0)
+
+
 @given(shares, angles, shares, angles, angles, errors)
 @settings(PROPERTY, max_examples=300)
 def test_within_the_certified_radius_every_inner_control_acts(

@@ -521,7 +521,7 @@ def test_only_what_is_flown_is_imported() -> None:
 def test_a_module_of_the_working_folder_goes_before_a_clone_s_and_behind_a_library_s(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What one has tried in the clone, as the README says, is not flown from elsewhere."""
+    """A function tried in the clone, as the README has it, is not flown from elsewhere."""
     clone, library, here = (tmp_path / name for name in ("clone", "library", "here"))
     for folder, modules in (
         (clone, ("tried", "kept")),
