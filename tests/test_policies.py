@@ -533,8 +533,11 @@ def test_a_module_of_the_working_folder_goes_before_a_clone_s_and_behind_a_libra
             text = f"def policy(observation, briefing):\n    return {folder.name!r}\n"
             (folder / f"{name}_{tmp_path.name}.py").write_text(text, encoding="utf-8")
     (clone / "pyproject.toml").touch()
-    monkeypatch.setattr(sys, "path", [*sys.path, str(clone), str(library)])
-    monkeypatch.setattr(user_code, "_HOME", str(clone))
+    linked = tmp_path / "linked"
+    linked.symlink_to(clone)
+    path = [str(linked), *sys.path, str(clone), str(library)]
+    monkeypatch.setattr(sys, "path", path)
+    monkeypatch.setattr(user_code, "_HOME", clone.resolve())
     monkeypatch.chdir(here)
     for module, folder in (("tried", here), ("known", library), ("kept", clone)):
         policy = load_policy(f"{module}_{tmp_path.name}:policy")

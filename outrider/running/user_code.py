@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _ROW, _ACTION = (len(UgvRow._fields),), (2,)
 """Shapes of what a saved policy sees and answers."""
 _FORMS = f"allowed: {POLICY_FORMS}"
-_HOME = str(Path(__file__).resolve().parents[2])
+_HOME = Path(__file__).resolve().parents[2]
 """The folder that our packages lie in."""
 _loaded: list[str] = []
 
@@ -83,10 +83,9 @@ def _search_last(folder: str) -> None:
     """
     if folder in sys.path:
         return
-    sys.path.append(folder)
-    if _HOME in sys.path and Path(_HOME, "pyproject.toml").exists():
-        sys.path.remove(_HOME)
-        sys.path.append(_HOME)
+    is_clone = (_HOME / "pyproject.toml").exists()
+    clone = [one for one in sys.path if is_clone and Path(one).resolve() == _HOME]
+    sys.path[:] = [*(one for one in sys.path if one not in clone), folder, *clone]
 
 
 def _hidden(folder: str) -> str:
