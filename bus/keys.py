@@ -68,7 +68,7 @@ class Delivery(StrEnum):
     """Old ones may be dropped; the writer never waits."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Key:
     """One row of the table."""
 
@@ -78,7 +78,7 @@ class Key:
     message: type[Message]
     writer: Role
     readers: tuple[Role, ...]
-    delivery: Delivery
+    delivery: Delivery = Delivery.EVERY
     largest: int = _SMALL
     """Larger payloads [bytes] the router drops where the writer is not the simulator, and readers refuse unread."""
 
@@ -108,59 +108,32 @@ class Grant(NamedTuple):
     """`allow`, or `deny`, which is stronger."""
 
 
-def _to_vehicle(topic: str, vehicle: Role, message: type[Message]) -> Key:
-    """The simulator's messages to a vehicle: every one counts, and it may be large."""
-    return Key(
-        topic=topic,
-        vehicle=vehicle,
-        message=message,
-        writer=Role.SIMULATOR,
-        readers=(vehicle,),
-        delivery=Delivery.EVERY,
-        largest=_LARGE,
-    )
+_WATCHING = (Role.OBSERVER, Role.OPERATOR, Role.ROS2)
 
-
-def _to_simulator(topic: str, vehicle: Role | None, message: type[Message], writer: Role) -> Key:
-    """The messages of vehicles and operators to the simulator: every one counts."""
-    return Key(
-        topic=topic,
-        vehicle=vehicle,
-        message=message,
-        writer=writer,
-        readers=(Role.SIMULATOR,),
-        delivery=Delivery.EVERY,
-    )
-
-
-def _telemetry(topic: str, message: type[Message], largest: int = _LARGE) -> Key:
-    """The simulator's messages to observers and operators: the newest counts, and it may be large."""
-    return Key(
-        topic=topic,
-        vehicle=None,
-        message=message,
-        writer=Role.SIMULATOR,
-        readers=(Role.OBSERVER, Role.OPERATOR, Role.ROS2),
-        delivery=Delivery.NEWEST,
-        largest=largest,
-    )
-
-
-UAV_BRIEFING = _to_vehicle("briefing", Role.UAV, UavBriefing)
-UGV_BRIEFING = _to_vehicle("briefing", Role.UGV, UgvBriefing)
-UAV_OBSERVATION = _to_vehicle("observation", Role.UAV, UavObservation)
-UGV_OBSERVATION = _to_vehicle("observation", Role.UGV, UgvObservation)
-UAV_COMMAND = _to_simulator("command", Role.UAV, UavCommand, Role.UAV)
-UGV_COMMAND = _to_simulator("command", Role.UGV, UgvCommand, Role.UGV)
-OPERATOR = _to_simulator("operator", Role.UGV, Drive, Role.OPERATOR)
-CONTROL = _to_simulator("control", None, Control, Role.OPERATOR)
-TRUTH = _telemetry("truth", Truth)
-SAMPLED_TRUTH = _telemetry("sampled-truth", Truth)
+# To a vehicle: every message counts, and it may be large.
+UAV_BRIEFING = Key("briefing", Role.UAV, UavBriefing, Role.SIMULATOR, (Role.UAV,), largest=_LARGE)
+UGV_BRIEFING = Key("briefing", Role.UGV, UgvBriefing, Role.SIMULATOR, (Role.UGV,), largest=_LARGE)
+UAV_OBSERVATION = Key(
+    "observation", Role.UAV, UavObservation, Role.SIMULATOR, (Role.UAV,), largest=_LARGE
+)
+UGV_OBSERVATION = Key(
+    "observation", Role.UGV, UgvObservation, Role.SIMULATOR, (Role.UGV,), largest=_LARGE
+)
+# To the simulator, from vehicles and operators: every message counts.
+UAV_COMMAND = Key("command", Role.UAV, UavCommand, Role.UAV, (Role.SIMULATOR,))
+UGV_COMMAND = Key("command", Role.UGV, UgvCommand, Role.UGV, (Role.SIMULATOR,))
+OPERATOR = Key("operator", Role.UGV, Drive, Role.OPERATOR, (Role.SIMULATOR,))
+CONTROL = Key("control", None, Control, Role.OPERATOR, (Role.SIMULATOR,))
+# To observers and operators: the newest message counts, and it may be large.
+TRUTH = Key("truth", None, Truth, Role.SIMULATOR, _WATCHING, Delivery.NEWEST, _LARGE)
+SAMPLED_TRUTH = Key(
+    "sampled-truth", None, Truth, Role.SIMULATOR, _WATCHING, Delivery.NEWEST, _LARGE
+)
 """The truth for people's eyes: some ticks of it, as often as an eye can see."""
-COVERAGE = _telemetry("coverage", CoverageMap)
-GROUND = _telemetry("ground", GroundMap, _HUGE)
+COVERAGE = Key("coverage", None, CoverageMap, Role.SIMULATOR, _WATCHING, Delivery.NEWEST, _LARGE)
+GROUND = Key("ground", None, GroundMap, Role.SIMULATOR, _WATCHING, Delivery.NEWEST, _HUGE)
 """The hazards, if there are any: what no vehicle is told of them, with what the vehicles know."""
-STATUS = _telemetry("status", Status)
+STATUS = Key("status", None, Status, Role.SIMULATOR, _WATCHING, Delivery.NEWEST, _LARGE)
 
 KEYS: tuple[Key, ...] = (
     UAV_BRIEFING,
@@ -247,14 +220,6 @@ def largest_payloads(run: str) -> dict[int, tuple[str, ...]]:
     return found
 
 
-def _own(key: Key, party: Party, vehicle: str) -> bool:
-    return (
-        key.vehicle is None
-        or party.role not in (Role.UAV, Role.UGV)
-        or (party.role is key.vehicle and party.name == vehicle)
-    )
-
-
 def written_by(party: Party) -> tuple[Key, ...]:
     """The rows that a party may write, for its own vehicle if it is one."""
     return tuple(key for key in KEYS if party.role is key.writer)
@@ -265,16 +230,23 @@ def read_by(party: Party) -> tuple[Key, ...]:
     return tuple(key for key in KEYS if party.role in key.readers)
 
 
+def _check(may: bool, verb: str, key: Key, party: Party, vehicle: str) -> None:
+    """Refuse what the table does not give, and a vehicle the keys of others."""
+    if party.role in (Role.UAV, Role.UGV) and key.vehicle is not None:
+        may = may and party.role is key.vehicle and party.name == vehicle
+    if not may:
+        raise AccessDenied(
+            f"{party.name} ({party.role}) may not {verb} {vehicle or 'the'} {key.topic}"
+        )
+
+
 def check_writes(key: Key, party: Party, vehicle: str = "") -> None:
     """Refuse what the table does not give.
 
     Raises:
         AccessDenied: If this party may not write this key of this vehicle.
     """
-    if party.role is not key.writer or not _own(key, party, vehicle):
-        raise AccessDenied(
-            f"{party.name} ({party.role}) may not write {vehicle or 'the'} {key.topic}"
-        )
+    _check(party.role is key.writer, "write", key, party, vehicle)
 
 
 def check_reads(key: Key, party: Party, vehicle: str = "") -> None:
@@ -283,7 +255,4 @@ def check_reads(key: Key, party: Party, vehicle: str = "") -> None:
     Raises:
         AccessDenied: If this party may not read this key of this vehicle.
     """
-    if party.role not in key.readers or not _own(key, party, vehicle):
-        raise AccessDenied(
-            f"{party.name} ({party.role}) may not read {vehicle or 'the'} {key.topic}"
-        )
+    _check(party.role in key.readers, "read", key, party, vehicle)
