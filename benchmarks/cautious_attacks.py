@@ -21,7 +21,6 @@ import numpy.typing as npt
 from markdown_tables import head, print_chosen
 
 from agents.drivers.cautious import (
-    Bounds,
     Open,
     braking_way,
     is_safe,
@@ -36,7 +35,7 @@ from agents.drivers.navigate import (
     state_ahead,
 )
 from agents.drivers.parameters import NAVIGATE, DriverParameters
-from agents.drivers.planning import Prices, begin_search, search_on
+from agents.drivers.planning import begin_search, search_on
 from agents.drivers.tile_map import GroundMemory, ground_memory, note_block, note_tiles
 from sim.kernels.compile import FloatArray, entry_point
 from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, UNSEEN, TileArray
@@ -58,7 +57,7 @@ OF_OTHERS: dict[str, Any] = {
 }
 """Parameters that the driver does not read."""
 
-Check = Callable[[Bounds, TileArray, Open, Motion, float, float], bool]
+Check = Callable[[DriverParameters, bool, TileArray, Open, Motion, float, float], bool]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -167,9 +166,6 @@ def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Tr
         tile=tile,
         share=believed,
         bold=0,
-        rough_price=1.0 / believed,
-        unseen_price=1.5,
-        beside_price=0.5,
         plan_ticks=max(1, round(rng.choice([0.0, 0.2, 1.0]) / dt)),
         plan_tiles=PLAN_TILES,
     )
@@ -259,12 +255,10 @@ def _filtered_by(
     """The wanted command if it is safe, else the one that brakes: the filter alone, or one with another check."""
     p = trial.p
     ahead = state_ahead(p, memory, tick, here)
-    late = 1 if trial.delay else 0
-    bounds = Bounds(p.width, p.height, p.tile, p.v_max, p.u_max, p.dt, p.share * p.v_max, late)
     ground = open_to(0)
     if check is None:
         ground = open_from(memory.tiles, p.tile, p.bold, ahead.p_x, ahead.p_y)
-    if not (check or is_safe)(bounds, memory.tiles, ground, ahead, *wanted):
+    if not (check or is_safe)(p, trial.delay > 0, memory.tiles, ground, ahead, *wanted):
         wanted = brake(ahead.v_x, ahead.v_y, p.u_max, p.dt)
     note_sent(memory, tick, *wanted)
     return wanted
@@ -367,45 +361,46 @@ def is_reachable(trial: Trial) -> bool:
     if any(trial.truth.reshape(-1)[n] == BLOCK for n in tiles):
         return False
     begin_search(memory, tiles[0])
-    search_on(Prices(1.0, 1.0, 0.0), p.tile, memory, -1, trial.truth.size)
+    search_on(1.0, p.tile, memory, -1, trial.truth.size)
     return bool(np.isfinite(memory.cost[tiles]).all())
 
 
 def _brakes_short(
-    bounds: Bounds, t: TileArray, ground: Open, here: Motion, u_x: float, u_y: float
+    ugv: DriverParameters, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
 ) -> bool:
-    return is_safe(
-        bounds._replace(u_max=1.25 * bounds.u_max), t, ground, here, *_clipped(bounds, u_x, u_y)
-    )
+    longer = ugv._replace(u_max=1.25 * ugv.u_max)
+    return is_safe(longer, late, t, ground, here, *_clipped(ugv, *u))
 
 
-def _clipped(bounds: Bounds, u_x: float, u_y: float) -> tuple[float, float]:
-    scale = min(1.0, bounds.u_max / max(norm(u_x, u_y), 1e-300))
+def _clipped(ugv: DriverParameters, u_x: float, u_y: float) -> tuple[float, float]:
+    scale = min(1.0, ugv.u_max / max(norm(u_x, u_y), 1e-300))
     return u_x * scale, u_y * scale
 
 
-def _after(bounds: Bounds, here: Motion, u_x: float, u_y: float) -> tuple[tuple[float, float], ...]:
+def _after(
+    ugv: DriverParameters, here: Motion, u_x: float, u_y: float
+) -> tuple[tuple[float, float], ...]:
     """End of the tick, and the place of rest after it [m]."""
-    x, y, w_x, w_y, _, _ = step_vehicle(*here, u_x, u_y, bounds.v_max, bounds.u_max, bounds.dt)
+    x, y, w_x, w_y, _, _ = step_vehicle(*here, u_x, u_y, ugv.v_max, ugv.u_max, ugv.dt)
     speed = norm(w_x, w_y)
-    share = braking_way(speed, bounds.u_max, bounds.dt) / speed if speed else 0.0
+    share = braking_way(speed, ugv.u_max, ugv.dt) / speed if speed else 0.0
     return (x, y), (x + share * w_x, y + share * w_y)
 
 
 def _forgets_corners(
-    bounds: Bounds, t: TileArray, ground: Open, here: Motion, u_x: float, u_y: float
+    ugv: DriverParameters, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
 ) -> bool:
     """Looks at the tiles of some points of the way only."""
-    there, end = _after(bounds, here, u_x, u_y)
+    there, end = _after(ugv, here, *u)
     for (x_0, y_0), (x_1, y_1) in (((here.p_x, here.p_y), there), (there, end)):
-        n = 1 + int(2.0 * math.dist((x_0, y_0), (x_1, y_1)) / bounds.tile)
+        n = 1 + int(2.0 * math.dist((x_0, y_0), (x_1, y_1)) / ugv.tile)
         for k in range(n + 1):
             x, y = x_0 + k / n * (x_1 - x_0), y_0 + k / n * (y_1 - y_0)
-            if not (0.0 <= x <= bounds.width and 0.0 <= y <= bounds.height):
+            if not (0.0 <= x <= ugv.width and 0.0 <= y <= ugv.height):
                 return False
             i, j = (
-                min(int(y / bounds.tile), t.shape[0] - 1),
-                min(int(x / bounds.tile), t.shape[1] - 1),
+                min(int(y / ugv.tile), t.shape[0] - 1),
+                min(int(x / ugv.tile), t.shape[1] - 1),
             )
             if t[i, j] in (UNSEEN, BLOCK):
                 return False
@@ -413,23 +408,23 @@ def _forgets_corners(
 
 
 def _takes_the_chord(
-    bounds: Bounds, t: TileArray, ground: Open, here: Motion, u_x: float, u_y: float
+    ugv: DriverParameters, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
 ) -> bool:
     """Takes the way within a tick to be straight."""
-    there, end = _after(bounds, here, u_x, u_y)
-    inside = all(0.0 <= x <= bounds.width and 0.0 <= y <= bounds.height for x, y in (there, end))
+    there, end = _after(ugv, here, *u)
+    inside = all(0.0 <= x <= ugv.width and 0.0 <= y <= ugv.height for x, y in (there, end))
     return (
         inside
-        and way_is_open(t, bounds.tile, ground, (here.p_x, here.p_y), there)
-        and way_is_open(t, bounds.tile, ground, there, end)
+        and way_is_open(t, ugv.tile, ground, (here.p_x, here.p_y), there)
+        and way_is_open(t, ugv.tile, ground, there, end)
     )
 
 
 def _looks_only_at_now(
-    bounds: Bounds, t: TileArray, ground: Open, here: Motion, u_x: float, u_y: float
+    ugv: DriverParameters, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
 ) -> bool:
     """Asks whether it can brake from here, not from after the command."""
-    return is_safe(bounds, t, ground, here, *brake(here.v_x, here.v_y, bounds.u_max, bounds.dt))
+    return is_safe(ugv, late, t, ground, here, *brake(here.v_x, here.v_y, ugv.u_max, ugv.dt))
 
 
 BROKEN: dict[str, Check] = {
@@ -527,7 +522,7 @@ def speed() -> Iterator[str]:
         for _ in range(30):
             began = time.perf_counter()
             begin_search(memory, 0)
-            search_on(Prices(2.5, 1.5, 0.5), 0.5, memory, -1, side * side)
+            search_on(2.5, 0.5, memory, -1, side * side)
             took.append(time.perf_counter() - began)
         yield f"plan over {side} x {side} tiles: {1e3 * np.median(took[1:]):.2f} ms"
     for most in (400 * 400, PLAN_TILES):

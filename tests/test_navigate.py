@@ -14,7 +14,6 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from agents.drivers.cautious import (
-    Bounds,
     Open,
     braking_way,
     is_safe,
@@ -27,7 +26,6 @@ from agents.drivers.compiled import driver_parameters
 from agents.drivers.navigate import navigate_control, state_ahead
 from agents.drivers.parameters import DriverParameters
 from agents.drivers.planning import (
-    Prices,
     begin_search,
     has_way,
     next_tile,
@@ -40,7 +38,7 @@ from bus.messages import Area, Limits, UgvGround
 from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, TOUCH, UNSEEN
 from sim.models.vehicles import Motion, brake, norm, step_vehicle
 
-PRICES = Prices(rough=2.5, unseen=1.5, beside=0.5)
+ROUGH_PRICE = 2.5
 _STEPS = [step for step in itertools.product((-1, 0, 1), repeat=2) if step != (0, 0)]
 
 
@@ -61,7 +59,7 @@ def _random_map(rng: np.random.Generator, rows: int, columns: int) -> Any:
 def _plan(memory: Any, tile: float, goal: int, until: int = -1, most: int = 1 << 40) -> float:
     """Plan in steps of so many tiles; up to which cost all is settled."""
     begin_search(memory, goal)
-    while not search_on(PRICES, tile, memory, until, most):
+    while not search_on(ROUGH_PRICE, tile, memory, until, most):
         assert memory.flags[0]["searching"]
     take_plan(memory)
     return float(memory.flags[0]["settled"])
@@ -119,7 +117,7 @@ def test_a_search_settles_no_more_tiles_in_a_tick_than_it_may() -> None:
     memory = _random_map(np.random.default_rng(2), 30, 40)
     begin_search(memory, 615)
     for tick in range(1, 20):
-        assert not search_on(PRICES, 0.5, memory, -1, 17)
+        assert not search_on(ROUGH_PRICE, 0.5, memory, -1, 17)
         assert (memory.place == -2).sum() == 17 * tick
 
 
@@ -157,7 +155,7 @@ def test_each_ground_has_its_price() -> None:
     memory = ground_memory(1, 7)
     memory.tiles[0] = [CLEAR, UNSEEN, ROUGH, FOUND, CLEAR, CLEAR, BLOCK]
     _plan(memory, 1.0, 0)
-    prices = [price_of(PRICES, int(byte)) for byte in memory.way]
+    prices = [price_of(ROUGH_PRICE, int(byte)) for byte in memory.way]
     assert prices == [1.0, 1.5, 2.5, 1.0, 1.0, 1.5, math.inf]
     assert _costs(memory).tolist() == [0.0, 1.25, 3.25, 5.0, 6.0, 7.25, math.inf]
 
@@ -268,27 +266,27 @@ def test_the_braking_way_is_what_braking_takes() -> None:
 # the filter
 
 
-def _bounds(**numbers: float) -> Bounds:
-    given = {"width": 8.0, "height": 8.0, "tile": 1.0, "v_max": 2.0, "u_max": 1.0, "dt": 0.1}
-    return Bounds(**given, slow=0.4, late=0)._replace(**numbers)  # type: ignore[arg-type]
+def _on_tiles(**numbers: float) -> DriverParameters:
+    p = _parameters(width=8.0, height=8.0, tile=1.0, v_max=2.0, u_max=1.0, dt=0.1, share=0.2)
+    return p._replace(**numbers)  # type: ignore[arg-type]
 
 
 def test_the_fastest_safe_speed_is_the_one_from_which_it_just_stops() -> None:
     tiles = np.full((8, 8), CLEAR, np.uint8)
     tiles[:, 5:] = UNSEEN
-    bounds, here = _bounds(), Motion(2.5, 2.5, 1.0, 0.0)
+    p, here = _on_tiles(v_max=3.0), Motion(2.5, 2.5, 1.0, 0.0)
     room = 5.0 - here.p_x
     fastest = 0.0
     for speed in np.linspace(0.0, 3.0, 3001):
         at = here._replace(p_x=5.0 - room, v_x=float(speed))
-        if is_safe(bounds._replace(v_max=3.0), tiles, open_to(0), at, 0.0, 0.0):
+        if is_safe(p, False, tiles, open_to(0), at, 0.0, 0.0):
             fastest = float(speed)
     assert fastest * 0.1 + braking_way(fastest, 1.0, 0.1) == pytest.approx(room, abs=3e-3)
 
 
 def test_braking_is_safe_after_each_safe_command_even_where_the_ground_slows() -> None:
     rng = np.random.default_rng(8)
-    bounds, used = _bounds(u_max=4.0), 0
+    p, used = _on_tiles(u_max=4.0), 0
     for _ in range(4000):
         tiles = rng.choice(
             np.array([CLEAR, ROUGH, UNSEEN], np.uint8), size=(8, 8), p=[0.7, 0.2, 0.1]
@@ -297,13 +295,13 @@ def test_braking_is_safe_after_each_safe_command_even_where_the_ground_slows() -
         v_x, v_y = speed * math.cos(angle), speed * math.sin(angle)
         here = Motion(*rng.uniform(0.5, 7.5, 2), v_x, v_y)
         u_x, u_y = rng.uniform(-4.0, 4.0, 2)
-        if not is_safe(bounds, tiles, open_to(0), here, u_x, u_y):
+        if not is_safe(p, False, tiles, open_to(0), here, u_x, u_y):
             continue
         used += 1
         slowed = rng.uniform(0.05, 2.0)
         then = Motion(*step_vehicle(*here, u_x, u_y, slowed, 4.0, 0.1)[:4])
         stop = brake(then.v_x, then.v_y, 4.0, 0.1)
-        assert is_safe(bounds, tiles, open_to(0), then, *stop)
+        assert is_safe(p, False, tiles, open_to(0), then, *stop)
     assert used > 300
 
 
@@ -311,10 +309,10 @@ def test_late_commands_keep_it_slow_before_rough_ground() -> None:
     tiles = np.full((8, 8), CLEAR, np.uint8)
     tiles[:, 4] = ROUGH
     fast, near = Motion(2.0, 2.5, 1.0, 0.0), Motion(3.8, 2.5, 1.0, 0.0)
-    for here, late, safe in ((fast, 1, True), (near, 0, True), (near, 1, False)):
-        assert is_safe(_bounds(late=late), tiles, open_to(0), here, 0.0, 0.0) == safe
+    for here, late, safe in ((fast, True, True), (near, False, True), (near, True, False)):
+        assert is_safe(_on_tiles(), late, tiles, open_to(0), here, 0.0, 0.0) == safe
     slow = near._replace(v_x=0.4)
-    assert is_safe(_bounds(late=1), tiles, open_to(0), slow, 0.0, 0.0)
+    assert is_safe(_on_tiles(), True, tiles, open_to(0), slow, 0.0, 0.0)
 
 
 def test_it_leaves_a_blocked_tile_that_it_stands_in_but_enters_none() -> None:
@@ -323,9 +321,9 @@ def test_it_leaves_a_blocked_tile_that_it_stands_in_but_enters_none() -> None:
     here = Motion(2.5, 2.5, 0.0, 0.0)
     ground = open_from(tiles, 1.0, 0, here.p_x, here.p_y)
     assert ground == Open(0, 1, 1, 1, 2, 3, 3)
-    fast = _bounds(v_max=20.0, u_max=50.0)
-    assert is_safe(fast, tiles, ground, here, 0.0, 50.0)
-    assert not is_safe(fast, tiles, ground, here._replace(v_x=4.9), 50.0, 0.0)
+    fast = _on_tiles(v_max=20.0, u_max=50.0)
+    assert is_safe(fast, False, tiles, ground, here, 0.0, 50.0)
+    assert not is_safe(fast, False, tiles, ground, here._replace(v_x=4.9), 50.0, 0.0)
     assert open_from(tiles, 1.0, 1, 0.5, 0.5) == open_to(1)
 
 

@@ -8,6 +8,7 @@ m/s².
 import math
 from typing import NamedTuple
 
+from agents.drivers.parameters import DriverParameters
 from agents.drivers.planning import is_beside_block
 from sim.kernels.compile import borrowing, compiled
 from sim.models.ground import (
@@ -21,24 +22,6 @@ from sim.models.ground import (
     tile_index,
 )
 from sim.models.vehicles import Motion, norm, step_vehicle
-
-
-class Bounds(NamedTuple):
-    """Of a UGV that drives on tiles."""
-
-    width: float
-    height: float
-    """Of the area [m]."""
-    tile: float
-    """Side of a tile [m]."""
-    v_max: float
-    u_max: float
-    dt: float
-    """[m/s], [m/s²], [s]."""
-    slow: float
-    """No rough ground makes it slower than this [m/s]; asked for only where commands act late."""
-    late: int
-    """1 if commands act late: where they will must be foreseen on rough ground, too."""
 
 
 class Open(NamedTuple):
@@ -180,36 +163,42 @@ def _stays_open(
 
 @borrowing
 def is_safe(
-    bounds: Bounds, tiles: TileArray, ground: Open, here: Motion, u_x: float, u_y: float
+    parameters: DriverParameters,
+    late: bool,
+    tiles: TileArray,
+    ground: Open,
+    here: Motion,
+    u_x: float,
+    u_y: float,
 ) -> bool:
     """True if a command keeps the UGV on open tiles in its tick, and the UGV can still brake to rest on such after it.
 
     Args:
-        bounds: Of the UGV.
-        tiles: What it knows.
+        parameters: Of the driver.
+        late: Whether commands act late: where they will must be foreseen on rough ground, too.
+        tiles: What the UGV knows.
         ground: Which tiles are open.
         here: Where it is when the command acts.
         u_x, u_y: The command.
     """
-    tile = bounds.tile
+    tile, v_max, u_max, dt = parameters.tile, parameters.v_max, parameters.u_max, parameters.dt
     a = here.p_x, here.p_y
-    x, y, w_x, w_y, _, _ = step_vehicle(
-        a[0], a[1], here.v_x, here.v_y, u_x, u_y, bounds.v_max, bounds.u_max, bounds.dt
-    )
-    turn = a[0] + 0.5 * here.v_x * bounds.dt, a[1] + 0.5 * here.v_y * bounds.dt
+    x, y, w_x, w_y, _, _ = step_vehicle(a[0], a[1], here.v_x, here.v_y, u_x, u_y, v_max, u_max, dt)
+    turn = a[0] + 0.5 * here.v_x * dt, a[1] + 0.5 * here.v_y * dt
     speed = norm(w_x, w_y)
     e_x, e_y = (w_x / speed, w_y / speed) if speed > 0.0 else (0.0, 0.0)
-    way = braking_way(speed, bounds.u_max, bounds.dt)
+    way = braking_way(speed, u_max, dt)
     end = x + e_x * way, y + e_y * way
-    if not (0.0 <= x <= bounds.width and 0.0 <= y <= bounds.height):
+    if not (0.0 <= x <= parameters.width and 0.0 <= y <= parameters.height):
         return False
-    if not (0.0 <= end[0] <= bounds.width and 0.0 <= end[1] <= bounds.height):
+    if not (0.0 <= end[0] <= parameters.width and 0.0 <= end[1] <= parameters.height):
         return False
     if not _stays_open(tiles, tile, ground, a, turn, (x, y), end):
         return False
-    if bounds.late == 0 or speed <= bounds.slow:
+    slow = parameters.share * v_max  # no rough ground makes it slower
+    if not late or speed <= slow:
         return True
-    way = slowing_way(speed, bounds.slow, bounds.u_max, bounds.dt)
+    way = slowing_way(speed, slow, u_max, dt)
     there = x + e_x * way, y + e_y * way
     even = Open(ground.unseen, 0, 1, ground.row, ground.column, ground.end_row, ground.end_column)
     return _stays_open(tiles, tile, even, a, turn, (x, y), there)

@@ -37,8 +37,6 @@ _PLAN_PERIOD = 0.2
 """The driver that navigates keeps a plan for so long at least [s]."""
 PLAN_TILES = 8192
 """So many tiles it settles a tick at most when it plans: as long as that takes, no tick takes much longer."""
-_UNSEEN_PRICE, _BESIDE_PRICE = 1.5, 0.5
-"""A metre on ground that nobody has seen costs so much, and one beside a blocked tile so much more."""
 
 
 def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
@@ -76,9 +74,6 @@ def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
         tile=0.0 if ground is None else ground.tile,
         bold=int(ground is not None and ground.caution == BOLD),
         share=1.0 if ground is None else ground.share,
-        rough_price=1.0 if ground is None else 1.0 / ground.share,  # so much longer it takes there
-        unseen_price=_UNSEEN_PRICE,
-        beside_price=_BESIDE_PRICE,
         plan_ticks=max(1, round(_PLAN_PERIOD / wheel.dt)),
         plan_tiles=PLAN_TILES,
     )

@@ -9,7 +9,6 @@ braking.
 import math
 
 from agents.drivers.cautious import (
-    Bounds,
     Open,
     is_safe,
     nearest_open,
@@ -19,7 +18,8 @@ from agents.drivers.cautious import (
 )
 from agents.drivers.parameters import DriverParameters
 from agents.drivers.planning import (
-    Prices,
+    BESIDE_PRICE,
+    UNSEEN_PRICE,
     begin_search,
     has_way,
     is_settled,
@@ -114,9 +114,10 @@ def note_sent(memory: GroundMemory, tick: int, u_x: float, u_y: float) -> None:
     memory.flags[0].called = tick
 
 
-@compiled
-def _prices(parameters: DriverParameters) -> Prices:
-    return Prices(parameters.rough_price, parameters.unseen_price, parameters.beside_price)
+@borrowing
+def _rough_price(parameters: DriverParameters) -> float:
+    """Cost of a metre on rough ground: so much longer it takes there."""
+    return 1.0 / parameters.share
 
 
 @borrowing
@@ -128,9 +129,9 @@ def _way_costs_at_most(
     price: float,
 ) -> bool:
     """True if the straight way touches neither a blocked tile nor ground that costs more a metre."""
-    unseen = 1 if parameters.unseen_price <= price else 0
-    rough = 1 if parameters.rough_price <= price else 0
-    beside = 1 if 1.0 + parameters.beside_price <= price else 0
+    unseen = 1 if price >= UNSEEN_PRICE else 0
+    rough = 1 if price >= _rough_price(parameters) else 0
+    beside = 1 if price >= 1.0 + BESIDE_PRICE else 0
     return way_is_open(memory.tiles, parameters.tile, Open(unseen, rough, beside, 0, 0, 0, 0), a, b)
 
 
@@ -164,13 +165,13 @@ def look_ahead(
         + parameters.v_max * parameters.dt
         + 4.0 * parameters.tile
     )
-    prices, way = _prices(parameters), memory.way
-    highest = price_of(prices, way[n])
+    rough, way = _rough_price(parameters), memory.way
+    highest = price_of(rough, way[n])
     for step in range(_STEPS):
         m = next_tile(way, columns, n)
         if m == n:
             break
-        n, highest = m, max(highest, price_of(prices, way[m]))
+        n, highest = m, max(highest, price_of(rough, way[m]))
         to_x, to_y = _centre(n, columns, parameters.tile)
         if n == goal:
             to_x, to_y = goal_x, goal_y
@@ -212,21 +213,6 @@ def _rough_speed(
 
 
 @borrowing
-def _bounds(parameters: DriverParameters, memory: GroundMemory) -> Bounds:
-    late = 1 if memory.commands.shape[0] > 0 else 0
-    return Bounds(
-        parameters.width,
-        parameters.height,
-        parameters.tile,
-        parameters.v_max,
-        parameters.u_max,
-        parameters.dt,
-        parameters.share * parameters.v_max,
-        late,
-    )
-
-
-@borrowing
 def drive_towards(
     parameters: DriverParameters,
     memory: GroundMemory,
@@ -242,12 +228,12 @@ def drive_towards(
         here: Where it is when the command acts.
         to_x, to_y: The point [m].
     """
-    bounds = _bounds(parameters, memory)
+    late = memory.commands.shape[0] > 0
     ground = open_from(memory.tiles, parameters.tile, parameters.bold, here.p_x, here.p_y)
     speed = _rough_speed(parameters, memory, here, to_x, to_y)
     d_x, d_y = to_x - here.p_x, to_y - here.p_y
     u_x, u_y = goal_control(here, to_x, to_y, speed, parameters.u_max, parameters.dt)
-    if is_safe(bounds, memory.tiles, ground, here, u_x, u_y):
+    if is_safe(parameters, late, memory.tiles, ground, here, u_x, u_y):
         return u_x, u_y
     a = here.p_x, here.p_y
     free = open_way(memory.tiles, parameters.tile, ground, a, (to_x, to_y))
@@ -256,7 +242,7 @@ def drive_towards(
             for share in _SHARES:
                 on_x, on_y = here.p_x + share * free * d_x, here.p_y + share * free * d_y
                 u_x, u_y = goal_control(here, on_x, on_y, limit, parameters.u_max, parameters.dt)
-                if is_safe(bounds, memory.tiles, ground, here, u_x, u_y):
+                if is_safe(parameters, late, memory.tiles, ground, here, u_x, u_y):
                     return u_x, u_y
     return brake(here.v_x, here.v_y, parameters.u_max, parameters.dt)
 
@@ -280,7 +266,7 @@ def _plan_if_due(
         else:
             begin_search(memory, target)
         flags.planned, flags.stale = tick, 0
-    if search_on(_prices(parameters), parameters.tile, memory, own, parameters.plan_tiles):
+    if search_on(_rough_price(parameters), parameters.tile, memory, own, parameters.plan_tiles):
         take_plan(memory)
 
 

@@ -45,10 +45,6 @@ class DriverParameters(NamedTuple):
     """1: it trusts its bumper on ground that nobody has seen; 0: it is cautious."""
     share: float
     """Of its largest speed that it has at least on rough ground."""
-    rough_price: float
-    unseen_price: float
-    beside_price: float
-    """Cost of a metre, see `agents.drivers.planning.Prices`."""
     plan_ticks: int
     """Between two plans pass at least so many ticks, if the goal is the same and the UGV has not left the old one."""
     plan_tiles: int

@@ -8,7 +8,6 @@ whatever is told meanwhile. The plan before is followed until it ends. The limit
 """
 
 import math
-from typing import NamedTuple
 
 from agents.drivers.tile_map import GroundMemory, PlaceArray
 from sim.kernels.compile import FloatArray, borrowing, compiled
@@ -24,16 +23,10 @@ _HERE = 5
 _BLOCKED_GOAL = 5
 """The state of a goal in a blocked tile."""
 
-
-class Prices(NamedTuple):
-    """Cost of a metre, where one on clear ground costs 1."""
-
-    rough: float
-    """On rough ground."""
-    unseen: float
-    """On ground that nobody has seen: the way is believed to go on there."""
-    beside: float
-    """Beside a blocked tile, in addition."""
+UNSEEN_PRICE = 1.5
+"""Cost of a metre on ground that nobody has seen, where the way is believed to go on; one on clear ground costs 1."""
+BESIDE_PRICE = 0.5
+"""Of one beside a blocked tile, in addition."""
 
 
 @compiled
@@ -48,22 +41,22 @@ def is_beside_block(tiles: TileArray, i: int, j: int) -> bool:
 
 
 @compiled
-def price_of(prices: Prices, byte: int) -> float:
+def price_of(rough: float, byte: int) -> float:
     """Cost of a metre in a tile that a search has touched; infinite where it is blocked.
 
     Args:
-        prices: What a state costs.
+        rough: Cost of one on rough ground.
         byte: Of the tile in a plan.
     """
     state, cost = byte & _STATE, 1.0
     if state == BLOCK:
         return math.inf
     if state == ROUGH:
-        cost = prices.rough
+        cost = rough
     elif state == UNSEEN:
-        cost = prices.unseen
+        cost = UNSEEN_PRICE
     if byte & _BESIDE:
-        cost += prices.beside
+        cost += BESIDE_PRICE
     return cost
 
 
@@ -137,11 +130,11 @@ def begin_search(memory: GroundMemory, goal: int) -> None:
 
 
 @borrowing
-def _reach_out(prices: Prices, tile: float, memory: GroundMemory, count: int, n: int) -> int:
+def _reach_out(rough: float, tile: float, memory: GroundMemory, count: int, n: int) -> int:
     """The ways to the neighbours of a tile that has been settled; how many tiles are in the heap then."""
     draft, cost, heap, place = memory.draft, memory.cost, memory.heap, memory.place
     rows, columns = memory.tiles.shape
-    i, j, price = n // columns, n % columns, price_of(prices, draft[n])
+    i, j, price = n // columns, n % columns, price_of(rough, draft[n])
     for row_step in range(-1 if i > 0 else 0, 2 if i + 1 < rows else 1):
         for column_step in range(-1 if j > 0 else 0, 2 if j + 1 < columns else 1):
             m = n + row_step * columns + column_step
@@ -158,7 +151,7 @@ def _reach_out(prices: Prices, tile: float, memory: GroundMemory, count: int, n:
             fresh = place[m] == _UNTOUCHED
             if fresh:
                 _touch(draft, rows, columns, m)
-            new = cost[n] + 0.5 * (price + price_of(prices, draft[m])) * length
+            new = cost[n] + 0.5 * (price + price_of(rough, draft[m])) * length
             back = (_HERE - 3 * row_step - column_step) * _STEP
             if fresh or new < cost[m]:
                 cost[m] = new
@@ -173,11 +166,11 @@ def _reach_out(prices: Prices, tile: float, memory: GroundMemory, count: int, n:
 
 
 @borrowing
-def search_on(prices: Prices, tile: float, memory: GroundMemory, until: int, most: int) -> bool:
+def search_on(rough: float, tile: float, memory: GroundMemory, until: int, most: int) -> bool:
     """Go on with the search that has begun, until the cost of the cheapest way from one tile to the goal is known.
 
     Args:
-        prices: What ground costs.
+        rough: Cost of a metre on rough ground.
         tile: Side of a tile [m].
         memory: Is changed: `flags.settled`, too, where the search ends.
         until: Where the search may end; -1: nowhere.
@@ -200,7 +193,7 @@ def search_on(prices: Prices, tile: float, memory: GroundMemory, until: int, mos
             if count > 0:
                 heap[0] = heap[count]
                 _sink(memory.cost, heap, place, count)
-            count = _reach_out(prices, tile, memory, count, n)
+            count = _reach_out(rough, tile, memory, count, n)
     flags.open, flags.searching = count, 0
     flags.settled = memory.cost[heap[0]] if count > 0 else math.inf
     return True
