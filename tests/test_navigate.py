@@ -202,9 +202,7 @@ def test_the_bumper_outweighs_the_radio_and_the_radios_block_its_clear() -> None
 
 
 def test_a_map_of_negative_size_is_refused() -> None:
-    with pytest.raises(
-        ValueError, match=r"^rows, columns and delay must not be negative, not 3, -1"
-    ):
+    with pytest.raises(ValueError, match="negative"):
         ground_memory(3, -1)
 
 

@@ -22,25 +22,25 @@ PlaceArray = npt.NDArray[np.int32]
 class GroundFlags(NamedTuple):
     """The whole numbers of a memory, and how far its plan goes: a row of an array of one."""
 
-    goal: int
+    goal: int = 0
     """Number of the goal that it drives to."""
-    planned: int
+    planned: int = _NEVER
     """In which tick its last search began; -1: none has yet."""
-    target: int
+    target: int = _NEVER
     """The tile of the goal that the plan which it follows leads to, row by row; -1: it has none yet."""
-    stale: int
+    stale: int = 1
     """1 if tiles have changed since the last search began."""
-    searching: int
+    searching: int = 0
     """1 if that has not ended yet."""
-    aim: int
+    aim: int = _NEVER
     """The tile of the goal that it searches for a way to, or has last."""
-    open: int
+    open: int = 0
     """Number of tiles in its heap."""
-    plans: int
+    plans: int = 0
     """Number of searches that have ended."""
-    called: int
+    called: int = _NEVER
     """The tick of its last command; -1: it has sent none."""
-    settled: float
+    settled: float = np.inf
     """Costs up to this one are final, when the search has ended; infinite: all are."""
 
 
@@ -79,23 +79,7 @@ def ground_memory(rows: int, columns: int, delay: int = 0) -> GroundMemory:
         rows, columns: Of the tiles; (0, 0) for a driver that knows no ground.
         delay: So many ticks after it was sent a command acts.
     """
-    if min(rows, columns, delay) < 0:
-        raise ValueError(
-            f"rows, columns and delay must not be negative, not {rows}, {columns} and {delay}"
-        )
     size = rows * columns
-    flags = GroundFlags(
-        goal=0,
-        planned=_NEVER,
-        target=_NEVER,
-        stale=1,
-        searching=0,
-        aim=_NEVER,
-        open=0,
-        plans=0,
-        called=_NEVER,
-        settled=np.inf,
-    )
     return GroundMemory(
         tiles=np.full((rows, columns), UNSEEN, dtype=np.uint8),
         sure=np.zeros((rows, columns), dtype=np.uint8),
@@ -105,7 +89,7 @@ def ground_memory(rows: int, columns: int, delay: int = 0) -> GroundMemory:
         heap=np.zeros(size, dtype=np.int32),
         place=np.full(size, _NEVER, dtype=np.int32),
         commands=np.zeros((delay, 2)),
-        flags=records(GroundFlags, [flags]),
+        flags=records(GroundFlags, [GroundFlags()]),
     )
 
 
