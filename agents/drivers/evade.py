@@ -22,7 +22,7 @@ from agents.drivers.wander import wander_control
 from bus.ticks import NO_TICK, first_tick_from, ticks_within
 from sim.kernels.compile import FloatArray, borrowing, compiled
 from sim.kernels.records import RecordArray
-from sim.models.randomness import WANDER, Key, uniform
+from sim.models.randomness import WANDER, uniform
 from sim.models.vehicles import Motion, norm
 
 _SMOOTHING = 1.0  # time constant of the UAV's estimated velocity [s]: a difference of two estimates is mostly noise
@@ -73,10 +73,11 @@ def receive_radio(
         m.uav_x, m.uav_y, m.at, m.received = x, y, at, tick
 
 
-@compiled
-def slot_draw(time: float, lead: float, index: int, key: Key) -> float:
-    """A number in [0, 1) for the slot of this time [s]; a slot is five leads [s] long."""
-    return uniform(key, WANDER, int(time / (_SLOT * lead)), index)
+@borrowing
+def slot_draw(parameters: DriverParameters, tick: int, index: int) -> float:
+    """A number in [0, 1) for the slot of this tick; a slot is five leads long."""
+    slot = int(tick * parameters.dt / (_SLOT * parameters.lead))
+    return uniform((parameters.key_0, parameters.key_1), WANDER, slot, index)
 
 
 @borrowing
@@ -84,29 +85,27 @@ def away(
     parameters: DriverParameters, memory: RecordArray, tick: int, here: Motion
 ) -> tuple[float, float]:
     """Away from where the UAV will be after the lead if it flies on as it does; a unit vector."""
-    time = tick * parameters.dt
-    lead = parameters.lead
-    key = (parameters.key_0, parameters.key_1)
     m = memory[0]
-    gap = time + lead - m.at * parameters.dt
+    gap = tick * parameters.dt + parameters.lead - m.at * parameters.dt
     x = here.p_x - (m.uav_x + gap * m.uav_v_x)
     y = here.p_y - (m.uav_y + gap * m.uav_v_y)
     length = norm(x, y)
     if length > 0.0:
         return x / length, y / length
-    angle = math.tau * slot_draw(time, lead, _SPOT, key)  # right below it: any direction is as good
+    # right below it: any direction is as good
+    angle = math.tau * slot_draw(parameters, tick, _SPOT)
     return math.cos(angle), math.sin(angle)
 
 
-@compiled
-def turned(x: float, y: float, time: float, lead: float, key: Key) -> tuple[float, float]:
-    """The direction (x, y), turned off sharply for one lead [s] of each slot."""
-    period = _SLOT * lead
-    begin = (_SLOT - 1.0) * lead * slot_draw(time, lead, _BEGIN, key)
-    if not begin <= time % period < begin + lead:
+@borrowing
+def turned(parameters: DriverParameters, x: float, y: float, tick: int) -> tuple[float, float]:
+    """The direction (x, y), turned off sharply for one lead of each slot."""
+    lead = parameters.lead
+    begin = (_SLOT - 1.0) * lead * slot_draw(parameters, tick, _BEGIN)
+    if not begin <= tick * parameters.dt % (_SLOT * lead) < begin + lead:
         return x, y
-    angle = math.radians(60.0 + 60.0 * slot_draw(time, lead, _ANGLE, key))
-    if slot_draw(time, lead, _SIDE, key) < 0.5:
+    angle = math.radians(60.0 + 60.0 * slot_draw(parameters, tick, _ANGLE))
+    if slot_draw(parameters, tick, _SIDE) < 0.5:
         angle = -angle
     cos, sin = math.cos(angle), math.sin(angle)
     return x * cos - y * sin, x * sin + y * cos
@@ -132,8 +131,7 @@ def leave_wall(
         out_x, out_y: The sides it is near to, of `border_side`.
         tick: Now.
     """
-    time, lead, key = tick * parameters.dt, parameters.lead, (parameters.key_0, parameters.key_1)
-    side = 1.0 if slot_draw(time, lead, _WALL, key) < 0.5 else -1.0
+    side = 1.0 if slot_draw(parameters, tick, _WALL) < 0.5 else -1.0
     if out_x == 0.0 or out_y == 0.0:
         x, y = side * out_y, side * out_x
     elif side > 0.0:
@@ -156,9 +154,8 @@ def off_walls(
         here: Where the UGV is.
     """
     v_x, v_y = here.v_x, here.v_y
-    halting = (
-        0.5 * norm(v_x, v_y) / parameters.u_max + 2.0 * parameters.dt
-    )  # way to a stop over speed [s]
+    # way to a stop over speed [s]
+    halting = 0.5 * norm(v_x, v_y) / parameters.u_max + 2.0 * parameters.dt
     stop_x = abs(v_x) * halting > (parameters.width - here.p_x if v_x > 0.0 else here.p_x)
     stop_y = abs(v_y) * halting > (parameters.height - here.p_y if v_y > 0.0 else here.p_y)
     if stop_x or stop_y:
@@ -214,7 +211,7 @@ def evade_control(
     if not is_known(parameters, memory, tick):
         return wander_control(parameters, memory, tick, here)
     x, y = away(parameters, memory, tick, here)
-    x, y = turned(x, y, tick * parameters.dt, parameters.lead, (parameters.key_0, parameters.key_1))
+    x, y = turned(parameters, x, y, tick)
     return flee(parameters, memory, x, y, tick, here)
 
 
