@@ -145,23 +145,6 @@ def slowing_way(speed: float, slow: float, u_max: float, dt: float) -> float:
 
 
 @borrowing
-def _stays_open(
-    tiles: TileArray,
-    tile: float,
-    ground: Open,
-    a: tuple[float, float],
-    turn: tuple[float, float],
-    b: tuple[float, float],
-    end: tuple[float, float],
-) -> bool:
-    """True if a tick from a to b, within the triangle with `turn`, and the way on to the end lie on open tiles."""
-    return bool(
-        triangle_is_open(tiles, tile, ground, a, turn, b)
-        and way_is_open(tiles, tile, ground, b, end)
-    )
-
-
-@borrowing
 def is_safe(
     parameters: DriverParameters,
     late: bool,
@@ -193,7 +176,10 @@ def is_safe(
         return False
     if not (0.0 <= end[0] <= parameters.width and 0.0 <= end[1] <= parameters.height):
         return False
-    if not _stays_open(tiles, tile, ground, a, turn, (x, y), end):
+    # the tick itself lies within the triangle
+    if not triangle_is_open(tiles, tile, ground, a, turn, (x, y)):
+        return False
+    if not way_is_open(tiles, tile, ground, (x, y), end):
         return False
     slow = parameters.share * v_max  # no rough ground makes it slower
     if not late or speed <= slow:
@@ -201,7 +187,9 @@ def is_safe(
     way = slowing_way(speed, slow, u_max, dt)
     there = x + e_x * way, y + e_y * way
     even = Open(ground.unseen, 0, 1, ground.row, ground.column, ground.end_row, ground.end_column)
-    return _stays_open(tiles, tile, even, a, turn, (x, y), there)
+    if not triangle_is_open(tiles, tile, even, a, turn, (x, y)):
+        return False
+    return way_is_open(tiles, tile, even, (x, y), there)
 
 
 @borrowing

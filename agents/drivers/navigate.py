@@ -35,7 +35,7 @@ from sim.models.ground import BLOCK, tile_index
 from sim.models.vehicles import (
     Motion,
     brake,
-    goal_reached,
+    next_goal,
     norm,
     speed_to_stop_within,
     step_vehicle,
@@ -294,10 +294,8 @@ def navigate_control(
     now, here = here, state_ahead(parameters, memory, tick, here)
     u_x, u_y = brake(here.v_x, here.v_y, parameters.u_max, parameters.dt)
     if count > 0 and memory.tiles.size > 0:
-        while flags.goal < count - 1 and goal_reached(
-            now.p_x, now.p_y, goals[flags.goal, 0], goals[flags.goal, 1], parameters.tolerance
-        ):
-            flags.goal += 1
+        reached, _ = next_goal(goals, flags.goal, parameters.tolerance, now.p_x, now.p_y)
+        flags.goal = min(reached, count - 1)
         goal_x, goal_y = goals[flags.goal, 0], goals[flags.goal, 1]
         own = _tile_of(parameters, memory, here.p_x, here.p_y)
         columns = memory.tiles.shape[1]

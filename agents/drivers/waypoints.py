@@ -3,7 +3,7 @@
 from agents.drivers.parameters import DriverParameters
 from sim.kernels.compile import FloatArray, borrowing, compiled
 from sim.kernels.records import RecordArray
-from sim.models.vehicles import Motion, clip_norm, goal_reached, norm, speed_to_stop_within
+from sim.models.vehicles import Motion, clip_norm, next_goal, norm, speed_to_stop_within
 
 
 @compiled
@@ -44,17 +44,9 @@ def waypoint_control(
         memory: `DriverMemory`, changed in place. Shape (1,).
         here: Where the UGV is.
     """
-    count = len(goals)
-    if count == 0:
-        return goal_control(
-            here, here.p_x, here.p_y, parameters.v_max, parameters.u_max, parameters.dt
-        )
-    index = memory[0].goal
-    while index < count - 1 and goal_reached(
-        here.p_x, here.p_y, goals[index, 0], goals[index, 1], parameters.tolerance
-    ):
-        index += 1
-    memory[0].goal = index
-    return goal_control(
-        here, goals[index, 0], goals[index, 1], parameters.v_max, parameters.u_max, parameters.dt
-    )
+    goal_x, goal_y, own = here.p_x, here.p_y, memory[0]
+    if len(goals) > 0:
+        reached, _ = next_goal(goals, own.goal, parameters.tolerance, here.p_x, here.p_y)
+        own.goal = min(reached, len(goals) - 1)
+        goal_x, goal_y = goals[own.goal, 0], goals[own.goal, 1]
+    return goal_control(here, goal_x, goal_y, parameters.v_max, parameters.u_max, parameters.dt)
