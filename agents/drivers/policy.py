@@ -170,15 +170,12 @@ class PolicyDriver:
         self._briefing = briefing
         self._steering = Steering(briefing)
         self._sees_rows = isinstance(policy, RowPolicy)
-        self._policy = self._predictor(policy, name) if isinstance(policy, RowPolicy) else policy
-        self._name = name
-        self._warm = self._slow = self._long = False
-
-    def _predictor(self, policy: RowPolicy, name: str) -> _Predictor:
         try:
-            return _Predictor(policy, self._briefing)
+            self._policy = _Predictor(policy, briefing) if isinstance(policy, RowPolicy) else policy
         except ScenarioError as error:
             raise ScenarioError(f"policy = {name!r}: {error}") from error
+        self._name = name
+        self._warm = self._slow = self._long = False
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """The acceleration [m/s²] for this observation.
