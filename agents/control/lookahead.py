@@ -8,18 +8,16 @@ Positions in the world's frame [m], velocities [m/s], times [s] but for ticks.
 """
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from agents.control.laws import LawParameters
 from sim.kernels.compile import FloatArray, IntArray, borrowing, compiled
 from sim.kernels.records import RecordArray, record_type
 from sim.models.field import density, sensor_quality
 from sim.models.randomness import LOOKAHEAD_MOTION, draw, to_uniform
 from sim.models.vehicles import Motion, clip_norm, norm, stopping_distance
-
-if TYPE_CHECKING:
-    from agents.control.laws import LawParameters
 
 PERIOD = 0.5
 """Time between two decisions [s]."""
@@ -220,7 +218,7 @@ def add_lack(
 
 @compiled
 def look_ahead(
-    law: "LawParameters",
+    law: LawParameters,
     coverage: FloatArray,
     tick: int,
     target: Target,
@@ -283,7 +281,7 @@ def fly_step(
 
 
 @borrowing
-def strayed(law: "LawParameters", here: Motion, g_x: float, g_y: float) -> float:
+def strayed(law: LawParameters, here: Motion, g_x: float, g_y: float) -> float:
     """Distance of a state beyond what the safety filter lets through, and beyond the border's safety distance [m].
 
     The filter must be able to stop before the UGV, whatever it does, is out of sight: as in (18), with the UAV's own
@@ -299,7 +297,7 @@ def strayed(law: "LawParameters", here: Motion, g_x: float, g_y: float) -> float
 
 @borrowing
 def worth(
-    law: "LawParameters",
+    law: LawParameters,
     ahead: Ahead,
     here: Motion,
     motion: FloatArray,
@@ -359,7 +357,7 @@ def worth(
 
 @borrowing
 def aim(
-    law: "LawParameters",
+    law: LawParameters,
     ahead: Ahead,
     here: Motion,
     motion: FloatArray,
@@ -393,7 +391,7 @@ def aim(
 
 @borrowing
 def draw_motion(
-    law: "LawParameters",
+    law: LawParameters,
     ahead: Ahead,
     here: Motion,
     motion: FloatArray,
@@ -465,7 +463,7 @@ def recall(memory: LookaheadMemory, now: int, motion: FloatArray) -> None:
 
 @compiled
 def decide(
-    law: "LawParameters",
+    law: LawParameters,
     coverage: FloatArray,
     memory: LookaheadMemory,
     tick: int,
@@ -501,7 +499,7 @@ def decide(
 
 @compiled
 def lookahead_control(
-    law: "LawParameters",
+    law: LawParameters,
     coverage: FloatArray,
     memory: LookaheadMemory,
     tick: int,
