@@ -819,9 +819,3 @@ class Status(Message, frozen=True, kw_only=True):
 Observation = UavObservation | UgvObservation
 Command = UavCommand | UgvCommand
 Briefing = UavBriefing | UgvBriefing
-
-
-def as_plain(message: Message) -> dict[str, Any]:
-    """The message as plain dictionaries and lists, for summaries and JSON files."""
-    plain: dict[str, Any] = msgspec.to_builtins(message)
-    return plain
