@@ -86,11 +86,6 @@ class CredentialSet(
             self, parties=tuple(msgspec.structs.replace(party, tls=None) for party in self.parties)
         )
 
-    @property
-    def with_ros2(self) -> bool:
-        """True if ROS 2 takes part in the run: without it the router knows no key of ROS 2."""
-        return any(party.role in ROS2_ROLES for party in self.parties)
-
     def of(self, name: str) -> Credential:
         """One party's.
 
@@ -328,6 +323,8 @@ def grants(party: Party, run: str, *, ros2: bool = False) -> tuple[Grant, ...]:
 def access_control(given: CredentialSet) -> dict[str, Any]:
     """Zenoh's `access_control` for a run: nothing is allowed but each party's grants."""
     by = "usernames" if given.tls is None else "cert_common_names"
+    # Where ROS 2 takes no part in the run, the router knows no key of ROS 2.
+    ros2 = any(credential.role in ROS2_ROLES for credential in given.parties)
     rules: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []
     for credential in given.parties:
@@ -339,9 +336,7 @@ def access_control(given: CredentialSet) -> dict[str, Any]:
                 "permission": grant.permission,
                 "key_exprs": list(grant.keys),
             }
-            for number, grant in enumerate(
-                grants(credential.party, given.run, ros2=given.with_ros2)
-            )
+            for number, grant in enumerate(grants(credential.party, given.run, ros2=ros2))
         ]
         rules += own
         policies.append({"rules": [rule["id"] for rule in own], "subjects": [credential.name]})

@@ -13,18 +13,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from types import MappingProxyType
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
-
-class _Named(Protocol):
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def code(self) -> int | None: ...
-
-
-_Row = TypeVar("_Row", bound=_Named)
+_Row = TypeVar("_Row", bound="LawRow | DriverRow | SensorRow | HazardKindRow | SavedPolicyRow")
 
 
 def _table(*rows: _Row) -> Mapping[str, _Row]:
