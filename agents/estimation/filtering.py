@@ -257,6 +257,11 @@ def kalman_go_on(parameters: KalmanParameters, state: KalmanState) -> int:
 
 
 @borrowing
+def _set_covariance(belief: Belief, pp: float, pv: float, vp: float, vv: float) -> None:
+    belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv = pp, pv, vp, vv
+
+
+@borrowing
 def _predict(parameters: KalmanParameters, belief: Belief, step: Step) -> None:
     """Take on what is predicted, with the standard deviations of an axis in bounds.
 
@@ -266,12 +271,7 @@ def _predict(parameters: KalmanParameters, belief: Belief, step: Step) -> None:
     belief.x += step.ticks * parameters.dt * belief.v_x
     belief.y += step.ticks * parameters.dt * belief.v_y
     most = math.sqrt(belief.p_pp) + parameters.speed * step.ticks * parameters.dt
-    belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv = (
-        step.prior_pp,
-        step.prior_pv,
-        step.prior_vp,
-        step.prior_vv,
-    )
+    _set_covariance(belief, step.prior_pp, step.prior_pv, step.prior_vp, step.prior_vv)
     if not parameters.speed < math.inf:
         return
     elapsed = (belief.age + step.ticks) * parameters.dt
@@ -282,12 +282,8 @@ def _predict(parameters: KalmanParameters, belief: Belief, step: Step) -> None:
     if least <= position <= most and not velocity > parameters.speed:
         return
     p, v = min(max(least, position), most) / position, min(1.0, parameters.speed / velocity)
-    belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv = (
-        belief.p_pp * (p * p),
-        belief.p_pv * (p * v),
-        belief.p_vp * (v * p),
-        belief.p_vv * (v * v),
-    )
+    pp, pv, vp, vv = belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv
+    _set_covariance(belief, pp * (p * p), pv * (p * v), vp * (v * p), vv * (v * v))
     step.weighed = False  # it was for another covariance
 
 
@@ -327,12 +323,7 @@ def _start(parameters: KalmanParameters, belief: Belief, step: Step, x: float, y
     """Know nothing but one detection at (x, y) [m]."""
     belief.known = True
     belief.x, belief.y, belief.v_x, belief.v_y = x, y, 0.0, 0.0
-    belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv = (
-        parameters.variance,
-        0.0,
-        0.0,
-        parameters.first_variance,
-    )
+    _set_covariance(belief, parameters.variance, 0.0, 0.0, parameters.first_variance)
     belief.age = belief.in_a_row = 0
     step.predicted = step.weighed = False
 
@@ -347,11 +338,6 @@ def _correct(
     belief.v_x, belief.v_y = clip_norm(
         x=belief.v_x + step.k_v * nu_x, y=belief.v_y + step.k_v * nu_y, limit=parameters.speed
     )
-    belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv = (
-        step.post_pp,
-        step.post_pv,
-        step.post_vp,
-        step.post_vv,
-    )
+    _set_covariance(belief, step.post_pp, step.post_pv, step.post_vp, step.post_vv)
     belief.age = belief.in_a_row = 0
     step.predicted = step.weighed = False
