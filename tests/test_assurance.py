@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +10,16 @@ import msgspec
 import numpy as np
 import pytest
 import typer
-from flights import R_V, escort
+from flights import R_V, Piloted, altered, escort
 from typer.testing import CliRunner
 
+from agents.process import Pilot
 from agents.uav import UavPilot
-from bus.messages import Command, Law, UavCommand, UavReport
+from bus.messages import Law, UavCommand, UavObservation, UavReport
 from outrider.cli import replay
 from outrider.cli.console import OUT, print_summary
 from outrider.experiments.sweep.columns import row_of
-from outrider.running.flying import InProcess, make_pilots
+from outrider.running.flying import make_pilots
 from outrider.running.summary import Summary, summarize
 from sim.engine.briefing import briefing
 from sim.engine.certificate_counts import NEVER, ArrivalRecord
@@ -57,16 +59,19 @@ def said(certified: bool | None, *, distance: float = 1.0, reason: str = "") -> 
     )
 
 
-def taken(*claims: bool | None, at: float = 1.0, scenario: Scenario = DELAYED) -> Assurance:
+def taken(*claims: bool | None, at: float = 1.0) -> Assurance:
     """Ticks with these claims, in which all that is declared holds; None: no report comes."""
-    assurance = Assurance(scenario)
+    assurance = Assurance(DELAYED)
     for tick, certified in enumerate(claims):
         take(assurance, tick, certified, distance=at)
     return assurance
 
 
 def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) -> None:
-    """A tick with this claim, unless nothing `answers`; a report that is not `current` is of the tick before."""
+    """A tick with this claim, unless nothing `answers`; a report that is not `current` is of the tick before.
+
+    Before it the UAV is `off` the place that it is told by this far [m], or its filter begins anew: `excused`.
+    """
     truth = {
         "distance": 1.0,
         "arrivals": [(tick, 0.3)],
@@ -74,7 +79,13 @@ def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) 
         "flown": NO_MOTION,
         "current": True,
         "answers": True,
+        "off": 0.0,
+        "excused": False,
     } | given
+    if truth["off"]:
+        assurance.track(0, truth["off"])
+    if truth["excused"]:
+        assurance.excuse(0)
     report = None if certified is None else said(certified, reason="" if certified else "because")
     answered = tick if truth["current"] else tick - 1
     arrivals, flown = np.zeros(1, record_type(ArrivalRecord)), no_motions(2)
@@ -105,87 +116,77 @@ def test_a_certificate_that_ends_while_all_assumptions_hold_is_counted_once() ->
 
 
 AT = 6
-"""The tick at which the certificate ends; the one before was certified."""
-EXCUSES: dict[str, dict[int, dict[str, Any]]] = {
-    "the command that acted just before was another": {AT - 1: {"acts": (0.0, 0.0)}},
-    "the command of the tick before acted": {AT - 1: {"acts": command(AT - 4)}},
-    "no detection for longer than declared": {tick: {"arrivals": []} for tick in range(AT + 1)},
-    "a detection arrives that is older than declared": {
-        tick: {"arrivals": [(tick - 11, 0.0)]} for tick in range(AT + 1)
-    },
-    "a larger error than declared": {AT: {"arrivals": [(AT, 0.31)]}},
-    "a larger error than declared long before": {0: {"arrivals": [(0, 0.31)]}},
-    "the report is of an earlier tick": {AT: {"current": False}},
-    "the report before was of an earlier tick": {AT - 1: {"current": False}},
+"""The tick at which a certificate ends, unless a case says another; the one before was certified."""
+Truths = dict[int, dict[str, Any]]
+
+
+def every(until: int = AT, **truth: Any) -> Truths:
+    return dict.fromkeys(range(until + 1), truth)
+
+
+EXCUSES: dict[str, tuple[Truths, dict[str, Any]]] = {
+    "the command that acted just before was another": ({AT - 1: {"acts": (0.0, 0.0)}}, {}),
+    "the command of the tick before acted": ({AT - 1: {"acts": command(AT - 4)}}, {}),
+    "no detection for longer than declared": (every(arrivals=[]), {}),
+    "a detection arrives that is older than declared": (
+        {tick: {"arrivals": [(tick - 11, 0.0)]} for tick in range(AT + 1)},
+        {},
+    ),
+    "a larger error than declared": ({AT: {"arrivals": [(AT, 0.31)]}}, {}),
+    "a larger error than declared long before": ({0: {"arrivals": [(0, 0.31)]}}, {}),
+    "the report is of an earlier tick": ({AT: {"current": False}}, {}),
+    "the report before was of an earlier tick": ({AT - 1: {"current": False}}, {}),
+    "it does not answer at the tick of the only detection that is new enough": (
+        every(12, arrivals=[]) | {0: {}, 3: {"arrivals": [(3, 0.0)], "answers": False}},
+        {"ends": 12},
+    ),
+    "there was no detection, however old one may be": (every(arrivals=[]), {"age": 1e12}),
+    "it was once farther than declared from its place": ({1: {"off": 0.21}}, {"tracking": 0.2}),
+    "its law changes or its process joins again": ({AT: {"excused": True}}, {}),
 }
-NO_EXCUSES: dict[str, dict[int, dict[str, Any]]] = {
-    "nothing": {},
-    "an age of exactly what is declared": {tick: {"arrivals": []} for tick in range(1, AT + 1)}
-    | {0: {"arrivals": [(-4, 0.0)]}},
-    "an error of exactly what is declared": {AT: {"arrivals": [(AT, 0.3)]}},
-    "an old detection that comes after newer ones": {
-        AT: {"arrivals": [(AT - 10, 0.0), (AT - 30, 0.0)]}
-    },
-    "another command acts in the tick itself": {AT: {"acts": (0.0, 0.0)}},
-    "a command was late long before": {1: {"acts": (5.0, 5.0)}},
+NO_EXCUSES: dict[str, tuple[Truths, dict[str, Any]]] = {
+    "nothing": ({}, {}),
+    "an age of exactly what is declared": (
+        every(arrivals=[]) | {0: {"arrivals": [(-4, 0.0)]}},
+        {},
+    ),
+    "an error of exactly what is declared": ({AT: {"arrivals": [(AT, 0.3)]}}, {}),
+    "an old detection that comes after newer ones": (
+        {AT: {"arrivals": [(AT - 10, 0.0), (AT - 30, 0.0)]}},
+        {},
+    ),
+    "another command acts in the tick itself": ({AT: {"acts": (0.0, 0.0)}}, {}),
+    "a command was late long before": ({1: {"acts": (5.0, 5.0)}}, {}),
+    "a detection that was new enough, and that it has seen": (
+        every(12, arrivals=[]) | {0: {}, 3: {"arrivals": [(3, 0.0)]}},
+        {"ends": 12},
+    ),
+    "one detection long ago, where any age is declared": (
+        every(arrivals=[]) | {0: {"arrivals": [(0, 0.0)]}},
+        {"age": 1e12},
+    ),
+    "it was as far as declared from its place": ({1: {"off": 0.2}}, {"tracking": 0.2}),
+    "its law changed the tick before": ({AT: {"excused": True}}, {"ends": AT + 1}),
+    "no command has acted yet": ({}, {"ends": 1}),
 }
 
 
-@pytest.mark.parametrize("excused", [True, False])
-def test_a_certificate_may_end_where_an_assumption_fails_and_only_there(excused: bool) -> None:
-    for what, given in (EXCUSES if excused else NO_EXCUSES).items():
-        assurance = Assurance(DELAYED)
-        for tick in range(AT + 1):
-            take(assurance, tick, tick < AT, **given.get(tick, {}))
-        assert assurance.certificate_broken == (0 if excused else 1), what
-
-
-@pytest.mark.parametrize(("answers", "broken"), [(True, 1), (False, 0)])
-def test_a_vehicle_that_does_not_answer_has_seen_nothing_of_its_tick(answers, broken) -> None:
-    """The detection of tick 3 is the only one that would be new enough at tick 12."""
-    assurance = Assurance(DELAYED)
-    for tick in range(13):
-        arrivals = [(tick, 0.0)] if tick in (0, 3) else []
-        claim = {"arrivals": arrivals, "answers": answers or tick != 3}
-        take(assurance, tick, tick < 12, **claim)
+@pytest.mark.parametrize(
+    ("broken", "truths", "told"),
+    [
+        pytest.param(broken, *case, id=name)
+        for broken, cases in ((0, EXCUSES), (1, NO_EXCUSES))
+        for name, case in cases.items()
+    ],
+)
+def test_a_certificate_may_end_where_an_assumption_fails_and_only_there(broken, truths, told):
+    ends = told.get("ends", AT)
+    declared = {name: value for name, value in told.items() if name != "ends"}
+    certificate = msgspec.structs.replace(DELAYED.certificate, **declared)
+    assurance = Assurance(msgspec.structs.replace(DELAYED, certificate=certificate))
+    for tick in range(ends + 1):
+        take(assurance, tick, tick < ends, **truths.get(tick, {}))
     assert assurance.certificate_broken == broken
-
-
-def test_however_old_detections_may_be_there_must_have_been_one() -> None:
-    certificate = msgspec.structs.replace(DELAYED.certificate, age=1e12)
-    for first, broken in (([(0, 0.0)], 1), ([], 0)):
-        assurance = Assurance(msgspec.structs.replace(DELAYED, certificate=certificate))
-        for tick in range(AT + 1):
-            take(assurance, tick, tick < AT, arrivals=[] if tick else first)
-        assert assurance.certificate_broken == broken
-
-
-def test_before_the_first_command_acts_nothing_excuses_a_certificate_that_ends() -> None:
-    assurance = Assurance(DELAYED)
-    for tick in (0, 1):
-        take(assurance, tick, tick == 0)
-    assert assurance.certificate_broken == 1
-
-
-def test_who_was_farther_than_declared_from_where_it_is_told_that_it_is_is_excused_for_good():
-    certificate = msgspec.structs.replace(DELAYED.certificate, tracking=0.2)
-    for off, broken in ((0.2, 1), (0.21, 0)):
-        assurance = Assurance(msgspec.structs.replace(DELAYED, certificate=certificate))
-        for tick in range(AT + 1):
-            if tick == 1:
-                assurance.track(0, off)
-            take(assurance, tick, tick < AT)
-        assert assurance.certificate_broken == broken
-
-
-def test_a_law_that_changes_and_a_process_that_joins_again_excuse_one_tick() -> None:
-    for until, broken in ((AT, 0), (AT + 1, 1)):
-        assurance = Assurance(DELAYED)
-        for tick in range(until + 1):
-            if tick == AT:
-                assurance.excuse(0)
-            take(assurance, tick, tick < until)
-        assert assurance.certificate_broken == broken
 
 
 def test_a_filter_that_begins_in_flight_answers_for_no_detection_of_before() -> None:
@@ -208,15 +209,10 @@ def test_an_outage_that_follows_at_once_excuses_a_certificate_that_ends(flown_on
     assert assurance.certificate_broken == broken
 
 
-class Liar(InProcess):
+def lying(pilots: Mapping[str, Pilot]) -> Piloted:
     """The pilots, but the UAV always says that it is certified."""
-
-    def collect(self, tick: int) -> dict[str, Command]:
-        commands = super().collect(tick)
-        command = commands["uav_0"]
-        assert isinstance(command, UavCommand)
-        report = said(True, distance=0.5) if tick != 7 else None
-        return commands | {"uav_0": msgspec.structs.replace(command, report=report)}
+    lie = said(True, distance=0.5)
+    return altered(pilots, "uav_0", lambda seen: {"report": lie if seen.tick != 7 else None})
 
 
 LOSING = escort(
@@ -238,7 +234,7 @@ def lied(tmp_path_factory: pytest.TempPathFactory) -> tuple[Flight, Summary, Pat
     from observed import recorded
 
     path = tmp_path_factory.mktemp("lied") / "run.mcap"
-    flight = recorded(path, LOSING, 3, exchange=Liar(make_pilots(LOSING, 3)))
+    flight = recorded(path, LOSING, 3, exchange=lying(make_pilots(LOSING, 3)))
     return flight, summarize(flight, seconds=1.0), path
 
 
@@ -264,7 +260,7 @@ def test_a_filter_around_a_control_of_ones_own_is_held_against_the_truth_whateve
         pilots["uav_0"] = UavPilot(
             briefing(flown, "uav_0", 3), inner=lambda observation: (-0.3, 0.0)
         )
-        flight.fly(Liar(pilots))
+        flight.fly(lying(pilots))
         told = flight.answers.assurance
         counts.append((told.certified, told.certified_while_lost))
     assert counts[0] == counts[1]
@@ -353,15 +349,13 @@ def test_the_table_has_a_line_for_each_fault_of_the_certificate_and_none_without
     assert "wrong" not in captured.get()
 
 
-class LosesTheThread(InProcess):
-    """The pilots, but once the UAV says without a reason that it is not certified."""
+def losing_the_thread(scenario: Scenario) -> Piloted:
+    """The pilots, but now and then the UAV says without a reason that it is not certified."""
 
-    def collect(self, tick: int) -> dict[str, Command]:
-        commands = super().collect(tick)
-        command = commands["uav_0"]
-        assert isinstance(command, UavCommand)
-        report = said(tick % 50 != 49, reason="no reason at all")
-        return commands | {"uav_0": msgspec.structs.replace(command, report=report)}
+    def says(seen: UavObservation) -> dict[str, Any]:
+        return {"report": said(seen.tick % 50 != 49, reason="no reason at all")}
+
+    return altered(make_pilots(scenario, 7), "uav_0", says)
 
 
 @pytest.mark.parametrize(
@@ -388,7 +382,7 @@ def test_a_flight_s_certificate_is_broken_only_where_the_truth_keeps_what_is_dec
     }
     scenario = load_scenario("escort", overrides=given | changes)
     flight = Flight(scenario, 7)
-    flight.fly(LosesTheThread(make_pilots(scenario, 7)))
+    flight.fly(losing_the_thread(scenario))
     assert flight.answers.assurance.certificate_broken == broken
     assert flight.answers.assurance.reasons["no reason at all"] == 4
 
@@ -401,12 +395,11 @@ def test_a_law_that_is_ordered_in_flight_excuses_the_tick_at_which_it_begins() -
     def broken(at: int | None) -> int:
         flight = Flight(scenario, 7)
 
-        class Ordering(LosesTheThread):
-            def begin(self, tick: int) -> None:
-                if tick == at:
-                    flight.order(Law(name="certified", weight_gain=10.0))
+        def order() -> None:
+            if flight.world.tick == at:
+                flight.order(Law(name="certified", weight_gain=10.0))
 
-        flight.fly(Ordering(make_pilots(scenario, 7)))
+        flight.fly(losing_the_thread(scenario), on_tick=order)
         return flight.answers.assurance.certificate_broken
 
     assert (broken(None), broken(49), broken(48), broken(50)) == (4, 3, 4, 4)
