@@ -20,11 +20,14 @@ from agents.drivers.compiled import (
     NavigateDriver,
     driver_memory,
     driver_parameters,
+    told_route,
 )
 from agents.drivers.evade import away, flee, receive_radio
+from agents.drivers.parameters import COMPILED_DRIVERS, WAYPOINTS
 from agents.drivers.policy import PolicyDriver
 from agents.drivers.teleop import TeleopDriver
 from agents.ugv import Driver, UgvPilot
+from bus.errors import ScenarioError
 from bus.messages import (
     Area,
     Drive,
@@ -33,8 +36,10 @@ from bus.messages import (
     ScriptStep,
     UgvBriefing,
     UgvCommand,
+    UgvGround,
     UgvObservation,
 )
+from bus.registry import DRIVERS as REGISTERED
 from bus.ticks import tick_of
 from outrider.running.flying import InProcess, make_pilots
 from sim.engine.briefing import briefing
@@ -202,6 +207,63 @@ def test_a_driver_that_is_told_its_past_again_gives_the_same_bits(name, received
         elsewhere = _observe(observation.tick, (1.0, 19.0, -0.3, 0.3), {})
         other.drive(elsewhere)  # another vehicle of the same process
         assert again.drive(observation) == (row[4], row[5])
+
+
+# what they are told
+
+
+@pytest.mark.parametrize(
+    ("v_max", "u_max"), [(0.2, 0.02), (V_G, U_G), (math.inf, math.inf)], ids=str
+)
+def test_the_wanderers_goals_keep_its_margin(v_max: float, u_max: float) -> None:
+    driver = wander(_told(v_max=v_max, u_max=u_max))
+    speed, margin = driver.parameters.speed, driver.parameters.margin
+    assert margin == pytest.approx(speed**2 / min(u_max, 1e6) + 2.0 * speed * DT, rel=1e-12)
+    assert driver.goal is None
+    driver.drive(_observe(0, (*MIDDLE, 0.0, 0.0), {}))
+    assert min(*driver.goal, 20.0 - driver.goal[0], 20.0 - driver.goal[1]) >= margin
+
+
+def test_every_driver_of_ours_but_the_operators_has_a_compiled_form() -> None:
+    ours = {row.name for row in REGISTERED.values() if row.make and not row.operated}
+    assert COMPILED_DRIVERS.keys() == ours
+
+
+@pytest.mark.parametrize("name", ["teleop", "policy", "external", "nobody", ""])
+def test_a_driver_without_a_compiled_form_is_refused_in_one_line(name: str) -> None:
+    allowed = "waypoints, wander, script, evade, navigate"
+    told = rf"^driver = '{name}': has no compiled form; allowed: {allowed}$"
+    with pytest.raises(ScenarioError, match=told):
+        driver_parameters(_told(), name)
+
+
+def test_an_area_of_too_many_tiles_is_refused_in_one_line() -> None:
+    ground = UgvGround(tile=0.5, bumper=0.75, caution="cautious", share=0.4)
+    told = r"^ground.tile = 0.5: makes 3.6e\+07 tiles of the area; at most 1,000,000$"
+    with pytest.raises(ScenarioError, match=told):
+        NavigateDriver(told_ugv(area=Area(width=1e6, height=9.0, cell=0.5), ground=ground))
+
+
+def test_only_the_papers_driver_knows_no_bound() -> None:
+    for name, code in COMPILED_DRIVERS.items():
+        parameters = driver_parameters(_told(v_max=math.inf, u_max=math.inf), name)
+        bound = math.inf if code == WAYPOINTS else 1e6
+        assert (parameters.v_max, parameters.u_max) == (bound, bound)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [{}, {"goals": (), "script": ()}, {"goals": ((1, 2),)}],
+    ids=["some", "none", "integers"],
+)
+def test_goals_and_script_are_arrays_that_compiled_code_takes(fields: dict[str, Any]) -> None:
+    told = _told(**fields)
+    goals, script = told_route(told)
+    assert (goals.shape, script.shape) == ((len(told.goals), 2), (len(told.script), 3))
+    for array in (goals, script):
+        assert array.dtype == np.float64
+        assert array.flags.c_contiguous
+    assert [tuple(goal) for goal in goals.tolist()] == [*told.goals]
 
 
 # teleop
