@@ -362,26 +362,21 @@ def test_within_the_certified_radius_every_inner_control_acts(
     assert answer == pytest.approx((*u, c.INNER))
 
 
-def test_beyond_it_outward_flight_is_stopped_and_return_is_left_alone() -> None:
-    q = promise(age=1.0)
-    for v, acts in ((V_A, c.PLAN), (-V_A, c.INNER)):
-        here = Motion(3.36, 0.0, v, 0.0)
-        found = c.safe_control(q, seen((0.0, 0.0, 0)), c.no_plan(), 0, here, U_A, 0.0)
-        assert found[2] == acts
-
-
-def test_out_of_reach_the_filter_says_so_and_flies_back() -> None:
-    u_x, _, acts = c.safe_control(
-        promise(), seen((0.0, 0.0, 0)), c.no_plan(), 0, Motion(6.0, 0.0, 0.0, 0.0), U_A, 0.0
+@pytest.mark.parametrize(
+    ("detections", "here", "wanted", "answer"),
+    [
+        ([(0.0, 0.0, 0)], (3.36, 0.0, V_A, 0.0), (U_A, 0.0), (-U_A, 0.0, c.PLAN)),
+        ([(0.0, 0.0, 0)], (3.36, 0.0, -V_A, 0.0), (U_A, 0.0), (U_A, 0.0, c.INNER)),
+        ([(0.0, 0.0, 0)], (6.0, 0.0, 0.0, 0.0), (U_A, 0.0), (-U_A, 0.0, c.BEST_EFFORT)),
+        ([], (1.0, 1.0, 0.3, 0.0), (U_A, U_A), (-U_A, 0.0, c.BEST_EFFORT)),
+    ],
+    ids=["outward is stopped", "return is left alone", "out of reach", "no detection: it brakes"],
+)
+def test_beyond_the_certified_radius_the_filter_acts(detections, here, wanted, answer):
+    found = c.safe_control(
+        promise(age=1.0), seen(*detections), c.no_plan(), 0, Motion(*here), *wanted
     )
-    assert (u_x, acts) == (-U_A, c.BEST_EFFORT)
-
-
-def test_without_a_detection_the_uav_brakes() -> None:
-    u_x, u_y, acts = c.safe_control(
-        promise(), discs.no_detections(), c.no_plan(), 0, Motion(1.0, 1.0, 0.3, 0.0), U_A, U_A
-    )
-    assert (u_x, u_y, acts) == (-U_A, 0.0, c.BEST_EFFORT)
+    assert found == pytest.approx(answer)
 
 
 @pytest.mark.parametrize(
