@@ -2,13 +2,13 @@
 
 import os
 import struct
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import python
 from refusals import refused
 
 from bus.access import read_credential
@@ -113,14 +113,7 @@ def test_no_file_fills_the_memory_or_keeps_the_reader_waiting(tmp_path: Path) ->
         f"replay {bomb(tmp_path, name)}"
         for name in ("declared", "hidden", "belied", "filled", "small")
     ]
-    done = subprocess.run(
-        [sys.executable, "-c", _PEAK],
-        input="\n".join(lines),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
+    done = python(_PEAK, input="\n".join(lines), check=False, timeout=120)
     assert done.returncode == 0, done.stderr
     told = done.stderr.splitlines()
     assert len(told) == len(lines), done.stderr

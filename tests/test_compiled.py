@@ -5,7 +5,6 @@ import importlib
 import os
 import pkgutil
 import struct
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,6 +17,7 @@ from numba.core import inline_closurecall, types
 from numba.core.caching import NullCache
 from numba.core.codegen import CPUCodeLibrary
 from numba.core.errors import TypingError
+from processes import ran
 from seeded import a_key
 
 import agents.control
@@ -232,10 +232,8 @@ def test_a_part_is_kept_for_callers_in_other_processes(tmp_path) -> None:
 
     def call(name: str) -> list[str]:
         environment = {"PYTHONPATH": os.pathsep.join(sys.path), "OUTRIDER_CACHE": str(tmp_path)}
-        words = [sys.executable, str(tmp_path / "called.py"), name]
-        ended = subprocess.run(
-            words, env=os.environ | environment, capture_output=True, text=True, check=True
-        )
+        words = [sys.executable, tmp_path / "called.py", name]
+        ended = ran(words, env=os.environ | environment, check=True)
         assert not ended.stderr
         return ended.stdout.splitlines()
 

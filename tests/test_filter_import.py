@@ -1,11 +1,11 @@
 """The imports of a process: filterpy's filter without its rest, to the same bits; no compiler where nothing flies."""
 
-import subprocess
 import sys
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from processes import ran
 from properties import PROPERTY
 
 from agents.estimation.kalman import AxisFilter, KalmanFilter
@@ -13,9 +13,7 @@ from agents.estimation.motion_model import motion
 
 
 def _printed(code: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False
-    )
+    done = ran([sys.executable, "-W", "error", "-c", code])
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
 
