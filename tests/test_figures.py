@@ -8,10 +8,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from flights import DESIRED, DT, R_S, R_V, R
 from pages import marked
 from tabular import rows, words
 
 from bus.messages import Law
+from outrider.bench import reference
 from outrider.experiments import paper_figures
 from outrider.experiments.claims import (
     claim_anchor,
@@ -33,10 +35,11 @@ from outrider.experiments.traces import (
     velocity_errors,
 )
 from outrider.running.flying import fly
+from sim.models.field import HILL
 from sim.scenario.loading import load_scenario
 
 ROOT = Path(__file__).parents[1]
-R, R_V, R_S, DESIRED, CELL, DT = 5.0, 4.75, 4.75 - 0.8**2 / 0.6, 2.0, 0.25, 0.05
+CELL = 0.25
 WIDTHS = {1: (1400, 760), 2: (1400, 480), 3: (1400, 700), 4: (1400, 1100), 5: (1400, 1100)}
 
 
@@ -71,27 +74,19 @@ def failing(claims):
 
 
 def brute_errors(flight, ticks):
-    """(2), (3), (4) and (9) on the whole grid with NumPy, from the recorded track alone, at the first `ticks` ticks."""
-    x, y = np.meshgrid((np.arange(160) + 0.5) * CELL, (np.arange(160) + 0.5) * CELL)
+    """e(t) by the reference on the whole grid, from the recorded track alone, at the first `ticks` ticks."""
     coverage = np.zeros((160, 160))
+    x, y = reference.centres(coverage, CELL)
     for region in flight.scenario.coverage.covered:
-        inside = (
-            (x >= region.lower[0])
-            & (x <= region.upper[0])
-            & (y >= region.lower[1])
-            & (y <= region.upper[1])
-        )
-        coverage[inside] = DESIRED
+        (x_0, y_0), (x_1, y_1) = region.lower, region.upper
+        coverage[(x >= x_0) & (x <= x_1) & (y >= y_0) & (y <= y_1)] = DESIRED
     a, g = flight.world.escorts[0]
     errors = []
     for k in range(ticks):
         p_a, p_g = flight.recorder.states[k, a, :2], flight.recorder.states[k, g, :2]
         if k:
-            rho2 = (x - p_a[0]) ** 2 + (y - p_a[1]) ** 2
-            coverage += np.where(rho2 <= R**2, (rho2 - R**2) ** 2 / R**4, 0.0) * DT
-        away = np.hypot(x - p_g[0], y - p_g[1])
-        phi = np.where(away <= R_V + R, np.cos(math.pi * away / (R_V + R)) + 1.0, 0.0)
-        errors.append((np.maximum(0.0, DESIRED - coverage) ** 2 * phi).sum() * CELL**2)
+            coverage = reference.accumulate(coverage, *p_a, HILL, 1.0, R, CELL, DT)
+        errors.append(reference.coverage_error(coverage, *p_g, R_V + R, DESIRED, CELL))
     return np.array(errors)
 
 
