@@ -7,23 +7,15 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from blas import blas_fuses, fused
-from filterpy.kalman import KalmanFilter
-from filters import straying
+from filters import FREE, UGV, straying
 
 from agents.estimation.estimator import RelativeEstimator
 from agents.estimation.filtering import kalman_estimate, kalman_refused, kalman_state
-from agents.estimation.motion_model import (
-    acceleration_deviation,
-    cut_variance,
-    kalman_parameters,
-    motion,
-)
+from agents.estimation.motion_model import cut_variance, kalman_parameters
 from agents.estimation.twin import kalman_step
 from bus.messages import Detector, Estimator, Limits
 from bus.ticks import Look
 
-UGV = Limits(max_speed=0.2, max_acceleration=0.1)
-FREE = Limits(max_speed=None, max_acceleration=0.1)
 AGILE = Limits(max_speed=2.0, max_acceleration=None)
 UNKNOWN = Limits(max_speed=None, max_acceleration=None)
 
@@ -199,34 +191,6 @@ def _fly_beside(name, case, fuses):
         assert min(counts.duplicates, counts.misdated, counts.too_old) > 0
 
 
-def test_it_is_filterpys_filter_where_nothing_is_capped():
-    dt, times = 0.1, (0, 1, 2, 5, 9, 10)
-    places = ((1.0, 2.0), (1.05, 2.0), (1.12, 1.97), (1.2, 1.9), (1.5, 1.7), (1.3, 1.75))
-    looks = dict(zip(times, places, strict=True))
-    settings, detector = Estimator(gate=1e9), Detector(noise=0.1, cut=None, period=dt)
-    parameters = kalman_parameters(detector=detector, target=FREE, dt=dt, settings=settings)
-    state = kalman_state(1)
-    plain = KalmanFilter(dim_x=4, dim_z=2)
-    deviation = acceleration_deviation(target=FREE, manoeuvre=settings.manoeuvre, dt=dt)
-    one_axis = motion(ticks=1, dt=dt, deviation=deviation)
-    plain.F, plain.Q = (np.kron(matrix, np.eye(2)) for matrix in one_axis)
-    plain.H, plain.R = np.eye(2, 4), 0.01 * np.eye(2)
-    plain.x, plain.P = np.array([1.0, 2.0, 0.0, 0.0]), np.diag([0.01, 0.01, 100.0, 100.0])
-    for k in range(15):
-        seen = looks.get(k)
-        arrived = [] if seen is None else [(k, 7.0 - seen[0], -3.0 - seen[1])]
-        kalman_step(parameters, state, k, 7.0, -3.0, _table(arrived), len(arrived))
-        if k:
-            plain.predict()
-            if seen is not None:
-                plain.update(np.array(seen))
-        belief = state.belief[0]
-        np.testing.assert_allclose(_state(belief), plain.x, rtol=1e-9, atol=1e-12)
-        covariance = np.kron(_covariance(belief).reshape(2, 2), np.eye(2))
-        np.testing.assert_allclose(covariance, plain.P, rtol=1e-9, atol=1e-12)
-    assert (belief.age, kalman_refused(state)) == (4, 0)
-
-
 def test_a_ugv_that_was_not_seen_for_long_may_have_turned_round():
     parameters = kalman_parameters(
         detector=Detector(noise=0.1, period=0.05), target=UGV, dt=0.05, settings=Estimator()
@@ -265,7 +229,8 @@ def test_parameters_follow_from_detector_and_bounds():
     parameters, _, _ = _pair(CASES["in time"])
     assert parameters.variance == cut_variance(sigma=0.1, cut=3.0)
     assert (parameters.first_variance, parameters.speed) == (0.5 * 0.2**2, 0.2)
-    assert _pair(CASES["unknown speed"])[0].speed == math.inf
+    unknown, _, _ = _pair(CASES["unknown speed"])
+    assert (unknown.first_variance, unknown.speed) == (100.0, math.inf)
 
 
 @pytest.mark.parametrize("dt", [0.0, -0.1, math.inf, math.nan])
