@@ -24,6 +24,7 @@ import threading
 import types
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from importlib import import_module
 from typing import Any, NoReturn
 
@@ -175,7 +176,7 @@ class Popen(_Popen):
     def _fork(self, job: Job, files: Sequence[int]) -> int:
         if _read_while_loading(job.environment) != _ENVIRONMENT or not os.path.isdir(job.folder):
             return 0
-        return _loaded().fork(job, files)
+        return _loaded(os.getpid()).fork(job, files)
 
 
 class _Loaded(_Forks):
@@ -203,15 +204,10 @@ class _Loaded(_Forks):
         self._process.communicate()
 
 
-_ours: tuple[int, _Loaded] | None = None
-
-
-def _loaded() -> _Loaded:
+@cache
+def _loaded(_pid: int) -> _Loaded:
     """The one of this process, which is started when first wanted."""
-    global _ours  # noqa: PLW0603 - one a process
-    if _ours is None or _ours[0] != os.getpid():
-        _ours = (os.getpid(), _Loaded())
-    return _ours[1]
+    return _Loaded()
 
 
 # the other side
@@ -299,16 +295,9 @@ def _preload() -> None:
 
 
 def _open_files() -> set[int]:
-    listed = [int(name) for name in os.listdir("/proc/self/fd")]
-    return {file for file in listed if _is_open(file)}  # the one by which they were listed is not
-
-
-def _is_open(file: int) -> bool:
-    try:
-        os.fstat(file)
-    except OSError:
-        return False
-    return True
+    listed = os.listdir("/proc/self/fd")
+    # the one by which they were listed is not open any more
+    return {int(name) for name in listed if os.path.lexists(f"/proc/self/fd/{name}")}
 
 
 _kept: set[int] = set()

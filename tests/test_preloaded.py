@@ -52,7 +52,7 @@ def test_it_is_our_child_with_its_command_line_and_no_file_but_its_own() -> None
         assert int(stat_of(process.pid)[1]) == os.getpid()
         links = [os.readlink(file) for file in Path(f"/proc/{process.pid}/fd").iterdir()]
         inodes = {f"socket:[{os.fstat(end.fileno()).st_ino}]" for end in (ours, theirs)}
-        inodes.add(f"socket:[{os.fstat(preloaded._loaded()._channel.fileno()).st_ino}]")
+        inodes.add(f"socket:[{os.fstat(preloaded._loaded(os.getpid())._channel.fileno()).st_ino}]")
         assert not inodes & set(links)
         process.kill()
         assert process.wait(30.0) == -signal.SIGKILL
