@@ -3,7 +3,7 @@
 import asyncio
 import re
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -163,25 +163,34 @@ def test_every_answer_tells_the_browser_what_it_may_do() -> None:
         assert "frame-ancestors 'none'" in policy
 
 
-def test_each_wrong_token_makes_the_next_wait_longer_and_the_right_one_waits_too() -> None:
-    clock = Clock()
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
 
-    async def try_tokens() -> list[Judgement]:
-        judge = Attempts(TOKEN, clock=clock, sleep=clock.sleep)
-        return [
-            (await judge.judge("10.0.0.1", given))[0] for given in [*["wrong"] * 7, TOKEN, "wrong"]
-        ]
 
-    verdicts = asyncio.run(try_tokens())
+@pytest.fixture
+def judge(clock: Clock) -> Attempts:
+    return Attempts(TOKEN, clock=clock, sleep=clock.sleep)
+
+
+def judged(judge: Attempts, tries: Iterable[tuple[str, str]]) -> list[Judgement]:
+    """Tries to get in, an address and a token each, one after the other."""
+
+    async def make() -> list[Judgement]:
+        return [(await judge.judge(*one))[0] for one in tries]
+
+    return asyncio.run(make())
+
+
+def test_each_wrong_token_makes_the_next_wait_longer_and_the_right_one_waits_too(clock, judge):
+    tokens = [*["wrong"] * 7, TOKEN, "wrong"]
+    verdicts = judged(judge, [("10.0.0.1", token) for token in tokens])
     assert verdicts == [*[Judgement.WRONG] * 7, Judgement.RIGHT, Judgement.WRONG]
     assert clock.waits == [0.5, 1.0, 2.0, 4.0, 8.0, 10.0, 10.0]
 
 
-def test_tries_of_one_address_are_made_one_after_the_other_and_few_may_wait() -> None:
-    clock = Clock()
-
+def test_tries_of_one_address_are_made_one_after_the_other_and_few_may_wait(clock, judge) -> None:
     async def crowd() -> list[Judgement]:
-        judge = Attempts(TOKEN, clock=clock, sleep=clock.sleep)
         await judge.judge("10.0.0.1", "wrong")
         tries = [judge.judge("10.0.0.1", TOKEN if k == 90 else "wrong") for k in range(100)]
         return [verdict for verdict, _ in await asyncio.gather(*tries)]
@@ -192,32 +201,19 @@ def test_tries_of_one_address_are_made_one_after_the_other_and_few_may_wait() ->
     assert clock.most == 1
 
 
-def test_another_address_waits_for_nobody_but_one_ipv6_network_is_one_address() -> None:
-    clock = Clock()
-
-    async def try_tokens() -> None:
-        judge = Attempts(TOKEN, clock=clock, sleep=clock.sleep)
-        for address in ("10.0.0.1", "10.0.0.2", "2001:db8::1"):
-            assert (await judge.judge(address, "wrong"))[0] is Judgement.WRONG
-        assert clock.waits == []
-        await judge.judge("2001:db8::2:3", "wrong")
-        await judge.judge("10.0.0.1", "wrong")
-        await judge.judge("::ffff:10.0.0.1", "wrong")
-
-    asyncio.run(try_tokens())
-    assert clock.waits == [0.5, 1.0]
+def test_another_address_waits_for_nobody_but_one_ipv6_network_is_one_address(clock, judge):
+    for addresses, waits in (
+        (("10.0.0.1", "10.0.0.2", "2001:db8::1"), []),
+        (("2001:db8::2:3", "10.0.0.1", "::ffff:10.0.0.1"), [0.5, 1.0]),
+    ):
+        verdicts = judged(judge, [(address, "wrong") for address in addresses])
+        assert verdicts == [Judgement.WRONG] * 3
+        assert clock.waits == waits
 
 
-def test_what_is_remembered_of_addresses_is_bounded() -> None:
-    clock = Clock()
-
-    async def try_tokens() -> int:
-        judge = Attempts(TOKEN, clock=clock, sleep=clock.sleep)
-        for k in range(2000):
-            await judge.judge(f"10.0.{k // 250}.{k % 250}", "wrong")
-        return len(judge._addresses)
-
-    assert asyncio.run(try_tokens()) == attempts._ADDRESSES
+def test_what_is_remembered_of_addresses_is_bounded(judge: Attempts) -> None:
+    judged(judge, [(f"10.0.{k // 250}.{k % 250}", "wrong") for k in range(2000)])
+    assert len(judge._addresses) == attempts._ADDRESSES
 
 
 def test_a_browser_that_tries_tokens_too_fast_is_told_when_to_come_again(monkeypatch) -> None:

@@ -15,12 +15,12 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import R_S, R_V, distances
+from flights import R_S, R_V, Piloted, distances
 from processes import OUTRIDER, PIPES, opened
 from tabular import words
 
 from bus.errors import PeerLost
-from bus.messages import Command, LinkKind, UavCommand
+from bus.messages import LinkKind, UavCommand, UavObservation
 from outrider.experiments.falsify import attacks, search
 from outrider.experiments.falsify import candidate as flying
 from outrider.experiments.falsify.candidate import flown, promised
@@ -31,7 +31,7 @@ from outrider.experiments.falsify.genome import SIZES, Candidate, decode, proof_
 from outrider.experiments.falsify.limits import SearchLimits, base_of, beyond_declared, needed_age
 from outrider.experiments.falsify.pool import Workers
 from outrider.experiments.falsify.saving import as_toml
-from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.flying import fly, make_pilots
 from sim.scenario.checks import check_scenario
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
@@ -122,22 +122,19 @@ def test_a_promise_counts_from_the_first_certified_tick_and_again_some_time_afte
 
 
 def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a_gap(monkeypatch):
-    class Away(InProcess):
-        """The UAV flies off, and claims now and then, too short for a promise, that sight is kept."""
-
-        def collect(self, tick: int) -> dict[str, Command]:
-            commands = super().collect(tick)
-            said = commands["uav_0"]
-            assert isinstance(said, UavCommand)
-            assert said.report is not None
-            report = msgspec.structs.replace(said.report, certified=tick % 10 == 9, uncertified="")
-            return commands | {
-                "uav_0": msgspec.structs.replace(said, acceleration=(0.3, 0.3), report=report)
-            }
+    """The UAV flies off, and claims now and then, too short for a promise, that sight is kept."""
 
     def fly_off(scenario, seed, *, on_tick):
-        flight = Flight(scenario, seed)
-        flight.fly(Away(make_pilots(scenario, seed)), on_tick=lambda: on_tick(flight))
+        flight, pilots = Flight(scenario, seed), make_pilots(scenario, seed)
+
+        def act(seen: UavObservation) -> UavCommand:
+            said = pilots["uav_0"].act(seen)
+            report = msgspec.structs.replace(
+                said.report, certified=seen.tick % 10 == 9, uncertified=""
+            )
+            return msgspec.structs.replace(said, acceleration=(0.3, 0.3), report=report)
+
+        flight.fly(Piloted(pilots, "uav_0", act), on_tick=lambda: on_tick(flight))
         return flight, None
 
     monkeypatch.setattr(flying, "fly", fly_off)

@@ -12,14 +12,14 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from flights import record, sha256
+from flights import Piloted, record, sha256
 from pythonfmu3 import FmuBuilder
 from refusals import refused
 
 from agents.uav import UavPilot
 from bus.errors import ScenarioError
 from bus.keys import Role
-from bus.messages import Command, Drive, Observation, UavCommand, UavObservation
+from bus.messages import Drive, UavCommand, UavObservation
 from outrider.bridges.fmi.driver import FmuPolicy
 from outrider.bridges.fmi.export import export_vehicle, export_world
 from outrider.bridges.fmi.vehicle_unit import VehicleUnit
@@ -91,6 +91,10 @@ def _path_as_before() -> Iterator[None]:
 pytestmark = pytest.mark.usefixtures("_path_as_before")
 
 
+def every_input(unit: VehicleUnit, value: float) -> dict[str, float]:
+    return dict.fromkeys((one.name for one in unit.inputs), value)
+
+
 def states_of(told: Mapping[str, FloatArray], names: tuple[str, ...]) -> FloatArray:
     """The states that the trajectory's hash is made of, from what the world's unit told; (ticks, vehicles, 6)."""
     here = [[f"{n}.{of}.{axis}" for of in ("position", "velocity") for axis in "xy"] for n in names]
@@ -154,37 +158,32 @@ def test_the_pilots_unit_answers_what_the_runs_pilot_answers() -> None:
     told = briefing(flown, "uav_0", 5)
     unit = VehicleUnit(told)
     certified, radioed = 0, 0
+    pilots = make_pilots(flown, 5)
 
-    class Beside(InProcess):
-        def collect(self, tick: int) -> dict[str, Command]:
-            nonlocal certified, radioed
-            seen: Observation = self._observations["uav_0"]
-            commands = super().collect(tick)
-            command = commands["uav_0"]
-            assert isinstance(seen, UavObservation)
-            assert isinstance(command, UavCommand)
-            (look,) = seen.detections or (None,)
-            values = dict.fromkeys((one.name for one in unit.inputs), 0.0)
-            values |= zip(("position.x", "position.y"), seen.position, strict=True)
-            values |= zip(("velocity.x", "velocity.y"), seen.velocity, strict=True)
-            if look is not None:
-                values |= {"detection.new": True, "detection.time": look.time}
-                values |= zip(("detection.x", "detection.y"), look.relative_position, strict=True)
-            got = unit.step(tick * DT, DT, values)
-            assert (got["acceleration.x"], got["acceleration.y"]) == command.acceleration
-            report = command.report
-            assert got["estimate.valid"] == (report is not None)
-            if report is not None and report.certified_distance is not None:
-                assert got["certified"] == report.certified
-                assert got["margin"] == flown.visibility.radius - report.certified_distance
-                assert (got["estimate.x"], got["estimate.y"]) == report.estimate
-                certified += got["certified"]
-            assert got["radio.new"] == bool(command.radio)
-            radioed += bool(command.radio)
-            return commands
+    def both(seen: UavObservation) -> UavCommand:
+        nonlocal certified, radioed
+        command = pilots["uav_0"].act(seen)
+        (look,) = seen.detections or (None,)
+        values = every_input(unit, 0.0)
+        values |= zip(("position.x", "position.y"), seen.position, strict=True)
+        values |= zip(("velocity.x", "velocity.y"), seen.velocity, strict=True)
+        if look is not None:
+            values |= {"detection.new": True, "detection.time": look.time}
+            values |= zip(("detection.x", "detection.y"), look.relative_position, strict=True)
+        got = unit.step(seen.tick * DT, DT, values)
+        assert (got["acceleration.x"], got["acceleration.y"]) == command.acceleration
+        report = command.report
+        assert got["estimate.valid"] == (report is not None)
+        if report is not None and report.certified_distance is not None:
+            assert got["certified"] == report.certified
+            assert got["margin"] == flown.visibility.radius - report.certified_distance
+            assert (got["estimate.x"], got["estimate.y"]) == report.estimate
+            certified += got["certified"]
+        assert got["radio.new"] == bool(command.radio)
+        radioed += bool(command.radio)
+        return command
 
-    flight = Flight(flown, 5)
-    flight.fly(Beside(make_pilots(flown, 5)))
+    Flight(flown, 5).fly(Piloted(pilots, "uav_0", both))
     assert certified > 100
     assert radioed > 10
 
@@ -333,7 +332,7 @@ def test_no_unit_steps_beyond_its_flight_or_takes_a_number_that_is_none() -> Non
     with pytest.raises(ValueError, match=r"the flight is over at 0\.1 s"):
         unit.step(0.1, DT, {})
     driver = VehicleUnit(briefing(load_scenario("escort"), "ugv_0", 0))
-    values = dict.fromkeys((one.name for one in driver.inputs), 0.0)
+    values = every_input(driver, 0.0)
     for bad in (math.nan, math.inf, -1e7):
         with pytest.raises(ValueError, match=r"velocity\.x = .*; allowed: numbers up to 1e\+06"):
             driver.step(0.0, DT, values | {"velocity.x": bad})
@@ -369,6 +368,6 @@ def test_the_law_of_a_pilots_unit_is_the_scenarios() -> None:
     unit = VehicleUnit(told)
     assert isinstance(unit._pilot, UavPilot)
     assert unit._pilot.filter is None
-    values = dict.fromkeys((one.name for one in unit.inputs), 1.0)
+    values = every_input(unit, 1.0)
     got = unit.step(0.0, DT, values | {"detection.time": 0.0})
     assert (got["certified"], got["margin"]) == (False, -math.inf)
