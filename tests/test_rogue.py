@@ -7,13 +7,12 @@ the noise? Who has the seed has p_delta without noise, and the other pilot's key
 import functools
 import math
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from hashlib import blake2b
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from blake2b import LANES, ROOM, begun, derive, key_of_lane
 
 from bus.layout import UavRow
 from bus.messages import Observation, UavObservation
@@ -22,7 +21,7 @@ from outrider.running.flying import InProcess, make_pilots
 from sim.engine.briefing import uav_briefing
 from sim.engine.run_keys import derive_key
 from sim.env.parallel import parallel_env
-from sim.kernels.compile import FloatArray, IntArray, released
+from sim.kernels.compile import FloatArray, IntArray, compiled
 from sim.models.randomness import (
     DETECTION_CHANCE,
     DETECTION_NOISE,
@@ -48,6 +47,10 @@ ROW = 0
 """Of uav_0 among the vehicles."""
 WAYS = KEY, FLAGS, LOOKS = range(3)
 """The evidence of a search: the briefing's key, which looks succeeded, what they said."""
+PURPOSE = (PILOT, DETECTION_CHANCE, DETECTION_NOISE)
+"""Of the keys that are tried, for each of them."""
+SOME = 2**16
+"""Seeds whose keys are held at once."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,11 +70,23 @@ class Told:
     """The farthest that p_delta may go in a tick [m]."""
 
 
-@released
+def _keys(seeds: range, purpose: int, vehicle: int, secret: str) -> WordArray:
+    """Keys of the runs of these seeds, as `sim.engine.run_keys` derives them. Shape (seeds, 2)."""
+    told = np.zeros(len(seeds), dtype=[("seed", "<u8"), ("purpose", "<u4"), ("vehicle", "<u4")])
+    told["seed"], told["purpose"], told["vehicle"] = seeds, purpose, vehicle
+    begun = blake2b(digest_size=16, key=bytes.fromhex(secret), person=b"outrider")
+    digests = []
+    for message in told.view("V16").tolist():
+        digest = begun.copy()
+        digest.update(message)
+        digests.append(digest.digest())
+    return np.frombuffer(b"".join(digests), dtype="<u8").astype(np.uint64).reshape(-1, 2)
+
+
+@compiled
 def _try_seeds(
     way: int,
-    state: WordArray,
-    count: int,
+    keys: WordArray,
     key: Key,
     ticks: IntArray,
     found: npt.NDArray[np.bool_],
@@ -79,22 +94,11 @@ def _try_seeds(
     sigma: float,
     cut: float,
     fastest: float,
-    w: WordArray,
-    hits: IntArray,
-    begin: int,
-    end: int,
+    hits: npt.NDArray[np.bool_],
 ) -> None:
-    """Write the seeds from `begin` on that may be the run's, as far as one way tells, into `hits`.
-
-    The last row counts them.
-    """
-    hits[-1] = 0
-    purpose = (PILOT, DETECTION_CHANCE, DETECTION_NOISE)[way]
-    for seed in range(begin, end):
-        lane = (seed - begin) % LANES
-        if lane == 0:
-            derive(state, count, seed, purpose, ROW, w)
-        tried = key_of_lane(w, lane)
+    """Write into `hits` which of the keys may be the run's, as far as one way tells. Shape (keys,)."""
+    for k in range(keys.shape[0]):
+        tried = keys[k, 0], keys[k, 1]
         if way == KEY:
             fits = tried[0] == key[0] and tried[1] == key[1]
         elif way == FLAGS:
@@ -120,30 +124,24 @@ def _try_seeds(
                     fits = False
                     break
                 last, x, y = ticks[n], p_x, p_y
-        if fits and hits[-1] < hits.shape[0] - 1:
-            hits[hits[-1]] = seed
-            hits[-1] += 1
+        hits[k] = fits
 
 
 def _search(told: Told, way: int, secret: str, first: int, seeds: int) -> list[int]:
-    """The seeds that may be the run's, on two cores."""
-    state, count = begun(secret)
+    """The seeds that may be the run's."""
     ticks, found = told.ticks, told.found
     if way == FLAGS:  # looks that failed among the first: most seeds are out after a few draws
         both = zip(ticks[~found].tolist(), ticks[found].tolist(), strict=False)
         ticks = np.array([tick for pair in both for tick in pair])
         found = np.arange(len(ticks)) % 2 == 1
-
-    def part(begin: int, end: int) -> list[int]:
-        hits = np.zeros(1000, dtype=np.int64)
-        looks = (told.key, ticks, found, told.said, told.sigma, told.cut, told.fastest)
-        _try_seeds(way, state, count, *looks, np.zeros(ROOM, dtype=np.uint64), hits, begin, end)
-        return hits[: hits[-1]].tolist()
-
-    with ThreadPoolExecutor(2) as pool:
-        middle = first + seeds // 2
-        halves = pool.map(part, (first, middle), (middle, first + seeds))
-        return [seed for half in halves for seed in half]
+    looks = (told.key, ticks, found, told.said, told.sigma, told.cut, told.fastest)
+    fitting: list[int] = []
+    for begin in range(first, first + seeds, SOME):
+        some = range(begin, min(begin + SOME, first + seeds))
+        hits = np.zeros(len(some), dtype=np.bool_)
+        _try_seeds(way, _keys(some, PURPOSE[way], ROW, secret), *looks, hits)
+        fitting += [some[k] for k in np.flatnonzero(hits).tolist()]
+    return fitting
 
 
 class _Bugged(InProcess):
@@ -222,11 +220,9 @@ def _without_noise(told: Told, seed: int, secret: str) -> FloatArray:
 def test_the_rogue_derives_keys_as_the_simulator_does() -> None:
     for secret in ("", SECRET, "ab" * 64):
         for seed, purpose, vehicle in ((0, 0, 0), (SEED, 2, 1), (2**53 - 1, 6, 999)):
-            w = np.zeros(ROOM, dtype=np.uint64)
-            derive(*begun(secret), seed, purpose, vehicle, w)
-            for n in range(LANES):
-                key = words_of(derive_key(seed + n, purpose, vehicle, secret))
-                assert (w[-2, n], w[-1, n]) == key
+            seeds = range(seed, seed + 64)
+            keys = [words_of(derive_key(one, purpose, vehicle, secret)) for one in seeds]
+            assert _keys(seeds, purpose, vehicle, secret).tolist() == [list(key) for key in keys]
 
 
 def test_in_a_run_with_a_secret_the_rogue_finds_no_seed() -> None:
