@@ -20,19 +20,14 @@ AGILE = Limits(max_speed=2.0, max_acceleration=None)
 UNKNOWN = Limits(max_speed=None, max_acceleration=None)
 
 
-@pytest.fixture(scope="module")
-def fuses():
-    return blas_fuses()
-
-
 def test_fma_rounds_once():
     a = 1.0 + 2.0**-30
     assert a * a - 1.0 - 2.0**-29 == 0.0
     assert fused(a, a, -1.0 - 2.0**-29) == 2.0**-60
 
 
-def _compare(ours, theirs, fuses, where):
-    if fuses:
+def _compare(ours, theirs, where):
+    if blas_fuses():
         assert np.asarray(ours).tobytes() == np.asarray(theirs).tobytes(), (where, ours, theirs)
     else:
         message = f"{where}: to 1e-9 only, since numpy's BLAS does not fuse here as OpenBLAS does on x86-64"
@@ -145,7 +140,7 @@ def _covariance(belief):
     return np.array([belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv])
 
 
-def _compare_filters(state, pilots, estimate, case, fuses, where):
+def _compare_filters(state, pilots, estimate, case, where):
     b, n = state.belief[0], state.counts[0]
     assert (n.duplicates, n.too_old) == (pilots.duplicates, pilots.too_old), where
     assert b.known == (estimate is not None), where
@@ -153,24 +148,24 @@ def _compare_filters(state, pilots, estimate, case, fuses, where):
         return
     assert (b.age * case.dt, kalman_refused(state)) == (estimate.age, estimate.refused), where
     assert kalman_estimate(state) == (True, b.x, b.y, b.v_x, b.v_y, b.p_pp, b.p_vv)
-    _compare(_state(b), pilots.state, fuses, where)
-    _compare(_covariance(b), pilots.covariance[::2, ::2].ravel(), fuses, where)
+    _compare(_state(b), pilots.state, where)
+    _compare(_covariance(b), pilots.covariance[::2, ::2].ravel(), where)
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_at_every_tick_it_is_the_pilots_filter(name, fuses):
+def test_at_every_tick_it_is_the_pilots_filter(name):
     """The pilot has worked ahead to it, or has not, at random."""
     case = CASES[name]
-    _fly_beside(name, case._replace(ticks=min(case.ticks, 3200)), fuses)
+    _fly_beside(name, case._replace(ticks=min(case.ticks, 3200)))
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.ticks > 3200])
-def test_at_every_tick_of_a_long_flight_it_is_the_pilots_filter(name, fuses):
-    _fly_beside(name, CASES[name], fuses)
+def test_at_every_tick_of_a_long_flight_it_is_the_pilots_filter(name):
+    _fly_beside(name, CASES[name])
 
 
-def _fly_beside(name, case, fuses):
+def _fly_beside(name, case):
     rng = np.random.default_rng(len(name))
     own, ugv = _places(case, rng)
     at = _arrivals(case, own, ugv, rng)
@@ -181,7 +176,7 @@ def _fly_beside(name, case, fuses):
         estimate = pilots.update(
             tick=k, own_position=(p_x, p_y), looks=[Look(*one) for one in arrived]
         )
-        _compare_filters(state, pilots, estimate, case, fuses, f"{name}, tick {k}")
+        _compare_filters(state, pilots, estimate, case, f"{name}, tick {k}")
         if rng.random() < 0.5:
             pilots.prepare()
     counts = state.counts[0]
@@ -202,7 +197,8 @@ def test_a_ugv_that_was_not_seen_for_long_may_have_turned_round():
     assert math.sqrt(state.belief[0].p_pp) == pytest.approx(strayed / math.sqrt(8.0))
 
 
-def test_the_gate_closes_at_the_same_bit(fuses):
+def test_the_gate_closes_at_the_same_bit():
+    fuses = blas_fuses()
     rng = np.random.default_rng(8)
     own, ugv = (2.0, -1.0), rng.normal(size=(30, 2)) * 0.1
     wide = CASES["in time"]._replace(settings=Estimator(gate=1e12))
