@@ -8,6 +8,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -185,11 +186,30 @@ class Stage:
             open_session(party, "run", connect=self.endpoint, credential=credential)
         )
 
-    def fly(self, on_tick: Callable[[], None] | None = None) -> Flight:
-        flight = self.server.fly(on_tick=on_tick)
-        for vehicle in self.vehicles:
-            vehicle.join()
+    def fly(
+        self,
+        on_tick: Callable[[], None] | None = None,
+        *,
+        operator: Callable[[Any, Any], None] | None = None,
+    ) -> Flight:
+        """Fly to the end; meanwhile an operator works, who can send a control and await a status."""
+        with ThreadPoolExecutor(1) as threads:
+            work = operator and threads.submit(self._operate, self.client("operator"), operator)
+            flight = self.server.fly(on_tick=on_tick)
+            for vehicle in self.vehicles:
+                vehicle.join()
+        if work:
+            work.result()
         return flight
+
+    def _operate(self, operator: Session, work: Callable[[Any, Any], None]) -> None:
+        controls, statuses = operator.outbox(CONTROL), operator.inbox(STATUS)
+        try:
+            wait_until(lambda: controls.wanted)
+            work(controls.send, lambda wanted: status_in(statuses, wanted, 20.0))
+        except BaseException:
+            self.server.flight.stop()
+            raise
 
 
 @contextmanager
@@ -246,28 +266,3 @@ def settled(wanted: set[Any], found: set[Any], step: Callable[[], object] = lamb
 def whole(ticks: int) -> Flight:
     scenario = load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
     return fly(scenario, scenario.seed)[0]
-
-
-def operating(run: Any, work: Callable[[Any, Any], None]) -> Callable[[], None]:
-    """Let an operator work while the run flies; to be called when it is over."""
-    operator = run.client("operator")
-    controls, statuses = operator.outbox(CONTROL), operator.inbox(STATUS)
-    faults: list[BaseException] = []
-
-    def body() -> None:
-        try:
-            wait_until(lambda: controls.wanted)
-            work(controls.send, lambda wanted: status_in(statuses, wanted, 20.0))
-        except BaseException as error:  # noqa: BLE001 - told in the test's own thread
-            faults.append(error)
-            run.server.flight.stop()
-
-    hand = threading.Thread(target=body)
-    hand.start()
-
-    def end() -> None:
-        hand.join(60.0)
-        if faults:
-            raise faults[0]
-
-    return end

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 from flights import degraded, escort
-from staging import operating, stage
+from staging import stage
 from tabular import words
 
 from bus.messages import (
@@ -182,8 +182,6 @@ def test_an_operator_degrades_a_link_while_it_flies(tmp_path: Path) -> None:
                 status(lambda s, told=told: any(told in line for line in s.refusals))
             run.server.flight.stop()
 
-        end = operating(run, work)
-        flight = run.fly()
-        end()
+        flight = run.fly(operator=work)
     assert [change.control.link for change in run.server.changes] == [LinkKind.DETECTIONS]
     assert flight.world.links.status()["uav_0/detections"].settings == LinkSettings(loss=1.0)

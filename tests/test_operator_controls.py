@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from processes import wait_until
-from staging import operating, stage, whole
+from staging import stage, whole
 
 from bus.keys import OPERATOR
 from bus.messages import Action, Control, Drive, Law, LinkKind, LinkSettings
 from outrider.running.assumptions import promise_warnings
+from outrider.running.flying import fly
+from sim.scenario.loading import load_scenario
 
 
 def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:
@@ -26,9 +28,7 @@ def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:
             status(lambda s: s.tick > changed.tick + 1500)
             run.server.flight.stop()
 
-        end = operating(run, work)
-        flight = run.fly()
-        end()
+        flight = run.fly(operator=work)
     tick = run.server.changes[0].tick
     before = whole(tick).recorder.states
     assert np.array_equal(flight.recorder.states[:tick, :, :4], before[:tick, :, :4])
@@ -61,11 +61,10 @@ def test_what_cannot_be_done_is_refused_named_and_changes_nothing(control, told,
             wait_until(lambda: bool(run.events))
             refused.set()
 
-        end = operating(run, work)
         flight = run.fly(
-            lambda: wait_until(refused.is_set) if run.server.flight.world.tick == 100 else None
+            lambda: wait_until(refused.is_set) if run.server.flight.world.tick == 100 else None,
+            operator=work,
         )
-        end()
     assert flight.recorder.sha256() == whole(300).recorder.sha256()
     assert "is refused" in run.events[0]
     assert told in run.events[0]
@@ -102,9 +101,7 @@ def test_a_reset_begins_a_new_flight_with_its_own_seed_and_new_pilots(tmp_path: 
             if run.server.flight.seed != 8:
                 time.sleep(0.02)
 
-        end = operating(run, work)
-        flight = run.fly(slowly)
-        end()
+        flight = run.fly(slowly, operator=work)
         status = run.server.status(1.0)
     assert flight.complete
     assert (flight.seed, flight.episode) == (8, 2)
@@ -113,8 +110,6 @@ def test_a_reset_begins_a_new_flight_with_its_own_seed_and_new_pilots(tmp_path: 
     # of the last flight: the pilot before is gone
     assert [seen.tick for seen in vehicles[0].seen] == list(range(400))
     assert {seen.episode for seen in vehicles[0].seen} == {2}
-    from outrider.running.flying import fly
-
     assert flight.recorder.sha256() == fly(flight.scenario, 8)[0].recorder.sha256()
 
 
@@ -131,9 +126,7 @@ def test_the_speed_can_be_changed_while_flying_and_changes_no_bit(tmp_path: Path
             done.set()
 
         done = threading.Event()  # until then a tick takes long: the flight does not end before
-        end = operating(run, work)
-        flight = run.fly(lambda: done.wait(0.02) and None)
-        end()
+        flight = run.fly(lambda: done.wait(0.02) and None, operator=work)
     assert slow == [5.0, None]
     assert flight.complete
     if flight.answers.first_missing is None:
@@ -168,9 +161,7 @@ def test_an_operator_takes_the_wheel_drives_is_silent_and_hands_back(tmp_path: P
             status(lambda s: s.tick > seen["back"] + 80)
             run.server.flight.stop()
 
-        end = operating(run, work)
-        flight = run.fly()
-        end()
+        flight = run.fly(operator=work)
     v = flight.recorder.states[:, 1, 2:4]
     assert v[seen["silent"]] == pytest.approx([0.0, -0.2], abs=0.02)
     assert np.hypot(*v[seen["still"]]) < 1e-6
@@ -195,9 +186,6 @@ def change(flight: Any) -> None:
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])
 def test_a_vehicle_that_comes_back_knows_what_was_changed_and_said(victim, tmp_path):
-    from outrider.running.flying import fly
-    from sim.scenario.loading import load_scenario
-
     expected = fly(load_scenario("escort", overrides=["duration=20.0"]), 7, on_tick=change)[0]
     with stage(tmp_path, 400, respawn=True) as run:
         run.start("uav_0" if victim == "ugv_0" else "ugv_0")

@@ -14,7 +14,7 @@ import pytest
 import zenoh
 from flights import Piloted, degraded
 from processes import wait_until
-from staging import GIVEN, PILOT, Vehicle, client_of, hosted, operating, stage, whole
+from staging import GIVEN, PILOT, Vehicle, client_of, hosted, stage, whole
 
 from agents import process
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, Role
@@ -237,10 +237,8 @@ def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
 
     with stage(tmp_path, 300) as run:
         run.start_both()
-        end = operating(run, work)
         # slowly, so that the flight does not end before its operator is received
-        flight = run.fly(lambda: received.wait(0.02) and None)
-        end()
+        flight = run.fly(lambda: received.wait(0.02) and None, operator=work)
     assert flight.complete
     assert flight.recorder.sha256() == whole(300).recorder.sha256()
 
