@@ -2,8 +2,6 @@
 
 import itertools
 import math
-import subprocess
-import sys
 
 import msgspec
 import numpy as np
@@ -11,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.path import Path
+from processes import python
 from properties import PROPERTY
 
 from bus.registry import HAZARDS
@@ -41,7 +40,6 @@ SIDE, TILE = 6.0, 0.5
 places = st.floats(-0.5, SIDE + 0.5)
 points = st.tuples(places, places)
 kinds = st.sampled_from(tuple(HAZARDS))
-SHAPE = tiles_shape(SIDE, SIDE, TILE)
 
 
 @st.composite
@@ -274,7 +272,4 @@ s = load_scenario("escort", overrides={"hazard": discs, "hazard_field": fields})
 assert len(s.hazard) == 9_900 and s.has_ground
 assert "numba" not in sys.modules
 """
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=100
-    )
-    assert done.stderr == ""
+    assert python(program, timeout=100).stderr == ""
