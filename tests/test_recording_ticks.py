@@ -3,7 +3,6 @@
 And what operators said, with its tick.
 """
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 from flights import HERE, escort, pairs
+from msgspec.structs import replace
 from refusals import refused
 
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
@@ -23,14 +23,12 @@ from bus.messages import (
     Change,
     Control,
     Drive,
-    EscortTruth,
     Law,
     LinkKind,
     LinkSettings,
     Truth,
     UavReport,
     UgvObservation,
-    VehicleTruth,
 )
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.reader import entries, flight_of, load
@@ -58,49 +56,27 @@ ONE = escort(
 ENCODE = msgspec.json.Encoder().encode
 
 
-def _truth(flight: Flight, tick: int, commands: Any, reports: Any) -> Truth:
-    """The message, made from the flight's record one by one."""
-    world, recorder, dt = flight.world, flight.recorder, flight.scenario.dt
-    applied = recorder.states[tick - 1, :, 4:6] if tick else np.zeros((len(world.names), 2))
-    states = recorder.states[tick, :, :4].reshape(-1, 2, 2)
-    rows = np.concatenate([states, applied[:, None], commands[:, None]], axis=1).tolist()
-    vehicles = {
-        name: VehicleTruth(position=(*p,), velocity=(*v,), acceleration=(*u,), command=(*asked,))
-        for name, (p, v, u, asked) in zip(world.names, rows, strict=True)
-    }
-    escorts = tuple(
-        EscortTruth(
-            uav=uav.name,
-            ugv=uav.escorts,
-            distance=row[0],
-            coverage_error=max(0.0, row[1]),
-            detection=None if math.isnan(row[2]) else (row[2], row[3]),
-            report=report,
-        )
-        for uav, row, report in zip(
-            world.uavs, recorder.escorts[tick].tolist(), reports, strict=True
-        )
-    )
-    return Truth(tick=tick, time=tick * dt, vehicles=vehicles, escorts=escorts)
-
-
 @pytest.mark.parametrize("scenario", [PAIRS, ONE], ids=["two pairs", "one pair"])
 @pytest.mark.parametrize("block", [1, 7])
 def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, block: int) -> None:
-    flight = Flight(scenario, 3)
-    asked, said = [np.zeros((len(flight.world.names), 2))], [(None,) * len(flight.world.uavs)]
+    flight, truths = Flight(scenario, 3), list[Truth]()
 
     def follow() -> None:
-        asked.append(flight.commands.copy())
         silent = flight.world.tick % 5 == 0
-        said.append(tuple(None if silent else report for report in flight.answers.reports))
+        told = flight.truth()
+        if silent:
+            told = replace(told, escorts=tuple(replace(one, report=None) for one in told.escorts))
+        truths.append(told)
 
+    follow()
     flight.fly(InProcess(make_pilots(scenario, 3)), on_tick=follow)
     texts, missed = TickTexts(flight), 0
-    for first in range(0, len(asked), block):
-        part = slice(first, first + block)
-        for k, found in enumerate(texts.of(first, np.array(asked[part]), said[part]), first):
-            truth = _truth(flight, k, asked[k], said[k])
+    for first in range(0, len(truths), block):
+        part = truths[first : first + block]
+        asked = [[vehicle.command for vehicle in truth.vehicles.values()] for truth in part]
+        said = [tuple(one.report for one in truth.escorts) for truth in part]
+        found_of_block = texts.of(first, np.array(asked), said)
+        for k, (truth, found) in enumerate(zip(part, found_of_block, strict=True), first):
             assert found.truth == ENCODE(truth)
             missed += truth.escorts[0].detection is None
             accelerations = {name: vehicle.command for name, vehicle in truth.vehicles.items()}
@@ -108,7 +84,7 @@ def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, 
             assert found.commands == (commands if k else b"")
             assert (found.time, found.begun) == (truth.time, (k - 1) * scenario.dt)
             assert found.distances == [seen.distance for seen in truth.escorts]
-    assert 0 < missed < len(asked)
+    assert 0 < missed < len(truths)
 
 
 @pytest.mark.parametrize(
@@ -116,12 +92,19 @@ def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, 
 )
 def test_every_float_keeps_its_text(number: float) -> None:
     flight = Flight(ONE, 3)
-    flight.recorder.record(flight.answers.reports)
+    truth, both = flight.truth(), (number, number)
     flight.recorder.states[0, 0, :4] = number
     report = UavReport(estimate=(number, 0.0), covariance=(1.0, number, 1.0), age=0.0, refused=0)
-    asked = np.full((1, 2, 2), number)
-    (found,) = TickTexts(flight).of(0, asked, [(report,)])
-    assert found.truth == ENCODE(_truth(flight, 0, asked[0], (report,)))
+    uav = replace(truth.vehicles["uav_0"], position=both, velocity=both, command=both)
+    ugv = replace(truth.vehicles["ugv_0"], command=both)
+    (found,) = TickTexts(flight).of(0, np.full((1, 2, 2), number), [(report,)])
+    assert found.truth == ENCODE(
+        replace(
+            truth,
+            vehicles={"uav_0": uav, "ugv_0": ugv},
+            escorts=(replace(truth.escorts[0], report=report),),
+        )
+    )
 
 
 def test_viewers_are_shown_no_more_than_five_poses_a_second_and_every_tick_is_there(tmp_path):
