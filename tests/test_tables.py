@@ -7,7 +7,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import get_args
 
-import msgspec
 import numpy as np
 import pytest
 from flights import escort, parameters
@@ -33,8 +32,6 @@ from bus.registry import (
 )
 from outrider.cli import options
 from sim.models.field import sensor_quality, sensor_slope
-from sim.scenario import checks
-from sim.scenario.loading import load_scenario
 from sim.scenario.types import Custom, LinkTable, Ugv, VehicleLinks
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -202,17 +199,6 @@ def test_the_command_line_tells_every_law_driver_and_profile_with_its_line() -> 
     assert all(f"{name}:" in policy for name in SAVED_POLICIES)
     assert all(f"{row.name}: {row.about}" in law for row in LAWS.values())
     assert all(f"{row.name}: {row.about}" in driver for row in DRIVERS.values())
-
-
-def test_a_law_that_needs_no_switching_radius_flies_where_there_is_none() -> None:
-    for row in LAWS.values():
-        scenario = load_scenario("escort")
-        law = msgspec.structs.replace(scenario.law, name=row.name)
-        uav = msgspec.structs.replace(scenario.uav[0], max_acceleration=0.11)
-        sight = msgspec.structs.replace(scenario.visibility, radius=2.0)
-        poor = msgspec.structs.replace(scenario, law=law, uav=(uav,), visibility=sight)
-        refused = bool(list(checks.switching_radius_is_positive(poor)))
-        assert refused is row.needs_radius, row.name
 
 
 def test_no_file_and_no_public_class_has_the_name_of_another(trees: dict[Path, ast.Module]) -> None:

@@ -11,7 +11,6 @@ from flights import DT, HERE, R_S, U_A, U_G, V_A, V_G, distances, escort, parame
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
-from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete
 
 from agents.control.laws import OwnTerms, initial_state, uav_control
@@ -80,18 +79,6 @@ def test_the_controllers_step_is_scipys_zero_order_hold(a_c: float, b_c: float, 
     x, y = tracking_step(1.7, -0.4, 2.3, 5.1, a_c, b_c, dt)
     wanted = (a_d[0, 0] * 1.7 + b_d[0, 0] * 2.3, a_d[0, 0] * -0.4 + b_d[0, 0] * 5.1)
     assert (x, y) == pytest.approx(wanted, rel=1e-10, abs=1e-10)
-
-
-def test_the_controllers_step_is_what_an_ode_solver_finds() -> None:
-    solved = solve_ivp(
-        lambda _, x: A_C * x + B_C * np.array([2.0, -1.0]),
-        (0.0, 0.4),
-        [0.3, 0.9],
-        rtol=1e-12,
-        atol=1e-13,
-    )
-    found = tracking_step(0.3, 0.9, 2.0, -1.0, A_C, B_C, 0.4)
-    np.testing.assert_allclose(found, solved.y[:, -1], rtol=1e-9)
 
 
 def test_a_controller_without_a_pole_is_a_plain_integral_and_the_limit_of_slow_ones() -> None:

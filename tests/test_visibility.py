@@ -12,8 +12,10 @@ from agents.control.tracking import relative_motion
 from agents.control.visibility import is_visible, switching_radius
 from bus.errors import ScenarioError
 from bus.messages import Region
+from bus.registry import LAWS
 from outrider.running.flying import fly
 from sim.models.vehicles import raw_switching_radius
+from sim.scenario.checks import switching_radius_is_positive
 from sim.scenario.types import Coverage, Scenario, Uav, Ugv
 
 speeds = st.floats(0.01, 5.0)
@@ -74,12 +76,12 @@ def test_a_uav_too_weak_for_the_radius_is_refused(r_v, v_a, v_g, u_a, r_s) -> No
         switching_radius(r_v, v_a, v_g, u_a)
 
 
-@pytest.mark.parametrize(
-    "law", ["linear", "switching", "logarithmic", "circle", "tracking", "coverage"]
-)
+@pytest.mark.parametrize("law", LAWS)
 def test_only_laws_that_use_the_switching_radius_ask_for_it(law: str) -> None:
     weak = escort(law, uav=Uav(position=HERE, max_acceleration=0.05))
-    if law in {"tracking", "coverage"}:
+    refused = bool(list(switching_radius_is_positive(weak)))
+    assert refused is (law not in {"tracking", "coverage"})
+    if not refused:
         assert parameters(weak).r_s < 0.0
     else:
         with pytest.raises(ScenarioError, match="too weak"):
