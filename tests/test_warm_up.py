@@ -5,6 +5,7 @@ import signal
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 from processes import (
     await_status,
@@ -23,11 +24,11 @@ from bus.messages import Action, Control, Law, LinkKind, LinkSettings
 from bus.registry import DRIVERS, LAWS
 
 PREPARE = """
+import sys
 import msgspec
 from agents.process import warm_up as warm_up_pilot
 from bus.keys import Role
-from bus.messages import Law, LinkKind, LinkSettings
-from bus.registry import DRIVERS, LAWS
+from bus.messages import Action, Control
 from outrider.running.flying import fly
 from outrider.running.assumptions import promise_warnings
 from sim.kernels import linking
@@ -51,40 +52,25 @@ def noted(self, types):
     return compile_or_load(self, types)
 """
 FLY = """
-SETTINGS = (
-    LinkSettings(delay=0.4, jitter=0.3, loss=0.2, duplicates=0.1, reorder=0.1, reorder_delay=0.1),
-    LinkSettings(blackouts=((1.0, 5.0),), bandwidth=5.0, queue=2, burst_length=0.3, burst_interval=2.0),
-    LinkSettings(),
-)
-steps = [
-    lambda flight, kind=kind, settings=settings: flight.degrade(kind, None, settings)
-    for kind in LinkKind for settings in SETTINGS
-]
-steps += [
-    lambda flight, law=law: flight.order(Law(name=law.name)) for law in LAWS.values() if not law.own
-]
-steps += [
-    lambda flight, name=row.name: flight.assign_driver("ugv_0", name)
-    for row in DRIVERS.values() if not (row.own or row.outside or row.needs)
-]
+controls = msgspec.json.decode(sys.argv[1], type=list[Control])
 
 def control(flight):
-    if flight.world.tick % 5 == 0 and steps:
-        steps.pop(0)(flight)
+    if flight.world.tick % 5 == 0 and controls:
+        asked = controls.pop(0)
+        if asked.action is Action.LINK:
+            flight.degrade(asked.link, None, asked.settings)
+        elif asked.action is Action.LAW:
+            flight.order(asked.law)
+        elif asked.action is Action.DRIVER:
+            flight.assign_driver("ugv_0", asked.driver)
         promise_warnings(flight.flown, flight.world.links.table)  # as observers are told
 
 linking._Entry.compile = noted
 flight, _ = fly(scenario, 7, on_tick=control)
 while_flown = list(late)
 clip_norm(1, 0, 1)  # of whole numbers, as nobody else asks for
-print(not steps, flight.world.tick, while_flown, len(late) - len(while_flown))
+print(not controls, flight.world.tick, while_flown, len(late) - len(while_flown))
 """
-
-
-@pytest.mark.timeout(300)
-def test_no_control_of_an_operator_makes_anybody_compile_or_load():
-    run = python(PREPARE + FLY, check=False)
-    assert run.stdout.split() == ["True", "240", "[]", "1"], run.stdout + run.stderr
 
 
 def every_control() -> Iterator[Control]:
@@ -94,7 +80,13 @@ def every_control() -> Iterator[Control]:
             LinkSettings(
                 delay=0.4, jitter=0.3, loss=0.2, duplicates=0.1, reorder=0.1, reorder_delay=0.1
             ),
-            LinkSettings(bandwidth=5.0, queue=2, burst_length=0.3, burst_interval=2.0),
+            LinkSettings(
+                blackouts=((1.0, 5.0),),
+                bandwidth=5.0,
+                queue=2,
+                burst_length=0.3,
+                burst_interval=2.0,
+            ),
             LinkSettings(blackouts=((0.0, 1e4),)),
             LinkSettings(),
         ):
@@ -109,6 +101,13 @@ def every_control() -> Iterator[Control]:
     yield Control(action=Action.STEP, ticks=3)
     yield Control(action=Action.RESUME)
     yield Control(action=Action.SPEED, factor=2.0)
+
+
+@pytest.mark.timeout(300)
+def test_no_control_of_an_operator_makes_anybody_compile_or_load():
+    controls = msgspec.json.encode([*every_control()]).decode()
+    run = python(PREPARE + FLY, controls, check=False)
+    assert run.stdout.split() == ["True", "240", "[]", "1"], run.stdout + run.stderr
 
 
 @pytest.mark.long
