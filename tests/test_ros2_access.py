@@ -26,26 +26,20 @@ BRIDGES, LOOKERS = {"ros2", "operator"}, {"ros2_observer", "ros2_operator"}
 SUFFIX = f"{TYPE}/::,10:,:,:,,"
 
 
-def readers_of(key: str) -> set[str]:
+def allowed(key: str, everywhere: set[str], by_operators: str) -> set[str]:
+    """The parties that read a key, or write it: its vehicle alone, else all of these and on `cmd_vel` one more."""
     own = {name for name, mine in OWN.items() if mine == key}
     if own or key in NOBODYS:
         return own
-    return LOOKERS | ({"operator"} if key == CMD_VEL else set())
-
-
-def writers_of(key: str) -> set[str]:
-    own = {name for name, mine in OWN.items() if mine == key}
-    if own or key in NOBODYS:
-        return own
-    return BRIDGES | ({"ros2_operator"} if key == CMD_VEL else set())
+    return everywhere | ({by_operators} if key == CMD_VEL else set())
 
 
 def test_each_party_reads_and_writes_its_own_topics_and_no_others(endpoint: str) -> None:
     wanted = {
         (reader, key, writer)
         for key in DATA
-        for reader in readers_of(key)
-        for writer in writers_of(key)
+        for reader in allowed(key, LOOKERS, "operator")
+        for writer in allowed(key, BRIDGES, "ros2_operator")
         if reader != writer
     }
     assert {("ros2_observer", f"0/tf/{TYPE}", "ros2")} < wanted

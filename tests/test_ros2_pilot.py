@@ -177,16 +177,16 @@ def test_a_node_that_is_late_keeps_nobody_waiting_and_one_that_has_gone_ends_the
         assert link.answer(lambda: False) is None
         with pytest.raises(PeerLost, match="the ROS 2 node that flew uav_0 has gone"):
             link.answer(lambda: True)
-        late = encode(ACCEL.interface, accelerate(0.15, (0.1, 0.0)))
-        link._receive(key_of(ACCEL, "uav_0"), late, b"")
+
+        def say(seconds: float, value: tuple[float, float]) -> None:
+            answer = encode(ACCEL.interface, accelerate(seconds, value))
+            link._receive(key_of(ACCEL, "uav_0"), answer, b"")
+
+        say(0.15, (0.1, 0.0))
         assert link.refusals.counts == {"answers another tick": 1}
-        link._receive(
-            key_of(ACCEL, "uav_0"), encode(ACCEL.interface, accelerate(0.2, (0.1, 0.0))), b""
-        )
+        say(0.2, (0.1, 0.0))
         answer = link.answer(lambda: True)
-        link._receive(
-            key_of(ACCEL, "uav_0"), encode(ACCEL.interface, accelerate(0.2, (0.3, 0.0))), b""
-        )
+        say(0.2, (0.3, 0.0))
         assert link.refusals.counts["answers a tick twice"] == 1
         assert answer is not None
         assert (answer.tick, answer.acceleration) == (4, (0.1, 0.0))
