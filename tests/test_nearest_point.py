@@ -65,19 +65,6 @@ def test_each_of_four_equals_is_drawn_about_equally(by: str) -> None:
     assert stats.chisquare(counts).pvalue > 1e-3
 
 
-def test_the_same_key_and_tick_draw_the_same_point() -> None:
-    assert all(_corner(key, tick) == _corner(key, tick) for key in range(20) for tick in range(3))
-
-
-def test_a_nearer_point_wins_whatever_is_drawn() -> None:
-    coverage = empty_coverage(40.0, 40.0, CELL)
-    for key in range(50):
-        _, x, y = nearest_uncovered(
-            coverage, 20.001, 20.002, *HERE, R_O, DESIRED, CELL, a_key(key), 0
-        )
-        assert (x, y) == (20.125, 20.125)
-
-
 def test_the_symmetry_breaker_points_from_the_uav_to_the_point() -> None:
     assert symmetry_breaker(3.0, 1.0, 1.0, 2.0, 0.5) == (1.0, -0.5)
 
