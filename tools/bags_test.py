@@ -6,7 +6,6 @@ the one that ros2_test.py makes where Python 3.11 is at hand: python tools/bags_
 
 import csv
 import json
-import os
 import shutil
 import sys
 from collections.abc import Iterator
@@ -14,19 +13,13 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from bridge_checks import FOREIGN, Row, environment, outrider, report
-from ros2_test import RCLPY, Run, run_foreign
+from bridge_checks import FOREIGN, Row, environment, output, report, told
+from ros2_test import RCLPY, Run
 
 READERS = ("rosbags>=0.11,<0.12", "mcap-ros2-support>=0.5.7", "ruamel.yaml")
 SCENARIO, DURATION = "minefield", 20
 NOT_IN_WHEELS = "tf2_msgs"
 """There is no wheel of its types for rclpy."""
-
-
-def told(*words: object) -> dict[str, Any]:
-    """JSON of a command of ours that goes well."""
-    found: dict[str, Any] = json.loads(run_foreign(outrider(*words), dict(os.environ), 300.0))
-    return found
 
 
 def flown(folder: Path) -> tuple[dict[str, Any], dict[str, list[list[str]]]]:
@@ -47,9 +40,7 @@ def flown(folder: Path) -> tuple[dict[str, Any], dict[str, list[list[str]]]]:
 
 def read(bag: Path, python: Path) -> dict[str, Any]:
     """The findings of the readers about a bag."""
-    found: dict[str, Any] = json.loads(
-        run_foreign([python, FOREIGN / "bags_foreign_readers.py", bag], dict(os.environ), 300.0)
-    )
+    found: dict[str, Any] = json.loads(output(python, FOREIGN / "bags_foreign_readers.py", bag))
     return found
 
 
@@ -103,14 +94,13 @@ def rewritten(folder: Path, bag: Path, summary: dict[str, Any], tools: Path) -> 
         ),
     }  # fmt: skip
     other = folder / "sqlite"
-    words = [tools / "rosbags-convert", "--src", bag, "--dst", other, "--dst-storage", "sqlite3"]
-    run_foreign(words, dict(os.environ), 300.0)
+    convert = tools / "rosbags-convert"
+    output(convert, "--src", bag, "--dst", other, "--dst-storage", "sqlite3")
     for number, (name, options) in enumerate(variants.items()):
         copy, source = bag, other if "SQLite" in name else bag
         if options:
             copy = folder / f"rewritten{number}"
-            words = [tools / "rosbags-convert", "--src", source, "--dst", copy, *options]
-            run_foreign(words, dict(os.environ), 300.0)
+            output(convert, "--src", source, "--dst", copy, *options)
         again = told("replay", copy, "--refly", "--json")
         yield Row(
             f"replay --refly, {name}",
@@ -129,12 +119,8 @@ def read_by_rclpy(
         return
     rclpy = environment("ros2-rclpy", RCLPY, wheels)
     payloads = folder / "payloads.pickle"
-    run_foreign([python, FOREIGN / "bags_foreign_readers.py", bag, payloads], dict(os.environ))
-    found = json.loads(
-        run_foreign(
-            [rclpy / "python", FOREIGN / "bags_rclpy_reader.py", payloads], dict(os.environ)
-        )
-    )
+    output(python, FOREIGN / "bags_foreign_readers.py", bag, payloads)
+    found = json.loads(output(rclpy / "python", FOREIGN / "bags_rclpy_reader.py", payloads))
     left = sum(made["topics"][name] for name in ("/tf", "/tf_static"))
     yield Row(
         "rclpy deserialises every payload",

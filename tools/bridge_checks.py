@@ -1,6 +1,7 @@
 """Tools of the tests of the bridges: environments of others' programs, processes, and a table of findings."""
 
 import argparse
+import json
 import os
 import subprocess
 import sys
@@ -37,6 +38,43 @@ def environment(name: str, packages: Sequence[object], python: str = sys.executa
 def outrider(*words: object) -> list[str]:
     """A command of ours."""
     return [sys.executable, "-m", "outrider", *map(str, words)]
+
+
+def called(
+    *words: object,
+    patience: float = 300.0,
+    **settings: Any,  # noqa: ANN401 - of subprocess.run
+) -> "subprocess.CompletedProcess[str]":
+    """A program, run to its end, good or bad, for `patience` [s] at most."""
+    return subprocess.run(
+        [str(word) for word in words],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=patience,
+        **settings,
+    )
+
+
+def output(
+    *words: object,
+    **settings: Any,  # noqa: ANN401 - of `called`
+) -> str:
+    """The standard output of a program.
+
+    Raises:
+        SystemExit: If it fails.
+    """
+    done = called(*words, **settings)
+    if done.returncode:
+        raise SystemExit(f"{words[:4]}: {done.stdout[-1500:]} {done.stderr[-1500:]}")
+    return done.stdout
+
+
+def told(*words: object) -> dict[str, Any]:
+    """JSON of a command of ours that goes well."""
+    found: dict[str, Any] = json.loads(output(*outrider(*words)))
+    return found
 
 
 @contextmanager

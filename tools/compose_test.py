@@ -44,6 +44,7 @@ PIP_SETTINGS = {
     "PIP_TRUSTED_HOST": "trusted-host",
 }  # for a package mirror
 Json = dict[str, Any]
+UP = ("up", "--exit-code-from", "simulator")
 
 # These run inside the containers, where the project's own packages are.
 FOLLOW = """
@@ -62,25 +63,32 @@ with open_session(observer, given.run, connect="tcp/127.0.0.1:17447", credential
             sys.exit(0)
 sys.exit("the flight has not come to tick " + sys.argv[1])
 """
-LISTEN = """
+CLIENT = """
 import json, os, sys, time
+from pathlib import Path
 import zenoh
+from bus.access import client_settings, read_credential
 zenoh.init_log_from_env_or("off")
+def client(endpoint, known, seconds=2.0):
+    settings = {
+        "mode": "client", "scouting/multicast/enabled": False, "connect/timeout_ms": int(1000 * seconds),
+        "connect/exit_on_failure": True, "connect/endpoints": [endpoint],
+    }
+    config = zenoh.Config()
+    for setting, value in (settings | known).items():
+        config.insert_json5(setting, json.dumps(value))
+    return zenoh.open(config)
+"""
+LISTEN = (
+    CLIENT
+    + """
 name, password, seconds, spoiled, *keys = sys.argv[1:]
 if password == "own":
     told = json.load(open(os.environ["OUTRIDER_CREDENTIALS"]))
     password = next(party for party in told.get("parties", [told]) if party["name"] == name)["password"]
-config = zenoh.Config()
-settings = {
-    "mode": "client", "scouting/multicast/enabled": False, "connect/timeout_ms": 2000, "connect/exit_on_failure": True,
-    "connect/endpoints": [os.environ.get("OUTRIDER_CONNECT", "tcp/127.0.0.1:17447")],
-}
-if name:
-    settings |= {"transport/auth/usrpwd/user": name, "transport/auth/usrpwd/password": password}
-for setting, value in settings.items():
-    config.insert_json5(setting, json.dumps(value))
+known = {"transport/auth/usrpwd/user": name, "transport/auth/usrpwd/password": password} if name else {}
 try:
-    session = zenoh.open(config)
+    session = client(os.environ.get("OUTRIDER_CONNECT", "tcp/127.0.0.1:17447"), known)
 except zenoh.ZError:
     print(json.dumps("refused"))
     sys.exit()
@@ -95,12 +103,11 @@ with session:
     time.sleep(float(seconds))
 print(json.dumps(received))
 """
-TAP = """
-import json, os, socket, sys, threading, time
-from pathlib import Path
-import zenoh
-from bus.access import client_settings, read_credential
-zenoh.init_log_from_env_or("off")
+)
+TAP = (
+    CLIENT
+    + """
+import socket, threading
 protocol, _, address = os.environ["OUTRIDER_CONNECT"].partition("/")
 host, port = address.rsplit(":", 1)
 key, seconds = sys.argv[1], float(sys.argv[2])
@@ -115,18 +122,12 @@ def between(server):
     copy(far, near)
 server = socket.create_server(("127.0.0.1", 0))
 threading.Thread(target=between, args=(server,), daemon=True).start()
-settings = client_settings(read_credential(Path(os.environ["OUTRIDER_CREDENTIALS"]))) | {
-    "mode": "client", "scouting/multicast/enabled": False, "connect/timeout_ms": 5000, "connect/exit_on_failure": True,
-    "connect/endpoints": [f"{protocol}/127.0.0.1:{server.getsockname()[1]}"],
-}
-config = zenoh.Config()
-for setting, value in settings.items():
-    config.insert_json5(setting, json.dumps(value))
+known = client_settings(read_credential(Path(os.environ["OUTRIDER_CREDENTIALS"])))
 received = 0
 def count(sample):
     global received
     received += 1
-with zenoh.open(config) as session:
+with client(f"{protocol}/127.0.0.1:{server.getsockname()[1]}", known, 5.0) as session:
     kept = session.declare_subscriber(key, count)
     limit = time.monotonic() + seconds
     while time.monotonic() < limit and received < 100:
@@ -135,13 +136,13 @@ readable = [text for text in ("outrider/", "relative_position", "velocity") if t
 print(json.dumps({"received": received, "bytes": len(seen), "readable": readable}))
 os._exit(0)
 """
-CERTIFIED = """
-import json, os, socket, ssl
-from pathlib import Path
-import msgspec, zenoh
-from bus.access import client_settings, read_credential
+)
+CERTIFIED = (
+    CLIENT
+    + """
+import socket, ssl
+import msgspec
 from bus.certificates import issue, new_authority
-zenoh.init_log_from_env_or("off")
 own = read_credential(Path(os.environ["OUTRIDER_CREDENTIALS"]))
 address = os.environ["OUTRIDER_CONNECT"].partition("/")[2]
 foreign = issue(new_authority(os.environ["OUTRIDER_RUN"]), own.name)
@@ -150,16 +151,9 @@ nobody = client_settings(own)
 for part in ("certificate", "private_key"):
     del nobody[f"transport/link/tls/connect_{part}_base64"]
 nobody["transport/link/tls/enable_mtls"] = False
-def tried(protocol, wanted):
-    wanted = wanted | {
-        "mode": "client", "scouting/multicast/enabled": False, "connect/timeout_ms": 2000,
-        "connect/exit_on_failure": True, "connect/endpoints": [f"{protocol}/{address}"],
-    }
-    config = zenoh.Config()
-    for setting, value in wanted.items():
-        config.insert_json5(setting, json.dumps(value))
+def tried(protocol, known):
     try:
-        zenoh.open(config).close()
+        client(f"{protocol}/{address}", known).close()
     except zenoh.ZError:
         return "refused"
     return "open"
@@ -181,6 +175,7 @@ with (
     found["version"] = opened.version()
 print(json.dumps(found))
 """
+)
 KILL = """
 import os
 from pathlib import Path
@@ -427,6 +422,10 @@ class Docker:
         """Run a script in a service's container."""
         return self.compose("exec", "-T", service, "python", "-c", script, *words)
 
+    def found(self, service: str, script: str, *words: str) -> Any:  # noqa: ANN401 - JSON
+        """The findings of a script in a service's container."""
+        return json.loads(self.python(service, script, *words))
+
     def container(self, service: str) -> str:
         """The id of a service's container."""
         return self.compose("ps", "--all", "--quiet", service).strip()
@@ -438,45 +437,39 @@ class Docker:
 
     def clean(self) -> None:
         """Remove all that belongs to the project."""
-        for words in (
-            (
-                "compose",
-                "--profile",
-                "*",
-                "down",
-                "--volumes",
-                "--remove-orphans",
-                "--timeout",
-                "2",
-            ),
-            (
-                "image",
-                "rm",
-                "--force",
-                self.pilot_image,
-                self.page_image,
-                self.mavlink_image,
-                self.image,
-            ),
-        ):
-            with contextlib.suppress(CheckFailed):
-                self(*words, limit=120.0, check=False)
+        images = (self.pilot_image, self.page_image, self.mavlink_image, self.image)
+        with contextlib.suppress(CheckFailed):
+            self.down()
+        with contextlib.suppress(CheckFailed):
+            self("image", "rm", "--force", *images, limit=120.0, check=False)
 
     @contextlib.contextmanager
-    def flying(self, *, duration: str, at_tick: int = 1000, **more: str) -> Iterator[None]:
-        """While the stack flies, from some tick on; it is taken down afterwards."""
+    def standing(self, *services: str, **more: str) -> Iterator[None]:
+        """While services run, by default the whole stack; it is taken down afterwards."""
         try:
-            self.compose("up", "--detach", limit=90.0, OUTRIDER_DURATION=duration, **more)
-            self.python("router", FOLLOW, str(at_tick))
+            self.compose("up", "--detach", *services, limit=120.0, **more)
             yield
         finally:
             self.down()
 
+    @contextlib.contextmanager
+    def flying(self, *, duration: str, at_tick: int = 1000) -> Iterator[None]:
+        """While the stack flies, from some tick on; it is taken down afterwards."""
+        with self.standing(OUTRIDER_DURATION=duration):
+            self.python("router", FOLLOW, str(at_tick))
+            yield
+
     def down(self) -> None:
         """Take the stack down and forget its volumes."""
-        self.compose(
-            "--profile", "*", "down", "--volumes", "--timeout", "5", limit=90.0, check=False
-        )
+        words = ("--profile", "*", "down", "--volumes", "--remove-orphans", "--timeout", "5")
+        self.compose(*words, limit=90.0, check=False)
+
+    def flown(self, *words: str, **more: str) -> Json:
+        """The summary of a flight to its end, by `UP` where nothing else is said; the stack is taken down."""
+        self.compose(*(words or UP), limit=180.0, **more)
+        summary = self.summary()
+        self.down()
+        return summary
 
     def landed(self) -> tuple[int, str]:
         """Wait for the simulator's end: its exit code, and what it said."""
@@ -542,17 +535,21 @@ class Checks:
 
     def build(self) -> str:
         """The image is built, small, and not root's."""
-        docker = self.docker
-        self._build(docker.image)
-        image = docker.inspect(docker.image)
+        image = self._build(self.docker.image)
         size = image["Size"] / 1e6
-        user = image["Config"]["User"]
-        expect(user == "1000:1000", f"it runs as {user!r}")
         expect("Healthcheck" in image["Config"], "it has no health check")
         expect(size < LARGEST, f"it has {size:.0f} MB; allowed are {LARGEST} MB")
-        return f"{size:.0f} MB, user {user}"
+        return f"{size:.0f} MB, user {image['Config']['User']}"
 
-    def _build(self, tag: str, *more: str) -> None:
+    def _build_target(self, target: str, tag: str, largest: int) -> float:
+        """Build a larger image; the MB that it has besides."""
+        size = self._build(tag, "--target", target)["Size"]
+        more = (size - self.docker.inspect(self.docker.image)["Size"]) / 1e6
+        expect(more < largest, f"it takes {more:.0f} MB more; allowed are {largest} MB")
+        return float(more)
+
+    def _build(self, tag: str, *more: str) -> Json:
+        """An image, which must not be root's."""
         docker = self.docker
         words = ["build", "--tag", tag, *more]
         proxies = [
@@ -575,6 +572,10 @@ class Checks:
             pip.write_text("\n".join(["[global]", *index]) + "\n")
             words += ["--secret", f"id=pip_conf,src={pip}"]
         docker(*words, ".", limit=900.0, DOCKER_BUILDKIT="1")
+        image = docker.inspect(tag)
+        user = image["Config"]["User"]
+        expect(user == "1000:1000", f"it runs as {user!r}")
+        return image
 
     def credentials(self) -> str:
         """`docker compose run credentials` makes them."""
@@ -588,12 +589,12 @@ class Checks:
     def escort(self) -> str:
         """`docker compose up` flies the escort scenario to its end."""
         docker, told = self.docker, ""
-        for words in (("up",), *(("up", "--exit-code-from", "simulator"),) * 2):
-            docker.compose(*words, limit=120.0)
-            told = same_flight(docker.summary(), self._reference())
-            if words == ("up",):
-                self._all_end_well()
-            docker.down()
+        docker.compose("up", limit=120.0)
+        same_flight(docker.summary(), self._reference())
+        self._all_end_well()
+        docker.down()
+        for _ in range(2):
+            told = same_flight(docker.flown(), self._reference())
         return told + "; three times, exit 0"
 
     def _all_end_well(self) -> None:
@@ -607,10 +608,7 @@ class Checks:
         docker, scenario = self.docker, "/runs/lossy.toml"
         shutil.copy(ROOT / "examples" / "networks" / "wifi-far.csv", docker.runs)
         (docker.runs / "lossy.toml").write_text(LOSSY)
-        words = ("up", "--exit-code-from", "simulator")
-        docker.compose(*words, limit=120.0, OUTRIDER_SCENARIO=scenario)
-        flown = docker.summary()
-        docker.down()
+        flown = docker.flown(OUTRIDER_SCENARIO=scenario)
         told = same_flight(flown, docker.reference(scenario=scenario))
         looks, commands = (flown["links"][f"uav_0/{kind}"] for kind in ("detections", "commands"))
         share, lost = flown["certified_share"], commands["lost"]["loss"]
@@ -622,13 +620,10 @@ class Checks:
 
     def hazards(self) -> str:
         """A UGV that finds its way through each shipped ground with hazards: the same flights."""
-        docker, words = self.docker, ("up", "--exit-code-from", "simulator")
         told = []
         for scenario in ("minefield", "rubble", "rescue"):
-            docker.compose(*words, limit=180.0, OUTRIDER_SCENARIO=scenario)
-            flown = docker.summary()
-            docker.down()
-            same_flight(flown, docker.reference(scenario=scenario))
+            flown = self.docker.flown(OUTRIDER_SCENARIO=scenario)
+            same_flight(flown, self.docker.reference(scenario=scenario))
             expect(flown["hazards_hit"] == 0, f"{scenario}: {flown['hazards_hit']} hazards hit")
             when = f"after {flown['mission_time']:.0f} s" if flown["arrived"] else "not in time"
             told.append(f"{scenario}: no hazard hit, arrived {when}")
@@ -636,8 +631,7 @@ class Checks:
 
     def failure(self) -> str:
         """A flight that cannot be flown ends with the simulator's exit code."""
-        words = ("compose", "up", "--exit-code-from", "simulator")
-        done = self.docker.ended(*words, limit=90.0, OUTRIDER_SCENARIO="no-such-scenario")
+        done = self.docker.ended("compose", *UP, limit=90.0, OUTRIDER_SCENARIO="no-such-scenario")
         self.docker.down()
         expect(done.returncode == 2, f"exit code {done.returncode}")
         return "exit code 2"
@@ -660,14 +654,12 @@ class Checks:
                 for host in (service, address)
             ]
             for service, address in addresses.items():  # somebody does listen there
-                received = json.loads(
-                    docker.python("router", CALL, f"{service}:9000", f"{address}:9000")
-                )
+                received = docker.found("router", CALL, f"{service}:9000", f"{address}:9000")
                 expect(
                     set(received.values()) == {"open"},
                     f"the router, which shares a network with {service}, finds {received}",
                 )
-            found = json.loads(docker.python("uav", CALL, "router:17447", *others))
+            found = docker.found("uav", CALL, "router:17447", *others)
             with socket.create_server(
                 ("", 0)
             ) as host:  # a service of the host, on all of its addresses
@@ -675,11 +667,8 @@ class Checks:
                     "Gateway"
                 ].partition("/")[0]
                 port = host.getsockname()[1]
-                outside = json.loads(
-                    docker.python(
-                        "uav", CALL, *(f"{address}:{port}" for address in {gateway, own_address()})
-                    )
-                )
+                hosts = (f"{address}:{port}" for address in {gateway, own_address()})
+                outside = docker.found("uav", CALL, *hosts)
             expect(found.pop("router:17447") == "open", "it does not reach the router")
             expect(set((found | outside).values()) == {"unreachable"}, f"found {found | outside}")
             return f"router: open; {', '.join(addresses)} by name and address, the host, near and far: unreachable"
@@ -699,7 +688,7 @@ class Checks:
         others = [f"{prefix}/{topic}" for topic in topics]
 
         def listen(service: str, name: str, password: str, *keys: str, spoiled: str = "") -> Any:  # noqa: ANN401 - JSON
-            return json.loads(docker.python(service, LISTEN, name, password, "2", spoiled, *keys))
+            return docker.found(service, LISTEN, name, password, "2", spoiled, *keys)
 
         with docker.flying(duration=ENDLESS), ThreadPoolExecutor() as pool:
             spoiled = f"{prefix}/ugv_0/command,{prefix}/uav_0/command"
@@ -731,7 +720,7 @@ class Checks:
                 "another's name": listen("uav", "ugv_0", "own-is-not-known-here", others[0]),
             }
             expect(set(strangers.values()) == {"refused"}, f"strangers: {strangers}")
-            crossing = json.loads(docker.python("uav", TAP, own, "20"))
+            crossing = docker.found("uav", TAP, own, "20")
             expect(
                 "relative_position" in crossing["readable"],
                 f"with passwords all can be read, and here is {crossing}",
@@ -755,20 +744,12 @@ class Checks:
             "OUTRIDER_SECRETS": str(docker.folder / "certificates"),
         }
         docker.compose("run", "--rm", "credentials", **certified)
-        words = ("up", "--exit-code-from", "simulator")
-        docker.compose(*words, limit=120.0, **certified)
-        told = same_flight(docker.summary(), self._reference())
-        docker.compose("down", "--volumes", "--timeout", "5", limit=90.0, **certified)
-        try:
-            docker.compose("up", "--detach", limit=90.0, OUTRIDER_DURATION=ENDLESS, **certified)
-            crossing = json.loads(
-                docker.python("uav", TAP, f"outrider/{RUN}/uav_0/observation", "30")
-            )
+        told = same_flight(docker.flown(**certified), self._reference())
+        with docker.standing(OUTRIDER_DURATION=ENDLESS, **certified):
+            crossing = docker.found("uav", TAP, f"outrider/{RUN}/uav_0/observation", "30")
             expect(crossing["received"] >= 100, f"its observations do not come: {crossing}")
             expect(not crossing["readable"], f"of what crosses one can read: {crossing}")
-            found = json.loads(docker.python("uav", CERTIFIED))
-        finally:
-            docker.down()
+            found = docker.found("uav", CERTIFIED)
         expect(
             (found.pop("own"), found.pop("version")) == ("open", "TLSv1.3"),
             "its own certificate does not let it in over TLS 1.3",
@@ -837,18 +818,8 @@ class Checks:
 
     def realtime(self) -> str:
         """The real-time profile keeps the clock."""
-        docker = self.docker
-        docker.compose(
-            "up",
-            "--exit-code-from",
-            "simulator-realtime",
-            "simulator-realtime",
-            limit=120.0,
-            OUTRIDER_REALTIME="10",
-            OUTRIDER_DURATION="60",
-        )
-        flown = docker.summary()
-        docker.down()
+        words = ("up", "--exit-code-from", "simulator-realtime", "simulator-realtime")
+        flown = self.docker.flown(*words, OUTRIDER_REALTIME="10", OUTRIDER_DURATION="60")
         factor = flown["realtime_factor"]
         expect(flown["complete"] and abs(factor - 10.0) < 0.5, f"factor {factor:.2f} instead of 10")
         return f"factor {factor:.3f} of 10, {flown['late_ticks']} of {flown['ticks']} ticks late"
@@ -856,16 +827,9 @@ class Checks:
     def dashboard(self) -> str:
         """The page is there for a browser of this machine alone that knows the token, and shows the run live."""
         docker, port = self.docker, free_port()
-        self._build(docker.page_image, "--target", "dashboard")
-        image = docker.inspect(docker.page_image)
-        more = (image["Size"] - docker.inspect(docker.image)["Size"]) / 1e6
-        expect(image["Config"]["User"] == "1000:1000", f"it runs as {image['Config']['User']!r}")
-        expect(
-            more < PAGE_LARGEST, f"the page takes {more:.0f} MB more; allowed are {PAGE_LARGEST} MB"
-        )
-        try:
-            words = ("up", "--detach", "simulator-realtime", "dashboard")
-            docker.compose(*words, limit=120.0, OUTRIDER_DURATION=ENDLESS, OUTRIDER_PORT=str(port))
+        more = self._build_target("dashboard", docker.page_image, PAGE_LARGEST)
+        words = ("simulator-realtime", "dashboard")
+        with docker.standing(*words, OUTRIDER_DURATION=ENDLESS, OUTRIDER_PORT=str(port)):
             address = self._address_of_the_page(port)
             bound = docker.inspect(docker.container("dashboard"))["NetworkSettings"]["Ports"][
                 f"{port}/tcp"
@@ -883,13 +847,10 @@ class Checks:
                 ticks = ticks_shown(port, cookie, 3.0)
                 time.sleep(1.0)
             expect(len(ticks) > 1 and ticks[-1] > ticks[0], f"it shows the ticks {ticks}")
-            found = json.loads(docker.python("uav", CALL, f"dashboard:{port}"))
-            found |= json.loads(
-                docker.python("dashboard", CALL, "uav:9000", "ugv:9000", "simulator-realtime:9000")
-            )
+            found = docker.found("uav", CALL, f"dashboard:{port}")
+            vehicles = ("uav:9000", "ugv:9000", "simulator-realtime:9000")
+            found |= docker.found("dashboard", CALL, *vehicles)
             expect(set(found.values()) == {"unreachable"}, f"found {found}")
-        finally:
-            docker.down()
         return (
             f"{more:.0f} MB more; 127.0.0.1:{port}, no token, no page; ticks {ticks}; no way to a vehicle, nor "
             "from one"
@@ -901,14 +862,11 @@ class Checks:
         more = {"OUTRIDER_SECRETS": str(folder), "OUTRIDER_DURATION": ENDLESS}
         docker.compose("run", "--rm", "credentials", OUTRIDER_ROS2="with", **more)
         received: dict[str, Json] = {}
-        try:
-            docker.compose("up", "--detach", "simulator-realtime", "ros2", limit=90.0, **more)
+        with docker.standing("simulator-realtime", "ros2", **more):
             limit = time.monotonic() + 60.0
             while time.monotonic() < limit and not received.get("observer"):
                 received["observer"] = self._received_by_node("ros2_observer", folder)
             received["uav"] = self._received_by_node("uav_0", folder)
-        finally:
-            docker.down()
         topics = {"/".join(key.split("/")[1:-2]) for key in received["observer"]}
         expect(
             {"clock", "tf", "uav_0/odom", "ugv_0/odom"} <= topics,
@@ -941,21 +899,13 @@ class Checks:
     def mavlink(self) -> str:
         """A ground station of this machine that speaks to the port is told both vehicles."""
         docker, port = self.docker, free_port()
-        self._build(docker.mavlink_image, "--target", "mavlink")
-        image = docker.inspect(docker.mavlink_image)
-        more = (image["Size"] - docker.inspect(docker.image)["Size"]) / 1e6
-        expect(image["Config"]["User"] == "1000:1000", f"it runs as {image['Config']['User']!r}")
-        expect(more < MAVLINK_LARGEST, f"it takes {more:.0f} MB more; {MAVLINK_LARGEST} allowed")
-        try:
-            words = ("up", "--detach", "simulator-realtime", "mavlink")
-            told = {"OUTRIDER_DURATION": ENDLESS, "OUTRIDER_MAVLINK_PORT": str(port)}
-            docker.compose(*words, limit=120.0, **told)
+        more = self._build_target("mavlink", docker.mavlink_image, MAVLINK_LARGEST)
+        words = ("simulator-realtime", "mavlink")
+        with docker.standing(*words, OUTRIDER_DURATION=ENDLESS, OUTRIDER_MAVLINK_PORT=str(port)):
             bound = docker.inspect(docker.container("mavlink"))["NetworkSettings"]["Ports"]
             hosts = [row["HostIp"] for row in bound["14550/udp"]]
             expect(hosts == ["127.0.0.1"], f"it is published at {bound}")
             received = received_by_station(port, 60.0)
-        finally:
-            docker.down()
         expect(len(received) == 2, f"it is told of the systems {received}")
         for system, kinds in received.items():
             expect(0 in kinds and len(kinds) >= 3, f"of system {system} it is told {kinds}")
@@ -978,20 +928,10 @@ class Checks:
         (docker.folder / "pilot").mkdir()
         (docker.folder / "pilot" / "pilot.py").write_text(PILOT)
         (docker.folder / "pilot" / "Dockerfile").write_text(PILOT_IMAGE)
-        docker(
-            "build",
-            "--tag",
-            docker.pilot_image,
-            "--build-arg",
-            f"BASE={docker.image}",
-            str(docker.folder / "pilot"),
-            limit=120.0,
-            DOCKER_BUILDKIT="1",
-        )
+        words = ["build", "--tag", docker.pilot_image, "--build-arg", f"BASE={docker.image}"]
+        docker(*words, str(docker.folder / "pilot"), limit=120.0, DOCKER_BUILDKIT="1")
         files = ("-f", "docker-compose.yml", "-f", "docker-compose.override.example.yml")
-        docker.compose(*files, "up", "--exit-code-from", "simulator", limit=120.0)
-        flown = docker.summary()
-        docker.down()
+        flown = docker.flown(*files, *UP)
         missing = flown["missing_commands"]
         expect(
             flown["complete"] and not any(missing.values()), f"commands that are missing: {missing}"
@@ -1032,12 +972,10 @@ def engine() -> str | None:
     program = shutil.which("docker")
     if program is None:
         return None
-    for words in (["info"], ["compose", "version"]):
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            if not subprocess.run(
-                [program, *words], capture_output=True, timeout=30, check=False
-            ).returncode:
-                continue
+    try:
+        for words in (["info"], ["compose", "version"]):
+            subprocess.run([program, *words], capture_output=True, timeout=30, check=True)
+    except subprocess.SubprocessError:
         return None
     return program
 

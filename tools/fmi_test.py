@@ -8,14 +8,13 @@ import json
 import os
 import re
 import shutil
-import subprocess
 import sys
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from bridge_checks import FOREIGN, ROOT, Row, environment, report
+from bridge_checks import FOREIGN, ROOT, Row, called, environment, output, outrider, report, told
 
 NEEDED = ("fmpy>=0.3.32,<0.4", "pythonfmu3>=0.3.4,<0.4")
 FLIGHT = ("escort", "--duration", 60, "--seed", 3)
@@ -26,75 +25,41 @@ CRASHES = {
 }
 
 
-def called(
-    *words: object, cwd: Path | None = None, environ: dict[str, str] | None = None
-) -> "subprocess.CompletedProcess[str]":
-    """A program, run to its end."""
-    return subprocess.run(
-        [str(word) for word in words],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300.0,
-        cwd=cwd,
-        env=environ,
-    )
-
-
-def outrider(*words: object) -> str:
-    """The standard output of a command of ours.
-
-    Raises:
-        SystemExit: If it fails.
-    """
-    done = called(sys.executable, "-m", "outrider", *words)
-    if done.returncode:
-        raise SystemExit(f"outrider {' '.join(map(str, words))}: {done.stderr}")
-    return done.stdout
-
-
 def flown(*words: object) -> dict[str, Any]:
     """The summary of a run of the flight."""
-    told: dict[str, Any] = json.loads(outrider("run", *FLIGHT, "--no-picture", "--json", *words))
-    return told
+    return told("run", *FLIGHT, "--no-picture", "--json", *words)
 
 
 def from_outside(folder: Path, python: Path) -> Iterator[Row]:
-    """Our units, and fmpy as their master.
-
-    Raises:
-        SystemExit: If it fails.
-    """
+    """Our units, and fmpy as their master."""
     for what in ("uav", "ugv", "world"):
-        outrider("fmu", "export", what, *FLIGHT, "--out", folder / f"{what}.fmu")
+        output(*outrider("fmu", "export", what, *FLIGHT, "--out", folder / f"{what}.fmu"))
     (folder / "master").mkdir()
     environ = os.environ | {
         "TMPDIR": str(folder / "master")
     }  # fmpy leaves a folder when a step is refused
-    done = called(python, FOREIGN / "fmi_master.py", folder, environ=environ)
-    if done.returncode:
-        raise SystemExit(f"fmpy: {done.stdout[-1500:]} {done.stderr[-1500:]}")
-    told = json.loads(done.stdout.splitlines()[-1])
-    wrong = {name: problems for name, problems in told["problems"].items() if problems}
+    said = output(python, FOREIGN / "fmi_master.py", folder, env=environ).splitlines()
+    found = json.loads(said[-1])
+    wrong = {name: problems for name, problems in found["problems"].items() if problems}
     yield Row(
         "fmpy validates the units of UAV, UGV and world", f"problems: {wrong or 'none'}", not wrong
     )
-    rows = told["world"].pop("rows")
-    differ = {column: count for column, count in told["world"].items() if count}
+    rows = found["world"].pop("rows")
+    differ = {column: count for column, count in found["world"].items() if count}
     good = not differ and rows == 1201
     yield Row("fmpy simulates the world: the bits of trajectory.csv",
-              f"{rows} rows of {len(told['world'])} columns, differ: {differ or 'none'}", good)  # fmt: skip
+              f"{rows} rows of {len(found['world'])} columns, differ: {differ or 'none'}", good)  # fmt: skip
     for name in ("uav", "ugv"):
-        one = told[name]
+        one = found[name]
         certified = "" if one["certified"] is None else f", certified at {one['certified']}"
         yield Row(f"fmpy gives the {name}'s unit what it perceived: it answers what was flown",
                   f"{one['rows'] - 1} steps, at most {one['differ']:.2g} m/s² off{certified}",
                   one["differ"] <= 1e-15 and one["rows"] == 1201)  # fmt: skip
-    said = [line for line in done.stdout.splitlines() if "allowed: steps of 0.05 s" in line]
+    why = [line for line in said if "allowed: steps of 0.05 s" in line]
     yield Row(
         "a step of 0.1 s is refused",
-        f"{told['refused']}; {said[-1:]}",
-        bool(told["refused"] and said),
+        f"{found['refused']}; {why[-1:]}",
+        bool(found["refused"] and why),
     )
 
 
@@ -115,7 +80,7 @@ def from_c(folder: Path, python: Path) -> Iterator[Row]:
     )
     environ = os.environ | {"PYTHONPATH": f"{packages}:{ROOT}"}
     done = called(
-        folder / "master_in_c", folder / "unzipped", *token, libpython, 1200, 0.05, environ=environ
+        folder / "master_in_c", folder / "unzipped", *token, libpython, 1200, 0.05, env=environ
     )
     (header, *_, last) = (folder / "flight" / "trajectory.csv").read_text().splitlines()
     ends = dict(zip(header.split(","), last.split(","), strict=True))
@@ -123,18 +88,18 @@ def from_c(folder: Path, python: Path) -> Iterator[Row]:
         float(ends[f"{vehicle}.{axis} [m]"]) for vehicle in ("uav_0", "ugv_0") for axis in "xy"
     ]
     same = [float(word) for word in done.stdout.split()] == there
-    told = f"{done.stdout.strip()}; exit code {done.returncode}{made.stderr}{done.stderr}"
-    yield Row(what, told, same and done.returncode == 0)
+    value = f"{done.stdout.strip()}; exit code {done.returncode}{made.stderr}{done.stderr}"
+    yield Row(what, value, same and done.returncode == 0)
 
 
 def at_the_wheel(folder: Path, python: Path, here: str) -> Iterator[Row]:
     """Units that drive: one of ours, and one that somebody wrote with plain pythonfmu3."""
     driver = ("--no-files", "--driver", f"fmu:{folder / 'ugv.fmu'}")
-    for told, words in (("three processes", ()), ("one process", ("--in-process",))):
+    for where, words in (("three processes", ()), ("one process", ("--in-process",))):
         summary = flown(*driver, *words)
         same = summary["trajectory_sha256"] == here
         value = f"{summary['trajectory_sha256'][:16]}, {summary['ticks_per_second']:.0f} ticks/s"
-        yield Row(f"the UGV's unit drives, {told}: the bits of the built-in driver", value, same)
+        yield Row(f"the UGV's unit drives, {where}: the bits of the built-in driver", value, same)
     script = (FOREIGN / "fmi_wheel.py").read_text()
     wheel = built(python, folder / "theirs", script)
     summary = flown("--out", folder / "driven", "--driver", f"fmu:{wheel}")
@@ -155,27 +120,20 @@ def at_the_wheel(folder: Path, python: Path, here: str) -> Iterator[Row]:
 def crashed(folder: Path, python: Path) -> Iterator[Row]:
     """Units that fail in a step. Whose process is killed leaves its temporary folder."""
     script = (FOREIGN / "fmi_wheel.py").read_text()
-    for told, (line, word) in CRASHES.items():
+    for what, (line, word) in CRASHES.items():
         bad = script.replace('"""One step."""', f"if current_time > 5.0: {line}")
-        name = f"wheel_{told.split()[0]}"  # Python knows a module by its name
+        name = f"wheel_{what.split()[0]}"  # Python knows a module by its name
         unit = built(python, folder / name, bad, name)
-        done = called(sys.executable, "-m", "outrider", "run", *FLIGHT, "--no-files",
-                      "--driver", f"fmu:{unit}")  # fmt: skip
+        done = called(*outrider("run", *FLIGHT, "--no-files", "--driver", f"fmu:{unit}"))
         lines = [one for one in done.stderr.splitlines() if word in one]
-        yield Row(f"one that {told}", lines[-1:], bool(done.returncode and lines))
+        yield Row(f"one that {what}", lines[-1:], bool(done.returncode and lines))
 
 
 def built(python: Path, folder: Path, script: str, name: str = "fmi_wheel") -> Path:
-    """The unit that pythonfmu3 makes of a script.
-
-    Raises:
-        SystemExit: If it does not.
-    """
+    """The unit that pythonfmu3 makes of a script."""
     folder.mkdir()
     (folder / f"{name}.py").write_text(script)
-    done = called(python, "-m", "pythonfmu3", "build", "-f", f"{name}.py", cwd=folder)
-    if done.returncode:
-        raise SystemExit(f"pythonfmu3: {done.stderr[-1500:]}")
+    output(python, "-m", "pythonfmu3", "build", "-f", f"{name}.py", cwd=folder)
     return folder / "Wheel.fmu"
 
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-from bridge_checks import FOREIGN, Row, environment, outrider, report, started
+from bridge_checks import FOREIGN, Row, called, environment, output, outrider, report, started, told
 
 NEEDED = ("mavsdk>=4,<5", "MAVProxy>=1.8.70,<2", "pymavlink>=2.4.49,<3")
 DURATION = 100.0
@@ -43,15 +43,13 @@ def await_text(file: Path, text: str, patience: float = 120.0) -> None:
 def log_of_mavproxy(python: Path, folder: Path) -> Iterator[Row]:
     """The log that MAVProxy has written, as pymavlink's own tool reads it."""
     tool = python.with_name("mavlogdump.py")
-    words = [tool, "--types", "HEARTBEAT", "--show-source", folder / "flight.tlog"]
-    read = subprocess.run([python, *words], capture_output=True, text=True, check=False)
+    read = called(python, tool, "--types", "HEARTBEAT", "--show-source", folder / "flight.tlog")
     lines = [line for line in read.stdout.splitlines() if "HEARTBEAT" in line]
     both = all(any(f"srcSystem={n} " in line for line in lines) for n in (1, 2))
     yield Row("MAVProxy logs heartbeats of both", f"{len(lines)} in its log", both)
-    told = (folder / "mavproxy.out").read_text()
-    yield Row(
-        "and says that they are there", "Detected vehicle 1:1", "Detected vehicle 1:1" in told
-    )
+    word = "Detected vehicle 1:1"
+    said = (folder / "mavproxy.out").read_text()
+    yield Row("and says that they are there", word, word in said)
 
 
 def unanswered(folder: Path) -> Iterator[Row]:
@@ -82,8 +80,7 @@ def unanswered(folder: Path) -> Iterator[Row]:
             stack.enter_context(started(folder / f"{name}.log", words))
         simulator.wait(120.0)
     there = json.loads((folder / "unanswered.out").read_text())
-    alone = outrider("run", "escort", "--duration", 20, "--in-process", "--no-files", "--json")
-    here = json.loads(subprocess.run(alone, capture_output=True, check=True).stdout)
+    here = told("run", "escort", "--duration", 20, "--in-process", "--no-files", "--json")
     same = there["trajectory_sha256"] == here["trajectory_sha256"]
     yield Row("unanswered in lockstep: the same bits", there["trajectory_sha256"][:16], same)
 
@@ -111,28 +108,22 @@ def along(folder: Path, python: Path) -> Iterator[Row]:
         stack.enter_context(started(folder / "autopilot.log", words))
         simulator.wait(120.0)
         process.wait(20.0)
-    told = json.loads((folder / "along-uav.out").read_text())
+    sent = json.loads((folder / "along-uav.out").read_text())
     received = json.loads((folder / "autopilot.out").read_text().splitlines()[-1])
     yield Row("MAVSDK's server takes setpoints", received["setpoints"], received["setpoints"] > 200)
-    yield Row("and its telemetry is believed", told["reports"], told["reports"] > 200)
-    off, held = told["largest_deviation"], told["held_ticks"]
-    value = f"at most {off:.3f} m off, waited for in {held} of {told['ticks']} ticks"
-    yield Row("it holds what it is told", value, off < 0.3 and held < told["ticks"] / 10)
+    yield Row("and its telemetry is believed", sent["reports"], sent["reports"] > 200)
+    off, held = sent["largest_deviation"], sent["held_ticks"]
+    value = f"at most {off:.3f} m off, waited for in {held} of {sent['ticks']} ticks"
+    yield Row("it holds what it is told", value, off < 0.3 and held < sent["ticks"] / 10)
     summary = json.loads((folder / "along.out").read_text())
     kept = summary["visibility_violations"] == 0 and summary["certificate_broken"] == 0
     yield Row("sight kept", f"at most {summary['max_distance']:.2f} m", kept)
 
 
 def watched_and_flown(folder: Path, python: Path) -> Iterator[Row]:
-    """MAVSDK watches both vehicles and flies the UAV, while MAVProxy logs.
-
-    Raises:
-        SystemExit: If a process does not do its part at all.
-    """
+    """MAVSDK watches both vehicles and flies the UAV, while MAVProxy logs."""
     keys = folder / "credentials"
-    subprocess.run(
-        outrider("credentials", keys, "--scenario", "escort"), check=True, capture_output=True
-    )
+    output(*outrider("credentials", keys, "--scenario", "escort"))
     router = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
     watched, logged, flown = (free_port(socket.SOCK_DGRAM) for _ in range(3))
     changes = ("--realtime", 2, "--duration", DURATION, "--no-picture", "--json")
@@ -182,13 +173,8 @@ def watched_and_flown(folder: Path, python: Path) -> Iterator[Row]:
             started(folder / "mavproxy.log", proxy, stdin=subprocess.DEVNULL, cwd=folder)
         )
         addresses = [f"udpin://127.0.0.1:{port}" for port in (watched, flown)]
-        station = subprocess.run(
-            [python, FOREIGN / "mavsdk_station.py", *addresses],
-            capture_output=True, text=True, check=False, timeout=120.0,
-        )  # fmt: skip
-        if station.returncode:
-            raise SystemExit(f"MAVSDK: {station.stdout[-1500:]} {station.stderr[-1500:]}")
-        yield from (Row(**one) for one in json.loads(station.stdout.splitlines()[-1]))
+        station = output(python, FOREIGN / "mavsdk_station.py", *addresses, patience=120.0)
+        yield from (Row(**one) for one in json.loads(station.splitlines()[-1]))
         mavproxy.terminate()
         mavproxy.wait(10.0)
         yield from log_of_mavproxy(python, folder)
@@ -201,8 +187,8 @@ def watched_and_flown(folder: Path, python: Path) -> Iterator[Row]:
     # a tick that a busy machine misses is not certified, and says so
     yield Row("no certificate broken", f"certified {100.0 * share:.1f} % of the ticks", broken == 0)
     for name in ("uav", "gateway"):
-        told = json.loads((folder / f"{name}.out").read_text())
-        yield Row(f"{name} ends in order", f"refused: {told['refused']}", ended[name] == 0)
+        refused = json.loads((folder / f"{name}.out").read_text())["refused"]
+        yield Row(f"{name} ends in order", f"refused: {refused}", ended[name] == 0)
 
 
 def findings(folder: Path) -> Iterator[Row]:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
-from bridge_checks import FOREIGN, Row, environment, outrider, report, started
+from bridge_checks import FOREIGN, Row, environment, output, outrider, report, started
 
 from bus.access import client_settings, read_credential
 from outrider.bridges.ros2.interfaces import encode, make, type_hash
@@ -54,8 +54,8 @@ class Run:
     def __init__(self, stack: ExitStack, folder: Path, *simulated: object) -> None:
         self.folder, self.port = folder, free_port()
         self.endpoint = f"tcp/127.0.0.1:{self.port}"
-        made = outrider("credentials", folder / "keys", "--scenario", simulated[0], "--with-ros2")
-        subprocess.run(made, check=True, capture_output=True)
+        keys = ("credentials", folder / "keys", "--scenario", simulated[0], "--with-ros2")
+        output(*outrider(*keys))
         self._stack = stack
         self.simulator = self.start(
             "simulator", "simulator", *simulated, "--listen", self.endpoint,
@@ -113,17 +113,6 @@ class Run:
         return found
 
 
-def run_foreign(words: list[object], settings: dict[str, str], patience: float = 90.0) -> str:
-    """Output of a program of an environment."""
-    done = subprocess.run(
-        [str(word) for word in words], env=settings, capture_output=True, text=True,
-        check=False, timeout=patience,
-    )  # fmt: skip
-    if done.returncode:
-        raise SystemExit(f"{words[:2]}: {done.stdout[-800:]} {done.stderr[-1500:]}")
-    return done.stdout
-
-
 def definitions(share: Path, cache: Path) -> None:
     """The message definitions that zenoh-ros2-sdk would clone from GitHub, from rclpy's wheels instead."""
     for name, packages in REPOSITORIES.items():
@@ -135,9 +124,9 @@ def definitions(share: Path, cache: Path) -> None:
                 (folder / package / "msg" / "TFMessage.msg").write_text(told)
             else:
                 shutil.copytree(share / package / "msg", folder / package / "msg")
-        git = ["git", "-C", str(folder), "-c", "user.name=x", "-c", "user.email=x"]
+        git = ["git", "-C", folder, "-c", "user.name=x", "-c", "user.email=x"]
         for words in (["init", "-q", "-b", "jazzy"], ["add", "-A"], ["commit", "-q", "-m", "x"]):
-            subprocess.run([*git, *words], check=True, capture_output=True)
+            output(*git, *words)
 
 
 def listed(run: Run, sdk: Path) -> Iterator[Row]:
@@ -147,7 +136,7 @@ def listed(run: Run, sdk: Path) -> Iterator[Row]:
     limit, shown = time.monotonic() + 60.0, ""
     wanted = {f"{name} [{row.interface}]" for name, row in WANTED.items()}
     while time.monotonic() < limit and not wanted <= set(shown.splitlines()):
-        shown = run_foreign([*tool, "topic", "list", "-t"], settings)
+        shown = output(*tool, "topic", "list", "-t", env=settings)
     found = wanted & set(shown.splitlines())
     yield Row(
         "zenoh-ros2 topic list -t",
@@ -156,7 +145,7 @@ def listed(run: Run, sdk: Path) -> Iterator[Row]:
     )
     described = 0
     for name, row in WANTED.items():
-        told = run_foreign([*tool, "topic", "info", "-v", name], settings)
+        told = output(*tool, "topic", "info", "-v", name, env=settings)
         described += type_hash(row.interface) in told and f"QoS: {row.qos.encoded()}" in told
     yield Row(
         "zenoh-ros2 topic info -v", f"{described} with type, hash and QoS", described == len(wanted)
@@ -166,10 +155,8 @@ def listed(run: Run, sdk: Path) -> Iterator[Row]:
 def echoed(run: Run, sdk: Path) -> Iterator[Row]:
     """zenoh-ros2-sdk decodes every topic, and calls services."""
     kinds = json.dumps({name: (row.interface, row.qos.encoded()) for name, row in WANTED.items()})
-    told = run_foreign(
-        [sdk / "python", FOREIGN / "ros2_sdk_echo.py", run.port, DOMAIN, kinds],
-        run.settings("ros2_operator"),
-    )
+    words = (FOREIGN / "ros2_sdk_echo.py", run.port, DOMAIN, kinds)
+    told = output(sdk / "python", *words, env=run.settings("ros2_operator"))
     found = json.loads(told.splitlines()[-1])
     missing = sorted(set(WANTED) - set(found["came"]))
     yield Row(
@@ -181,14 +168,13 @@ def echoed(run: Run, sdk: Path) -> Iterator[Row]:
 
 def driven(run: Run, sdk: Path) -> Iterator[Row]:
     """Pyzeros drives the UGV and reads its odometry."""
-    told = run_foreign(
-        [sdk / "python", FOREIGN / "ros2_pyzeros_driver.py", 0.1], run.settings("ros2_operator")
-    )
+    words = (FOREIGN / "ros2_pyzeros_driver.py", 0.1)
+    told = output(sdk / "python", *words, env=run.settings("ros2_operator"))
     found = json.loads(told.splitlines()[-1])
     yield Row(
         "pyzeros drives the UGV at 0.1 m/s east", f"odometry says {found['now']}", found["reached"]
     )
-    told = run_foreign([sdk / "python", "-c", _ROGUE], run.settings("uav_0"))
+    told = output(sdk / "python", "-c", _ROGUE, env=run.settings("uav_0"))
     found = json.loads(told.splitlines()[-1])
     yield Row(
         "pyzeros with uav_0's credentials reads the truth",
@@ -251,12 +237,8 @@ def captured(run: Run, folder: Path) -> list[dict[str, str]]:
 def same_bytes(run: Run, sdk: Path, rclpy: Path) -> Iterator[Row]:
     """The real rclpy reads every payload and writes the same bytes; its hashes are ours."""
     index = captured(run, run.folder / "payloads")
-    rows = json.loads(
-        run_foreign(
-            [rclpy / "python", FOREIGN / "ros2_rclpy_bytes.py", run.folder / "payloads"],
-            dict(os.environ),
-        )
-    )
+    program = FOREIGN / "ros2_rclpy_bytes.py"
+    rows = json.loads(output(rclpy / "python", program, run.folder / "payloads"))
     messages = [row for row in rows if "file" in row and row["tried"]]
     untried = sorted({row["type"] for row in rows if not row["tried"]})
     padding = sum(row["padding"] for row in messages)
@@ -268,9 +250,7 @@ def same_bytes(run: Run, sdk: Path, rclpy: Path) -> Iterator[Row]:
               f"no wheel: {untried}; differ: {differ}",
               not differ and len(messages) >= len(WANTED) - 2)  # fmt: skip
     files = [run.folder / "payloads" / row["file"] for row in rows if not row["tried"]]
-    told = json.loads(
-        run_foreign([sdk / "python", FOREIGN / "ros2_cyclone_tf.py", *files], dict(os.environ))
-    )
+    told = json.loads(output(sdk / "python", FOREIGN / "ros2_cyclone_tf.py", *files))
     good = told["hash"] == type_hash("tf2_msgs/msg/TFMessage") and all(
         same for _, same in told["same"].values()
     )
