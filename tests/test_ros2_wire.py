@@ -30,7 +30,7 @@ from outrider.bridges.ros2.wire import (
 from sim.scenario.loading import load_scenario
 from sim.scene.known import scene_of
 
-NODE = Node(domain=7, zid="8a1f", name="outrider", namespace="/fleet", number=0)
+NODE = Node(domain=7, zid="8a1f", name="outrider", namespace="/fleet")
 
 
 def truth_at(tick=40):

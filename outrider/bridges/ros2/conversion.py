@@ -38,7 +38,8 @@ _FLAT = 0.02
 _CORNERS = 72
 """Of a circle."""
 _CYLINDER, _LINE_STRIP, _TRIANGLES = 3, 4, 11
-_OK, _WARN, _ERROR = b"\x00", b"\x01", b"\x02"
+OK, WARN, ERROR = range(3)
+"""Levels of `diagnostic_msgs`."""
 _LATE, _MISSING_SHARE = 1.0, 0.05
 _GRID = (-1, 0, 50, 100, 0, -1)
 """Occupancy of a tile by its code in a `GroundMap`: not seen, clear, rough, blocked, a find, seen and not told."""
@@ -460,19 +461,19 @@ def _told(value: object) -> str:
 
 
 def diagnostic(
-    name: str, values: Mapping[str, object], *, level: bytes = _OK, message: str = "ok"
+    name: str, values: Mapping[str, object], *, level: int = OK, message: str = "ok"
 ) -> Any:  # noqa: ANN401
     """The state of one part of the run.
 
     Args:
         name: Of the part.
         values: Numbers and words, by name.
-        level: One of OK, WARN and ERROR of `diagnostic_msgs`.
+        level: One of OK, WARN and ERROR.
         message: In a few words.
     """
     return make(
         "diagnostic_msgs/msg/DiagnosticStatus",
-        level=level[0],
+        level=level,
         name=f"outrider: {name}",
         message=message,
         hardware_id="outrider",
@@ -491,7 +492,7 @@ def _run_diagnostic(status: Status) -> Any:  # noqa: ANN401
         "run",
         _fields(status, "scenario", "seed", "tick", "ticks", "law", *pace)
         | {f"driver of {name}": driver for name, driver in status.drivers.items()},
-        level=_WARN if warnings else _OK,
+        level=WARN if warnings else OK,
         message="; ".join((words, *warnings)),
     )
 
@@ -499,17 +500,15 @@ def _run_diagnostic(status: Status) -> Any:  # noqa: ANN401
 def _link_diagnostic(name: str, link: LinkStatus) -> Any:  # noqa: ANN401
     ratio = link.delivery_ratio
     bad = ratio is not None and ratio < 1.0 - _MISSING_SHARE
-    late = link.age is not None and link.age > _LATE
-    words = [
-        *(("loses messages",) if bad else ()),
-        *((f"its newest is {link.age:.1f} s old",) if late and link.age is not None else ()),
-    ]
+    words = ["loses messages"] if bad else []
+    if link.age is not None and link.age > _LATE:
+        words.append(f"its newest is {link.age:.1f} s old")
     counts, ages = ("sent", "delivered", "waiting", "flying"), ("age", "mean_age", "max_age")
     return diagnostic(
         f"link {name}",
         _fields(link, *counts, "delivery_ratio", *ages)
         | {f"lost: {cause}": count for cause, count in link.lost.items()},
-        level=_WARN if words else _OK,
+        level=WARN if words else OK,
         message=", ".join(words) or "ok",
     )
 
@@ -522,7 +521,7 @@ def _vehicle_diagnostic(name: str, vehicle: VehicleStatus, *, over: bool) -> Any
         f"vehicle {name}",
         _fields(vehicle, "present", *faults)
         | {f"refused: {cause}": count for cause, count in vehicle.refused.items()},
-        level=_ERROR if gone else _WARN if faulty else _OK,
+        level=ERROR if gone else WARN if faulty else OK,
         message="its process is away" if gone else vehicle.last_fault or "ok",
     )
 
@@ -539,7 +538,7 @@ def diagnostics(status: Status, own: Iterable[Any] = ()) -> Any:  # noqa: ANN401
         diagnostic(
             f"certificate {name}",
             {"certified": certified},
-            level=_OK if certified else _WARN,
+            level=OK if certified else WARN,
             message="sight is certified to be kept"
             if certified
             else f"not certified: {status.uncertified.get(name, 'no reason is told')}",
@@ -548,7 +547,7 @@ def diagnostics(status: Status, own: Iterable[Any] = ()) -> Any:  # noqa: ANN401
     ]
     if status.mission is not None:
         told, hits = msgspec.structs.asdict(status.mission), status.mission.hazards_hit
-        found.append(diagnostic("mission", told, level=_WARN if hits else _OK))
+        found.append(diagnostic("mission", told, level=WARN if hits else OK))
     found += [
         _vehicle_diagnostic(name, vehicle, over=status.over)
         for name, vehicle in status.vehicles.items()

@@ -2,23 +2,34 @@
 
 import time
 from collections import Counter
+from dataclasses import dataclass
 
 from bus.keys import COVERAGE, GROUND, SAMPLED_TRUTH, STATUS, TRUTH, Key
 from bus.messages import CoverageMap, GroundMap, Message, Status, Truth
 from bus.queues import Inbox
 from bus.session import Session
 from outrider.bridges.refused import Refusals
-from outrider.bridges.ros2.conversion import RunView, diagnostic, view_of
+from outrider.bridges.ros2.conversion import OK, WARN, RunView, diagnostic, view_of
 from outrider.bridges.ros2.ros_commands import RosCommands
 from outrider.bridges.ros2.ros_node import RosNode, RosPublisher, log_refused
 from outrider.bridges.ros2.topics import TOPICS, TopicRow, messages_of, wire_topic
-from sim.scene.model import Scene
 
 _ROOM = 4096
 """Truths that wait where every tick is wanted, before the oldest are lost."""
 _AT_ONCE = 256
 """Messages that are taken before it is looked who reads what, and who wants the end."""
-_WARNING = b"\x01"
+
+
+@dataclass(slots=True)
+class _Topic:
+    """A topic that is published."""
+
+    row: TopicRow
+    publisher: RosPublisher
+    due: float = 0.0
+    """Earliest time of the next message, of our clock [s]."""
+    found: int = 0
+    """The readers that were told when it was published last, as `RosPublisher.found` counts them."""
 
 
 class RosObserver:
@@ -42,11 +53,8 @@ class RosObserver:
         }
         self._statuses = session.inbox(STATUS)
         self._inboxes: dict[type[Message], Inbox] = {}
-        self._rows: dict[str, TopicRow] = {}
-        self._publishers: dict[str, RosPublisher] = {}
+        self._topics: dict[str, _Topic] = {}
         self._sent: Counter[str] = Counter()
-        self._due: dict[str, float] = {}
-        self._found: dict[str, int] = {}
         self._tick = -1
         self._every_tick = every_tick
         self.missing_ticks = 0
@@ -61,8 +69,7 @@ class RosObserver:
     def topics(self) -> dict[str, int]:
         """Messages sent, by topic."""
         now = {
-            f"{self._namespace}{name}": publisher.sent
-            for name, publisher in self._publishers.items()
+            f"{self._namespace}{name}": topic.publisher.sent for name, topic in self._topics.items()
         }
         return {name: self._sent[name] + now.get(name, 0) for name in self._sent | now}
 
@@ -81,11 +88,7 @@ class RosObserver:
 
     def _ask_for_what_is_read(self) -> None:
         """Subscribe to the telemetry whose topics are read, and to no other: nobody makes what nobody reads."""
-        read = {
-            self._rows[name].source
-            for name, publisher in self._publishers.items()
-            if publisher.wanted
-        }
+        read = {topic.row.source for topic in self._topics.values() if topic.publisher.wanted}
         for kind, key in self._keys.items():
             if kind in read and kind not in self._inboxes:
                 room = _ROOM if key is TRUTH else 1
@@ -106,7 +109,7 @@ class RosObserver:
             self._view.own = (self._own_diagnostic(),)
         wanted = self._wanted(message)
         for name, payload in messages_of(self._view, message, wanted=wanted):
-            self._publishers[name].send(payload)
+            self._topics[name].publisher.send(payload)
 
     def _wanted(self, message: Message) -> set[str]:
         """Topics that are read, and due; of a tick that is told again those alone that are read since then."""
@@ -116,14 +119,14 @@ class RosObserver:
                 self.missing_ticks += message.tick - self._tick - 1
             self._tick = message.tick
         now, wanted = time.monotonic(), set()
-        for name, publisher in self._publishers.items():
-            row = self._rows[name]
-            if row.source is not type(message) or not publisher.wanted:
+        for name, topic in self._topics.items():
+            publisher = topic.publisher
+            if topic.row.source is not type(message) or not publisher.wanted:
                 continue
-            new = publisher.found != self._found.get(name, 0)
-            if new or (not again and now >= self._due.get(name, 0.0)):
+            new = publisher.found != topic.found
+            if new or (not again and now >= topic.due):
                 wanted.add(name)
-                self._found[name], self._due[name] = publisher.found, now + row.period
+                topic.found, topic.due = publisher.found, now + topic.row.period
         return wanted
 
     def _look_at(self, status: Status) -> None:
@@ -135,32 +138,27 @@ class RosObserver:
             return
         self.close()  # what was told of another run
         self._view = view
-        self._declare(view.scene)
-        for name, payload in messages_of(self._view, None):
-            self._publishers[name].send(payload)
-
-    def _declare(self, scene: Scene) -> None:
         for row in TOPICS:
-            for _, name in row.names(scene):
+            for _, name in row.names(view.scene):
                 topic = wire_topic(row.interface, name, self._namespace)
-                self._rows[name] = row
-                self._publishers[name] = self._node.publisher(topic, row.qos)
+                self._topics[name] = _Topic(row, self._node.publisher(topic, row.qos))
+        for name, payload in messages_of(view, None):
+            self._topics[name].publisher.send(payload)
 
     def _own_diagnostic(self) -> object:
-        sent = sum(publisher.sent for publisher in self._publishers.values())
+        sent = sum(topic.publisher.sent for topic in self._topics.values())
         refused = self.refusals.counts
         told = {"messages": sent, "commands": self.commands.taken if self.commands else 0}
         return diagnostic(
             "ros2 bridge",
             told | {f"refused: {cause}": count for cause, count in refused.copy().items()},
-            level=_WARNING if refused else b"\x00",
+            level=WARN if refused else OK,
             message=f"refused {self.refusals.newest}" if refused else "ok",
         )
 
     def close(self) -> None:
         """Leave the graph."""
         self._sent = Counter(self.topics)
-        for publisher in self._publishers.values():
-            publisher.close()
-        for kept in (self._publishers, self._rows, self._due, self._found):
-            kept.clear()
+        for topic in self._topics.values():
+            topic.publisher.close()
+        self._topics.clear()

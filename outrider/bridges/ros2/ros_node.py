@@ -101,11 +101,13 @@ class RosNode:
     def __init__(self, session: Session, *, domain: int, name: str, namespace: str = "") -> None:
         self._zenoh = session.below
         self.domain = domain
-        self._identity = Node(
-            domain=domain, zid=session.id, name=name, namespace=namespace or "/", number=0
-        )
+        self._identity = Node(domain=domain, zid=session.id, name=name, namespace=namespace or "/")
         self._numbers = itertools.count(1)
-        self._kept: list[Any] = [self._zenoh.liveliness().declare_token(self._identity.token())]
+        self._kept: list[Any] = []
+        self._show(self._identity.token())
+
+    def _show(self, token: str) -> None:
+        self._kept.append(self._zenoh.liveliness().declare_token(token))
 
     def _token(self, kind: Endpoint, topic: WireTopic, qos: Qos) -> str:
         return self._identity.endpoint_token(kind, next(self._numbers), topic, qos)
@@ -117,8 +119,7 @@ class RosNode:
 
     def show_subscription(self, topic: WireTopic, qos: Qos) -> None:
         """Show in the graph that a topic is read here."""
-        token = self._token(Endpoint.SUBSCRIPTION, topic, qos)
-        self._kept.append(self._zenoh.liveliness().declare_token(token))
+        self._show(self._token(Endpoint.SUBSCRIPTION, topic, qos))
 
     def receive(self, expression: str, receive: Receive) -> None:
         """Read all keys that an expression matches."""
@@ -144,9 +145,7 @@ class RosNode:
                     _LOG.warning("a call of %s is refused: %s", topic.name, error)
 
         self._kept.append(self._zenoh.declare_queryable(key, answer, complete=True))
-        self._kept.append(
-            self._zenoh.liveliness().declare_token(self._token(Endpoint.SERVICE, topic, RELIABLE))
-        )
+        self._show(self._token(Endpoint.SERVICE, topic, RELIABLE))
 
     def close(self) -> None:
         """Leave the graph."""

@@ -73,13 +73,11 @@ class Node:
     """Zenoh id of its session."""
     name: str
     namespace: str = "/"
-    number: int = 0
-    """Among the nodes and endpoints of its session."""
 
-    def token(self) -> str:
-        """The liveliness token that shows the node in the graph."""
+    def token(self, kind: Endpoint = Endpoint.NODE, number: int = 0) -> str:
+        """The liveliness token that shows the node in the graph; it is number 0 of its session."""
         return (
-            f"{GRAPH}/{self.domain}/{self.zid}/{self.number}/{self.number}/{Endpoint.NODE}"
+            f"{GRAPH}/{self.domain}/{self.zid}/0/{number}/{kind}"
             f"/%/{mangled(self.namespace)}/{self.name}"
         )
 
@@ -93,8 +91,7 @@ class Node:
             qos: Its quality of service.
         """
         return (
-            f"{GRAPH}/{self.domain}/{self.zid}/{self.number}/{number}/{kind}"
-            f"/%/{mangled(self.namespace)}/{self.name}"
+            f"{self.token(kind, number)}"
             f"/{mangled(topic.name)}/{dds_type(topic.interface)}/{topic.hash}/{qos.encoded()}"
         )
 
