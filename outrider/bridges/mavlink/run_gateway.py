@@ -61,9 +61,8 @@ class RunGateway(Gateway):
         self._joined: set[str] = set()
         self._refusals = status.refusals
         self._asked: dict[str, float] = {}
-        self._set: dict[
-            str, tuple[float, float]
-        ] = {}  # what parameters were set to, and until when
+        # What parameters were set to, and until when.
+        self._set: dict[str, tuple[float, float]] = {}
 
     def take(self, message: Message) -> None:
         """Take in what the run tells."""
@@ -141,11 +140,9 @@ class RunGateway(Gateway):
             yield "AREA_WIDTH", geometry.area.width
             yield "DT", geometry.dt
             yield "DURATION", status.ticks * geometry.dt
-            yield (
-                "MAX_ACCEL",
-                math.inf if limits.max_acceleration is None else limits.max_acceleration,
-            )
-            yield "MAX_SPEED", math.inf if limits.max_speed is None else limits.max_speed
+            v, u = limits.max_speed, limits.max_acceleration
+            yield "MAX_ACCEL", math.inf if u is None else u
+            yield "MAX_SPEED", math.inf if v is None else v
             yield "SENSOR_RANGE", geometry.sensor_range
             yield "VIS_RADIUS", geometry.visibility_radius
         yield "LAW", float(_LAWS.index(status.law)) if status.law in _LAWS else -1.0

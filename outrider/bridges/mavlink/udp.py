@@ -77,6 +77,24 @@ class _Line:
         return list(self.received)
 
 
+def _resolved(address: Address) -> Address:
+    try:
+        found = socket.getaddrinfo(*address, socket.AF_INET, socket.SOCK_DGRAM)
+    except OSError as error:
+        raise BusError(f"{address.host}:{address.port}: no such host ({error.strerror})") from error
+    return Address(*found[0][4][:2])
+
+
+def _bind(opened: socket.socket, address: Address) -> None:
+    where = _resolved(address)
+    try:
+        opened.bind(where)
+    except OSError as error:
+        raise BusError(
+            f"cannot listen on {address.host}:{address.port} ({error.strerror}): is it in use?"
+        ) from error
+
+
 class Network:
     """All the sockets of one process.
 
@@ -98,39 +116,17 @@ class Network:
         self._lines: list[_Line] = []
         try:
             for address in out:
-                known = self._resolved(address)
-                self._lines.append(_Line(self._open(None, address), known, {}))
+                self._open(_resolved(address))
             for address in listen:
-                self._lines.append(_Line(self._open(address, address), None, {}))
+                _bind(self._open(None), address)
         except BusError:
             self.close()
             raise
 
-    @staticmethod
-    def _resolved(address: Address) -> Address:
-        try:
-            found = socket.getaddrinfo(*address, socket.AF_INET, socket.SOCK_DGRAM)
-        except OSError as error:
-            raise BusError(
-                f"{address.host}:{address.port}: no such host ({error.strerror})"
-            ) from error
-        return Address(*found[0][4][:2])
-
-    @classmethod
-    def _open(cls, bound: Address | None, address: Address) -> socket.socket:
+    def _open(self, fixed: Address | None) -> socket.socket:
         opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         opened.setblocking(False)
-        try:
-            if bound is not None:
-                opened.bind(cls._resolved(bound))
-        except OSError as error:
-            opened.close()
-            raise BusError(
-                f"cannot listen on {address.host}:{address.port} ({error.strerror}): is it in use?"
-            ) from error
-        except BusError:
-            opened.close()
-            raise
+        self._lines.append(_Line(opened, fixed, {}))
         return opened
 
     def receive(self, patience: float) -> Iterator[tuple[Peer, MavMessage]]:
