@@ -12,6 +12,7 @@ import argparse
 import contextlib
 import http.client
 import json
+import math
 import os
 import re
 import shutil
@@ -101,7 +102,8 @@ class Processes:
             else ["--run", RUN, "--connect", self.endpoint]
         )
         name = name or kind
-        credential = self.files[self._party(name)]
+        party = "operator" if name.startswith("dashboard") else name
+        credential = self.files["observer" if name == OBSERVERS else party]
         return self._launch(name, kind, *arguments, "--credentials", credential, *where)
 
     def _launch(self, name: str, *words: str) -> "subprocess.Popen[bytes]":
@@ -117,19 +119,13 @@ class Processes:
         self._running[name] = process
         return process
 
-    @staticmethod
-    def _party(kind: str) -> str:
-        if kind == OBSERVERS:
-            return "observer"
-        return "operator" if kind.startswith("dashboard") else kind
-
-    def start_all(self, port: int, factor: float) -> None:
+    def start_all(self, port: int) -> None:
         """The whole run, the dashboard on this port, and beside it a flight that is recorded."""
         words = ("run", "escort", "--in-process", "--no-files", "--duration", "25")
         self._launch("recording", *words, "--record", str(self._folder / "run.mcap"))
         self.start("router")
         wait_until(lambda: answers(int(self.endpoint.rpartition(":")[2])), "the router listens")
-        self.simulator(factor)
+        self.simulator(1.0)
         for name in ("uav_0", "ugv_0"):
             self.start(name[:3], "--join-timeout", "120", name=name)
         self.start("dashboard", "--port", str(port))
@@ -158,16 +154,8 @@ class Processes:
 
     def simulator(self, factor: float) -> None:
         """A simulator that keeps the wall clock."""
-        self.start(
-            "simulator",
-            "escort",
-            "--duration",
-            "20000",
-            "--realtime",
-            str(factor),
-            "--join-timeout",
-            "120",
-        )
+        words = ("escort", "--duration", "20000", "--realtime", str(factor))
+        self.start("simulator", *words, "--join-timeout", "120")
 
     def kill(self, name: str) -> None:
         """As a crash would."""
@@ -195,39 +183,39 @@ class Processes:
 
 
 class Page:
-    """One browser's page, and all it complains about."""
+    """One browser's page, and all it complains about.
+
+    Args:
+        context: The browser's.
+        address: Of the page.
+        complaints: Takes what the browser says, and requests that leave this machine.
+    """
 
     def __init__(self, context: Any, address: str, complaints: list[str]) -> None:  # noqa: ANN401 - Playwright's own
         context.add_init_script(_PAD)
         self.page = context.new_page()
-        self.page.on(
-            "console",
-            lambda m: (
-                complaints.append(f"console: {m.text}") if m.type in ("error", "warning") else None
-            ),
-        )
+        here = (address.partition("?")[0], "data:", "blob:")
+
+        def hear(message: Any) -> None:  # noqa: ANN401 - Playwright's own
+            if message.type in ("error", "warning"):
+                complaints.append(f"console: {message.text}")
+
+        def see(request: Any) -> None:  # noqa: ANN401 - Playwright's own
+            if not request.url.startswith(here):
+                complaints.append(f"a request left this machine: {request.url}")
+
+        self.page.on("console", hear)
         self.page.on("pageerror", lambda error: complaints.append(f"script: {error}"))
-        self.page.on(
-            "request", lambda request: self._see(request.url, address.partition("?")[0], complaints)
-        )
+        self.page.on("request", see)
         self.page.goto(address)
         self.ready()
         if "?" in self.page.url:
             raise Failed(f"the ticket stays in the bar: {self.page.url}")
 
-    @staticmethod
-    def _see(url: str, address: str, complaints: list[str]) -> None:
-        if not url.startswith((address, "data:", "blob:")):
-            complaints.append(f"a request left this machine: {url}")
-
     def ready(self) -> None:
         """Wait until it shows a run."""
-        wait_until(
-            lambda: self.run(
-                "window.outrider && outrider.store.status && outrider.store.truth && true"
-            ),
-            "the page shows a run",
-        )
+        shows = "window.outrider && outrider.store.status && outrider.store.truth && true"
+        wait_until(lambda: self.run(shows), "the page shows a run")
 
     def run(self, script: str) -> Any:  # noqa: ANN401 - whatever the script gives
         """Value of an expression in the page."""
@@ -256,8 +244,7 @@ class Page:
 
     def speed(self) -> float:
         """The UGV's [m/s]."""
-        x, y = self.velocity()
-        return float((x * x + y * y) ** 0.5)
+        return math.hypot(*self.velocity())
 
     def wheel(self) -> str:
         """The holder of the wheel: `mine`, `other` or `free`."""
@@ -265,11 +252,8 @@ class Page:
 
     def banner(self) -> str:
         """The fault that the page shows; empty: none."""
-        return str(
-            self.run(
-                "document.getElementById('banner').hidden ? '' : document.getElementById('banner').innerText"
-            )
-        )
+        banner = "document.getElementById('banner')"
+        return str(self.run(f"{banner}.hidden ? '' : {banner}.innerText"))
 
     def click(self, text: str) -> None:
         """A button."""
@@ -507,15 +491,15 @@ def check_touch(second: Page, context: Any) -> str:  # noqa: ANN401 - Playwright
     box = stick.bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     touch = context.new_cdp_session(second.page)
-    touch.send(
-        "Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]}
-    )
-    touch.send(
-        "Input.dispatchTouchEvent",
-        {"type": "touchMove", "touchPoints": [{"x": x, "y": y + box["height"] / 2}]},
-    )
+
+    def finger(kind: str, *places: float) -> None:
+        points = [{"x": x, "y": at} for at in places]
+        touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    finger("touchStart", y)
+    finger("touchMove", y + box["height"] / 2)
     wait_until(lambda: second.velocity()[1] < -0.1, "a finger on the stick drives the UGV south")
-    touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    finger("touchEnd")
     wait_until(lambda: second.speed() < 0.01, "lifted, it brakes")
     second.click("Hand back")
     wait_until(
@@ -582,6 +566,11 @@ def check_links(page: Page) -> str:
     """A slider degrades a link, a blackout is dark, a refusal is shown, and all can be made perfect again."""
     name = "uav_0/detections"
     row = page.page.locator(f"[data-link='{name}']")
+
+    def link() -> dict[str, Any]:
+        found: dict[str, Any] = page.status["links"][name]
+        return found
+
     row.click()
     wait_until(
         lambda: page.page.get_by_role("combobox", name="link").input_value() == "detections",
@@ -589,12 +578,9 @@ def check_links(page: Page) -> str:
     )
     before = len(page.status["changes"])
     _slider(page, "loss [%]", 0.5)
-    wait_until(
-        lambda: 0.3 < page.status["links"][name]["settings"]["loss"] < 0.7,
-        "the slider sets the loss",
-    )
-    share = page.status["links"][name]["settings"]["loss"]
-    wait_until(lambda: page.status["links"][name]["lost"]["loss"] > 0, "detections are lost")
+    wait_until(lambda: 0.3 < link()["settings"]["loss"] < 0.7, "the slider sets the loss")
+    share = link()["settings"]["loss"]
+    wait_until(lambda: link()["lost"]["loss"] > 0, "detections are lost")
     if (said := len(page.status["changes"]) - before) != 1:
         raise Failed(f"one drag of a slider has said {said} things")
     if any(other["degraded"] for key, other in page.status["links"].items() if key != name):
@@ -611,17 +597,13 @@ def check_links(page: Page) -> str:
         lambda: "blackout" in row.inner_text() and "left" in row.inner_text(),
         "the row shows the blackout",
     )
-    wait_until(
-        lambda: page.status["links"][name]["lost"]["blackout"] >= 20,
-        "it takes what is sent meanwhile",
-    )
-    if page.status["links"][name]["settings"]["loss"] != share:
+    wait_until(lambda: link()["lost"]["blackout"] >= 20, "it takes what is sent meanwhile")
+    if link()["settings"]["loss"] != share:
         raise Failed("a blackout has changed the loss")
     wait_until(lambda: "left" not in row.inner_text(), "it passes")
     _slider(page, "bursts of [s]", 0.2)
     wait_until(
-        lambda: page.status["links"][name]["settings"]["burst_interval"] > 0.0,
-        "bursts come with a time between them",
+        lambda: link()["settings"]["burst_interval"] > 0.0, "bursts come with a time between them"
     )
     interval = page.page.get_by_label("one every, number")
     interval.fill("0")
@@ -633,7 +615,7 @@ def check_links(page: Page) -> str:
     )
     wait_until(lambda: float(interval.input_value()) > 0.0, "the form shows again what is")
     page.page.get_by_role("button", name="Perfect", exact=True).click()
-    wait_until(lambda: not page.status["links"][name]["degraded"], "it is perfect again")
+    wait_until(lambda: not link()["degraded"], "it is perfect again")
     wait_until(
         lambda: not refusal.inner_text() and "perfect" in row.inner_text(), "and the page says so"
     )
@@ -704,19 +686,12 @@ def check_dead_simulator(page: Page, processes: Processes) -> str:
     return f"{line!r} after {seconds:.1f} s; gone with the next simulator"
 
 
-class Doors:
-    """Dashboards that are refused, and one with a chosen token.
-
-    Started before they are looked at, since all that takes time.
-    """
-
-    def __init__(self, processes: Processes, port: int) -> None:
-        self.port = free_port()
-        self.tried = _refused(processes, port)
-        processes.start("dashboard", "--port", str(self.port), "--token", TOKEN, name="dashboard_2")
+Refused = dict[str, tuple["subprocess.Popen[str]", str]]
+"""By what is wrong with them: processes that are to end, and what they are to say."""
 
 
-def _refused(processes: Processes, port: int) -> "dict[str, tuple[subprocess.Popen[str], str]]":
+def refused_dashboards(processes: Processes, port: int) -> Refused:
+    """Dashboards that are to be refused; all that takes time, so that they are looked at later."""
     refused = {
         "a taken port": (["--port", str(port)], "cannot listen"),
         "a host without token": (["--host", "0.0.0.0", "--no-token"], "--no-token"),  # noqa: S104 - which is refused
@@ -724,16 +699,8 @@ def _refused(processes: Processes, port: int) -> "dict[str, tuple[subprocess.Pop
     }
     tried = {}
     for what, (arguments, said) in refused.items():
-        command = [
-            *OUTRIDER,
-            "dashboard",
-            *arguments,
-            "--connect",
-            processes.endpoint,
-            "--run",
-            RUN,
-        ]
-        command += ["--credentials", processes.files["operator"]]
+        command = [*OUTRIDER, "dashboard", *arguments, "--connect", processes.endpoint]
+        command += ["--run", RUN, "--credentials", processes.files["operator"]]
         process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
@@ -741,9 +708,9 @@ def _refused(processes: Processes, port: int) -> "dict[str, tuple[subprocess.Pop
     return tried
 
 
-def check_doors(port: int, processes: Processes, doors: Doors) -> str:
-    """Admission to the page, and the words for whoever is not admitted."""
-    for what, (process, said) in doors.tried.items():
+def check_doors(port: int, second: int, processes: Processes, refused: Refused) -> str:
+    """Admission to the page, also of a second one whose token is chosen, and the words for who is not admitted."""
+    for what, (process, said) in refused.items():
         told = process.communicate(timeout=60)[1]
         if process.returncode != 2 or said not in told or len(told.strip().splitlines()) != 1:
             raise Failed(f"{what}: exit code {process.returncode}, {told!r}")
@@ -762,7 +729,6 @@ def check_doors(port: int, processes: Processes, doors: Doors) -> str:
     ):
         _expect(port, "/", headers, status)
         _expect(port, "/frames", {**upgrade, **headers}, status)
-    second = doors.port
     wait_until(lambda: answers(second), "the dashboard with a token listens")
     _expect(second, "/", {}, 401)
     _expect(second, "/frames", upgrade, 401)
@@ -794,7 +760,7 @@ def staged(port: int) -> Iterator[Processes]:
     with tempfile.TemporaryDirectory(prefix="o-") as folder:
         processes = Processes(Path(folder))
         try:
-            processes.start_all(port, 1.0)
+            processes.start_all(port)
             yield processes
         except BaseException:
             sys.stderr.write(processes.logs() + "\n")
@@ -847,11 +813,13 @@ def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:  # n
             report("on a tablet", check_tablet(tablet, address, pictures, complaints))
             report("several browsers", check_one_wheel(first, second))
             report("touch", check_touch(second, phone))
-            doors = Doors(processes, port)
+            refused, door = refused_dashboards(processes, port), free_port()
+            token = ("--port", str(door), "--token", TOKEN)
+            processes.start("dashboard", *token, name="dashboard_2")
             third = Page(desktop, address, complaints)
             report("controls", check_controls(third))
             report("a dead simulator", check_dead_simulator(third, processes))
-            report("doors", check_doors(port, processes, doors))
+            report("doors", check_doors(port, door, processes, refused))
             if complaints:
                 raise Failed("; ".join(complaints[:5]))
             report("the browser", "no errors, and no request left this machine")
@@ -870,15 +838,8 @@ def install_browser() -> None:
         return
     say("page-test: installing chromium from Debian's packages")
     environment = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
-    patient = [
-        "-qq",
-        "-o",
-        "Acquire::Retries=1",
-        "-o",
-        "Acquire::http::Timeout=20",
-        "-o",
-        "Acquire::https::Timeout=20",
-    ]
+    settings = ("Retries=1", "http::Timeout=20", "https::Timeout=20")
+    patient = ["-qq", *(f"-oAcquire::{setting}" for setting in settings)]
     for words in (
         ["update"],
         ["install", "-y", "--no-install-recommends", "chromium", "fonts-dejavu-core"],
@@ -894,10 +855,8 @@ def install_browser() -> None:
                 check=False,
             )
             if done.returncode:
-                last = (done.stderr.strip() or done.stdout.strip() or "no word why").splitlines()[
-                    -1
-                ]
-                say(f"page-test: apt-get {words[0]} failed: {last}")
+                said = done.stderr.strip() or done.stdout.strip() or "no word why"
+                say(f"page-test: apt-get {words[0]} failed: {said.splitlines()[-1]}")
 
 
 def missing() -> str:
