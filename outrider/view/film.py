@@ -39,6 +39,8 @@ WIDTH = 800
 """Of a film [px]."""
 ENDINGS = (".png", ".gif", ".mp4")
 
+Picture = np.ndarray[Any, Any]
+"""RGBA, shape (height, width, 4), uint8."""
 Progress = Callable[[int, int], None]
 """Told how many frames of how many are drawn."""
 
@@ -98,9 +100,7 @@ def render(
         _write_mp4(frames, out, fps)
 
 
-def _counted(
-    frames: "Iterator[np.ndarray[Any, Any]]", total: int, on_frame: Progress
-) -> "Iterator[np.ndarray[Any, Any]]":
+def _counted(frames: Iterator[Picture], total: int, on_frame: Progress) -> Iterator[Picture]:
     for done, frame in enumerate(frames, 1):
         yield frame
         on_frame(done, total)
@@ -131,9 +131,7 @@ def _palette(*, hazards: bool) -> Image.Image:
     return image
 
 
-def _write_gif(
-    frames: "Iterator[np.ndarray[Any, Any]]", out: Path, fps: int, *, hazards: bool
-) -> None:
+def _write_gif(frames: Iterator[Picture], out: Path, fps: int, *, hazards: bool) -> None:
     palette = _palette(hazards=hazards)
     colored = (Image.fromarray(frame).convert("RGB") for frame in frames)
     pictures = (one.quantize(palette=palette, dither=Image.Dither.NONE) for one in colored)
@@ -151,7 +149,7 @@ def _write_gif(
         )
 
 
-def _write_mp4(frames: "Iterator[np.ndarray[Any, Any]]", out: Path, fps: int) -> None:
+def _write_mp4(frames: Iterator[Picture], out: Path, fps: int) -> None:
     first = next(frames)
     height, width = first.shape[:2]
     raw = ["-f", "rawvideo", "-pix_fmt", "rgba", "-s", f"{width}x{height}", "-r", str(fps)]
@@ -212,9 +210,9 @@ class Film:
             scene = observed_scene(
                 head.name, None, escorts=escorts, vehicles=first.vehicles, ground=self._ground()
             )
-        self._reported = any(escort.report for escort in self._truths[-1].escorts)
+        reported = any(escort.report for escort in self._truths[-1].escorts)
         self._frames = Frames(
-            scene, width=WIDTH, facts=facts, estimates=self._reported, hazards=self._ground_waiting
+            scene, width=WIDTH, facts=facts, estimates=reported, hazards=self._ground_waiting
         )
 
     def frame_times(self, step: float) -> FloatArray:
@@ -232,13 +230,13 @@ class Film:
         x, y = np.concatenate(list(self._tracks.values())).max(axis=0).tolist()
         return x + 5.0, y + 5.0
 
-    def frames(self, times: "FloatArray | list[float]") -> "Iterator[np.ndarray[Any, Any]]":
-        """The frames at these simulated times [s], which rise; shape (height, width, 4), uint8."""
+    def frames(self, times: FloatArray | list[float]) -> Iterator[Picture]:
+        """The frames at these simulated times [s], which rise."""
         for time in times:
             row = int(np.searchsorted(self.times, float(time) + 1e-9, side="right")) - 1
             yield self._frame(max(0, row))
 
-    def _frame(self, row: int) -> "np.ndarray[Any, Any]":
+    def _frame(self, row: int) -> Picture:
         truth = self._truths[row]
         coverage = None
         while self._waiting is not None and self._waiting.tick <= truth.tick:

@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from rich.text import Text
 
@@ -38,8 +39,7 @@ class ErrorCurve:
             self.time = time
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Banner:
+class Banner(NamedTuple):
     """The line that tells how it stands."""
 
     text: str
@@ -61,30 +61,21 @@ def farthest(view: DriveView, vehicle: str) -> EscortTruth | None:
 def banner(view: DriveView, vehicle: str, *, leaving: bool) -> Banner:
     """The one thing that matters most now."""
     if view.status is not None and view.status.over:
-        return Banner(text="the flight is over · q leaves", color="#12151a", ground=GOOD)
+        return Banner("the flight is over · q leaves", "#12151a", GOOD)
     trouble = _trouble(view)
     if trouble:
-        return Banner(text=trouble, color="#ffffff", ground=ALARM)
+        return Banner(trouble, "#ffffff", ALARM)
     if leaving:
-        return Banner(text="handing the wheel back", color="#12151a", ground=GOOD)
+        return Banner("handing the wheel back", "#12151a", GOOD)
     paused = view.status is not None and view.status.paused
     if view.mine:
         does = "paused" if paused else "driving" if view.wanted is not None else "braking"
-        return Banner(text=f"YOU DRIVE {vehicle} · {does}", color="#12151a", ground=UGV[0])
+        return Banner(f"YOU DRIVE {vehicle} · {does}", "#12151a", UGV[0])
+    pause = " (paused)" if paused else ""
     if view.asked:
-        return Banner(
-            text=f"taking the wheel of {vehicle}{' (paused)' if paused else ''}",
-            color="#12151a",
-            ground=UGV[1],
-        )
-    who = (
-        f"{view.driver} drives {vehicle}" if view.driver else f"nobody is known to drive {vehicle}"
-    )
-    return Banner(
-        text=f"{who}{' (paused)' if paused else ''} · an arrow key takes the wheel",
-        color=INK,
-        ground=EDGE,
-    )
+        return Banner(f"taking the wheel of {vehicle}{pause}", "#12151a", UGV[1])
+    who = f"{view.driver} drives" if view.driver else "nobody is known to drive"
+    return Banner(f"{who} {vehicle}{pause} · an arrow key takes the wheel", INK, EDGE)
 
 
 def _trouble(view: DriveView) -> str:
@@ -144,18 +135,14 @@ def _distance(text: Text, view: DriveView, escort: EscortTruth | None) -> None:
     distance = escort.distance if escort is not None else None
     r_v = geometry.visibility_radius if geometry is not None else None
     r_s = geometry.switching_radius if geometry is not None else None
+    color, margin = INK, "-"
+    if distance is not None and r_v is not None:
+        color, margin = _severity(distance, r_v, r_s), f"{r_v - distance:+.2f} m"
     name = f"distance {escort.uav}" if escort is not None else "distance"
-    color = INK if distance is None or r_v is None else _severity(distance, r_v, r_s)
     _row(text, name, "-" if distance is None else f"{distance:.2f} m", color, bold=True)
-    margin = "-" if distance is None or r_v is None else f"{r_v - distance:+.2f} m"
     text.append_text(_gauge(distance, r_v, r_s, color))
-    _row(
-        text,
-        "margin to r_v" + (f" = {r_v:g} m" if r_v is not None else ""),
-        margin,
-        color,
-        bold=True,
-    )
+    limit = "" if r_v is None else f" = {r_v:g} m"
+    _row(text, f"margin to r_v{limit}", margin, color, bold=True)
     text.append("\n")
 
 
@@ -206,10 +193,8 @@ def _velocities(text: Text, view: DriveView, vehicle: str, escort: EscortTruth |
     wanted = view.wanted if view.wanted is not None else (0.0, 0.0) if view.mine else None
     _velocity(text, "you want", wanted, UGV[0])
     vehicles = view.truth.vehicles if view.truth is not None else {}
-    for name, color in (
-        (vehicle, UGV[0]),
-        *(((escort.uav, UAV[0]),) if escort is not None else ()),
-    ):
+    shown = {vehicle: UGV[0]} | ({} if escort is None else {escort.uav: UAV[0]})
+    for name, color in shown.items():
         _velocity(text, name, vehicles[name].velocity if name in vehicles else None, color)
     text.append("\n")
 

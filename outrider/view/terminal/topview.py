@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -28,6 +29,8 @@ _SHOWN = 1.35
 _KEPT = 400
 _TRAIL_STEP = 0.15
 """Distance between two points of a trail [m]."""
+_COVERED = tuple(COVERED[round(level / 255.0 * (len(COVERED) - 1))] for level in range(256))
+"""The ground's colour by the byte that says how much of its coverage it has."""
 
 
 @dataclass(slots=True)
@@ -93,12 +96,14 @@ def draw(
     limits = [ring for ring in scene.rings if ring.around == vehicle]
     reach = None if wide or not limits else _SHOWN * max(ring.radius for ring in limits)
     window = _window(scene, truth.vehicles[vehicle].position, canvas, reach)
-    if view.coverage is not None:
-        _paint_coverage(canvas, window, view.coverage)
+    told = view.coverage
+    if told is not None and len(told.cells) == told.rows * told.columns:
+        _paint_grid(canvas, window, told, told.cell, told.cells, _COVERED)
     _paint_area(canvas, window, scene)
     has_hazards = view.status is not None and view.status.mission is not None
     hazards = view.ground if has_hazards else None
     if hazards is not None:
+        _paint_grid(canvas, window, hazards, hazards.tile, hazards.tiles, TILES)
         _paint_hazards(canvas, window, hazards)
     flies = {one.name: one.flies for one in scene.vehicles}
     for name, trail in trails.points.items():
@@ -134,28 +139,27 @@ def _window(
     return _Window(x=scene.width / 2, y=scene.height / 2, scale=scale, width=width, height=height)
 
 
-def _paint_coverage(canvas: Canvas, window: _Window, coverage: CoverageMap) -> None:
-    if len(coverage.cells) != coverage.rows * coverage.columns:
-        return
+def _paint_grid(
+    canvas: Canvas,
+    window: _Window,
+    grid: CoverageMap | GroundMap,
+    side: float,
+    codes: bytes,
+    shades: Sequence[str],
+) -> None:
+    """Colour the ground by a grid of fields, `side` [m] wide: each by its code, where that has a shade."""
     for row in range(canvas.height):
         for column in range(canvas.width):
             x, y = window.point(2 * column + 1, 4 * row + 2)
-            i, j = int(x // coverage.cell), int(y // coverage.cell)
-            if 0 <= i < coverage.columns and 0 <= j < coverage.rows:
-                share = coverage.cells[j * coverage.columns + i] / 255.0
-                canvas.ground(column, row, COVERED[round(share * (len(COVERED) - 1))])
+            i, j = int(x // side), int(y // side)
+            if 0 <= i < grid.columns and 0 <= j < grid.rows:
+                shade = shades[codes[j * grid.columns + i]]
+                if shade:
+                    canvas.ground(column, row, shade)
 
 
 def _paint_hazards(canvas: Canvas, window: _Window, ground: GroundMap) -> None:
-    """Draws what the UGVs know of the ground, and the hazards: those that they do not know faint."""
-    for row in range(canvas.height):
-        for column in range(canvas.width):
-            x, y = window.point(2 * column + 1, 4 * row + 2)
-            i, j = int(x // ground.tile), int(y // ground.tile)
-            if 0 <= i < ground.columns and 0 <= j < ground.rows:
-                shade = TILES[ground.tiles[j * ground.columns + i]]
-                if shade:
-                    canvas.ground(column, row, shade)
+    """Draws the hazards: those that the UGVs do not know faint."""
     for hazard, state in zip(ground.hazards, ground.states, strict=True):
         color = LIMIT if state == HIT else (HAZARDS if state else UNKNOWN)[hazard.kind]
         if hazard.corners:
