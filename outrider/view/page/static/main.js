@@ -29,6 +29,7 @@ const store = {
 };
 const stats = { frames: 0, rate: 0 };
 const $ = (id) => document.getElementById(id);
+const known = (value) => value !== null && value !== undefined;
 
 // NiceGUI builds the page after this file has loaded.
 function whenBuilt(then) {
@@ -82,7 +83,7 @@ function take(frame, ground) {
 function showTile(name, value, digits, bad = false) {
   const tile = $(`tile-${name}`);
   tile.classList.toggle("worst", store.escorts.length > 1);
-  setText(tile.querySelector("output"), value === null || value === undefined ? "–" : value.toFixed(digits));
+  setText(tile.querySelector("output"), known(value) ? value.toFixed(digits) : "–");
   tile.classList.toggle("bad", bad);
 }
 
@@ -135,7 +136,6 @@ function showMission(status) {
     setText(tile.querySelector("small"), unit);
     tile.classList.toggle("bad", bad);
   };
-  const known = (value) => value !== null && value !== undefined;
   if (known(told.mission_time)) show("arrived", told.mission_time.toFixed(1), "s");
   else show("arrived", "not yet");
   show("hit", String(told.hazards_hit), told.near_misses ? `nearly ${told.near_misses}` : "", told.hazards_hit > 0);
@@ -175,22 +175,21 @@ function faultsOf(vehicle) {
   return found.filter(([count]) => count).map(([count, cause]) => `${cause} ${count}`);
 }
 
-// Where commands carry motions: how long the UAVs have waited for one at most, of what is declared.
-function motionsOf(status, row) {
-  const told = status && status.certificates;
-  if (!told || told.longest_outage === null || told.longest_outage === undefined) return [];
-  const kept = told.longest_outage <= told.outage + 1e-9;
-  return [row("motions", kept ? "good" : "bad", `longest wait ${told.longest_outage.toFixed(2)} s of ${told.outage} s`)];
-}
-
-// Where wind or a wrong own position takes the UAVs from where they are told to be: how far at most, of what is declared.
-function windOf(status, row) {
-  const told = status && status.certificates;
-  if (!told || told.tracking_error === null || told.tracking_error === undefined) return [];
-  const known = told.tracking !== null && told.tracking !== undefined;
-  const kept = known && told.tracking_error <= told.tracking + 1e-9;
-  const declared = known ? ` of ${told.tracking.toFixed(3)} m` : "";
-  return [row("wind", kept ? "good" : "bad", `farthest off ${told.tracking_error.toFixed(3)} m${declared}`)];
+// What is declared, and how far it was used up at most: how long the UAVs have waited for a command where commands carry
+// motions; how far wind or a wrong own position has taken them from where they are told to be.
+function declaredOf(status, row) {
+  const told = (status && status.certificates) || {};
+  const rows = [];
+  if (known(told.longest_outage)) {
+    const kept = told.longest_outage <= told.outage + 1e-9;
+    rows.push(row("motions", kept ? "good" : "bad", `longest wait ${told.longest_outage.toFixed(2)} s of ${told.outage} s`));
+  }
+  if (known(told.tracking_error)) {
+    const kept = known(told.tracking) && told.tracking_error <= told.tracking + 1e-9;
+    const declared = known(told.tracking) ? ` of ${told.tracking.toFixed(3)} m` : "";
+    rows.push(row("wind", kept ? "good" : "bad", `farthest off ${told.tracking_error.toFixed(3)} m${declared}`));
+  }
+  return rows;
 }
 
 function showState(state, wheel) {
@@ -202,7 +201,7 @@ function showState(state, wheel) {
   document.body.classList.toggle("stale", state.level === "bad");
 
   const vehicles = status ? Object.entries(status.vehicles) : [];
-  const mode = status ? (status.wanted_factor === null || status.wanted_factor === undefined ? "lockstep" : `real time × ${status.wanted_factor}`) : "";
+  const mode = status ? (known(status.wanted_factor) ? `real time × ${status.wanted_factor}` : "lockstep") : "";
   const how = state.replay ? "a recording" : mode;
   setText($("scenario"), status ? `${status.scenario} · seed ${status.seed} · ${status.law} · ${how}` : "");
   if (state.replay) setText($("file"), state.replay.file);
@@ -214,9 +213,9 @@ function showState(state, wheel) {
   const chips = replay
     ? [chip(`replay × ${Number(replay.speed.toPrecision(3))}`, "unknown", replay.note)]
     : [chip("router", here(state.router)), chip("simulator", here(state.simulator))];
-  const known = state.simulator && state.level !== "bad";
+  const heard = state.simulator && state.level !== "bad";
   for (const [name, vehicle] of vehicles) {
-    chips.push(chip(name, !known ? "unknown" : vehicle.present ? "good" : "bad", faultsOf(vehicle).join(", ")));
+    chips.push(chip(name, !heard ? "unknown" : vehicle.present ? "good" : "bad", faultsOf(vehicle).join(", ")));
   }
   if (status && status.paused) chips.push(chip("paused", "warn"));
   if (status && status.over) chips.push(chip("over", "warn"));
@@ -233,11 +232,10 @@ function showState(state, wheel) {
     ...vehicles.map(([name, vehicle]) => {
       const notes = [...faultsOf(vehicle), vehicle.last_fault].filter(Boolean).join(", ");
       const driver = status.drivers && status.drivers[name] ? ` · ${status.drivers[name]}` : "";
-      if (!known) return row(name, "unknown", ended ? "has left" : "not known now", notes);
+      if (!heard) return row(name, "unknown", ended ? "has left" : "not known now", notes);
       return row(name, vehicle.present ? "good" : "bad", (vehicle.present ? "joined" : "lost") + driver, notes);
     }),
-    ...motionsOf(status, row),
-    ...windOf(status, row),
+    ...declaredOf(status, row),
     row("this page", state.gone ? "unknown" : "good", state.gone ? "no longer served" : `${stats.rate.toFixed(0)} frames/s`, state.browsers > 1 ? `${state.browsers} browsers look on` : ""),
   ];
   setHtml($("processes"), rows.join(""));
@@ -259,7 +257,7 @@ function showLinks(status) {
 
 // The row itself stays, so that a click on it is one whatever changes meanwhile.
 function showLink(row, name, { delivery_ratio: ratio, age, lost, degraded, settings }, time) {
-  const known = (value, text) => (value === null || value === undefined ? "–" : text(value));
+  const shown = (value, text) => (known(value) ? text(value) : "–");
   const planned = (settings && settings.blackouts) || [];
   const left = Math.max(0, ...planned.filter(([start]) => start <= time).map(([start, length]) => start + length - time));
   const causes = Object.entries(lost || {}).filter(([, count]) => count);
@@ -268,7 +266,7 @@ function showLink(row, name, { delivery_ratio: ratio, age, lost, degraded, setti
   const dark = left > 0 ? `<b>blackout, ${left.toFixed(1)} s left</b> · ` : "";
   const gone = causes.length ? `lost: ${causes.map(([cause, count]) => `${cause} ${count}`).join(", ")}` : "";
   row.className = `link-row ${state}`;
-  const numbers = [known(ratio, (v) => `${percent(v)} %`), known(age, (v) => `${v.toFixed(v < 100 ? 2 : 0)} s`)];
+  const numbers = [shown(ratio, (v) => `${percent(v)} %`), shown(age, (v) => `${v.toFixed(v < 100 ? 2 : 0)} s`)];
   setHtml(
     row,
     `<i></i><span class="name">${escapeText(name)}</span>${numbers.map((text) => `<output>${text}</output>`).join("")}
@@ -295,7 +293,7 @@ function describe({ action, ticks, factor, seed, law, vehicle, driver, link, set
   const words = {
     step: () => `step ${ticks || 1}`,
     speed: () => (factor ? `speed × ${factor}` : "lockstep"),
-    reset: () => (seed === null || seed === undefined ? "reset" : `reset, seed ${seed}`),
+    reset: () => (known(seed) ? `reset, seed ${seed}` : "reset"),
     law: () => `law ${law ? law.name : ""}`,
     driver: () => `${vehicle || "UGVs"}: driver ${driver}`,
     link: () => `${vehicle || "every"}/${link}: ${said}${planned.length ? `, blackout of ${planned.pop()[1]} s` : ""}`,
