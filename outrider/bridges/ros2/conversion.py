@@ -28,7 +28,7 @@ from bus.messages import (
     Vector,
     VehicleStatus,
 )
-from outrider.bridges.ros2.interfaces import make
+from outrider.bridges.ros2.interfaces import RosMessage, make
 from sim.scene.colors import FAINT, HAZARDS, LIMIT, rgb
 from sim.scene.model import Scene, observed_scene
 
@@ -98,7 +98,7 @@ class RunView:
     tracks: dict[str, PathTrack] = field(default_factory=dict)
     hazards: tuple[HazardOutline, ...] = ()
     """Of the flight: a recording tells them in its first map alone."""
-    own: tuple[Any, ...] = ()
+    own: tuple[RosMessage, ...] = ()
     """Diagnostics of the bridge itself."""
 
     def follow(self, message: Message | None) -> None:
@@ -122,7 +122,7 @@ def view_of(name: str, geometry: Geometry) -> RunView:
     return RunView(scene=scene, dt=geometry.dt)
 
 
-def stamp(seconds: float) -> Any:  # noqa: ANN401 - generated classes have no types
+def stamp(seconds: float) -> RosMessage:
     """A simulated time."""
     nanoseconds = round(seconds * 1e9)
     return make(
@@ -130,39 +130,39 @@ def stamp(seconds: float) -> Any:  # noqa: ANN401 - generated classes have no ty
     )
 
 
-def header(seconds: float, frame: str = MAP) -> Any:  # noqa: ANN401 - likewise
+def header(seconds: float, frame: str = MAP) -> RosMessage:
     """A header in a frame."""
     return make("std_msgs/msg/Header", stamp=stamp(seconds), frame_id=frame)
 
 
-def _point(position: Vector) -> Any:  # noqa: ANN401
+def _point(position: Vector) -> RosMessage:
     return make("geometry_msgs/msg/Point", x=position[0], y=position[1], z=0.0)
 
 
-def _vector(x: float, y: float, z: float = 0.0) -> Any:  # noqa: ANN401
+def _vector(x: float, y: float, z: float = 0.0) -> RosMessage:
     return make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
 
 
-def _upright() -> Any:  # noqa: ANN401
+def _upright() -> RosMessage:
     return make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
 
 
-def _pose(position: Vector) -> Any:  # noqa: ANN401
+def _pose(position: Vector) -> RosMessage:
     return make("geometry_msgs/msg/Pose", position=_point(position), orientation=_upright())
 
 
-def _covariance(xx: float = 0.0, xy: float = 0.0, yy: float = 0.0) -> Any:  # noqa: ANN401
+def _covariance(xx: float = 0.0, xy: float = 0.0, yy: float = 0.0) -> np.ndarray[Any, Any]:
     found = np.zeros(36)
     found[[0, 1, 6, 7]] = xx, xy, xy, yy
     return found
 
 
-def clock(truth: Truth) -> Any:  # noqa: ANN401
+def clock(truth: Truth) -> RosMessage:
     """Simulated time, for nodes with `use_sim_time`."""
     return make("rosgraph_msgs/msg/Clock", clock=stamp(truth.time))
 
 
-def transform(seconds: float, parent: str, child: str, position: Vector) -> Any:  # noqa: ANN401
+def transform(seconds: float, parent: str, child: str, position: Vector) -> RosMessage:
     """The place of a frame in another."""
     return make(
         "geometry_msgs/msg/TransformStamped",
@@ -174,7 +174,7 @@ def transform(seconds: float, parent: str, child: str, position: Vector) -> Any:
     )
 
 
-def transforms(truth: Truth) -> Any:  # noqa: ANN401
+def transforms(truth: Truth) -> RosMessage:
     """True pose of each vehicle: `map` to its base_link."""
     found = [
         transform(truth.time, MAP, base_link(name), vehicle.position)
@@ -183,7 +183,7 @@ def transforms(truth: Truth) -> Any:  # noqa: ANN401
     return make("tf2_msgs/msg/TFMessage", transforms=found)
 
 
-def static_transforms(view: RunView) -> Any:  # noqa: ANN401
+def static_transforms(view: RunView) -> RosMessage:
     """The UAVs' downward sensors: their x axis looks at the ground."""
     half = math.sqrt(0.5)
     down = make("geometry_msgs/msg/Quaternion", x=0.0, y=half, z=0.0, w=half)
@@ -196,7 +196,7 @@ def static_transforms(view: RunView) -> Any:  # noqa: ANN401
     return make("tf2_msgs/msg/TFMessage", transforms=found)
 
 
-def odometry(seconds: float, vehicle: str, position: Vector, velocity: Vector) -> Any:  # noqa: ANN401
+def odometry(seconds: float, vehicle: str, position: Vector, velocity: Vector) -> RosMessage:
     """A vehicle's position and velocity.
 
     Args:
@@ -217,13 +217,13 @@ def odometry(seconds: float, vehicle: str, position: Vector, velocity: Vector) -
     )
 
 
-def true_odometry(truth: Truth, vehicle: str) -> Any:  # noqa: ANN401
+def true_odometry(truth: Truth, vehicle: str) -> RosMessage:
     """True pose and velocity of a vehicle."""
     state = truth.vehicles[vehicle]
     return odometry(truth.time, vehicle, state.position, state.velocity)
 
 
-def acceleration(truth: Truth, vehicle: str) -> Any:  # noqa: ANN401
+def acceleration(truth: Truth, vehicle: str) -> RosMessage:
     """Acceleration applied since the last tick, after the bounds [m/s²]."""
     return make(
         "geometry_msgs/msg/AccelStamped",
@@ -236,7 +236,7 @@ def acceleration(truth: Truth, vehicle: str) -> Any:  # noqa: ANN401
     )
 
 
-def path(view: RunView, truth: Truth, vehicle: str) -> Any:  # noqa: ANN401
+def path(view: RunView, truth: Truth, vehicle: str) -> RosMessage:
     """The way that a vehicle has come."""
     track = view.tracks.get(vehicle, PathTrack())
     poses = [
@@ -251,7 +251,7 @@ def escort_of(truth: Truth, uav: str) -> EscortTruth | None:
     return next((one for one in truth.escorts if one.uav == uav), None)
 
 
-def detection(seconds: float, uav: str, relative_position: Vector) -> Any:  # noqa: ANN401
+def detection(seconds: float, uav: str, relative_position: Vector) -> RosMessage:
     """Place at which a UAV has seen its UGV, from itself: -p_delta.
 
     Args:
@@ -267,7 +267,7 @@ def detection(seconds: float, uav: str, relative_position: Vector) -> Any:  # no
     )
 
 
-def true_detection(truth: Truth, uav: str) -> Any:  # noqa: ANN401
+def true_detection(truth: Truth, uav: str) -> RosMessage:
     """Detection of a UAV at this tick; None: it has none."""
     escort = escort_of(truth, uav)
     if escort is None or escort.detection is None:
@@ -275,7 +275,7 @@ def true_detection(truth: Truth, uav: str) -> Any:  # noqa: ANN401
     return detection(truth.time, uav, escort.detection)
 
 
-def estimate(truth: Truth, uav: str) -> Any:  # noqa: ANN401
+def estimate(truth: Truth, uav: str) -> RosMessage:
     """A UAV's estimate of its UGV's place, with its covariance; None: it says nothing."""
     escort = escort_of(truth, uav)
     report = None if escort is None else escort.report
@@ -292,19 +292,19 @@ def estimate(truth: Truth, uav: str) -> Any:  # noqa: ANN401
     )
 
 
-def distance(truth: Truth, uav: str) -> Any:  # noqa: ANN401
+def distance(truth: Truth, uav: str) -> RosMessage:
     """|p_a - p_g| of a UAV and its UGV [m]."""
     escort = escort_of(truth, uav)
     return None if escort is None else make("std_msgs/msg/Float64", data=escort.distance)
 
 
-def coverage_error(truth: Truth, uav: str) -> Any:  # noqa: ANN401
+def coverage_error(truth: Truth, uav: str) -> RosMessage:
     """e(t) of (4) [m²]."""
     escort = escort_of(truth, uav)
     return None if escort is None else make("std_msgs/msg/Float64", data=escort.coverage_error)
 
 
-def _grid(seconds: float, cell: float, cells: np.ndarray[Any, Any]) -> Any:  # noqa: ANN401
+def _grid(seconds: float, cell: float, cells: np.ndarray[Any, Any]) -> RosMessage:
     rows, columns = cells.shape
     info = make(
         "nav_msgs/msg/MapMetaData",
@@ -326,19 +326,19 @@ def _cells(raw: bytes, rows: int, columns: int) -> np.ndarray[Any, Any]:
     return np.frombuffer(raw, np.uint8).reshape(rows, columns)
 
 
-def coverage(view: RunView, told: CoverageMap) -> Any:  # noqa: ANN401
+def coverage(view: RunView, told: CoverageMap) -> RosMessage:
     """The share of the desired coverage that each cell has [%]."""
     shares = _cells(told.cells, told.rows, told.columns).astype(np.uint16)
     return _grid(view.dt * told.tick, told.cell, (shares * 100 + 127) // 255)
 
 
-def ground(view: RunView, told: GroundMap) -> Any:  # noqa: ANN401
+def ground(view: RunView, told: GroundMap) -> RosMessage:
     """The ground as the UGVs know it: -1 not known, 0 clear, 50 rough, 100 blocked."""
     codes = _cells(told.tiles, told.rows, told.columns)
     return _grid(view.dt * told.tick, told.tile, np.array(_GRID, np.int8)[codes])
 
 
-def _colour(code: str, opacity: float) -> Any:  # noqa: ANN401
+def _colour(code: str, opacity: float) -> RosMessage:
     r, g, b = rgb(code)
     return make("std_msgs/msg/ColorRGBA", r=r, g=g, b=b, a=opacity)
 
@@ -349,11 +349,11 @@ def marker(
     name: str,
     number: int = 0,
     shape: int,
-    colour: Any,  # noqa: ANN401
+    colour: RosMessage,
     position: Vector = (0.0, 0.0),
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0),
     points: Iterable[Vector] = (),
-) -> Any:  # noqa: ANN401
+) -> RosMessage:
     """A marker that stays until another one with its name and number comes, and moves with its frame."""
     return make(
         "visualization_msgs/msg/Marker",
@@ -384,7 +384,7 @@ def marker(
     )
 
 
-def discs(view: RunView) -> Any:  # noqa: ANN401
+def discs(view: RunView) -> RosMessage:
     """Circles that move with the vehicles, the vehicles themselves, and the edge of the ground."""
     scene = view.scene
     found = [
@@ -433,7 +433,7 @@ def _circle(radius: float) -> list[Vector]:
     return [(radius * math.cos(angle), radius * math.sin(angle)) for angle in angles]
 
 
-def hazards(view: RunView, told: GroundMap) -> Any:  # noqa: ANN401
+def hazards(view: RunView, told: GroundMap) -> RosMessage:
     """The hazards as they truly lie on the ground; faint those that no UGV knows of."""
     found = []
     for number, (outline, state) in enumerate(zip(view.hazards, told.states, strict=False)):
@@ -462,7 +462,7 @@ def _told(value: object) -> str:
 
 def diagnostic(
     name: str, values: Mapping[str, object], *, level: int = OK, message: str = "ok"
-) -> Any:  # noqa: ANN401
+) -> RosMessage:
     """The state of one part of the run.
 
     Args:
@@ -484,7 +484,7 @@ def diagnostic(
     )
 
 
-def _run_diagnostic(status: Status) -> Any:  # noqa: ANN401
+def _run_diagnostic(status: Status) -> RosMessage:
     warnings = (*status.warnings, *status.refusals[-1:])
     words = "over" if status.over else "paused" if status.paused else "flying"
     pace = ("realtime_factor", "wanted_factor", "late_ticks")
@@ -497,7 +497,7 @@ def _run_diagnostic(status: Status) -> Any:  # noqa: ANN401
     )
 
 
-def _link_diagnostic(name: str, link: LinkStatus) -> Any:  # noqa: ANN401
+def _link_diagnostic(name: str, link: LinkStatus) -> RosMessage:
     ratio = link.delivery_ratio
     bad = ratio is not None and ratio < 1.0 - _MISSING_SHARE
     words = ["loses messages"] if bad else []
@@ -513,7 +513,7 @@ def _link_diagnostic(name: str, link: LinkStatus) -> Any:  # noqa: ANN401
     )
 
 
-def _vehicle_diagnostic(name: str, vehicle: VehicleStatus, *, over: bool) -> Any:  # noqa: ANN401
+def _vehicle_diagnostic(name: str, vehicle: VehicleStatus, *, over: bool) -> RosMessage:
     gone = not vehicle.present and not over
     faulty = bool(vehicle.missing_commands or vehicle.refused or vehicle.last_fault)
     faults = ("missing_commands", "stale_commands", "shortened_commands", "lost", "rejoined")
@@ -526,7 +526,7 @@ def _vehicle_diagnostic(name: str, vehicle: VehicleStatus, *, over: bool) -> Any
     )
 
 
-def diagnostics(status: Status, own: Iterable[Any] = ()) -> Any:  # noqa: ANN401
+def diagnostics(status: Status, own: Iterable[RosMessage] = ()) -> RosMessage:
     """The run, its links, its vehicles' processes, and what is certified or why it is not.
 
     Args:

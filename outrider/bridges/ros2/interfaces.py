@@ -10,6 +10,8 @@ from bus.extras import from_extra
 from outrider.bridges.refused import Refused
 from outrider.bridges.ros2.wire import dds_type
 
+RosMessage = Any
+"""A message of ROS 2's, of a class that rosbags generates and that has no types."""
 _MOST_ITEMS = 1 << 20
 """Elements of a sequence that is read: what claims to have more is no message to us."""
 _SERVICES = {
@@ -60,7 +62,7 @@ def response_of(service: str) -> str:
     return f"{service.replace('/srv/', '/msg/')}_Response"
 
 
-def make(interface: str, /, **fields: object) -> Any:  # noqa: ANN401 - an object of a generated class
+def make(interface: str, /, **fields: object) -> RosMessage:
     """A message of a type, such as `geometry_msgs/msg/Point`, with all its fields."""
     return type_store().types[interface](**fields)
 
@@ -78,7 +80,7 @@ def encode(name: str, message: object) -> bytes:
     return bytes(type_store().serialize_cdr(message, name, little_endian=True))
 
 
-def decode(name: str, raw: bytes) -> Any:  # noqa: ANN401 - an object of a generated class
+def decode(name: str, raw: bytes) -> RosMessage:
     """The message in these bytes.
 
     Raises:
@@ -90,7 +92,7 @@ def decode(name: str, raw: bytes) -> Any:  # noqa: ANN401 - an object of a gener
         raise Refused("no CDR of its type", f"{name}: {error}") from error
 
 
-def decode_checked(interface: str, hashed: str, raw: bytes, *allowed: str) -> Any:  # noqa: ANN401 - likewise
+def decode_checked(interface: str, hashed: str, raw: bytes, *allowed: str) -> RosMessage:
     """The message in these bytes, whose key has this type and hash.
 
     Raises:

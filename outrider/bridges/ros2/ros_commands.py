@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bus.messages import Action, Control, Limits, Status, Vector
 from bus.registry import TELEOP
@@ -16,6 +16,7 @@ from bus.ros2_access import CMD_VEL, COMMANDS, SERVICES
 from outrider.bridges.refused import Refusals, Refused
 from outrider.bridges.ros2.conversion import MAP, base_link
 from outrider.bridges.ros2.interfaces import (
+    RosMessage,
     decode,
     decode_checked,
     encode,
@@ -70,7 +71,7 @@ def wish_of(
     return Wish(vehicle, _velocity(told, vehicle, ugvs[vehicle]))
 
 
-def _velocity(told: Any, vehicle: str, limits: Limits) -> Vector:  # noqa: ANN401 - generated classes have no types
+def _velocity(told: RosMessage, vehicle: str, limits: Limits) -> Vector:
     stamped = hasattr(told, "header")
     twist = told.twist if stamped else told
     if stamped and told.header.frame_id not in ("", MAP, base_link(vehicle)):

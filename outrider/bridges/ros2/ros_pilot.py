@@ -7,7 +7,6 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
 
 import msgspec
 
@@ -24,7 +23,7 @@ from bus.messages import (
 )
 from outrider.bridges.refused import Refusals, Refused
 from outrider.bridges.ros2.conversion import MAP, base_link, detection, odometry, stamp
-from outrider.bridges.ros2.interfaces import decode_checked, encode, make
+from outrider.bridges.ros2.interfaces import RosMessage, decode_checked, encode, make
 from outrider.bridges.ros2.ros_node import RosNode, RosPublisher, log_refused
 from outrider.bridges.ros2.topics import (
     BRIEFING,
@@ -176,7 +175,7 @@ class RosPilot:
         except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
             raise Refused("no command", str(error)) from error
 
-    def _accelerate(self, told: Any, awaited: Observation | None) -> Command:  # noqa: ANN401
+    def _accelerate(self, told: RosMessage, awaited: Observation | None) -> Command:
         frame, value = told.header.frame_id, told.accel.linear
         allowed = ("", MAP, base_link(self._party.name))
         if frame not in allowed:
@@ -202,5 +201,5 @@ class RosPilot:
             publisher.close()
 
 
-def _text(message: Message) -> Any:  # noqa: ANN401 - a generated class
+def _text(message: Message) -> RosMessage:
     return make("std_msgs/msg/String", data=msgspec.json.encode(message).decode())
