@@ -196,17 +196,17 @@ class Page:
         self.page = context.new_page()
         here = (address.partition("?")[0], "data:", "blob:")
 
-        def hear(message: Any) -> None:  # noqa: ANN401 - Playwright's own
+        def note(message: Any) -> None:  # noqa: ANN401 - Playwright's own
             if message.type in ("error", "warning"):
                 complaints.append(f"console: {message.text}")
 
-        def see(request: Any) -> None:  # noqa: ANN401 - Playwright's own
+        def watch(request: Any) -> None:  # noqa: ANN401 - Playwright's own
             if not request.url.startswith(here):
                 complaints.append(f"a request left this machine: {request.url}")
 
-        self.page.on("console", hear)
+        self.page.on("console", note)
         self.page.on("pageerror", lambda error: complaints.append(f"script: {error}"))
-        self.page.on("request", see)
+        self.page.on("request", watch)
         self.page.goto(address)
         self.ready()
         if "?" in self.page.url:
