@@ -6,8 +6,8 @@ and Elliott by maximum likelihood, of which a part is only taken where it pays b
 """
 
 import math
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Iterator
+from itertools import product
 from typing import Any
 
 import msgspec
@@ -24,6 +24,8 @@ from sim.kernels.compile import FloatArray, compiled
 _LEVELS: FloatArray = 1.0 - 10.0 ** (-3.0 * (np.arange(400, dtype=np.float64) + 0.5) / 400.0)
 """Shares at which quantiles are compared: from the least to the longest but one in a thousand, each power of ten alike.
 """
+_DELAYS = {"least": 0.0, "median": 0.5, "95 %": 0.95, "99 %": 0.99, "most": 1.0}
+"""Quantiles of the delay that a fit tells."""
 _SHORTEST = 1e-3
 """Waits that are shorter count as this long [s]: no tick notices them."""
 _STEADY = 1e-6
@@ -82,17 +84,15 @@ def fit_link(
     fitted = drawn_sample(settings, sample.interval)
     factors = {name: wait_factor(sample, one) for name, one in drawn.items()}
     ranked = dict(sorted(factors.items(), key=lambda item: item[1]))
-    nearest, delays = next(iter(ranked)), sample.arrived
-    least, median, most, extreme, largest = np.quantile(
-        delays, (0.0, 0.5, 0.95, 0.99, 1.0)
-    ).tolist()
+    nearest = next(iter(ranked))
+    delays = np.quantile(sample.arrived, tuple(_DELAYS.values())).tolist()
     fit = Fit(
         file=recorded.name,
         messages=len(sample.delay),
         interval=sample.interval,
         lost=sample.lost,
         longest_burst=float(sample.bursts.max(initial=0)) * sample.interval,
-        delay={"least": least, "median": median, "95 %": most, "99 %": extreme, "most": largest},
+        delay=dict(zip(_DELAYS, delays, strict=True)),
         settings=settings,
         factor=wait_factor(sample, fitted),
         nearest=nearest,
@@ -183,26 +183,26 @@ def _delay(arrived: FloatArray) -> dict[str, Any]:
         "normal": (mean, deviation),
         "pareto": (least, mean - least),
     }
-    best: tuple[float, dict[str, Any]] = (math.inf, {})
+    least_off, best = math.inf, LinkSettings()
     for shape, (delay, scale) in starts.items():
-        settings = partial(_jittered, shape, most)
-
-        def off(x: FloatArray, settings: Callable[[FloatArray], LinkSettings] = settings) -> float:
-            return float(np.abs(_logs(_quantiles(settings(x))) - wanted).mean())
-
         found = minimize(
-            off,
+            _quantiles_off,
             np.array([delay, math.log(max(scale, _STEADY))]),
+            args=(shape, most, wanted),
             method="Nelder-Mead",
             options={"xatol": 1e-6, "fatol": 1e-7, "maxiter": 300},
         )
-        if found.fun < best[0]:
-            one = settings(found.x)
-            fields = ("delay", "jitter", "jitter_shape", "jitter_cut")
-            best = found.fun, {field: getattr(one, field) for field in fields}
-    if best[1]["jitter"] < _STEADY:
+        if found.fun < least_off:
+            least_off, best = found.fun, _jittered(found.x, shape, most)
+    if best.jitter < _STEADY:
         return {"delay": float(np.median(arrived))}
-    return best[1]
+    fields = ("delay", "jitter", "jitter_shape", "jitter_cut")
+    return {field: getattr(best, field) for field in fields}
+
+
+def _quantiles_off(x: FloatArray, shape: str, most: float, wanted: FloatArray) -> float:
+    """The mean distance of the quantiles' logarithms from those wanted; x as in `_jittered`."""
+    return float(np.abs(_logs(_quantiles(_jittered(x, shape, most))) - wanted).mean())
 
 
 def _logs(times: FloatArray) -> FloatArray:
@@ -210,7 +210,7 @@ def _logs(times: FloatArray) -> FloatArray:
     return found
 
 
-def _jittered(shape: str, most: float, x: FloatArray) -> LinkSettings:
+def _jittered(x: FloatArray, shape: str, most: float) -> LinkSettings:
     """The settings with this delay and this logarithm of the jitter, cut at the largest delay that was seen."""
     delay, jitter = min(max(float(x[0]), 0.0), 30.0), min(math.exp(float(x[1])), 10.0)
     cut = 0.0 if shape == "uniform" else min(max(most - delay, 0.01 * jitter), 60.0)
@@ -244,20 +244,18 @@ def _blackouts(sample: Sample) -> tuple[dict[str, float], Sample]:
     Runs of lost messages in a chain of Gilbert and Elliott have lengths that scatter like a geometric law's; those
     of blackouts are all alike.
     """
-    gone = np.isnan(sample.delay)
-    runs = sample.bursts
-    long = runs[runs >= _IN_A_ROW]
-    over = float(long.mean()) - _IN_A_ROW if long.size else 0.0
-    if long.size < 3 or over < 2.0 or float(long.var()) > 0.25 * over * (1.0 + over):
+    runs = sample.lost_runs
+    long = runs[runs[:, 1] - runs[:, 0] >= _IN_A_ROW]
+    lengths = long[:, 1] - long[:, 0]
+    over = float(lengths.mean()) - _IN_A_ROW if lengths.size else 0.0
+    if lengths.size < 3 or over < 2.0 or float(lengths.var()) > 0.25 * over * (1.0 + over):
         return {}, sample
-    edges = np.diff(np.concatenate([[0], gone.astype(np.int8), [0]]))
-    begins, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
-    kept = np.ones(len(gone), dtype=bool)
-    for begin, end in zip(begins[runs >= _IN_A_ROW], ends[runs >= _IN_A_ROW], strict=True):
+    kept = np.ones(len(sample.delay), dtype=bool)
+    for begin, end in long:
         kept[begin:end] = False
-    between = float(kept.sum()) * sample.interval / long.size
+    between = float(kept.sum()) * sample.interval / lengths.size
     found = {
-        "blackout_length": float(long.mean()) * sample.interval,
+        "blackout_length": float(lengths.mean()) * sample.interval,
         "blackout_interval": max(between, 1e-3),
     }
     return found, sample._replace(delay=sample.delay[kept])
@@ -281,46 +279,44 @@ def _log_likelihood(
     return total
 
 
+def _chain(x: FloatArray, free_loss: bool, free_burst: bool) -> tuple[float, float, float, float]:
+    """Share of the bad state, memory, loss and loss in bursts, whose log-odds are x; what is not free is 0 or 1."""
+    from scipy.special import expit  # noqa: PLC0415 - slow to load
+
+    bad, memory, loss, burst = expit(x).tolist()
+    return bad, memory, loss if free_loss else 0.0, burst if free_burst else 1.0
+
+
+def _unlikely(x: FloatArray, gone: FloatArray, free_loss: bool, free_burst: bool) -> float:
+    """The negative logarithm of the likelihood of `_chain`."""
+    return -_log_likelihood(gone, *_chain(x, free_loss, free_burst))
+
+
 def _loss(sample: Sample) -> dict[str, float]:
     """Loss and bursts; a part only where it pays."""
     from scipy.optimize import minimize  # noqa: PLC0415 - slow to load
-    from scipy.special import expit  # noqa: PLC0415
 
     gone = np.isnan(sample.delay).astype(np.float64)
     share, n = float(gone.mean()), len(gone)
     if share in (0.0, 1.0):
         return {"loss": share}
-    alone = _log_likelihood(gone, 0.0, 0.0, share, 0.0) - 0.5 * math.log(n)
-    best: tuple[float, tuple[float, float, float, float]] = (alone, (0.0, 0.0, share, 0.0))
-    mean_run = float(sample.bursts.mean())
-    for free_loss in (False, True):
-        for free_burst in (False, True):
-
-            def named(
-                x: FloatArray, free_loss: bool = free_loss, free_burst: bool = free_burst
-            ) -> tuple[float, float, float, float]:
-                bad, memory, loss, burst = expit(x).tolist()
-                return bad, memory, loss if free_loss else 0.0, burst if free_burst else 1.0
-
-            def off(
-                x: FloatArray,
-                named: Callable[[FloatArray], tuple[float, float, float, float]] = named,
-            ) -> float:
-                return -_log_likelihood(gone, *named(x))
-
-            memory = min(max(1.0 - 1.0 / mean_run, 0.1), 0.999)
-            for steady in (memory, 0.5 * (1.0 + memory)):
-                at = np.array([0.5 * share, steady, 0.5 * share, 0.8])
-                found = minimize(
-                    off,
-                    np.log(at / (1.0 - at)),
-                    method="Nelder-Mead",
-                    options={"xatol": 1e-3, "fatol": 1e-2, "maxiter": 400},
-                )
-                price = 0.5 * (2 + free_loss + free_burst) * math.log(n)
-                if -found.fun - price > best[0]:
-                    best = -found.fun - price, named(found.x)
-    bad, memory, loss, burst = best[1]
+    chain = (0.0, 0.0, share, 0.0)
+    best = _log_likelihood(gone, *chain) - 0.5 * math.log(n)
+    memory = min(max(1.0 - 1.0 / float(sample.bursts.mean()), 0.1), 0.999)
+    steady = (memory, 0.5 * (1.0 + memory))
+    for free_loss, free_burst, start in product((False, True), (False, True), steady):
+        at = np.array([0.5 * share, start, 0.5 * share, 0.8])
+        found = minimize(
+            _unlikely,
+            np.log(at / (1.0 - at)),
+            args=(gone, free_loss, free_burst),
+            method="Nelder-Mead",
+            options={"xatol": 1e-3, "fatol": 1e-2, "maxiter": 400},
+        )
+        price = 0.5 * (2 + free_loss + free_burst) * math.log(n)
+        if -found.fun - price > best:
+            best, chain = -found.fun - price, _chain(found.x, free_loss, free_burst)
+    bad, memory, loss, burst = chain
     if bad == 0.0:
         return {"loss": loss}
     rate = -math.log(memory) / sample.interval  # of both states together [1/s]

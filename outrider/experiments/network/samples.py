@@ -45,12 +45,16 @@ class Sample(NamedTuple):
         return found
 
     @property
+    def lost_runs(self) -> IntArray:
+        """For each run of lost messages its first one and the one after its last. Shape (runs, 2)."""
+        edges = np.diff(np.isnan(self.delay).astype(np.int8), prepend=0, append=0)
+        return np.flatnonzero(edges).reshape(-1, 2)
+
+    @property
     def bursts(self) -> IntArray:
         """The number of messages lost in a row, each time that any were."""
-        gone = np.isnan(self.delay).astype(np.int8)
-        edges = np.diff(np.concatenate([[0], gone, [0]]))
-        lengths: IntArray = np.flatnonzero(edges < 0) - np.flatnonzero(edges > 0)
-        return lengths
+        runs = self.lost_runs
+        return runs[:, 1] - runs[:, 0]
 
     @property
     def waits(self) -> FloatArray:
