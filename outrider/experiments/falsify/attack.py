@@ -40,13 +40,12 @@ from outrider.experiments.falsify.conditions import (
     Conditions,
     scenario_of,
 )
-from outrider.experiments.falsify.draws import next_share
+from outrider.experiments.falsify.draws import Words, next_share
 from outrider.experiments.falsify.lost_motions import ALIVE, LOSSES, Pending, loses
 from outrider.experiments.falsify.opponents import (
     UAV,
     UGV,
     Plot,
-    Words,
     choose,
     detection_error,
     direction,

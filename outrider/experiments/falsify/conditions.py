@@ -270,7 +270,7 @@ def scenario_of(promise: Promise, conditions: Conditions) -> Scenario:
             Ugv(
                 position=(0.0, 0.0),
                 max_speed=promise.v_g,
-                max_acceleration=conditions.u_g if math.isfinite(conditions.u_g) else math.inf,
+                max_acceleration=conditions.u_g,
             ),
         ),
     )

@@ -11,9 +11,12 @@ _GOLDEN, _MIX_1, _MIX_2 = (
     np.uint64(0x94D049BB133111EB),
 )
 
+Words = npt.NDArray[np.uint64]
+"""State of the draws. (1,)"""
+
 
 @compiled
-def next_share(state: npt.NDArray[np.uint64]) -> float:
+def next_share(state: Words) -> float:
     """A number in [0, 1) by splitmix64 (Steele, Lea, Flood 2014); draws of Philox would take most of the time."""
     state[0] += _GOLDEN
     z = state[0]

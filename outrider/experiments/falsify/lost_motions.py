@@ -6,10 +6,7 @@ it lets through may come early, twice, and overtake; that is the link's.
 
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
-from outrider.experiments.falsify.draws import next_share
+from outrider.experiments.falsify.draws import Words, next_share
 from sim.kernels.compile import compiled
 
 
@@ -46,7 +43,7 @@ class Pending(NamedTuple):
 
 
 @compiled
-def _wants(kind: int, random: npt.NDArray[np.uint64], pending: Pending) -> bool:
+def _wants(kind: int, random: Words, pending: Pending) -> bool:
     if kind == LOSSES.random:
         return next_share(random) < 0.05
     if kind == LOSSES.when_far:
@@ -59,9 +56,7 @@ def _wants(kind: int, random: npt.NDArray[np.uint64], pending: Pending) -> bool:
 
 
 @compiled
-def loses(
-    kind: int, random: npt.NDArray[np.uint64], since: float, pending: Pending
-) -> tuple[bool, float]:
+def loses(kind: int, random: Words, since: float, pending: Pending) -> tuple[bool, float]:
     """Decide whether the motion of this tick is lost, so that the next one begins within B all the same.
 
     After a motion is lost, a new chain begins every tau_c + 1 ticks, until the first motion of one arrives: c chains

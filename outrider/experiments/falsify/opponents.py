@@ -3,9 +3,6 @@
 import math
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from outrider.experiments.falsify.conditions import (
     ANY,
     ERRORS,
@@ -14,15 +11,12 @@ from outrider.experiments.falsify.conditions import (
     WINDS,
     Conditions,
 )
-from outrider.experiments.falsify.draws import next_share
+from outrider.experiments.falsify.draws import Words, next_share
 from sim.engine.world_state import BatchState
 from sim.engine.world_tick import put_off
 from sim.kernels.compile import IntArray, borrowing, compiled
 from sim.kernels.records import RecordArray
 from sim.models.vehicles import Motion, brake, norm
-
-Words = npt.NDArray[np.uint64]
-"""State of the adversary's draws. (1,)"""
 
 UAV, UGV = 0, 1
 """Rows of the adversaries' memory, and of the vehicles in the world."""
