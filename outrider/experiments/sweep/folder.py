@@ -9,17 +9,16 @@ import os
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import msgspec
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from bus.errors import ScenarioError
 from bus.files import read_regular, writing
 from outrider.experiments.sweep.definition import Sweep
 from outrider.experiments.sweep.plan import SweepPlan
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 HEAD = "sweep.json"
 FILE = "sweep.toml"
@@ -71,19 +70,13 @@ def _replace(path: Path, content: bytes) -> None:
     beside.replace(path)
 
 
-def _write_table(path: Path, table: "pa.Table") -> None:
-    import pyarrow as pa  # noqa: PLC0415 - an extra
-    import pyarrow.parquet as pq  # noqa: PLC0415
-
+def _write_table(path: Path, table: pa.Table) -> None:
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd")
     _replace(path, sink.getvalue().to_pybytes())
 
 
-def _read_table(path: Path, columns: dict[str, str]) -> "pa.Table":
-    import pyarrow as pa  # noqa: PLC0415
-    import pyarrow.parquet as pq  # noqa: PLC0415
-
+def _read_table(path: Path, columns: dict[str, str]) -> pa.Table:
     remedy = "delete it and its runs are flown again"
     content = pa.BufferReader(read_regular(path, _MOST_TABLE))
     try:  # without Arrow's threads: at the end of a process they may abort it (apache/arrow#34314)
@@ -96,10 +89,8 @@ def _read_table(path: Path, columns: dict[str, str]) -> "pa.Table":
     return table
 
 
-def schema_of(columns: dict[str, str]) -> "pa.Schema":
+def schema_of(columns: dict[str, str]) -> pa.Schema:
     """The Parquet schema of a sweep's table."""
-    import pyarrow as pa  # noqa: PLC0415
-
     return pa.schema([(name, pa.type_for_alias(kind)) for name, kind in columns.items()])
 
 
@@ -113,22 +104,15 @@ def read_results(folder: Path, columns: dict[str, str]) -> dict[str, list[Any]]:
     Raises:
         ScenarioError: If a file is damaged.
     """
-    import pyarrow as pa  # noqa: PLC0415
-
-    paths = [
-        path
-        for path in (folder / RESULTS, *sorted((folder / PARTS).glob("*.parquet")))
-        if path.exists()
-    ]
-    tables = [_read_table(path, columns) for path in paths]
+    paths = (folder / RESULTS, *sorted((folder / PARTS).glob("*.parquet")))
+    tables = [_read_table(path, columns) for path in paths if path.exists()]
     if not tables:
         return {name: [] for name in columns}
     table = pa.concat_tables(tables)
     runs, errors = table["run"].to_pylist(), table["error"].to_pylist()
     best: dict[int, int] = {}
-    for k, run in enumerate(
-        runs
-    ):  # a run may be there twice: a part that is merged already, or one that first failed
+    # a run may be there twice: a part that is merged already, or one that first failed
+    for k, run in enumerate(runs):
         if run not in best or errors[best[run]] is not None:
             best[run] = k
     found: dict[str, list[Any]] = table.take([best[run] for run in sorted(best)]).to_pydict()
@@ -155,20 +139,15 @@ class SweepFolder:
     ) -> None:
         self.path, self._plan = path, plan
         self._columns = plan.columns
-        begun = (
-            _LOCK,
-            FILE,
-            f"{FILE}{_UNFINISHED}",
-            f"{HEAD}{_UNFINISHED}",
-        )  # all there can be before there is a head
+        # all there can be before there is a head
+        begun = (_LOCK, FILE, f"{FILE}{_UNFINISHED}", f"{HEAD}{_UNFINISHED}")
         there = path.is_dir() and any(entry.name not in begun for entry in path.iterdir())
         if there and not (path / HEAD).exists():
             raise ScenarioError(f"{path}: not empty, and no sweep's folder; choose another --out")
         path.mkdir(parents=True, exist_ok=True)
         self._lock = (path / _LOCK).open("w")
-        self._rows: dict[
-            int, tuple[bool, bool]
-        ] = {}  # of each run: whether it failed, whether the UGV was lost
+        self._rows: dict[int, tuple[bool, bool]] = {}
+        """Of each run whether it failed, and whether the UGV was lost."""
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if fresh:
@@ -261,8 +240,6 @@ class SweepFolder:
         Args:
             results: Each with its run's number.
         """
-        import pyarrow as pa  # noqa: PLC0415
-
         rows = [{**self._plan.head(result["run"]), **result} for result in results]
         self._keep(pa.Table.from_pylist(rows, schema=schema_of(self._columns)))
         self._rows |= {
@@ -275,15 +252,13 @@ class SweepFolder:
             for part in parts:
                 part.unlink()
 
-    def _keep(self, table: "pa.Table") -> None:
+    def _keep(self, table: pa.Table) -> None:
         """Write a table as the next part."""
         self._number += 1
         _write_table(self.path / PARTS / f"{self._number:08d}.parquet", table)
 
     def finish(self) -> Path:
         """Merge everything into one file."""
-        import pyarrow as pa  # noqa: PLC0415
-
         parts = self._parts()
         if parts:
             table = pa.table(

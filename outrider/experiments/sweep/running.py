@@ -10,6 +10,8 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from joblib import Parallel, delayed, parallel_config
+
 from bus.errors import PeerLost
 from outrider.experiments.sweep.folder import SweepFolder
 from outrider.experiments.sweep.plan import SweepPlan
@@ -102,8 +104,6 @@ def _results(
     tasks: list[SweepTask], jobs: int, client: "Client | None"
 ) -> Generator[list[dict[str, Any]]]:
     """The results of the tasks, as they come."""
-    from joblib import Parallel, delayed, parallel_config  # noqa: PLC0415 - an extra
-
     backend: dict[str, Any] = (
         {"backend": "loky", "max_nbytes": None}
         if client is None
