@@ -19,7 +19,6 @@ from matplotlib.lines import Line2D
 from bus.messages import LinkSettings, Mission
 from bus.profiles import PROFILES
 from outrider.envs.closed_loop import ClosedLoop
-from outrider.experiments.suite.missions import mission_in
 from outrider.style import INK, LIMIT, UGV, law_color, new_figure, save
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario
@@ -53,7 +52,7 @@ def _flown(scenario: Scenario, seeds: int) -> tuple[list[Mission], int]:
     loop = ClosedLoop(scenario, seeds, end_on_sight_lost=False, end_on_goals_reached=True)
     loop.begin(list(range(seeds)))
     loop.fly()
-    found = [mission_in(loop, k) for k in range(seeds)]
+    found = [loop.mission(k) for k in range(seeds)]
     told = [loop.metrics(uav)["visibility_violations"] > 0.0 for uav in loop.uavs]
     loop.close()
     return found, int(np.any(told, axis=0).sum()) if told else 0

@@ -8,9 +8,8 @@ from typing import Any, Unpack
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
-from agents.control.guard import GuardState, guard_state, track_ticks
+from agents.control.guard import guard_state, track_ticks
 from agents.control.handover import check_assumptions
 from agents.control.laws import (
     WATCHED,
@@ -18,20 +17,18 @@ from agents.control.laws import (
     initial_state,
     law_parameters,
 )
-from agents.control.lookahead import LookaheadMemory, lookahead_memory
+from agents.control.lookahead import lookahead_memory
 from agents.control.promise import Promise
-from agents.control.telling import BLOCK_TILES, TellingMemory, telling_memory, telling_ticks
-from agents.control.underway import Underway
+from agents.control.telling import BLOCK_TILES, telling_memory, telling_ticks
 from agents.control.visibility import promise_of
 from agents.drivers.compiled import driver_memory, driver_parameters, told_ground, told_route
 from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters
-from agents.drivers.tile_map import GroundMemory
 from agents.estimation.estimator import SPAN
-from agents.estimation.filtering import KalmanState, kalman_state
+from agents.estimation.filtering import kalman_state
 from agents.estimation.motion_model import KalmanParameters, kalman_parameters
 from bus.errors import ScenarioError
 from bus.layout import GradientCue
-from bus.messages import LinkKind, LinkStatus, UavBriefing, UgvBriefing
+from bus.messages import LinkKind, LinkStatus, Mission, UavBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
 from bus.ticks import radio_ticks, ticks_within
 from outrider.envs.closed_loop_state import (
@@ -51,7 +48,7 @@ from sim.engine.certificate_counts import (
     sent_commands,
 )
 from sim.engine.link_arrays import LinkArrays
-from sim.engine.mission import joined
+from sim.engine.mission import joined, mission_of
 from sim.engine.run_keys import check_secret
 from sim.engine.world_state import Precision
 from sim.env.patch import given_patch
@@ -67,18 +64,16 @@ from sim.scenario.types import Scenario
 _NO_ACTIONS = np.zeros((0, 0, 2))
 
 
-def _repeated(
-    state: tuple[npt.NDArray[Any], ...], worlds: int, of_each: int
-) -> list[npt.NDArray[Any]]:
-    """The arrays of one memory for each of `of_each` vehicles in each world."""
-    return [np.broadcast_to(array, (worlds, of_each, *array.shape)).copy() for array in state]
+def _repeated(memory: Any, worlds: int, of_each: int) -> Any:  # noqa: ANN401 - see Args
+    """The memory of one vehicle for each of `of_each` in each world.
 
-
-def _guards_of(state: GuardState, worlds: int, of_each: int) -> GuardState:
-    """The memory of one safety filter for each of `of_each` UAVs in each world."""
-    sent = Underway._make(_repeated(state.underway, worlds, of_each))
-    detections, plan, course, track, flags = _repeated(state[:-1], worlds, of_each)
-    return GuardState(detections, plan, course, track, flags, sent)
+    Args:
+        memory: An array, or a named tuple of such memories.
+        worlds, of_each: Sizes of the axes that come in front of each array.
+    """
+    if isinstance(memory, tuple):
+        return memory._make(_repeated(part, worlds, of_each) for part in memory)  # type: ignore[attr-defined]
+    return np.broadcast_to(memory, (worlds, of_each, *memory.shape)).copy()
 
 
 def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:
@@ -207,7 +202,6 @@ class ClosedLoop:
             thinking=thinking.astype(np.int64),
             guarded=numbers.guarded.astype(np.int64),
             faults=numbers.faults.astype(np.int64),
-            delays=numbers.delays,
             bounds=numbers.bounds,
             receivers=np.array(
                 [self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]],
@@ -228,12 +222,12 @@ class ClosedLoop:
         )
         late = self.batch.links.longest(LinkKind.DETECTIONS)
         kalman = kalman_state(min(late, ticks_within(SPAN, dt)) + 1)
-        guards = guard_state(numbers.longest, min(late + 1, numbers.track))
+        guard = guard_state(numbers.longest, min(late + 1, numbers.track))
         uavs, ugvs = len(self.uavs), len(self.ugvs)
-        guards = _guards_of(guards, worlds, uavs)
         room = radio.room * uavs if receiving else 1
         coverage = self.batch.state.truth.coverage
         told_room = max(BLOCK_TILES, self.batch.state.ground.seen.shape[2]) if grounded else 0
+        telling = telling_memory(scenario.area.width, scenario.area.height, self.parameters.tile)
         pixels = patch.pixels if patch else 1
         self._compiled: Callable[..., object] | None = None
         self.state = LoopState(
@@ -244,38 +238,27 @@ class ClosedLoop:
                 uav_metrics=len(GUARD_METRICS),
                 uav_columns=len(GradientCue._fields),
             ),
-            maps=np.zeros(
-                (worlds, uavs if self.parameters.own_maps else 0, *coverage.shape[1:]),
-                dtype=coverage.dtype,
-            ),
+            maps=_repeated(coverage[0], worlds, uavs if self.parameters.own_maps else 0),
             certificates=np.repeat(numbers.certificates[None], worlds, axis=0),
             sent=np.repeat(numbers.sent[None], worlds, axis=0),
             laws=np.repeat(numbers.laws[None], worlds, axis=0),
             drivers=np.repeat(numbers.drivers[None], worlds, axis=0),
-            law_states=_repeated((initial_state(),), worlds, uavs)[0],
-            lookaheads=LookaheadMemory._make(_repeated(lookahead_memory(), worlds, uavs)),
-            kalman=KalmanState._make(_repeated(kalman, worlds, uavs)),
-            guards=guards,
-            driver_states=_repeated((driver_memory(),), worlds, ugvs)[0],
-            grounds=GroundMemory._make(_repeated(numbers.ground, worlds, ugvs)),
+            law_states=_repeated(initial_state(), worlds, uavs),
+            lookaheads=_repeated(lookahead_memory(), worlds, uavs),
+            kalman=_repeated(kalman, worlds, uavs),
+            guards=_repeated(guard, worlds, uavs),
+            driver_states=_repeated(driver_memory(), worlds, ugvs),
+            grounds=_repeated(numbers.ground, worlds, ugvs),
             outbox=np.full((worlds, uavs, 2, RADIO_SIZE), -1.0),
             radio=radio.states,
             inbox=np.zeros((worlds, radio.room if receiving else 1, RADIO_SIZE)),
             inboxes=np.zeros((worlds, ugvs, room, 3)),
             arrived=np.zeros((worlds, ugvs), dtype=np.int64),
             patches=np.zeros((worlds, uavs if patch else 0, pixels, pixels)),
-            telling=TellingMemory._make(
-                _repeated(
-                    telling_memory(scenario.area.width, scenario.area.height, self.parameters.tile),
-                    worlds,
-                    uavs,
-                )
-            ),
+            telling=_repeated(telling, worlds, uavs),
             places=np.zeros((worlds, 2, told_room), dtype=np.int64),
             states=np.zeros((worlds, told_room), dtype=np.uint8),
         )
-        if self.parameters.own_maps:
-            self.state.maps[:] = coverage[0]
         self._fresh = Fresh(self.state[1:])  # all but the batch, which knows its own
         self._all = np.arange(worlds)
         with compiling():  # one process does, the others wait
@@ -368,6 +351,11 @@ class ClosedLoop:
             "certificate_broken": counts["broken"].astype(np.float64),
         }
 
+    def mission(self, world: int) -> Mission:
+        """The mission of one world so far, where there are hazards."""
+        tables, state = self.tables.batch, self.state.batch
+        return mission_of(tables.mission, state.ground, state.mission, world, self.scenario.dt)
+
     def links(self, world: int) -> dict[str, LinkStatus]:
         """The counters of each link of one world so far, by `vehicle/kind`."""
         return self.batch.links.status(world) | self._radio.status(world)
@@ -406,16 +394,14 @@ class _PilotNumbers:
         shield: bool,
     ) -> None:
         told_uavs = [uav_briefing(scenario, name, 0) for name in uavs]
-        self.told_ugvs = [ugv_briefing(scenario, name, 0) for name in ugvs]
-        laws = [
-            self._law(one, chosen.get(one.vehicle), outside=one.vehicle in external)
-            for one in told_uavs
-        ]
+        told_ugvs = [ugv_briefing(scenario, name, 0) for name in ugvs]
+        never_asked = dict.fromkeys(uavs, "tracking") | dict.fromkeys(ugvs, DEFAULT_DRIVER)
+        pilots = {**chosen, **{name: never_asked[name] for name in external}}
+        laws = [self._law(one, pilots.get(one.vehicle)) for one in told_uavs]
         promises = [promise_of(one) for one in told_uavs]
         self.laws = records(LawParameters, laws)
         self.longest = max((promise.delay_ticks for promise in promises), default=0)
         self.track = max((track_ticks(promise) for promise in promises), default=1)
-        self.delays = np.array([promise.delay_ticks for promise in promises], dtype=np.int64)
         bounds = [certificate_bounds(one.certificate, one.dt) for one in told_uavs]
         self.bounds = records(CertificateBounds, bounds)
         self.certificates = certificate_counts(len(uavs))
@@ -439,39 +425,22 @@ class _PilotNumbers:
         watched = np.array([law.law in WATCHED for law in laws], dtype=np.bool_)
         self.guarded = watched & ~outside | outside & shield
         self.thinking = ~outside
-        drivers = [
-            self._driver(one, chosen.get(one.vehicle), outside=one.vehicle in external)
-            for one in self.told_ugvs
-        ]
-        self.drivers = records(
-            DriverParameters,
-            [
-                driver_parameters(one, name)
-                for one, name in zip(self.told_ugvs, drivers, strict=True)
-            ],
-        )
-        routes = [told_route(one) for one in self.told_ugvs]
-        self.scripts = [route.script for route in routes]
-        grounds = [told_ground(one) for one in self.told_ugvs]
+        drivers = [pilots.get(one.vehicle) or one.driver for one in told_ugvs]
+        self.drivers = records(DriverParameters, list(map(driver_parameters, told_ugvs, drivers)))
+        self.scripts = [told_route(one).script for one in told_ugvs]
+        grounds = [told_ground(one) for one in told_ugvs]
         self.late = np.array([len(memory.commands) for memory in grounds], dtype=np.int64)
         self.ground = max(grounds, key=lambda memory: len(memory.commands))  # all have one area
-        self.radio = any(
-            DRIVERS[name].listens and one.vehicle not in external
-            for name, one in zip(drivers, self.told_ugvs, strict=True)
+        self.radio = scenario.has_ground or any(  # whoever drives is told of the ground
+            DRIVERS[driver].listens and name not in external
+            for name, driver in zip(ugvs, drivers, strict=True)
         )
-        self.radio = self.radio or scenario.has_ground  # whoever drives is told of the ground
 
     @staticmethod
-    def _law(told: UavBriefing, name: str | None, *, outside: bool) -> LawParameters:
+    def _law(told: UavBriefing, name: str | None) -> LawParameters:
         law = told.law if name is None else msgspec.structs.replace(told.law, name=name)
-        if outside:
-            law = msgspec.structs.replace(law, name="tracking")  # never asked
-        elif law.name in LAWS and LAWS[law.name].own:
+        if law.name in LAWS and LAWS[law.name].own:
             raise ScenarioError(
                 f"{told.vehicle}: law.name = {law.name!r} is a function of your own and cannot be compiled"
             )
         return law_parameters(told, law)
-
-    @staticmethod
-    def _driver(told: UgvBriefing, name: str | None, *, outside: bool) -> str:
-        return DEFAULT_DRIVER if outside else name or told.driver

@@ -71,8 +71,6 @@ class LoopTables(NamedTuple):
     """For each UAV whether the safety filter watches over it. Shape (UAVs,)."""
     faults: IntArray
     """For each UAV whether its certificate's assumptions fail. Shape (UAVs,)."""
-    delays: IntArray
-    """For each UAV the declared delay of its commands [ticks]. Shape (UAVs,)."""
     bounds: RecordArray
     """`CertificateBounds` of each UAV. Shape (UAVs,)."""
     receivers: IntArray

@@ -66,10 +66,12 @@ _RELATIVE, _GROUND = range(2)
 
 @inlined
 def _guard_of(tables: LoopTables, state: GuardState, world: int, uav: int) -> GuardState:
-    course = state.course[world, uav, : tables.delays[uav] + 1]
-    underway, rows = state.underway, tables.delays[uav] + 2
+    delay, underway = tables.promises[uav].delay_ticks, state.underway
+    course = state.course[world, uav, : delay + 1]
     sent = Underway(
-        underway.sent[world, uav, :rows], underway.flown[world, uav], underway.expected[world, uav]
+        underway.sent[world, uav, : delay + 2],
+        underway.flown[world, uav],
+        underway.expected[world, uav],
     )
     return GuardState(
         state.detections[world, uav],
@@ -433,34 +435,16 @@ def _fetch(
     """Bring a quarter of what the next tick of a world will touch of its grid near the core; of none if `world` < 0."""
     if world < 0:
         return
-    world_parameters = tables.batch.world[0]
-    position = state.batch.truth.position[world]
+    cell, position = tables.batch.world[0].cell, state.batch.truth.position[world]
     coverage = state.batch.truth.coverage[world]
     for u in range(tables.batch.escorts.shape[0]):
         a, g = tables.batch.escorts[u, 0], tables.batch.escorts[u, 1]
         if parameters.error:
-            fetch_disc(
-                coverage,
-                position[g, 0],
-                position[g, 1],
-                world_parameters.cell,
-                tables.around,
-                part,
-                4,
-            )
-        fetch_disc(
-            coverage, position[a, 0], position[a, 1], world_parameters.cell, tables.seen, part, 4
-        )
+            fetch_disc(coverage, position[g, 0], position[g, 1], cell, tables.around, part, 4)
+        x, y = position[a, 0], position[a, 1]
+        fetch_disc(coverage, x, y, cell, tables.seen, part, 4)
         if parameters.own_maps:
-            fetch_disc(
-                state.maps[world, u],
-                position[a, 0],
-                position[a, 1],
-                world_parameters.cell,
-                tables.seen,
-                part,
-                4,
-            )
+            fetch_disc(state.maps[world, u], x, y, cell, tables.seen, part, 4)
     _fetch_ground(tables, state, world, part)
 
 

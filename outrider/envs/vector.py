@@ -21,7 +21,7 @@ from bus.layout import GradientCue, UavRow
 from bus.messages import LinkStatus, Mission
 from outrider.envs.closed_loop import LOOP_DEFAULTS, ClosedLoop, LoopSettings, pilot_names
 from outrider.envs.closed_loop_state import GUARD_METRICS
-from sim.engine.mission import mission_numbers, mission_of
+from sim.engine.mission import mission_numbers
 from sim.env.actions import take_batch
 from sim.env.observation import AgentObservation, ObservationFormat, one_of_world
 from sim.env.rows import UGV_METRICS
@@ -163,10 +163,7 @@ class Worlds:
 
     def mission(self, world: int) -> Mission | None:
         """The mission of one world so far; None where there are no hazards."""
-        tables, state = self.loop.tables.batch, self.loop.state.batch
-        if not len(tables.ground.parameters):
-            return None
-        return mission_of(tables.mission, state.ground, state.mission, world, self.scenario.dt)
+        return self.loop.mission(world) if self.scenario.has_ground else None
 
     def infos(self, name: str) -> dict[str, Any]:
         """Facts of a vehicle's own that are in no row, in all worlds, with Gymnasium's masks."""
@@ -201,7 +198,13 @@ class Worlds:
                 raise ResetNeeded("reset() all worlds before a part of them")
         seeds = self._given(seed)
         which = np.flatnonzero(mask)
-        self._begin(which, [seeds[k] for k in which.tolist()])
+        for k in which.tolist():
+            Seeds.check(seeds[k])
+        self._keep_metrics(which)
+        for k in which.tolist():
+            self._seeds[k].begin(seeds[k])
+        self.loop.begin([self._seeds[k].current for k in which.tolist()], which)
+        self._returns[which] = 0.0
         self.begun = True
 
     def _given(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
@@ -218,15 +221,6 @@ class Worlds:
                 f"seed = {seed!r}: must be a whole number, or one for each world"
             ) from None
         return [first + k for k in range(self.num_envs)]
-
-    def _begin(self, which: npt.NDArray[np.int64], seeds: Sequence[int | None]) -> None:
-        for seed in seeds:
-            Seeds.check(seed)
-        self._keep_metrics(which)
-        for k, seed in zip(which.tolist(), seeds, strict=True):
-            self._seeds[k].begin(seed)
-        self.loop.begin([self._seeds[k].current for k in which.tolist()], which)
-        self._returns[which] = 0.0
 
     @property
     def episode_seeds(self) -> list[int]:
@@ -307,15 +301,11 @@ class Worlds:
         for k in np.flatnonzero(ended).tolist():
             observations[k] = one_of_world(last, k)
         info = {key: value for key, value in told.items() if not key.startswith("_")}
-        if name in self.loop.ugvs:
+        if name in self.loop.ugvs and self.scenario.has_ground:
             for k in np.flatnonzero(ended).tolist():
-                mission = self.mission(k)
-                for key, number in (
-                    mission_numbers(mission) if mission is not None else {}
-                ).items():
-                    info.setdefault(key, np.zeros(self.num_envs, np.asarray(number).dtype))[k] = (
-                        number
-                    )
+                for key, number in mission_numbers(self.loop.mission(k)).items():
+                    none = np.zeros(self.num_envs, np.asarray(number).dtype)
+                    info.setdefault(key, none)[k] = number
         info["episode"] = {
             "r": np.where(ended, self._returns[:, self._rows[name]], 0.0),
             "l": np.where(ended, self.loop.state.batch.ticks, 0),

@@ -10,11 +10,10 @@ import msgspec
 import numpy as np
 
 from bus.messages import Mission
-from outrider.envs.closed_loop import ClosedLoop, pilot_names
+from outrider.envs.closed_loop import pilot_names
 from outrider.envs.vector import Worlds
 from outrider.experiments.suite.scoring import Entry, Result, Team, begun, check_law, result_of
 from outrider.experiments.suite.tasks import NO_ESCORT, Task
-from sim.engine.mission import mission_of
 from sim.engine.run_keys import derive_secret
 from sim.env.rewards import RewardWeights
 from sim.scenario.types import Scenario
@@ -73,12 +72,6 @@ def mission_score(mission: Mission, shortest: float) -> float:
     return 100.0 * pace * found / (1.0 + mission.hazards_hit)
 
 
-def mission_in(loop: ClosedLoop, k: int) -> Mission:
-    """The mission of world k."""
-    tables, state = loop.tables.batch, loop.state.batch
-    return mission_of(tables.mission, state.ground, state.mission, k, loop.scenario.dt)
-
-
 def _fly(worlds: Worlds) -> None:
     """Fly each world on until its mission is over."""
     flying = np.arange(worlds.num_envs)
@@ -115,7 +108,7 @@ def evaluate_mission(
             worlds.loop.fly()
         else:
             _fly(worlds)
-        missions = [mission_in(worlds.loop, k) for k in range(len(seeds))]
+        missions = [worlds.loop.mission(k) for k in range(len(seeds))]
         flown = worlds.metrics()
     shortest = shortest_time(scenario)
     finds = sum(mission.finds for mission in missions)
