@@ -4,9 +4,8 @@ import shlex
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -29,27 +28,8 @@ _LINE = 10.0
 """The time between two lines of progress without a terminal [s]; one more comes at the first violation."""
 
 
-class Expect(StrEnum):
-    """The outcome that the exit code is to tell."""
-
-    NONE = "none"
-    SOME = "some"
-
-
-class Engine(StrEnum):
-    """One engine alone."""
-
-    FLIGHTS = "flights"
-    ATTACK = "attack"
-
-
-class ControlGuard(StrEnum):
-    """Guards that are known to be wrong."""
-
-    TRACKING = "tracking"
-    ARGMIN = "argmin"
-    PAPER_RADIUS = "paper-radius"
-    SWITCHING = "switching"
+Expect = Literal["none", "some"]
+"""The violations that are expected; the exit code tells whether it is so."""
 
 
 def command(
@@ -120,13 +100,13 @@ def command(
         typer.Option(help="Exit with 1 if violations are found (none), or if none is (some)."),
     ] = None,
     engine: Annotated[
-        Engine | None,
+        Literal["flights", "attack"] | None,
         typer.Option(
             help="For the law certified: whole flights alone, or the compiled attack alone."
         ),
     ] = None,
     control: Annotated[
-        ControlGuard | None,
+        Literal["tracking", "argmin", "paper-radius", "switching"] | None,
         typer.Option(
             help="Attack a guard that is known to be wrong in the place of the filter, to see that it is caught."
         ),
@@ -176,7 +156,7 @@ def command(
         raise typer.BadParameter(
             "--undegraded allows no --noise and no --max-...: leave one of them out"
         )
-    if control is not None and (law not in (None, "certified") or engine is Engine.FLIGHTS):
+    if control is not None and (law not in (None, "certified") or engine == "flights"):
         raise typer.BadParameter(
             "--control stands in the place of the law certified in the attack; leave --law and --engine out"
         )
@@ -190,19 +170,17 @@ def command(
     certified = LAWS[flown.law.name].watched
     if (engine is not None or eps is not None) and not certified:
         raise typer.BadParameter("--engine and --eps are for the law certified")
-    flies = control is None and engine is not Engine.ATTACK
-    attacks = certified and (control is not None or engine is not Engine.FLIGHTS)
-    limits = (
-        SearchLimits()
-        if undegraded
-        else SearchLimits(
+    flies = control is None and engine != "attack"
+    attacks = certified and (control is not None or engine != "flights")
+    limits = SearchLimits()
+    if not undegraded:
+        limits = SearchLimits(
             delay=_DELAY if max_delay is None else max_delay,
             loss=_LOSS if max_loss is None else max_loss,
             blackout=_BLACKOUT if max_blackout is None else max_blackout,
             command_delay=_COMMAND_DELAY if max_command_delay is None else max_command_delay,
             noise=flown.detections.noise if noise is None else noise,
         )
-    )
     raised: tuple[str, ...] = ()
     if attacks:
         _check_eps(eps)
@@ -225,7 +203,7 @@ def command(
         seed=seed,
         jobs=jobs or cores(),
         first=first,
-        control=None if control is None else str(control),
+        control=control,
         eps=eps,
         out=out,
     )
@@ -296,7 +274,7 @@ def _search(wanted: "Wanted", expect: Expect | None, *, json: bool) -> None:
     if expect is not None and not found.runs:
         ERR.tell(f"outrider: --expect {expect}, but the time was over before anything had flown")
         raise typer.Exit(1)
-    if expect is not None and (found.violations > 0) is (expect is Expect.NONE):
+    if expect is not None and (found.violations > 0) is (expect == "none"):
         ERR.tell(
             f"outrider: --expect {expect}, but {found.violations:,} of {found.runs:,} runs are violations"
         )
@@ -353,10 +331,8 @@ def _lines(found: "Found") -> Iterator[str]:
             yield f"    certified while lost: {flights.certified_while_lost:,} ticks"
             yield f"    certificate lost while all assumptions held: {flights.certificate_broken:,} times"
     if attacks.worst is not None:
-        worst, over = (
-            attacks.worst,
-            f"over {attacks.combinations:,} combinations of network and error",
-        )
+        worst = attacks.worst
+        over = f"over {attacks.combinations:,} combinations of network and error"
         said = "are certified while sight is lost" if wanted.control is None else "lose sight"
         yield (
             f"  attack: {attacks.violations:,} of {attacks.runs:,} {over} {said}; the farthest "
@@ -387,7 +363,6 @@ def _lines(found: "Found") -> Iterator[str]:
         yield "  The worst flight:"
         yield from (f"    {line}" for line in found.words)
         yield f"  {found.path}"
-        code = (
-            " --allow-code" if foreign_code(found.wanted.base) else ""
-        )  # the file names what the command has named
+        # the file names what the command has named
+        code = " --allow-code" if foreign_code(wanted.base) else ""
         yield f"  outrider run {shlex.quote(str(found.path))} --in-process{code} flies it again: {found.sha256}"

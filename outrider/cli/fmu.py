@@ -1,8 +1,7 @@
 """`outrider fmu`: vehicles and whole flights as FMI 3.0 co-simulation units."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -11,14 +10,6 @@ from bus.keys import Role
 from outrider.cli import options
 
 app = typer.Typer(no_args_is_help=True)
-
-
-class Exported(StrEnum):
-    """All that can be exported."""
-
-    UAV = "uav"
-    UGV = "ugv"
-    WORLD = "world"
 
 
 @app.callback()
@@ -33,7 +24,9 @@ def command() -> None:
 
 @app.command()
 def export(
-    what: Annotated[Exported, typer.Argument(help="A vehicle, or the whole flight.")],
+    what: Annotated[
+        Literal["uav", "ugv", "world"], typer.Argument(help="A vehicle, or the whole flight.")
+    ],
     scenario: Annotated[
         str, typer.Argument(help="A TOML file, or a shipped scenario's name.")
     ] = "escort",
@@ -74,18 +67,18 @@ def export(
         changes=changes,
     )
     file = out or Path(f"{what}.fmu")
-    if what is Exported.WORLD and agent:
+    if what == "world" and agent:
         raise ScenarioError(f"--agent {agent}: the world has all of them; allowed: none")
     try:
         with ERR.status(f"making {file}"):
-            if what is Exported.WORLD:
+            if what == "world":
                 export_world(flown, file)
             else:
-                agent = export_vehicle(flown, Role(what.value), file, name=agent)
+                agent = export_vehicle(flown, Role(what), file, name=agent)
     except OSError as error:
         raise ScenarioError(f"--out {file}: {error.strerror or error}") from error
     if json:
-        told = {"file": str(file), "what": what.value, "agent": agent or None}
+        told = {"file": str(file), "what": what, "agent": agent or None}
         print_json(told | {"scenario": flown.name, "seed": flown.seed, "step": flown.dt})
     else:
         OUT.tell(f"{file}: {agent or 'the world'} of {flown.name}, steps of {flown.dt:g} s")
