@@ -78,13 +78,6 @@ _DEBUG = "OUTRIDER_DEBUG"
 _INTERRUPTED = 130
 
 
-def _about() -> None:
-    """Outrider: a UAV that flies as the outrider of a ground vehicle, and never loses sight of it.
-
-    Example: outrider run escort --seed 3
-    """
-
-
 def _version(wanted: bool) -> None:
     if wanted:
         from importlib.metadata import version
@@ -95,13 +88,9 @@ def _version(wanted: bool) -> None:
 
 def make_app() -> typer.Typer:
     """The whole command line: for `main`, and for the pages that tell of it."""
-    app = typer.Typer(
-        no_args_is_help=True,
-        pretty_exceptions_enable=False,
-        rich_markup_mode=None,
-    )
+    app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 
-    @app.callback(help=_about.__doc__)
+    @app.callback()
     def about(
         version: bool = typer.Option(
             False, "--version", callback=_version, is_eager=True, help="Print the version and stop."
@@ -112,7 +101,10 @@ def make_app() -> typer.Typer:
             help="Show the whole traceback of an error, of every process of a run.",
         ),
     ) -> None:
-        pass
+        """Outrider: a UAV that flies as the outrider of a ground vehicle, and never loses sight of it.
+
+        Example: outrider run escort --seed 3
+        """
 
     for name, command in COMMANDS.items():
         app.command(name)(_telling(command))
@@ -173,9 +165,8 @@ def _run() -> int:
     except (KeyboardInterrupt, _Interrupted):
         return _fail("interrupted", _INTERRUPTED)
     except Exception as error:
-        told = getattr(
-            error, "format_message", None
-        )  # typer's own errors, of whichever click it carries
+        # typer's own errors, of whichever click it carries
+        told = getattr(error, "format_message", None)
         if told is None:
             if not place_in_user_code(error):
                 raise
