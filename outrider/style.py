@@ -20,7 +20,6 @@ from sim.scene.drawing import COVERAGE, DASHED, DPI, key, look
 __all__ = [
     "COVERAGE",
     "DASHED",
-    "GAIN",
     "GOOD",
     "INK",
     "LIMIT",
@@ -28,18 +27,10 @@ __all__ = [
     "UAV",
     "UGV",
     "color",
-    "coverage_bar",
     "key",
-    "law_color",
-    "law_mark",
-    "legend_above",
-    "limits_of_sight",
     "look",
-    "new_figure",
-    "over_time",
-    "panel",
-    "save",
 ]
+"""Names of the scene's that figures find here, too."""
 
 GAIN = {"low": "#8fbdee", "high": "#2f74d0", "bounded": "#12305f"}
 """Shades of the gain k_v: low, high, and high with bounded input."""
