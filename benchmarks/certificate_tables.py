@@ -46,36 +46,26 @@ SEEDS = 10
 NUMBERS = {name: PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
 
 
+def _certificate(**declared: float | None) -> Promise:
+    """What follows from these numbers and the paper's bounds."""
+    return certificate(Declared(**NUMBERS, **declared))
+
+
 def radius() -> Iterator[str]:
     """The declared numbers and what follows from them."""
     yield head("ε [m] | A [s] | τ_c [s] | R_h [m] | E [m] | r_cert [m]")
-    rows = [
-        (0.0, 0.05, 0.0),
-        (0.3, 0.05, 0.0),
-        (0.3, 5.0, 0.0),
-        (0.3, 10.0, 0.0),
-        (0.3, 15.0, 0.0),
-        (0.9, 10.0, 0.0),
-    ]
-    rows += [
-        (1.5, 0.05, 0.0),
-        (1.5, 5.0, 0.0),
-        (0.3, 0.05, 0.5),
-        (0.3, 0.05, 1.0),
-        (0.3, 15.0, 1.0),
-    ]
+    rows = [(0.0, 0.05, 0.0), *((0.3, age, 0.0) for age in (0.05, 5.0, 10.0, 15.0))]
+    rows += [(0.9, 10.0, 0.0), (1.5, 0.05, 0.0), (1.5, 5.0, 0.0)]
+    rows += [(0.3, 0.05, 0.5), (0.3, 0.05, 1.0), (0.3, 15.0, 1.0)]
     for eps, age, delay in rows:
-        c = certificate(Declared(**NUMBERS, eps=eps, age=age, delay=delay))
-        r_cert = certified_radius(c.handover, c.v_a, c.u_a, c.v_g, c.dt, delay)
-        yield f"| {eps:g} | {age:g} | {delay:g} | {c.handover:.3f} | {c.reach:.2f} | {r_cert:.2f} |"
+        c = _certificate(eps=eps, age=age, delay=delay)
+        cells = f"{c.handover:.3f} | {c.reach:.2f} | {_r_cert(c):.2f}"
+        yield f"| {eps:g} | {age:g} | {delay:g} | {cells} |"
     yield ""
     errors = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5)
     yield head(f"largest A [s] at ε [m] | {' | '.join(f'{eps:g}' for eps in errors)}")
     for delay in (0.0, 1.0):
-        ages = [
-            largest_age(certificate(Declared(**NUMBERS, eps=eps, age=0.05, delay=delay)))
-            for eps in errors
-        ]
+        ages = [largest_age(_certificate(eps=eps, age=0.05, delay=delay)) for eps in errors]
         yield f"| τ_c = {delay:g} s | {' | '.join(f'{age:.1f}' for age in ages)} |"
 
 
@@ -109,13 +99,10 @@ def guards() -> Iterator[str]:
     add("(18), detections 0.5 s late", paper._replace(latency=0.5), 0.0)
     add("(18), commands 0.5 s late", paper._replace(delay=0.5), 0.0)
     add("(18), blackouts of 10 s", paper._replace(blackout=periodic, blackout_time=10.0), 0.0)
-    add("d_cert and (15), ε 0.3 m", Conditions(law=GUARDS.switch_tracking), 0.3)
-    add(
-        "d_cert and (15), errors of norm 0.3 m",
-        Conditions(law=GUARDS.switch_tracking, error=sphere),
-        0.3,
-    )
-    add("d_cert and (15), ε 0.9 m", Conditions(law=GUARDS.switch_tracking), 0.9)
+    tracking = Conditions(law=GUARDS.switch_tracking)
+    add("d_cert and (15), ε 0.3 m", tracking, 0.3)
+    add("d_cert and (15), errors of norm 0.3 m", tracking._replace(error=sphere), 0.3)
+    add("d_cert and (15), ε 0.9 m", tracking, 0.9)
     add(
         "d_cert and the best detection, ε 0.9 m, blackouts of 8 s",
         Conditions(GUARDS.switch_best, blackout=1, blackout_time=8.0),
@@ -159,17 +146,11 @@ def outage() -> Iterator[str]:
     waits = (0.05, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0)
     yield head(f"B [s] | {' | '.join(f'{wait:g}' for wait in waits)}")
     for eps, age, delay in ((0.3, 1.0, 0.0), (0.3, 5.0, 0.0), (0.3, 1.0, 0.5), (0.9, 1.0, 0.0)):
-        found = [
-            certificate(Declared(**NUMBERS, eps=eps, age=age, delay=delay, outage=wait))
-            for wait in waits
-        ]
+        found = [_certificate(eps=eps, age=age, delay=delay, outage=wait) for wait in waits]
         told = f"ε {eps:g} m, A {age:g} s, τ_c {delay:g} s"
         yield from _bounds(told, found)
     for eps, delay in ((0.0, 0.0), (0.3, 0.0), (0.9, 0.0), (0.3, 1.0)):
-        found = [
-            certificate(Declared(**NUMBERS, eps=eps, age=0.05, delay=delay, outage=wait))
-            for wait in waits
-        ]
+        found = [_certificate(eps=eps, age=0.05, delay=delay, outage=wait) for wait in waits]
         yield _oldest(f"ε {eps:g} m, τ_c {delay:g} s", found)
 
 
@@ -178,17 +159,11 @@ def wind() -> Iterator[str]:
     offs = (0.0, 0.1, 0.2, 0.3, 0.5, 0.8, 1.2)
     yield head(f"w [m] | {' | '.join(f'{off:g}' for off in offs)}")
     for eps, age, outage in ((0.3, 1.0, None), (0.3, 5.0, None), (0.3, 1.0, 2.0)):
-        found = [
-            certificate(Declared(**NUMBERS, eps=eps, age=age, outage=outage, tracking=off))
-            for off in offs
-        ]
+        found = [_certificate(eps=eps, age=age, outage=outage, tracking=off) for off in offs]
         told = f"ε {eps:g} m, A {age:g} s" + ("" if outage is None else f", B {outage:g} s")
         yield from _bounds(told, found)
     for eps, outage in ((0.0, None), (0.3, None), (0.9, None), (0.3, 2.0)):
-        found = [
-            certificate(Declared(**NUMBERS, eps=eps, age=0.05, outage=outage, tracking=off))
-            for off in offs
-        ]
+        found = [_certificate(eps=eps, age=0.05, outage=outage, tracking=off) for off in offs]
         yield _oldest(f"ε {eps:g} m" + ("" if outage is None else f", B {outage:g} s"), found)
     yield ""
     pushes = ((0.1, 0.0), (0.2, 0.0), (0.0, 0.2), (0.1, 0.2))
@@ -220,17 +195,9 @@ def _oldest(told: str, found: list[Promise]) -> str:
 
 
 def _r_cert(promise: Promise) -> float:
-    wait, off = promise.outage_ticks * promise.dt, promise.tracking
-    return certified_radius(
-        promise.handover,
-        promise.v_a,
-        promise.u_a,
-        promise.v_g,
-        promise.dt,
-        promise.delay_ticks * promise.dt,
-        wait,
-        off,
-    )
+    c = promise
+    delay, outage = c.delay_ticks * c.dt, c.outage_ticks * c.dt
+    return certified_radius(c.handover, c.v_a, c.u_a, c.v_g, c.dt, delay, outage, c.tracking)
 
 
 def _unreliable() -> dict[str, tuple[Conditions, float]]:
