@@ -11,7 +11,6 @@ import argparse
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -32,7 +31,7 @@ from sim.channel.recorded import RecordedLink, pack
 from sim.kernels.compile import FloatArray, compiled
 from sim.models.randomness import DETECTION_CHANCE, uniform
 
-DT, TICKS = 0.05, 1200
+DT, TICKS, SEED = 0.05, 1200, 1
 RECORDINGS = Path(__file__).resolve().parent.parent / "examples" / "networks"
 REPEATS = 6
 RISK = 0.01
@@ -144,13 +143,12 @@ def ages_exceeded(
     ticks: int,
     age: float,
     flights: int,
-    seed: int = 1,
     traces: Traces = (),
 ) -> int:
     """Counts those of so many flights in which the age is exceeded; arguments as of `chance_of_age`."""
     limit = ticks_within(age, dt)
     link = _link(settings, dt, traces)
-    return int(_too_old(*link, seed, flights, ticks, period_ticks, dropout, limit))
+    return int(_too_old(*link, SEED, flights, ticks, period_ticks, dropout, limit))
 
 
 def outages_exceeded(
@@ -162,13 +160,12 @@ def outages_exceeded(
     ticks: int,
     outage: float,
     flights: int,
-    seed: int = 1,
     traces: Traces = (),
 ) -> int:
     """Counts those of so many flights in which the outage is exceeded; arguments as of `chance_of_outage`."""
     limit = ticks_within(outage, dt)
     link = _link(settings, dt, traces)
-    return int(_interrupted(*link, seed, flights, ticks, delay_ticks, repeats, limit))
+    return int(_interrupted(*link, SEED, flights, ticks, delay_ticks, repeats, limit))
 
 
 def agrees(chance: Chance, count: int, flights: int) -> bool:
@@ -179,23 +176,14 @@ def agrees(chance: Chance, count: int, flights: int) -> bool:
     )
 
 
-class Row(NamedTuple):
-    """A row of the table."""
-
-    what: str
-    number: float
-    chance: Chance
-    count: int
-    flights: int
-
-    def line(self) -> str:
-        """As the page has it."""
-        low, high = wilson_interval(self.count, self.flights, SURE)
-        value = "–" if self.chance.value is None else f"{self.chance.value:.5f}"
-        kind = "exact" if self.chance.exact else "bound"
-        frequency = f"{self.count / self.flights:.5f} | {low:.5f} to {high:.5f}"
-        held = "yes" if agrees(self.chance, self.count, self.flights) else "**no**"
-        return f"| {self.what} | {self.number:g} | {value} | {kind} | {frequency} | {held} |"
+def _row(what: str, number: float, chance: Chance, count: int, flights: int) -> str:
+    """A row of the table, as the page has it."""
+    low, high = wilson_interval(count, flights, SURE)
+    value = "–" if chance.value is None else f"{chance.value:.5f}"
+    kind = "exact" if chance.exact else "bound"
+    frequency = f"{count / flights:.5f} | {low:.5f} to {high:.5f}"
+    held = "yes" if agrees(chance, count, flights) else "**no**"
+    return f"| {what} | {number:g} | {value} | {kind} | {frequency} | {held} |"
 
 
 OWN = {
@@ -223,30 +211,24 @@ def _links() -> Iterator[tuple[str, LinkSettings, Traces]]:
         yield f"recorded, {path.stem}", LinkSettings(trace=path.name), (recorded,)
 
 
-def rows(flights: int) -> Iterator[Row]:
+def rows(flights: int) -> Iterator[str]:
     """Each link with numbers that are exceeded in about one flight of a hundred."""
     for name, settings, traces in _links():
-        looks = {"dt": DT, "period_ticks": 1, "dropout": 0.1, "ticks": TICKS, "traces": traces}
+        shared = {"dt": DT, "ticks": TICKS, "traces": traces}
+        looks = shared | {"period_ticks": 1, "dropout": 0.1}
         age = smallest_age(settings, **looks, risk=RISK).value
         if age is not None:
             count = ages_exceeded(settings, **looks, age=age, flights=flights)
-            yield Row(
-                f"{name}: age", age, chance_of_age(settings, **looks, age=age), count, flights
-            )
+            chance = chance_of_age(settings, **looks, age=age)
+            yield _row(f"{name}: age", age, chance, count, flights)
         delay = max(2, link_parameters(settings, DT, traces=traces).longest)
-        packets = {
-            "dt": DT,
-            "delay_ticks": delay,
-            "repeats": REPEATS,
-            "ticks": TICKS,
-            "traces": traces,
-        }
+        packets = shared | {"delay_ticks": delay, "repeats": REPEATS}
         outage = smallest_outage(settings, **packets, risk=RISK).value
         if outage is not None:
             count = outages_exceeded(settings, **packets, outage=outage, flights=flights)
             chance = chance_of_outage(settings, **packets, outage=outage)
             what = f"{name}: outage, τ_c {delay * DT:g} s"
-            yield Row(what, outage, chance, count, flights)
+            yield _row(what, outage, chance, count, flights)
 
 
 def main() -> None:
@@ -263,7 +245,7 @@ def main() -> None:
     )
     sys.stdout.write("|---|--:|--:|---|--:|--:|---|\n")
     for row in rows(flights):
-        sys.stdout.write(f"{row.line()}\n")
+        sys.stdout.write(f"{row}\n")
         sys.stdout.flush()
 
 
