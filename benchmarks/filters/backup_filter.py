@@ -122,9 +122,8 @@ def flow_value(
             value = min(value, room)
             if value < enough:
                 return value
-            wait = room - (
-                value if enough == -math.inf else enough
-            )  # until it can be the least, or too small
+            # until it can be the least, or too small
+            wait = room - (value if enough == -math.inf else enough)
         if arrived:
             end = worst_distance(c, known, tick, p_x, p_y) + driven + _NEAR
             reach = norm(p_x - z_x, p_y - z_y) + radius_at(c, known.newest, tick) + driven + _NEAR
@@ -209,10 +208,8 @@ def filtered(
     best_x, best_y = u_x + high * (b_x - u_x), u_y + high * (b_y - u_y)
     best = high * norm(b_x - u_x, b_y - u_y)
     for k in range(_DIRECTIONS):
-        e_x, e_y = (
-            math.cos(2.0 * math.pi * k / _DIRECTIONS),
-            math.sin(2.0 * math.pi * k / _DIRECTIONS),
-        )
+        angle = 2.0 * math.pi * k / _DIRECTIONS
+        e_x, e_y = math.cos(angle), math.sin(angle)
         near_by, far = 0.0, 0.98 * best
         x, y = u_x + far * e_x, u_y + far * e_y
         if norm(x, y) > c.u_a or not value_after(c, known, tick, here, x, y, least) >= least:
@@ -280,10 +277,5 @@ class BackupFilter:
         if self._pending:
             self._pending = [*self._pending[1:], (u_x, u_y)]
         known = bool(feasible and fresh)
-        return Verdict(
-            (u_x, u_y),
-            bool(acts),
-            known,
-            "" if known else "the backup policy is not known to be safe",
-            math.inf,
-        )
+        reason = "" if known else "the backup policy is not known to be safe"
+        return Verdict((u_x, u_y), bool(acts), known, reason, math.inf)

@@ -9,15 +9,13 @@ Prints the table and writes results/filters.json and results/filters.md beside t
 """
 
 import argparse
-import json
 import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
 from functools import partial
-from itertools import product
+from itertools import groupby, product
 from pathlib import Path
 from typing import Any
 
@@ -73,8 +71,7 @@ INNER = ("logarithmic", "outward")
 """The inner controls of the filters: the paper's law, and full thrust away from the UGV."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Case:
+class Case(msgspec.Struct, frozen=True):
     """One flight."""
 
     network: str
@@ -85,8 +82,7 @@ class Case:
     duration: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Result:
+class Result(msgspec.Struct, frozen=True, kw_only=True):
     """The outcome of one flight."""
 
     case: Case
@@ -141,11 +137,9 @@ class FilteredPilot(UavPilot):
     def _away(self, own: Vector, target: Vector) -> Vector:
         x, y = own[0] - target[0], own[1] - target[1]
         length = (x * x + y * y) ** 0.5
-        return (
-            (x / length * self._outward, y / length * self._outward)
-            if length > 1e-9
-            else (self._outward, 0.0)
-        )
+        if length <= 1e-9:
+            return self._outward, 0.0
+        return x / length * self._outward, y / length * self._outward
 
 
 def scenario_of(case: Case) -> Scenario:
@@ -198,18 +192,10 @@ def fly(case: Case) -> Result:
 
 def cases(seeds: int, duration: float) -> Iterator[Case]:
     """All flights; those of one row of the table one after the other."""
-    for network, inner, name, driver, seed in product(
-        NETWORKS, INNER, FILTERS, DRIVERS, range(7, 7 + seeds)
-    ):
-        if not (name == "none" and inner == "outward"):  # which is gone after eight seconds
-            yield Case(
-                network=network,
-                inner=inner,
-                filter=name,
-                driver=driver,
-                seed=seed,
-                duration=duration,
-            )
+    for values in product(NETWORKS, INNER, FILTERS, DRIVERS, range(7, 7 + seeds)):
+        case = Case(*values, duration)
+        if (case.inner, case.filter) != ("outward", "none"):  # which is gone after eight seconds
+            yield case
 
 
 COLUMNS = (
@@ -229,12 +215,8 @@ COLUMNS = (
 
 def rows(results: Sequence[Result]) -> Iterator[list[str]]:
     """One row for each network, inner control and filter: all drivers and seeds together."""
-    groups: dict[tuple[str, str, str], list[Result]] = {}
-    for result in results:
-        groups.setdefault((result.case.network, result.case.inner, result.case.filter), []).append(
-            result
-        )
-    for key, found in groups.items():
+    for key, group in groupby(results, lambda r: (r.case.network, r.case.inner, r.case.filter)):
+        found = list(group)
         ticks, watched = sum(r.ticks for r in found), key[2] != "none"
         yield [
             *key,
@@ -278,16 +260,7 @@ def main() -> None:
         parser.error("--seeds and --jobs must be 1 or more, --duration above 0 s")
     wanted, began = list(cases(given.seeds, given.duration)), time.monotonic()
     for name in FILTERS:  # compile before anything is timed
-        fly(
-            Case(
-                network="undegraded",
-                inner="outward",
-                filter=name,
-                driver="evade",
-                seed=1,
-                duration=5.0,
-            )
-        )
+        fly(Case("undegraded", "outward", name, "evade", seed=1, duration=5.0))
     results: list[Result] = []
     with ProcessPoolExecutor(given.jobs) as pool:
         for n, result in enumerate(pool.map(fly, wanted, chunksize=5), 1):
@@ -301,14 +274,8 @@ def main() -> None:
     sys.stdout.write(f"\n{text}")
     given.out.mkdir(parents=True, exist_ok=True)
     given.out.joinpath("filters.md").write_text(text, encoding="utf-8")
-    told = {
-        "cores": os.cpu_count(),
-        "jobs": given.jobs,
-        "flights": [asdict(result) for result in results],
-    }
-    given.out.joinpath("filters.json").write_text(
-        json.dumps(told, indent=1) + "\n", encoding="utf-8"
-    )
+    told = msgspec.json.encode({"cores": os.cpu_count(), "jobs": given.jobs, "flights": results})
+    given.out.joinpath("filters.json").write_bytes(msgspec.json.format(told, indent=1) + b"\n")
 
 
 if __name__ == "__main__":
