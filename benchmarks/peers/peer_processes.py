@@ -84,9 +84,8 @@ def _started(command: list[str], cwd: Path, errors: int) -> Iterator[subprocess.
 
 def _end(process: subprocess.Popen[str]) -> None:
     with contextlib.suppress(ProcessLookupError, PermissionError):
-        os.killpg(
-            process.pid, signal.SIGKILL
-        )  # they hold nothing that would have to be put in order
+        # they hold nothing that would have to be put in order
+        os.killpg(process.pid, signal.SIGKILL)
 
 
 def reason(text: str) -> str:

@@ -7,8 +7,6 @@ import msgspec
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-from rich.markup import escape
-from rich.table import Table
 
 from outrider import style
 
@@ -46,11 +44,6 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     def label(self) -> str:
         """The measurement's name."""
         return f"{self.name} {self.variant}, {self.agents} agents"
-
-    @property
-    def worlds_in_words(self) -> str:
-        """Such as "1 world"."""
-        return worlds_in_words(self.worlds)
 
 
 class Failure(msgspec.Struct, frozen=True, kw_only=True):
@@ -140,14 +133,12 @@ def markdown(report: Report) -> str:
         lines += [
             f"| {failure.what} | {failure.reason.replace('|', chr(92) + '|')} |"
             for failure in report.failures
-        ] + [""]
-    if report.rows:
-        lines += [
-            "## Where a peer is faster",
-            "",
-            *[f"- {sentence}" for sentence in where_faster(report)],
-            "",
         ]
+        lines += [""]
+    if report.rows:
+        lines += ["## Where a peer is faster", ""]
+        lines += [f"- {sentence}" for sentence in where_faster(report)]
+        lines += [""]
     return "\n".join(lines)
 
 
@@ -158,7 +149,7 @@ def where_faster(report: Report) -> list[str]:
         here = [row for row in report.rows if row.worlds == worlds]
         ours = [row for row in here if row.peer == OURS]
         peers = [row for row in here if row.peer != OURS]
-        at = f"At {here[0].worlds_in_words}"
+        at = f"At {worlds_in_words(worlds)}"
         if not peers or not ours:
             sentences.append(
                 f"{at} there is no {'peer' if ours else 'row of ours'} to compare with."
@@ -186,40 +177,8 @@ def _faster(row: Row, ours: list[Row]) -> str:
 
 
 def _times(ratio: float) -> str:
-    return (
-        f"{ratio:.2f} times"
-        if ratio < 1.1
-        else f"{ratio:.1f} times"
-        if ratio < 10.0
-        else f"{ratio:.0f} times"
-    )
-
-
-def console_table(report: Report) -> Table:
-    """The same table for a terminal, failures as lines of it."""
-    table = Table(
-        title=f"World-steps per second\n{report.conditions}",
-        title_justify="left",
-        caption=crowded(report) or None,
-    )
-    table.add_column("package", no_wrap=True)
-    table.add_column("task")
-    for heading in ("agents", "worlds", "steps/s"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("version")
-    for field, title in GROUPS.items():
-        rows = _ordered(report, field)
-        if rows:
-            table.add_row(f"[bold]{title}[/bold]")
-        for row in rows:
-            rate = f"{row.steps_per_second:,.0f}"
-            table.add_row(
-                row.name, row.variant, str(row.agents), str(row.worlds), rate, row.version
-            )
-        table.add_section()
-    for failure in report.failures:
-        table.add_row(escape(failure.what), f"not measured: {escape(failure.reason)}", style="red")
-    return table
+    digits = 2 if ratio < 1.1 else 1 if ratio < 10.0 else 0
+    return f"{ratio:.{digits}f} times"
 
 
 def draw(report: Report) -> Figure:
@@ -235,7 +194,7 @@ def draw(report: Report) -> Figure:
         for _, block in groupby(rows, key=lambda row: row.label):
             for place, row in enumerate(block):
                 _draw_row(axes, row, y, named=place == 0)
-                ticks.append((y, row.worlds_in_words))
+                ticks.append((y, worlds_in_words(row.worlds)))
                 y += 1.0
         y += 0.5
     _dress(axes, report, ticks, y)
@@ -271,18 +230,15 @@ def _draw_row(axes: Axes, row: Row, y: float, *, named: bool) -> None:
         textcoords="offset points",
         color=ink,
     )
-    number.set(
-        va="center_baseline", bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8}
-    )  # no line through a number
+    covering = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}  # no line through a number
+    number.set(va="center_baseline", bbox=covering)
     if named:
         _at_left(axes, y, row.label, color=ink)
 
 
 def _dress(axes: Axes, report: Report, ticks: list[tuple[float, str]], end: float) -> None:
-    slowest, fastest = (
-        min(row.slowest for row in report.rows),
-        max(row.fastest for row in report.rows),
-    )
+    slowest = min(row.slowest for row in report.rows)
+    fastest = max(row.fastest for row in report.rows)
     axes.set_xlim(slowest / 2.0, fastest * 5.0)  # room for the last number
     axes.set_ylim(end - 0.5, -0.8)
     axes.xaxis.set_major_locator(LogLocator(10.0))

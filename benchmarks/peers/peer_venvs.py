@@ -27,10 +27,8 @@ def python_of(folder: Path) -> Path:
 
 def stamp_of(requirements: tuple[str, ...]) -> str:
     """The stamp that is written into an environment that is whole."""
-    return (
-        json.dumps({"python": sys.version.split()[0], "requirements": list(requirements)}, indent=2)
-        + "\n"
-    )
+    told = {"python": sys.version.split()[0], "requirements": list(requirements)}
+    return json.dumps(told, indent=2) + "\n"
 
 
 def is_whole(folder: Path, requirements: tuple[str, ...]) -> bool:
@@ -67,16 +65,9 @@ def provide(folder: Path, requirements: tuple[str, ...], *, cuda: bool = False) 
 
 
 def _pip(folder: Path, *arguments: str) -> None:
-    command = [
-        str(python_of(folder)),
-        "-m",
-        "pip",
-        *arguments,
-        "--quiet",
-        "--no-input",
-        "--disable-pip-version-check",
-    ]
-    run(command, cwd=folder, deadline=DEADLINE)
+    command = [str(python_of(folder)), "-m", "pip", *arguments]
+    quietly = ["--quiet", "--no-input", "--disable-pip-version-check"]
+    run([*command, *quietly], cwd=folder, deadline=DEADLINE)
 
 
 def _refuse_cuda(folder: Path, requirements: tuple[str, ...]) -> None:

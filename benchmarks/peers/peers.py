@@ -14,9 +14,10 @@ from typing import Any
 
 import msgspec
 from peer_processes import Failed, in_one_line, run
-from peer_report import OURS, Failure, Report, Row, console_table, worlds_in_words, write
+from peer_report import OURS, Failure, Report, Row, markdown, worlds_in_words, write
 from peer_venvs import provide
 from rich.console import Console
+from rich.markdown import Markdown
 
 HERE = Path(__file__).resolve().parent
 PEERS: dict[str, tuple[str, ...]] = {
@@ -53,26 +54,17 @@ def measure(
             return  # a greeting of the package
         found: dict[str, Any] = msgspec.json.decode(line)
         if "error" in found:
-            what, why = (
-                f"{found['name']} {found['variant']}, {worlds_in_words(found['worlds'])}",
-                in_one_line(found["error"]),
-            )
+            what = f"{found['name']} {found['variant']}, {worlds_in_words(found['worlds'])}"
+            why = in_one_line(found["error"])
             failures.append(Failure(what=what, reason=why))
             _tell(f"  {what}: {why}", failed=True)
             return
         row = msgspec.convert(found | {"peer": name}, Row)
         rows.append(row)
-        _tell(f"  {row.label}, {row.worlds_in_words}: {row.steps_per_second:,.0f}/s")
+        _tell(f"  {row.label}, {worlds_in_words(row.worlds)}: {row.steps_per_second:,.0f}/s")
 
-    command = [
-        str(python),
-        "-m",
-        f"runners.{name}",
-        "--seconds",
-        str(given.seconds),
-        "--repeats",
-        str(given.repeats),
-    ]
+    command = [str(python), "-m", f"runners.{name}"]
+    command += ["--seconds", str(given.seconds), "--repeats", str(given.repeats)]
     deadline = 300.0 + 60.0 * given.seconds * given.repeats
     try:
         run(command, cwd=cwd, deadline=deadline, on_line=take)
@@ -177,9 +169,8 @@ def _arguments(words: list[str] | None) -> argparse.Namespace:
 def main(words: list[str] | None = None) -> int:
     """Compare, write the results and show them; 1 if nothing could be measured."""
     given = _arguments(words)
-    signal.signal(
-        signal.SIGTERM, lambda *_: sys.exit(143)
-    )  # so that what was started is ended, too
+    # so that what was started is ended, too
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
         report = compare(given)
     except KeyboardInterrupt:
@@ -189,7 +180,7 @@ def main(words: list[str] | None = None) -> int:
     if given.json:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(report), indent=2).decode() + "\n")
     else:
-        Console().print(console_table(report))
+        Console().print(Markdown(markdown(report)))
     return 0 if report.rows else 1
 
 

@@ -47,9 +47,8 @@ def swarm(objective: bool) -> Step:
         core.BivariateNormalDistribution(rng.uniform(0.0, CELLS, 2), 40.0, 1.0)
         for _ in range(PEAKS)
     ]
-    starts = core.PointVector(
-        [np.array(start) for start in STARTS]
-    )  # left to itself it draws another world each time
+    # left to itself it draws another world each time
+    starts = core.PointVector([np.array(start) for start in STARTS])
     system = core.CoverageSystem(parameters, core.BNDVector(peaks), starts)
     drawn = rng.uniform(-1.0, 1.0, (ACTIONS, ROBOTS, 2))
     drawn -= drawn.mean(axis=0)  # or the robots end in a corner, where there is less to do

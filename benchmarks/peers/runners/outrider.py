@@ -29,21 +29,11 @@ def vector(worlds: int, **settings: object) -> Step:
     return lambda: env.step(next(actions))
 
 
-# name, worlds, how it is made
-VARIANTS = [
-    ("parallel_env", 1, parallel),
-    ("vector_env", 1, partial(vector, 1)),
-    ("vector_env", 32, partial(vector, 32)),
-    ("vector_env", 1024, partial(vector, 1024)),
-]
-
 if __name__ == "__main__":
-    run(
-        "Outrider",
-        version("outrider"),
-        [
-            Variant(name=name, worlds=worlds, agents=2, field=True, make=make)
-            for name, worlds, make in VARIANTS
-            if name != "vector_env" or hasattr(outrider, "vector_env")
-        ],
-    )
+    escort = partial(Variant, agents=2, field=True)
+    many = [
+        escort(name="vector_env", worlds=worlds, make=partial(vector, worlds))
+        for worlds in (1, 32, 1024)
+    ]
+    one = escort(name="parallel_env", worlds=1, make=parallel)
+    run("Outrider", version("outrider"), [one, *many])
