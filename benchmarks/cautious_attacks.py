@@ -398,10 +398,8 @@ def _forgets_corners(
             x, y = x_0 + k / n * (x_1 - x_0), y_0 + k / n * (y_1 - y_0)
             if not (0.0 <= x <= ugv.width and 0.0 <= y <= ugv.height):
                 return False
-            i, j = (
-                min(int(y / ugv.tile), t.shape[0] - 1),
-                min(int(x / ugv.tile), t.shape[1] - 1),
-            )
+            i = min(int(y / ugv.tile), t.shape[0] - 1)
+            j = min(int(x / ugv.tile), t.shape[1] - 1)
             if t[i, j] in (UNSEEN, BLOCK):
                 return False
     return True
