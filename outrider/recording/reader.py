@@ -154,10 +154,8 @@ def _unpacked(chunk: records.Chunk) -> bytes:
         )
     if chunk.compression == "zstd":
         true = zstandard.frame_content_size(chunk.data)
-        if true not in (
-            -1,
-            chunk.uncompressed_size,
-        ):  # -1: the frame does not tell, and the limit holds while it is unpacked
+        # -1: the frame does not tell, and the limit holds while it is unpacked
+        if true not in (-1, chunk.uncompressed_size):
             raise ValueError(f"a chunk of {true:,} bytes that declares {chunk.uncompressed_size:,}")
         content: bytes = zstandard.decompress(chunk.data, chunk.uncompressed_size)
     elif chunk.compression == "lz4":
@@ -205,9 +203,8 @@ def stream(path: Path, damage: Damage | None = None) -> Iterator[Any]:
                 told.end = told.size
                 return
             if kind != Opcode.MESSAGE and kind not in _KINDS:
-                file.seek(
-                    length, os.SEEK_CUR
-                )  # indexes and statistics, which a stream has no use for
+                # indexes and statistics, which a stream has no use for
+                file.seek(length, os.SEEK_CUR)
                 told.end += _HEAD + length
                 continue
             if length > _MOST_BYTES:
@@ -336,8 +333,8 @@ def _all(path: Path, topic: schemas.Topic, kind: type[Sent], flight: int | None)
             yield decoded(path, entry, decoder)
 
 
-def truths(path: Path, *, flight: int | None = None) -> Iterator[Truth]:
-    """Every Truth in the file, read as a stream.
+def coverages(path: Path, *, flight: int | None = None) -> Iterator[CoverageMap]:
+    """Every map of the ground in the file, read as a stream.
 
     Args:
         path: The file.
@@ -346,16 +343,11 @@ def truths(path: Path, *, flight: int | None = None) -> Iterator[Truth]:
     Raises:
         ScenarioError: If the file cannot be read.
     """
-    return _all(path, schemas.TRUTH, Truth, flight)
-
-
-def coverages(path: Path, *, flight: int | None = None) -> Iterator[CoverageMap]:
-    """Every map of the ground; as `truths`."""
     return _all(path, schemas.COVERAGE, CoverageMap, flight)
 
 
 def grounds(path: Path, *, flight: int) -> Iterator[GroundMap]:
-    """Every map of the ground with its hazards of one flight, each with them; as `truths`."""
+    """Every map of the ground with its hazards of one flight, each with them; as `coverages`."""
     hazards = None
     for ground in _all(path, schemas.GROUND, GroundMap, flight):
         hazards = ground.hazards if hazards is None else hazards
@@ -363,7 +355,7 @@ def grounds(path: Path, *, flight: int) -> Iterator[GroundMap]:
 
 
 def statuses(path: Path, *, flight: int | None = None) -> Iterator[Status]:
-    """Every Status; as `truths`."""
+    """Every Status; as `coverages`."""
     return _all(path, schemas.STATUS, Status, flight)
 
 
@@ -410,9 +402,9 @@ class Recording:
     @property
     def missing_ticks(self) -> int:
         """Ticks between the first and the last that are not in the file."""
-        return (
-            self.truths[-1].tick - self.truths[0].tick + 1 - len(self.truths) if self.truths else 0
-        )
+        if not self.truths:
+            return 0
+        return self.truths[-1].tick - self.truths[0].tick + 1 - len(self.truths)
 
 
 def load(path: Path) -> list[Recording]:
@@ -451,9 +443,8 @@ def load(path: Path) -> list[Recording]:
         elif isinstance(message, Status):
             flights[-1].links, flights[-1].certificates = message.links, message.certificates
             flights[-1].mission = message.mission
-            flights[-1].factors += (
-                [message.realtime_factor] if message.realtime_factor > 0.0 else []
-            )
+            if message.realtime_factor > 0.0:
+                flights[-1].factors.append(message.realtime_factor)
     if not flights:
         why = damage.reason or "closed, and empty"
         what = (

@@ -36,7 +36,6 @@ class Difference:
 class Reflight:
     """A recording flown again."""
 
-    flight: Flight
     ticks: int
     """Ticks that were flown again."""
     recorded_sha256: str
@@ -81,11 +80,9 @@ def _put(flight: Flight, truth: Truth) -> None:
     world = flight.world
     for k, name in enumerate(world.names):
         vehicle = truth.vehicles[name]
-        world.position[k], world.velocity[k], world.acceleration[k] = (
-            vehicle.position,
-            vehicle.velocity,
-            vehicle.acceleration,
-        )
+        world.position[k] = vehicle.position
+        world.velocity[k] = vehicle.velocity
+        world.acceleration[k] = vehicle.acceleration
     escorts = {escort.uav: escort for escort in truth.escorts}
     for k, uav in enumerate(world.uavs):
         found = escorts[uav.name].detection
@@ -156,10 +153,8 @@ def _difference(flight: Flight, truth: Truth) -> Difference | None:
     arrays = (world.position, world.velocity, world.acceleration)
     for k, name in enumerate(world.names):
         for field, array in zip(_FIELDS, arrays, strict=True):
-            recorded, flown = (
-                getattr(truth.vehicles[name], field),
-                (float(array[k, 0]), float(array[k, 1])),
-            )
+            recorded = getattr(truth.vehicles[name], field)
+            flown = (float(array[k, 0]), float(array[k, 1]))
             if recorded != flown:
                 return Difference(
                     tick=truth.tick, vehicle=name, field=field, recorded=recorded, flown=flown
@@ -186,7 +181,6 @@ def refly(recording: Recording) -> Reflight:
         _put(copy, truth)
         difference = difference or _difference(flight, truth)
     return Reflight(
-        flight=flight,
         ticks=flight.recorder.ticks,
         recorded_sha256=copy.recorder.sha256(),
         trajectory_sha256=flight.recorder.sha256(),

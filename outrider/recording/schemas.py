@@ -4,6 +4,7 @@ Times are simulated: nanoseconds since the first tick. One file holds one run; a
 flights, one after the other, each with a head of its own.
 """
 
+import copy
 import math
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -191,9 +192,7 @@ def scenario_in(head: Head, *, file: str) -> Scenario:
         raise ScenarioError(
             f"{file}: recorded by an observer without the scenario; allowed: a file recorded with --scenario"
         )
-    raw: dict[str, Any] = msgspec.json.decode(
-        msgspec.json.encode(head.scenario)
-    )  # a copy to put the infinite ones into
+    raw = copy.deepcopy(head.scenario)  # to put the infinite ones into
     for field in head.infinite:
         apply_override(raw, field, math.inf, file=file)
     return check_scenario(typed(raw, Scenario, file=file), source=file)

@@ -128,10 +128,8 @@ class TickTexts:
         numbers, dt, at = self._numbers(first, commands), self._flight.scenario.dt, self._escorts
         width, encode = numbers.shape[1], self._encoder.encode
         texts = encode(numbers.ravel().tolist())[1:-1].split(b",")
-        states, distances = (
-            numbers[:, 1:at].reshape(*commands.shape[:2], 8)[:, :, :4],
-            numbers[:, at::5].tolist(),
-        )
+        states = numbers[:, 1:at].reshape(*commands.shape[:2], 8)[:, :, :4]
+        distances = numbers[:, at::5].tolist()
         for k, said in enumerate(reports):
             tick, row = first + k, texts[k * width : (k + 1) * width]
             for escort, report in enumerate(said):

@@ -5,6 +5,7 @@ stands in our own channels.
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -125,7 +126,7 @@ class Viewers:
     def begin(self, scenario: Scenario | None) -> None:
         """Another flight begins."""
         self._scene: Scene | None = None if scenario is None else scene_of(scenario)
-        self._tracks: dict[str, _Track] = {}
+        self._tracks = defaultdict[str, _Track](_Track)
         self._yaw: dict[str, float] = {}
         self._bodies = self._hazards = b""
         self._next_view = self._next_scene = -math.inf
@@ -177,8 +178,6 @@ class Viewers:
         self._poses[name].log(
             messages.PoseInFrame(timestamp=stamp, frame_id="world", pose=pose), log_time=time_ns
         )
-        if name not in self._tracks:
-            self._tracks[name] = _Track()
         self._tracks[name].follow(x, y)
         return messages.FrameTransform(
             timestamp=stamp,

@@ -191,12 +191,12 @@ class FlightRecorder:
             if time.monotonic() - self._pace[0] > 0.1 * _STATUS_PERIOD or flight.over:
                 self._items.append((flight, tick, None, self._status(flight)))
 
-    def event(self, line: str, tick: int = 0) -> None:
-        """Take down a line for a person, at the tick where the flight is now or at a later one."""
+    def event(self, line: str) -> None:
+        """Take down a line for a person, at the tick where the flight is now."""
         if self._flight is None:
             self._early.append(line)  # vehicles join before anything is flown
         else:
-            self._items.append((self._flight, max(tick, self._flight.world.tick), None, line))
+            self._items.append((self._flight, self._flight.world.tick, None, line))
 
     def _status(self, flight: Flight) -> Status:
         now, (before, tick) = time.monotonic(), self._pace
