@@ -102,25 +102,19 @@ class CKernels:
             rows, columns = (int(count) for count in rng.integers(1, 100, 2))
             ours = rng.uniform(0.0, 4.0, (rows, columns))
             theirs = ours.copy()
-            sensor, cell, reach = (
-                int(rng.choice([row.code for row in SENSORS.values()])),
-                float(rng.choice((0.1, 0.25, 1.0))),
-                rng.uniform(0.1, 8.0),
-            )
+            sensor = int(rng.choice([row.code for row in SENSORS.values()]))
+            cell, reach = float(rng.choice((0.1, 0.25, 1.0))), rng.uniform(0.1, 8.0)
             a_x, g_x = rng.uniform(-2.0, columns * cell + 2.0, 2).tolist()
             a_y, g_y = rng.uniform(-2.0, rows * cell + 2.0, 2).tolist()
             seen = (a_x, a_y, sensor, 1.3, reach, cell, 0.05)
             accumulate(ours, *seen)
             self.accumulate(theirs, *seen)
-            near, around = (
-                (g_x, g_y, reach + 4.75, 2.0, cell),
-                (a_x, a_y, g_x, g_y, reach + 4.75, 2.0, sensor, 1.3, reach, cell),
-            )
+            near = (g_x, g_y, reach + 4.75, 2.0, cell)
+            around = (a_x, a_y, g_x, g_y, reach + 4.75, 2.0, sensor, 1.3, reach, cell)
             e, pull = coverage_error(ours, *near), coverage_gradient(ours, *around)
             same = ours.tobytes() == theirs.tobytes()
-            same &= e == self.coverage_error(
-                ours, *near, lanes=True
-            ) and pull == self.coverage_gradient(ours, *around, lanes=True)
+            same &= e == self.coverage_error(ours, *near, lanes=True)
+            same &= pull == self.coverage_gradient(ours, *around, lanes=True)
             plain = self.coverage_gradient(ours, *around, lanes=False)
             same &= math.isclose(e, self.coverage_error(ours, *near, lanes=False), rel_tol=_CLOSE)
             same &= all(

@@ -134,21 +134,15 @@ def stepped(
         env.close()
 
 
-def on_ground(*, worlds: int = WORLDS, steps: int = _STEPS) -> Pair:
+def on_ground() -> Pair:
     """`stepped` with 50 hazards in each world, other ones in each."""
     field = HazardField(kind="block", count=50, radius=(0.3, 0.6), clear=1.5)
-    return stepped(
-        msgspec.structs.replace(load_scenario("escort"), hazard_field=(field,)),
-        worlds=worlds,
-        steps=steps,
-    )
+    return stepped(msgspec.structs.replace(load_scenario("escort"), hazard_field=(field,)))
 
 
-def in_single(rewards: RewardWeights | None = None) -> Pair:
+def in_single() -> Pair:
     """`stepped` with coverage grids in single precision, beside the same in double."""
-    single, _ = stepped(rewards=rewards, limit=False, precision="single")
-    double, _ = stepped(rewards=rewards, limit=False)
-    return single, double
+    return stepped(limit=False, precision="single")[0], stepped(limit=False)[0]
 
 
 def pilots(*, worlds: int = WORLDS, ticks: int = 40) -> Pair:

@@ -97,10 +97,6 @@ GROUPS = {"bridges": ("ros2_idle", "ros2_read", "mavlink_read")}
 """Rows that are asked for by one name."""
 
 
-def _can(layer: Layer) -> bool:
-    return not (layer.extra and missing_of(layer.extra))
-
-
 def _measure(name: str, repeats: int) -> Iterator[Pair]:
     layer = ROWS[name]
     with runs.forks() if layer.forked else nullcontext() as server:
@@ -128,7 +124,9 @@ def measure(only: list[str], repeats: int, *, on_progress: Progress | None = Non
         if ROWS[name].extra:
             check_extra(ROWS[name].extra, what=f"--only {name}")
     rows: list[Row] = []
-    names = only or [name for name, layer in ROWS.items() if _can(layer)]
+    names = only or [
+        name for name, layer in ROWS.items() if not (layer.extra and missing_of(layer.extra))
+    ]
     for done, name in enumerate(names):
         found: list[Pair] = []
         for pair in _measure(name, repeats):

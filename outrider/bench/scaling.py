@@ -53,13 +53,9 @@ def _grid(cell: float) -> Scenario:
 def _fitting(scenario: Scenario, worlds: int) -> int:
     """So many worlds, or as many as there is memory for: each UAV of several has a map of its own."""
     maps = 1 + (len(scenario.uav) if len(scenario.uav) > 1 else 0)
-    each = (
-        8.0
-        * maps
-        * round(scenario.area.width / scenario.area.cell)
-        * round(scenario.area.height / scenario.area.cell)
-    )
-    return min(worlds, int(_BYTES / each))
+    area = scenario.area
+    cells = round(area.width / area.cell) * round(area.height / area.cell)
+    return min(worlds, int(_BYTES / (8.0 * maps * cells)))
 
 
 def _cases(most: int) -> Iterator[_Case]:
