@@ -17,7 +17,7 @@ import numpy as np
 from agents.control.handover import check_assumptions
 from agents.control.promise import Promise
 from agents.control.visibility import promise_of
-from bus.messages import MOST_CARRIED, LinkKind, LinkSettings
+from bus.messages import MOST_CARRIED, LinkKind
 from bus.registry import LAWS
 from bus.ticks import DUST, first_tick_from
 from outrider.running.summary import PERHAPS_EVERY, in_flights
@@ -114,13 +114,12 @@ def odds(scenario: Scenario, links: LinkTable | None = None) -> Odds | None:
     looks = -(-scenario.ticks // scenario.detection_period)
     for uav in scenario.uav:
         bounds = declared_bounds(scenario, uav.name)
-        age = _chance_of_age(scenario, table, table.of(uav.name, LinkKind.DETECTIONS), bounds.age)
-        exceeded[f"{uav.name}/age"] = age.value
+        link = _Link(scenario, table, uav.name, LinkKind.DETECTIONS)
+        exceeded[f"{uav.name}/age"] = link.chance_of_age(bounds.age).value
         if bounds.outage is not None:
-            link = table.of(uav.name, LinkKind.COMMANDS)
+            link = _Link(scenario, table, uav.name, LinkKind.COMMANDS)
             delay = first_tick_from(bounds.delay, scenario.dt)
-            outage = _chance_of_outage(scenario, table, link, delay, bounds.outage)
-            exceeded[f"{uav.name}/outage"] = outage.value
+            exceeded[f"{uav.name}/outage"] = link.chance_of_outage(delay, bounds.outage).value
         if bounds.error is not None:
             sigma, cut = scenario.detections.noise, scenario.noise_cut
             error = chance_of_error(sigma, cut, looks, bounds.error)
@@ -173,7 +172,7 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
             (LinkKind.DETECTIONS, "A2", _ages),
             (LinkKind.COMMANDS, "A5", _outages if promise.carries else _delays),
         ):
-            link = _Link(scenario, table.of(uav.name, kind), table.path_of(uav.name, kind), table)
+            link = _Link(scenario, table, uav.name, kind)
             reckoned = kind is LinkKind.DETECTIONS or promise.carries
             found += [
                 Shortfall(uav.name, name, how, what, reckoned and how is not How.CERTAIN)
@@ -183,18 +182,40 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
 
 
 class _Link:
-    """One link with what follows from its settings."""
+    """A UAV's link of one kind with what follows from its settings."""
 
-    def __init__(
-        self, scenario: Scenario, settings: LinkSettings, path: str, table: LinkTable
-    ) -> None:
-        self.scenario, self.settings, self.path, self.table = scenario, settings, path, table
-        self.parameters: LinkParameters = link_parameters(
-            settings, scenario.dt, traces=table.traces
-        )
-        p = self.parameters
+    def __init__(self, scenario: Scenario, table: LinkTable, uav: str, kind: LinkKind) -> None:
+        self.scenario, self._traces = scenario, table.traces
+        self.settings, self.path = table.of(uav, kind), table.path_of(uav, kind)
+        p = link_parameters(self.settings, scenario.dt, traces=table.traces)
+        self.parameters: LinkParameters = p
         self.least = first_tick_from(p.delay + (p.least if p.jitter > 0.0 else 0.0), p.dt)
-        self.most = first_tick_from(longest_delay(settings), p.dt)
+        self.most = first_tick_from(longest_delay(self.settings), p.dt)
+
+    def chance_of_age(self, age: float, *, planned: bool = True) -> Chance:
+        """That the newest detection becomes older than this [s], with planned blackouts or without."""
+        s, settings = self.scenario, self.settings
+        return chance_of_age(
+            settings if planned else msgspec.structs.replace(settings, blackouts=()),
+            dt=s.dt,
+            period_ticks=s.detection_period,
+            dropout=s.detections.dropout,
+            ticks=s.ticks,
+            age=age,
+            traces=self._traces,
+        )
+
+    def chance_of_outage(self, delay: int, outage: float) -> Chance:
+        """That the next motion begins later than this [s], where commands act after `delay` ticks."""
+        return chance_of_outage(
+            self.settings,
+            dt=self.scenario.dt,
+            delay_ticks=delay,
+            repeats=MOST_CARRIED,
+            ticks=self.scenario.ticks,
+            outage=outage,
+            traces=self._traces,
+        )
 
     def named(self, *fields: str) -> str:
         """These fields with their values, but for those that are zero."""
@@ -325,16 +346,12 @@ def _recorded_ages(link: _Link, promise: Promise, limit: str) -> Iterator[tuple[
     scenario, every = link.scenario, link.scenario.detection_period
     ages, whole = link.played(every)
     share = float(np.mean(ages > promise.age_ticks))
-    lit = msgspec.structs.replace(link.settings, blackouts=())
-    chance = _chance_of_age(scenario, link.table, lit, promise.age)
+    chance = link.chance_of_age(promise.age, planned=False)
     if chance.value is not None and chance.value <= _RARE:
         return
     often = in_flights(chance.value) if chance.value is not None else ""
-    dropout = (
-        f", detections.dropout = {scenario.detections.dropout:g}"
-        if scenario.detections.dropout
-        else ""
-    )
+    missed = scenario.detections.dropout
+    dropout = f", detections.dropout = {missed:g}" if missed else ""
     if share > 0.0:
         what = f"older than {limit} in {_percent(share)} of the ticks of a round"
         told = f"the newest detection is {what}{', and becomes so ' if often else ''}{often}"
@@ -365,8 +382,7 @@ def _queue_ticks(parameters: LinkParameters, period: int) -> int | None:
 def _unlucky_ages(link: _Link, promise: Promise, *, planned: bool) -> Iterator[tuple[How, str]]:
     """Ages that chance causes now and then; `planned`: with planned blackouts, which alone do not."""
     scenario, parameters = link.scenario, link.parameters
-    settings = link.settings if planned else msgspec.structs.replace(link.settings, blackouts=())
-    chance = _chance_of_age(scenario, link.table, settings, promise.age)
+    chance = link.chance_of_age(promise.age, planned=planned)
     if chance.value is not None and chance.value <= _RARE:
         return
     missed = 1.0 - (1.0 - parameters.loss) * (1.0 - scenario.detections.dropout)
@@ -386,20 +402,6 @@ def _unlucky_ages(link: _Link, promise: Promise, *, planned: bool) -> Iterator[t
     yield (
         _often(old),
         f"{', '.join(filter(None, fields))}: the newest detection becomes older than {limit} {often}",
-    )
-
-
-def _chance_of_age(
-    scenario: Scenario, table: LinkTable, settings: LinkSettings, age: float
-) -> Chance:
-    return chance_of_age(
-        settings,
-        dt=scenario.dt,
-        period_ticks=scenario.detection_period,
-        dropout=scenario.detections.dropout,
-        ticks=scenario.ticks,
-        age=age,
-        traces=table.traces,
     )
 
 
@@ -475,8 +477,8 @@ def _delays(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
 
 def _outages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     """Motions begin at most `outage` after one another: the packets of one link are lost or late for longer."""
-    s, outage = link.scenario, promise.outage_ticks * promise.dt
-    chance = _chance_of_outage(s, link.table, link.settings, promise.delay_ticks, outage)
+    outage = promise.outage_ticks * promise.dt
+    chance = link.chance_of_outage(promise.delay_ticks, outage)
     if chance.value is not None and chance.value <= _RARE:
         return
     fields = (
@@ -495,20 +497,6 @@ def _outages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
         return
     how = How.CERTAIN if chance == (1.0, "") else How.SOMETIMES
     yield how, f"{told}: the next motion begins {late} {in_flights(chance.value)}"
-
-
-def _chance_of_outage(
-    scenario: Scenario, table: LinkTable, settings: LinkSettings, delay: int, outage: float
-) -> Chance:
-    return chance_of_outage(
-        settings,
-        dt=scenario.dt,
-        delay_ticks=delay,
-        repeats=MOST_CARRIED,
-        ticks=scenario.ticks,
-        outage=outage,
-        traces=table.traces,
-    )
 
 
 def _lost_commands(link: _Link) -> Iterator[tuple[How, str]]:
