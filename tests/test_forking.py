@@ -30,7 +30,7 @@ from processes import (
 from bus.errors import BusError
 from bus.locator import Locator
 from outrider.running import forking, launch
-from outrider.running.child import Child, environment_of
+from outrider.running.child import Child
 from outrider.running.flying import fly
 from outrider.running.forking import Forkserver, forkserver
 from sim.kernels import compile as kernels
@@ -40,7 +40,7 @@ SECRET = bytes(range(100, 116)).hex()
 
 @pytest.fixture(scope="module")
 def forks() -> Iterator[Forkserver]:
-    with forkserver(environment_of("")) as server:
+    with forkserver() as server:
         assert server is not None
         yield server
 
@@ -117,7 +117,7 @@ def test_forked_processes_draw_numbers_of_their_own(tmp_path, monkeypatch):
     (tmp_path / "drawing.py").write_text(drawing, encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     drawn: list[str] = []
-    with forkserver(environment_of("")) as server:
+    with forkserver() as server:
         for _ in range(2):
             child = Child("ugv_0", ["ugv", "--policy", "drawing:policy"], forkserver=server)
             assert child.wait(30.0)
@@ -127,7 +127,7 @@ def test_forked_processes_draw_numbers_of_their_own(tmp_path, monkeypatch):
 
 
 def test_a_forkserver_that_has_ended_is_one_line() -> None:
-    with forkserver(environment_of("")) as server:
+    with forkserver() as server:
         assert server is not None
         assert server.ready(60.0)
         server._process.kill()
@@ -136,7 +136,8 @@ def test_a_forkserver_that_has_ended_is_one_line() -> None:
 
 
 def test_it_tells_that_it_compiles_first_where_nothing_is_compiled(tmp_path, monkeypatch) -> None:
-    with forkserver(environment_of("") | {"OUTRIDER_CACHE": str(tmp_path)}) as server:
+    monkeypatch.setenv("OUTRIDER_CACHE", str(tmp_path))
+    with forkserver() as server:
         assert server is not None
         wait_until(lambda: server.ready(0.1) or server.is_compiling, 60.0)
         assert server.is_compiling

@@ -17,7 +17,8 @@ from bus.keys import Party, Role
 from bus.locator import UNIX, Locator
 from bus.session import open_session
 from outrider.bench.timing import Pair
-from outrider.running.child import environment_of, outrider_command
+from outrider.running.child import outrider_command
+from outrider.running.forking import environment_of
 
 _SECONDS = 300.0
 """Length of each flight [s]: 6,000 ticks, some seconds."""

@@ -67,26 +67,15 @@ def world_stepper() -> Callable[[], None]:
     world = World(load_scenario("escort"), 1)
     world.coverage[:] = ground()
     commands = np.zeros((2, 2))
-    parameters = world.parameters
+    w = world.parameters
+    looks = (w.r_o, w.desired, w.sensor, w.peak, w.reach, w.cell)
 
     def step() -> None:
         world.step(commands)
         world.received(0)
         world.measure()
         (p_ax, p_ay), (p_gx, p_gy) = world.position.tolist()
-        coverage_gradient(
-            world.coverage,
-            p_ax,
-            p_ay,
-            p_gx,
-            p_gy,
-            parameters.r_o,
-            parameters.desired,
-            parameters.sensor,
-            parameters.peak,
-            parameters.reach,
-            parameters.cell,
-        )
+        coverage_gradient(world.coverage, p_ax, p_ay, p_gx, p_gy, *looks)
 
     return step
 

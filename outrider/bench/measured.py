@@ -12,6 +12,7 @@ from bus.errors import ScenarioError
 from bus.extras import check_extra, missing_of
 from outrider.bench import beside, kernels, many, runs
 from outrider.bench.timing import Pair
+from outrider.running.forking import forkserver
 
 Progress = Callable[[str, float], None]
 
@@ -44,7 +45,7 @@ class Layer(NamedTuple):
     extra: str = ""
     """An extra without which the row is left out, unless it is asked for."""
     forked: bool = False
-    """True if it flies over several processes, forked from one for all repeats."""
+    """True if it flies over several processes, forked from one for all repeats: to load everything takes longer."""
 
 
 BARE = "bare exchange among as many processes"
@@ -99,7 +100,7 @@ GROUPS = {"bridges": ("ros2_idle", "ros2_read", "mavlink_read")}
 
 def _measure(name: str, repeats: int) -> Iterator[Pair]:
     layer = ROWS[name]
-    with runs.forks() if layer.forked else nullcontext() as server:
+    with forkserver() if layer.forked else nullcontext() as server:
         for _ in range(min(repeats, layer.most)):
             yield layer.work(server) if layer.forked else layer.work()
 

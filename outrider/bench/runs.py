@@ -6,7 +6,6 @@ import statistics
 import subprocess
 import tempfile
 import time
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +17,9 @@ from outrider.bench.pairs import many_pairs
 from outrider.bench.raw_lockstep import kept_apart, ticks_per_second
 from outrider.bench.timing import Pair
 from outrider.experiments.falsify.saving import as_toml
-from outrider.running.child import environment_of, outrider_command
+from outrider.running.child import outrider_command
 from outrider.running.flying import InProcess, fly, make_pilots
-from outrider.running.forking import Forkserver, forkserver
+from outrider.running.forking import Forkserver
 from outrider.running.launch import NOBODY, Outcome, Output, Wiring, launch
 from sim.kernels.threads import cores
 from sim.scenario.loading import load_scenario
@@ -55,11 +54,6 @@ def _flown(outcome: Outcome) -> float:
             f"the run that was to be measured failed: {outcome.fault or 'it was cut short'}"
         )
     return outcome.summary.ticks_per_second
-
-
-def forks() -> AbstractContextManager[Forkserver | None]:
-    """A forkserver for all flights of a bench: to load everything for each takes longer than to fly."""
-    return forkserver(environment_of(""))
 
 
 def _launched(server: Forkserver | None, **settings: Any) -> float:  # noqa: ANN401 - those of `launch`

@@ -16,7 +16,6 @@ from outrider.cli.stopping import Stop, stop_on_signals
 
 if TYPE_CHECKING:
     from outrider.cli.console import FlightProgress
-    from outrider.running.forking import Forkserver
     from outrider.running.launch import Outcome
     from sim.scenario.types import Scenario
 
@@ -57,8 +56,7 @@ def command(
         typer.Option(
             "--dashboard",
             help="Show the run in the browser while it is flown, and steer it there; on the wall clock "
-            "(--realtime 1) unless "
-            "--realtime or --lockstep says otherwise. Needs the extra [dashboard].",
+            "(--realtime 1) unless --realtime or --lockstep says otherwise. Needs the extra [dashboard].",
         ),
     ] = False,
     port: options.PagePort = 8080,
@@ -98,7 +96,10 @@ def command(
         raise typer.BadParameter("--lockstep and --realtime exclude each other")
     if dashboard and not lockstep and realtime is None:
         realtime = 1.0
-    with _forkserver(wanted=not in_process) as forks:  # it loads meanwhile
+    from outrider.running.forking import forkserver
+
+    # it loads meanwhile
+    with nullcontext() if in_process else forkserver() as forks:
         from outrider.cli.console import flight_progress, print_json, print_summary, print_warnings
         from outrider.running.user_code import check_code, check_own_functions
         from outrider.view.output import default_folder, making, write_summary
@@ -157,13 +158,6 @@ def command(
             else:
                 print_summary(outcome.summary, outcome.files)
         _end(outcome, stop)
-
-
-def _forkserver(*, wanted: bool) -> "AbstractContextManager[Forkserver | None]":
-    from outrider.running.child import environment_of
-    from outrider.running.forking import forkserver
-
-    return forkserver(environment_of("")) if wanted else nullcontext()
 
 
 def _page(wanted: bool, port: int) -> AbstractContextManager[socket.socket | None]:

@@ -7,11 +7,11 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
-from outrider.running.forking import Forked, Forkserver
+from outrider.running.forking import Forked, Forkserver, environment_of
 
 _TAIL = 200
 """Lines of a child's standard error that are kept."""
@@ -20,18 +20,6 @@ _TOLD = 12
 _NOTICE = "outrider.policy: "
 """The beginning of a line in a pilot's log that tells of the user's own code."""
 _TRACEBACK = "Traceback (most recent call last):"
-_SECRET = "OUTRIDER_SECRET"  # noqa: S105 - a variable's name
-"""The place where a simulator's process that was forked finds the run's secret."""
-
-
-def environment_of(secret: str) -> dict[str, str]:
-    """A child's environment: ours, without our run's secret unless it is for it.
-
-    A forked process has it in its memory alone; of an interpreter that is started all processes of its user can read
-    the environment, a vehicle's among them, as all users can read its command line.
-    """
-    ours = {name: value for name, value in os.environ.items() if name != _SECRET}
-    return ours | ({_SECRET: secret} if secret else {})
 
 
 @contextlib.contextmanager
@@ -84,7 +72,7 @@ class Child:
         command = outrider_command(*arguments, "--watchdog")
         if forkserver is not None and not files:
             self._process: Forked | subprocess.Popen[bytes] = forkserver.fork(
-                command, environment_of(secret), piped=lines is not None
+                command, secret, piped=lines is not None
             )
         else:
             with _readable(secret) as told:
@@ -97,17 +85,15 @@ class Child:
                     env=environment_of(""),
                     start_new_session=True,  # Ctrl-C reaches us alone; we end the children in order
                 )
-        self._readers = [
-            threading.Thread(target=self._listen, args=(self._process.stderr,), daemon=True)
-        ]
+        self._readers: list[threading.Thread] = []
+        self._read_with(self._listen, self._process.stderr)
         if lines is not None:
-            self._readers.append(
-                threading.Thread(
-                    target=self._pass_on, args=(self._process.stdout, lines), daemon=True
-                )
-            )
-        for reader in self._readers:
-            reader.start()
+            self._read_with(self._pass_on, self._process.stdout, lines)
+
+    def _read_with(self, work: Callable[..., None], *given: object) -> None:
+        reader = threading.Thread(target=work, args=given, daemon=True)
+        self._readers.append(reader)
+        reader.start()
 
     def _listen(self, stream: IO[bytes]) -> None:
         for line in stream:

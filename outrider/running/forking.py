@@ -18,7 +18,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import IO
 
 import msgspec
@@ -32,6 +32,18 @@ _LONGEST_COMMAND = 4096
 
 READY, COMPILING = b"r", b"c"
 """A forkserver's words: all is loaded; the pilots are not in the cache, and it compiles for some ten seconds."""
+_SECRET = "OUTRIDER_SECRET"  # noqa: S105 - a variable's name
+"""The place where a simulator's process that was forked finds the run's secret."""
+
+
+def environment_of(secret: str) -> dict[str, str]:
+    """A child's environment: ours, without our run's secret unless it is for it.
+
+    A forked process has it in its memory alone; of an interpreter that is started all processes of its user can read
+    the environment, a vehicle's among them, as all users can read its command line.
+    """
+    ours = {name: value for name, value in os.environ.items() if name != _SECRET}
+    return ours | ({_SECRET: secret} if secret else {})
 
 
 class Request(msgspec.Struct, frozen=True, kw_only=True):
@@ -107,13 +119,9 @@ def _adopting() -> Iterator[bool]:
 
 
 class Forkserver:
-    """The forkserver as the process sees it that has started it.
+    """The forkserver as the process sees it that has started it."""
 
-    Args:
-        environment: Of the forkserver: whatever a vehicle's process may know, and no more.
-    """
-
-    def __init__(self, environment: Mapping[str, str]) -> None:
+    def __init__(self) -> None:
         self._channel, theirs = socket.socketpair()
         self._is_ready = False
         self.is_compiling = False
@@ -126,7 +134,7 @@ class Forkserver:
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
                 pass_fds=[theirs.fileno()],
-                env=environment,
+                env=environment_of(""),  # whatever a vehicle's process may know, and no more
                 start_new_session=True,
             )
 
@@ -152,18 +160,12 @@ class Forkserver:
             self.is_compiling = not self._is_ready
         return self._is_ready
 
-    def fork(
-        self,
-        command: Sequence[str],
-        environment: Mapping[str, str],
-        *,
-        piped: bool,
-    ) -> Forked:
+    def fork(self, command: Sequence[str], secret: str, *, piped: bool) -> Forked:
         """Fork a process that does what the command would do.
 
         Args:
             command: `python -P -m outrider ...`.
-            environment: Of the process.
+            secret: Of the run, where the process may know it.
             piped: Whether its standard output is read.
 
         Raises:
@@ -171,7 +173,7 @@ class Forkserver:
         """
         while not self.ready(1.0):
             pass
-        request = Request(command=list(command), environment=dict(environment))
+        request = Request(command=list(command), environment=environment_of(secret))
         with contextlib.ExitStack() as ours, contextlib.ExitStack() as theirs:
 
             def pipe(mode: str) -> tuple[IO[bytes], int]:
@@ -208,13 +210,13 @@ class Forkserver:
 
 
 @contextlib.contextmanager
-def forkserver(environment: Mapping[str, str]) -> Iterator[Forkserver | None]:
+def forkserver() -> Iterator[Forkserver | None]:
     """A forkserver, gone afterwards; None where the system has no use for one."""
     with _adopting() as adopts:
         if not adopts:
             yield None
             return
-        server = Forkserver(environment)
+        server = Forkserver()
         try:
             yield server
         finally:

@@ -4,7 +4,6 @@ import contextlib
 import os
 import queue
 import secrets
-import shutil
 import socket
 import tempfile
 import time
@@ -22,7 +21,7 @@ from bus.errors import BusError, PeerLost
 from bus.keys import OPERATOR_NAME, SIMULATOR_NAME
 from bus.locator import UNIX, Locator
 from bus.registry import DRIVERS
-from outrider.running.child import Child, environment_of
+from outrider.running.child import Child
 from outrider.running.cores import can_be_kept_apart, keep_apart
 from outrider.running.exit_reports import Report
 from outrider.running.forking import Forkserver, forkserver
@@ -39,16 +38,6 @@ _PORTS = range(20_000, 32_000)
 Transport = Literal["unix", "tcp", "tls"]
 _LIVES = 3
 """A process that dies more often than this while the clock stands still is not started again."""
-
-
-@contextlib.contextmanager
-def _private_folder() -> Iterator[Path]:
-    """A folder for the run's socket that only this user can enter; gone afterwards."""
-    folder = Path(tempfile.mkdtemp(prefix="outrider-"))
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def free_port() -> int:
@@ -181,8 +170,9 @@ def launch(
         The summary of what was flown, if anything was; and the fault that ended it early.
     """
     with (
-        _private_folder() as folder,
-        nullcontext(forks) if forks else forkserver(environment_of("")) as server,
+        # for the run's socket: only this user can enter it
+        tempfile.TemporaryDirectory(prefix="outrider-", ignore_cleanup_errors=True) as folder,
+        nullcontext(forks) if forks else forkserver() as server,
         _ended_afterwards() as pages,
         _ended_afterwards() as children,
     ):
@@ -192,7 +182,7 @@ def launch(
         run = f"run-{os.getpid()}-{secrets.token_hex(4)}"
         processes = _Processes(
             scenario,
-            folder,
+            Path(folder),
             run,
             children,
             server,
