@@ -39,7 +39,7 @@ from agents.drivers.planning import begin_search, search_on
 from agents.drivers.tile_map import GroundMemory, ground_memory, note_block, note_tiles
 from sim.kernels.compile import FloatArray, entry_point
 from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, UNSEEN, TileArray
-from sim.models.vehicles import Motion, brake, norm, step_vehicle, within_walls
+from sim.models.vehicles import Motion, brake, clip_norm, norm, step_vehicle, within_walls
 
 RUNS = 10_000
 LATER = 1 << 40
@@ -368,13 +368,8 @@ def is_reachable(trial: Trial) -> bool:
 def _brakes_short(
     ugv: DriverParameters, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
 ) -> bool:
-    longer = ugv._replace(u_max=1.25 * ugv.u_max)
-    return is_safe(longer, late, t, ground, here, *_clipped(ugv, *u))
-
-
-def _clipped(ugv: DriverParameters, u_x: float, u_y: float) -> tuple[float, float]:
-    scale = min(1.0, ugv.u_max / max(norm(u_x, u_y), 1e-300))
-    return u_x * scale, u_y * scale
+    kept = clip_norm(*u, ugv.u_max)
+    return is_safe(ugv._replace(u_max=1.25 * ugv.u_max), late, t, ground, here, *kept)
 
 
 def _after(
