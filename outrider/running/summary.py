@@ -261,10 +261,8 @@ def summarize(
 
     scenario, recorder, world = flight.scenario, flight.recorder, flight.world
     distance, error = recorder.escorts[:, :, 0], recorder.escorts[:, :, 1]
-    p_a, p_g = (
-        recorder.states[:, world.escorts[:, 0], :2],
-        recorder.states[:, world.escorts[:, 1], :2],
-    )
+    p_a = recorder.states[:, world.escorts[:, 0], :2]
+    p_g = recorder.states[:, world.escorts[:, 1], :2]
     radii = [switching_radius_of(flight, k) for k in range(len(world.uavs))]
     steered = any(change.control.action in _FLOWN for change in changes)
     chances = None if steered else odds(scenario)

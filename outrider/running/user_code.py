@@ -280,9 +280,8 @@ class _Onnx:
     def predict(self, row: Row) -> object:
         """The action: the first output."""
         seen = row.astype(self._dtype)
-        answer = self._session.run(None, {self._name: seen[np.newaxis] if self._batched else seen})[
-            0
-        ]
+        given = seen[np.newaxis] if self._batched else seen
+        answer = self._session.run(None, {self._name: given})[0]
         return answer[0] if self._batched and len(answer) == 1 else answer
 
 
@@ -319,9 +318,8 @@ def foreign_code(scenario: "Scenario", named: Iterable[str] = ()) -> tuple[str, 
     """
     changes = [change.partition("=") for change in named]
     own = {field.strip() for field, _, _ in changes}
-    said = {
-        value.strip().strip("\"'") for _, _, value in changes
-    }  # ugv.0.driver=fmu:FILE says it too
+    # ugv.0.driver=fmu:FILE says it too
+    said = {value.strip().strip("\"'") for _, _, value in changes}
     given = {} if "custom" in own else own_code(scenario)
     return tuple(
         f"{field} = {value!r}: the file names code, which is loaded with --allow-code alone (in Python: "
