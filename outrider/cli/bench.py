@@ -19,8 +19,7 @@ def command(
         typer.Option(
             metavar="FILE.png",
             help="Instead of the rows: the speed over 1 to 4,096 worlds, over grids and over vehicles, as a "
-            "picture, and beside "
-            "it the numbers as FILE.json. Some minutes, and 2 GB of memory.",
+            "picture, and beside it the numbers as FILE.json. Some minutes, and 2 GB of memory.",
         ),
     ] = None,
     json: Json = False,

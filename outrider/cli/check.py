@@ -39,17 +39,9 @@ def command(
     from sim.scenario.checks import scenario_warnings
     from sim.scenario.types import NO_UAV
 
+    own = {"weighting": weighting, "path": path, "policy": policy, "network": network}
     scenario, overrides = options.scenario_of(
-        file,
-        seed=seed,
-        duration=duration,
-        law=law,
-        driver=driver,
-        changes=changes,
-        weighting=weighting,
-        path=path,
-        policy=policy,
-        network=network,
+        file, seed=seed, duration=duration, law=law, driver=driver, changes=changes, **own
     )
     foreign = () if allow_code else foreign_code(scenario, overrides)
     warnings = [

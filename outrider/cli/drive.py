@@ -75,12 +75,11 @@ def _await_run(session: "Session", vehicle: str, stop: Stop) -> Status | None:
     status = await_status(session, stop)
     known = () if status is None else ugvs_of(status)
     if known and vehicle not in known:
-        raise ScenarioError(f"--name {vehicle}: no UGV of this run; there {_are(known)}")
+        there = "is" if len(known) == 1 else "are"
+        raise ScenarioError(
+            f"--name {vehicle}: no UGV of this run; there {there} {', '.join(known)}"
+        )
     return status
-
-
-def _are(names: tuple[str, ...]) -> str:
-    return f"is {names[0]}" if len(names) == 1 else f"are {', '.join(names)}"
 
 
 def _drive(session: "Session", vehicle: str, first: Status, *, speed: float, back: str) -> int:

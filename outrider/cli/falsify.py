@@ -12,12 +12,11 @@ import typer
 from bus.errors import PeerLost
 from bus.extras import check_extra
 from bus.registry import LAWS
-from outrider.cli.options import AllowCode, Json, ScenarioName, Set
+from outrider.cli.options import AllowCode, Json, ScenarioName, Set, scenario_of
 from outrider.cli.stopping import stop_on_signals
 
 if TYPE_CHECKING:
     from outrider.experiments.falsify.engines import Found, Wanted
-    from sim.scenario.types import Scenario
 
 _MINUTES = 1.0
 _FLIGHT, _ATTACK = 60.0, 200.0
@@ -149,6 +148,7 @@ def command(
     from outrider.cli.console import print_warnings
     from outrider.experiments.falsify.engines import Wanted
     from outrider.experiments.falsify.limits import SearchLimits, base_of, beyond_declared
+    from outrider.running.user_code import check_code, check_own_functions
     from sim.kernels.threads import cores
 
     limits_given = (max_delay, max_loss, max_blackout, max_command_delay, noise)
@@ -160,13 +160,14 @@ def command(
         raise typer.BadParameter(
             "--control stands in the place of the law certified in the attack; leave --law and --engine out"
         )
-    flown = _scenario(
+    flown, overrides = scenario_of(
         scenario,
-        "certified" if control is not None else law,
-        duration,
-        changes,
-        allow_code=allow_code,
+        law="certified" if control is not None else law,
+        duration=_FLIGHT if duration is None else duration,
+        changes=changes,
     )
+    check_code(flown, overrides, source=scenario, allowed=allow_code)
+    check_own_functions(flown)
     certified = LAWS[flown.law.name].watched
     if (engine is not None or eps is not None) and not certified:
         raise typer.BadParameter("--engine and --eps are for the law certified")
@@ -182,8 +183,13 @@ def command(
             noise=flown.detections.noise if noise is None else noise,
         )
     raised: tuple[str, ...] = ()
-    if attacks:
-        _check_eps(eps)
+    if attacks and eps is not None:
+        from outrider.experiments.falsify.attack_grid import EPS
+
+        if eps not in EPS:
+            raise typer.BadParameter(
+                f"--eps {eps:g}: not in the attack's grid; allowed: {', '.join(f'{e:g}' for e in EPS)}"
+            )
     if flies:
         check_extra("falsify")
         given, flown = flown, base_of(flown, limits)
@@ -210,34 +216,6 @@ def command(
     if flies:
         print_warnings((*raised, *beyond_declared(flown, limits)))
     _search(wanted, expect, json=json)
-
-
-def _scenario(
-    name: str,
-    law: str | None,
-    duration: float | None,
-    changes: list[str] | None,
-    *,
-    allow_code: bool,
-) -> "Scenario":
-    from outrider.cli.options import scenario_of
-    from outrider.running.user_code import check_code, check_own_functions
-
-    flown, overrides = scenario_of(
-        name, law=law, duration=_FLIGHT if duration is None else duration, changes=changes
-    )
-    check_code(flown, overrides, source=name, allowed=allow_code)
-    check_own_functions(flown)
-    return flown
-
-
-def _check_eps(eps: float | None) -> None:
-    from outrider.experiments.falsify.attack_grid import EPS
-
-    if eps is not None and eps not in EPS:
-        raise typer.BadParameter(
-            f"--eps {eps:g}: not in the attack's grid; allowed: {', '.join(f'{e:g}' for e in EPS)}"
-        )
 
 
 def _check_out(out: Path | None) -> None:

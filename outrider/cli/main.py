@@ -206,13 +206,9 @@ def main() -> NoReturn:
         if not isinstance(ended.code, int):
             raise  # of code that is not ours
         code = ended.code
-    if code != _INTERRUPTED and _runs_user_code():
+    loader = sys.modules.get("outrider.running.user_code")
+    if code != _INTERRUPTED and loader is not None and loader.has_loaded():
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         gc.unfreeze()
         sys.exit(code)  # what it has left open is freed, and so written out and closed
     leave(code)
-
-
-def _runs_user_code() -> bool:
-    loader = sys.modules.get("outrider.running.user_code")
-    return loader is not None and loader.has_loaded()

@@ -4,7 +4,7 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -156,9 +156,7 @@ def _join(
         joining.fly(make)
 
 
-def _fly(
-    network: "Network", system: "VehicleSystem", joining: options.Joining
-) -> dict[str, object]:
+def _fly(network: "Network", system: "VehicleSystem", joining: options.Joining) -> dict[str, Any]:
     """Fly a UAV by setpoints until the run is over; what became of them."""
     from outrider.bridges.mavlink.dialect import mavlink
     from outrider.bridges.mavlink.offboard import OffboardGateway, OffboardPilot
@@ -171,7 +169,7 @@ def _fly(
     return {"vehicles": {system.name: system.number}, **gateway.counts()}
 
 
-def _fly_along(network: "Network", joining: options.Joining) -> dict[str, object]:
+def _fly_along(network: "Network", joining: options.Joining) -> dict[str, Any]:
     """Let an autopilot fly along with a UAV until the run is over; what became of it."""
     from outrider.bridges.mavlink.autopilot import AutopilotLink, AutopilotPilot
 
@@ -185,13 +183,9 @@ def _fly_along(network: "Network", joining: options.Joining) -> dict[str, object
             told = True
             sys.stderr.write("waiting for the telemetry of an autopilot; Ctrl-C leaves\n")
     _join(joining, pilot.make, link)
-    found = {"sent": dict(network.sent), "received": link.reports}
-    peer = link.peer
-    return {
-        "vehicles": {joining.party.name: 0 if peer is None else peer.system},
-        **found,
-        **pilot.counts(),
-    }
+    vehicles = {joining.party.name: 0 if link.peer is None else link.peer.system}
+    found = {"vehicles": vehicles, "sent": dict(network.sent), "received": link.reports}
+    return found | pilot.counts()
 
 
 def _check_listening(addresses: "dict[str, Address]", *, insecure: bool) -> None:
@@ -215,7 +209,7 @@ def _show(
     stop: Stop,
     first: int,
     height: float,
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Tell a run until it is over or somebody wants the end; what was told."""
     from bus.session import open_session
     from outrider.bridges.mavlink.run_gateway import RunGateway
@@ -262,14 +256,9 @@ def _follow(session: "Session", client: "RunClient", gateway: "RunGateway", stop
     return False
 
 
-def _story(found: dict[str, object]) -> str:
-    sent, refused = found.get("sent"), found.get("refused")
-    count = sum(sent.values()) if isinstance(sent, dict) else 0
-    causes = (
-        ", ".join(f"{n} {cause}" for cause, n in refused.items())
-        if isinstance(refused, dict)
-        else ""
-    )
+def _story(found: dict[str, Any]) -> str:
+    count = sum(found.get("sent", {}).values())
+    causes = ", ".join(f"{n} {cause}" for cause, n in found.get("refused", {}).items())
     return f"{count} messages sent, {found.get('received', 0)} received" + (
         f"; refused: {causes}" if causes else ""
     )

@@ -201,11 +201,6 @@ NoPageToken = Annotated[
 ]
 
 
-def names_in(text: str) -> list[str]:
-    """Names between commas."""
-    return [name.strip() for name in text.split(",") if name.strip()]
-
-
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:17447"
 DEFAULT_RUN = "flight"
 

@@ -1,5 +1,6 @@
 """`outrider record`: the record of a run in progress, and the repair of one that was killed."""
 
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -80,16 +81,22 @@ def command(
     from outrider.recording.bag_records import size_of
     from outrider.recording.observer import RunRecorder
 
+    sink: Callable[[Path], RunSink]
     if ros2 is not None:
-        from outrider.bridges.ros2.ros_bag import check_target
+        from outrider.bridges.ros2.ros_bag import RosBag, check_target
 
         check_target(ros2)
+        sink = RosBag
+    else:
+        from outrider.recording.mcap_file import RecordingFile
+
+        sink = RecordingFile
     known = options.scenario_of(scenario, changes=changes)[0] if scenario else None
     with (
         stop_on_signals() as stop,
         options.join(Role.OBSERVER, run, connect, credentials) as session,
     ):
-        recorder = RunRecorder(session, _sink(target, bag=ros2 is not None), known)
+        recorder = RunRecorder(session, sink(target), known)
         try:
             lost = _follow(session, recorder, stop)
         finally:
@@ -102,16 +109,6 @@ def command(
         ERR.tell(f"{target}: {recorder.story()}")
     if lost:
         raise PeerLost(f"the router at {connect} has gone; what came before it went is in {target}")
-
-
-def _sink(target: Path, *, bag: bool) -> "RunSink":
-    if bag:
-        from outrider.bridges.ros2.ros_bag import RosBag
-
-        return RosBag(target)
-    from outrider.recording.mcap_file import RecordingFile
-
-    return RecordingFile(target)
 
 
 def _follow(session: "Session", recorder: "RunRecorder", stop: Stop) -> bool:

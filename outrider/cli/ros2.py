@@ -80,7 +80,11 @@ def command(
     check_domain(domain)
     space = check_namespace(namespace)
     if vehicle:
-        _refuse_with_vehicle(operator=operator, namespace=space, every_tick=every_tick)
+        alone = {"--operator": operator, "--namespace": space, "--every-tick": every_tick}
+        for option in (option for option, given in alone.items() if given):
+            raise typer.BadParameter(
+                f"{option} and --vehicle: these options do not go together; a vehicle's topics are /NAME/pilot/..."
+            )
         kind = _role_of(vehicle, credentials)
         joining = options.joining(kind, vehicle, connect, run, credentials, join_timeout)
         _fly(joining, domain=domain, json=json)
@@ -151,18 +155,6 @@ def _follow(session: "Session", observer: "RosObserver", stop: Stop) -> bool:
             told = True
             tell_waiting(session.run)
     return False
-
-
-def _refuse_with_vehicle(*, operator: bool, namespace: str, every_tick: bool) -> None:
-    for option, given in (
-        ("--operator", operator),
-        ("--namespace", bool(namespace)),
-        ("--every-tick", every_tick),
-    ):
-        if given:
-            raise typer.BadParameter(
-                f"{option} and --vehicle: these options do not go together; a vehicle's topics are /NAME/pilot/..."
-            )
 
 
 def _role_of(name: str, credentials: Path | None) -> Role:

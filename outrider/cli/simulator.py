@@ -207,9 +207,8 @@ def command(
             finally:
                 seconds = time.perf_counter() - server.started
                 flight, vehicles, late_ticks = server.flight, server.vehicles(), server.late_ticks
-                if (
-                    flight.recorder.rows
-                ):  # also where the router was lost for good: what was flown is kept
+                # also where the router was lost for good: what was flown is kept
+                if flight.recorder.rows:
                     summary = summarize(
                         flight,
                         seconds=seconds,

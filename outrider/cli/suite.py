@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bus.errors import OutriderError, ScenarioError, told_with_place
-from outrider.cli.options import Json, Secret, names_in
+from outrider.cli.options import Json, Secret
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -34,8 +34,7 @@ def command(
             "--uav-policy",
             metavar="MODULE:FUNCTION",
             help="A policy of your own: a UAV's observations in all worlds in, its accelerations out, shape "
-            "(worlds, 2); "
-            "may be repeated.",
+            "(worlds, 2); may be repeated.",
         ),
     ] = None,
     name: Annotated[
@@ -94,7 +93,8 @@ def command(
         return
     chosen = {"estimate": estimate, "gradient": gradient, "safety_filter": safety_filter}
     settings = {name: True for name, wanted in chosen.items() if wanted}
-    entries = _entries(names_in(law), uav_policy or [], tasks)
+    laws = [one.strip() for one in law.split(",") if one.strip()]
+    entries = _entries(laws, uav_policy or [], tasks)
     if settings and not uav_policy:
         raise typer.BadParameter(
             f"--{'/'.join(settings).replace('_', '-')}: for a --uav-policy alone; the laws are as they are"
@@ -222,13 +222,8 @@ def _tell_tasks(tasks: "Suite", *, json: bool) -> None:
     from outrider.cli.console import print_json, print_table
 
     if json:
-        print_json(
-            {
-                "tasks": [
-                    {"name": task.name, "hard": task.hard, "env_id": task.env_id} for task in tasks
-                ]
-            }
-        )
+        told = [{"name": task.name, "hard": task.hard, "env_id": task.env_id} for task in tasks]
+        print_json({"tasks": told})
         return
     rows = [(task.name, task.hard, task.env_id) for task in tasks]
     headings = ("task", "what is hard", "at Gymnasium")

@@ -3,8 +3,7 @@
 import shlex
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -93,6 +92,7 @@ def command(
     where = out or Path("sweeps") / Path(sweep).stem
     with runs_bar() as progress:
         from outrider.experiments.sweep.plan import lay_out
+        from outrider.experiments.sweep.running import open_cluster
 
         task = progress.add_task("loading the points", total=None, note="")
         plan = lay_out(
@@ -108,34 +108,23 @@ def command(
     ) as folder:
         before = len(folder.done)
         try:
-            with _cluster(dask, plan.version) as client:
+            with open_cluster(dask, plan.version) if dask else nullcontext() as client:
                 _fly(plan, folder, jobs, client)
         except (KeyboardInterrupt, SystemExit) as end:
             _interrupted(plan, folder, end)
         file = folder.finish()
     seconds = time.monotonic() - began
     flown = len(folder.done) - before + folder.failed
-    rates = {
-        "seconds": round(seconds, 3),
-        "runs_per_second": round(flown / seconds, 3) if seconds > 0.0 else 0.0,
-    }
     told: dict[str, Any] = {
         "sweep": sweep,
         "rows": folder.rows,
         "failed": folder.failed,
         "flown": flown,
-        **rates,
+        "seconds": round(seconds, 3),
+        "runs_per_second": round(flown / seconds, 3) if seconds > 0.0 else 0.0,
         "file": str(file),
     }
     _tell(told, folder, where, json=json)
-
-
-def _cluster(address: str, version: str) -> AbstractContextManager[Any]:
-    if not address:
-        return nullcontext()
-    from outrider.experiments.sweep.running import open_cluster
-
-    return open_cluster(address, version)
 
 
 def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any) -> None:  # noqa: ANN401 - an extra's type
@@ -189,6 +178,7 @@ def _interrupted(
 
 def _tell(told: dict[str, Any], folder: "SweepFolder", where: Path, *, json: bool) -> None:
     from outrider.cli.console import ERR, OUT, print_json
+    from outrider.experiments.sweep.folder import read_head, read_results
 
     if json:
         print_json(told)
@@ -199,17 +189,9 @@ def _tell(told: dict[str, Any], folder: "SweepFolder", where: Path, *, json: boo
         )
         OUT.tell(f"  {told['file']}\n  outrider report {shlex.quote(str(where))} draws them")
     if folder.failed:
-        reason = next(_errors(folder), "")
+        head = read_head(folder.path)
+        errors = [] if head is None else read_results(folder.path, head.columns)["error"]
+        reason = next((error for error in errors if error is not None), "")
         again = "the same command flies them again"
         ERR.tell(f"outrider: {folder.failed} of {told['rows']:,} runs failed: {reason}; {again}")
         raise typer.Exit(1)
-
-
-def _errors(folder: "SweepFolder") -> Iterator[str]:
-    from outrider.experiments.sweep.folder import read_head, read_results
-
-    head = read_head(folder.path)
-    if head is not None:
-        yield from (
-            error for error in read_results(folder.path, head.columns)["error"] if error is not None
-        )
