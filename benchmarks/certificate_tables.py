@@ -47,7 +47,7 @@ NUMBERS = {name: PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt
 
 
 def _certificate(**declared: float | None) -> Promise:
-    """What follows from these numbers and the paper's bounds."""
+    """The promise of these numbers and the paper's bounds."""
     return certificate(Declared(**NUMBERS, **declared))
 
 

@@ -4,6 +4,7 @@ import shlex
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -29,6 +30,15 @@ _LINE = 10.0
 
 Expect = Literal["none", "some"]
 """The violations that are expected; the exit code tells whether it is so."""
+
+
+class ControlGuard(StrEnum):
+    """Guards that are known to be wrong."""
+
+    TRACKING = "tracking"
+    ARGMIN = "argmin"
+    PAPER_RADIUS = "paper-radius"
+    SWITCHING = "switching"
 
 
 def command(
@@ -105,7 +115,7 @@ def command(
         ),
     ] = None,
     control: Annotated[
-        Literal["tracking", "argmin", "paper-radius", "switching"] | None,
+        ControlGuard | None,
         typer.Option(
             help="Attack a guard that is known to be wrong in the place of the filter, to see that it is caught."
         ),
@@ -209,7 +219,7 @@ def command(
         seed=seed,
         jobs=jobs or cores(),
         first=first,
-        control=control,
+        control=None if control is None else str(control),
         eps=eps,
         out=out,
     )
