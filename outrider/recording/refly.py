@@ -36,6 +36,7 @@ class Difference:
 class Reflight:
     """A recording flown again."""
 
+    flight: Flight
     ticks: int
     """Ticks that were flown again."""
     recorded_sha256: str
@@ -181,6 +182,7 @@ def refly(recording: Recording) -> Reflight:
         _put(copy, truth)
         difference = difference or _difference(flight, truth)
     return Reflight(
+        flight=flight,
         ticks=flight.recorder.ticks,
         recorded_sha256=copy.recorder.sha256(),
         trajectory_sha256=flight.recorder.sha256(),
