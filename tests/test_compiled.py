@@ -6,6 +6,7 @@ import os
 import pkgutil
 import struct
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -233,6 +234,18 @@ def test_whatever_code_is_made_of_has_a_cache_of_its_own(name: str, monkeypatch)
     changed = lambda path: read(path) + b"#" * (path.name == name)  # noqa: E731
     monkeypatch.setattr(Path, "read_bytes", changed)
     assert kernels._source_digest() != before
+
+
+@pytest.mark.parametrize(("apart", "kept"), [(1800.0, 6), (60.0, 9)])
+def test_old_caches_go_but_for_some_and_those_in_use(apart: float, kept: int, tmp_path) -> None:
+    for k in range(9):
+        (tmp_path / f"numba-{k}").mkdir()
+        os.utime(tmp_path / f"numba-{k}", (time.time() - k * apart,) * 2)
+    (tmp_path / "numba-gone").symlink_to(
+        tmp_path / "nowhere"
+    )  # as if another process had just dropped it
+    kernels._drop_old(tmp_path)
+    assert {path.name for path in tmp_path.glob("*-?")} == {f"numba-{k}" for k in range(kept)}
 
 
 def test_another_numba_compiles_as_it_does(monkeypatch) -> None:

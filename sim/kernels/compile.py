@@ -12,6 +12,7 @@ import re
 import shutil
 import sys
 import tempfile
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -28,7 +29,8 @@ IntArray = npt.NDArray[np.int64]
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _interpreted = False
-_KEEP = 6  # caches of other source texts (checkouts, versions) that stay beside ours
+_KEEP, _IN_USE = 6, 3600.0
+"""So many caches of source texts (checkouts, versions) stay, and those that a process began with within this [s]."""
 
 
 _MARKS = (b"@compiled", b"@borrowing", b"@inlined", b"@released", b"@intrinsic")
@@ -69,9 +71,15 @@ def _cache_home() -> Path:
 
 
 def _drop_old(home: Path) -> None:
-    others = sorted(home.glob("numba-*"), key=lambda path: path.stat().st_mtime, reverse=True)
-    for path in others[_KEEP:]:
-        shutil.rmtree(path, ignore_errors=True)
+    used: list[tuple[float, Path]] = []
+    for path in home.glob("numba-*"):
+        with contextlib.suppress(
+            FileNotFoundError
+        ):  # another process that starts may have dropped it just now
+            used.append((path.stat().st_mtime, path))
+    for last, path in sorted(used, reverse=True)[_KEEP:]:
+        if time.time() - last > _IN_USE:
+            shutil.rmtree(path, ignore_errors=True)
 
 
 @functools.cache
