@@ -37,7 +37,7 @@ def errors(loop: InnerLoop, wind: np.ndarray, own: np.ndarray, dt: float) -> np.
     row = table[0]
     for (row["wind_x"], row["wind_y"]), (row["own_x"], row["own_y"]) in zip(wind, own, strict=True):
         before = row["v_x"], row["v_y"]
-        step_error(*loop, table, 0, dt)
+        step_error(loop, table, 0, dt)
         asked = [
             (row[f"v_{axis}"] - was) / dt - row[f"wind_{axis}"]
             for axis, was in zip("xy", before, strict=True)

@@ -6,126 +6,27 @@ arrays are empty, and nothing is done.
 """
 
 import math
-from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
-from sim.kernels.compile import FloatArray, IntArray, borrowing, inlined
-from sim.kernels.records import RecordArray, records
+from sim.engine.world_state import (
+    BatchState,
+    BatchTables,
+    GroundConstants,
+    GroundParameters,
+    GroundState,
+)
+from sim.kernels.compile import FloatArray, borrowing, inlined
 from sim.models.field import accumulate
 from sim.models.ground import (
     BLOCK,
     CLEAR,
     ROUGH,
     UNSEEN,
-    TileArray,
     crosses_hazard,
     rough_share,
     state_at,
     tile_index,
 )
 from sim.models.randomness import GROUND_LOOK, TILE_CHANCE, WordArray, key_of, uniform
-from sim.scenario.ground_tables import ground_tables
-from sim.scenario.types import Scenario, Ugv
-
-
-class GroundParameters(NamedTuple):
-    """The numbers of the ground, in SI units."""
-
-    tile: float
-    period: int
-    """Ticks between two looks of a UAV's sensor at the ground."""
-    miss: float
-    false_alarm: float
-    """Chances of a tile with a hazard to be told as clear, and of a clear one to be told as blocked."""
-    bumper: float
-    stuck: bool
-    """True if a vehicle that touches what blocks stays there; else it is damaged and drives on."""
-
-
-class GroundConstants(NamedTuple):
-    """The constants of all worlds."""
-
-    parameters: RecordArray
-    """`GroundParameters`. Shape (1,); (0,) where there are no hazards."""
-    corners: FloatArray
-    """Of all polygons [m]. Shape (any, 2)."""
-    ugvs: IntArray
-    """For each UGV its row among the vehicles. Shape (UGVs,)."""
-    strides: FloatArray
-    """The longest way of each UGV in a tick [m]. Shape (UGVs,)."""
-
-
-class GroundState(NamedTuple):
-    """The ground of each world. All arrays have an axis for worlds in front."""
-
-    hazards: RecordArray
-    """`HazardRow`: those of the scenario, then those that were drawn. Shape (worlds, hazards)."""
-    tiles: TileArray
-    """The true state of each tile. Shape (worlds, rows, columns)."""
-    looked: npt.NDArray[np.float32]
-    """C of (3) of each UAV alone at the tiles' centres. Shape (worlds, UAVs, rows, columns)."""
-    known: TileArray
-    """Tiles as each vehicle's own sensor has told them. Shape (worlds, vehicles, rows, columns)."""
-    seen: npt.NDArray[np.int32]
-    """The tiles of which it has told since the tick before, row * columns + column. Shape (worlds, vehicles, room)."""
-    told: IntArray
-    """Their number. Shape (worlds, vehicles)."""
-    pace: FloatArray
-    """Share of its largest speed that each vehicle has where it is; 0: it is stuck. Shape (worlds, vehicles)."""
-    before: FloatArray
-    """Position of each UGV before it moved [m]. Shape (worlds, UGVs, 2)."""
-    hits: npt.NDArray[np.uint8]
-    """1 where a UGV has touched a hazard that blocks. Shape (worlds, UGVs, hazards)."""
-
-
-def ground_constants(scenario: Scenario) -> GroundConstants:
-    """The constants of a scenario's ground."""
-    ground, rows = scenario.ground, list[GroundParameters]()
-    if scenario.has_ground:
-        rows.append(
-            GroundParameters(
-                tile=float(ground.tile),
-                period=scenario.ground_period,
-                miss=float(ground.miss),
-                false_alarm=float(ground.false_alarm),
-                bumper=float(ground.bumper),
-                stuck=ground.touch == "stuck",
-            )
-        )
-    ugvs = [(k, one) for k, one in enumerate(scenario.vehicles) if isinstance(one, Ugv)]
-    return GroundConstants(
-        parameters=records(GroundParameters, rows),
-        corners=ground_tables(scenario).corners,
-        ugvs=np.array([k for k, _ in ugvs], dtype=np.int64),
-        strides=np.array([one.max_speed * scenario.dt for _, one in ugvs]),
-    )
-
-
-def ground_state(scenario: Scenario, worlds: int) -> GroundState:
-    """The ground before anything has been drawn or seen."""
-    tables, ground = ground_tables(scenario), scenario.ground
-    hazards, tiles = tables.hazards, tables.tiles
-    if scenario.has_ground:
-        reach = max(scenario.sensor.range, ground.bumper)
-        room = min(tiles.size, (2 * math.ceil(reach / ground.tile) + 3) ** 2)
-        vehicles, uavs, ugvs = len(scenario.vehicles), len(scenario.uav), len(scenario.ugv)
-    else:
-        tiles = np.zeros((0, 0), np.uint8)
-        room = vehicles = uavs = ugvs = 0
-    rows, columns = tiles.shape
-    return GroundState(
-        hazards=np.repeat(hazards[None], worlds, axis=0),
-        tiles=np.repeat(tiles[None], worlds, axis=0),
-        looked=np.zeros((worlds, uavs, rows, columns), np.float32),
-        known=np.zeros((worlds, vehicles, rows, columns), np.uint8),
-        seen=np.zeros((worlds, vehicles, room), np.int32),
-        told=np.zeros((worlds, vehicles), np.int64),
-        pace=np.ones((worlds, vehicles)),
-        before=np.zeros((worlds, ugvs, 2)),
-        hits=np.zeros((worlds, ugvs, len(hazards)), np.uint8),
-    )
 
 
 @borrowing
@@ -161,19 +62,12 @@ def _told_state(
 
 
 @inlined
-def _look(
-    parameters: RecordArray,
-    tables: GroundConstants,
-    ground: GroundState,
-    world: int,
-    uav: int,
-    vehicle: int,
-    keys: WordArray,
-    x: float,
-    y: float,
-) -> None:
-    """A UAV looks at the ground from (x, y) [m]."""
-    settings, numbers, looked = tables.parameters[0], parameters[0], ground.looked[world, uav]
+def _look(tables: BatchTables, state: BatchState, world: int, uav: int) -> None:
+    """A UAV looks at the ground from where it is told that it is."""
+    numbers, settings, ground = tables.world[0], tables.ground.parameters[0], state.ground
+    vehicle = tables.escorts[uav, 0]
+    x, y = state.told.position[world, vehicle, 0], state.told.position[world, vehicle, 1]
+    looked, known = ground.looked[world, uav], ground.known[world, vehicle]
     accumulate(
         looked,
         x,
@@ -184,9 +78,8 @@ def _look(
         settings.tile,
         settings.period * numbers.dt,
     )
-    known, rows, columns = ground.known[world, vehicle], looked.shape[0], looked.shape[1]
-    first_row, end_row = _tile_range(y, numbers.reach, settings.tile, rows)
-    first, end = _tile_range(x, numbers.reach, settings.tile, columns)
+    first_row, end_row = _tile_range(y, numbers.reach, settings.tile, looked.shape[0])
+    first, end = _tile_range(x, numbers.reach, settings.tile, looked.shape[1])
     for row in range(first_row, end_row):
         sums, states, news = looked[row, first:end], known[row, first:end], 0
         for i in range(sums.size):  # several to a vector: mostly there is none
@@ -195,23 +88,17 @@ def _look(
             continue
         for column in range(first, end):
             if known[row, column] == UNSEEN and looked[row, column] >= numbers.desired:
-                state = ground.tiles[world, row, column]
-                _tell(
-                    ground,
-                    world,
-                    vehicle,
-                    row,
-                    column,
-                    _told_state(settings, state, keys, vehicle, row, column),
-                )
+                true = ground.tiles[world, row, column]
+                told = _told_state(settings, true, state.keys[world], vehicle, row, column)
+                _tell(ground, world, vehicle, row, column, told)
 
 
 @inlined
-def _feel(
-    tables: GroundConstants, ground: GroundState, world: int, vehicle: int, x: float, y: float
-) -> None:
-    """The bumper of UGV v at (x, y) [m] tells of the tiles that have a point within its range."""
-    parameters, known = tables.parameters[0], ground.known[world, vehicle]
+def _feel(tables: BatchTables, state: BatchState, world: int, vehicle: int) -> None:
+    """The bumper of a UGV tells of the tiles that have a point within its range."""
+    parameters, ground = tables.ground.parameters[0], state.ground
+    x, y = state.told.position[world, vehicle, 0], state.told.position[world, vehicle, 1]
+    known = ground.known[world, vehicle]
     first_row, end_row = _tile_range(y, parameters.bumper, parameters.tile, known.shape[0])
     first, end = _tile_range(x, parameters.bumper, parameters.tile, known.shape[1])
     for row in range(first_row, end_row):
@@ -243,26 +130,16 @@ def _meets_block(
 
 
 @inlined
-def drive_on(
-    tables: GroundConstants,
-    ground: GroundState,
-    world: int,
-    position: FloatArray,
-    velocity: FloatArray,
-) -> None:
-    """Touches of hazards by the UGVs on their way from `before` to where they are.
-
-    Args:
-        tables, ground: The ground of all worlds.
-        world: The world.
-        position, velocity: Of its vehicles [m], [m/s]; one that is stuck stops. Shape (vehicles, 2).
-    """
-    parameters = tables.parameters[0]
-    for n in range(tables.ugvs.shape[0]):
-        v, start = tables.ugvs[n], ground.before[world, n]
+def drive_on(tables: BatchTables, state: BatchState, world: int) -> None:
+    """Touches of hazards by the UGVs on their way from `before` to where they are; one that is stuck stops."""
+    constants, ground = tables.ground, state.ground
+    position, velocity = state.told.position[world], state.told.velocity[world]
+    parameters = constants.parameters[0]
+    for n in range(constants.ugvs.shape[0]):
+        v, start = constants.ugvs[n], ground.before[world, n]
         if ground.pace[world, v] == 0.0:
             continue
-        hit, share = _meets_block(tables, ground, world, start, position[v])
+        hit, share = _meets_block(constants, ground, world, start, position[v])
         if hit >= 0:
             ground.hits[world, n, hit] = 1
             if parameters.stuck:
@@ -274,48 +151,24 @@ def drive_on(
         x, y = position[v, 0], position[v, 1]
         ground.pace[world, v] = 1.0
         if state_at(ground.tiles[world], parameters.tile, x, y) in (ROUGH, BLOCK):
-            ground.pace[world, v] = rough_share(ground.hazards[world], tables.corners, x, y)
+            ground.pace[world, v] = rough_share(ground.hazards[world], constants.corners, x, y)
 
 
 @inlined
-def keep_before(
-    tables: GroundConstants, ground: GroundState, world: int, position: FloatArray
-) -> None:
+def keep_before(tables: BatchTables, state: BatchState, world: int) -> None:
     """Note where the UGVs are before they move."""
-    for n in range(tables.ugvs.shape[0]):
-        ground.before[world, n, 0], ground.before[world, n, 1] = (
-            position[tables.ugvs[n], 0],
-            position[tables.ugvs[n], 1],
-        )
+    for n in range(tables.ground.ugvs.shape[0]):
+        here = state.told.position[world, tables.ground.ugvs[n]]
+        state.ground.before[world, n, 0], state.ground.before[world, n, 1] = here[0], here[1]
 
 
 @inlined
-def perceive_ground(
-    parameters: RecordArray,
-    tables: GroundConstants,
-    ground: GroundState,
-    world: int,
-    tick: int,
-    position: FloatArray,
-    escorts: IntArray,
-    keys: WordArray,
-) -> None:
-    """Every vehicle's sensor tells of what it has seen of the ground since the tick before.
-
-    Args:
-        parameters: `WorldParameters`. Shape (1,).
-        tables, ground: The ground of all worlds; `ground` is changed.
-        world: The world.
-        tick: Now.
-        position: Where the vehicles truly are [m]. Shape (vehicles, 2).
-        escorts: Rows (UAV, UGV). Shape (UAVs, 2).
-        keys: Of the world's random numbers.
-    """
-    ground.told[world] = 0
-    if tick > 0 and tick % tables.parameters[0].period == 0:
-        for u in range(escorts.shape[0]):
-            v = escorts[u, 0]
-            _look(parameters, tables, ground, world, u, v, keys, position[v, 0], position[v, 1])
-    for n in range(tables.ugvs.shape[0]):
-        v = tables.ugvs[n]
-        _feel(tables, ground, world, v, position[v, 0], position[v, 1])
+def perceive_ground(tables: BatchTables, state: BatchState, world: int) -> None:
+    """Every vehicle's sensor tells of what it has seen of the ground since the tick before."""
+    tick = state.ticks[world]
+    state.ground.told[world] = 0
+    if tick > 0 and tick % tables.ground.parameters[0].period == 0:
+        for u in range(tables.escorts.shape[0]):
+            _look(tables, state, world, u)
+    for n in range(tables.ground.ugvs.shape[0]):
+        _feel(tables, state, world, tables.ground.ugvs[n])

@@ -4,29 +4,33 @@ No vehicle is told of any of it. Without hazards all arrays are empty, and nothi
 """
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from bus.messages import BLOCK_SIDE, Mission
-from sim.engine.ground_tick import GroundConstants, GroundState
-from sim.kernels.compile import FloatArray, IntArray, borrowing, inlined
-from sim.kernels.records import RecordArray, record_type
+from sim.engine.world_state import (
+    BatchState,
+    BatchTables,
+    GroundConstants,
+    GroundState,
+    MissionConstants,
+    MissionState,
+    TickArray,
+)
+from sim.kernels.compile import FloatArray, borrowing, inlined
+from sim.kernels.records import RecordArray
 from sim.models.ground import (
     BLOCK,
     CLEAR,
     FOUND,
     UNSEEN,
-    TileArray,
     distance_to_hazard,
     may_be_within,
     tile_index,
 )
 from sim.models.vehicles import next_goal, norm
-from sim.scenario.types import Scenario, Ugv
 
 ON_WAY = 2.0
 """A hazard that a UGV comes nearer to than this is on its way [m]."""
@@ -39,104 +43,11 @@ _ROUNDING = 1e-6
 _STILL = 0.01
 """Slower than this share of its largest speed a UGV stands still."""
 
-TickArray = npt.NDArray[np.int32]
-"""Ticks, counted from 1; 0: never."""
-
-
-class MissionRecord(NamedTuple):
-    """The columns of a table: how one UGV does."""
-
-    way: float
-    """That it has driven [m]."""
-    seen_way: float
-    """Of it on tiles that had come by radio before [m]."""
-    still: int
-    """Ticks in which it stood still before it had arrived."""
-    reached: int
-    """Goals."""
-    arrived: int
-    """The tick at which it had reached the last of them; -1: not yet, or it has none."""
-    told: int
-    """Tiles that have come by radio, each counted once."""
-    listed: int
-    """Number of hazards near it when they were listed; -1: not yet."""
-    listed_x: float
-    listed_y: float
-    """Its position then [m]."""
-
-
-class MissionConstants(NamedTuple):
-    """The constants of all worlds."""
-
-    goals: FloatArray
-    """Of all UGVs [m]. Shape (any, 2)."""
-    goal_rows: IntArray
-    """First row of each UGV's. Shape (UGVs + 1,)."""
-    tolerances: FloatArray
-    """[m]. Shape (UGVs,)."""
-
-
-class MissionState(NamedTuple):
-    """The UGVs' missions in each world. All arrays have an axis for worlds in front."""
-
-    ugvs: RecordArray
-    """`MissionRecord`. Shape (worlds, UGVs)."""
-    received: TickArray
-    """Time at which each UGV was told of each tile by radio first. Shape (worlds, UGVs, rows, columns)."""
-    told: TileArray
-    """State that the radio has told of each: BLOCK stays, the rest gives way to later words. Shape as `received`."""
-    warned: TickArray
-    """Time at which it knew of each hazard first, by radio or by its bumper. Shape (worlds, UGVs, hazards)."""
-    met: TickArray
-    """Time at which it was nearer than `ON_WAY` first. Shape (worlds, UGVs, hazards)."""
-    nearest: FloatArray
-    """Smallest distance to each hazard [m]. Shape (worlds, UGVs, hazards)."""
-    near: npt.NDArray[np.int32]
-    """Those that it could come nearer to than `ON_WAY` before they are listed anew, in order: `MissionRecord.listed`
-    of them. Shape (worlds, UGVs, hazards).
-    """
-    found: TickArray
-    """Time at which any vehicle's sensor told of each hazard first. Shape (worlds, hazards)."""
-
-
-def joined(arrays: Sequence[FloatArray], width: int) -> tuple[FloatArray, IntArray]:
-    """Arrays one after the other, and where each begins."""
-    edges = np.cumsum([0, *(len(array) for array in arrays)]).astype(np.int64)
-    return np.concatenate([np.zeros((0, width)), *arrays]), edges
-
-
-def mission_constants(scenario: Scenario) -> MissionConstants:
-    """The goals of a scenario."""
-    ugvs = [one for one in scenario.vehicles if isinstance(one, Ugv)]
-    goals, goal_rows = joined(
-        [np.array(one.goals, dtype=np.float64).reshape(-1, 2) for one in ugvs], 2
-    )
-    tolerances = np.array([one.goal_tolerance for one in ugvs], dtype=np.float64)
-    return MissionConstants(goals, goal_rows, tolerances)
-
 
 @inlined
 def goals_of(constants: MissionConstants, ugv: int) -> FloatArray:
     """The goals of a UGV [m]: a view. Shape (goals, 2)."""
     return constants.goals[constants.goal_rows[ugv] : constants.goal_rows[ugv + 1]]
-
-
-def mission_state(ground: GroundState) -> MissionState:
-    """Nothing has happened yet on this ground."""
-    worlds, ugvs = ground.before.shape[:2]
-    count = ground.hazards.shape[1]
-    numbers = np.zeros((worlds, ugvs), dtype=record_type(MissionRecord))
-    numbers["arrived"] = numbers["listed"] = -1
-    return MissionState(
-        ugvs=numbers,
-        received=np.zeros((worlds, ugvs, *ground.tiles.shape[1:]), np.int32),
-        told=np.zeros((worlds, ugvs, *ground.tiles.shape[1:]), np.uint8),
-        warned=np.zeros((worlds, ugvs, count), np.int32),
-        met=np.zeros((worlds, ugvs, count), np.int32),
-        nearest=np.full((worlds, ugvs, count), np.inf),
-        near=np.zeros((worlds, ugvs, count), np.int32),
-        found=np.zeros((worlds, count), np.int32),
-    )
 
 
 @borrowing
@@ -230,31 +141,24 @@ def _list_near(hazards: RecordArray, near: TickArray, x: float, y: float) -> int
 
 
 @inlined
-def _drive(
-    constants: MissionConstants,
-    tables: GroundConstants,
-    ground: GroundState,
-    mission: MissionState,
-    world: int,
-    ugv: int,
-    tick: int,
-    x: float,
-    y: float,
-) -> None:
-    """A UGV has come to (x, y) [m]."""
-    row, goals = mission.ugvs[world, ugv], goals_of(constants, ugv)
+def _drive(tables: BatchTables, state: BatchState, world: int, ugv: int) -> None:
+    """A UGV has come to where it is."""
+    ground, mission, tick = state.ground, state.mission, state.ticks[world]
+    vehicle = tables.ground.ugvs[ugv]
+    x, y = state.truth.position[world, vehicle, 0], state.truth.position[world, vehicle, 1]
+    row, goals = mission.ugvs[world, ugv], goals_of(tables.mission, ugv)
     if tick > 0:
         way = norm(x - ground.before[world, ugv, 0], y - ground.before[world, ugv, 1])
-        tile, (rows, columns) = tables.parameters[0].tile, ground.tiles[world].shape
+        tile, (rows, columns) = tables.ground.parameters[0].tile, ground.tiles[world].shape
         received = mission.received[
             world, ugv, tile_index(y, tile, rows), tile_index(x, tile, columns)
         ]
         row.way += way
         row.seen_way += way if 0 < received <= tick else 0.0
-        if row.arrived < 0 and way < _STILL * tables.strides[ugv]:
+        if row.arrived < 0 and way < _STILL * tables.ground.strides[ugv]:
             row.still += 1
     if row.reached < goals.shape[0]:
-        row.reached, _ = next_goal(goals, row.reached, constants.tolerances[ugv], x, y)
+        row.reached, _ = next_goal(goals, row.reached, tables.mission.tolerances[ugv], x, y)
         if row.reached == goals.shape[0]:
             row.arrived = tick
     moved_x, moved_y = x - row.listed_x, y - row.listed_y
@@ -265,35 +169,18 @@ def _drive(
         h = mission.near[world, ugv, i]
         if not may_be_within(ground.hazards[world], h, x, y, ON_WAY):
             continue
-        away = distance_to_hazard(ground.hazards[world], tables.corners, h, x, y)
+        away = distance_to_hazard(ground.hazards[world], tables.ground.corners, h, x, y)
         mission.nearest[world, ugv, h] = min(mission.nearest[world, ugv, h], away)
         if away <= ON_WAY and mission.met[world, ugv, h] == 0:
             mission.met[world, ugv, h] = tick + 1
 
 
 @inlined
-def note_mission(
-    constants: MissionConstants,
-    tables: GroundConstants,
-    ground: GroundState,
-    mission: MissionState,
-    world: int,
-    tick: int,
-    position: FloatArray,
-) -> None:
-    """Take in a tick of a world: what sensors have told of, and where the UGVs have come.
-
-    Args:
-        constants, tables, ground: Of all worlds.
-        mission: Is changed.
-        world: The world.
-        tick: Now.
-        position: Of its vehicles [m]. Shape (vehicles, 2).
-    """
-    _note_sensors(tables, ground, mission, world, tick)
-    for n in range(tables.ugvs.shape[0]):
-        v = tables.ugvs[n]
-        _drive(constants, tables, ground, mission, world, n, tick, position[v, 0], position[v, 1])
+def note_mission(tables: BatchTables, state: BatchState, world: int) -> None:
+    """Take in a tick of a world: what sensors have told of, and where the UGVs have come."""
+    _note_sensors(tables.ground, state.ground, state.mission, world, state.ticks[world])
+    for n in range(tables.ground.ugvs.shape[0]):
+        _drive(tables, state, world, n)
 
 
 def mission_numbers(mission: Mission) -> dict[str, float]:

@@ -9,43 +9,26 @@ from sim.channel.link import receive, send
 from sim.engine.ground_tick import drive_on, keep_before, perceive_ground
 from sim.engine.link_arrays import link_of
 from sim.engine.mission import note_mission
-from sim.engine.world_state import (
-    COMMAND,
-    LOOK,
-    BatchState,
-    BatchTables,
-    WorldParameters,
-    WorldState,
-)
+from sim.engine.world_state import COMMAND, LOOK, BatchState, BatchTables, WorldState
 from sim.kernels.compile import FloatArray, IntArray, borrowing, inlined
 from sim.kernels.records import RecordArray
 from sim.models.detection import detect
 from sim.models.field import accumulate, accumulate_with_gain, coverage_error
 from sim.models.inner_loop import step_error
 from sim.models.motion import NO_MOTION, follow_on, motion_command
-from sim.models.randomness import (
-    DETECTION_CHANCE,
-    DETECTION_NOISE,
-    DISTURBANCE,
-    WordArray,
-    key_of,
-)
+from sim.models.randomness import DETECTION_CHANCE, DETECTION_NOISE, DISTURBANCE, key_of
 from sim.models.vehicles import brake, norm, step_vehicle, within_walls
 from sim.models.wind import draw_disturbance
 
 
-@borrowing
-def _move(
-    parameters: WorldParameters,
-    position: FloatArray,
-    velocity: FloatArray,
-    acceleration: FloatArray,
-    bounds: FloatArray,
-    commands: FloatArray,
-    pace: FloatArray,
-) -> None:
+@inlined
+def _move(tables: BatchTables, state: BatchState, world: int) -> None:
+    """Every vehicle moves to where its command leads, (1)."""
+    parameters, pace = tables.world[0], state.ground.pace[world]
+    position, velocity = state.told.position[world], state.told.velocity[world]
+    acceleration, commands = state.truth.acceleration[world], state.truth.commands[world]
     for k in range(position.shape[0]):
-        speed = bounds[k, 0]
+        speed = tables.bounds[k, 0]
         if pace.shape[0] > 0 and pace[k] < 1.0:
             speed = speed * pace[k] if pace[k] > 0.0 else 0.0  # which may be infinite
         p_x, p_y, v_x, v_y, u_x, u_y = step_vehicle(
@@ -56,7 +39,7 @@ def _move(
             commands[k, 0],
             commands[k, 1],
             speed,
-            bounds[k, 1],
+            tables.bounds[k, 1],
             parameters.dt,
         )
         position[k, 0], velocity[k, 0] = within_walls(p_x, v_x, parameters.width)
@@ -64,16 +47,13 @@ def _move(
         acceleration[k, 0], acceleration[k, 1] = u_x, u_y
 
 
-@borrowing
-def _see(
-    parameters: WorldParameters,
-    position: FloatArray,
-    escorts: IntArray,
-    coverage: FloatArray,
-    gains: FloatArray,
-) -> None:
-    for k in range(escorts.shape[0]):
-        a, g = escorts[k, 0], escorts[k, 1]
+@inlined
+def _see(tables: BatchTables, state: BatchState, world: int) -> None:
+    """Every UAV's sensor looks at the ground, (3)."""
+    parameters, position = tables.world[0], state.truth.position[world]
+    coverage, gains = state.truth.coverage[world], state.truth.gains[world]
+    for k in range(tables.escorts.shape[0]):
+        a, g = tables.escorts[k, 0], tables.escorts[k, 1]
         if parameters.gains:
             gains[k] = accumulate_with_gain(
                 coverage,
@@ -102,18 +82,13 @@ def _see(
             )
 
 
-@borrowing
-def detect_all(
-    parameters: WorldParameters,
-    keys: WordArray,
-    tick: int,
-    position: FloatArray,
-    escorts: IntArray,
-    detections: FloatArray,
-) -> None:
+@inlined
+def _detect(tables: BatchTables, state: BatchState, world: int) -> None:
     """Every UAV's detector looks for its UGV, where it is due at this tick."""
-    for k in range(escorts.shape[0]):
-        a, g = escorts[k, 0], escorts[k, 1]
+    parameters, keys, tick = tables.world[0], state.keys[world], state.ticks[world]
+    position, detections = state.truth.position[world], state.truth.detections[world]
+    for k in range(tables.escorts.shape[0]):
+        a, g = tables.escorts[k, 0], tables.escorts[k, 1]
         detections[k, 0], detections[k, 1] = np.nan, np.nan
         if tick % parameters.period == 0:
             _, detections[k, 0], detections[k, 1] = detect(
@@ -186,25 +161,23 @@ def _note_arrival(motions: RecordArray, last: int, carried: int) -> None:
             motions[begins % rows].arrived = 1
 
 
-@borrowing
-def _fly_motion(
-    parameters: WorldParameters,
-    motions: RecordArray,
-    flown: RecordArray,
-    acting: FloatArray,
-    velocity: FloatArray,
-    tick: int,
-    u_max: float,
-) -> bool:
+@inlined
+def _fly_motion(tables: BatchTables, state: BatchState, world: int, vehicle: int) -> bool:
     """Fly the motion of this tick if it has come and goes on from the one that is flown, else the rest of that one.
 
     False where commands act that carry none.
     """
+    motions, flown = state.motions[world, vehicle], state.flown[world, vehicle]
+    tick, velocity = state.ticks[world], state.told.velocity[world, vehicle]
     if motions[tick % motions.shape[0]].arrived == 1:
         follow_on(motions, flown, tick)
     if flown[0].plain == 1:
         return False
-    acting[0], acting[1] = motion_command(flown[0], velocity[0], velocity[1], u_max, parameters.dt)
+    u_x, u_y = motion_command(
+        flown[0], velocity[0], velocity[1], tables.bounds[vehicle, 1], tables.world[0].dt
+    )
+    acting = state.truth.commands[world, vehicle]
+    acting[0], acting[1] = u_x, u_y
     flown[0].age += 1
     return True
 
@@ -239,13 +212,8 @@ def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None
                 if tables.receivers[v] and last < 0:
                     flown = state.flown[world, v, 0]
                     flown.begins, flown.plain = NO_MOTION, 1
-        if tables.receivers[v]:
-            motions = state.motions[world, v]
-            flying = state.flown[world, v]
-            u_max = tables.bounds[v, 1]
-            moving = state.told.velocity[world, v]
-            if _fly_motion(parameters, motions, flying, acting[v], moving, tick, u_max):
-                continue
+        if tables.receivers[v] and _fly_motion(tables, state, world, v):
+            continue
         if tick - answered[v] > parameters.hold_ticks:
             v_x, v_y = state.told.velocity[world, v, 0], state.told.velocity[world, v, 1]
             acting[v, 0], acting[v, 1] = brake(v_x, v_y, tables.bounds[v, 1], parameters.dt)
@@ -287,14 +255,10 @@ def _perceive(tables: BatchTables, state: BatchState, world: int) -> None:
     A sensor of the ground looks from where its vehicle is told that it is: when a tile is told depends on nothing but
     the vehicle's own track, so that no UAV finds the wind by it.
     """
-    keys, tick, position = state.keys[world], state.ticks[world], state.truth.position[world]
     if tables.ground.parameters.shape[0] > 0:
-        told, escorts = state.told.position[world], tables.escorts
-        perceive_ground(tables.world, tables.ground, state.ground, world, tick, told, escorts, keys)
-        note_mission(
-            tables.mission, tables.ground, state.ground, state.mission, world, tick, position
-        )
-    detect_all(tables.world[0], keys, tick, position, tables.escorts, state.truth.detections[world])
+        perceive_ground(tables, state, world)
+        note_mission(tables, state, world)
+    _detect(tables, state, world)
 
 
 @inlined
@@ -304,39 +268,26 @@ def move(tables: BatchTables, state: BatchState, world: int) -> None:
     Commands lead to where the vehicles are told that they are; a UAV that wind or a wrong own position takes from there
     is truly elsewhere.
     """
-    parameters, grounded = tables.world[0], tables.ground.parameters.shape[0] > 0
+    grounded = tables.ground.parameters.shape[0] > 0
     state.ticks[world] += 1
-    truth = truth_of(state.truth, world)
-    there = state.told.position[world]
-    moving = state.told.velocity[world]
     if grounded:
-        keep_before(tables.ground, state.ground, world, there)
-    _move(
-        parameters,
-        there,
-        moving,
-        truth.acceleration,
-        tables.bounds,
-        truth.commands,
-        state.ground.pace[world],
-    )
+        keep_before(tables, state, world)
+    _move(tables, state, world)
     if grounded:
-        drive_on(tables.ground, state.ground, world, there, moving)
+        drive_on(tables, state, world)
     if tables.disturbances.shape[0] > 0:
+        tracking = state.tracking[world]
         for u in range(tables.disturbances.shape[0]):
-            row = tables.disturbances[u]
-            step_error(
-                row.position_gain,
-                row.velocity_gain,
-                row.reserve,
-                state.tracking[world],
-                u,
-                parameters.dt,
-            )
+            step_error(tables.disturbances[u], tracking, u, tables.world[0].dt)
         put_off(
-            truth.position, truth.velocity, there, moving, tables.escorts, state.tracking[world]
+            state.truth.position[world],
+            state.truth.velocity[world],
+            state.told.position[world],
+            state.told.velocity[world],
+            tables.escorts,
+            tracking,
         )
-    _see(parameters, truth.position, tables.escorts, truth.coverage, truth.gains)
+    _see(tables, state, world)
     _perceive(tables, state, world)
 
 

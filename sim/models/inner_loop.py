@@ -70,29 +70,20 @@ class Responses(NamedTuple):
 
 
 @borrowing
-def step_error(
-    position_gain: float,
-    velocity_gain: float,
-    reserve: float,
-    tracking: RecordArray,
-    u: int,
-    dt: float,
-) -> None:
+def step_error(loop: InnerLoop, tracking: RecordArray, u: int, dt: float) -> None:
     """Move the error on by a tick, exactly, as the accelerations are held over it.
 
     Args:
-        position_gain: k_p [1/s²].
-        velocity_gain: k_d [1/s].
-        reserve: u_r [m/s²].
+        loop: Gains and reserve; or a row of a table that has them.
         tracking: A table of `TrackingRecord`.
         u: Its row that is changed.
         dt: Length of the tick [s].
     """
     row = tracking[u]
     u_x, u_y = clip_norm(
-        -position_gain * (row.x + row.own_x) - velocity_gain * row.v_x,
-        -position_gain * (row.y + row.own_y) - velocity_gain * row.v_y,
-        reserve,
+        -loop.position_gain * (row.x + row.own_x) - loop.velocity_gain * row.v_x,
+        -loop.position_gain * (row.y + row.own_y) - loop.velocity_gain * row.v_y,
+        loop.reserve,
     )
     a_x, a_y = u_x + row.wind_x, u_y + row.wind_y
     row.x += (row.v_x + 0.5 * a_x * dt) * dt
