@@ -12,7 +12,7 @@ from refusals import refused
 from bus.errors import OutriderError
 from bus.messages import Area, Law
 from sim.env.parallel import parallel_env
-from sim.env.window import Window
+from sim.env.view import Window
 from sim.scenario.types import Scenario, Uav, Ugv
 from sim.scene.colors import LIMIT, UAV, UGV
 

@@ -14,7 +14,7 @@ from gymnasium import logger, spaces
 from gymnasium.error import ResetNeeded
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
-from bus.layout import state_names
+from bus.layout import CommonState, bounds, state_names
 from bus.messages import Briefing, Detection, LinkStatus, MotionPlan, SeenTile, Vector
 from sim.engine.briefing import briefing
 from sim.engine.mission import mission_numbers
@@ -26,10 +26,9 @@ from sim.env.patch import OwnMaps
 from sim.env.rewards import RewardWeights
 from sim.env.seeds import Seeds
 from sim.env.settings import ENV_DEFAULTS, EnvSettings, completed
-from sim.env.spaces import action_space
-from sim.env.state import state_array, state_space
+from sim.env.spaces import action_space, box, extent_of
 from sim.env.view import Rendering
-from sim.models.field import empty_coverage
+from sim.models.field import coverage_shares, empty_coverage
 from sim.models.ground import TileArray
 from sim.scenario.loading import given_scenario
 from sim.scenario.types import Scenario
@@ -116,13 +115,11 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         vehicles = self.scenario.vehicles
         self.possible_agents: list[str] = [vehicle.name for vehicle in vehicles]
         self.agents: list[str] = []
-        area = self.scenario.area
-        cells = empty_coverage(area.width, area.height, area.cell).size if coverage_in_state else 0
         self._gains = rewards.seen > 0.0
         self._episode = Episode(self.scenario, rewards)
         self.action_spaces = {vehicle.name: action_space(vehicle) for vehicle in vehicles}
         self.observation_spaces = form.spaces
-        self.state_space = state_space(self.scenario, self._episode, cells=cells, dtype=form.dtype)
+        self.state_space = self._state_space()
         self.state_names = state_names(self._episode.state_rows.items())
         """Names of the state's entries, but for the cells."""
         self.degraded = False
@@ -281,12 +278,29 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         `state_names` names the entries; with `coverage_in_state` the cells of the grid follow. In wind a UAV's position
         and velocity are those that it is told, its distance and coverage error of where it truly is.
         """
-        return state_array(
-            self.world,
-            self._episode,
-            with_cells=self.coverage_in_state,
-            dtype=self._format.dtype,
-        )
+        world, episode, dtype = self.world, self._episode, self._format.dtype
+        desired = world.parameters.desired
+        covered, seen = coverage_shares(world.coverage, desired)
+        values = [*CommonState(time=world.time, covered=covered, seen=seen)]
+        for name in episode.names:
+            values += episode.state(name)
+        if self.coverage_in_state:
+            shares = np.minimum(world.coverage / desired, 1.0)
+            return np.concatenate((values, shares.ravel()), dtype=dtype, casting="same_kind")
+        return np.array(values, dtype=dtype)
+
+    def _state_space(self) -> spaces.Box:
+        """The space of `state`."""
+        area, vehicles = self.scenario.area, self.scenario.vehicles
+        low, high = bounds(CommonState, extent_of(self.scenario, vehicles[0]))
+        for vehicle in vehicles:
+            row = self._episode.state_rows[vehicle.name]
+            least, largest = bounds(row, extent_of(self.scenario, vehicle))
+            low, high = low + least, high + largest
+        if self.coverage_in_state:
+            cells = empty_coverage(area.width, area.height, area.cell).size
+            low, high = low + [0.0] * cells, high + [1.0] * cells
+        return box(low, high, self._format.dtype)
 
     def metrics(self) -> dict[str, dict[str, float]]:
         """Each vehicle's true standing, and the terms of its last reward: for people and logs, not for policies."""
