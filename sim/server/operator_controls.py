@@ -99,7 +99,7 @@ class OperatorControls:
 
     def _do(self, control: Control) -> None:
         try:
-            _HANDLERS[control.action](self, control)
+            self._carry_out(control)
         except ScenarioError as error:
             refusal = f"an operator's {control.action} is refused: {error}"
             self.refusals.append(f"tick {self._flight.world.tick}: {refusal}"[:LONGEST_TEXT])
@@ -109,22 +109,28 @@ class OperatorControls:
         if control.action is not Action.STEP:
             self._on_event(f"an operator: {control.in_words()} at tick {self._flight.world.tick}")
 
-    def _pause(self, _control: Control) -> None:
-        self.paused, self.steps = True, 0
-
-    def _resume(self, _control: Control) -> None:
-        self.paused, self.steps = False, 0
-
-    def _step(self, control: Control) -> None:
-        self.paused, self.steps = True, control.ticks
-
-    def _speed(self, control: Control) -> None:
-        self._late_before += self.pace.late_ticks
-        self.pace = self._make_pace(control.factor)
-
-    def _reset(self, control: Control) -> None:
-        self._next_seed = self._flight.seed if control.seed is None else control.seed
-        self._flight.abandon()
+    def _carry_out(self, control: Control) -> None:
+        match control.action:
+            case Action.PAUSE:
+                self.paused, self.steps = True, 0
+            case Action.RESUME:
+                self.paused, self.steps = False, 0
+            case Action.STEP:
+                self.paused, self.steps = True, control.ticks
+            case Action.SPEED:
+                self._late_before += self.pace.late_ticks
+                self.pace = self._make_pace(control.factor)
+            case Action.RESET:
+                self._next_seed = self._flight.seed if control.seed is None else control.seed
+                self._flight.abandon()
+            case Action.LAW:
+                self._law(control)
+            case Action.DRIVER:
+                self._driver(control)
+            case Action.LINK:
+                if control.link is None or control.settings is None:
+                    raise ScenarioError("link and settings: one is missing")
+                self._flight.degrade(control.link, control.vehicle, control.settings)
 
     def _law(self, control: Control) -> None:
         if control.law is None:
@@ -155,20 +161,3 @@ class OperatorControls:
         check_scenario(msgspec.structs.replace(scenario, ugv=tuple(assigned)), source="driver")
         for name in names:
             self._flight.assign_driver(name, control.driver)
-
-    def _link(self, control: Control) -> None:
-        if control.link is None or control.settings is None:
-            raise ScenarioError("link and settings: one is missing")
-        self._flight.degrade(control.link, control.vehicle, control.settings)
-
-
-_HANDLERS: dict[Action, Callable[[OperatorControls, Control], None]] = {
-    Action.PAUSE: OperatorControls._pause,
-    Action.RESUME: OperatorControls._resume,
-    Action.STEP: OperatorControls._step,
-    Action.SPEED: OperatorControls._speed,
-    Action.RESET: OperatorControls._reset,
-    Action.LAW: OperatorControls._law,
-    Action.DRIVER: OperatorControls._driver,
-    Action.LINK: OperatorControls._link,
-}

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Collection, Mapping
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from bus.errors import PeerLost
 from bus.messages import Command, Observation
@@ -34,32 +34,6 @@ def _nothing() -> None:
     """There is no work."""
 
 
-class Pace(Protocol):
-    """Paces the exchange with the vehicles from tick to tick."""
-
-    late_ticks: int
-    """Ticks that the clock could not keep."""
-    factor: float | None
-    """Simulated seconds per second that it is to keep; None: as fast as it goes."""
-
-    def publish(self, observations: Mapping[str, Observation]) -> None:
-        """Give each vehicle its observation."""
-
-    def collect(
-        self, tick: int, idle: Idle, meanwhile: Callable[[], None] = _nothing
-    ) -> dict[str, Command]:
-        """Wait until this tick is over, and return the newest command of each vehicle that has a new one.
-
-        Args:
-            tick: Now.
-            idle: Called now and then meanwhile.
-            meanwhile: Work that may be done while the vehicles think; may be called, once.
-        """
-
-    def restart(self) -> None:
-        """The clock has stood still: count from now."""
-
-
 class _Wait(NamedTuple):
     """Since when a vehicle is awaited, and how long it may take [s]."""
 
@@ -80,7 +54,9 @@ class Lockstep:
     """
 
     factor: float | None = None
+    """It keeps none: as fast as it goes."""
     late_ticks = 0
+    """There is no clock that it could fail to keep."""
 
     def __init__(
         self,
@@ -137,6 +113,14 @@ class Lockstep:
 
         The simulator shares its core with the vehicles that have least to do, and they would wait for its own work: it
         is done once the first of them has answered.
+
+        Args:
+            tick: Now.
+            idle: Called now and then meanwhile.
+            meanwhile: Work that may be done while the vehicles think; may be called, once.
+
+        Returns:
+            The newest command of each vehicle that has a new one.
         """
         commands: dict[str, Command] = {}
         awaited, patience = self._awaited, self._look_around
@@ -238,7 +222,9 @@ class RealTime:
         self, slots: Slots, *, dt: float, factor: float, on_event: Callable[[str], None]
     ) -> None:
         self.factor: float | None = factor
+        """Simulated seconds per second that it keeps."""
         self.late_ticks = 0
+        """Ticks that the clock could not keep."""
         self._slots = slots
         self._period = dt / factor
         self._on_event = on_event
@@ -273,7 +259,7 @@ class RealTime:
     def collect(
         self, tick: int, idle: Idle, meanwhile: Callable[[], None] = _nothing
     ) -> dict[str, Command]:
-        """Sleep until the tick is over; then take what has come."""
+        """Sleep until the tick is over; then take what has come. Arguments as of `Lockstep.collect`."""
         meanwhile()
         commands: dict[str, Command] = {}
         due = self._due(tick)
@@ -291,3 +277,7 @@ class RealTime:
     def _take(self, tick: int, commands: dict[str, Command]) -> None:
         while (envelope := self._slots.commands.next_waiting()) is not None:
             self._slots.take(envelope, tick, commands)
+
+
+Pace = Lockstep | RealTime
+"""The course of time from tick to tick: gives observations out, and brings commands back."""
