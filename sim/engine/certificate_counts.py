@@ -214,25 +214,12 @@ def note_end(counts: CertificateCounts, lost: bool) -> None:
 
 
 @borrowing
-def begin_watch(counts: RecordArray, uav: int) -> None:
-    """A filter begins that remembers no detection, and has promised nothing."""
-    count = counts[uav]
-    count.newest, count.exact, count.promised = NEVER, True, False
-
-
-@borrowing
 def count_tracking(bounds: RecordArray, counts: RecordArray, uav: int, off: float) -> None:
     """One UAV truly is so far from where it is told that it is [m].
 
     Once that is farther than declared, what is seen from there may be wrong for as long as it is remembered.
     """
     counts[uav].tracked = counts[uav].tracked and off <= bounds[uav].tracking
-
-
-@borrowing
-def count_end(counts: RecordArray, uav: int, lost: bool) -> None:
-    """`note_end` of one UAV, for Python."""
-    note_end(counts[uav], lost)
 
 
 @borrowing

@@ -11,12 +11,11 @@ from sim.engine.certificate_counts import (
     NEVER,
     ArrivalRecord,
     CertificateBounds,
-    begin_watch,
     certificate_bounds,
     certificate_counts,
-    count_end,
     count_tick,
     count_tracking,
+    note_end,
     note_sent,
     sent_commands,
 )
@@ -70,8 +69,7 @@ class Assurance:
             self._tick = entry_point(count_tick, self._tables, evidence, *given)
             self._send = entry_point(note_sent, self._sent[0], *_NOTHING_SENT)
             self._track = entry_point(count_tracking, self._bounds, self._counts, 0, 0.0)
-            self._begin = entry_point(begin_watch, self._counts, 0)
-            self._end = entry_point(count_end, self._counts, 0, False)
+            self._end = entry_point(note_end, self._counts[0], False)
 
     def _sum(self, name: str) -> int:
         return int(self._counts[name].sum())
@@ -149,8 +147,9 @@ class Assurance:
             if command is not None:  # the next one may be watched
                 self._send(self._sent[uav], *sent)
             return
-        if self._last[uav] != tick - 1:  # not watched just before: the filter is new
-            self._begin(self._counts, uav)
+        if self._last[uav] != tick - 1:  # not watched just before: a new filter, without a memory
+            count = self._counts[uav]
+            count["newest"], count["exact"], count["promised"] = NEVER, True, False
         self._last[uav] = tick
         if not certified:
             self.reasons[reason] += 1
@@ -161,7 +160,7 @@ class Assurance:
 
     def end(self, uav: int, distance: float) -> None:
         """The flight is over with this UAV so far from its UGV [m]: the last tick's certificate is held against it."""
-        self._end(self._counts, uav, distance >= self._radius)
+        self._end(self._counts[uav], distance >= self._radius)
 
     def status(self) -> CertificateStatus | None:
         """All of it as a message; None where no filter has watched over anything."""

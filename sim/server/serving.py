@@ -12,7 +12,7 @@ from sim.server.operator_controls import OperatorControls
 from sim.server.pace import Lockstep, Pace, RealTime
 from sim.server.run_timing import Timing
 from sim.server.sessions import Slots
-from sim.server.telemetry import Telemetry, Warn, no_warnings
+from sim.server.telemetry import Telemetry, Warn
 
 
 class Server:
@@ -39,7 +39,7 @@ class Server:
         secret: str = "",
         on_event: Callable[[str], None] = lambda _line: None,
         stop: Callable[[], bool] = lambda: False,
-        warn: Warn = no_warnings,
+        warn: Warn = lambda _scenario, _links: (),
     ) -> None:
         self.flight = Flight(scenario, seed, secret=secret, on_notice=on_event)
         self.started = 0.0

@@ -34,11 +34,6 @@ Warn = Callable[[Scenario, LinkTable], tuple[str, ...]]
 """Tells what cannot be promised of a scenario whose links are now these, a line each."""
 
 
-def no_warnings(_scenario: Scenario, _links: LinkTable) -> tuple[str, ...]:
-    """Of a simulator that nobody has told what is promised."""
-    return ()
-
-
 class Telemetry:
     """Sends what is wanted.
 
