@@ -13,6 +13,8 @@ from sim.scene.colors import LIMIT, UAV, UGV, color
 
 LABELS = {"r_v": "limit of sight", "r_s": "only tracking", "r": "range of the sensor"}
 """The meaning of the circles, by the symbol of their radius."""
+_LOOKS = {"r_v": (1.6, False), "r_s": (1.2, True), "r": (0.8, False)}
+"""Width of their lines [pt], and whether they are dashed."""
 Point = tuple[float, float]
 """x and y [m]."""
 
@@ -137,23 +139,12 @@ def assembled(
     ]
     rings: list[Ring] = []
     if radii is not None:
-        red = [name for name in ugvs if name in escorts.values()]
-        rings += [_limit(name, "r_v", radii[0]) for name in red]
-        for name in red:
-            r_s = (inner or {}).get(name)
-            rings += [] if r_s is None else [_limit(name, "r_s", r_s)]
-        rings += [
-            Ring(
-                around=one.name,
-                symbol="r",
-                label=LABELS["r"],
-                radius=radii[1],
-                color=one.color,
-                width=0.8,
-            )
-            for one in vehicles
-            if one.flies
-        ]
+        r_v, reach = radii
+        escorted = [name for name in ugvs if name in escorts.values()]
+        limits = {name: (inner or {}).get(name) for name in escorted}
+        rings += [_ring(name, "r_v", r_v) for name in escorted]
+        rings += [_ring(name, "r_s", r_s) for name, r_s in limits.items() if r_s is not None]
+        rings += [_ring(one.name, "r", reach, one.color) for one in vehicles if one.flies]
     return Scene(
         title=title,
         width=size[0],
@@ -164,15 +155,15 @@ def assembled(
     )
 
 
-def _limit(ugv: str, symbol: str, radius: float) -> Ring:
-    """One of the red circles around a UGV: r_v, which must not be left, or r_s, beyond which only tracking acts."""
-    inner = symbol == "r_s"
+def _ring(around: str, symbol: str, radius: float, color: str = LIMIT) -> Ring:
+    """A circle [m] around a vehicle, as those of its symbol look."""
+    width, dashed = _LOOKS[symbol]
     return Ring(
-        around=ugv,
+        around=around,
         symbol=symbol,
         label=LABELS[symbol],
         radius=radius,
-        color=LIMIT,
-        width=1.2 if inner else 1.6,
-        dashed=inner,
+        color=color,
+        width=width,
+        dashed=dashed,
     )
