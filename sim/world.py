@@ -82,8 +82,6 @@ class World:
         self._begun = state.flown["begins"][0, :, 0]
         self.carries = bool(tables.receivers.any())
         """True if a vehicle flies the motions that its commands carry."""
-        self.keys = state.keys[0]
-        """Of all random numbers. Shape (RUN_PURPOSES, vehicles, 2)."""
         self.escorts = tables.escorts
         """Rows (UAV, UGV), one for each UAV, in name order."""
         self.bounds = tables.bounds

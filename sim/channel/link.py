@@ -42,10 +42,7 @@ from sim.models.randomness import (
     uniform,
 )
 
-UNIFORM = 0
-NORMAL = 1
-EXPONENTIAL = 2
-PARETO = 3
+UNIFORM, NORMAL, EXPONENTIAL, PARETO = range(4)
 SHAPES = {"uniform": UNIFORM, "normal": NORMAL, "exponential": EXPONENTIAL, "pareto": PARETO}
 """The spread of the extra delay, by the scale j: within -j and j; normal with deviation j; exponential with mean j;
 Pareto's law of the second kind (from 0 on) with mean j and the tail index 2.5, whose variance is finite and whose skew
