@@ -47,10 +47,11 @@ from sim.engine.certificate_counts import (
     certificate_counts,
     sent_commands,
 )
+from sim.engine.ground_state import joined
 from sim.engine.link_arrays import LinkArrays
 from sim.engine.mission import mission_of
 from sim.engine.run_keys import check_secret
-from sim.engine.world_state import Precision, joined
+from sim.engine.world_state import Precision
 from sim.env.patch import given_patch
 from sim.env.rewards import RewardWeights
 from sim.env.rows import UAV_METRICS, row_state, row_tables

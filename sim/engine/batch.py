@@ -13,6 +13,7 @@ import numpy.typing as npt
 from bus.messages import LinkKind, LinkSettings
 from bus.ticks import first_tick_from
 from sim.engine.briefing import declared
+from sim.engine.ground_state import ground_constants, ground_state, mission_constants, mission_state
 from sim.engine.link_arrays import LinkArrays
 from sim.engine.run_keys import derive_keys
 from sim.engine.world_state import (
@@ -27,10 +28,6 @@ from sim.engine.world_state import (
     escorts_of,
     first_state,
     grid_in,
-    ground_constants,
-    ground_state,
-    mission_constants,
-    mission_state,
     no_tracking_errors,
     receivers_of,
     told_of,

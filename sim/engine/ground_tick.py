@@ -7,13 +7,8 @@ arrays are empty, and nothing is done.
 
 import math
 
-from sim.engine.world_state import (
-    BatchState,
-    BatchTables,
-    GroundConstants,
-    GroundParameters,
-    GroundState,
-)
+from sim.engine.ground_state import GroundConstants, GroundParameters, GroundState
+from sim.engine.world_state import BatchState, BatchTables
 from sim.kernels.compile import FloatArray, borrowing, inlined
 from sim.models.field import accumulate
 from sim.models.ground import (

@@ -10,15 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages import BLOCK_SIDE, Mission
-from sim.engine.world_state import (
-    BatchState,
-    BatchTables,
+from sim.engine.ground_state import (
     GroundConstants,
     GroundState,
     MissionConstants,
     MissionState,
     TickArray,
 )
+from sim.engine.world_state import BatchState, BatchTables
 from sim.kernels.compile import FloatArray, borrowing, inlined
 from sim.kernels.records import RecordArray
 from sim.models.ground import (
