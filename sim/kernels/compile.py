@@ -73,9 +73,8 @@ def _cache_home() -> Path:
 def _drop_old(home: Path) -> None:
     used: list[tuple[float, Path]] = []
     for path in home.glob("numba-*"):
-        with contextlib.suppress(
-            FileNotFoundError
-        ):  # another process that starts may have dropped it just now
+        # Another process that starts may have dropped it just now.
+        with contextlib.suppress(FileNotFoundError):
             used.append((path.stat().st_mtime, path))
     for last, path in sorted(used, reverse=True)[_KEEP:]:
         if time.time() - last > _IN_USE:
