@@ -47,11 +47,9 @@ class Role(StrEnum):
     """A ROS 2 node that drives."""
 
 
-SIMULATOR_NAME, OPERATOR_NAME, OBSERVER_NAME = (
-    Role.SIMULATOR.value,
-    Role.OPERATOR.value,
-    Role.OBSERVER.value,
-)
+SIMULATOR_NAME = Role.SIMULATOR.value
+OPERATOR_NAME = Role.OPERATOR.value
+OBSERVER_NAME = Role.OBSERVER.value
 ROS2_ROLES = (Role.ROS2, Role.ROS2_OBSERVER, Role.ROS2_OPERATOR)
 STAFF = {SIMULATOR_NAME: Role.SIMULATOR, OPERATOR_NAME: Role.OPERATOR, OBSERVER_NAME: Role.OBSERVER}
 """The names on the bus that no vehicle may bear, and whose they are."""

@@ -89,10 +89,8 @@ class Critic(nn.Module):
 
     def __init__(self, env: PettingZooWrapper, group: str) -> None:
         super().__init__()
-        low, high = (
-            env.observation_spec["state"].space.low,
-            env.observation_spec["state"].space.high,
-        )
+        low = env.observation_spec["state"].space.low
+        high = env.observation_spec["state"].space.high
         self.register_buffer("middle", (low + high) / 2.0)
         self.register_buffer("reach", ((high - low) / 2.0).clamp_min(1e-6))
         self.net = MLP(

@@ -102,12 +102,10 @@ class Progress(BaseCallback):
 
     def __init__(self, recipe: dict, seconds: float) -> None:
         super().__init__()
-        self._recipe, self._seconds, self._begun, self._rollouts = (
-            recipe,
-            seconds,
-            time.perf_counter(),
-            0,
-        )
+        self._recipe = recipe
+        self._seconds = seconds
+        self._begun = time.perf_counter()
+        self._rollouts = 0
         self.curve = []
 
     @property
@@ -127,10 +125,8 @@ class Progress(BaseCallback):
         """Note how well the policy flies without exploring."""
         policy = LearnedPolicy(network_of(self.model), self._recipe)
         flown = fly_policy(CASE, policy, VALIDATION_SEEDS, shielded=True)
-        minutes, error = (
-            (time.perf_counter() - self._begun) / 60.0,
-            float(flown["mean_error"].mean()),
-        )
+        minutes = (time.perf_counter() - self._begun) / 60.0
+        error = float(flown["mean_error"].mean())
         self.curve.append([self.num_timesteps, round(minutes, 3), round(error, 2)])
         speed = self.num_timesteps / (60.0 * minutes)
         print(

@@ -85,11 +85,9 @@ def test_the_approach_reaches_its_point_and_stays_near_it(v_max, u_max, k_v):
     rng = np.random.default_rng(5)
     for _ in range(5):
         (q_x, q_y), start = rng.uniform(0.0, 15.0, (2, 2)).tolist()
-        state, closest, farthest = (
-            (*start, *clip_norm(*rng.uniform(-V_A, V_A, 2).tolist(), V_A)),
-            math.inf,
-            0.0,
-        )
+        state = (*start, *clip_norm(*rng.uniform(-V_A, V_A, 2).tolist(), V_A))
+        closest = math.inf
+        farthest = 0.0
         for tick in range(1600):
             u = approach_control(q_x, q_y, *state, k_v, V_A)
             *state, _, _ = step_vehicle(*state, *u, v_max, u_max, DT)

@@ -44,10 +44,8 @@ def test_what_does_not_drop_out_is_found_from_always_at_r_v_to_never_at_r(distan
 @given(st.floats(0.0, 10.0), st.floats(0.0, 1.0))
 @settings(PROPERTY)
 def test_the_chance_is_a_probability_that_never_grows_with_the_distance(distance, dropout):
-    near, far = (
-        detection_chance(distance, R_V, R, dropout),
-        detection_chance(distance + 0.1, R_V, R, dropout),
-    )
+    near = detection_chance(distance, R_V, R, dropout)
+    far = detection_chance(distance + 0.1, R_V, R, dropout)
     assert 0.0 <= far <= near <= 1.0
 
 

@@ -218,10 +218,8 @@ class Scripted:
         self.tick = 100
         self._over = threading.Event()
         self._statuses, self._truths = session.outbox(STATUS), session.outbox(SAMPLED_TRUTH)
-        self._controls, self._drives = (
-            session.inbox(CONTROL),
-            session.inbox_of_all({"ugv_0": OPERATOR}),
-        )
+        self._controls = session.inbox(CONTROL)
+        self._drives = session.inbox_of_all({"ugv_0": OPERATOR})
         session.announce()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -373,10 +371,8 @@ def test_however_it_ends_the_wheel_is_given_back(way: str, code: int, endpoint: 
 
 
 def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> None:
-    simulator, operator = (
-        Party(role=Role.SIMULATOR, name="simulator"),
-        Party(role=Role.OPERATOR, name="operator"),
-    )
+    simulator = Party(role=Role.SIMULATOR, name="simulator")
+    operator = Party(role=Role.OPERATOR, name="operator")
     with (
         open_session(simulator, "silent", connect=endpoint) as mute,
         open_session(operator, "silent", connect=endpoint) as session,

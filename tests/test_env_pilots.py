@@ -137,10 +137,8 @@ def test_wrapped_rows_hold_the_filters_estimate_and_leave_the_rest():
 
 
 def test_estimates_are_nearer_to_the_truth_than_detections():
-    raw, wrapped = (
-        parallel_env(NOISY, end_on_sight_lost=False),
-        EstimateWrapper(parallel_env(NOISY, end_on_sight_lost=False)),
-    )
+    raw = parallel_env(NOISY, end_on_sight_lost=False)
+    wrapped = EstimateWrapper(parallel_env(NOISY, end_on_sight_lost=False))
     errors = {"raw": [], "filter": []}
     for plain, estimated in zip(rows_of(raw, 1500), rows_of(wrapped, 1500), strict=True):
         truth = raw.world.position[0] - raw.world.position[2]

@@ -121,10 +121,8 @@ def display(monkeypatch):
 def test_window_shows_the_same_picture(display):
     import pygame
 
-    human, plain = (
-        parallel_env(SCENARIO, render_mode="human"),
-        parallel_env(SCENARIO, render_mode="rgb_array"),
-    )
+    human = parallel_env(SCENARIO, render_mode="human")
+    plain = parallel_env(SCENARIO, render_mode="rgb_array")
     for env in (human, plain):
         env.reset(seed=0)
         for _ in range(3):

@@ -147,10 +147,8 @@ def test_claims_of_figure_3_are_those_of_the_recorded_positions(flights, claims)
 
 
 def test_claims_of_figure_5_are_those_of_a_brute_force_integral(flights, claims):
-    ours, circle = (
-        brute_errors(flights["beside"], 801),
-        brute_errors(flights["beside, circle"], 801),
-    )
+    ours = brute_errors(flights["beside"], 801)
+    circle = brute_errors(flights["beside, circle"], 801)
     np.testing.assert_allclose(error(flights["beside"])[:801], ours, rtol=1e-9, atol=1e-9)
     assert found(claims, "5c", "difference is larger").number == pytest.approx(
         ours.mean() / circle.mean(), rel=1e-9

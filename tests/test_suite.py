@@ -86,10 +86,8 @@ def test_the_score_is_the_mean_share_of_what_there_was_to_see() -> None:
     flight.fly(InProcess(make_pilots(scenario, 9001, secret=own)))
     errors = flight.recorder.escorts[:, 0, 1]
     places = flight.recorder.states[:, flight.world.escorts[0, 1], :2].tolist()
-    r_o, nothing = (
-        scenario.visibility.radius + scenario.sensor.range,
-        first_state(scenario).coverage,
-    )
+    r_o = scenario.visibility.radius + scenario.sensor.range
+    nothing = first_state(scenario).coverage
     desired, cell = scenario.coverage.desired, scenario.area.cell
     most = np.array([coverage_error(nothing, x, y, r_o, desired, cell) for x, y in places])
     result = evaluate(task, "certified", seeds=[9000, 9001], secret=SECRET)

@@ -159,11 +159,9 @@ def _farthest(stale: bool) -> float:
     """The UAV has been tracking at (3.7, 0) for long, then is drawn over the UGV, which drives off, to the far side of
     it.
     """
-    c, state, coverage = (
-        parameters(escort("switching")),
-        initial_state(),
-        empty_coverage(40.0, 40.0, 0.25),
-    )
+    c = parameters(escort("switching"))
+    state = initial_state()
+    coverage = empty_coverage(40.0, 40.0, 0.25)
     cover(coverage, (0.0, 0.0), (40.0, 22.0), 0.25, 2.0)
     state["x_cx"] = -3.7  # the steady state of x_c
     uav, ugv, farthest = (20.0, 20.0, 0.0, V_A), (20.0, 20.0, 0.0, -V_G), 0.0

@@ -86,10 +86,8 @@ def test_the_adapter_says_what_the_vector_environment_says(name, end):
 
 
 def test_infos_of_an_ended_episode_are_its_last_ones_and_the_new_one_has_its_own():
-    raw, adapter = (
-        _rows(duration=0.1, safety_filter=True),
-        VecEnvAdapter(_rows(duration=0.1, safety_filter=True)),
-    )
+    raw = _rows(duration=0.1, safety_filter=True)
+    adapter = VecEnvAdapter(_rows(duration=0.1, safety_filter=True))
     raw.reset(seed=1)
     adapter.seed(1)
     adapter.reset()
@@ -111,10 +109,8 @@ class _Scripted(VectorEnv):
 
     def __init__(self, ends):
         self.num_envs, self._ends = 2, list(ends)
-        self.single_observation_space, self.single_action_space = (
-            spaces.Box(-9, 9, (1,)),
-            spaces.Box(-1, 1, (1,)),
-        )
+        self.single_observation_space = spaces.Box(-9, 9, (1,))
+        self.single_action_space = spaces.Box(-1, 1, (1,))
         self.observation_space = batch_space(self.single_observation_space, 2)
         self.action_space = batch_space(self.single_action_space, 2)
 

@@ -315,10 +315,8 @@ class ClosedLoop:
     def _run(
         self, worlds: IntArray, actions: FloatArray, ticks: int, *, beginning: bool = False
     ) -> None:
-        which, given = (
-            np.ascontiguousarray(worlds, dtype=np.int64),
-            np.ascontiguousarray(actions, dtype=np.float64),
-        )
+        which = np.ascontiguousarray(worlds, dtype=np.int64)
+        given = np.ascontiguousarray(actions, dtype=np.float64)
         told = (self.parameters, self.tables, self.state, which, beginning, given, ticks)
         if self._compiled is None:
             self._compiled = entry_point(run_worlds, *told, 0, 0)

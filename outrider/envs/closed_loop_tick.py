@@ -221,10 +221,8 @@ def _drive(
     tick, sent = state.batch.ticks[world], state.batch.sent[world, vehicle]
     sent[COMMAND.answered] = tick
     if tables.hand[vehicle] >= 0:
-        sent[COMMAND.u_x], sent[COMMAND.u_y] = (
-            actions[tables.hand[vehicle], 0],
-            actions[tables.hand[vehicle], 1],
-        )
+        sent[COMMAND.u_x] = actions[tables.hand[vehicle], 0]
+        sent[COMMAND.u_y] = actions[tables.hand[vehicle], 1]
         return
     script = tables.scripts[tables.script_rows[ugv] : tables.script_rows[ugv + 1]]
     route = Route(goals_of(tables.batch.mission, ugv), script)

@@ -89,10 +89,8 @@ def _claims_1b(low: Flight, high: Flight) -> list[Claim]:
         if k >= WINDOW and searches[k - WINDOW : k + 1].all()
     ]
     turned = turns(w_high)
-    least, usual = (
-        math.degrees(min(turned[found], default=0.0)),
-        math.degrees(float(np.quantile(turned[searches], 0.95))),
-    )
+    least = math.degrees(min(turned[found], default=0.0))
+    usual = math.degrees(float(np.quantile(turned[searches], 0.95)))
     return [
         Claim(
             figure="1b",

@@ -70,10 +70,8 @@ def velocity_errors(flight: Flight) -> tuple[FloatArray, FloatArray]:
     coverage, state = empty_coverage(c.width, c.height, c.cell), initial_state()
     for region in told.covered:
         cover(coverage, region.lower, region.upper, c.cell, c.desired)
-    states, estimates = (
-        flight.recorder.states[:, flight.world.escorts[0, 0]],
-        flight.recorder.escorts[:, 0, 4:6],
-    )
+    states = flight.recorder.states[:, flight.world.escorts[0, 0]]
+    estimates = flight.recorder.escorts[:, 0, 4:6]
     errors = np.empty((flight.recorder.ticks, 2))
     for tick in range(flight.recorder.ticks):
         here = Motion(*states[tick, :4].tolist())

@@ -49,10 +49,8 @@ class ActionRepeat(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes no ar
             total += np.where(ended, 0.0, rewards)
             new = np.logical_or(now_terminated, now_truncated) & ~ended
             if new.any():
-                terminated, truncated = (
-                    np.where(new, now_terminated, terminated),
-                    np.where(new, now_truncated, truncated),
-                )
+                terminated = np.where(new, now_terminated, terminated)
+                truncated = np.where(new, now_truncated, truncated)
                 final, ended = _merged(final, _final(infos), new), ended | new
         kept = {key: value for key, value in infos.items() if key not in FINAL}
         return observations, total, terminated, truncated, kept | final

@@ -554,10 +554,8 @@ def _grant(numbers: LinkNumbers, row: int, state: LinkState, key: Key, tick: int
     """Let what waits leave at the recorded opportunities since the link's tick, up to this one, which is the next."""
     parameters, memory, traces = numbers.rows[row], state.memory[0], numbers.pairs
     offset = trace_offset(key, parameters.period)
-    begin, end = (
-        in_milliseconds(tick - 1, parameters.dt) + offset,
-        in_milliseconds(tick, parameters.dt) + offset,
-    )
+    begin = in_milliseconds(tick - 1, parameters.dt) + offset
+    end = in_milliseconds(tick, parameters.dt) + offset
     start, place = begin - begin % parameters.period, begin % parameters.period
     k = _first_after(traces, 0, parameters.first_row, parameters.end_row, place)
     while memory.waiting > 0:

@@ -206,10 +206,8 @@ def _end(bt: BatchTables, tables: RowTables, state: RowState, world: int, left: 
         goals -= int(state.ugvs[world, g, UGV_METRICS.reached])
     lost = tables.episode[0].end_on_sight_lost and lost
     arrived = tables.episode[0].end_on_goals and bt.mission.goals.shape[0] > 0 and goals == 0
-    state.terminated[world], state.truncated[world] = (
-        1 if lost or arrived else 0,
-        1 if left <= 0 else 0,
-    )
+    state.terminated[world] = 1 if lost or arrived else 0
+    state.truncated[world] = 1 if left <= 0 else 0
     return 1 + left if lost else 1
 
 

@@ -377,10 +377,8 @@ class Flight:
         arrays = (world.position, world.velocity, world.acceleration, self.commands)
         rows = zip(*(rows.tolist() for rows in arrays), strict=True)
         self.take_down()
-        measures, detections = (
-            self.recorder.escorts[world.tick, :, :2].tolist(),
-            world.detections.tolist(),
-        )
+        measures = self.recorder.escorts[world.tick, :, :2].tolist()
+        detections = world.detections.tolist()
         return Truth(
             tick=world.tick,
             time=world.time,

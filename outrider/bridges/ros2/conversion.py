@@ -81,11 +81,9 @@ class PathTrack:
         self.times.append(time)
         self.positions.append(position)
         if len(self.times) > most:
-            self.times, self.positions, self.step = (
-                self.times[::2],
-                self.positions[::2],
-                2.0 * self.step,
-            )
+            self.times = self.times[::2]
+            self.positions = self.positions[::2]
+            self.step = 2.0 * self.step
 
 
 @dataclass(slots=True, kw_only=True)

@@ -53,11 +53,9 @@ class Adversary:
 
     def _wanted(self) -> Vector:
         c, ((a, g),) = self._tactics, self._world.escorts.tolist()
-        p_a, p_g, v_a = (
-            self._world.position[a].tolist(),
-            self._world.position[g].tolist(),
-            self._world.velocity[a].tolist(),
-        )
+        p_a = self._world.position[a].tolist()
+        p_g = self._world.position[g].tolist()
+        v_a = self._world.velocity[a].tolist()
         x, y = p_a[0] - p_g[0], p_a[1] - p_g[1]
         distance = math.hypot(x, y)
         outward = (v_a[0] * x + v_a[1] * y) / distance if distance > 0.0 else 0.0

@@ -341,10 +341,8 @@ def fly_one(
     result.max_distance, result.max_excess, result.max_age = 0.0, -math.inf, 0.0
     result.certified_lost, result.broken, result.max_certified = 0.0, 0.0, 0.0
     _keep_states(state, now)
-    losses, allowed = (
-        choose(random, conditions.losses, len(LOSSES)),
-        int(conditions.outage / dt + DUST),
-    )
+    losses = choose(random, conditions.losses, len(LOSSES))
+    allowed = int(conditions.outage / dt + DUST)
     for tick in range(ticks + 1):
         there, moving = state.told.position[0, UAV], state.told.velocity[0, UAV]
         here = Motion(there[0], there[1], moving[0], moving[1])

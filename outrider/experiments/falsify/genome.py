@@ -110,10 +110,8 @@ def _blackouts(
     length = cut(x[_DARK] * longest, 2)
     if length < dt:
         return ()
-    start, gap = (
-        cut(x[_DARK_START] * duration, 2),
-        looks_until_seen(loss, scenario) + dt + x[_DARK_GAP] * _GAP,
-    )
+    start = cut(x[_DARK_START] * duration, 2)
+    gap = looks_until_seen(loss, scenario) + dt + x[_DARK_GAP] * _GAP
     every = length + math.ceil(gap / dt) * dt
     count = min(_MOST_BLACKOUTS, math.ceil((duration - start) / every))
     return tuple((round(start + k * every, 6), length) for k in range(count))

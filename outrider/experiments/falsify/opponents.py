@@ -254,12 +254,10 @@ def disturb(
 def jump(conditions: Conditions, state: BatchState, escorts: IntArray) -> None:
     """Put the UAV off what it is told, the way that its wind blows."""
     row = state.tracking[0, 0]
-    row.x, row.y, row.v_x, row.v_y = (
-        conditions.jumps * row.wind_x,
-        conditions.jumps * row.wind_y,
-        0.0,
-        0.0,
-    )
+    row.x = conditions.jumps * row.wind_x
+    row.y = conditions.jumps * row.wind_y
+    row.v_x = 0.0
+    row.v_y = 0.0
     put_off(
         state.truth.position[0],
         state.truth.velocity[0],

@@ -49,10 +49,8 @@ def as_toml(scenario: Scenario, comments: list[str]) -> str:
         comments: Lines at its head.
     """
     plain: dict[str, Any] = msgspec.to_builtins(scenario)
-    links, tables = (
-        plain.pop("links"),
-        {key: plain.pop(key) for key, value in [*plain.items()] if isinstance(value, dict)},
-    )
+    links = plain.pop("links")
+    tables = {key: plain.pop(key) for key, value in [*plain.items()] if isinstance(value, dict)}
     vehicles = {key: plain.pop(key) for key in ("uav", "ugv")}
     lines = [f"# {' '.join(line.split())}" for line in comments]
     lines += _table("", plain)
