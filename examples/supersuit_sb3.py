@@ -32,14 +32,12 @@ class SayTruncated(BaseParallelWrapper):
 def make_env(worlds, *, duration, seed):
     """A vector environment of 2 x `worlds` places: a vehicle each, the UAVs' at even ones, the UGVs' at odd ones."""
     env = SayTruncated(normalized(outrider.parallel_env("escort", duration=duration)))
-    env = supersuit.pad_action_space_v0(
-        supersuit.pad_observations_v0(env)
-    )  # a UGV's row gets a 0 more
+    # a UGV's row gets a 0 more
+    env = supersuit.pad_action_space_v0(supersuit.pad_observations_v0(env))
     env = supersuit.pettingzoo_env_to_vec_env_v1(env)
     env = supersuit.concat_vec_envs_v1(env, worlds, num_cpus=1, base_class="stable_baselines3")
-    env.venv.reset(
-        seed=seed
-    )  # world k has seed + k from here on; without it all fly the same episodes
+    # world k has seed + k from here on; without it all fly the same episodes
+    env.venv.reset(seed=seed)
     return env
 
 
@@ -55,9 +53,8 @@ def main():
     args = parser.parse_args()
 
     env = make_env(args.worlds, duration=args.duration, seed=args.seed)
-    set_random_seed(
-        args.seed
-    )  # PPO(seed=...) would ask SuperSuit's environment for a seed(), which it has not
+    # PPO(seed=...) would ask SuperSuit's environment for a seed(), which it has not
+    set_random_seed(args.seed)
     model = PPO("MlpPolicy", env, n_steps=125, batch_size=250, gamma=0.995, device="cpu", verbose=1)
     model.learn(args.steps)
     model.save(args.out / "policy")

@@ -52,9 +52,8 @@ class Hold(BaseParallelWrapper):
 def make_env(duration: float) -> PettingZooWrapper:
     """The environment for TorchRL, with one group for the UAVs and one for the UGVs, and the state beside them."""
     with warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", "PettingZoo in TorchRL is tested using"
-        )  # it names 1.24.3 whatever is installed
+        # it names 1.24.3 whatever is installed
+        warnings.filterwarnings("ignore", "PettingZoo in TorchRL is tested using")
         return PettingZooWrapper(
             Hold(normalized(outrider.parallel_env("escort", duration=duration, dtype=np.float32))),
             return_state=True,
@@ -130,10 +129,11 @@ class Learner:
         losses = self.loss(frames)
         self.optimizer.zero_grad()
         (losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]).backward()
+        # apart: a critic's may be far larger
         for params in (
             self.loss.actor_network_params,
             self.loss.critic_network_params,
-        ):  # apart: a critic's may be far larger
+        ):
             nn.utils.clip_grad_norm_(params.values(True, True), 0.5)
         self.optimizer.step()
 

@@ -189,10 +189,8 @@ def main() -> None:
         "minutes": round(minutes, 2),
     }
     save_policy(given.out, network_of(model), recipe | {"curve": progress.curve})
-    model.learning_rate, model.lr_schedule = (
-        LEARNING_RATE,
-        None,
-    )  # the schedule of now would hold on to the clock
+    # the schedule of now would hold on to the clock
+    model.learning_rate, model.lr_schedule = LEARNING_RATE, None
     model.save(given.out.with_suffix(".zip"))
     print(
         f"{given.out}: {model.num_timesteps} decisions in {minutes:.1f} min, {ticks / minutes / 60.0:.0f} world-steps/s"

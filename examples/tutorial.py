@@ -61,9 +61,8 @@ def returns(numbers: np.ndarray, seed: int) -> np.ndarray:
     """Pay of each world over one episode, with its own numbers. Shape (worlds,)."""
     rows, _ = worlds.reset(seed=seed)
     total = np.zeros(worlds.num_envs)
-    for _ in range(
-        worlds.worlds.scenario.ticks
-    ):  # the safety filter keeps sight: nobody's episode ends before
+    # the safety filter keeps sight: nobody's episode ends before
+    for _ in range(worlds.worlds.scenario.ticks):
         rows, rewards, _, _, _ = worlds.step(act(numbers, rows))
         total += rewards
     return total

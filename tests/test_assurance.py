@@ -295,9 +295,8 @@ def test_the_trajectory_s_file_tells_each_tick_what_was_certified(lied, tmp_path
         for row in rows
         if row["uav_0.certified"] == "1" and float(row["uav_0.distance [m]"]) >= R_V
     ]
-    assert (
-        len(lies) + 1 == summary.certified_while_lost
-    )  # and the last state, after a certified tick
+    # and the last state, after a certified tick
+    assert len(lies) + 1 == summary.certified_while_lost
 
 
 def test_a_recording_tells_the_same_counts_and_each_tick_s_claim(lied):

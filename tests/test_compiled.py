@@ -241,9 +241,8 @@ def test_old_caches_go_but_for_some_and_those_in_use(apart: float, kept: int, tm
     for k in range(9):
         (tmp_path / f"numba-{k}").mkdir()
         os.utime(tmp_path / f"numba-{k}", (time.time() - k * apart,) * 2)
-    (tmp_path / "numba-gone").symlink_to(
-        tmp_path / "nowhere"
-    )  # as if another process had just dropped it
+    # as if another process had just dropped it
+    (tmp_path / "numba-gone").symlink_to(tmp_path / "nowhere")
     kernels._drop_old(tmp_path)
     assert {path.name for path in tmp_path.glob("*-?")} == {f"numba-{k}" for k in range(kept)}
 

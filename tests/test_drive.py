@@ -345,9 +345,8 @@ def test_however_it_ends_the_wheel_is_given_back(way: str, code: int, endpoint: 
             one.press("dq")
             assert one.ends() == code
             tick = simulator.tick
-            wait_until(
-                lambda: simulator.tick > tick + 5
-            )  # whatever was on its way has been received
+            # whatever was on its way has been received
+            wait_until(lambda: simulator.tick > tick + 5)
             assert simulator.drivers == {"ugv_0": "script"}
             return
         one.hold("d", lambda: simulator.drivers["ugv_0"] == "teleop")

@@ -177,9 +177,8 @@ def test_a_bag_that_lost_a_record_is_read_up_to_there(flown, tmp_path):
             lambda number, topic: topic != RECORDS or number < 300,
         )
     )
-    assert (
-        len(recording.truths) < TICKS
-    )  # the end is gone: nobody can tell, and it is flown to there
+    # the end is gone: nobody can tell, and it is flown to there
+    assert len(recording.truths) < TICKS
     cut = rewritten(
         flown.bag, tmp_path / "gap", lambda number, topic: topic != RECORDS or number > 20
     )

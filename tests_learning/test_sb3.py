@@ -196,9 +196,8 @@ def test_a_truncated_end_is_worth_what_the_critic_says_of_its_last_observation()
 
         def step_wait(self):
             seen, rewards, dones, infos = super().step_wait()
-            self.told.append(
-                (rewards.copy(), dones, infos)
-            )  # the library adds to the rewards in their place
+            # the library adds to the rewards in their place
+            self.told.append((rewards.copy(), dones, infos))
             return seen, rewards, dones, infos
 
     class Compare(BaseCallback):

@@ -122,9 +122,8 @@ def test_only_a_termination_ends_the_future():
         )
     torch.testing.assert_close(frames["uav", "advantage"].flatten(), expected, rtol=1e-4, atol=1e-4)
     last = int(ended.nonzero()[0])
-    assert (
-        frames["next", "uav", "observation"][last, 0, 0] == 1.0
-    )  # the end of the old episode, not the beginning of the new
+    # the end of the old episode, not the beginning of the new
+    assert frames["next", "uav", "observation"][last, 0, 0] == 1.0
     assert frames["uav", "observation"][last + 1, 0, 0] == -1.0
 
 

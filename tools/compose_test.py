@@ -39,10 +39,11 @@ PAGE_LARGEST = 150  # MB that the dashboard's image may have besides
 MAVLINK_LARGEST = 150  # MB that the MAVLink bridge's may have
 STATION = bytes.fromhex("fd09000000ffbe0000000000000006080004033d48")
 """The HEARTBEAT of a ground station, MAVLink 2: a bridge tells the run to whoever has sent one."""
+# for a package mirror
 PIP_SETTINGS = {
     "PIP_INDEX_URL": "index-url",
     "PIP_TRUSTED_HOST": "trusted-host",
-}  # for a package mirror
+}
 Json = dict[str, Any]
 UP = ("up", "--exit-code-from", "simulator")
 
@@ -556,10 +557,8 @@ class Checks:
             name for name in os.environ if name.upper() in ("HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY")
         ]
         for name in proxies:
-            words += [
-                "--build-arg",
-                name,
-            ]  # predefined: handed on from here, and no part of the image
+            # predefined: handed on from here, and no part of the image
+            words += ["--build-arg", name]
         if any(host in os.environ[name] for name in proxies for host in ("127.0.0.1", "localhost")):
             words.append("--network=host")
         index = [
@@ -949,9 +948,8 @@ class Checks:
             services = ("simulator", "uav", "ugv", "router")
             containers = [docker.container(service) for service in services]
             started = time.monotonic()
-            docker(
-                "stop", *containers
-            )  # all at once: Compose would let the vehicles see the flight's end first
+            # all at once: Compose would let the vehicles see the flight's end first
+            docker("stop", *containers)
             seconds = time.monotonic() - started
             codes = {
                 service: docker.inspect(docker.container(service))["State"]["ExitCode"]

@@ -35,9 +35,8 @@ def from_outside(folder: Path, python: Path) -> Iterator[Row]:
     for what in ("uav", "ugv", "world"):
         output(*outrider("fmu", "export", what, *FLIGHT, "--out", folder / f"{what}.fmu"))
     (folder / "master").mkdir()
-    environ = os.environ | {
-        "TMPDIR": str(folder / "master")
-    }  # fmpy leaves a folder when a step is refused
+    # fmpy leaves a folder when a step is refused
+    environ = os.environ | {"TMPDIR": str(folder / "master")}
     said = output(python, FOREIGN / "fmi_master.py", folder, env=environ).splitlines()
     found = json.loads(said[-1])
     wrong = {name: problems for name, problems in found["problems"].items() if problems}

@@ -362,6 +362,5 @@ def findings(folder: Path) -> Iterator[Row]:
 
 
 if __name__ == "__main__":
-    sys.exit(
-        report(findings, __doc__)
-    )  # in a folder of its own: pyzeros leaves its cache where it stands
+    # in a folder of its own: pyzeros leaves its cache where it stands
+    sys.exit(report(findings, __doc__))

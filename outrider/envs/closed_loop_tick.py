@@ -172,9 +172,8 @@ def _fly(
         row[GUARD_METRICS.acted] = 1.0 if acts != INNER else 0.0
         sure = code == NOTHING_AGAINST and tables.faults[uav] == 0
         row[GUARD_METRICS.sure] = 1.0 if sure else 0.0
-        reports = (
-            target.known or tables.hand[vehicle] >= 0
-        )  # a pilot that has seen nothing reports nothing
+        # a pilot that has seen nothing reports nothing
+        reports = target.known or tables.hand[vehicle] >= 0
         said = CertificateClaim(sure, reports and acts != INNER, row[UAV_METRICS.lost] != 0.0, True)
         note_report(tables.bounds[uav], state.certificates[world, uav], tick, said)
     sent = state.batch.sent[world, vehicle]
@@ -507,9 +506,8 @@ def run_worlds(
     """
     for n in range(begin, end):
         k = worlds[n]
-        after = (
-            worlds[n + 1] if n + 1 < end else -1
-        )  # while this world is computed, the next one's cells come
+        # while this world is computed, the next one's cells come
+        after = worlds[n + 1] if n + 1 < end else -1
         if beginning:
             begin_world(tables.batch, state.batch, k)
         for tick in range(1 if beginning else ticks):

@@ -77,9 +77,8 @@ def answers(unit: Path, name: str, flown: dict[str, list[str]]) -> dict[str, obj
     end = float(flown["time"][-1])
     told = simulate_fmu(str(unit), stop_time=end, output_interval=DT, input=signals)
     differ = 0.0
-    for axis in (
-        "xy"
-    ):  # the output after the step from k on acts in it, shortened to the bound by a last bit
+    # the output after the step from k on acts in it, shortened to the bound by a last bit
+    for axis in "xy":
         flew = numbers(flown[f"{name}.u{axis}"])[:-1]
         differ = max(differ, float(np.abs(told[f"acceleration.{axis}"][1:] - flew).max()))
     certified = int(told["certified"].sum()) if "certified" in told.dtype.names else None

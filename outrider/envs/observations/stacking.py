@@ -79,9 +79,8 @@ class _Frames(Part):
             self._out = (*box.shape[:at], length * box.shape[at], *box.shape[at + 1 :])
         self._span = (length - 1) * stride + 1
         self._back = stride * np.arange(length - 1, -1, -1)
-        self._memory = np.empty(
-            (0, *box.shape), dtype=box.dtype
-        )  # a ring: (span, worlds..., shape...)
+        # a ring: (span, worlds..., shape...)
+        self._memory = np.empty((0, *box.shape), dtype=box.dtype)
         self._now = 0
         low, high = (self._together(np.stack([bound] * length)) for bound in (box.low, box.high))
         self.box = spaces.Box(low, high, dtype=cast("Any", box.dtype.type))

@@ -75,9 +75,8 @@ def _started(scenario: Scenario, x: Sequence[float]) -> Scenario:
     d_x, d_y = _polar(distance, angle, 3)
     v_a = _polar(speed, angle + 2.0 * math.pi * x[_UAV_HEADING], 4)
     v_g = _polar(_speed(x[_UGV_SPEED], ugv.max_speed), angle + 2.0 * math.pi * x[_UGV_HEADING], 4)
-    p_a = _clipped(
-        (round(p_g[0] + d_x, 3), round(p_g[1] + d_y, 3)), (width, height)
-    )  # the UGV is in Q: this brings it nearer
+    # the UGV is in Q: this brings it nearer
+    p_a = _clipped((round(p_g[0] + d_x, 3), round(p_g[1] + d_y, 3)), (width, height))
     uav = msgspec.structs.replace(uav, position=p_a, velocity=v_a)
     ugv = msgspec.structs.replace(ugv, position=p_g, velocity=v_g)
     return msgspec.structs.replace(scenario, uav=(uav,), ugv=(ugv,))
@@ -216,19 +215,19 @@ def proof_cases() -> list[list[float]]:
         (left, away, right, away, away, left),
     )
     starts = ((0.95, 0.0), (0.5, 0.0), (0.98, 1.0))  # share of the room, speed
+    # covered: nothing, around, all but on one side
     grounds = (
         (0.0, 0.0, 0.0, 0.0),
         (0.7, 0.7, 0.7, 0.7),
         (1.0, 0.75, 1.0, 1.0),
-    )  # covered: nothing, around, all but on one side
+    )
     cases = []
     for distance, speed in starts:
         for k, table in enumerate(tables):
             head = [0.5, 0.5, (0.37 * k) % 1.0, distance, speed, 0.0, 0.0, 0.5]
             network = [1.0, 0.0, 0.3, 1.0, 1.0, 1.0, 0.1 + 0.1 * k, 0.0]
-            stands = [
-                0.0 if speed == 0.0 and k % 2 and cell < 3 else 1.0 for cell in range(6)
-            ]  # waits while the UAV is near
+            # waits while the UAV is near
+            stands = [0.0 if speed == 0.0 and k % 2 and cell < 3 else 1.0 for cell in range(6)]
             cells = [
                 number
                 for angle, goes in zip(table, stands, strict=True)

@@ -156,9 +156,8 @@ def margins(material: Material) -> Figure:
     """
     everything = [margin for cell in material.cells for margin in cell.numbers("margin")]
     highest = max([*everything, 0.5])
-    lowest = (
-        max(min([*everything, 0.0]), -highest) - 0.1 * highest
-    )  # once out of sight, how far hardly matters
+    # once out of sight, how far hardly matters
+    lowest = max(min([*everything, 0.0]), -highest) - 0.1 * highest
 
     def draw(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
         axes.axhline(0.0, color=style.LIMIT, linewidth=1.3, zorder=1.5)

@@ -79,9 +79,8 @@ def ending(link: Teleoperation) -> Iterator[Ending]:
     """While this lasts, SIGINT, SIGTERM and SIGHUP hand the wheel back; afterwards the terminal is as before."""
     descriptor = sys.__stdin__.fileno() if sys.__stdin__ is not None else 0
     attributes = termios.tcgetattr(descriptor)
-    termios.tcflush(
-        descriptor, termios.TCIFLUSH
-    )  # what was typed before there was a screen drives nothing
+    # what was typed before there was a screen drives nothing
+    termios.tcflush(descriptor, termios.TCIFLUSH)
     end = Ending(link)
     before = {number: signal.signal(number, end.handle) for number in SIGNALS}
     threading.Thread(
