@@ -197,6 +197,13 @@ def test_a_filter_that_begins_in_flight_answers_for_no_detection_of_before() -> 
     assert assurance.certificate_broken == 1
 
 
+def test_a_filter_that_begins_in_flight_need_not_certify_what_one_before_it_did() -> None:
+    assurance = taken(True, True)
+    for tick in range(10, 14):  # the law has not been watched meanwhile
+        take(assurance, tick, tick > 11)
+    assert assurance.certificate_broken == 0
+
+
 @pytest.mark.parametrize(("flown_on", "broken"), [(True, 1), (False, 0)])
 def test_an_outage_that_follows_at_once_excuses_a_certificate_that_ends(flown_on, broken) -> None:
     """Where commands carry motions: a pilot knows of it before it is too long."""
