@@ -202,6 +202,10 @@ def test_a_filter_that_begins_in_flight_need_not_certify_what_one_before_it_did(
     for tick in range(10, 14):  # the law has not been watched meanwhile
         take(assurance, tick, tick > 11)
     assert assurance.certificate_broken == 0
+    assurance = taken(True, True)
+    for tick in range(3, 9):  # one that has had no detection of its own
+        take(assurance, tick, tick < 8, arrivals=[])
+    assert assurance.certificate_broken == 0
 
 
 @pytest.mark.parametrize(("flown_on", "broken"), [(True, 1), (False, 0)])
