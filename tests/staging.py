@@ -54,7 +54,7 @@ class _Threaded(ABC):
     """Runs in a thread of its own from its construction on."""
 
     def __init__(self) -> None:
-        self._thread = threading.Thread(target=self._run)
+        self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def join(self) -> None:

@@ -221,7 +221,7 @@ class Scripted:
         self._controls = session.inbox(CONTROL)
         self._drives = session.inbox_of_all({"ugv_0": OPERATOR})
         session.announce()
-        self._thread = threading.Thread(target=self._run)
+        self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def _run(self) -> None:

@@ -79,7 +79,7 @@ class Wire:
 
     def carry(self, sent: tuple[tuple[str, bytes], ...]) -> list[tuple[str, object]]:
         """Send all and then the sentinel, from another thread; return what the inbox gives before the sentinel."""
-        writer = threading.Thread(target=self._send, args=(sent,))
+        writer = threading.Thread(target=self._send, args=(sent,), daemon=True)
         writer.start()
         read: list[tuple[str, object]] = []
         while (envelope := self.inbox.receive(20.0)) is not None and envelope.message != SENTINEL:

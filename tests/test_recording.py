@@ -545,7 +545,7 @@ def test_an_observer_records_a_run_in_progress_to_the_same_bits(tmp_path, comman
                 recorder.take(0.2)
             recorder.close()
 
-        observer = threading.Thread(target=observe)
+        observer = threading.Thread(target=observe, daemon=True)
         observer.start()
         run.start_both()
         wait_until(lambda: run.server._telemetry._truth.wanted)

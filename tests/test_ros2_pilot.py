@@ -134,7 +134,7 @@ def test_a_ros_2_node_flies_the_trajectory_of_the_pilot_in_this_process(
         warm_up(role)  # nobody must wait for a compiler
     with staging.stage(tmp_path, 60) as stage:
         links: list[RosPilot] = []
-        thread = threading.Thread(target=bridge, args=(stage.endpoint, vehicle, links))
+        thread = threading.Thread(target=bridge, args=(stage.endpoint, vehicle, links), daemon=True)
         thread.start()
         foreign = Foreign(stage.endpoint, vehicle, exact=exact)
         bad = [

@@ -266,7 +266,7 @@ def test_a_flood_of_messages_neither_stops_the_clock_nor_the_end(payload, tmp_pa
             while not over.is_set():
                 flooding.put(payload)
 
-        tap = threading.Thread(target=flood)
+        tap = threading.Thread(target=flood, daemon=True)
         tap.start()
         started = time.monotonic()
         try:
