@@ -215,7 +215,8 @@ class Page:
     def ready(self) -> None:
         """Wait until it shows a run."""
         shows = "window.outrider && outrider.store.status && outrider.store.truth && true"
-        wait_until(lambda: self.run(shows), "the page shows a run")
+        # The first time its processes compile.
+        wait_until(lambda: self.run(shows), "the page shows a run", 120.0)
 
     def run(self, script: str) -> Any:  # noqa: ANN401 - whatever the script gives
         """Value of an expression in the page."""
