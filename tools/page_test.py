@@ -120,9 +120,14 @@ class Processes:
         return process
 
     def start_all(self, port: int) -> None:
-        """The whole run, the dashboard on this port, and beside it a flight that is recorded."""
+        """A flight that is recorded, then the whole run and the dashboard on this port.
+
+        The flight comes first, as where nothing is compiled yet it compiles for all that wait for one another later.
+        """
         words = ("run", "escort", "--in-process", "--no-files", "--duration", "25")
-        self._launch("recording", *words, "--record", str(self._folder / "run.mcap"))
+        recording = self._launch("recording", *words, "--record", str(self._folder / "run.mcap"))
+        if recording.wait(300.0):
+            raise Failed("nothing was recorded")
         self.start("router")
         wait_until(lambda: answers(int(self.endpoint.rpartition(":")[2])), "the router listens")
         self.simulator(1.0)
@@ -147,8 +152,6 @@ class Processes:
     def replay(self) -> None:
         """A recording of 25 s, played slowly; its page opens soon."""
         path, port = str(self._folder / "run.mcap"), free_port()
-        if self._running.pop("recording").wait(60.0):
-            raise Failed("nothing was recorded")
         words = ("--dashboard", "--port", str(port), "--realtime", "0.5")
         self._launch("replay", "replay", path, *words)
 
@@ -215,8 +218,7 @@ class Page:
     def ready(self) -> None:
         """Wait until it shows a run."""
         shows = "window.outrider && outrider.store.status && outrider.store.truth && true"
-        # The first time its processes compile.
-        wait_until(lambda: self.run(shows), "the page shows a run", 120.0)
+        wait_until(lambda: self.run(shows), "the page shows a run")
 
     def run(self, script: str) -> Any:  # noqa: ANN401 - whatever the script gives
         """Value of an expression in the page."""
