@@ -242,8 +242,10 @@ def test_cma_goes_on_from_the_best_and_leaves_numpys_own_random_numbers_alone() 
 def test_the_budget_is_kept() -> None:
     assert found("linear", 37, changes={"duration": 2.0}).runs == 37
     began = time.monotonic()
-    result = found("linear", None, minutes=0.03)
-    assert 1.0 < time.monotonic() - began < 20.0
+    result = found(
+        "linear", None, minutes=0.1
+    )  # within which the workers start on a busy machine, too
+    assert 5.0 < time.monotonic() - began < 40.0
     assert result.runs > 0
 
 
