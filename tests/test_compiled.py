@@ -4,6 +4,7 @@ import copy
 import importlib
 import os
 import pkgutil
+import shutil
 import struct
 import sys
 import time
@@ -245,6 +246,17 @@ def test_old_caches_go_but_for_some_and_those_in_use(apart: float, kept: int, tm
     (tmp_path / "numba-gone").symlink_to(tmp_path / "nowhere")
     kernels._drop_old(tmp_path)
     assert {path.name for path in tmp_path.glob("*-?")} == {f"numba-{k}" for k in range(kept)}
+
+
+def test_a_cache_that_is_cleared_while_a_process_lives_is_begun_anew(tmp_path, monkeypatch) -> None:
+    folder = tmp_path / "numba-k"
+    monkeypatch.setattr(kernels, "cache_folder", lambda: folder)
+    with kernels.compiling("uav"):
+        shutil.rmtree(folder)
+    assert not folder.exists()
+    with kernels.compiling("uav"):
+        assert folder.is_dir()
+    assert (folder / "uav.compiled").exists()
 
 
 def test_another_numba_compiles_as_it_does(monkeypatch) -> None:

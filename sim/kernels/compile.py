@@ -236,11 +236,14 @@ def compiling(*shares: Share) -> Iterator[None]:
     if folder is None:
         yield
         return
+    # Somebody may have cleared the cache since this process began, or while it compiles.
+    folder.mkdir(parents=True, exist_ok=True)
     with contextlib.ExitStack() as locks:
         for share in _SHARES:  # in one order, so that nobody waits in a circle
             if not shares or share in shares:
                 lock = locks.enter_context((folder / f"{share}.lock").open("w"))
                 fcntl.flock(lock, fcntl.LOCK_EX)
         yield
-        for share in shares:
-            (folder / f"{share}.compiled").touch()
+        with contextlib.suppress(FileNotFoundError):
+            for share in shares:
+                (folder / f"{share}.compiled").touch()
