@@ -4,7 +4,7 @@ World, links, filters, laws, drivers and rewards of a tick in one compiled pass.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any, Unpack
+from typing import Any, TypeVar, Unpack, cast
 
 import msgspec
 import numpy as np
@@ -63,18 +63,22 @@ from sim.models.randomness import PILOT
 from sim.scenario.types import Scenario
 
 _NO_ACTIONS = np.zeros((0, 0, 2))
+_Memory = TypeVar("_Memory")
 
 
-def _repeated(memory: Any, worlds: int, of_each: int) -> Any:  # noqa: ANN401 - see Args
+def _repeated(memory: _Memory, worlds: int, of_each: int) -> _Memory:
     """The memory of one vehicle for each of `of_each` in each world.
 
     Args:
         memory: An array, or a named tuple of such memories.
         worlds, of_each: Sizes of the axes that come in front of each array.
     """
-    if isinstance(memory, tuple):
-        return memory._make(_repeated(part, worlds, of_each) for part in memory)  # type: ignore[attr-defined]
-    return np.broadcast_to(memory, (worlds, of_each, *memory.shape)).copy()
+    one: Any = memory
+    if hasattr(one, "_make"):
+        many = one._make(_repeated(part, worlds, of_each) for part in one)
+    else:
+        many = np.broadcast_to(one, (worlds, of_each, *one.shape)).copy()
+    return cast("_Memory", many)
 
 
 def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:

@@ -227,21 +227,22 @@ def draw_disturbances(tables: BatchTables, state: BatchState, world: int) -> Non
         draw_disturbance(tables.disturbances, state.tracking[world], u, key, state.ticks[world])
 
 
-@borrowing
-def put_off(
-    position: FloatArray,
-    velocity: FloatArray,
-    told_position: FloatArray,
-    told_velocity: FloatArray,
-    escorts: IntArray,
-    tracking: RecordArray,
-) -> None:
-    """Let every vehicle truly be where it is told that it is, and every UAV off that by its error."""
+@inlined
+def put_off(state: BatchState, escorts: IntArray, world: int) -> None:
+    """Let every vehicle truly be where it is told that it is, and every UAV off that by its error.
+
+    Args:
+        state: Of all worlds; `truth` is changed.
+        escorts: Rows (UAV, UGV). Shape (UAVs, 2).
+        world: The world.
+    """
+    position, velocity = state.truth.position[world], state.truth.velocity[world]
     for v in range(position.shape[0]):
         for i in range(2):
-            position[v, i], velocity[v, i] = told_position[v, i], told_velocity[v, i]
+            position[v, i] = state.told.position[world, v, i]
+            velocity[v, i] = state.told.velocity[world, v, i]
     for u in range(escorts.shape[0]):
-        a, off = escorts[u, 0], tracking[u]
+        a, off = escorts[u, 0], state.tracking[world, u]
         position[a, 0] += off.x
         position[a, 1] += off.y
         velocity[a, 0] += off.v_x
@@ -276,17 +277,9 @@ def move(tables: BatchTables, state: BatchState, world: int) -> None:
     if grounded:
         drive_on(tables, state, world)
     if tables.disturbances.shape[0] > 0:
-        tracking = state.tracking[world]
         for u in range(tables.disturbances.shape[0]):
-            step_error(tables.disturbances[u], tracking, u, tables.world[0].dt)
-        put_off(
-            state.truth.position[world],
-            state.truth.velocity[world],
-            state.told.position[world],
-            state.told.velocity[world],
-            tables.escorts,
-            tracking,
-        )
+            step_error(tables.disturbances[u], state.tracking[world], u, tables.world[0].dt)
+        put_off(state, tables.escorts, world)
     _see(tables, state, world)
     _perceive(tables, state, world)
 

@@ -258,11 +258,4 @@ def jump(conditions: Conditions, state: BatchState, escorts: IntArray) -> None:
     row.y = conditions.jumps * row.wind_y
     row.v_x = 0.0
     row.v_y = 0.0
-    put_off(
-        state.truth.position[0],
-        state.truth.velocity[0],
-        state.told.position[0],
-        state.told.velocity[0],
-        escorts,
-        state.tracking[0],
-    )
+    put_off(state, escorts, 0)
