@@ -13,6 +13,7 @@ from agents.control.promise import Promise
 from outrider.experiments.falsify.attack import attack
 from outrider.experiments.falsify.attack_grid import grid
 from outrider.experiments.falsify.conditions import (
+    ANY,
     AREAS,
     BLACKOUTS,
     DISTURBANCES,
@@ -168,6 +169,13 @@ def test_the_largest_distance_within_a_tick_is_exact(seed: int) -> None:
         far = np.hypot(*(r + v * s + (w - v) / 0.2 * s**2 / 2).T).max()
         found = largest_in_tick(*r, *v, *w, 0.2)
         assert far - 1e-12 <= found <= far + 1e-7
+
+
+def test_residual_velocities_at_a_wall_break_no_certificate() -> None:
+    """Starts within nanometres of a wall, where a contact takes velocity from a plan."""
+    conditions = Conditions(area=AREAS.wall, inner=INNERS.creeps, outage=1.0, losses=ANY, delay=0.3)
+    rows = attack(declared(conditions, 0.0), conditions, 11, 0, 200, DURATION)
+    assert not any(rows[name].any() for name in ("uncertified", "certified_lost", "broken"))
 
 
 def test_any_run_can_be_flown_again_alone() -> None:

@@ -1,9 +1,13 @@
 """Whole flights over networks that break what the certificate assumes: no tick is certified while sight is lost."""
 
+import math
+
 import pytest
 
-from bus.messages import Law, LinkKind, LinkSettings
+from agents.uav import UavPilot
+from bus.messages import Law, LinkKind, LinkSettings, UavObservation
 from outrider.running.flying import InProcess, make_pilots
+from sim.engine.briefing import briefing
 from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
@@ -94,3 +98,32 @@ def test_links_that_are_changed_in_flight_are_not_certified_beyond_r_v() -> None
     assert not [distance for certified, distance in ticks if certified and distance >= R_V]
     assert any(certified is False for certified, _ in ticks[100:])
     assert any(certified is True for certified, _ in ticks[300:])
+
+
+def test_residual_velocity_at_a_wall_keeps_the_certificate() -> None:
+    """A wall takes the velocity that leads into it; the plan that is flown must not add it again."""
+    scenario = load_scenario(
+        "escort",
+        overrides=[
+            "duration=60.0",
+            "area.cell=1.0",
+            *PERFECT,
+            "uav.0.position=[10.0, 1e-7]",
+            "ugv.0={position=[10.5, 0.0], max_speed=0.2, max_acceleration=0.1, driver='script'}",
+            "ugv.0.script=[{time=0.0, velocity=[0.2, 0.0]}, {time=24.0, velocity=[0.2, 1e-7]}, "
+            "{time=25.0, velocity=[0.2, 0.0]}]",
+        ],
+    )
+
+    def creep(observation: UavObservation) -> tuple[float, float]:
+        speed = math.hypot(*observation.velocity)
+        if speed < 1e-10:
+            return 0.0, -0.9e-9 / scenario.dt
+        return 0.0, 2e-6 if speed > 2e-9 else 0.0
+
+    flight, pilots = Flight(scenario, 1), make_pilots(scenario, 1)
+    pilots["uav_0"] = UavPilot(briefing(scenario, "uav_0", 1), inner=creep)
+    flight.fly(InProcess(pilots))
+    counted = flight.answers.assurance
+    assert counted.certified == scenario.ticks
+    assert (counted.certified_while_lost, counted.certificate_broken) == (0, 0)

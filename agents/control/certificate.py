@@ -24,7 +24,7 @@ from agents.control.discs import (
     newest_detection,
     radius_at,
 )
-from agents.control.handover import ROUNDING, rest_to_rest
+from agents.control.handover import REST, ROUNDING, rest_to_rest
 from agents.control.promise import Promise
 from sim.kernels.compile import compiled
 from sim.kernels.records import RecordArray, record_type
@@ -38,14 +38,17 @@ from sim.models.vehicles import (
     within_walls,
 )
 
-_REST = 1e-9
-"""A vehicle slower than this [m/s] is at rest."""
+_RESIDUE = 1e-10
+"""Largest component of the velocity [m/s] that rounding leaves towards a wall at the end of a plan."""
 
 _OFF_WALL = 1e-6
-"""A plan that moves towards a wall turns or ends at least so far from it [m].
+"""Distance [m] that a plan keeps from the walls. One that starts nearer to a wall leads along it or away from it."""
 
-Rounding must not make the vehicle touch it.
-"""
+_CLEAR = 1e-9
+"""Least distance [m] from a wall at which a plan may approach it: far more than rounding moves a UAV."""
+
+_ON_THE_SPOT = 1e-9
+"""A way that is not longer than this [m] has no direction."""
 
 _SPEEDS = (1.0, 0.6, 0.35, 0.2)
 """Shares of v_a at which a plan may return; a fast one runs too far where the way is short."""
@@ -138,7 +141,7 @@ def servo(
     """
     x, y = z_x - here.p_x, z_y - here.p_y
     way = norm(x, y)
-    speed = min(v_a, speed_to_stop_within(way, u_a, dt)) / way if way > _REST else 0.0
+    speed = min(v_a, speed_to_stop_within(way, u_a, dt)) / way if way > _ON_THE_SPOT else 0.0
     return clip_norm((speed * x - here.v_x) / dt, (speed * y - here.v_y) / dt, u_a)
 
 
@@ -247,15 +250,24 @@ def _hold(plan: RecordArray, found: Plan) -> None:
 
 
 @compiled
-def _is_off_wall(p: float, v: float, a: float, duration: float, size: float) -> bool:
-    """True if p + v s + a s²/2 stays within the walls of one axis for the duration, clear of them where it moves.
+def _room(distance: float) -> float:
+    """Return how near to a wall a plan may come that starts at this distance from it [m]."""
+    return min(_OFF_WALL, distance, max(0.5 * distance, _CLEAR))
 
-    Only where nothing moves along the axis, or at the start, may the vehicle be at the wall.
+
+@compiled
+def _is_off_wall(p: float, v: float, a: float, duration: float, size: float) -> bool:
+    """Return whether p + v s + a s²/2 keeps off the walls of one axis for the duration.
+
+    A motion that starts within `_OFF_WALL` of a wall may lead along it or away from it, and may halve the distance
+    while it brakes or turns. A residual velocity may touch the wall, which removes it.
     """
     if math.isinf(size):
         return True
     if not 0.0 <= p <= size:
         return False
+    if abs(v) <= _RESIDUE:
+        v = 0.0
     if v == 0.0 and a == 0.0:
         return True
     end = p + (v + 0.5 * a * duration) * duration
@@ -263,7 +275,15 @@ def _is_off_wall(p: float, v: float, a: float, duration: float, size: float) -> 
     if a != 0.0 and 0.0 < -v / a < duration:
         summit = p - 0.5 * v * v / a
         low, high = min(low, summit), max(high, summit)
-    return low >= _OFF_WALL and high <= size - _OFF_WALL
+    return low >= _room(p) and high <= size - _room(size - p)
+
+
+@compiled
+def _off_walls(p: float, size: float) -> float:
+    """Return the point of one axis next to p that a return may end at: 2 `_OFF_WALL` off the walls."""
+    if math.isinf(size):
+        return p
+    return min(max(p, 2.0 * _OFF_WALL), size - 2.0 * _OFF_WALL)
 
 
 @compiled
@@ -275,9 +295,9 @@ def _is_in_area(promise: Promise, x: float, y: float) -> bool:
 
 @compiled
 def _stays_in_area(promise: Promise, here: Motion, a_x: float, a_y: float, duration: float) -> bool:
-    """True if a motion with constant acceleration stays within the walls.
+    """Return whether a motion with constant acceleration keeps off the walls.
 
-    One that it touched would take the UAV off its plan.
+    A wall that it touched would take the UAV off its plan.
     """
     return _is_off_wall(here.p_x, here.v_x, a_x, duration, promise.width) and _is_off_wall(
         here.p_y, here.v_y, a_y, duration, promise.height
@@ -306,9 +326,9 @@ def stop_from(promise: Promise, known: Known, tick: int, here: Motion) -> Plan:
     fixed point is convex in the way, and the way concave in time.
     """
     speed = norm(here.v_x, here.v_y)
-    ticks = (
-        0 if speed <= _REST else max(1, math.ceil(speed / (promise.u_a * promise.dt) - ROUNDING))
-    )
+    ticks = 0
+    if speed > _RESIDUE:
+        ticks = max(1, math.ceil(speed / (promise.u_a * promise.dt) - ROUNDING))
     duration = ticks * promise.dt
     share = -1.0 / duration if ticks else 0.0
     a_x, a_y = share * here.v_x, share * here.v_y
@@ -348,31 +368,32 @@ def _turn_is_safe(
 
 @compiled
 def _return_at(promise: Promise, known: Known, tick: int, here: Motion, speed: float) -> Plan:
-    """`return_from` at one speed [m/s]."""
-    z = known.newest
-    at_rest = norm(here.v_x, here.v_y) <= _REST
+    """Return the plan of `return_from` at one speed [m/s]."""
+    if not _is_in_area(promise, here.p_x, here.p_y):
+        return _nothing()
+    z_x = _off_walls(known.newest.x, promise.width)
+    z_y = _off_walls(known.newest.y, promise.height)
+    at_rest = norm(here.v_x, here.v_y) <= REST
     q_x, q_y = here.p_x, here.p_y  # where the turn ends: found with the heading by iteration
     if at_rest:
-        if not (_is_in_area(promise, here.p_x, here.p_y) and _is_in_area(promise, z.x, z.y)):
-            return _nothing()
-        x, y = z.x - here.p_x, z.y - here.p_y
+        x, y = z_x - here.p_x, z_y - here.p_y
         way = norm(x, y)
         turn, cruise, speed = rest_to_rest(way, speed, promise.u_a, promise.dt)
-        here, stop = Motion(here.p_x, here.p_y, 0.0, 0.0), turn
+        stop = turn
         w_x, w_y = (speed * x / way, speed * y / way) if turn else (0.0, 0.0)
     else:
         stop = max(1, math.ceil(speed / (promise.u_a * promise.dt) - ROUNDING))
         w_x, w_y, turn = 0.0, 0.0, 0
         for _ in range(4):
-            way = norm(z.x - q_x, z.y - q_y)
-            if way <= _REST:
+            way = norm(z_x - q_x, z_y - q_y)
+            if way <= _ON_THE_SPOT:
                 return _nothing()
-            w_x, w_y = speed * (z.x - q_x) / way, speed * (z.y - q_y) / way
+            w_x, w_y = speed * (z_x - q_x) / way, speed * (z_y - q_y) / way
             change = norm(w_x - here.v_x, w_y - here.v_y)
             turn = max(1, math.ceil(change / (promise.u_a * promise.dt) - ROUNDING))
             q_x = here.p_x + 0.5 * (here.v_x + w_x) * turn * promise.dt
             q_y = here.p_y + 0.5 * (here.v_y + w_y) * turn * promise.dt
-        along = (z.x - q_x) * w_x + (z.y - q_y) * w_y
+        along = (z_x - q_x) * w_x + (z_y - q_y) * w_y
         left = along / (speed * speed * promise.dt) - 0.5 * stop  # ticks at constant speed
         if not left >= 0.0:
             return _nothing()
@@ -386,10 +407,10 @@ def _return_at(promise: Promise, known: Known, tick: int, here: Motion, speed: f
     a_x, a_y = 0.0, 0.0
     if turn:
         a_x, a_y = (w_x - here.v_x) / (turn * promise.dt), (w_y - here.v_y) / (turn * promise.dt)
+    if not _stays_in_area(promise, here, a_x, a_y, turn * promise.dt):
+        return _nothing()
     if not at_rest:  # from rest the way is a chord of the area
         way_on = Motion(q_x, q_y, end_x - q_x, end_y - q_y)
-        if not _stays_in_area(promise, here, a_x, a_y, turn * promise.dt):
-            return _nothing()
         if not _stays_in_area(promise, way_on, 0.0, 0.0, 1.0):
             return _nothing()
     if not _turn_is_safe(promise, known, tick, here, a_x, a_y, turn):
@@ -532,7 +553,7 @@ def rest_radius(
     newest = newest_detection(detections)
     if (
         newest < 0
-        or norm(here.v_x, here.v_y) > _REST
+        or norm(here.v_x, here.v_y) > REST
         or not _is_in_area(promise, here.p_x, here.p_y)
     ):
         return math.inf

@@ -18,6 +18,9 @@ from sim.kernels.compile import compiled
 ROUNDING = 1e-12
 """Ticks by which a quotient may exceed a whole number and still be that number."""
 
+REST = 1e-9
+"""Largest speed [m/s] from which `rest_to_rest` keeps the bound on the acceleration."""
+
 _LEAST_STEP = 1000.0 * AS_EXPECTED
 """The least change of speed in a tick at u_a [m/s]: a command that does not act must be seen."""
 
@@ -29,9 +32,10 @@ But no more steps than these to r_v, or a large radius would take minutes."""
 
 @compiled
 def rest_to_rest(way: float, v_a: float, u_a: float, dt: float) -> tuple[int, int, float]:
-    r"""The fastest motion of whole ticks over `way` [m] along a line, from rest to rest.
+    r"""Return the fastest motion of whole ticks over `way` [m] along a line, from rest to rest.
 
-    It takes at most $way / v_a + v_a / u_a + 2 dt$.
+    It takes at most $way / v_a + v_a / u_a + 2 dt$, but for terms of the order of REST. The acceleration bound leaves
+    room to remove an initial velocity of up to REST while the vehicle speeds up.
 
     Returns:
         Ticks in which it speeds up (and in which it brakes), ticks at constant speed, and that speed [m/s].
@@ -39,10 +43,11 @@ def rest_to_rest(way: float, v_a: float, u_a: float, dt: float) -> tuple[int, in
     if way <= 0.0:
         return 0, 0, 0.0
     full = max(1, math.ceil(v_a / (u_a * dt) - ROUNDING))
-    moving = math.ceil(way / (v_a * dt) - ROUNDING)
+    moving = math.ceil(way / (max(v_a - REST, 0.5 * v_a) * dt) - ROUNDING)
     if moving >= full:
         return full, moving - full, way / (moving * dt)
-    half = max(1, math.ceil(math.sqrt(way / u_a) / dt - ROUNDING))
+    fastest = 0.5 * (REST / u_a + math.sqrt(REST * REST / (u_a * u_a) + 4.0 * way / u_a))
+    half = max(1, math.ceil(fastest / dt - ROUNDING))
     return half, 0, way / (half * dt)
 
 
@@ -107,12 +112,14 @@ def handover_reach(bounds: HandoverBounds, radius: float) -> float:
     r"""E [m]: if the newest detection's own bound is at most this, the plan to any later one ends within `radius`, R_h.
 
     $$ E = \frac{v_a}{v_g}\left(R_h - \rho_A (1 - v_g/v_a) - v_g (v_a/u_a + 2 dt + B)\right) - 2 \epsilon $$
+
+    R_h is taken `MARGIN` smaller here: a return ends off the walls, and starts with a residual velocity.
     """
     b, v_a, v_g = bounds, bounds.v_a, bounds.v_g
     if v_g == 0.0:
         return math.inf
-    rest = radius - b.rho * (1.0 - v_g / v_a) - v_g * (v_a / b.u_a + 2.0 * b.dt + b.wait)
-    return v_a / v_g * rest - 2.0 * b.eps - MARGIN
+    rest = radius - MARGIN - b.rho * (1.0 - v_g / v_a)
+    return v_a / v_g * (rest - v_g * (v_a / b.u_a + 2.0 * b.dt + b.wait)) - 2.0 * b.eps
 
 
 @compiled

@@ -50,6 +50,7 @@ from outrider.experiments.falsify.opponents import (
     detection_error,
     direction,
     disturb,
+    draw_creep,
     draw_direction,
     inner_command,
     jump,
@@ -162,6 +163,9 @@ def _place(conditions: Conditions, tables: BatchTables, state: BatchState, rando
     parameters, position = tables.world[0], state.truth.position[0]
     if conditions.area == AREAS.open:
         position[UGV, 0], position[UGV, 1] = 0.5 * parameters.width, 0.5 * parameters.height
+    elif conditions.area == AREAS.wall:
+        _place_at_wall(conditions, parameters.width, position, random)
+        return
     elif conditions.area == AREAS.corner:
         position[UGV, 0] = conditions.r_v * next_share(random)
         position[UGV, 1] = conditions.r_v * next_share(random)
@@ -175,6 +179,18 @@ def _place(conditions: Conditions, tables: BatchTables, state: BatchState, rando
 
 
 @borrowing
+def _place_at_wall(
+    conditions: Conditions, width: float, position: FloatArray, random: Words
+) -> None:
+    """Put UGV and UAV on the wall y = 0, or between a picometre and ten micrometres from it."""
+    position[UGV, 0] = 0.5 * width
+    position[UAV, 0] = 0.5 * width + conditions.r_v * (next_share(random) - 0.5)
+    for k in (UGV, UAV):
+        off = 10.0 ** (7.0 * next_share(random) - 12.0)
+        position[k, 1] = off if next_share(random) < 0.5 else 0.0
+
+
+@borrowing
 def _begin_plots(room: Room, random: Words, u_a: float, u_g: float) -> None:
     """Let the adversaries begin, who may accelerate so much [m/s²]."""
     plots, trouble, ring = room.plots, room.trouble[0], room.ring
@@ -184,6 +200,7 @@ def _begin_plots(room: Room, random: Words, u_a: float, u_g: float) -> None:
         plots[k].output_x, plots[k].output_y = 0.0, 0.0
         plots[k].heading_x, plots[k].heading_y = 0.0, 0.0
         plots[k].error_x, plots[k].error_y, plots[k].wind = 0.0, 0.0, 0.0
+    plots[UAV].heading_x, plots[UAV].heading_y = draw_creep(random)
     plots[UGV].heading_x, plots[UGV].heading_y = draw_direction(random)
     plots[UGV].error_x, plots[UGV].error_y = draw_direction(random)
     plots[UAV].losing = ALIVE
@@ -326,6 +343,9 @@ def fly_one(
     rate = 0.05 + 1.5 * next_share(random)  # of the phase [rad/s]
     xc_x, xc_y = 0.0, 0.0
     _place(conditions, tables, state, random)
+    if conditions.area == AREAS.wall and next_share(random) < 0.8:  # along the wall
+        plots[UGV].heading_x = plots[UGV].side
+        plots[UGV].heading_y = 1e-6 * next_share(random) if next_share(random) < 0.5 else 0.0
     disturbed, blows = state.tracking.shape[1] > 0, 0
     if disturbed:
         for k in (UAV, UGV):

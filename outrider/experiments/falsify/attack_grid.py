@@ -11,6 +11,7 @@ from outrider.experiments.falsify.conditions import (
     BLACKOUTS,
     DISTURBANCES,
     ERRORS,
+    INNERS,
     PAPER_BOUNDS,
     Conditions,
     declared,
@@ -64,7 +65,8 @@ def _places() -> Iterator[Conditions]:
             BLACKOUTS.none,
             BLACKOUTS.when_far,
         ) and conditions.blackout_time in (0.0, 5.0, 10.0):
-            yield from (conditions._replace(area=area) for area in (AREAS.corner, AREAS.small))
+            yield from (conditions._replace(area=area) for area in AREAS[1:])
+            yield conditions._replace(area=AREAS.wall, inner=INNERS.creeps)
 
 
 def _disturbed() -> Iterator[Conditions]:
@@ -107,6 +109,8 @@ def _lossy() -> Iterator[Conditions]:
             u_g=math.inf if kind % 2 else 0.1,
         )
         yield conditions
+        if area == AREAS.wall:
+            yield conditions._replace(inner=INNERS.creeps)
         if delay and area == AREAS.open:
             yield conditions._replace(jitter=True, duplicates=0.5)
             yield conditions._replace(latency=1.0, scattered=True)

@@ -61,6 +61,8 @@ class Inners(NamedTuple):
     """By (15)."""
     still: int = 6
     away_from_detection: int = 7
+    creeps: int = 8
+    """At the residual velocities that rounding leaves."""
 
 
 class Ugvs(NamedTuple):
@@ -108,6 +110,8 @@ class Areas(NamedTuple):
     """From a corner of that."""
     small: int = 2
     """A room of 9 m by 7 m, at the paper's radius."""
+    wall: int = 3
+    """Along a wall of the large area: both vehicles start within micrometres of it."""
 
 
 class Winds(NamedTuple):
@@ -198,7 +202,12 @@ class Conditions(NamedTuple):
     """The area, of `AREAS`."""
 
 
-_SIZES = {AREAS.open: (240.0, 240.0), AREAS.corner: (240.0, 240.0), AREAS.small: (9.0, 7.0)}
+_SIZES = {
+    AREAS.open: (240.0, 240.0),
+    AREAS.corner: (240.0, 240.0),
+    AREAS.small: (9.0, 7.0),
+    AREAS.wall: (240.0, 240.0),
+}
 """Width and height [m] of each area, at the paper's visibility radius."""
 
 

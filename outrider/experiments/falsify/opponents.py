@@ -35,7 +35,7 @@ class Plot(NamedTuple):
     """The command of (15) [m/s²]."""
     heading_x: float
     heading_y: float
-    """A direction, drawn once."""
+    """Of the UGV: a direction; of the UAV: a residual velocity [m/s]. Drawn once."""
     error_x: float
     error_y: float
     """Direction of constant errors, drawn once."""
@@ -74,6 +74,32 @@ def redraw(random: Words, plots: RecordArray, k: int, u: float) -> None:
     plot = plots[k]
     plot.u_x, plot.u_y = strength * math.cos(angle), strength * math.sin(angle)
     plot.side = 1.0 if next_share(random) < 0.5 else -1.0
+
+
+@compiled
+def draw_creep(random: Words) -> tuple[float, float]:
+    """Return a velocity as small as what rounding leaves [m/s], mostly towards the wall y = 0."""
+    pace = 10.0 ** (4.0 * next_share(random) - 12.0)
+    e_x, e_y = draw_direction(random)
+    return (0.0, -pace) if next_share(random) < 0.7 else (pace * e_x, pace * e_y)
+
+
+@compiled
+def _creep(here: Motion, c_x: float, c_y: float, side: float) -> tuple[float, float]:
+    """Return the command that keeps the UAV at a residual velocity [m/s²].
+
+    Args:
+        here: The UAV.
+        c_x, c_y: The residual velocity [m/s].
+        side: 1.0: push back while the safety filter moves the UAV; -1.0: do nothing then.
+    """
+    speed, pace = norm(here.v_x, here.v_y), norm(c_x, c_y)
+    push = 0.0
+    if speed < 0.1 * pace:
+        push = 20.0
+    elif side > 0.0 and speed > 2.0 * pace:
+        push = -2e3
+    return push * c_x, push * c_y
 
 
 @borrowing
@@ -117,6 +143,8 @@ def inner_command(
         return plot.output_x, plot.output_y
     if kind == INNERS.still:
         return -here.v_x / 0.05, -here.v_y / 0.05
+    if kind == INNERS.creeps:
+        return _creep(here, plot.heading_x, plot.heading_y, side)
     e_x, e_y = direction(z_x, z_y)
     return u * e_x, u * e_y
 
