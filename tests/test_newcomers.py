@@ -202,6 +202,21 @@ def test_a_new_scenario_is_a_shipped_one_that_flies_and_replaces_nothing(tmp_pat
     assert "circle" in file.read_text()
 
 
+@pytest.mark.parametrize("name", ["mine", "escort.toml"])
+def test_scenario_names_that_confuse_are_refused(name, here, command) -> None:
+    made = command("scenarios", "new", name)
+    assert made.returncode == 2
+    assert list(here.iterdir()) == []
+
+
+@pytest.mark.parametrize("group", [(), ("network",), ("fmu",)])
+def test_a_group_without_a_command_prints_its_help(group, command) -> None:
+    made = command(*group)
+    assert made.returncode == 2
+    assert "Usage: outrider" in made.stderr.splitlines()[0]
+    assert "Commands:" in made.stderr.splitlines()
+
+
 def test_the_doctor_finds_what_is_here_and_what_is_not(monkeypatch, command):
     from outrider.cli import doctor
 

@@ -9,17 +9,18 @@ from bus.errors import ScenarioError
 from bus.keys import Role
 from outrider.cli import options
 
-app = typer.Typer(no_args_is_help=True)
+app = typer.Typer(invoke_without_command=True)
 
 
 @app.callback()
-def command() -> None:
+def command(context: typer.Context) -> None:
     """Exchange vehicles with FMI 3.0 tools (extra `[fmi]`).
 
     The other way, `--driver fmu:FILE.fmu` of every command that flies lets a unit drive the UGVs.
 
     Example: outrider fmu export ugv escort --out ugv.fmu
     """
+    options.help_without_command(context)
 
 
 @app.command()

@@ -47,6 +47,7 @@ from outrider.cli import (
     suite,
     sweep,
 )
+from outrider.cli.options import help_without_command
 from outrider.cli.stopping import leave
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -88,10 +89,11 @@ def _version(wanted: bool) -> None:
 
 def make_app() -> typer.Typer:
     """The whole command line: for `main`, and for the pages that tell of it."""
-    app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
+    app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None)
 
-    @app.callback()
+    @app.callback(invoke_without_command=True)
     def about(
+        context: typer.Context,
         version: bool = typer.Option(
             False, "--version", callback=_version, is_eager=True, help="Print the version and stop."
         ),
@@ -105,6 +107,7 @@ def make_app() -> typer.Typer:
 
         Example: outrider run escort --seed 3
         """
+        help_without_command(context)
 
     for name, command in COMMANDS.items():
         app.command(name)(_telling(command))

@@ -7,20 +7,22 @@ import msgspec
 import typer
 
 from bus.errors import ScenarioError
+from outrider.cli import options
 from outrider.cli.options import Json
 
 if TYPE_CHECKING:
     from outrider.experiments.network.fitting import Fit
 
-app = typer.Typer(no_args_is_help=True)
+app = typer.Typer(invoke_without_command=True)
 
 
 @app.callback()
-def command() -> None:
+def command(context: typer.Context) -> None:
     """Recorded links: what comes nearest to one.
 
     Example: outrider network fit drive.csv --out fit.png
     """
+    options.help_without_command(context)
 
 
 @app.command()

@@ -456,3 +456,10 @@ def credential_of(file: Path | None, role: Role, name: str) -> "Credential | Non
         return msgspec.convert({"name": name, "role": role.value, "password": password}, Credential)
     except msgspec.ValidationError as error:
         raise ScenarioError(f"OUTRIDER_PASSWORD or name: {error}") from error
+
+
+def help_without_command(context: typer.Context) -> None:
+    """Print a command group's help, and end with exit code 2, if no command is named."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help(), err=True)
+        raise typer.Exit(2)

@@ -83,9 +83,13 @@ def new(
     Example: outrider scenarios new mine.toml, then outrider check mine.toml and outrider run mine.toml
     """
     from outrider.cli.console import OUT
-    from sim.scenario.loading import shipped_text
+    from sim.scenario.loading import scenario_names, shipped_text
     from sim.scenario.schema import schema_text
 
+    if file.suffix != ".toml":
+        raise typer.BadParameter(f"{file}: a scenario's file ends in .toml: {file.name}.toml")
+    if file.stem in scenario_names():
+        raise typer.BadParameter(f"{file}: {file.stem} is a shipped scenario; choose another name")
     text = shipped_text(base)
     if file.exists() and not force:
         raise typer.BadParameter(f"{file}: is there already; --force replaces it")
