@@ -167,6 +167,8 @@ class DriverRow:
     """The field of `[[ugv]]` without which it stands still."""
     listens: bool = False
     """True if it uses what the UAV radios."""
+    avoids: bool = True
+    """False if it drives where it wants, whatever hazards are there."""
     unbounded: bool = False
     """True if it drives without a bound where the UGV has none; the others assume a large one."""
     operated: bool = False
@@ -186,6 +188,7 @@ DRIVERS = _table(
         make="agents.drivers.compiled:CompiledDriver",
         code=0,
         wants="goals",
+        avoids=False,
         unbounded=True,
     ),
     DriverRow(
@@ -193,6 +196,7 @@ DRIVERS = _table(
         about="to random points",
         make="agents.drivers.compiled:CompiledDriver",
         code=1,
+        avoids=False,
     ),
     DriverRow(
         name="script",
@@ -200,6 +204,7 @@ DRIVERS = _table(
         make="agents.drivers.compiled:CompiledDriver",
         code=2,
         needs="script",
+        avoids=False,
     ),
     DriverRow(
         name="evade",
@@ -207,6 +212,7 @@ DRIVERS = _table(
         make="agents.drivers.compiled:CompiledDriver",
         code=3,
         listens=True,
+        avoids=False,
     ),
     DriverRow(
         name="navigate",

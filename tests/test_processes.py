@@ -229,3 +229,20 @@ def test_what_lies_in_the_working_folder_takes_no_modules_place(tmp_path: Path) 
     run = ran([script, *arguments], cwd=tmp_path, timeout=120)
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout)["ticks"] == 20
+
+
+@pytest.mark.parametrize(
+    "words", ["check escort", "run --duration 1", "run --in-process --duration 1"]
+)
+def test_a_policy_that_raises_at_once_is_one_line(here: Path, words: str) -> None:
+    (here / "mine.py").write_text(
+        "def drive(observation, briefing):\n    raise ValueError('boom')\n"
+    )
+    ended = outrider(
+        *words.split(), "--driver", "policy", "--policy", "mine:drive", cwd=here, fresh=True
+    )
+    assert ended.returncode == 2
+    assert ended.stdout == ""
+    (line,) = ended.stderr.splitlines()
+    assert "tick 0" in line
+    assert "mine.py:2" in line

@@ -237,3 +237,12 @@ def test_what_will_surprise_is_warned_of_and_nothing_else() -> None:
     )
     (line,) = scenario_warnings(load_scenario("escort", overrides=["ugv.0.goals=[]"]))
     assert line.startswith("ugv.0.goals = []: ugv_0 will stand still")
+
+
+@pytest.mark.parametrize("driver", ["waypoints", "wander", "evade", "navigate"])
+def test_drivers_that_ignore_hazards_are_named(driver: str) -> None:
+    hazard = '{kind = "block", center = [10.0, 8.0], radius = 0.5}'
+    changes = [f"hazard=[{hazard}]", f"ugv.0.driver={driver}"]
+    told = " ".join(scenario_warnings(load_scenario("escort", overrides=changes)))
+    assert ("does not avoid hazards" in told) == (driver != "navigate")
+    assert ("from position to goals.0 crosses hazard.0" in told) == (driver == "waypoints")

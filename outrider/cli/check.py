@@ -29,12 +29,13 @@ def command(
     Exit code 0, or 2 and one line naming file, field and value. It takes the options of `run` that change the scenario,
     and warns of all that `run` warns of. For the law certified that is each declared assumption that links or detector
     cannot keep, and whether sight can be certified always, not always or hardly ever, and how seldom it is lost by
-    proof. Functions of your own are loaded and tried; those that the file names with --allow-code alone.
+    proof. Functions of your own are loaded and called for one tick; those that the file names with --allow-code alone.
 
     Example: outrider check my-scenario.toml --network wifi-poor
     """
     from outrider.cli.console import OUT, print_json, print_warnings
     from outrider.running.assumptions import how_certifiable, odds, promise_warnings
+    from outrider.running.flying import check_first_tick
     from outrider.running.user_code import check_own_functions, foreign_code
     from sim.scenario.checks import scenario_warnings
     from sim.scenario.types import NO_UAV
@@ -50,6 +51,8 @@ def command(
         *(() if foreign else check_own_functions(scenario)),
         *promise_warnings(scenario),
     ]
+    if not foreign:
+        check_first_tick(scenario)
     certifiable, chances = how_certifiable(scenario), odds(scenario)
     if json:
         print_json(

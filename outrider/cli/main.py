@@ -182,7 +182,7 @@ def _computes(arguments: list[str]) -> bool:
     """False for a command that only reads scenarios, and for one whose processes compute in its place."""
     if arguments[:1] == ["run"]:
         return "--in-process" in arguments
-    return arguments[:1] not in (["scenarios"], ["check"])
+    return arguments[:1] != ["scenarios"]
 
 
 def run_command_line() -> int:

@@ -31,15 +31,17 @@ from sim.channel.description import (
 )
 from sim.channel.link import FATES, LinkParameters
 from sim.channel.places import delays_by_place
+from sim.channel.recorded import Opportunities, recording_of
+from sim.channel.recorded import found as trace_named
 from sim.engine.briefing import declared as declared_bounds
 from sim.engine.briefing import largest_tracking_error, uav_briefing
-from sim.kernels.compile import IntArray, is_interpreted
+from sim.kernels.compile import IntArray
 from sim.scenario.types import LinkTable, Scenario, Uav
 
 _RARE = 1e-6
 """Events that are expected less often than this in a whole flight are not told."""
-_MOST_PLAYED, _MOST_INTERPRETED = 1_000_000, 5_000
-"""Ticks of Mahimahi's opportunities that are looked at; the latter by a process that does not compile."""
+_MOST_PLAYED = 1_000_000
+"""Ticks of a Mahimahi file that are inspected at most."""
 
 
 class How(StrEnum):
@@ -80,7 +82,23 @@ def promise_warnings(scenario: Scenario, links: LinkTable | None = None) -> tupl
     Arguments as in `shortfalls`.
     """
     told, lines = odds(scenario, links), [found.line for found in shortfalls(scenario, links)]
+    lines += _perfect_detectors(scenario)
     return (*lines, told.line) if lines and told is not None and told.line else tuple(lines)
+
+
+def _perfect_detectors(scenario: Scenario) -> Iterator[str]:
+    """Warn of each UAV whose certificate relies on detections without any error."""
+    if not LAWS[scenario.law.name].watched:
+        return
+    for uav in scenario.uav:
+        if declared_bounds(scenario, uav.name).error == 0.0:
+            source = (
+                "certificate.error" if scenario.certificate.error == 0.0 else "detections.noise"
+            )
+            yield (
+                f"{uav.name}: {source} = 0: sight is certified for a detector without any error; for a real one set "
+                "certificate.error to its greatest error [m]"
+            )
 
 
 class Odds(NamedTuple):
@@ -241,7 +259,7 @@ class _Link:
         """
         p = self.parameters
         table, tick = p.replay == FATES, 1000.0 * p.dt
-        most = _MOST_INTERPRETED if is_interpreted() else _MOST_PLAYED
+        most = _MOST_PLAYED
         step = round(tick * every)
         whole = p.period
         if not table:
@@ -263,6 +281,21 @@ class _Link:
         np.maximum.at(newest, arrived[there], sent[there])
         newest = np.maximum.accumulate(newest)
         return (np.arange(len(newest)) - newest)[settled:], ticks == whole
+
+    def inspected(self, ages: IntArray, whole: bool) -> str:
+        """Describe the part of the recorded link that `played` has inspected."""
+        return "a round" if whole else f"its first {self.seconds(len(ages))}"
+
+    def longest_gap(self) -> tuple[float, float]:
+        """Return the longest time without a delivery opportunity of a Mahimahi file, and where it begins [s]."""
+        recorded = trace_named(self._traces, self.settings.trace)
+        recording = None if recorded is None else recording_of(recorded)
+        if not isinstance(recording, Opportunities):
+            return 0.0, 0.0
+        times = np.concatenate(([recording.times[-1]], recording.times[-1] + recording.times))
+        longest = int(np.argmax(np.diff(times)))
+        begins = int(times[longest] % recording.times[-1])
+        return float(np.diff(times)[longest]) / 1000.0, begins / 1000.0
 
     def seconds(self, ticks: float) -> str:
         """As a time."""
@@ -352,16 +385,24 @@ def _recorded_ages(link: _Link, promise: Promise, limit: str) -> Iterator[tuple[
     often = in_flights(chance.value) if chance.value is not None else ""
     missed = scenario.detections.dropout
     dropout = f", detections.dropout = {missed:g}" if missed else ""
+    gap, at = link.longest_gap() if not whole else (0.0, 0.0)
     if share > 0.0:
-        what = f"older than {limit} in {_percent(share)} of the ticks of a round"
+        what = (
+            f"older than {limit} in {_percent(share)} of the ticks of {link.inspected(ages, whole)}"
+        )
         told = f"the newest detection is {what}{', and becomes so ' if often else ''}{often}"
         yield _often(share), f"{link.path}.trace: {told}"
     elif often:
         told = f"the newest detection becomes older than {limit} {often}"
         yield How.SOMETIMES, f"{link.path}.trace{dropout}: {told}"
+    elif gap > promise.age + scenario.dt:
+        told = f"no detection arrives for {gap:g} s from {at:g} s on, longer than {limit}"
+        yield How.SOMETIMES, f"{link.path}.trace: {told}"
     elif not whole:
-        told = f"whether the newest detection becomes older than {limit} was looked at for"
-        yield How.SOMETIMES, f"{link.path}.trace: {told} {link.seconds(len(ages))} of it alone"
+        told = (
+            f"not older than {limit} in {link.inspected(ages, whole)}; the rest was not inspected"
+        )
+        yield How.SOMETIMES, f"{link.path}.trace: the newest detection is {told}"
     elif ages.max() + every + 1 > promise.age_ticks:
         told = f"the newest detection becomes {link.seconds(ages.max())} old, so near to {limit} that it may be older"
         yield How.SOMETIMES, f"{link.path}.trace: {told} where a run begins at another place of it"
@@ -449,10 +490,13 @@ def _delays(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
         ages, whole = link.played(1)
         share = float(np.mean(ages != exact))
         if share == 0.0 and not whole:
-            told = f"whether it acts {tau} after its tick was looked at for {link.seconds(len(ages))} of it alone"
+            told = f"a command acts {tau} after its tick in {link.inspected(ages, whole)}; the rest was not inspected"
             yield How.SOMETIMES, f"{link.path}.trace: {told}"
         if share > 0.0:
-            what = f"another command than that of {tau} before acts in {_percent(share)} of the ticks of a round"
+            what = (
+                f"another command than that of {tau} before acts in {_percent(share)} of the ticks of "
+                f"{link.inspected(ages, whole)}"
+            )
             yield _often(share), f"{link.path}.trace: {what}"
         yield from _lost_commands(link)
         return

@@ -17,7 +17,7 @@ import msgspec
 
 from bus.access import ROUTER_FILE, new_certificates, new_credentials, write_credentials
 from bus.certificates import new_authority
-from bus.errors import BusError, PeerLost
+from bus.errors import BusError, PeerLost, ScenarioError
 from bus.keys import OPERATOR_NAME, SIMULATOR_NAME
 from bus.locator import UNIX, Locator
 from bus.registry import DRIVERS
@@ -134,6 +134,8 @@ NOBODY = Watcher(
 
 
 _TIMING = Timing(join_timeout=120.0)
+_UNUSABLE = 2
+"""Exit code of a process whose input is unusable."""
 _WIRING = Wiring()
 
 
@@ -394,9 +396,16 @@ class _Processes:
 
 
 def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcome:
-    """Until the simulator's process has ended, whoever made it end."""
+    """Follow the run until the simulator's process has ended.
+
+    Raises:
+        ScenarioError: If a vehicle's process finds its input unusable before the first tick.
+    """
     simulator, outcome, asked = processes.simulator, Outcome(), False
     tick, deaths, counted = 0, Counter[str](), set[int]()
+    held: list[
+        tuple[float, str]
+    ] = []  # events before the first tick: a refusal makes them pointless
 
     def read(line: bytes) -> None:
         nonlocal tick
@@ -407,7 +416,7 @@ def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcom
             tick = told.tick
             watcher.on_tick(told.tick)
         if told.event is not None:
-            watcher.on_event(told.event)
+            held.append((time.monotonic(), told.event))
         if told.warnings is not None:
             watcher.on_warnings(told.warnings)
         if told.summary is not None:
@@ -450,14 +459,21 @@ def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcom
                 if child.ended not in (None, 0) and child.pid not in counted
             ]
             for child in dead:
+                if tick == 0 and child.ended == _UNUSABLE and not respawn:
+                    simulator.kill()
+                    raise ScenarioError(child.stderr_tail().removeprefix("outrider: "))
                 if count(child):
                     asked = True
                     simulator.ask_to_end()
+        while held and (tick > 0 or time.monotonic() - held[0][0] > 0.3):
+            watcher.on_event(held.pop(0)[1])
         with contextlib.suppress(queue.Empty):
             line = processes.lines.get(timeout=0.1)
             if line is None:
                 break
             read(line)
+    for _, event in held:
+        watcher.on_event(event)
     simulator.wait(_PATIENCE)
     if outcome.summary is None and not outcome.fault and not watcher.stop():
         raise PeerLost(simulator.exit_report())

@@ -7,7 +7,7 @@ from itertools import pairwise
 from bus.registry import DRIVERS, LAWS, POLICY_FORMS, SAVED_POLICIES, SENSORS
 from sim.input.faults import Fault, one_line, unknown_name
 from sim.input.reading import as_raw, typed
-from sim.scenario.ground_checks import GROUND_CHECKS
+from sim.scenario.ground_checks import GROUND_CHECKS, hazard_warnings
 from sim.scenario.risk import risk_fault, risk_warnings
 from sim.scenario.types import Scenario, switching_radius
 from sim.scenario.world_checks import WORLD_CHECKS, Check, escorts
@@ -203,7 +203,13 @@ def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
     """
     return tuple(
         line
-        for warnings in (_law_warnings, _circle_warnings, _task_warnings, risk_warnings)
+        for warnings in (
+            _law_warnings,
+            _circle_warnings,
+            _task_warnings,
+            hazard_warnings,
+            risk_warnings,
+        )
         for line in warnings(scenario)
     )
 

@@ -1,5 +1,6 @@
 """Refusals of impossible hazards: one small check for each; without hazards most of them have nothing to do."""
 
+import itertools
 import math
 from collections.abc import Iterator
 from functools import lru_cache
@@ -7,11 +8,18 @@ from functools import lru_cache
 import msgspec
 import numpy as np
 
-from bus.registry import CAUTIONS, HAZARDS, TOUCHES
+from bus.registry import CAUTIONS, DRIVERS, HAZARDS, TOUCHES
 from sim.input.faults import Fault, unknown_name
 from sim.kernels.compile import FloatArray, IntArray
-from sim.models.ground import BLOCK, hazard_at, tile_index
-from sim.scenario.ground_tables import corner_bounds, ground_tables, place_fields, stops
+from sim.models.ground import BLOCK, crosses_hazard, hazard_at, tile_index
+from sim.scenario.ground_tables import (
+    corner_bounds,
+    corners_of,
+    ground_tables,
+    hazard_rows,
+    place_fields,
+    stops,
+)
 from sim.scenario.types import MOST_HAZARDS, Hazard, HazardField, Scenario
 from sim.scenario.world_checks import Check
 
@@ -91,19 +99,15 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _polygon_faults(path: str, hazard: Hazard) -> Iterator[Fault]:
-    """It has three corners or more, all different, an area, and sides that meet nowhere else."""
+    """It has three corners or more, an area, and sides that meet nowhere but at corners."""
     corners = np.array(hazard.polygon)
     count = len(corners)
     if count < 3:
-        yield Fault(path, hazard.polygon, f"{count} corners", "three or more")
+        yield Fault(
+            path, hazard.polygon, f"{count} corners", "three or more, a millimetre apart or more"
+        )
         return
     sides = np.roll(corners, -1, axis=0) - corners
-    nothing = np.flatnonzero((sides == 0.0).all(axis=1))
-    if nothing.size:
-        n = int(nothing[0])
-        wrong = f"corners {n} and {(n + 1) % count} are the same"
-        yield Fault(path, hazard.polygon, wrong, "each corner once, the first not again at the end")
-        return
     met = _sides_that_meet(corners, sides)
     from_first = corners - corners[0]
     twice_the_area = float(_cross(from_first, np.roll(from_first, -1, axis=0)).sum())
@@ -233,6 +237,33 @@ def _placed(scenario: Scenario, fields: tuple[HazardField, ...]) -> int:
     key = np.uint64(scenario.seed), np.uint64(0)  # any will do: the flights have others
     with np.errstate(over="ignore"):  # random words wrap round, of which an interpreter warns
         return place_fields(scenario, tables, key)
+
+
+def hazard_warnings(scenario: Scenario) -> Iterator[str]:
+    """Warn of drivers that ignore hazards, and of straight legs that cross one."""
+    if not (scenario.hazard or scenario.hazard_field):
+        return
+    for k, ugv in enumerate(scenario.ugv):
+        if DRIVERS[ugv.driver].avoids:
+            continue
+        crossed = ""
+        if ugv.driver == "waypoints":
+            crossed = next((f"; {leg}" for leg in _crossing_legs(scenario, k)), "")
+        yield (
+            f'ugv.{k}.driver = "{ugv.driver}": does not avoid hazards{crossed}; the driver "navigate" does'
+        )
+
+
+def _crossing_legs(scenario: Scenario, k: int) -> Iterator[str]:
+    """Describe each straight leg from goal to goal of a UGV that crosses a hazard of the scenario."""
+    rows, corners = hazard_rows(scenario.hazard), corners_of(scenario.hazard)
+    places = stops(scenario.ugv[k])
+    for n, (start, goal) in enumerate(itertools.pairwise(places)):
+        for kind in (row.code for row in HAZARDS.values() if row.slows or not row.drivable):
+            hazard, _ = crosses_hazard(rows, corners, kind, start, goal)
+            if hazard >= 0:
+                begin = f"goals.{n - 1}" if n else "position"
+                yield f"its leg from {begin} to goals.{n} crosses hazard.{hazard}"
 
 
 GROUND_CHECKS: tuple[Check, ...] = (

@@ -108,6 +108,8 @@ SpeedShare = Annotated[float, Meta(gt=0.0, le=1.0)]
 DEFAULT_SHARE = 0.4
 """Of its largest speed that a vehicle keeps on rough ground where no share is given."""
 MOST_CORNERS = 1000
+SAME_CORNER = 1e-3
+"""Corners of a polygon that follow each other within this [m] are one: a ring may close but for rounding."""
 MOST_HAZARDS = 10_000
 
 
@@ -124,6 +126,16 @@ class Hazard(_Table, frozen=True, kw_only=True):
     """Instead of a disc: its corners in order round it, either way [m]. Its sides do not meet but at corners."""
     share: SpeedShare | None = None
     """If it is rough: of its largest speed that a vehicle keeps on it; by default 0.4."""
+
+    def __post_init__(self) -> None:
+        """Merge corners that follow each other within `SAME_CORNER`, the last and the first too."""
+        corners: list[Vector] = []
+        for corner in self.polygon:
+            if not corners or math.dist(corner, corners[-1]) >= SAME_CORNER:
+                corners.append(corner)
+        while len(corners) > 1 and math.dist(corners[0], corners[-1]) < SAME_CORNER:
+            corners.pop()
+        msgspec.structs.force_setattr(self, "polygon", tuple(corners))
 
     @property
     def speed_share(self) -> float:
