@@ -5,7 +5,7 @@ ROS 2 nodes with rmw_zenoh use keys of their own, `<domain>/<topic>/<type>/<hash
 
 | party | reads | writes |
 |---|---|---|
-| `ros2`, the bridge; `operator`'s bridge | `cmd_vel` and calls, if an operator's | all topics but vehicles' own |
+| `ros2`, the bridge; `operator`'s bridge | `cmd_vel` and calls, if an operator's | all topics but vehicles' own and `cmd_vel` |
 | `ros2_observer`, nodes that look on | all topics but vehicles' own | nothing |
 | `ros2_operator`, nodes that drive | the same | `cmd_vel`; calls of services |
 | a vehicle: its bridge and its node | `<vehicle>/pilot/...` of its own | the same |
@@ -35,6 +35,8 @@ _GRAPH = "@ros2_lv/**"
 _ENDPOINT = "@ros2_lv/*/*/*/*/*/*/*/*/{name}/*/*/*"
 COMMANDS = f"*/**/{CMD_VEL}/{_TYPE}"
 """All velocities for UGVs, in every domain and namespace."""
+INPUT_WRITER = Role.ROS2_OPERATOR
+"""The only role that may write a bridge's inputs: `cmd_vel` and the calls of services."""
 _CALLS = tuple(f"*/**/{service}/{_TYPE}" for service in SERVICES)
 _OTHER_WAY = {"ingress": "egress", "egress": "ingress"}
 
@@ -95,6 +97,15 @@ _NOT_OWN = [
 ]
 
 
+_NO_INPUTS = [
+    Grant("put", "ingress", (COMMANDS,), "deny"),
+    Grant("reply", "ingress", (COMMANDS, *_late(COMMANDS)), "deny"),
+    Grant("declare_queryable", "ingress", _late(COMMANDS), "deny"),
+    Grant("query", "ingress", _CALLS, "deny"),
+]
+"""What no party but `INPUT_WRITER` may do, although it may publish all other topics."""
+
+
 def _of_vehicle(name: str) -> list[Grant]:
     own = f"*/{name}/{PILOT}/*/{_TYPE}"
     tokens, node = _ENDPOINT.format(name=f"%{name}%{PILOT}%$*"), f"@ros2_lv/*/*/*/*/NN/*/%{name}/*"
@@ -115,8 +126,10 @@ def _of_staff(role: Role) -> list[Grant]:
         found += _DRIVEN
     if role in (Role.ROS2_OBSERVER, Role.ROS2_OPERATOR):
         found += _subscribes(TOPICS)
-    if role is Role.ROS2_OPERATOR:
+    if role is INPUT_WRITER:
         found += _other_end(_DRIVEN)
+    else:
+        found += _NO_INPUTS if found else []
     return [*found, *_LOOKS, *_DECLARES, *_NOT_OWN] if found else []
 
 

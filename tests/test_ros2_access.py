@@ -7,6 +7,7 @@ from staging import Received, everybody, listening, settled
 
 from bus.access import access_control, new_credentials
 from bus.keys import KEYS, Role
+from bus.ros2_access import INPUT_WRITER
 
 GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], ros2=True)
 NAMES = [one.name for one in GIVEN.parties if one.role is not Role.SIMULATOR]
@@ -26,20 +27,28 @@ BRIDGES, LOOKERS = {"ros2", "operator"}, {"ros2_observer", "ros2_operator"}
 SUFFIX = f"{TYPE}/::,10:,:,:,,"
 
 
-def allowed(key: str, everywhere: set[str], by_operators: str) -> set[str]:
-    """The parties that read a key, or write it: its vehicle alone, else all of these and on `cmd_vel` one more."""
+def readers(key: str) -> set[str]:
+    """The parties that may read a key."""
     own = {name for name, mine in OWN.items() if mine == key}
     if own or key in NOBODYS:
         return own
-    return everywhere | ({by_operators} if key == CMD_VEL else set())
+    return LOOKERS | ({"operator"} if key == CMD_VEL else set())
+
+
+def writers(key: str) -> set[str]:
+    """The parties that may write a key; the input of a bridge has a writer of its own."""
+    own = {name for name, mine in OWN.items() if mine == key}
+    if own or key in NOBODYS:
+        return own
+    return {INPUT_WRITER.value} if key == CMD_VEL else BRIDGES
 
 
 def test_each_party_reads_and_writes_its_own_topics_and_no_others(endpoint: str) -> None:
     wanted = {
         (reader, key, writer)
         for key in DATA
-        for reader in allowed(key, LOOKERS, "operator")
-        for writer in allowed(key, BRIDGES, "ros2_operator")
+        for reader in readers(key)
+        for writer in writers(key)
         if reader != writer
     }
     assert {("ros2_observer", f"0/tf/{TYPE}", "ros2")} < wanted
