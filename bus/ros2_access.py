@@ -5,7 +5,7 @@ ROS 2 nodes with rmw_zenoh use keys of their own, `<domain>/<topic>/<type>/<hash
 
 | party | reads | writes |
 |---|---|---|
-| `ros2`, the bridge; `operator`'s bridge | `cmd_vel` and calls, if an operator's | all topics but vehicles' own and `cmd_vel` |
+| `ros2`, the bridge; `operator`'s bridge | `cmd_vel`, calls, if an operator's | all but inputs and vehicles' own |
 | `ros2_observer`, nodes that look on | all topics but vehicles' own | nothing |
 | `ros2_operator`, nodes that drive | the same | `cmd_vel`; calls of services |
 | a vehicle: its bridge and its node | `<vehicle>/pilot/...` of its own | the same |

@@ -22,10 +22,11 @@ from outrider.bridges.mavlink.gateway import (
     OTHER_SYSTEM,
     OUR_NUMBER,
     SECOND_STATION,
+    TOO_MANY,
 )
 from outrider.bridges.mavlink.geodesy import geodetic
 from outrider.bridges.mavlink.run_gateway import RunGateway
-from outrider.bridges.mavlink.udp import UNREADABLE, Address, Network, parse_address
+from outrider.bridges.mavlink.udp import MOST_PEERS, UNREADABLE, Address, Network, parse_address
 from sim.scenario.loading import load_scenario
 from sim.scene.known import geometry_of
 
@@ -359,6 +360,52 @@ def test_a_second_ground_station_is_refused_until_the_first_falls_silent(run, mo
     assert run.client.driven[-1][1].velocity == pytest.approx((0.0, -0.18))
 
 
+def test_one_ground_station_too_many_is_refused_and_hears_it(run):
+    network = Network(listen=[Address("127.0.0.1", 0)])
+    shown, run.gateway.network = run.gateway.network, network
+    to = network._lines[0].socket.getsockname()
+    stations = []
+    for k in range(MOST_PEERS + 1):
+        stations.append(Station(run.gateway, number=100 + k))
+        stations[-1].to = to
+    driven = [station.send(sticks(500, 0)) for station in stations][-1]
+    assert any("16 ground stations" in text for text in texts(driven))
+    assert run.gateway.refusals.counts[TOO_MANY] == 1
+    assert run.gateway.received == MOST_PEERS
+    for station in stations:
+        station.socket.close()
+    network.close()
+    run.gateway.network = shown
+
+
+def test_services_that_a_run_does_not_have_reply(run):
+    files = [1, 0, 3, 10, 0, 0, 0, 0, 4, 0, 0, 0, *[0] * 239]
+    asked = {
+        "MISSION_ACK": [
+            mavlink.MAVLink_mission_count_message(UAV, 1, 3),
+            mavlink.MAVLink_mission_request_int_message(UAV, 1, 0),
+            mavlink.MAVLink_mission_clear_all_message(UAV, 1),
+            mavlink.MAVLink_mission_set_current_message(UAV, 1, 2),
+        ],
+        "MISSION_COUNT": [mavlink.MAVLink_mission_request_list_message(UAV, 1)],
+        "LOG_ENTRY": [mavlink.MAVLink_log_request_list_message(UAV, 1, 0, 9)],
+        "LOG_DATA": [mavlink.MAVLink_log_request_data_message(UAV, 1, 5, 90, 90)],
+        "FILE_TRANSFER_PROTOCOL": [
+            mavlink.MAVLink_file_transfer_protocol_message(0, UAV, 1, files)
+        ],
+    }
+    total = 0
+    for reply, requests in asked.items():
+        for request in requests:
+            (answer,) = of(run.station.send(request), reply)
+            total += 1
+            if reply == "MISSION_ACK":
+                assert answer.type == mavlink.MAV_MISSION_UNSUPPORTED
+    assert list(answer.payload[:13]) == [2, 0, 3, 129, 1, 10, 0, 0, 4, 0, 0, 0, 7]
+    run.station.send(mavlink.MAVLink_log_erase_message(UAV, 1))
+    assert run.gateway.refusals.counts == {f"service {NOT_SUPPORTED}": total + 1}
+
+
 def test_what_is_bad_is_counted_by_cause_and_drives_nothing(run):
     run.gateway.refuse = counted = Counted(run.gateway)
     send = run.station.send
@@ -422,7 +469,7 @@ def test_an_observer_only_watches(watched):
 
 
 @pytest.mark.parametrize(
-    "text", ["udpin:127.0.0.1:1", "127.0.0.1:14550", "udpout:h:0", "udpout:h:x", "udpout::14550"]
+    "text", ["udpin:127.0.0.1:1", "127.0.0.1", "udpout:h:0", "h:x", "udpout::14550", "tcp:h:1"]
 )
 def test_an_address_that_is_none_is_named(text):
     with pytest.raises(ScenarioError, match="--to"):

@@ -6,7 +6,7 @@ import math
 import msgspec
 import pytest
 from flights import distances, flown_by
-from test_mavlink import Station, of
+from test_mavlink import Station, of, texts
 
 from bus.errors import ScenarioError
 from bus.messages import UavObservation
@@ -180,6 +180,37 @@ def test_bad_telemetry_is_counted_by_cause_and_changes_no_bit(along, plain):
     causes = [bad[n % len(bad)][2] for n in range(times)]
     wanted = {cause: causes.count(cause) for cause in causes} | {UNREADABLE: times}
     assert dict(along.link.refusals.counts) == wanted
+
+
+def believed(along, **changes):
+    """Whether telemetry of this kind is believed."""
+    along.link.turn(0.0)
+    before = along.link.reports
+    along.autopilot.send(along.autopilot.report(**changes))
+    return along.link.reports > before
+
+
+def test_an_autopilot_that_restarts_is_believed_again(along, monkeypatch):
+    along.fly()
+    assert not believed(along, time_boot_ms=7)  # one that came late
+    assert "older" in along.link.refused
+    monkeypatch.setattr(module, "_SILENCE", -1.0)  # as after a second of silence
+    assert believed(along, time_boot_ms=7)
+    other = Autopilot(along.link, along.autopilot.to[1])
+    told = other.send(other.heartbeat())
+    assert any("another party" in text for text in texts(told))
+    monkeypatch.setattr(module, "_LEFT", -1.0)
+    other.send(other.heartbeat(), other.report())
+    assert along.link.peer.address[1] == other.port
+    other.socket.close()
+
+
+def test_the_clock_of_an_autopilot_may_roll_over(along):
+    along.fly()
+    assert believed(along, time_boot_ms=(1 << 31) + 5_000)
+    assert believed(along, time_boot_ms=(1 << 32) - 10)
+    assert believed(along, time_boot_ms=40)
+    assert not believed(along, time_boot_ms=(1 << 32) - 10)
 
 
 def test_a_run_that_declares_no_deviation_is_refused():

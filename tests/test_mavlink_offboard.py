@@ -58,6 +58,10 @@ def test_a_setpoint_is_read_by_its_type_mask():
     assert read_setpoint(both, LIMITS) == Setpoint((-0.2, 0.1), (0.1, 0.05))
     one = target((0.1, -0.2, 0.0), (math.nan,) * 3)
     assert read_setpoint(one, LIMITS) == Setpoint((-0.2, 0.1), None)
+    assert read_setpoint(target((0.1, -0.2, 0.0), mask=0x0FC7), LIMITS).velocity == (
+        -0.2,
+        0.1,
+    )  # DroneKit's
     other = target((math.nan,) * 3, (0.3, 0.0, 0.0), mask=ACCELERATION)
     assert read_setpoint(other, LIMITS) == Setpoint(None, (0.0, 0.3))
     as_fast_as_it_goes = float(np.float32(0.6))

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from outrider.bridges.mavlink.udp import Address, Network
     from outrider.view.operator import RunClient
 
-_OUT, _OFFBOARD = "udpout:127.0.0.1:14550", "udpout:127.0.0.1:14540"
-_AUTOPILOT = "udpin:127.0.0.1:14540"
+_OUT, _OFFBOARD = "127.0.0.1:14550", "127.0.0.1:14540"
+_AUTOPILOT = "127.0.0.1:14540"
 _LINGER = 0.6
 """The time for which a run that is over is still told [s]: one that is reset goes on."""
 _NICE = 5
@@ -41,7 +41,7 @@ def command(
         list[str] | None,
         typer.Option(
             "--to",
-            metavar="udpout:HOST:PORT",
+            metavar="HOST:PORT",
             help=f"A ground station that is told of the run; may be repeated. By default {_OUT}, "
             "where QGroundControl and MAVProxy listen, and with --vehicle "
             f"{_OFFBOARD}, where MAVSDK does; neither if --in or --autopilot is given.",
@@ -51,11 +51,18 @@ def command(
         list[str] | None,
         typer.Option(
             "--in",
-            metavar="udpin:HOST:PORT",
+            metavar="HOST:PORT",
             help="Where ground stations and programs may ask; may be repeated. With --autopilot "
             f"by default {_AUTOPILOT}, to which PX4 sends.",
         ),
     ] = None,
+    private: Annotated[
+        bool,
+        typer.Option(
+            "--private",
+            help="Send to a random port of this machine, and print it, instead of the usual one.",
+        ),
+    ] = False,
     vehicle: Annotated[
         str,
         typer.Option(
@@ -102,19 +109,23 @@ def command(
     be, and where it is farther off than `certificate.tracking` declares, or silent, the UAV stays and nothing is
     certified. It must be armed and in the air, and listen to setpoints; the run must keep real time.
 
-    Example: outrider mavlink --to udpout:127.0.0.1:14550 --credentials credentials/observer.json
+    Example: outrider mavlink --to 127.0.0.1:14550 --credentials credentials/observer.json
 
-    Example: outrider mavlink --vehicle uav_0 --to udpout:127.0.0.1:14540 --credentials credentials/uav_0.json
+    Example: outrider mavlink --vehicle uav_0 --to 127.0.0.1:14540 --credentials credentials/uav_0.json
     """
     from outrider.bridges.mavlink.identity import VehicleSystem
-    from outrider.bridges.mavlink.udp import Network, parse_address
+    from outrider.bridges.mavlink.udp import Network, parse_address, private_port
     from outrider.cli.console import print_json
 
     options.check_endpoint(connect)
     if vehicle and autopilot:
         raise typer.BadParameter("--vehicle or --autopilot, not both")
     told, asked = out or [], listen or []
-    if out is None and listen is None:
+    if private:
+        if out:
+            raise typer.BadParameter("--private or --to, not both")
+        told = [f"127.0.0.1:{private_port()}"]
+    elif out is None and listen is None:
         told = [] if autopilot else [_OFFBOARD if vehicle else _OUT]
         asked = [_AUTOPILOT] if autopilot else []
     listening = {text: parse_address(text, listens=True) for text in asked}
@@ -122,6 +133,7 @@ def command(
     network = Network(
         [parse_address(text, listens=False) for text in told], list(listening.values())
     )
+    _say_where(told, asked, private=private)
     began = time.monotonic()
     try:
         if vehicle or autopilot:
@@ -140,6 +152,17 @@ def command(
         print_json(found)
     else:
         sys.stderr.write(_story(found) + "\n")
+
+
+def _say_where(told: list[str], asked: list[str], *, private: bool) -> None:
+    """Print first where telemetry goes: over UDP, to whichever process listens there."""
+    if told:
+        known = "" if private else ", whoever its user is"
+        sys.stderr.write(
+            f"telemetry, the truth among it, goes to {', '.join(told)}: to the process that listens there{known}\n"
+        )
+    if asked:
+        sys.stderr.write(f"ground stations may ask at {', '.join(asked)}\n")
 
 
 def _join(

@@ -30,6 +30,11 @@ OLDER = "is older than what came before"
 _LOG = logging.getLogger("outrider.mavlink")
 _SILENCE = 1.0
 """After so long without telemetry nothing is known of the autopilot [s]."""
+_LEFT = 3.0
+"""After so long without a message the autopilot has gone, and another party with its system number is it [s]."""
+_CLOCK = 1 << 32
+"""Its clock starts again at 0 after this many milliseconds."""
+_MOST_TEXTS = 16
 _STANDS = 0.3
 """After so long without a tick the run stands still, and what is wanted is to stay [s]."""
 _RESEND = 0.1
@@ -94,6 +99,10 @@ class AutopilotLink:
         self.wanted: _Wanted | None = None
         self.anchor: Vector | None = None
         """Its local position where the scenario's origin is [m]: when it joins it is where its UAV is then."""
+        self.refused = ""
+        """Why its newest telemetry was refused; empty: it was not."""
+        self._said: dict[str, float] = {}
+        self._heard = -math.inf
         self._down = 0.0
         self._sent = self._beat = -math.inf
         self._told: _Wanted | None = None
@@ -150,22 +159,35 @@ class AutopilotLink:
 
     def _take(self, peer: Peer, message: MavMessage) -> None:
         kind = message.get_type()
-        if kind == "HEARTBEAT" and message.autopilot != _NO_AUTOPILOT and self.peer is None:
+        if kind == "HEARTBEAT" and message.autopilot != _NO_AUTOPILOT and self._may_be(peer):
             self._meet(peer)
         if kind not in ("HEARTBEAT", "LOCAL_POSITION_NED"):
             return
         if peer != self.peer:
             if self.peer is not None and getattr(message, "autopilot", 0) != _NO_AUTOPILOT:
-                self.refusals.add(Refused(OTHER_AUTOPILOT, f"{kind} of {peer}"))
+                self._refuse(OTHER_AUTOPILOT, f"{kind} of {peer}")
+                self.say(f"refused: {OTHER_AUTOPILOT}", peer)
             return
+        self._heard = time.monotonic()
         if kind == "HEARTBEAT":
             self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         else:
             self._take_position(message)
 
+    def _may_be(self, peer: Peer) -> bool:
+        """Return whether this party is the autopilot: the first one, or the same system at another port."""
+        if self.peer is None:
+            return True
+        gone = time.monotonic() - self._heard > _LEFT
+        return gone and peer != self.peer and peer.system == self.peer.system
+
+    def _refuse(self, cause: str, what: str) -> None:
+        self.refusals.add(Refused(cause, what))
+        self.refused = f"{what} {cause}"
+
     def _meet(self, peer: Peer) -> None:
-        """The first autopilot that sends anything is the one; we are a computer on board of it."""
-        self.peer = peer
+        """Take a party for the autopilot; we are a computer on board of it."""
+        self.peer, self._heard = peer, time.monotonic()
         ours = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
         self._packer = mavlink.MAVLink(None, srcSystem=peer.system, srcComponent=ours)
         kind, pace = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
@@ -176,14 +198,15 @@ class AutopilotLink:
         values = (message.x, message.y, message.z, message.vx, message.vy)
         speed = math.hypot(message.vx, message.vy)
         if not all(map(math.isfinite, values)):
-            self.refusals.add(Refused(NOT_FINITE, "telemetry"))
-        elif self.reported is not None and message.time_boot_ms <= self.reported.boot:
-            self.refusals.add(Refused(OLDER, "telemetry"))
+            self._refuse(NOT_FINITE, "telemetry")
+        elif self.reported is not None and self._is_older(self.reported, message.time_boot_ms):
+            self._refuse(OLDER, "telemetry")
         elif speed > self.max_speed * _SPEEDING:
             what = f"telemetry of {speed:.2f} m/s with at most {self.max_speed:g}"
-            self.refusals.add(Refused(BEYOND_BOUNDS, what))
+            self._refuse(BEYOND_BOUNDS, what)
         else:
             self.reports += 1
+            self.refused = ""
             self.reported = Reported(
                 message.time_boot_ms,
                 (message.y, message.x),
@@ -191,6 +214,22 @@ class AutopilotLink:
                 (message.vy, message.vx),
                 time.monotonic(),
             )
+
+    @staticmethod
+    def _is_older(reported: Reported, boot: int) -> bool:
+        """Return whether a time stamp is older than the newest; after a silence the autopilot has started again."""
+        if time.monotonic() - reported.received > _SILENCE:
+            return False
+        return not 0 < (boot - reported.boot) % _CLOCK < _CLOCK // 2
+
+    def say(self, text: str, peer: Peer | None = None) -> None:
+        """Send a text for people to the autopilot or another party, each at most once a second."""
+        now, to = time.monotonic(), peer or self.peer
+        if to is not None and now - self._said.get(text, -math.inf) > 1.0:
+            self._said = {**self._said, text: now} if len(self._said) < _MOST_TEXTS else {text: now}
+            data = text.encode("ascii", "replace")[:50]
+            message = mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_WARNING, data)
+            self.network.send(packed(message, self._packer), message.get_type(), to.address)
 
     def set_anchor(self, position: Vector) -> None:
         """It is where the UAV is now, and at that height it stays."""
@@ -282,14 +321,17 @@ class AutopilotPilot:
         follows = off <= self._bound and self._link.armed
         if follows != self._follows:
             self._follows = follows
-            _LOG.warning("%s", self._story(off))
+            story = self._story(off)
+            _LOG.warning("%s", story)
+            self._link.say(story)
         return None if follows else setpoint_control(REST, observation, self._briefing)
 
     def _story(self, off: float) -> str:
         if self._follows:
             return "the autopilot holds what it is told: the run's law flies"
         if math.isinf(off):
-            why = "the autopilot is silent"
+            refused = self._link.refused
+            why = f"refused: {refused}" if refused else "the autopilot is silent"
         elif not self._link.armed:
             why = "the autopilot is not armed"
         else:

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from outrider.bridges.mavlink.dialect import MavMessage, mavlink, packed
 from outrider.bridges.mavlink.identity import AUTOPILOT, VehicleSystem
-from outrider.bridges.mavlink.udp import UNREADABLE, Network, Peer
+from outrider.bridges.mavlink.services import NEGATIVE_REPLIES
+from outrider.bridges.mavlink.udp import MOST_PEERS, UNREADABLE, Network, Peer
 from outrider.bridges.refused import Refusals, Refused
 
 ACCEPTED: int = mavlink.MAV_RESULT_ACCEPTED
@@ -17,6 +18,7 @@ OTHER_SYSTEM = "is for another system"
 OTHER_COMPONENT = "is for another component"
 OUR_NUMBER = "bears the number of a vehicle"
 SECOND_STATION = "comes from a second ground station"
+TOO_MANY = f"comes from one ground station too many; {MOST_PEERS} are the most"
 NOT_FINITE = "has a number that is none"
 BEYOND_BOUNDS = "is beyond the bounds"
 NOT_ALLOWED = "is not allowed"
@@ -139,6 +141,11 @@ class Gateway:
         for peer, message in self.network.receive(patience):
             self.received += 1
             self._take(peer, message)
+        for peer in self.network.turned_away():
+            self.refuse(TOO_MANY, f"what {peer} wants")
+            first = next(iter(self.systems.values()))
+            for text in first.texts(f"refused: {MOST_PEERS} ground stations already", warns=True):
+                self.network.send_to_stranger(packed(text, first.sender), peer.address)
         unreadable = self.network.unreadable - before
         if unreadable:
             self.refuse(UNREADABLE, "bytes that are none, or damaged", unreadable)
@@ -247,12 +254,11 @@ class Gateway:
                 self._tell_parameters(peer, system, message)
             case "PARAM_SET":
                 self._take_parameter(peer, system, message)
-            case "MISSION_REQUEST_LIST":
-                plan = message.mission_type
-                nothing = mavlink.MAVLink_mission_count_message(
-                    peer.system, peer.component, 0, plan
-                )
-                self.send(system, nothing, peer)
+            case _ if kind in NEGATIVE_REPLIES:
+                self.refusals.counts[f"service {NOT_SUPPORTED}"] += 1  # the reply says it
+                reply = NEGATIVE_REPLIES[kind]
+                if reply is not None:
+                    self.send(system, reply(peer, message), peer)
             case "MANUAL_CONTROL":
                 self.manual(peer, system, message)
             case _:
@@ -355,7 +361,7 @@ _ADDRESSED = frozenset(
         "PARAM_REQUEST_LIST",
         "PARAM_REQUEST_READ",
         "PARAM_SET",
-        "MISSION_REQUEST_LIST",
+        *NEGATIVE_REPLIES,
         "MANUAL_CONTROL",
         "SET_POSITION_TARGET_LOCAL_NED",
         "SET_POSITION_TARGET_GLOBAL_INT",

@@ -83,7 +83,8 @@ def read_setpoint(message: MavMessage, limits: Limits) -> Setpoint:
         _level(bool(mask & _UP_ACCELERATION), message.afz, "an acceleration")
         acceleration = _vector(message.afx, message.afy, u_max, "an acceleration")
     halves = {mask & _VELOCITY, mask & _ACCELERATION} - {0, _VELOCITY, _ACCELERATION}
-    if halves or mask & _FORCE or (velocity is None and acceleration is None):
+    force = mask & _FORCE and acceleration is not None
+    if halves or force or (velocity is None and acceleration is None):
         raise Refused(NOT_SUPPORTED, f"a type mask of {mask:#06x}")
     return Setpoint(velocity, acceleration)
 

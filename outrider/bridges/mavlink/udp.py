@@ -1,5 +1,6 @@
 """Datagrams to and from ground stations and autopilots, as MAVLink messages; what is none is counted."""
 
+import secrets
 import select
 import socket
 import struct
@@ -19,7 +20,8 @@ _MOST = 500
 _LARGEST = 65_535
 _QUIET = 30.0
 """A party that has been silent for so long is sent nothing more [s]."""
-_MOST_PEERS = 16
+MOST_PEERS = 16
+"""Parties that one socket reaches at most."""
 
 
 class Address(NamedTuple):
@@ -41,7 +43,7 @@ class Peer(NamedTuple):
 
 
 def parse_address(text: str, *, listens: bool) -> Address:
-    """Host and port of `udpout:HOST:PORT` or `udpin:HOST:PORT`.
+    """Return host and port of `HOST:PORT`, `udpout:HOST:PORT` or `udpin:HOST:PORT`.
 
     Args:
         text: As the user has written it.
@@ -51,14 +53,27 @@ def parse_address(text: str, *, listens: bool) -> Address:
         ScenarioError: If it is none.
     """
     kind = "udpin" if listens else "udpout"
-    first, *rest = text.split(":")
-    host, port = (rest[0], rest[1]) if len(rest) == 2 else ("", "")
-    if first != kind or not host or not port.isdecimal() or not 0 < int(port) < 65536:
+    host, _, port = text.removeprefix(f"{kind}:").partition(":")
+    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
         option = "--in" if listens else "--to"
         raise ScenarioError(
-            f"{option} {text}: allowed is {kind}:HOST:PORT, such as {kind}:127.0.0.1:14550"
+            f"{option} {text}: allowed is HOST:PORT, such as 127.0.0.1:14550, or {kind}:HOST:PORT"
         )
     return Address(host, int(port))
+
+
+def private_port() -> int:
+    """Return a random UDP port of this machine that no process listens on.
+
+    Raises:
+        BusError: If none is found.
+    """
+    for _ in range(100):
+        port = 20_000 + secrets.randbelow(40_000)
+        with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("127.0.0.1", port))
+            return port
+    raise BusError("127.0.0.1: no free UDP port was found")
 
 
 @dataclass(slots=True)
@@ -114,6 +129,7 @@ class Network:
         self.sent: Counter[str] = Counter()
         """Messages by type, however many parties each went to."""
         self._lines: list[_Line] = []
+        self._turned_away: dict[Address, tuple[Peer, socket.socket]] = {}
         try:
             for address in out:
                 self._open(_resolved(address))
@@ -149,10 +165,27 @@ class Network:
                 self.strangers += 1
                 continue
             found = self._parse(data)
-            if found and (address in line.received or len(line.received) < _MOST_PEERS):
+            if found and address not in line.received:
+                line.reached(time.monotonic())  # forgets the silent ones
+                if line.fixed is None and len(line.received) >= MOST_PEERS:
+                    sender = Peer(address, found[0].get_srcSystem(), found[0].get_srcComponent())
+                    if len(self._turned_away) < MOST_PEERS:
+                        self._turned_away[address] = sender, line.socket
+                    continue
+            if found:
                 line.received[address] = time.monotonic()
             for message in found:
                 yield Peer(address, message.get_srcSystem(), message.get_srcComponent()), message
+
+    def turned_away(self) -> list[Peer]:
+        """Return the parties that were refused since the last call, as too many are there already."""
+        return [peer for peer, _ in self._turned_away.values()]
+
+    def send_to_stranger(self, packed: bytes, address: Address) -> None:
+        """Send a packed message to a party that was turned away, once."""
+        _, opened = self._turned_away.pop(address)
+        with suppress(OSError):
+            opened.sendto(packed, address)
 
     def _parse(self, data: bytes) -> list[MavMessage]:
         """The messages of one datagram: each holds whole ones, so nothing of one can spoil the next."""

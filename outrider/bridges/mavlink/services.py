@@ -1,0 +1,61 @@
+"""Negative replies of MAVLink's mission, log and file services, which a run does not have."""
+
+from collections.abc import Callable, Mapping
+
+from outrider.bridges.mavlink.dialect import MavMessage, mavlink
+from outrider.bridges.mavlink.udp import Peer
+
+_NAK, _UNKNOWN_COMMAND = 129, 7
+_FILE_BYTES = 251
+
+
+def _no_mission(peer: Peer, message: MavMessage) -> MavMessage:
+    plan = getattr(message, "mission_type", 0)
+    unsupported = mavlink.MAV_MISSION_UNSUPPORTED
+    return mavlink.MAVLink_mission_ack_message(peer.system, peer.component, unsupported, plan)
+
+
+def _no_items(peer: Peer, message: MavMessage) -> MavMessage:
+    return mavlink.MAVLink_mission_count_message(
+        peer.system, peer.component, 0, message.mission_type
+    )
+
+
+def _no_logs(_peer: Peer, _message: MavMessage) -> MavMessage:
+    return mavlink.MAVLink_log_entry_message(0, 0, 0, 0, 0)
+
+
+def _no_log_data(_peer: Peer, message: MavMessage) -> MavMessage:
+    return mavlink.MAVLink_log_data_message(message.id, message.ofs, 0, [0] * 90)
+
+
+def _no_files(peer: Peer, message: MavMessage) -> MavMessage:
+    """Return the NAK of the file transfer protocol: sequence number, session, opcode, size, request, error."""
+    asked = bytes(message.payload)
+    number = (int.from_bytes(asked[:2], "little") + 1) % (1 << 16)
+    head = number.to_bytes(2, "little") + bytes((asked[2], _NAK, 1, asked[3], 0, 0)) + asked[8:12]
+    payload = head + bytes((_UNKNOWN_COMMAND,))
+    return mavlink.MAVLink_file_transfer_protocol_message(
+        0, peer.system, peer.component, list(payload.ljust(_FILE_BYTES, b"\0"))
+    )
+
+
+Answer = Callable[[Peer, MavMessage], MavMessage]
+NEGATIVE_REPLIES: Mapping[str, Answer | None] = {
+    "MISSION_REQUEST_LIST": _no_items,
+    "MISSION_REQUEST": _no_mission,
+    "MISSION_REQUEST_INT": _no_mission,
+    "MISSION_REQUEST_PARTIAL_LIST": _no_mission,
+    "MISSION_WRITE_PARTIAL_LIST": _no_mission,
+    "MISSION_COUNT": _no_mission,
+    "MISSION_ITEM": _no_mission,
+    "MISSION_ITEM_INT": _no_mission,
+    "MISSION_SET_CURRENT": _no_mission,
+    "MISSION_CLEAR_ALL": _no_mission,
+    "LOG_REQUEST_LIST": _no_logs,
+    "LOG_REQUEST_DATA": _no_log_data,
+    "LOG_ERASE": None,
+    "LOG_REQUEST_END": None,
+    "FILE_TRANSFER_PROTOCOL": _no_files,
+}
+"""Reply to each request, by the request's name; None: the protocol has no reply to it."""
