@@ -24,20 +24,23 @@ SERVICES = ("pause", "step", "reset")
 LARGEST = 1 << 20
 """Larger payloads [bytes] of ROS 2 the router drops."""
 
+NO_HASH = "TypeHashNotSupported"
+"""In the place of a type's hash, where a distribution of ROS 2 knows none."""
 _TYPE = "*/RIHS01_$*"
 """Type and hash: no key of ours ends with such a hash."""
+_HASHES = (_TYPE, f"*/{NO_HASH}")
 TOPICS = "*/*/**/RIHS01_$*"
 """All data of ROS 2, in every domain."""
 _LATE = "@adv/**"
 """After a topic's key: how transient-local topics serve those who come late."""
-_ANY_OWN = f"*/**/{PILOT}/*/{_TYPE}"
+_ANY_OWN = tuple(f"*/**/{PILOT}/*/{hashed}" for hashed in _HASHES)
 _GRAPH = "@ros2_lv/**"
 _ENDPOINT = "@ros2_lv/*/*/*/*/*/*/*/*/{name}/*/*/*"
-COMMANDS = f"*/**/{CMD_VEL}/{_TYPE}"
-"""All velocities for UGVs, in every domain and namespace."""
+COMMANDS = tuple(f"*/**/{CMD_VEL}/{hashed}" for hashed in _HASHES)
+"""All velocities for UGVs, in every domain and namespace, with whatever hash."""
 INPUT_WRITER = Role.ROS2_OPERATOR
 """The only role that may write a bridge's inputs: `cmd_vel` and the calls of services."""
-_CALLS = tuple(f"*/**/{service}/{_TYPE}" for service in SERVICES)
+_CALLS = tuple(f"*/**/{service}/{hashed}" for service in SERVICES for hashed in _HASHES)
 _OTHER_WAY = {"ingress": "egress", "egress": "ingress"}
 
 
@@ -77,41 +80,41 @@ _DECLARES = [
     Grant("liveliness_token", "egress", (_GRAPH,)),
 ]
 _DRIVEN = [
-    Grant("declare_subscriber", "ingress", (COMMANDS,)),
-    Grant("put", "egress", (COMMANDS,)),
+    Grant("declare_subscriber", "ingress", COMMANDS),
+    Grant("put", "egress", COMMANDS),
     Grant("declare_queryable", "ingress", _CALLS),
     Grant("query", "egress", _CALLS),
     Grant("reply", "ingress", _CALLS),
 ]
 _NOT_OWN = [
-    Grant(message, flow, (_ANY_OWN,), "deny")
+    Grant(message, flow, _ANY_OWN, "deny")
     for message in ("put", "declare_subscriber", "reply")
     for flow in _OTHER_WAY
 ] + [
     Grant("liveliness_token", "ingress", (_ENDPOINT.format(name=f"$*%{PILOT}%$*"),), "deny"),
-    Grant("query", "ingress", _late(_ANY_OWN), "deny"),
-    Grant("query", "egress", _late(_ANY_OWN), "deny"),
-    Grant("declare_queryable", "ingress", _late(_ANY_OWN), "deny"),
-    Grant("liveliness_token", "ingress", _late(_ANY_OWN), "deny"),
-    Grant("liveliness_token", "egress", _late(_ANY_OWN), "deny"),
+    Grant("query", "ingress", _late(*_ANY_OWN), "deny"),
+    Grant("query", "egress", _late(*_ANY_OWN), "deny"),
+    Grant("declare_queryable", "ingress", _late(*_ANY_OWN), "deny"),
+    Grant("liveliness_token", "ingress", _late(*_ANY_OWN), "deny"),
+    Grant("liveliness_token", "egress", _late(*_ANY_OWN), "deny"),
 ]
 
 
 _NO_INPUTS = [
-    Grant("put", "ingress", (COMMANDS,), "deny"),
-    Grant("reply", "ingress", (COMMANDS, *_late(COMMANDS)), "deny"),
-    Grant("declare_queryable", "ingress", _late(COMMANDS), "deny"),
+    Grant("put", "ingress", COMMANDS, "deny"),
+    Grant("reply", "ingress", (*COMMANDS, *_late(*COMMANDS)), "deny"),
+    Grant("declare_queryable", "ingress", _late(*COMMANDS), "deny"),
     Grant("query", "ingress", _CALLS, "deny"),
 ]
 """What no party but `INPUT_WRITER` may do, although it may publish all other topics."""
 
 
 def _of_vehicle(name: str) -> list[Grant]:
-    own = f"*/{name}/{PILOT}/*/{_TYPE}"
+    own, unhashed = f"*/{name}/{PILOT}/*/{_TYPE}", f"*/{name}/{PILOT}/*/*/{NO_HASH}"
     tokens, node = _ENDPOINT.format(name=f"%{name}%{PILOT}%$*"), f"@ros2_lv/*/*/*/*/NN/*/%{name}/*"
     return [
-        *_publishes(own),
-        *_subscribes(own),
+        *_publishes(own, unhashed),
+        *_subscribes(own, unhashed),
         *_LOOKS,
         Grant("liveliness_token", "ingress", (tokens, node)),
         Grant("liveliness_token", "egress", (tokens,)),

@@ -21,6 +21,7 @@ from test_ros2_wire import truth_at
 from bus.access import new_credentials
 from bus.keys import CONTROL, COVERAGE, OPERATOR, SAMPLED_TRUTH, STATUS
 from bus.messages import Action, Control, CoverageMap, Limits
+from bus.ros2_access import NO_HASH
 from outrider.bridges.refused import Refused
 from outrider.bridges.ros2.conversion import header, view_of
 from outrider.bridges.ros2.interfaces import decode, encode, make, request_of, response_of
@@ -285,6 +286,14 @@ def test_an_operators_node_drives_and_what_is_bad_is_counted_and_told(tmp_path: 
             _key(), GOOD, attachment=Attachment(sequence=1, time=0, gid=b"x" * 16).encoded()
         )
         wait_until(lambda: "another node is at the wheel" in observer.refusals.counts)
+        counted = observer.refusals.counts["another hash"]
+        unhashed = "/".join([*_key().split("/")[:-1], NO_HASH])
+
+        def counted_without_hash() -> bool:
+            driving.put(unhashed, GOOD, attachment=beside)
+            return observer.refusals.counts["another hash"] > counted
+
+        wait_until(counted_without_hash)
         told_of = {one.key: one.value for one in observer._own_diagnostic().values}
         assert int(told_of["refused: beyond the limits"]) >= 1
 
@@ -302,6 +311,11 @@ def test_an_operators_node_drives_and_what_is_bad_is_counted_and_told(tmp_path: 
             )
             answer = decode(response_of(interface), reply.ok.payload.to_bytes())
             assert answer.success
+            counted = observer.refusals.counts["another hash"]
+            key = wire_topic(interface, name, "/fleet").key(7)
+            calls = driving.get("/".join([*key.split("/")[:-1], NO_HASH]), payload=payload)
+            assert all(reply.ok is None for reply in calls)
+            wait_until(lambda now=counted: observer.refusals.counts["another hash"] > now)
         actions = [controls.receive(2.0).message.action for _ in asked]
         assert actions == [Action.PAUSE, Action.STEP, Action.RESET]
         client.close()

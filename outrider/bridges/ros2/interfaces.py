@@ -12,6 +12,7 @@ from outrider.bridges.ros2.wire import dds_type
 
 RosMessage = Any
 """A message of ROS 2's, of a class that rosbags generates and that has no types."""
+OTHER_HASH = "another hash"
 _MOST_ITEMS = 1 << 20
 """Elements of a sequence that is read: what claims to have more is no message to us."""
 _SERVICES = {
@@ -103,5 +104,5 @@ def decode_checked(interface: str, hashed: str, raw: bytes, *allowed: str) -> Ro
         verb = "are" if len(allowed) > 1 else "is"
         raise Refused("another type", f"{interface}; allowed {verb} {' and '.join(allowed)}")
     if hashed != type_hash(name):
-        raise Refused("another hash", f"{hashed} of {name}; here it is {type_hash(name)}")
+        raise Refused(OTHER_HASH, f"{hashed} of {name}; here it is {type_hash(name)}")
     return decode(name, raw)

@@ -16,6 +16,7 @@ from bus.ros2_access import CMD_VEL, COMMANDS, SERVICES
 from outrider.bridges.refused import Refusals, Refused
 from outrider.bridges.ros2.conversion import MAP, base_link
 from outrider.bridges.ros2.interfaces import (
+    OTHER_HASH,
     RosMessage,
     decode,
     decode_checked,
@@ -116,11 +117,12 @@ class RosCommands:
         self.taken = 0
         """Commands and calls that were passed on."""
         # Of every domain, vehicle and type: what is not for us is counted and not decoded.
-        node.receive(COMMANDS, self._receive)
+        for expression in COMMANDS:
+            node.receive(expression, self._receive)
         for service in SERVICES:
             interface = "std_srvs/srv/SetBool" if service == "pause" else "std_srvs/srv/Trigger"
             topic = wire_topic(interface, f"/{service}", namespace)
-            node.service(topic, partial(self._serve, service, interface))
+            node.service(topic, partial(self._serve, service, interface), self._refuse_call)
 
     def follow(self, status: Status | None) -> None:
         """Take in what the simulator tells: whose wheels there are."""
@@ -181,6 +183,10 @@ class RosCommands:
             self.taken += said
         told = f"{action.value} at the next tick" if said else "the bus takes no more messages"
         return encode(answer, make(answer, success=said, message=told))
+
+    def _refuse_call(self, name: str) -> None:
+        with self._lock:
+            self._refusals.add(Refused(OTHER_HASH, f"a call of {name} without a hash of its type"))
 
     def hand_back(self) -> None:
         """Let the drivers from before drive on."""

@@ -14,6 +14,7 @@ import zenoh
 import zenoh.ext
 
 from bus.errors import BusError
+from bus.ros2_access import NO_HASH
 from bus.session import Session
 from outrider.bridges.ros2.wire import RELIABLE, Attachment, Endpoint, Node, Qos, WireTopic, gid_of
 
@@ -131,9 +132,23 @@ class RosNode:
 
         self._kept.append(self._zenoh.declare_subscriber(expression, take, allowed_origin=_REMOTE))
 
-    def service(self, topic: WireTopic, serve: Serve) -> None:
-        """Offer a service."""
+    def service(self, topic: WireTopic, serve: Serve, refuse: Callable[[str], None]) -> None:
+        """Offer a service.
+
+        Args:
+            topic: The service with its type.
+            serve: Answers a request.
+            refuse: Called with the name for each call without a hash of the type.
+        """
         key = topic.key(self.domain)
+
+        def refuse_call(query: zenoh.Query) -> None:
+            with query:
+                refuse(topic.name)
+                query.reply_err(b"the type's hash is missing")
+
+        unhashed = topic.key(self.domain).replace(topic.hash, NO_HASH)
+        self._kept.append(self._zenoh.declare_queryable(unhashed, refuse_call, complete=True))
 
         def answer(query: zenoh.Query) -> None:
             with query:

@@ -21,6 +21,7 @@ from bus.messages import (
     UavObservation,
     UgvCommand,
 )
+from bus.ros2_access import NO_HASH
 from outrider.bridges.refused import Refusals, Refused
 from outrider.bridges.ros2.conversion import MAP, base_link, detection, odometry, stamp
 from outrider.bridges.ros2.interfaces import RosMessage, decode_checked, encode, make
@@ -69,7 +70,8 @@ class RosPilot:
         for row in PILOT_COMMANDS:
             topic = wire_topic(row.interface, f"/{party.name}/{row.name}")
             node.show_subscription(topic, row.qos)
-            node.receive(f"*/{party.name}/{row.name}/*/RIHS01_$*", self._receive)
+            for hashed in ("RIHS01_$*", NO_HASH):
+                node.receive(f"*/{party.name}/{row.name}/*/{hashed}", self._receive)
 
     @property
     def there(self) -> bool:
