@@ -502,19 +502,20 @@ def test_what_is_no_recording_gives_one_line(tmp_path, content, arguments, comma
         assert name in line
 
 
-def test_another_programs_mcap_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("encoding", ["json", "cdr"])
+def test_another_programs_mcap_is_refused(tmp_path: Path, encoding: str) -> None:
     from mcap.writer import Writer
 
     path = tmp_path / "other.mcap"
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
-        channel = writer.register_channel("/odom", "json", 0)
+        channel = writer.register_channel("/odom", encoding, 0)
         writer.add_message(channel, 0, b"{}", 0)
         writer.finish()
-    with pytest.raises(ScenarioError, match="not a recording of Outrider's"):
+    with pytest.raises(ScenarioError, match="not a recording of Outrider"):
         load(path)
-    assert [entry.topic for entry in entries(path)] == ["/odom"]
+    assert [entry.topic for entry in entries(path)] == ["/odom"] * (encoding == "json")
     damage = Damage()
     assert list(stream(path, damage))
     assert not damage.reason

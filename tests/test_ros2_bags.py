@@ -270,6 +270,13 @@ def _greeting(folder, topic):
         writer.write(there, 0, encode(RECORDS_TYPE, make(RECORDS_TYPE, data="hello")))
 
 
+def _late(folder, _):
+    record = '{"number": 0, "topic": "/truth", "time": 18446744073709551615, "message": {}}'
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        there = writer.add_connection(RECORDS, RECORDS_TYPE, typestore=type_store())
+        writer.write(there, 0, encode(RECORDS_TYPE, make(RECORDS_TYPE, data=record)))
+
+
 def _sqlite(folder, flown):
     with Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3):
         pass
@@ -299,12 +306,13 @@ def _flipped(folder, flown):
         (lambda folder, _: folder.mkdir(), "no metadata.yaml in it; allowed: an MCAP file or"),
         (
             lambda folder, _: _greeting(folder, "/chatter"),
-            "no topic /outrider/recording in it: not a recording of Outrider's",
+            "not a recording of Outrider: no topic /outrider/recording",
         ),
         (
             lambda folder, _: _greeting(folder, RECORDS),
             "/bad.mcap: /outrider/recording at 0 s: JSON is malformed.*; allowed: what",
         ),
+        (_late, r"/bad\.mcap: /truth: time = 18446744073709551615 ns: out of range"),
         (_sqlite, "no MCAP file in it; allowed: a bag that ros2 bag convert has stored as MCAP"),
         (_truncated, r"nothing whole is in it \(it ends within a record\)"),
         (_flipped, r"nothing whole is in it \(damaged at byte "),

@@ -12,6 +12,8 @@ from bus.errors import ScenarioError
 RECORDS = "/outrider/recording"
 """The topic of the records."""
 RECORDS_TYPE = "std_msgs/msg/String"
+LATEST = (1 << 31) * 1_000_000_000 - 1
+"""The latest time of a recording [ns]: ROS 2 counts seconds in 32 bits."""
 _METADATA = "metadata.yaml"
 _TEXT = struct.Struct("<4sI")
 """Before a String's text: the encapsulation header, and its length with the zero at its end."""

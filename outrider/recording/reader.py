@@ -28,7 +28,7 @@ from bus.messages import (
     Truth,
 )
 from outrider.recording import schemas
-from outrider.recording.bag_records import RECORDS, bag_files, record_in, size_of
+from outrider.recording.bag_records import LATEST, RECORDS, bag_files, record_in, size_of
 from sim.scenario.types import Scenario
 
 with from_extra("record"):
@@ -268,7 +268,7 @@ def _in_order(folder: Path) -> list[Path]:
         raise ScenarioError(
             f"{folder}: nothing whole is in it ({reason})"
             if reason
-            else f"{folder}: no topic {RECORDS} in it: not a recording of Outrider's"
+            else f"{folder}: not a recording of Outrider: no topic {RECORDS} in it"
         )
     return sorted(first, key=lambda file: first[file])
 
@@ -292,10 +292,13 @@ def _entries_of_file(path: Path, damage: Damage) -> Iterator[Entry]:
                 names[record.id] = record.topic  # the other topics of a bag are ROS 2's
         elif isinstance(record, records.Message) and record.channel_id in names:
             topic = names[record.channel_id]
-            if topic == RECORDS:
-                yield _kept(path, record)
-            else:
-                yield Entry(topic=topic, time=record.log_time, data=record.data)
+            own = Entry(topic=topic, time=record.log_time, data=record.data)
+            entry = _kept(path, record) if topic == RECORDS else own
+            if entry.time > LATEST:
+                raise ScenarioError(
+                    f"{path}: {entry.topic}: time = {entry.time} ns: out of range; allowed up to {LATEST}"
+                )
+            yield entry
 
 
 def _kept(path: Path, message: records.Message) -> Entry:
@@ -446,13 +449,11 @@ def load(path: Path) -> list[Recording]:
             if message.realtime_factor > 0.0:
                 flights[-1].factors.append(message.realtime_factor)
     if not flights:
-        why = damage.reason or "closed, and empty"
-        what = (
-            "nothing whole is in it"
-            if not seen
-            else f"no {schemas.SCENARIO.name} in it: not a recording of Outrider's"
-        )
-        raise ScenarioError(f"{path}: {what} ({why})")
+        why = damage.reason
+        what = f"not a recording of Outrider: no {schemas.SCENARIO.name} in it"
+        if damage.reason and not seen:
+            what = "nothing whole is in it"
+        raise ScenarioError(f"{path}: {what}{f' ({why})' if why else ''}")
     return flights
 
 
