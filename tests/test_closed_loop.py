@@ -126,11 +126,22 @@ def test_a_certificate_that_ends_is_counted_unless_an_assumption_has_failed() ->
     loop.tables.bounds["age"] += 100
     assert _flown_with(loop, [5])["certificate_broken"] == 2.0
     assert _flown_with(loop, [6])["certificate_broken"] == 2.0  # an episode begins at 0
-    unsure = msgspec.structs.replace(scenario, certificate=Certificate(age=1.0, error=0.29))
-    loop = ClosedLoop(unsure, 1, error=True)  # of detections that may be wrong by 0.3 m
+
+
+@pytest.mark.parametrize(("declared", "broken"), [(1.0, 2.0), (0.2, 0.0)])
+def test_errors_that_occurred_excuse_a_broken_certificate(declared: float, broken: float) -> None:
+    """The noise has no bound; no error of this flight reaches 1 m, some exceed 0.2 m."""
+    dark = msgspec.structs.replace(PROFILES["perfect"], blackouts=((4.0, 2.0), (8.0, 3.0)))
+    scenario = small(
+        "certified",
+        links=LinkTable(detections=dark),
+        certificate=Certificate(age=1.0, error=declared),
+        detections=Detections(noise=0.1, cut=0.0, dropout=0.0),
+    )
+    loop = ClosedLoop(scenario, 1, error=True)
     loop.tables.bounds["age"] += 100
     assert _flown_with(loop, [5])["certified"] > 0.0
-    assert _flown_with(loop, [5])["certificate_broken"] == 0.0
+    assert _flown_with(loop, [5])["certificate_broken"] == broken
 
 
 def test_the_whole_escort_is_the_run_that_the_readme_shows() -> None:

@@ -40,7 +40,7 @@ from outrider.envs.closed_loop_state import (
 )
 from outrider.envs.closed_loop_tick import run_worlds
 from sim.engine.batch import Batch, Fresh, arrays_of
-from sim.engine.briefing import largest_tracking_error, uav_briefing, ugv_briefing
+from sim.engine.briefing import uav_briefing, ugv_briefing
 from sim.engine.certificate_counts import (
     CertificateBounds,
     certificate_bounds,
@@ -372,17 +372,6 @@ class ClosedLoop:
         self.batch.workers.close()
 
 
-def _is_bounded(scenario: Scenario, told: UavBriefing) -> bool:
-    """True if no detection can have a larger error than is declared, and no own position either."""
-    detector, declared, off = told.detector, told.certificate.error, told.certificate.tracking
-    (uav,) = (one for one in scenario.uav if one.name == told.vehicle)
-    if off is not None and off < largest_tracking_error(scenario, uav):
-        return False
-    if declared is None or detector.noise == 0.0:
-        return declared is not None
-    return detector.cut is not None and detector.noise * detector.cut <= declared
-
-
 class _PilotNumbers:
     """The parameters of all pilots, in tables."""
 
@@ -408,7 +397,6 @@ class _PilotNumbers:
         bounds = [certificate_bounds(one.certificate, one.dt) for one in told_uavs]
         self.bounds = records(CertificateBounds, bounds)
         self.certificates = certificate_counts(len(uavs))
-        self.certificates["exact"] = [_is_bounded(scenario, one) for one in told_uavs]
         self.sent = sent_commands(bounds)
         self.promises = records(Promise, promises)
         self.faults = np.array([bool(check_assumptions(one)) for one in promises], dtype=np.bool_)

@@ -4,6 +4,8 @@ The pilots' own functions are called, so a vehicle that is flown in here gets th
 give over the bus. One pass a world, so that its grid stays near the core until the tick is done.
 """
 
+import math
+
 from agents.control.certificate import CERTIFIED as NOTHING_AGAINST
 from agents.control.certificate import INNER
 from agents.control.guard import GuardState, guard
@@ -36,6 +38,7 @@ from sim.channel.link import advance as begin_tick
 from sim.channel.link import receive, send
 from sim.engine.certificate_counts import (
     CertificateClaim,
+    count_tracking,
     note_action,
     note_arrival,
     note_end,
@@ -56,7 +59,7 @@ from sim.kernels.compile import FloatArray, IntArray, inlined, released
 from sim.kernels.prefetch import fetch_disc, fetch_rows
 from sim.models.field import coverage_gradient
 from sim.models.randomness import key_of
-from sim.models.vehicles import Motion
+from sim.models.vehicles import Motion, norm
 
 _SAID, _BLOCK, _SENT = range(3)
 """Columns of a message by radio: the tick, the block of tiles (-1: of none), and where its content begins."""
@@ -318,6 +321,7 @@ def _perceive(parameters: LoopParameters, tables: LoopTables, state: LoopState, 
             arrived[u],
         )
         if tables.guarded[u]:
+            _note_errors(tables, state, world, u)
             for n in range(arrived[u]):
                 note_arrival(
                     tables.bounds[u],
@@ -333,6 +337,23 @@ def _perceive(parameters: LoopParameters, tables: LoopTables, state: LoopState, 
     if state.grounds.tiles.shape[2] > 0:
         for g in range(tables.batch.ground.ugvs.shape[0]):
             _feel_ground(tables, state, world, g)
+
+
+@inlined
+def _note_errors(tables: LoopTables, state: LoopState, world: int, uav: int) -> None:
+    """Compare this tick's detection and the UAV's position with the truth.
+
+    A detection that is wrong counts at once, whether it arrives or not.
+    """
+    a, g = tables.batch.escorts[uav, 0], tables.batch.escorts[uav, 1]
+    true, told = state.batch.truth.position[world], state.batch.told.position[world]
+    found = state.batch.truth.detections[world, uav]
+    off = norm(true[a, 0] - told[a, 0], true[a, 1] - told[a, 1])
+    count_tracking(tables.bounds, state.certificates[world], uav, off)
+    if not math.isnan(found[0]):
+        x, y = true[a, 0] - true[g, 0], true[a, 1] - true[g, 1]
+        counts = state.certificates[world, uav]
+        note_arrival(tables.bounds[uav], counts, counts.newest, norm(found[0] - x, found[1] - y))
 
 
 @inlined
