@@ -491,3 +491,12 @@ def test_a_damaged_part_is_named_with_what_to_do(tmp_path, content):
         SweepFolder(tmp_path / "sweep", plan, command="")
     part.unlink()
     SweepFolder(tmp_path / "sweep", plan, command="").close()
+
+
+def test_laws_of_a_repeated_option_are_joined(here, command) -> None:
+    words_ = ("sweep", "escort", "--law", "linear", "--law", "switching", "--seeds", "1")
+    flown = command(*words_, "--duration", "0.5", "--jobs", "1", "--out", "joined", "--json")
+    assert flown.returncode == 0, flown.stderr
+    head = read_head(here / "joined")
+    assert head is not None
+    assert head.sweep.laws == ("linear", "switching")

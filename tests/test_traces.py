@@ -531,6 +531,23 @@ def test_the_fit_tells_blackouts_and_lonely_losses_apart(monkeypatch: pytest.Mon
         assert getattr(found, field) == pytest.approx(getattr(wanted, field), rel=within), field
 
 
+def test_the_fit_finds_an_outage_between_opportunities() -> None:
+    times = [time for time in range(1, 30_001) if not 15_000 < time < 16_000]
+    fit, _ = fit_link(a_trace("\n".join(map(str, times))))
+    assert fit.settings.blackout_length == 1.0
+    assert fit.settings.blackout_interval == pytest.approx(29.0)
+    assert fit.factor < 1.5
+    assert fit.lost > 0.0  # a full queue drops messages, as in a run
+
+
+def test_a_profile_that_comes_nearer_than_the_fit_is_named(monkeypatch) -> None:
+    odd = LinkSettings(delay=0.05, reorder=0.3, reorder_delay=1.0)
+    monkeypatch.setattr("outrider.experiments.network.fitting.PROFILES", {"odd": odd})
+    fit, _ = fit_link(written(odd, 0.05))
+    assert fit.profiles["odd"] < fit.factor
+    assert any("the profile odd comes nearer" in note for note in fit.notes)
+
+
 def test_the_fit_of_a_steady_link_is_its_delay_and_nothing_else(monkeypatch) -> None:
     monkeypatch.setattr(*FEW)
     steady = fit_link(a_trace("sent,delay\n0,0.25\n0.1,0.25\n0.2,0.25\n"))[0]

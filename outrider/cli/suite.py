@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
 def command(
     law: Annotated[
-        str,
+        list[str] | None,
         typer.Option(
             "--law",
             help="Laws, between commas; by default the paper's and certified, in missions also 'none', a UGV without "
-            "an escort; or no law beside a --uav-policy.",
+            "an escort; or no law beside a --uav-policy. May be repeated.",
         ),
-    ] = "",
+    ] = None,
     uav_policy: Annotated[
         list[str] | None,
         typer.Option(
@@ -93,7 +93,7 @@ def command(
         return
     chosen = {"estimate": estimate, "gradient": gradient, "safety_filter": safety_filter}
     settings = {name: True for name, wanted in chosen.items() if wanted}
-    laws = [one.strip() for one in law.split(",") if one.strip()]
+    laws = [one.strip() for one in ",".join(law or ()).split(",") if one.strip()]
     entries = _entries(laws, uav_policy or [], tasks)
     if settings and not uav_policy:
         raise typer.BadParameter(

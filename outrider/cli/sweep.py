@@ -25,8 +25,9 @@ def command(
         ),
     ] = "network",
     law: Annotated[
-        str, typer.Option("--law", help="Laws, between commas, instead of the file's.")
-    ] = "",
+        list[str] | None,
+        typer.Option("--law", help="Laws, between commas, instead of the file's; may be repeated."),
+    ] = None,
     vary: Annotated[
         list[str] | None,
         typer.Option(
@@ -87,7 +88,12 @@ def command(
     if duration is not None:
         changes = [*(changes or ()), f"duration={duration!r}"]
     described, text = describe_sweep(
-        sweep, laws=law, vary=vary or (), changes=changes or (), seeds=seeds, first_seed=first_seed
+        sweep,
+        laws=",".join(law or ()),
+        vary=vary or (),
+        changes=changes or (),
+        seeds=seeds,
+        first_seed=first_seed,
     )
     where = out or Path("sweeps") / Path(sweep).stem
     with runs_bar() as progress:

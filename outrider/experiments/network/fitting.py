@@ -30,6 +30,10 @@ _SHORTEST = 1e-3
 """Waits that are shorter count as this long [s]: no tick notices them."""
 _STEADY = 1e-6
 """Delays that differ by less than this have no jitter [s]."""
+_OUTAGE = 0.2
+"""Shorter gaps between opportunities are no outage [s]."""
+_OUTSTANDING = 4.0
+"""An outage is so many times longer than all but one gap in a hundred."""
 _IN_A_ROW = 3
 """Fewer messages lost in a row are no blackout."""
 _CORRELATED = 0.5
@@ -79,13 +83,20 @@ def fit_link(
         ScenarioError: If it is no recorded link, or nothing arrives over it.
     """
     sample = recorded_sample(recorded, rate=rate, message_bytes=message_bytes)
-    settings = _rounded(_settings(sample))
+    settings = _rounded(_settings(sample, _outages(recorded)))
     drawn = {name: drawn_sample(one, sample.interval) for name, one in PROFILES.items()}
     fitted = drawn_sample(settings, sample.interval)
     factors = {name: wait_factor(sample, one) for name, one in drawn.items()}
     ranked = dict(sorted(factors.items(), key=lambda item: item[1]))
     nearest = next(iter(ranked))
     delays = np.quantile(sample.arrived, tuple(_DELAYS.values())).tolist()
+    factor = wait_factor(sample, fitted)
+    notes = list(_notes(recorded, sample))
+    if ranked[nearest] < factor:
+        notes.append(
+            f"the profile {nearest} comes nearer ({ranked[nearest]:.2f}) than the fit ({factor:.2f}): use it or "
+            f'play the file itself, with trace = "{recorded.name}" under [links.detections]'
+        )
     fit = Fit(
         file=recorded.name,
         messages=len(sample.delay),
@@ -94,10 +105,10 @@ def fit_link(
         longest_burst=float(sample.bursts.max(initial=0)) * sample.interval,
         delay=dict(zip(_DELAYS, delays, strict=True)),
         settings=settings,
-        factor=wait_factor(sample, fitted),
+        factor=factor,
         nearest=nearest,
         profiles=ranked,
-        notes=list(_notes(recorded, sample)),
+        notes=notes,
         toml=as_toml(settings),
     )
     return fit, {"recorded": sample, "fitted": fitted, "nearest": drawn[nearest]}
@@ -160,8 +171,41 @@ def _rounded(settings: LinkSettings) -> LinkSettings:
     )
 
 
-def _settings(sample: Sample) -> LinkSettings:
+def _outages(recorded: RecordedLink) -> FloatArray:
+    """Return begin and end of the outages of a Mahimahi file [s]: gaps between opportunities. Shape (outages, 2)."""
+    recording = recording_of(recorded)
+    if isinstance(recording, Fates):
+        return np.zeros((0, 2))
+    times = recording.times / 1000.0
+    gaps = np.diff(times)
+    long = np.flatnonzero(gaps >= max(_OUTAGE, _OUTSTANDING * float(np.quantile(gaps, 0.99))))
+    return np.stack([times[long], times[long + 1]], axis=1)
+
+
+def _without(sample: Sample, outages: FloatArray) -> Sample:
+    """Return the messages that no outage delayed or lost: runs of such messages, about as long as an outage, go."""
+    usual = float(np.median(sample.arrived))
+    late = np.isnan(sample.delay) | (sample.delay > usual + 2.0 * sample.interval)
+    edges = np.flatnonzero(np.diff(late.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
+    shortest = 0.5 * float((outages[:, 1] - outages[:, 0]).min())
+    kept = np.ones(len(sample.delay), dtype=bool)
+    for begin, end in edges.tolist():
+        if (end - begin) * sample.interval >= shortest:
+            kept[begin:end] = False
+    return sample._replace(delay=sample.delay[kept]) if kept.any() else sample
+
+
+def _settings(sample: Sample, outages: FloatArray) -> LinkSettings:
     dark, rest = _blackouts(sample)
+    if len(outages):
+        lengths = outages[:, 1] - outages[:, 0]
+        whole = len(sample.delay) * sample.interval
+        between = max(whole - float(lengths.sum()), 1e-3) / len(outages)
+        dark = {"blackout_length": float(lengths.mean()), "blackout_interval": between}
+        rest = _without(sample, outages)
+        return msgspec.structs.replace(
+            LinkSettings(), **_delay(rest.arrived), **dark, **_loss(rest)
+        )
     return msgspec.structs.replace(LinkSettings(), **_delay(sample.arrived), **dark, **_loss(rest))
 
 

@@ -72,7 +72,7 @@ def recorded_sample(recorded: RecordedLink, *, rate: float, message_bytes: int) 
     Args:
         recorded: A table has messages of its own; a Mahimahi file is played for one round.
         rate: Messages that are sent over a Mahimahi file [1/s].
-        message_bytes: Their size.
+        message_bytes: Their size. A full queue loses messages as in a run.
 
     Raises:
         ScenarioError: If it is no recorded link, or nothing arrives over it.
@@ -84,7 +84,7 @@ def recorded_sample(recorded: RecordedLink, *, rate: float, message_bytes: int) 
         sample = Sample(interval, recording.delay[:_MOST])
     else:
         every = max(1, round(1.0 / (rate * MILLISECOND)))
-        settings = LinkSettings(trace=recorded.name, message_bytes=message_bytes, queue=1000)
+        settings = LinkSettings(trace=recorded.name, message_bytes=message_bytes)
         p = link_parameters(settings, MILLISECOND, traces=(recorded,))
         messages = min(max(2, p.period // every), _MOST)
         sample = _played(p, MILLISECOND, messages, every)
