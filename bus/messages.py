@@ -23,6 +23,8 @@ Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,31}$(?!\n)")]
 LONGEST_TEXT = 500
 """Letters of a text."""
 Text = Annotated[str, Meta(max_length=LONGEST_TEXT)]
+Line = Annotated[str, Meta(max_length=LONGEST_TEXT, pattern=r"^[^\x00-\x1f\x7f-\x9f]*$(?!\n)")]
+"""A text without control characters."""
 PilotKey = Annotated[str, Meta(pattern=r"^[0-9a-f]{32}$(?!\n)")]
 """128 bits: a string, as not every language's JSON keeps whole numbers of more than 53."""
 Vector = tuple[Coordinate, Coordinate]

@@ -14,6 +14,7 @@ from matplotlib.image import AxesImage
 
 from bus.files import writing
 from bus.registry import LAWS
+from sim.input.faults import one_line
 from sim.scene.colors import GOOD, INK, LIMIT, MUTED, UAV, UGV, color
 from sim.scene.drawing import COVERAGE, DASHED, DPI, key, look
 
@@ -114,3 +115,8 @@ def legend_above(axes: Axes) -> None:
 def panel(axes: Axes, letter: str, title: str) -> None:
     """The title of a sub-figure, with its letter."""
     axes.set_title(rf"$\mathbf{{({letter})}}$  {title}")
+
+
+def plain(text: str) -> str:
+    """Return a user's text for a picture: on one line, and without mathematics."""
+    return one_line(text).replace("$", r"\$")

@@ -3,6 +3,7 @@
 import os
 import struct
 import sys
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,13 +15,14 @@ from refusals import refused
 from bus.access import read_credential
 from bus.errors import AccessDenied, ScenarioError
 from bus.files import read_regular
+from outrider.bridges.fmi.driver import FmuPolicy
 from outrider.cli.console import print_warnings
 from outrider.experiments.sweep.definition import describe_sweep
 from outrider.experiments.sweep.plan import lay_out
 from outrider.learning.mlp import load_policy
 from outrider.running.flying import run
 from outrider.running.user_code import foreign_code
-from sim.scenario.loading import load_scenario, scenario_names
+from sim.scenario.loading import load_scenario, scenario_names, shipped_text
 
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
 zstandard = pytest.importorskip("zstandard", reason="the extra [record] is not installed")
@@ -232,3 +234,61 @@ def test_no_shipped_scenario_names_code() -> None:
     assert [foreign_code(load_scenario(name)) for name in scenario_names()] == [()] * len(
         scenario_names()
     )
+
+
+def test_a_trace_of_many_rows_is_refused_unread(tmp_path: Path) -> None:
+    for name, text in (("a.csv", "sent,delay\n" + "0,0\n" * 1_000_001), ("b", "1\n" * 1_000_002)):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(ScenarioError, match="more than 1,000,000 rows"):
+            load_scenario("escort", overrides={"links.detections.trace": str(tmp_path / name)})
+
+
+@pytest.mark.parametrize(
+    ("rows", "error", "wrong"), [(1_001_000, "", "1,001,000 rows"), (200_000, "x" * 20_000, "GiB")]
+)
+def test_results_are_bounded_before_they_are_unpacked(tmp_path, rows, error, wrong) -> None:
+    pa = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    from outrider.experiments.sweep.folder import RESULTS, read_results
+
+    batch = pa.record_batch({"run": pa.array(np.arange(1000)), "error": pa.array([error] * 1000)})
+    path = tmp_path / RESULTS
+    with parquet.ParquetWriter(path, batch.schema, compression="zstd") as writer:
+        for _ in range(rows // 1000):
+            writer.write_batch(batch, row_group_size=1000)
+    assert path.stat().st_size < 20 << 20
+    with pytest.raises(ScenarioError, match=wrong):
+        read_results(tmp_path, {"run": "int64", "error": "string"})
+
+
+def test_a_sweep_of_too_many_runs_is_refused() -> None:
+    described, _ = describe_sweep("escort", laws="linear,switching", seeds=500_001)
+    with pytest.raises(ScenarioError, match="1,000,002 runs; allowed: 1,000,000"):
+        lay_out(described)
+
+
+def test_a_unit_that_unpacks_to_much_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("fmpy")
+    with (
+        zipfile.ZipFile(tmp_path / "big.fmu", "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("modelDescription.xml", "w", force_zip64=True) as file,
+    ):
+        for _ in range(257):
+            file.write(bytes(1 << 20))
+    with pytest.raises(ScenarioError, match="unpacks to 257 MiB; allowed: 256 MiB"):
+        FmuPolicy(str(tmp_path / "big.fmu"), "policy")
+
+
+def test_titles_and_names_reach_no_terminal_and_no_picture(tmp_path, command, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = shipped_text("circle").replace('title = "', 'title = "$\\\\frac{1$ ')
+    odd = tmp_path / "e$\\frac{vil$\x1b[31m.toml"
+    odd.write_text(text)
+    flown = command("run", odd, "--in-process", "--duration", "1")
+    assert flown.returncode == 0, flown.stderr
+    assert "\x1b" not in flown.stdout + flown.stderr
+    odd.write_text(text.replace("$", "\\u001b[31m"))
+    refused = command("check", odd)
+    assert refused.returncode == 2
+    assert "\x1b" not in refused.stderr

@@ -20,6 +20,7 @@ from processes import (
     outrider,
     python,
     ran,
+    started,
     wait_until,
 )
 from tabular import words
@@ -27,6 +28,7 @@ from tabular import words
 from outrider.recording.reader import statuses
 from outrider.running.flying import fly
 from outrider.running.launch import free_port
+from outrider.running.run_folder import run_folder
 from sim.scenario.loading import load_scenario, scenario_names
 
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
@@ -246,3 +248,28 @@ def test_a_policy_that_raises_at_once_is_one_line(here: Path, words: str) -> Non
     (line,) = ended.stderr.splitlines()
     assert "tick 0" in line
     assert "mine.py:2" in line
+
+
+def test_the_next_start_removes_what_a_killed_run_left(monkeypatch) -> None:
+    """A run that is killed before it has started anything leaves its folder."""
+    folder = Path(os.environ["TMPDIR"])
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    with started("run", "escort", "--duration", "1", "--no-files", fresh=True) as run:
+        wait_until(lambda: list(folder.glob("outrider-*/.lock")))
+        run.kill()
+        run.wait()
+    with run_folder() as own:
+        assert list(folder.glob("outrider-*/.lock")) == [own / ".lock"]
+        with run_folder() as other:  # a run that lives keeps its own
+            assert own.exists()
+            assert other != own
+
+
+def test_a_run_over_many_processes_is_refused(here: Path, command) -> None:
+    uavs = "".join(f"[[uav]]\nescorts='ugv_{k}'\nposition=[{1 + k}.0, 9.0]\n" for k in range(25))
+    ugvs = "".join(f"[[ugv]]\nposition=[{1 + k}.0, 8.0]\n" for k in range(25))
+    (here / "many.toml").write_text(f"duration=1.0\n[law]\nname='linear'\n{uavs}{ugvs}")
+    refused = command("run", "many.toml")
+    assert refused.returncode == 2
+    assert "needs 51 processes; allowed: 20" in refused.stderr
+    assert list(here.iterdir()) == [here / "many.toml"]

@@ -21,8 +21,14 @@ from rich.text import Text
 
 from bus.messages import LinkStatus
 from outrider.running.summary import Summary, in_flights
+from sim.input.faults import one_line
 from sim.kernels.compile import Share, is_compiled
 from sim.scenario.types import Scenario
+
+
+def printable(text: str) -> str:
+    """Return a text in which everything but line breaks is escaped that does not print."""
+    return "\n".join(one_line(line) for line in text.split("\n"))
 
 
 class PlainConsole(Console):
@@ -33,7 +39,7 @@ class PlainConsole(Console):
 
     def tell(self, text: str | Text) -> None:
         """Print a line, however long: where it is too long for the window, the terminal breaks it."""
-        self.print(text, soft_wrap=True)
+        self.print(printable(text) if isinstance(text, str) else text, soft_wrap=True)
 
 
 ERR, OUT = PlainConsole(stderr=True), PlainConsole()
@@ -61,7 +67,7 @@ def print_warnings(lines: Iterable[str]) -> None:
         alike.setdefault(re.sub(r"\d+", "0", line), []).append(line)
     for first, *others in alike.values():
         more = f" (and {len(others):,} more like it)" if others else ""
-        ERR.tell(Text.assemble(("warning:", "yellow"), f" {first}{more}"))
+        ERR.tell(Text.assemble(("warning:", "yellow"), f" {printable(first)}{more}"))
 
 
 def print_table(
@@ -82,7 +88,7 @@ def print_table(
         whole: Those that are never broken.
     """
     table = (
-        Table(title=title, title_justify="left")
+        Table(title=printable(title), title_justify="left")
         if title
         else Table(box=None, pad_edge=False, header_style="bold")
     )
@@ -94,7 +100,7 @@ def print_table(
             overflow="ellipsis" if heading in whole else "fold",
         )
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*(printable(cell) if isinstance(cell, str) else cell for cell in row))
     OUT.print(table)
 
 
@@ -113,7 +119,7 @@ class FlightProgress:
 
     def say(self, line: str) -> None:
         """Print a line above the bar."""
-        ERR.tell(Text(line, style="yellow"))
+        ERR.tell(Text(printable(line), style="yellow"))
 
 
 def bar(*told: ProgressColumn, stays: bool = False, width: int = 40) -> Progress:
@@ -286,14 +292,14 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
     """The table that a run ends with."""
     told = "no UAV" if summary.law is None else f"law {summary.law}"
     table = Table(
-        title=f"{summary.scenario}, {told}, seed {summary.seed}",
+        title=f"{printable(summary.scenario)}, {told}, seed {summary.seed}",
         title_justify="left",
         show_header=False,
     )
     table.add_column(style="bold")
     table.add_column(justify="right")
     for row in _rows(summary):
-        table.add_row(*row)
+        table.add_row(*(printable(cell) if isinstance(cell, str) else cell for cell in row))
     OUT.print(table)
     OUT.tell(f"  trajectory_sha256 {summary.trajectory_sha256}")
     if summary.secret:

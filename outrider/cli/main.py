@@ -49,6 +49,7 @@ from outrider.cli import (
 )
 from outrider.cli.options import help_without_command
 from outrider.cli.stopping import leave
+from sim.input.faults import one_line
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "run": run.command,
@@ -139,7 +140,7 @@ def _telling(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _fail(line: str, code: int) -> int:
-    sys.stderr.write(f"outrider: {' '.join(line.split())}\n")
+    sys.stderr.write(f"outrider: {one_line(' '.join(line.split()))}\n")
     return code
 
 

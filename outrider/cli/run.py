@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bus.errors import PeerLost
+from bus.errors import PeerLost, ScenarioError
 from bus.extras import check_extra
 from bus.registry import DRIVERS
 from outrider.cli import options
 from outrider.cli.stopping import Stop, stop_on_signals
+
+MOST_PROCESSES = 20
+"""Processes that a run starts at most, unless more are allowed."""
 
 if TYPE_CHECKING:
     from outrider.cli.console import FlightProgress
@@ -67,6 +70,12 @@ def command(
             help="Start a vehicle's process again if it dies; in lockstep the clock waits.",
         ),
     ] = False,
+    allow_processes: Annotated[
+        int,
+        typer.Option(
+            "--allow-processes", metavar="N", help="Start up to this many processes.", min=1
+        ),
+    ] = MOST_PROCESSES,
     deadline: options.Deadline = 10.0,
     out: Annotated[
         Path | None,
@@ -110,6 +119,7 @@ def command(
             scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, **own
         )
         strangers = any(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
+        _check_processes(flown, 0 if in_process else allow_processes)
         if in_process and strangers:
             raise typer.BadParameter("--driver external is another process; leave --in-process out")
         kept = options.secret_of(secret, wanted=strangers)
@@ -158,6 +168,21 @@ def command(
             else:
                 print_summary(outcome.summary, outcome.files)
         _end(outcome, stop)
+
+
+def _check_processes(flown: "Scenario", allowed: int) -> None:
+    """Refuse a run over more processes than are allowed; 0: it has none.
+
+    Raises:
+        ScenarioError: If there are more.
+    """
+    outside = sum(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
+    wanted = 1 + len(flown.vehicles) - outside
+    if 0 < allowed < wanted:
+        raise ScenarioError(
+            f"{flown.name}: needs {wanted} processes; allowed: {allowed}; raise it with --allow-processes {wanted}, or "
+            "use --in-process"
+        )
 
 
 def _page(wanted: bool, port: int) -> AbstractContextManager[socket.socket | None]:

@@ -5,7 +5,6 @@ import os
 import queue
 import secrets
 import socket
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -25,6 +24,7 @@ from outrider.running.child import Child
 from outrider.running.cores import can_be_kept_apart, keep_apart
 from outrider.running.exit_reports import Report
 from outrider.running.forking import Forkserver, forkserver
+from outrider.running.run_folder import run_folder
 from outrider.running.summary import Process, Summary
 from sim.scenario.types import Scenario, Ugv
 from sim.server.run_timing import Timing
@@ -172,8 +172,7 @@ def launch(
         The summary of what was flown, if anything was; and the fault that ended it early.
     """
     with (
-        # for the run's socket: only this user can enter it
-        tempfile.TemporaryDirectory(prefix="outrider-", ignore_cleanup_errors=True) as folder,
+        run_folder() as folder,
         nullcontext(forks) if forks else forkserver() as server,
         _ended_afterwards() as pages,
         _ended_afterwards() as children,
@@ -184,7 +183,7 @@ def launch(
         run = f"run-{os.getpid()}-{secrets.token_hex(4)}"
         processes = _Processes(
             scenario,
-            Path(folder),
+            folder,
             run,
             children,
             server,

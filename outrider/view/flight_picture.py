@@ -233,7 +233,7 @@ def _verdict(flight: Flight) -> _Verdict | None:
 
 def _draw_header(figure: Figure, flight: Flight, hazards: GroundMap | None) -> None:
     scenario, verdict = flight.scenario, _verdict(flight)
-    named = f"{shortened(scenario.name, 24)}   ·   " if scenario.title else ""
+    named = f"{style.plain(shortened(scenario.name, 24))}   ·   " if scenario.title else ""
     facts = [
         flight.law_name if verdict is None else f"law {flight.law_name}",
         f"seed {flight.seed}",

@@ -14,6 +14,7 @@ from bus.messages import (
     Area,
     Estimator,
     Law,
+    Line,
     LinkKind,
     LinkSettings,
     Name,
@@ -340,7 +341,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
 
     name: Text = ""
     """The file's name without its ending, where none is given."""
-    title: Text = ""
+    title: Line = ""
     seed: Annotated[int, Meta(ge=0, le=2**53 - 1)] = 0
     duration: Positive = 160.0
     """[s], a whole number of ticks."""

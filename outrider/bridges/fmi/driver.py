@@ -9,6 +9,7 @@ import shutil
 import sys
 import tempfile
 import weakref
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,8 @@ from sim.kernels.compile import is_interpreted
 _INPUTS = {one.name: "Float64" if one.unit else "Boolean" for one in DRIVER_INPUTS}
 """The inputs that a unit may have, with their types."""
 _OUTPUTS = tuple(one.name for one in ACCELERATION)
+MOST_UNPACKED = 256 << 20
+"""Bytes that a unit unpacks to at most."""
 _STEP = 0.05
 """Of the trial where the unit names no step size [s]."""
 _FAULTY = 2
@@ -71,6 +74,20 @@ class _Instance:
         return _one_line(self._said[-1] if self._said else error)
 
 
+def _check_size(path: str, where: str) -> None:
+    """Check what an archive says that it unpacks to, before it is unpacked.
+
+    Raises:
+        ScenarioError: If that is too much.
+    """
+    with zipfile.ZipFile(path) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+    if size > MOST_UNPACKED:
+        raise ScenarioError(
+            f"{where}: unpacks to {size >> 20:,} MiB; allowed: {MOST_UNPACKED >> 20} MiB at most"
+        )
+
+
 class FmuPolicy:
     """A unit, `FILE.fmu`, that has been read and tried; each UGV has an instance of its own.
 
@@ -94,6 +111,7 @@ class FmuPolicy:
         self._folder = tempfile.mkdtemp(prefix="outrider-fmu-")
         weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
         try:
+            _check_size(path, where)
             fmpy.extract(path, self._folder)
             xml = Path(self._folder, "modelDescription.xml")
             version = ElementTree.parse(xml).getroot().get("fmiVersion")  # noqa: S314 - its code is run next

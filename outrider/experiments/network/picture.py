@@ -68,7 +68,7 @@ def draw_fit(fit: Fit, samples: dict[str, Sample], path: Path) -> None:
         figure.text(
             0.012,
             0.975,
-            f"{fit.file}: {fit.messages:,} messages, one every {fit.interval:g} s; lost: {lost}",
+            f"{style.plain(fit.file)}: {fit.messages:,} messages, one every {fit.interval:g} s; lost: {lost}",
             fontsize=12,
             fontweight="bold",
             va="top",

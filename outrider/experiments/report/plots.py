@@ -48,10 +48,12 @@ def positions(panel: Panel) -> tuple[list[float], float]:
 
 
 def _dress(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
-    axes.set_title(panel.title)
-    axes.set_xlabel(panel.label)
+    axes.set_title(style.plain(panel.title))
+    axes.set_xlabel(style.plain(panel.label))
     axes.set_xlim(where[0] - 0.6 * gap, where[-1] + 0.6 * gap)
-    labels = [tick_of(panel.field, value) for value in panel.values] if panel.field else [""]
+    labels = [""]
+    if panel.field:
+        labels = [style.plain(tick_of(panel.field, value)) for value in panel.values]
     drawn: list[float] = []
     for k, x in enumerate(where):  # labels that would touch are left out
         if drawn and x - drawn[-1] < (where[-1] - where[0]) / 11.0:
@@ -97,7 +99,9 @@ def _sheet(
         axes.yaxis.set_tick_params(labelleft=True)
         if k % columns == 0:
             axes.set_ylabel(label)
-    figure.text(0.012, 1.0 - 14.0 / height, title, fontsize=12, fontweight="bold", va="top")
+    figure.text(
+        0.012, 1.0 - 14.0 / height, style.plain(title), fontsize=12, fontweight="bold", va="top"
+    )
     figure.legend(
         handles=list(keys),
         loc="upper left",

@@ -10,7 +10,7 @@ import msgspec
 from msgspec import Meta
 
 from bus.errors import ScenarioError
-from bus.messages import Text
+from bus.messages import Line, Text
 from sim.input.faults import Fault, one_line
 from sim.input.reading import parse_override, parse_toml, typed
 from sim.scenario.loading import read_toml, scenario_names
@@ -25,7 +25,7 @@ _OWN = {"seed": "--seeds, in a file seeds", "law.name": "--law, in a file laws"}
 class Block(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One experiment of a sweep: the product of what it varies."""
 
-    name: Text = ""
+    name: Line = ""
     """The name in tables and pictures; the varied fields by default."""
     vary: dict[str, Any] = {}
     """Fields of the scenario, each with a list of values."""
@@ -36,7 +36,7 @@ class Block(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 class Sweep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A plan of runs: each law, in each block, at each combination of its values, with each seed."""
 
-    title: Text = ""
+    title: Line = ""
     scenario: Text = "escort"
     """A shipped name, or a file; found beside the sweep's own file too."""
     laws: Annotated[tuple[Text, ...], Meta(min_length=1)] | None = None

@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 from bus.errors import ScenarioError
 from bus.files import read_regular, writing
 from outrider.experiments.sweep.definition import Sweep
-from outrider.experiments.sweep.plan import SweepPlan
+from outrider.experiments.sweep.plan import MOST_RUNS, SweepPlan
 
 HEAD = "sweep.json"
 FILE = "sweep.toml"
@@ -30,6 +30,8 @@ _MOST_PARTS = 200
 _UNFINISHED = ".unfinished"
 _MOST_HEAD, _MOST_TABLE = 4 << 20, 1 << 30
 """Of a head and of a table with results [bytes]."""
+_BATCH = 1000
+"""Rows that are unpacked at once."""
 
 
 class SweepHead(msgspec.Struct, frozen=True, kw_only=True):
@@ -80,13 +82,33 @@ def _read_table(path: Path, columns: dict[str, str]) -> pa.Table:
     remedy = "delete it and its runs are flown again"
     content = pa.BufferReader(read_regular(path, _MOST_TABLE))
     try:  # without Arrow's threads: at the end of a process they may abort it (apache/arrow#34314)
-        table = pq.ParquetFile(content, pre_buffer=False).read(use_threads=False)
+        table = _unpacked(path, pq.ParquetFile(content, pre_buffer=False), columns)
     except pa.ArrowException as error:
         reason = " ".join(str(error).split()).rstrip(".")
         raise ScenarioError(f"{path}: damaged: {reason}; {remedy}") from error
-    if not table.schema.equals(schema_of(columns)):
-        raise ScenarioError(f"{path}: has not the columns of this sweep; {remedy}")
     return table
+
+
+def _unpacked(path: Path, file: pq.ParquetFile, columns: dict[str, str]) -> pa.Table:
+    """Return the table of a file, whose size is checked before it is unpacked.
+
+    Raises:
+        ScenarioError: If it has other columns, or too many rows or bytes.
+    """
+    if not file.schema_arrow.equals(schema_of(columns)):
+        raise ScenarioError(
+            f"{path}: has not the columns of this sweep; delete it and its runs are flown again"
+        )
+    rows, size = file.metadata.num_rows, 0
+    if rows > MOST_RUNS:
+        raise ScenarioError(f"{path}: {rows:,} rows; allowed: {MOST_RUNS:,} at most")
+    batches = []
+    for batch in file.iter_batches(_BATCH, use_threads=False):
+        size += batch.nbytes
+        if size > _MOST_TABLE:
+            raise ScenarioError(f"{path}: unpacks to more than {_MOST_TABLE >> 30} GiB")
+        batches.append(batch)
+    return pa.Table.from_batches(batches, schema=file.schema_arrow)
 
 
 def schema_of(columns: dict[str, str]) -> pa.Schema:

@@ -1,6 +1,7 @@
 """A sweep laid out: every point of it a scenario that can be flown, every run a number."""
 
 import hashlib
+import math
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -18,6 +19,9 @@ from sim.input.faults import one_line
 from sim.scenario.checks import scenario_warnings
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
+
+MOST_RUNS = 1_000_000
+"""Runs of a sweep at most, and rows of its table."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,6 +123,12 @@ def _loaded(
         yield block, values, scenario
 
 
+def _count(sweep: Sweep) -> int:
+    """Return the number of points."""
+    laws = len(sweep.laws or (None,))
+    return laws * sum(math.prod(map(len, block.vary.values())) for block in sweep.block)
+
+
 def lay_out(
     sweep: Sweep,
     *,
@@ -142,6 +152,11 @@ def lay_out(
         for field, values in block.vary.items():
             varied.setdefault(field, []).extend(values)
     kinds = {field: _kind(values) for field, values in varied.items()}
+    runs = sweep.seeds * _count(sweep)
+    if runs > MOST_RUNS:
+        raise ScenarioError(
+            f"{one_line(sweep.scenario)}: {runs:,} runs; allowed: {MOST_RUNS:,} at most in one sweep"
+        )
     points: list[SweepPoint] = []
     warnings: dict[str, None] = {}
     for block, values, scenario in _loaded(sweep, told):
