@@ -21,7 +21,7 @@ from msgspec import Meta
 
 from bus.certificates import AUTHORITY_DAYS, PARTY_DAYS, ROUTER_HOSTS, Authority, Identity, issue
 from bus.errors import AccessDenied, BusError
-from bus.files import read_regular
+from bus.files import read_regular, write_whole
 from bus.keys import (
     PLACES,
     ROS2_ROLES,
@@ -170,18 +170,11 @@ def _roles(uavs: Iterable[str], ugvs: Iterable[str], *, ros2: bool) -> list[tupl
     return roles
 
 
-def write_private(path: Path, content: bytes) -> None:
-    """Write a file that only this user can read, from its first byte on.
-
-    Raises:
-        OSError: If it cannot be written, or is there already.
-    """
-    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-        file.write(content)
-
-
 def write_credentials(
-    given: CredentialSet, folder: Path, authority: Authority | None = None
+    given: CredentialSet,
+    folder: Path,
+    authority: Authority | None = None,
+    owner: tuple[int, int] | None = None,
 ) -> dict[str, Path]:
     """Write a file for each party, and one with all of them for the router; mode 600.
 
@@ -189,6 +182,7 @@ def write_credentials(
         given: What is written.
         folder: Is made if it is not there, mode 700.
         authority: Who has made the certificates.
+        owner: User and group that get the files, and last of all the folder.
 
     Returns:
         The file of each name; the router's is `ROUTER_FILE`, the authority's `AUTHORITY_FILE`.
@@ -206,7 +200,9 @@ def write_credentials(
         if path.exists():
             raise FileExistsError(17, "there already; credentials are never overwritten", str(path))
     for name, content in contents.items():
-        write_private(files[name], _encoded(content))
+        write_whole(files[name], _encoded(content), private=True, fresh=True, owner=owner)
+    if owner is not None:
+        give_folder(folder, owner)
     return files
 
 
@@ -214,20 +210,35 @@ def _encoded(content: Credential | CredentialSet | Authority) -> bytes:
     return msgspec.json.format(msgspec.json.encode(content), indent=1) + b"\n"
 
 
-def replace_credentials(content: Credential | CredentialSet, path: Path) -> None:
-    """Put renewed credentials into the place of others.
+def replace_credentials(
+    content: Credential | CredentialSet, path: Path, owner: tuple[int, int] | None = None
+) -> None:
+    """Put renewed credentials into the place of others, by default of the same owner.
 
     At no moment is the file half of each, or anybody else's to read.
 
     Raises:
         OSError: If it cannot be written.
     """
-    fresh, old = path.with_name(f".{path.name}.new"), path.stat()
-    fresh.unlink(missing_ok=True)
-    write_private(fresh, _encoded(content))
-    if (old.st_uid, old.st_gid) != (fresh.stat().st_uid, fresh.stat().st_gid):
-        os.chown(fresh, old.st_uid, old.st_gid)
-    fresh.replace(path)
+    if owner is None:
+        old = path.lstat()
+        mine = (old.st_uid, old.st_gid) == (os.geteuid(), os.getegid())
+        owner = None if mine else (old.st_uid, old.st_gid)
+    write_whole(path, _encoded(content), private=True, owner=owner)
+
+
+def give_folder(folder: Path, owner: tuple[int, int]) -> None:
+    """Give a folder away, through an open descriptor: a link in its place is not followed.
+
+    Raises:
+        OSError: If it cannot be given away.
+    """
+    opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        os.fchmod(opened, 0o700)
+        os.fchown(opened, *owner)
+    finally:
+        os.close(opened)
 
 
 def _read(path: Path, kind: type[_Kind], what: str) -> _Kind:
@@ -375,7 +386,7 @@ def router_settings(given: CredentialSet | None) -> Iterator[dict[str, Any]]:
         ) from error
     with folder as private:
         path = Path(private) / "users"
-        write_private(path, lines.encode())
+        write_whole(path, lines.encode(), private=True, fresh=True)
         yield {
             "transport/auth/usrpwd/dictionary_file": str(path),
             "access_control": access_control(given),

@@ -5,11 +5,15 @@ Read are regular ones alone, and none that is larger than it can have reason to 
 
 import errno
 import os
+import secrets
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
+
+UNFINISHED = ".unfinished"
+"""End of the name of a file that is being written; a kill may leave it."""
 
 
 def open_regular(path: Path, most: int | None = None) -> BinaryIO:
@@ -55,6 +59,47 @@ def writing(path: Path) -> Iterator[None]:
         if error.filename is not None:
             raise
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+
+
+def write_whole(
+    path: Path,
+    content: bytes,
+    *,
+    private: bool = False,
+    fresh: bool = False,
+    owner: tuple[int, int] | None = None,
+) -> None:
+    """Write a file that is there whole or not at all: a new one beside it, then renamed.
+
+    Args:
+        path: The file.
+        content: Its bytes.
+        private: Let its owner alone read it, from its first byte on.
+        fresh: Fail if the file is there; otherwise it is replaced.
+        owner: User and group that get it.
+
+    Raises:
+        OSError: If it cannot be written; names the file.
+    """
+    beside = path.with_name(f"{path.name}.{secrets.token_hex(4)}{UNFINISHED}")
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
+    with writing(path):
+        try:
+            with os.fdopen(os.open(beside, flags, 0o600 if private else 0o666), "wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+                if owner is not None:
+                    os.fchown(file.fileno(), *owner)
+            if fresh:
+                os.link(beside, path)
+            else:
+                beside.replace(path)
+        except OSError as error:
+            error.filename = str(path)
+            raise
+        finally:
+            beside.unlink(missing_ok=True)
 
 
 def _too_large(path: Path, most: int) -> OSError:

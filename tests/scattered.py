@@ -14,8 +14,8 @@ from bus.keys import CONTROL
 from bus.session import Session, open_session
 from outrider.running.launch import free_port
 
-SECONDS = 50.0
-"""Simulated time of a run that is disturbed while it is flown: 1,000 ticks, some tenths of a second."""
+SECONDS = 200.0
+"""Simulated time of a run that is disturbed while it is flown: 4,000 ticks, about a second."""
 
 
 SECRET = bytes(range(16)).hex()

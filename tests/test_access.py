@@ -3,6 +3,7 @@
 What the router enforces, tried with real sessions that do not ask our API first.
 """
 
+import os
 import stat
 import time
 from contextlib import AbstractContextManager, ExitStack
@@ -39,6 +40,7 @@ from bus.keys import (
     token,
 )
 from bus.session import Session, open_session
+from outrider.running.forking import environment_of
 from outrider.running.launch import free_port
 
 RUN = "run"
@@ -333,13 +335,13 @@ def test_the_routers_list_of_passwords_is_gone_once_it_is_open(endpoint, monkeyp
     private.mkdir()
     monkeypatch.setattr(access.tempfile, "tempdir", str(private))
     seen: list[int] = []
-    original = access.write_private
+    original = access.write_whole
 
-    def spy(path: Path, content: bytes) -> None:
-        original(path, content)
+    def spy(path: Path, content: bytes, **how: Any) -> None:
+        original(path, content, **how)
         seen.append(stat.S_IMODE(path.stat().st_mode))
 
-    monkeypatch.setattr(access, "write_private", spy)
+    monkeypatch.setattr(access, "write_whole", spy)
     with router(endpoint):
         assert seen == [0o600]
         assert not list(private.iterdir())
@@ -355,3 +357,23 @@ def test_two_parties_cannot_have_one_name() -> None:
     with pytest.raises(AccessDenied, match="no credentials for uav_7"):
         CredentialSet(run=RUN, parties=GIVEN.parties).of("uav_7")
     assert GIVEN.of("uav_0").party == Party(role=Role.UAV, name="uav_0")
+
+
+def test_links_are_not_followed_where_credentials_are_given_away(tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.write_text("mine")
+    folder = tmp_path / "credentials"
+    folder.mkdir()
+    (folder / "uav_0.json").symlink_to(victim)
+    with pytest.raises(FileExistsError):
+        write_credentials(GIVEN, folder, owner=(os.geteuid(), os.getegid()))
+    assert victim.read_text() == "mine"
+    (tmp_path / "link").symlink_to(folder)
+    with pytest.raises(OSError, match=r"Not a directory|symbolic"):
+        access.give_folder(tmp_path / "link", (os.geteuid(), os.getegid()))
+
+
+def test_no_process_of_a_vehicle_inherits_the_pages_token(monkeypatch) -> None:
+    monkeypatch.setenv("OUTRIDER_TOKEN", "x" * 20)
+    assert "OUTRIDER_TOKEN" not in environment_of("")
+    assert "OUTRIDER_TOKEN" in environment_of("", token=True)

@@ -1,5 +1,6 @@
 """Runs that meet what real deployments do to them: real processes, killed, frozen, cut off, and back again."""
 
+import errno
 import json
 import os
 import signal
@@ -241,6 +242,37 @@ def test_a_full_disk_takes_the_file_and_not_the_result(tmp_path: Path) -> None:
     kept = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     assert kept["trajectory_sha256"] == summary["trajectory_sha256"]
     assert (tmp_path / "coverage.npy").stat().st_size > 100_000
+
+
+def test_a_summary_that_cannot_be_written_is_printed(tmp_path, command, monkeypatch) -> None:
+    def full(path: Path, *_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    monkeypatch.setattr("outrider.view.output.write_whole", full)
+    words_ = ("run", "escort", "--duration", "1", "--in-process", "--json", "--out", tmp_path)
+    flown = command(*words_)
+    assert flown.returncode == 1
+    assert json.loads(flown.stdout)["ticks"] == 20
+    (line,) = flown.stderr.splitlines()
+    assert "summary.json: No space left on device" in line
+
+
+def test_files_with_a_secret_are_new_files_of_their_owner(tmp_path, command) -> None:
+    secret = "0123456789abcdef" * 4
+    old = {name: tmp_path / name for name in ("summary.json", "run.mcap")}
+    readers = {}
+    for name, path in old.items():
+        path.write_text("old")
+        readers[name] = path.open("rb")
+    flown = command(
+        *("run", "escort", "--duration", "1", "--in-process", "--secret", secret),
+        *("--out", tmp_path, "--record", old["run.mcap"]),
+    )
+    assert flown.returncode == 0, flown.stderr
+    for name, path in old.items():
+        assert readers[name].read() == b"old"
+        readers[name].close()
+        assert path.stat().st_mode & 0o777 == 0o600
 
 
 @pytest.mark.parametrize("written", ["figure-1.png", "film.gif", "mine.toml", "policy.npz"])

@@ -108,8 +108,10 @@ def command(
     if check:
         raise typer.Exit(_check(folder, json=json))
     user = _owner(owner)
+    if user is not None and os.geteuid() != 0:
+        raise ScenarioError(f"--owner {owner}: only root can give files away")
     if renew:
-        run, files = _renew(folder, party or (), router or (), days)
+        run, files = _renew(folder, party or (), router or (), days, user)
     else:
         from sim.scenario.loading import load_scenario
 
@@ -123,15 +125,7 @@ def command(
                 authority, *names, hosts=router or (), days=days or PARTY_DAYS, ros2=ros2
             )
         )
-        files = write_credentials(given, folder, authority)
-    if user is not None:
-        try:
-            for path in (folder, *files.values()):
-                os.chown(path, *user)
-        except PermissionError as error:
-            raise ScenarioError(
-                f"--owner {owner}: only root can give files away ({folder} is written and yours)"
-            ) from error
+        files = write_credentials(given, folder, authority, user)
     if json:
         print_json({"run": run, "files": {name: str(path) for name, path in files.items()}})
         return
@@ -156,7 +150,11 @@ def _refuse(combinations: dict[str, bool]) -> None:
 
 
 def _renew(
-    folder: Path, names: Iterable[str], hosts: Iterable[str], days: float | None
+    folder: Path,
+    names: Iterable[str],
+    hosts: Iterable[str],
+    days: float | None,
+    owner: tuple[int, int] | None,
 ) -> tuple[str, dict[str, Path]]:
     """New certificates for parties that have some, in the place of the old ones; the run's name, and the files."""
     from msgspec.structs import replace
@@ -188,10 +186,10 @@ def _renew(
         if name == ROUTER_FILE:
             known_at = tuple(dict.fromkeys((*hosts_of(router.tls), *hosts))) or ROUTER_HOSTS
             identity = issue(authority, name, days=days or AUTHORITY_DAYS, hosts=known_at)
-            replace_credentials(replace(router, tls=identity), path)
+            replace_credentials(replace(router, tls=identity), path, owner)
         else:
             identity = issue(authority, name, days=days or PARTY_DAYS)
-            replace_credentials(replace(read_credential(path), tls=identity), path)
+            replace_credentials(replace(read_credential(path), tls=identity), path, owner)
     return router.run, renewed
 
 

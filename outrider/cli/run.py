@@ -161,7 +161,10 @@ def command(
                         forks=forks,
                     )
             if outcome.summary is not None and folder is not None:
-                write_summary(outcome.summary, folder)
+                try:
+                    write_summary(outcome.summary, folder)
+                except OSError as error:  # it is printed all the same
+                    outcome.fault = outcome.fault or f"{error.filename}: {error.strerror}"
         if outcome.summary is not None:
             if json:
                 print_json(outcome.summary)

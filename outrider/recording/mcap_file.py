@@ -35,8 +35,13 @@ class _Sink:
     A write that fails is kept for us to raise: the library would print it, for ever.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("wb", buffering=0)
+    def __init__(self, path: Path, *, private: bool) -> None:
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
+        if not path.exists() or path.is_file():  # who has the old file open does not read the new one
+            path.unlink(missing_ok=True)
+            flags |= os.O_EXCL
+        opened = os.open(path, flags, 0o600 if private else 0o666)
+        self._file = os.fdopen(opened, "wb", buffering=0)
         self.fault: OSError | None = None
         self._path = path
 
@@ -57,10 +62,6 @@ class _Sink:
     def flush(self) -> None:
         """Nothing waits here."""
 
-    def keep_private(self) -> None:
-        """Let nobody but the file's owner read it."""
-        os.fchmod(self._file.fileno(), 0o600)
-
     def seek(self, offset: int, whence: int = 0) -> int:
         return self._file.seek(offset, whence)
 
@@ -73,14 +74,15 @@ class RecordingFile:
 
     Args:
         path: The file; one that is there is replaced.
+        private: True if it tells a secret, and its owner alone may read it.
 
     Raises:
         OSError: If it cannot be written.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, private: bool = False) -> None:
         logging.getLogger("foxglove").setLevel(logging.ERROR)
-        self._sink = _Sink(path)
+        self._sink = _Sink(path, private=private)
         self._context = foxglove.Context()
         options = MCAPWriteOptions(
             profile=schemas.PROFILE,
@@ -106,9 +108,7 @@ class RecordingFile:
         )
 
     def begin(self, head: schemas.Head, scenario: Scenario | None) -> None:
-        """A flight begins; it is in the file at once. A file that tells a secret is its owner's alone."""
-        if head.secret:
-            self._sink.keep_private()
+        """A flight begins; it is in the file at once."""
         self._base = round(head.start * 1e9)
         self._r_v = scenario.visibility.radius if scenario is not None else math.inf
         self._lost = set()

@@ -114,7 +114,7 @@ class FlightRecorder:
     ) -> None:
         self.vehicles: Callable[[], Mapping[str, VehicleStatus]] = dict
         """Tells how the vehicles' processes stand; by default nothing beside what the flight itself counts."""
-        self._file = RecordingFile(path)
+        self._file = RecordingFile(path, private=bool(secret))
         self._items: deque[_Item] = deque()
         self._done = threading.Event()
         self._fault: Exception | None = None

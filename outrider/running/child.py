@@ -82,7 +82,7 @@ class Child:
                     stdout=subprocess.DEVNULL if lines is None else subprocess.PIPE,
                     stderr=subprocess.PIPE,
                     pass_fds=(*files, *told),
-                    env=environment_of(""),
+                    env=environment_of("", token=name == "dashboard"),
                     start_new_session=True,  # Ctrl-C reaches us alone; we end the children in order
                 )
         self._readers: list[threading.Thread] = []

@@ -1,6 +1,5 @@
 """The files of a run: the trajectory, the picture and the summary."""
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import datetime
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from bus.files import writing
+from bus.files import write_whole, writing
 from outrider.running.summary import Summary
 
 if TYPE_CHECKING:
@@ -55,10 +54,8 @@ def making(folder: Path | None) -> Iterator[None]:
 def write_summary(summary: Summary, folder: Path) -> Path:
     """Write the summary as JSON; where it tells a secret, for the file's owner alone."""
     path = folder / SUMMARY
-    with path.open("wb") as file:
-        if summary.secret:
-            os.fchmod(file.fileno(), 0o600)
-        file.write(msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n")
+    content = msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n"
+    write_whole(path, content, private=bool(summary.secret))
     return path
 
 

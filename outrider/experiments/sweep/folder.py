@@ -5,7 +5,6 @@ end merges all of them into `results.parquet`. So a kill loses the runs in fligh
 """
 
 import fcntl
-import os
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from bus.errors import ScenarioError
-from bus.files import read_regular, writing
+from bus.files import UNFINISHED, read_regular, write_whole
 from outrider.experiments.sweep.definition import Sweep
 from outrider.experiments.sweep.plan import MOST_RUNS, SweepPlan
 
@@ -27,7 +26,6 @@ PARTS = "parts"
 _LOCK = ".lock"
 _MOST_PARTS = 200
 """Beyond so many small files they are merged into one: reading them takes a millisecond each."""
-_UNFINISHED = ".unfinished"
 _MOST_HEAD, _MOST_TABLE = 4 << 20, 1 << 30
 """Of a head and of a table with results [bytes]."""
 _BATCH = 1000
@@ -62,20 +60,10 @@ def read_head(folder: Path) -> SweepHead | None:
         ) from error
 
 
-def _replace(path: Path, content: bytes) -> None:
-    """Write a file so that it is there whole or not at all."""
-    beside = path.with_name(f"{path.name}{_UNFINISHED}")
-    with writing(path), beside.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)
-
-
 def _write_table(path: Path, table: pa.Table) -> None:
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd")
-    _replace(path, sink.getvalue().to_pybytes())
+    write_whole(path, sink.getvalue().to_pybytes())
 
 
 def _read_table(path: Path, columns: dict[str, str]) -> pa.Table:
@@ -162,8 +150,10 @@ class SweepFolder:
         self.path, self._plan = path, plan
         self._columns = plan.columns
         # all there can be before there is a head
-        begun = (_LOCK, FILE, f"{FILE}{_UNFINISHED}", f"{HEAD}{_UNFINISHED}")
-        there = path.is_dir() and any(entry.name not in begun for entry in path.iterdir())
+        there = path.is_dir() and any(
+            entry.name not in (_LOCK, FILE) and not entry.name.endswith(UNFINISHED)
+            for entry in path.iterdir()
+        )
         if there and not (path / HEAD).exists():
             raise ScenarioError(f"{path}: not empty, and no sweep's folder; choose another --out")
         path.mkdir(parents=True, exist_ok=True)
@@ -191,7 +181,7 @@ class SweepFolder:
 
     def take_stock(self) -> None:
         """See what is there, and remove what a kill has left half written."""
-        for left in self.path.rglob(f"*{_UNFINISHED}"):
+        for left in self.path.rglob(f"*{UNFINISHED}"):
             left.unlink()
         begun = read_results(self.path, self._columns)
         kept = zip(begun["run"], begun["error"], begun["violated"], strict=True)
@@ -210,7 +200,7 @@ class SweepFolder:
         plan, head = self._plan, read_head(self.path)
         if head is None:
             if text:
-                _replace(self.path / FILE, text.encode())
+                write_whole(self.path / FILE, text.encode())
             head = SweepHead(
                 outrider=plan.version,
                 command=command,
@@ -219,7 +209,7 @@ class SweepFolder:
                 columns=plan.columns,
                 sweep=plan.sweep,
             )
-            _replace(
+            write_whole(
                 self.path / HEAD, msgspec.json.format(msgspec.json.encode(head), indent=2) + b"\n"
             )
         elif head.outrider != plan.version:
