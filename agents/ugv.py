@@ -7,7 +7,7 @@ from typing import Protocol
 from agents.drivers.compiled import NavigateDriver
 from agents.drivers.policy import Policy, PolicyDriver
 from bus.errors import ScenarioError
-from bus.messages import UgvBriefing, UgvCommand, UgvObservation
+from bus.messages import MotionPlan, UgvBriefing, UgvCommand, UgvObservation
 from bus.registry import DRIVERS, resolve
 
 
@@ -68,8 +68,12 @@ class UgvPilot:
         if observation.driver is not None:
             self._driver = self._make(observation.driver)
         acceleration, route = self._driver.drive(observation), None
+        motions: tuple[MotionPlan, ...] = ()
         if isinstance(self._driver, NavigateDriver):
             route = self._driver.new_route(observation.position)
+            motions = self._driver.motions(observation.tick)
         elif observation.driver is not None:
             route = ()  # that of the driver before is not driven any more
-        return UgvCommand(tick=observation.tick, acceleration=acceleration, route=route)
+        return UgvCommand(
+            tick=observation.tick, acceleration=acceleration, motions=motions, route=route
+        )

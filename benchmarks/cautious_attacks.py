@@ -30,6 +30,7 @@ from agents.drivers.cautious import (
 )
 from agents.drivers.compiled import PLAN_TILES
 from agents.drivers.navigate import (
+    PLAIN,
     navigate_control,
     note_sent,
     state_ahead,
@@ -39,6 +40,7 @@ from agents.drivers.planning import begin_search, search_on
 from agents.drivers.tile_map import GroundMemory, ground_memory, note_block, note_tiles
 from sim.kernels.compile import FloatArray, entry_point
 from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, UNSEEN, TileArray
+from sim.models.motion import NO_MOTION
 from sim.models.vehicles import Motion, brake, clip_norm, norm, step_vehicle, within_walls
 
 RUNS = 10_000
@@ -248,19 +250,61 @@ def _wanted(
     return u * math.cos(angle), u * math.sin(angle)
 
 
+class Receiver:
+    """The vehicle's end of a link that loses commands, delays some too long, and scatters the rest.
+
+    Args:
+        memory: Of the sender; a packet carries its motions that have not begun.
+        rng: Of the adversary's draws.
+    """
+
+    def __init__(self, memory: GroundMemory, rng: np.random.Generator) -> None:
+        self._memory, self._rng = memory, rng
+        self._delay = len(memory.sent) - 2
+        self._coming: dict[int, list[tuple[int, int, float, float]]] = {}
+        self._there: dict[int, tuple[int, float, float]] = {}
+        self._share, self._silent = rng.choice([0.05, 0.3, 0.8]), 0
+        self.flown = NO_MOTION
+        """The motion that is flown, by the tick in which it began."""
+
+    def send(self, tick: int) -> None:
+        """Let the packet of a tick set out, if it is not lost."""
+        if self._silent == 0 and self._rng.random() < 0.05:
+            self._silent = int(self._rng.integers(1, 25))
+        self._silent = max(0, self._silent - 1)
+        if self._silent or self._rng.random() < self._share:
+            return
+        last, sent = tick + self._delay, self._memory.sent
+        rows = [sent[k % len(sent)] for k in range(max(tick, last - 5), last + 1)]
+        packet = [tuple(row[["begins", "parent", "first_x", "first_y"]].tolist()) for row in rows]
+        late = int(self._rng.integers(0, self._delay + 3))  # two ticks too late at most
+        self._coming.setdefault(tick + late, []).extend(packet)
+
+    def act(self, tick: int, here: Motion, p: DriverParameters) -> tuple[float, float]:
+        """Return the command of this tick [m/s²]: the due motion's if it has come and its parent is flown."""
+        for begins, parent, u_x, u_y in self._coming.pop(tick, []):
+            if begins >= tick:
+                self._there.setdefault(begins, (parent, u_x, u_y))
+        due = self._there.pop(tick, None)
+        if due is not None and due[0] == self.flown:
+            self.flown = tick
+            return due[1], due[2]
+        return brake(here.v_x, here.v_y, p.u_max, p.dt)
+
+
 def _filtered_by(
     check: Check | None, trial: Trial, memory: GroundMemory, tick: int, here: Motion,
-    wanted: tuple[float, float],
+    wanted: tuple[float, float], flown: int,
 ) -> tuple[float, float]:  # fmt: skip
     """The wanted command if it is safe, else the one that brakes: the filter alone, or one with another check."""
     p = trial.p
-    ahead = state_ahead(p, memory, tick, here)
+    ahead, parent = state_ahead(p, memory, tick, here, flown)
     ground = open_to(0)
     if check is None:
         ground = open_from(memory.tiles, p.tile, p.bold, ahead.p_x, ahead.p_y)
     if not (check or is_safe)(p, trial.delay > 0, memory.tiles, ground, ahead, *wanted):
         wanted = brake(ahead.v_x, ahead.v_y, p.u_max, p.dt)
-    note_sent(memory, tick, *wanted)
+    note_sent(memory, tick, parent, *wanted)
     return wanted
 
 
@@ -306,7 +350,12 @@ def _entered(trial: Trial, known: npt.NDArray[np.int64], states: list[Motion]) -
 
 
 def fly(
-    trial: Trial, seed: int, check: Check | None = None, believed: int | None = None
+    trial: Trial,
+    seed: int,
+    check: Check | None = None,
+    believed: int | None = None,
+    *,
+    lossy: bool = False,
 ) -> Outcome:
     """Fly a trial.
 
@@ -315,6 +364,7 @@ def fly(
         seed: Of the adversary's choices.
         check: Instead of `is_safe`, for filters that are known to be wrong; the adversary is at the wheel then.
         believed: Instead of the delay, likewise.
+        lossy: Whether commands are lost, late and scattered; then they carry the stop that follows them.
     """
     p, rng = trial.p, np.random.default_rng([seed, 1])
     memory = ground_memory(*trial.truth.shape, trial.delay if believed is None else believed)
@@ -322,23 +372,29 @@ def fly(
     known = np.full(trial.truth.shape, LATER)
     here, way, tick = Motion(*trial.start, 0.0, 0.0), 0.0, 0
     queue, states, wanted = [(0.0, 0.0)] * trial.delay, [here], (0.0, 0.0)
-    drive = entry_point(navigate_control, p, memory, trial.goals, 0, here)
+    receiver = Receiver(memory, rng) if lossy else None
+    flown = PLAIN if receiver is None else NO_MOTION
+    drive = entry_point(navigate_control, p, memory, trial.goals, 0, here, flown)
     last, reached = trial.goals[-1], False
     for tick in range(trial.ticks):
         teller.tell(tick, here.p_x, here.p_y, norm(here.v_x, here.v_y))
         fresh = (known == LATER) & (memory.tiles != UNSEEN) & (memory.tiles != BLOCK)
         known[fresh] = tick
         if check is None and trial.wheel == "plan":
-            u = drive(p, memory, trial.goals, tick, here)
+            u = drive(p, memory, trial.goals, tick, here, flown)
             at_last = memory.flags[0]["goal"] == len(trial.goals) - 1
             reached = at_last and math.dist(here[:2], last) < p.tolerance
             if reached and trial.ticks > 1000:
                 break
         else:
             wanted = _wanted(trial, rng, wanted, here)
-            u = _filtered_by(check, trial, memory, tick, here, wanted)
+            u = _filtered_by(check, trial, memory, tick, here, wanted, flown)
         queue.append(u)
         u_x, u_y = queue.pop(0)
+        if receiver is not None:
+            receiver.send(tick)
+            u_x, u_y = receiver.act(tick, here, p)
+            flown = receiver.flown
         v_max = p.v_max
         if _is_rough(trial, here.p_x, here.p_y):
             v_max *= rng.uniform(trial.slowest, 1.0)
@@ -429,13 +485,18 @@ BROKEN: dict[str, Check] = {
 """Filters that are known to be wrong. So is one that believes that commands act at once where they are late."""
 
 
-def attack(runs: int = RUNS) -> Iterator[str]:
+def lossy(runs: int = RUNS) -> Iterator[str]:
+    """Fly the attacks over links that lose, delay and scatter commands, and count."""
+    yield from attack(runs, lossy=True)
+
+
+def attack(runs: int = RUNS, *, lossy: bool = False) -> Iterator[str]:
     """Fly the attacks and count."""
     count = dict.fromkeys(("flights", "entered", "ticks", "still"), 0)
     way = 0.0
     for seed in range(runs):
         trial = draw_trial(seed)
-        one = fly(trial, seed)
+        one = fly(trial, seed, lossy=lossy)
         count["flights"] += 1
         count["entered"] += one.entered > 0
         count["ticks"] += one.ticks + 1
@@ -495,12 +556,12 @@ def _slowest_tick(most: int, ticks: int = 600) -> str:
         bold=1, plan_tiles=most,
     )  # fmt: skip
     here = Motion(1.0, 1.0, 0.0, 0.0)
-    drive = entry_point(navigate_control, p, memory, goals, 0, here)
+    drive = entry_point(navigate_control, p, memory, goals, 0, here, PLAIN)
     for tick in range(ticks):
         state = np.array([(CLEAR, FOUND)[tick % 2]], np.uint8)
         note_tiles(memory, np.array([399]), np.array([399]), state)
         began = time.perf_counter()
-        u = drive(p, memory, goals, tick, here)
+        u = drive(p, memory, goals, tick, here, PLAIN)
         took.append(1e3 * (time.perf_counter() - began))
         here = Motion(*step_vehicle(*here, *u, p.v_max, p.u_max, p.dt)[:4])
     slowest = ", ".join(f"{one:.1f}" for one in sorted(took)[:-4:-1])
@@ -523,15 +584,17 @@ def speed() -> Iterator[str]:
     trial = draw_trial(3, wheel="plan", calm=True)
     p, memory = trial.p, ground_memory(*trial.truth.shape)
     memory.tiles[:] = trial.truth
-    drive = entry_point(navigate_control, p, memory, trial.goals, 0, Motion(*trial.start, 0.0, 0.0))
+    drive = entry_point(
+        navigate_control, p, memory, trial.goals, 0, Motion(*trial.start, 0.0, 0.0), PLAIN
+    )
     here, began, ticks = Motion(*trial.start, 0.0, 0.0), time.perf_counter(), 5000
     for tick in range(ticks):
-        u = drive(p, memory, trial.goals, tick, here)
+        u = drive(p, memory, trial.goals, tick, here, PLAIN)
         here = Motion(*step_vehicle(*here, *u, p.v_max, p.u_max, p.dt)[:4])
     yield f"a tick on known ground: {1e6 * (time.perf_counter() - began) / ticks:.1f} µs with the vehicle"
 
 
-TABLES = {"attack": attack, "broken": broken, "arrivals": arrivals, "speed": speed}
+TABLES = {"attack": attack, "lossy": lossy, "broken": broken, "arrivals": arrivals, "speed": speed}
 
 
 if __name__ == "__main__":

@@ -307,6 +307,9 @@ class UgvGround(Message, frozen=True, kw_only=True):
     """From the tick that a command answers to the one in which it acts [s]."""
     share: Annotated[float, Meta(gt=0.0, le=1.0)]
     """Of its largest speed that it has at least on rough ground."""
+    carries: bool = False
+    """True if its receiver flies the motions that commands carry: a command acts in its own tick or not at all, and the
+    vehicle brakes where none does."""
 
 
 class DeclaredBounds(Message, frozen=True, kw_only=True):
@@ -487,6 +490,8 @@ class UgvObservation(Message, frozen=True, kw_only=True):
     """The operators' messages that have come to the vehicle at this tick, the oldest first."""
     driver: Name | None = None
     """The driver from this tick on, a row of `bus.registry.DRIVERS`; None: the one before."""
+    flown: Tick | None = None
+    """The motion that the vehicle flew in the tick before: that in which it began; None: it flew none."""
     over: bool = False
     episode: Tick = 0
 
@@ -533,6 +538,8 @@ class UgvCommand(Message, frozen=True, kw_only=True):
 
     tick: Tick
     acceleration: Vector
+    motions: Annotated[tuple[MotionPlan, ...], Meta(max_length=MOST_CARRIED)] = ()
+    """As of a UAV: the acceleration of a tick, and the stop that follows it. None: the command is held."""
     route: Annotated[tuple[Vector, ...], Meta(max_length=MOST_CORNERS)] | None = None
     """For observers, no vehicle reads it: the way that it plans to its goal, by its corners [m], from where it is; none
     where it knows none. None: as before.
@@ -669,6 +676,8 @@ class Mission(Message, frozen=True, kw_only=True):
     """Time from then until it came so near, in the mean of those [s]; None: there are none."""
     seen_ahead: Share | None
     """Share of the way that led over tiles which had come by radio before; None: nobody has moved."""
+    entered_unknown_tile: Tick = 0
+    """Ticks in which a UGV drove over a tile that it did not know to be drivable, of all UGVs."""
     still_time: NonNegative
     """Time that the UGVs stood still before they had arrived [s]."""
     finds: Tick

@@ -42,7 +42,7 @@ def test_the_ugv_is_told_these_fields_and_no_others() -> None:
     known = """
         tick time position velocity radio relative_position coverage_error over episode
         operator driver goal goals goal_tolerance script hold key past more
-        ground tile bumper caution delay share column row state blocks tiles
+        ground tile bumper caution delay share carries column row state blocks tiles flown
         vehicle dt area width height cell limits max_speed max_acceleration"""
     assert told(TO_UGV) == {*words(known)}
 

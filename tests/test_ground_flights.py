@@ -8,6 +8,8 @@ from processes import run_json
 from worlds import LOSSY
 
 from outrider.envs.closed_loop import ClosedLoop
+from outrider.running.assumptions import promise_warnings
+from outrider.running.flying import fly
 from sim.engine.mission import mission_of
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable
@@ -37,3 +39,35 @@ def test_a_flight_over_hazards_has_one_trajectory_over_three_processes() -> None
     arguments = ["minefield", "--duration", "15", "--seed", "4", "--set", "links.radio.loss=0.3"]
     over_the_bus, alone = run_json(*arguments), run_json(*arguments, "--in-process")
     assert over_the_bus["trajectory_sha256"] == alone["trajectory_sha256"]
+
+
+@pytest.mark.parametrize("profile", ["wifi", "wifi-poor", "jammed"])
+def test_a_cautious_ugv_enters_no_unknown_tile_over_bad_links(profile: str) -> None:
+    """Its commands carry the stop that follows them."""
+    scenario = load_scenario("minefield", overrides=[f"links.profile={profile}"])
+    for seed in range(3):
+        summary = fly(scenario, seed)[1]
+        assert summary.entered_unknown_tile == 0
+        assert summary.arrived
+
+
+def test_entering_unknown_tiles_is_counted() -> None:
+    bold = load_scenario("minefield", overrides=["ugv.0.driver=waypoints"])
+    assert (fly(bold, 1)[1].entered_unknown_tile or 0) > 0
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ("ground.miss=0.1", "may be told as clear"),
+        ("ugv.0.velocity=[0.1, 0.0]", "starts moving"),
+        ("ground.false_alarm=0.1", ""),
+        ("links.commands.loss=0.2", ""),
+    ],
+)
+def test_assumptions_of_the_cautious_driver_are_judged(change: str, reason: str) -> None:
+    base = ["ground.miss=0.0", "ground.false_alarm=0.0"]
+    lines = promise_warnings(load_scenario("minefield", overrides=[*base, change]))
+    told = [line for line in lines if "not certified to stay on tiles" in line]
+    assert len(told) == bool(reason)
+    assert not reason or reason in told[0]

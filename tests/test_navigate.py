@@ -23,7 +23,7 @@ from agents.drivers.cautious import (
     triangle_is_open,
 )
 from agents.drivers.compiled import driver_parameters
-from agents.drivers.navigate import navigate_control, state_ahead
+from agents.drivers.navigate import PLAIN, navigate_control, state_ahead
 from agents.drivers.parameters import DriverParameters
 from agents.drivers.planning import (
     begin_search,
@@ -329,8 +329,10 @@ def test_it_leaves_a_blocked_tile_that_it_stands_in_but_enters_none() -> None:
 
 
 def test_no_adversary_brings_a_cautious_ugv_into_a_tile_that_it_does_not_know(cautious) -> None:
-    """The long version, 10,000 flights: `python benchmarks/cautious_attacks.py attack`."""
-    flights = [cautious.fly(cautious.draw_trial(seed), seed) for seed in range(60)]
+    """The long version, 10,000 flights: `python benchmarks/cautious_attacks.py attack`, and `lossy`."""
+    flights = [
+        cautious.fly(cautious.draw_trial(seed), seed, lossy=seed % 2 == 1) for seed in range(100)
+    ]
     assert sum(one.entered for one in flights) == 0
     assert sum(one.way > 0.0 for one in flights) > 40
 
@@ -372,7 +374,7 @@ def _parameters(**numbers: Any) -> DriverParameters:
 def _drive(parameters: DriverParameters, memory: Any, goals: Any, ticks: int, start: Any) -> Any:
     here, track = Motion(*start, 0.0, 0.0), []
     for tick in range(ticks):
-        u = navigate_control(parameters, memory, np.array(goals), tick, here)
+        u = navigate_control(parameters, memory, np.array(goals), tick, here, PLAIN)
         here = Motion(
             *step_vehicle(*here, *u, parameters.v_max, parameters.u_max, parameters.dt)[:4]
         )
@@ -451,7 +453,7 @@ def test_news_in_every_tick_keeps_no_search_from_its_end() -> None:
         note_tiles(memory, *far, np.array([(CLEAR, FOUND)[tick % 2]], np.uint8))
         if tick == 100:  # a wall with a gap
             note_tiles(memory, np.arange(8), np.full(8, 30), np.full(8, BLOCK, np.uint8))
-        u = navigate_control(p, memory, goals, tick, here)
+        u = navigate_control(p, memory, goals, tick, here, PLAIN)
         here = Motion(*step_vehicle(*here, *u, p.v_max, p.u_max, p.dt)[:4])
         plans.add(int(memory.flags[0]["plans"]))
         speeds.append(norm(here.v_x, here.v_y))
@@ -486,8 +488,8 @@ def test_the_state_ahead_is_where_the_commands_under_way_lead() -> None:
     goals, queue, here = np.array([[18.0, 2.5]]), [(0.0, 0.0)] * 3, Motion(1.0, 2.5, 0.0, 0.0)
     foreseen: dict[int, Motion] = {}
     for tick in range(60):
-        foreseen[tick + 3] = state_ahead(p, memory, tick, here)
-        queue.append(navigate_control(p, memory, goals, tick, here))
+        foreseen[tick + 3], _ = state_ahead(p, memory, tick, here, PLAIN)
+        queue.append(navigate_control(p, memory, goals, tick, here, PLAIN))
         assert foreseen.get(tick, here) == here
         here = Motion(*step_vehicle(*here, *queue.pop(0), p.v_max, p.u_max, p.dt)[:4])
     assert here.v_x > 0.5

@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from agents.drivers.evade import evade_lead, evade_ticks
+from agents.drivers.navigate import PLAIN
 from agents.drivers.parameters import COMPILED_DRIVERS, DriverMemory, DriverParameters, Route
 from agents.drivers.planning import way_corners
 from agents.drivers.steering import Steering
@@ -22,12 +23,21 @@ from agents.drivers.ugv_tick import UgvMemory, ugv_tick
 from agents.drivers.wander import wander_pace
 from agents.looks import LookRows
 from bus.errors import ScenarioError
-from bus.messages import MOST_CORNERS, UgvBriefing, UgvObservation, Vector, or_infinite
+from bus.messages import (
+    MOST_CARRIED,
+    MOST_CORNERS,
+    MotionPlan,
+    UgvBriefing,
+    UgvObservation,
+    Vector,
+    or_infinite,
+)
 from bus.registry import BOLD, DRIVERS
 from bus.ticks import first_tick_from
 from sim.kernels.compile import FloatArray, borrowing, entry_point
 from sim.kernels.records import RecordArray, record_type, records
 from sim.models.ground import tile_index, tile_states, tiles_shape
+from sim.models.motion import NO_MOTION
 from sim.models.randomness import words_of
 from sim.models.vehicles import Motion
 
@@ -133,13 +143,11 @@ def _drive(
     radio: FloatArray,
     received: int,
     tick: int,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
+    state: tuple[float, float, float, float],
+    flown: int,
 ) -> tuple[float, float]:
-    here = Motion(p_x, p_y, v_x, v_y)
-    return ugv_tick(rows[0], route, memory, radio, received, tick, here)
+    here = Motion(state[0], state[1], state[2], state[3])
+    return ugv_tick(rows[0], route, memory, radio, received, tick, here, flown)
 
 
 class CompiledDriver:
@@ -164,8 +172,9 @@ class CompiledDriver:
             self.memory,
         )
         self._looks = LookRows(briefing.dt)
+        self._carries = briefing.ground is not None and briefing.ground.carries
         here = 0.0, 0.0, 0.0, 0.0
-        self._drive = entry_point(_drive, *self._fixed, *self._looks.take(()), 0, *here)
+        self._drive = entry_point(_drive, *self._fixed, *self._looks.take(()), 0, here, PLAIN)
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """The acceleration [m/s²] for this observation."""
@@ -173,7 +182,9 @@ class CompiledDriver:
             take_ground(self.memory.ground, observation)
         radio, here = self._looks.take(observation.radio), observation.position
         tick, moving = observation.tick, observation.velocity
-        return self._drive(*self._fixed, *radio, tick, *here, *moving)
+        flown = NO_MOTION if observation.flown is None else observation.flown
+        flown = flown if self._carries else PLAIN
+        return self._drive(*self._fixed, *radio, tick, (*here, *moving), flown)
 
     @property
     def goal(self) -> tuple[float, float] | None:
@@ -190,6 +201,20 @@ class NavigateDriver(CompiledDriver):
         self._plans = 0
         self._told: tuple[Vector, ...] = ()
         self._corners: PlaceArray = np.zeros(MOST_CORNERS, dtype=np.int32)
+
+    def motions(self, tick: int) -> tuple[MotionPlan, ...]:
+        """Return the motions that the command of this tick carries: its own, and those before it that may begin yet."""
+        if not self._carries:
+            return ()
+        sent = self.memory.ground.sent
+        last = tick + len(sent) - 2
+        first = max(tick, last - MOST_CARRIED + 1)
+        rows = [sent[begins % len(sent)] for begins in range(first, last + 1)]
+        return tuple(
+            MotionPlan(begins, int(row["parent"]), (float(row["first_x"]), float(row["first_y"])))
+            for begins, row in zip(range(first, last + 1), rows, strict=True)
+            if row["begins"] == begins
+        )
 
     def new_route(self, position: Vector) -> tuple[Vector, ...] | None:
         """The way that it plans, by its corners [m] from a place to the goal, for observers; none where there is none.

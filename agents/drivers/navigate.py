@@ -30,8 +30,11 @@ from agents.drivers.planning import (
 )
 from agents.drivers.tile_map import GroundMemory
 from agents.drivers.waypoints import goal_control
+from bus.messages import MOST_CARRIED
 from sim.kernels.compile import FloatArray, borrowing, compiled
+from sim.kernels.records import RecordArray
 from sim.models.ground import BLOCK, tile_index
+from sim.models.motion import NO_MOTION, follow_on, keep_motion, motion_command
 from sim.models.vehicles import (
     Motion,
     brake,
@@ -43,6 +46,8 @@ from sim.models.vehicles import (
     within_walls,
 )
 
+PLAIN = -2
+"""In the place of the motion that is flown: the receiver flies none, and commands act as they come."""
 _STEPS = 64
 """So many tiles of the cheapest way it looks along."""
 _SHARES = (1.0, 0.5, 0.2, 0.05)
@@ -66,32 +71,44 @@ def _centre(n: int, columns: int, tile: float) -> tuple[float, float]:
 
 @borrowing
 def state_ahead(
-    parameters: DriverParameters, memory: GroundMemory, tick: int, here: Motion
-) -> Motion:
-    """The state of the UGV when the command of this tick acts, if those under way do.
+    parameters: DriverParameters, memory: GroundMemory, tick: int, here: Motion, flown: int
+) -> tuple[Motion, int]:
+    """Return the state of the UGV when the command of this tick acts, and the motion that it then goes on from.
 
     Args:
         parameters: Of the driver.
-        memory: If the last tick was left out, so that a command may be held longer, it is taken to be under way again.
+        memory: With the commands that were sent.
         tick: Now.
         here: Where it is now.
+        flown: The motion that it flew in the tick before; NO_MOTION: none; PLAIN: its receiver flies none, and all
+            commands act.
     """
-    flags, sent = memory.flags[0], memory.commands
-    last = sent.shape[0] - 1
-    if last < 0:
-        return here
-    if flags.called >= 0 and flags.called != tick - 1:
-        for _ in range(min(last, tick - 1 - flags.called)):
-            for k in range(last):
-                sent[k, 0], sent[k, 1] = sent[k + 1, 0], sent[k + 1, 1]
-    for k in range(last + 1):
+    sent, ahead, rows = memory.sent, memory.flown, memory.sent.shape[0]
+    plain = flown == PLAIN
+    own = flown % rows
+    if flown >= 0 and sent[own].begins == flown:
+        ahead[0] = sent[own]
+        ahead[0].age = tick - flown
+    else:
+        ahead[0].begins, ahead[0].age = (NO_MOTION if plain else flown), 1
+        ahead[0].turn, ahead[0].cruise, ahead[0].brake = 0, 0, 0
+    for k in range(rows - 2):
+        due = sent[(tick + k) % rows]
+        if plain:
+            u_x, u_y = 0.0, 0.0
+            if due.begins == tick + k:
+                u_x, u_y = due.first_x, due.first_y
+        else:
+            follow_on(sent, ahead, tick + k)
+            u_x, u_y = motion_command(ahead[0], here.v_x, here.v_y, parameters.u_max, parameters.dt)
+            ahead[0].age += 1
         p_x, p_y, v_x, v_y, _, _ = step_vehicle(
             here.p_x,
             here.p_y,
             here.v_x,
             here.v_y,
-            sent[k, 0],
-            sent[k, 1],
+            u_x,
+            u_y,
             parameters.v_max,
             parameters.u_max,
             parameters.dt,
@@ -99,19 +116,32 @@ def state_ahead(
         p_x, v_x = within_walls(p_x, v_x, parameters.width)
         p_y, v_y = within_walls(p_y, v_y, parameters.height)
         here = Motion(p_x, p_y, v_x, v_y)
-    return here
+    return here, int(ahead[0].begins)
 
 
 @borrowing
-def note_sent(memory: GroundMemory, tick: int, u_x: float, u_y: float) -> None:
-    """Take the command of this tick [m/s²] among those under way."""
-    sent = memory.commands
-    last = sent.shape[0] - 1
-    for k in range(last):
-        sent[k, 0], sent[k, 1] = sent[k + 1, 0], sent[k + 1, 1]
-    if last >= 0:
-        sent[last, 0], sent[last, 1] = u_x, u_y
-    memory.flags[0].called = tick
+def note_sent(memory: GroundMemory, tick: int, parent: int, u_x: float, u_y: float) -> None:
+    """Keep the command of this tick [m/s²], which goes on from the motion `parent`, until it acts."""
+    rows = memory.sent.shape[0]
+    begins = tick + rows - 2
+    row = memory.sent[begins % rows]
+    row.begins, row.parent, row.first_x, row.first_y = begins, parent, u_x, u_y
+
+
+@borrowing
+def hand_over_stops(memory: GroundMemory, tick: int, motions: RecordArray) -> tuple[int, int]:
+    """Put the motions that the command of this tick carries among those that set out.
+
+    Returns:
+        The tick in which the last of them begins, and how many they are.
+    """
+    rows = memory.sent.shape[0]
+    last, count = tick + rows - 2, 0
+    for begins in range(max(tick, last - MOST_CARRIED + 1), last + 1):
+        if memory.sent[begins % rows].begins == begins:
+            keep_motion(motions, memory.sent[begins % rows], tick)
+            count += 1
+    return last, count
 
 
 @borrowing
@@ -228,7 +258,7 @@ def drive_towards(
         here: Where it is when the command acts.
         to_x, to_y: The point [m].
     """
-    late = memory.commands.shape[0] > 0
+    late = memory.sent.shape[0] > 2
     ground = open_from(memory.tiles, parameters.tile, parameters.bold, here.p_x, here.p_y)
     speed = _rough_speed(parameters, memory, here, to_x, to_y)
     d_x, d_y = to_x - here.p_x, to_y - here.p_y
@@ -277,6 +307,7 @@ def navigate_control(
     goals: FloatArray,
     tick: int,
     here: Motion,
+    flown: int,
 ) -> tuple[float, float]:
     """The command [m/s²] to one goal after the other over the ground as it is known; at the last one the UGV stops.
 
@@ -289,9 +320,10 @@ def navigate_control(
         goals: [m], shape (goals, 2).
         tick: Now.
         here: Where the UGV is.
+        flown: As in `state_ahead`.
     """
-    flags, count = memory.flags[0], goals.shape[0]
-    now, here = here, state_ahead(parameters, memory, tick, here)
+    flags, count, now = memory.flags[0], goals.shape[0], here
+    here, parent = state_ahead(parameters, memory, tick, here, flown)
     u_x, u_y = brake(here.v_x, here.v_y, parameters.u_max, parameters.dt)
     if count > 0 and memory.tiles.size > 0:
         reached, _ = next_goal(goals, flags.goal, parameters.tolerance, now.p_x, now.p_y)
@@ -309,5 +341,5 @@ def navigate_control(
             if has_way(memory.way, own):
                 to_x, to_y = look_ahead(parameters, memory, here.p_x, here.p_y, goal_x, goal_y)
                 u_x, u_y = drive_towards(parameters, memory, here, to_x, to_y)
-    note_sent(memory, tick, u_x, u_y)
+    note_sent(memory, tick, parent, u_x, u_y)
     return u_x, u_y

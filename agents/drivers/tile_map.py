@@ -12,6 +12,7 @@ from bus.messages import BLOCK_SIDE
 from sim.kernels.compile import FloatArray, IntArray, borrowing
 from sim.kernels.records import RecordArray, records
 from sim.models.ground import BLOCK, UNSEEN, TileArray
+from sim.models.motion import no_motions
 
 _NEVER = -1
 
@@ -38,8 +39,6 @@ class GroundFlags(NamedTuple):
     """Number of tiles in its heap."""
     plans: int = 0
     """Number of searches that have ended."""
-    called: int = _NEVER
-    """The tick of its last command; -1: it has sent none."""
     settled: float = np.inf
     """Costs up to this one are final, when the search has ended; infinite: all are."""
 
@@ -66,8 +65,10 @@ class GroundMemory(NamedTuple):
     heap: PlaceArray
     place: PlaceArray
     """Of the search: a binary heap of tiles, and where in it each is. Shape (rows * columns,)."""
-    commands: FloatArray
-    """Commands under way [m/s²], the first one acts in the coming tick. Shape (delay, 2)."""
+    sent: RecordArray
+    """`MotionRecord` of the commands that were sent: of the one that acts in tick k in row k % rows. (delay + 2,)"""
+    flown: RecordArray
+    """`MotionRecord` of what the UGV flies, in a prediction. Shape (1,)."""
     flags: RecordArray
     """`GroundFlags`. Shape (1,)."""
 
@@ -88,7 +89,8 @@ def ground_memory(rows: int, columns: int, delay: int = 0) -> GroundMemory:
         cost=np.full(size, np.inf),
         heap=np.zeros(size, dtype=np.int32),
         place=np.full(size, _NEVER, dtype=np.int32),
-        commands=np.zeros((delay, 2)),
+        sent=no_motions(delay + 2),
+        flown=no_motions(1),
         flags=records(GroundFlags, [GroundFlags()]),
     )
 

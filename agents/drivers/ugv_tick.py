@@ -39,6 +39,7 @@ def ugv_tick(
     received: int,
     tick: int,
     here: Motion,
+    flown: int,
 ) -> tuple[float, float]:
     """The UGV's command [m/s²] under any driver that has a compiled form.
 
@@ -50,6 +51,7 @@ def ugv_tick(
         received: How many of its rows count.
         tick: Now.
         here: Where the UGV is.
+        flown: As in `agents.drivers.navigate.state_ahead`.
     """
     own = memory.driver
     if parameters.driver == WAYPOINTS:
@@ -61,5 +63,5 @@ def ugv_tick(
     if parameters.driver == NAVIGATE:
         if memory.ground.tiles.size == 0:  # there is nothing to go round
             return waypoint_control(parameters, route.goals, own, here)
-        return navigate_control(parameters, memory.ground, route.goals, tick, here)
+        return navigate_control(parameters, memory.ground, route.goals, tick, here, flown)
     return evade_control(parameters, own, radio, received, tick, here)

@@ -420,8 +420,8 @@ class _PilotNumbers:
         self.drivers = records(DriverParameters, list(map(driver_parameters, told_ugvs, drivers)))
         self.scripts = [told_route(one).script for one in told_ugvs]
         grounds = [told_ground(one) for one in told_ugvs]
-        self.late = np.array([len(memory.commands) for memory in grounds], dtype=np.int64)
-        self.ground = max(grounds, key=lambda memory: len(memory.commands))  # all have one area
+        self.late = np.array([len(memory.sent) for memory in grounds], dtype=np.int64)
+        self.ground = max(grounds, key=lambda memory: len(memory.sent))  # all have one area
         self.radio = scenario.has_ground or any(  # whoever drives is told of the ground
             DRIVERS[driver].listens and name not in external
             for name, driver in zip(ugvs, drivers, strict=True)

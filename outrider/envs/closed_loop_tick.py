@@ -21,6 +21,7 @@ from agents.control.telling import (
 )
 from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
 from agents.control.underway import Underway, hand_over
+from agents.drivers.navigate import PLAIN, hand_over_stops
 from agents.drivers.parameters import Route
 from agents.drivers.tile_map import GroundMemory, note_block, note_tiles
 from agents.drivers.ugv_tick import UgvMemory, ugv_tick
@@ -108,7 +109,8 @@ def _ground_of(tables: LoopTables, state: LoopState, world: int, ugv: int) -> Gr
         grounds.cost[world, ugv],
         grounds.heap[world, ugv],
         grounds.place[world, ugv],
-        grounds.commands[world, ugv, : tables.late[ugv]],
+        grounds.sent[world, ugv, : tables.late[ugv]],
+        grounds.flown[world, ugv],
         grounds.flags[world, ugv],
     )
 
@@ -222,21 +224,28 @@ def _drive(
     """The command of a UGV."""
     tick, sent = state.batch.ticks[world], state.batch.sent[world, vehicle]
     sent[COMMAND.answered] = tick
+    sent[COMMAND.last], sent[COMMAND.carried] = -1.0, 0.0
     if tables.hand[vehicle] >= 0:
         sent[COMMAND.u_x] = actions[tables.hand[vehicle], 0]
         sent[COMMAND.u_y] = actions[tables.hand[vehicle], 1]
         return
     script = tables.scripts[tables.script_rows[ugv] : tables.script_rows[ugv + 1]]
     route = Route(goals_of(tables.batch.mission, ugv), script)
+    carries = tables.batch.receivers[vehicle] == 1
+    ground = _ground_of(tables, state, world, ugv)
     sent[COMMAND.u_x], sent[COMMAND.u_y] = ugv_tick(
         state.drivers[world, ugv],
         route,
-        UgvMemory(state.driver_states[world, ugv], _ground_of(tables, state, world, ugv)),
+        UgvMemory(state.driver_states[world, ugv], ground),
         state.inboxes[world, ugv],
         state.arrived[world, ugv],
         tick,
         _motion_of(state.batch.told, world, vehicle),
+        state.batch.flown[world, vehicle, 0].begins if carries else PLAIN,
     )
+    if carries:
+        motions = state.batch.motions[world, vehicle]
+        sent[COMMAND.last], sent[COMMAND.carried] = hand_over_stops(ground, tick, motions)
 
 
 @inlined

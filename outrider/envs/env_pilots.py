@@ -65,10 +65,13 @@ class _EnvPilots:
             self._env.carry(name, command.motions)
             return np.array(command.acceleration)
         perceived = ugv_observation(row, dt=dt)
-        perceived = msgspec.structs.replace(perceived, ground=self._env.ground(name))
+        perceived = msgspec.structs.replace(
+            perceived, ground=self._env.ground(name), flown=self._env.flown(name)
+        )
         if self._radio is not None:
             perceived = self._radio.received_by(name, perceived)
         answer = pilot.act(perceived)
+        self._env.carry(name, answer.motions)
         if answer.route is not None:
             self._env.show_route(name, answer.route)
         return np.array(answer.acceleration)

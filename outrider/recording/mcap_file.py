@@ -37,7 +37,9 @@ class _Sink:
 
     def __init__(self, path: Path, *, private: bool) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
-        if not path.exists() or path.is_file():  # who has the old file open does not read the new one
+        if (
+            not path.exists() or path.is_file()
+        ):  # who has the old file open does not read the new one
             path.unlink(missing_ok=True)
             flags |= os.O_EXCL
         opened = os.open(path, flags, 0o600 if private else 0o666)

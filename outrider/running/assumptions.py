@@ -20,6 +20,7 @@ from agents.control.visibility import promise_of
 from bus.messages import MOST_CARRIED, LinkKind
 from bus.registry import LAWS
 from bus.ticks import DUST, first_tick_from
+from outrider.running.ground_assumptions import ground_warnings
 from outrider.running.summary import PERHAPS_EVERY, in_flights
 from sim.channel.chances import Chance, chance_of_age, chance_of_error, chance_of_outage
 from sim.channel.description import (
@@ -82,7 +83,7 @@ def promise_warnings(scenario: Scenario, links: LinkTable | None = None) -> tupl
     Arguments as in `shortfalls`.
     """
     told, lines = odds(scenario, links), [found.line for found in shortfalls(scenario, links)]
-    lines += _perfect_detectors(scenario)
+    lines += [*_perfect_detectors(scenario), *ground_warnings(scenario)]
     return (*lines, told.line) if lines and told is not None and told.line else tuple(lines)
 
 

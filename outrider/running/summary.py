@@ -123,6 +123,8 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """Time from then until it came so near, in the mean of those [s]."""
     seen_ahead: float | None = None
     """Share of the UGVs' way that led over ground which had come by radio before."""
+    entered_unknown_tile: int | None = None
+    """Ticks in which a UGV drove over a tile that it did not know to be drivable: 0 for a cautious one."""
     still_time: float | None = None
     """Time that the UGVs stood still before they had arrived [s]."""
     finds: int | None = None

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from bus.messages import LinkKind, LinkSettings
 from bus.ticks import first_tick_from
-from sim.engine.briefing import declared
+from sim.engine.briefing import declared, ugv_delay
 from sim.engine.ground_state import ground_constants, ground_state, mission_constants, mission_state
 from sim.engine.link_arrays import LinkArrays
 from sim.engine.run_keys import derive_keys
@@ -40,7 +40,7 @@ from sim.kernels.threads import WorkerThreads
 from sim.models.motion import no_motions
 from sim.models.randomness import HAZARD_FIELDS, RUN_PURPOSES
 from sim.scenario.ground_tables import ground_tables, place_fields
-from sim.scenario.risk import carries_motions
+from sim.scenario.risk import carries_motions, ugv_carries
 from sim.scenario.types import Scenario
 
 
@@ -157,10 +157,13 @@ class Batch:
 
     def _motion_rows(self) -> int:
         """Motions that each receiver has room for: those that may be under way at once; one where there are none."""
-        if not carries_motions(self.scenario):
-            return 1
-        told = (declared(self.scenario, uav.name) for uav in self.scenario.uav)
-        return 2 + max(first_tick_from(one.delay, self.scenario.dt) for one in told)
+        scenario, delays = self.scenario, list[float]()
+        if carries_motions(scenario):
+            delays += [declared(scenario, uav.name).delay for uav in scenario.uav]
+        delays += [
+            ugv_delay(scenario, ugv.name) for ugv in scenario.ugv if ugv_carries(scenario, ugv)
+        ]
+        return max((2 + first_tick_from(delay, scenario.dt) for delay in delays), default=1)
 
     def begin(
         self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None = None

@@ -17,7 +17,7 @@ from sim.channel.description import longest_delay
 from sim.engine.run_keys import derive_key
 from sim.models.inner_loop import tracking_error
 from sim.models.randomness import PILOT
-from sim.scenario.risk import command_delay, risk_bounds, risk_fault
+from sim.scenario.risk import command_delay, risk_bounds, risk_fault, ugv_carries
 from sim.scenario.types import DEFAULT_AGE, Scenario, Uav, Ugv
 
 
@@ -129,12 +129,18 @@ def ugv_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
             bumper=scenario.ground.bumper,
             caution=ugv.caution,
             share=scenario.rough_share,
-            delay=longest_delay(scenario.links.of(name, LinkKind.COMMANDS), scenario.links.traces),
+            delay=ugv_delay(scenario, name),
+            carries=ugv_carries(scenario, ugv),
         )
         if scenario.has_ground
         else None,
         key=_key(scenario, name, seed, secret),
     )
+
+
+def ugv_delay(scenario: Scenario, ugv: str) -> float:
+    """Return the longest delay of a UGV's commands [s]."""
+    return longest_delay(scenario.links.of(ugv, LinkKind.COMMANDS), scenario.links.traces)
 
 
 def briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> Briefing:

@@ -125,6 +125,8 @@ class MissionRecord(NamedTuple):
     """That it has driven [m]."""
     seen_way: float
     """Of it on tiles that had come by radio before [m]."""
+    entered: int
+    """Ticks in which it drove over a tile that it did not know to be drivable."""
     still: int
     """Ticks in which it stood still before it had arrived."""
     reached: int

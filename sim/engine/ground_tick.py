@@ -16,12 +16,17 @@ from sim.models.ground import (
     CLEAR,
     ROUGH,
     UNSEEN,
+    TileArray,
     crosses_hazard,
     rough_share,
+    span,
     state_at,
     tile_index,
 )
 from sim.models.randomness import GROUND_LOOK, TILE_CHANCE, WordArray, key_of, uniform
+
+_POINTS = 8
+"""Parts of a tick's way, at whose ends its tiles are looked up."""
 
 
 @borrowing
@@ -124,6 +129,34 @@ def _meets_block(
     return -1, math.inf
 
 
+@borrowing
+def _enters_unknown(
+    tile: float, known: TileArray, told: TileArray, start: FloatArray, end: FloatArray
+) -> bool:
+    """Return whether a UGV's way in a tick touches a tile that it does not know to be drivable.
+
+    Args:
+        tile: Width of a tile [m].
+        known: States that its bumper has told, which stand against the radio's.
+        told: States that the radio has told.
+        start, end: Of the way [m]; at rest it enters nothing.
+    """
+    if start[0] == end[0] and start[1] == end[1]:
+        return False
+    rows, columns = known.shape
+    for k in range(_POINTS + 1):
+        x = start[0] + k / _POINTS * (end[0] - start[0])
+        y = start[1] + k / _POINTS * (end[1] - start[1])
+        first, stop = span(y, y, tile, rows)
+        left, right = span(x, x, tile, columns)
+        for i in range(first, stop):
+            for j in range(left, right):
+                state = known[i, j] if known[i, j] != UNSEEN else told[i, j]
+                if state in (UNSEEN, BLOCK):
+                    return True
+    return False
+
+
 @inlined
 def drive_on(tables: BatchTables, state: BatchState, world: int) -> None:
     """Touches of hazards by the UGVs on their way from `before` to where they are; one that is stuck stops."""
@@ -132,6 +165,14 @@ def drive_on(tables: BatchTables, state: BatchState, world: int) -> None:
     parameters = constants.parameters[0]
     for n in range(constants.ugvs.shape[0]):
         v, start = constants.ugvs[n], ground.before[world, n]
+        if _enters_unknown(
+            parameters.tile,
+            ground.known[world, v],
+            state.mission.told[world, n],
+            start,
+            position[v],
+        ):
+            state.mission.ugvs[world, n].entered += 1
         if ground.pace[world, v] == 0.0:
             continue
         hit, share = _meets_block(constants, ground, world, start, position[v])

@@ -215,6 +215,7 @@ def mission_of(
         warned=int(before.sum()),
         warned_before=float(ahead.mean() * dt) if ahead.size else None,
         seen_ahead=float(ugvs["seen_way"].sum()) / way if way > 0.0 else None,
+        entered_unknown_tile=int(ugvs["entered"].sum()),
         still_time=float(ugvs["still"].sum() * dt),
         finds=int(finds.sum()),
         found=int((mission.found[world][finds] > 0).sum()),

@@ -18,7 +18,7 @@ from sim.models.field import cover, empty_coverage
 from sim.models.inner_loop import TrackingRecord
 from sim.models.randomness import WordArray
 from sim.models.wind import DisturbanceRow
-from sim.scenario.risk import carries_motions
+from sim.scenario.risk import carries_motions, ugv_carries
 from sim.scenario.types import Scenario, Uav
 
 LOOK = columns(Look)
@@ -167,9 +167,15 @@ def escorts_of(scenario: Scenario) -> IntArray:
 
 
 def receivers_of(scenario: Scenario) -> IntArray:
-    """1 for each vehicle whose receiver flies motions: the UAVs, where an outage is declared. Shape (vehicles,)."""
+    """Return 1 for each vehicle whose receiver flies motions. Shape (vehicles,).
+
+    These are the UAVs where an outage is declared, and the UGVs that navigate.
+    """
     carries = carries_motions(scenario)
-    return np.array([carries and isinstance(v, Uav) for v in scenario.vehicles], dtype=np.int64)
+    return np.array(
+        [carries if isinstance(v, Uav) else ugv_carries(scenario, v) for v in scenario.vehicles],
+        dtype=np.int64,
+    )
 
 
 class Told(NamedTuple):

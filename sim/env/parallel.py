@@ -341,12 +341,12 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         return self.world.seen_ground(self.world.names.index(agent))
 
     def flown(self, agent: str) -> int | None:
-        """The motion that a UAV's receiver flew in the tick before, as it would be told on the bus; None: none.
+        """Return the motion that a vehicle's receiver flew in the tick before, as on the bus; None: none.
 
         Raises:
-            ValueError: If there is no such UAV.
+            ValueError: If there is no such vehicle.
         """
-        self.received(agent)
+        self.ground(agent)
         return self.world.flown(self.world.names.index(agent))
 
     def taken(self, actions: Mapping[str, npt.ArrayLike]) -> dict[str, Vector]:
@@ -361,14 +361,14 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         return take_actions(actions, self.possible_agents)
 
     def carry(self, agent: str, motions: Sequence[MotionPlan]) -> None:
-        """Let a UAV's next action carry motions, as its safety filter plans them.
+        """Let a vehicle's next action carry motions, as its pilot plans them.
 
-        Its receiver flies them where the scenario declares `certificate.outage`; else the action acts.
+        Its receiver flies them where the vehicle has one for them; else the action acts.
 
         Raises:
-            ValueError: If there is no such UAV.
+            ValueError: If there is no such vehicle.
         """
-        self.received(agent)
+        self.ground(agent)
         self._carried[agent] = motions
 
     def show_route(self, agent: str, route: tuple[Vector, ...]) -> None:

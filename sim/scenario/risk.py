@@ -8,7 +8,7 @@ from bus.ticks import first_tick_from
 from sim.channel.chances import Smallest, largest_error, smallest_age, smallest_outage
 from sim.channel.description import longest_delay
 from sim.input.faults import Fault
-from sim.scenario.types import Scenario
+from sim.scenario.types import Scenario, Ugv
 
 
 class RiskBounds(NamedTuple):
@@ -26,6 +26,11 @@ def carries_motions(scenario: Scenario) -> bool:
     """True if the UAVs' commands carry motions: an outage is given, or follows from a risk."""
     wanted = scenario.certificate.outage is not None or scenario.certificate.risk is not None
     return wanted and bool(scenario.uav)
+
+
+def ugv_carries(scenario: Scenario, ugv: Ugv) -> bool:
+    """Return whether a UGV's commands carry the stop that follows them: the driver that navigates does this."""
+    return scenario.has_ground and ugv.driver == "navigate"
 
 
 def command_delay(scenario: Scenario, uav: str) -> float:

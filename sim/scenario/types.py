@@ -109,8 +109,8 @@ SpeedShare = Annotated[float, Meta(gt=0.0, le=1.0)]
 DEFAULT_SHARE = 0.4
 """Of its largest speed that a vehicle keeps on rough ground where no share is given."""
 MOST_CORNERS = 1000
-SAME_CORNER = 1e-3
-"""Corners of a polygon that follow each other within this [m] are one: a ring may close but for rounding."""
+SAME_CORNER = 1e-3 * (1.0 - 1e-9)
+"""Corners of a polygon that are nearer than a millimetre, but for rounding, are one [m]: a ring may close so."""
 MOST_HAZARDS = 10_000
 
 

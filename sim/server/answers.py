@@ -120,7 +120,7 @@ class Answers:
                 continue
             u_x, u_y = command.acceleration
             size = u_x * u_x + u_y * u_y
-            if isinstance(command, UavCommand) and command.motions:
+            if command.motions:
                 size = max(size, _largest(command.motions))
             if size > limit:
                 self._tell_shortened(name, command.tick, math.sqrt(size))

@@ -272,14 +272,14 @@ class Flight:
         world = self.world
         for k, name in enumerate(world.names):
             command = commands.get(name)
+            if command is None:
+                continue
+            world.send(k, command.tick, command.acceleration, command.motions)
             if isinstance(command, UavCommand):
-                world.send(k, command.tick, command.acceleration, command.motions)
                 if command.radio or command.blocks:
                     self._send_radio(k, name, command)
-            elif command is not None:
-                world.send(k, command.tick, command.acceleration)
-                if command.route is not None:
-                    self.routes[name] = command.route
+            elif command.route is not None:
+                self.routes[name] = command.route
         tick = world.tick
         world.advance()
         self._answers.note(tick, commands, self.law.name)

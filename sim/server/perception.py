@@ -239,6 +239,7 @@ class UgvPerception(Perception):
             ground=self._ground.get(tick, ()) if known else (),
             operator=news.operator if known else (),
             driver=news.driver,
+            flown=self._world.flown(self.row),
             over=over,
             episode=self._episode,
         )

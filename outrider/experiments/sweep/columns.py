@@ -49,6 +49,7 @@ RESULTS = {
     "warned": "int64",
     "warned_before": "double",  # [s]
     "seen_ahead": "double",  # share of the way
+    "entered_unknown_tile": "int64",  # ticks
     "still_time": "double",  # [s]
     "finds": "int64",
     "found": "int64",
