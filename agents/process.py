@@ -299,7 +299,7 @@ def fly(
         connect: Endpoint of the router.
         run: Name of the run.
         credential: By what the router knows the vehicle.
-        join_timeout: How long to wait for a simulator that is not there [s].
+        join_timeout: How long to wait for a router or a simulator that is not there [s].
 
     Returns:
         How many commands were sent.
@@ -308,11 +308,13 @@ def fly(
         PeerLost: If the simulator does not come, or goes away for longer than that.
         BusError: If the router cannot be reached, or the pilot's command is nonsense.
         AccessDenied: If the router does not know the credential.
-        ScenarioError: If the briefing asks for what the pilot cannot fly.
+        ScenarioError: If the endpoint is not one, or the briefing asks for what the pilot cannot fly.
     """
     with compiling("uav" if party.role is Role.UAV else "ugv"):
         warm_up(party.role)  # before the token: nobody must wait for a compiler
-    with open_session(party, run, connect=connect, credential=credential) as session:
+    with open_session(
+        party, run, connect=connect, credential=credential, join_timeout=join_timeout
+    ) as session:
         commands = session.outbox(COMMAND[party.role], party.name)
         slot = _Slot(session, make_pilot, join_timeout)
         sent = 0

@@ -1,12 +1,23 @@
 """The parts of an endpoint, such as `tcp/127.0.0.1:17447`, `tls/[::1]:17447` or `unixsock-stream//run/bus.sock`."""
 
+import os
+import re
 import socket
+import sys
 from typing import NamedTuple, Self
+
+from bus.errors import ScenarioError
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 """Addresses that only this machine reaches."""
 UNIX = "unixsock-stream"
 PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", UNIX)
+LONGEST_SOCKET_PATH = 107 if sys.platform == "linux" else 103
+"""Of a Unix socket [bytes]; the system has no room for a longer one."""
+_OPTIONS = re.compile("[?#]")
+"""Begin Zenoh's metadata and settings of an endpoint, in a Unix socket's path too."""
+_INET = re.compile(r"(\[[^\[\]]+\]|[^\[\]:]+):([0-9]{1,5})")
+_LAST_PORT = 65535
 
 
 class Locator(NamedTuple):
@@ -22,7 +33,8 @@ class Locator(NamedTuple):
     @classmethod
     def of(cls, endpoint: str) -> Self:
         """The parts of an endpoint."""
-        protocol, _, address = endpoint.partition("/")
+        protocol, _, rest = endpoint.partition("/")
+        address = rest if protocol == UNIX else _OPTIONS.split(rest, maxsplit=1)[0]
         host, _, port = address.rpartition(":")
         return cls(protocol, address, host.strip("[]"), port)
 
@@ -32,14 +44,71 @@ class Locator(NamedTuple):
         return self.protocol == UNIX or self.host in LOOPBACK
 
     def listens(self) -> bool:
-        """True if somebody accepts connections there."""
+        """True if a process accepts connections there."""
+        return not self.connection_fault()
+
+    def connection_fault(self) -> str:
+        """Return why no connection to it can be opened; empty if one can."""
         try:
             if self.protocol != UNIX:
                 socket.create_connection((self.host, int(self.port)), timeout=1.0).close()
-                return True
+                return ""
             with socket.socket(socket.AF_UNIX) as probe:
                 probe.settimeout(1.0)
                 probe.connect(self.address)
-        except (OSError, ValueError):
-            return False
-        return True
+        except (OSError, ValueError) as error:
+            return getattr(error, "strerror", None) or str(error)
+        return ""
+
+    def syntax_fault(self) -> str:
+        """Return what is wrong with it, and what is allowed; empty if nothing is."""
+        if self.protocol not in PROTOCOLS:
+            return f"unknown protocol; allowed: {', '.join(PROTOCOLS)}, as in tcp/127.0.0.1:17447"
+        if self.protocol == UNIX:
+            return _path_fault(self.address)
+        parts = _INET.fullmatch(self.address)
+        if parts is None:
+            wrong = "not a host and a port"
+            if self.address.count(":") > 1 and "[" not in self.address:
+                wrong = "an IPv6 address without brackets"
+            elif ":" not in self.address:
+                wrong = "names no port"
+            return f"{wrong}; allowed: {self.protocol}/HOST:PORT or {self.protocol}/[IPV6-ADDRESS]:PORT"
+        if not 0 < int(parts[2]) <= _LAST_PORT:
+            return f"port {parts[2]}; allowed: 1 to {_LAST_PORT}"
+        return ""
+
+
+def _path_fault(path: str) -> str:
+    if not path:
+        return f"names no file; allowed: {UNIX}/ and a path"
+    if _OPTIONS.search(path):
+        return "Zenoh ends a path at '#' and '?'; allowed: a path without them"
+    if len(os.fsencode(path)) > LONGEST_SOCKET_PATH:
+        return f"too long for a socket; allowed: a path of {LONGEST_SOCKET_PATH} bytes at most"
+    return ""
+
+
+def check_endpoint(endpoint: str) -> Locator:
+    """Return the parts of an endpoint that can be used.
+
+    A name server that does not answer now is no fault: it may do so later.
+
+    Raises:
+        ScenarioError: If it is not an endpoint, or its host has no address.
+    """
+    found = Locator.of(endpoint)
+    fault = found.syntax_fault()
+    if not fault and found.protocol != UNIX:
+        try:
+            socket.getaddrinfo(found.host, int(found.port))
+        except socket.gaierror as error:
+            if error.errno != socket.EAI_AGAIN:
+                fault = (
+                    f"host {found.host!r}: {error.strerror}; allowed: a host that has an address"
+                )
+        except UnicodeError:
+            fault = f"host {found.host!r}: not a host's name; allowed: a name or an address"
+    if fault:
+        raise ScenarioError(f"endpoint {endpoint!r}: {fault}")
+    return found

@@ -29,7 +29,7 @@ from bus.keys import (
     token_owner,
     written_by,
 )
-from bus.locator import UNIX, Locator
+from bus.locator import UNIX, Locator, check_endpoint
 from bus.queues import WAKE_PERIOD, Envelope, Inbox, Outbox
 from bus.ros2_access import LARGEST
 from bus.session_limit import SessionLimit
@@ -256,11 +256,9 @@ class Session:
         )
 
 
-def _open_zenoh(settings: Mapping[str, Any], what: str) -> zenoh.Session:
-    try:
-        return zenoh.open(_config(settings))
-    except zenoh.ZError as error:
-        raise BusError(f"{what} ({str(error).splitlines()[0].partition(' at /')[0]})") from error
+def _reason(error: zenoh.ZError) -> str:
+    """Zenoh's reason without the place in its source."""
+    return str(error).splitlines()[0].rpartition(" at /")[0] or str(error)
 
 
 def _received(largest: int) -> dict[str, Any]:
@@ -309,7 +307,10 @@ def _open_router(
             | access
             | {"listen/endpoints": list(listen)}
         )
-        return _open_zenoh(settings, f"cannot listen on {', '.join(listen)}: is it in use?")
+        try:
+            return zenoh.open(_config(settings))
+        except zenoh.ZError as error:
+            raise BusError(f"cannot listen on {', '.join(listen)}: {_reason(error)}") from error
 
 
 def _explained(
@@ -319,7 +320,7 @@ def _explained(
     found = Locator.of(endpoint)
     try:
         fault = find_fault(found.host, int(found.port), identity)
-    except (OSError, ValueError):
+    except OSError:
         return error
     return AccessDenied(
         f"the router at {endpoint} {fault or 'refuses this process'} (as {credential.name})"
@@ -349,21 +350,29 @@ def _check_certificate(identity: Identity, name: str) -> None:
         _LOG.warning("%s", warning)
 
 
-def _open_client(connect: str, party: Party, credential: Credential | None) -> zenoh.Session:
-    size = _received(
-        max((LARGEST, *(key.largest for key in (*read_by(party), *written_by(party)))))
-    )
-    settings = (
-        _COMMON | _CLIENT | size | client_settings(credential) | {"connect/endpoints": [connect]}
-    )
+def _open_client(
+    connect: str, party: Party, credential: Credential | None, join_timeout: float | None
+) -> zenoh.Session:
+    router = Locator.of(connect)
+    limit = _CLIENT["connect/timeout_ms"]
+    if join_timeout is not None:
+        wanted = round(1000.0 * join_timeout)
+        # A router that is there refuses this process for good, or is crowded for a while.
+        limit = min(wanted, limit) if router.listens() else wanted
+    largest = max((LARGEST, *(key.largest for key in (*read_by(party), *written_by(party)))))
+    settings = _COMMON | _CLIENT | _received(largest) | client_settings(credential)
+    settings |= {"connect/endpoints": [connect], "connect/timeout_ms": limit}
     try:
-        return _open_zenoh(settings, f"no router at {connect}: is the simulator running there?")
-    except BusError as error:
+        return zenoh.open(_config(settings))
+    except zenoh.ZError as error:
+        missing = f"no router at {connect} within {limit / 1000.0:g} s"
+        if router.protocol not in ("tcp", "tls", "ws", UNIX):
+            raise BusError(f"{missing} ({_reason(error)})") from error
+        fault = router.connection_fault()
+        if fault:
+            raise BusError(f"{missing}: {fault}") from error
         if credential is not None and credential.tls is not None:
-            raise _explained(connect, credential, credential.tls, error) from error
-        found = Locator.of(connect)
-        if found.protocol not in ("tcp", UNIX) or not found.listens():
-            raise  # it was the way that failed
+            raise _explained(connect, credential, credential.tls, BusError(missing)) from error
         who = (
             "without credentials"
             if credential is None
@@ -381,6 +390,7 @@ def open_session(
     listen: tuple[str, ...] = (),
     credential: Credential | None = None,
     given: CredentialSet | None = None,
+    join_timeout: float | None = None,
 ) -> Iterator[Session]:
     """Join the bus.
 
@@ -391,10 +401,13 @@ def open_session(
         listen: Endpoints to listen on; then this process is the router.
         credential: By what a client is known.
         given: By what a router knows its clients; None lets everybody in to everything.
+        join_timeout: Time for which a client tries to reach a router that is away [s]; None: 10 s. A router that
+            refuses the client is tried for 10 s at most.
 
     Raises:
         ValueError: If the run's name cannot be part of a key.
-        BusError: If the router cannot be reached, or an endpoint is not free.
+        ScenarioError: If an endpoint is not one, or its host has no address.
+        BusError: If the router cannot be reached, or an endpoint cannot be listened on.
         AccessDenied: If the router does not know the credential, or it does not fit the endpoint, or its
             certificate is not good.
     """
@@ -408,12 +421,14 @@ def open_session(
     else:
         name, identity = party.name, None if credential is None else credential.tls
     _check_protocol(listen or (connect,), certified=identity is not None)
+    for endpoint in listen or (connect,):
+        check_endpoint(endpoint)
     if identity is not None:
         _check_certificate(identity, name)
     opened = (
         _open_router(listen, party, run, given)
         if listen
-        else _open_client(connect, party, credential)
+        else _open_client(connect, party, credential, join_timeout)
     )
     session = Session(opened, party, run, hosts=bool(listen))
     if credential is not None and credential.tls is None:

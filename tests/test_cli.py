@@ -59,6 +59,12 @@ router for strangers | router --listen tcp/0.0.0.0:17447 | there are no credenti
 simulator for strangers | simulator --listen tcp/[::]:17447 | there are no credentials
 no endpoint | router --listen 17447 | endpoint '17447'
 no endpoint to go to | uav --connect nowhere | endpoint 'nowhere'
+no port | uav --connect tcp/127.0.0.1 | names no port
+IPv6 without brackets | record f.mcap --connect tcp/::1:17447 | an IPv6 address without brackets
+port out of range | record f.mcap --connect tls/base:70000 | port 70000
+port that is none | router --listen tcp/127.0.0.1:80x | not a host and a port
+unknown host | uav --connect tcp/nowhere.invalid:17447 | host 'nowhere.invalid'
+socket's name | simulator --listen unixsock-stream//tmp/a#b | ends a path at '#'
 unknown protocol | uav --connect carrier-pigeon/roof | carrier-pigeon
 credentials not there | uav --credentials nowhere.json | nowhere.json
 owner | credentials --owner me | --owner 'me'
@@ -96,13 +102,17 @@ unit's name | fmu export world escort --out world.zip | world.zip: is no unit's 
 unit's folder | fmu export world escort --out no/world.fmu | no/world.fmu: No such file or directory
 unit of no scenario | fmu export ugv escrot | escrot: no such file or scenario
 ground stations of strangers | mavlink --in udpin:0.0.0.0:14550 | say --insecure
+unknown ground station | mavlink --to udpout:nowhere.invalid:14550 | nowhere.invalid:14550: Name
 domain | ros2 --domain 233 | --domain 233: allowed are 0 to 232
 namespace | ros2 --namespace pilot | 'pilot'
 namespace of a vehicle | ros2 --vehicle uav_0 --namespace fleet | --namespace and --vehicle
 no vehicle | ros2 --vehicle drone | begin with uav or ugv
 """)
 BROKEN = rows(r"""
-no router | uav --connect tcp/127.0.0.1:1 | no router at tcp/127.0.0.1:1
+no router | uav --connect tcp/127.0.0.1:1 --join-timeout 0.2 | tcp/127.0.0.1:1 within 0.2 s: Connection refused
+no socket | uav --connect unixsock-stream/none --join-timeout 0 | /none within 0 s: No such file
+no address of this machine | router --listen tcp/192.0.2.1:17447 --insecure | tcp/192.0.2.1:17447: Can
+no address of this machine, MAVLink | mavlink --in udpin:192.0.2.1:14550 --insecure | 192.0.2.1:14550: Cannot assign
 a file in the folder's place | run --out taken | taken
 a file in the sweep's place | sweep escort --set duration=5 --out taken | taken
 policy that raises | suite --uav-policy json:loads --only paper | --uav-policy json:loads: TypeError

@@ -224,7 +224,8 @@ def test_a_port_in_use_is_named(command: str) -> None:
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
         run = outrider(command, "--listen", endpoint, fresh=command == "router")
     assert run.returncode == 1
-    assert f"cannot listen on {endpoint}: is it in use?" in " ".join(run.stderr.split())
+    assert f"cannot listen on {endpoint}: " in run.stderr
+    assert "Address already in use" in run.stderr
     assert "Traceback" not in run.stderr
 
 

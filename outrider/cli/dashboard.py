@@ -10,6 +10,7 @@ import typer
 
 from bus.extras import check_extra
 from bus.keys import Role
+from bus.locator import check_endpoint
 from bus.messages import Law
 from outrider.cli import options
 
@@ -53,7 +54,7 @@ def command(
 
     if watchdog:
         start_watchdog()
-    options.check_endpoint(connect)
+    check_endpoint(connect)
     admission = choose_admission(host, token, wanted=not no_token)
     check_extra("dashboard")
     from outrider.view.page.app import serve

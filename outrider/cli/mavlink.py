@@ -3,14 +3,13 @@
 import os
 import sys
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from bus.errors import PeerLost, ScenarioError
 from bus.keys import SAMPLED_TRUTH, STATUS, Role
-from bus.locator import LOOPBACK
+from bus.locator import LOOPBACK, check_endpoint
 from bus.messages import Origin
 from outrider.cli import options
 from outrider.cli.stopping import Stop, stop_on_signals
@@ -117,7 +116,7 @@ def command(
     from outrider.bridges.mavlink.udp import Network, parse_address, private_port
     from outrider.cli.console import print_json
 
-    options.check_endpoint(connect)
+    check_endpoint(connect)
     if vehicle and autopilot:
         raise typer.BadParameter("--vehicle or --autopilot, not both")
     told, asked = out or [], listen or []
@@ -144,7 +143,9 @@ def command(
         else:
             os.nice(_NICE)
             with stop_on_signals() as stop:
-                found = _show(network, connect, run, credentials, stop, first, height)
+                party, credential = options.staff_of(credentials, Role.OBSERVER)
+                joining = options.Joining(party, connect, run, credential, join_timeout)
+                found = _show(network, joining, stop, first, height)
     finally:
         network.close()
     found["seconds"] = time.monotonic() - began
@@ -226,21 +227,17 @@ def _check_listening(addresses: "dict[str, Address]", *, insecure: bool) -> None
 
 def _show(
     network: "Network",
-    connect: str,
-    run: str,
-    credentials: Path | None,
+    joining: options.Joining,
     stop: Stop,
     first: int,
     height: float,
 ) -> dict[str, Any]:
     """Tell a run until it is over or somebody wants the end; what was told."""
-    from bus.session import open_session
     from outrider.bridges.mavlink.run_gateway import RunGateway
     from outrider.cli.console import ERR
     from outrider.view.operator import RunClient
 
-    party, credential = options.staff_of(credentials, Role.OBSERVER)
-    with open_session(party, run, connect=connect, credential=credential) as session:
+    with joining.session() as session:
         status = await_status(session, stop)
         if status is None:
             return {"vehicles": {}}
@@ -248,14 +245,14 @@ def _show(
         gateway = RunGateway(client, network, status, first=first, height=height)
         named = {system.name: number for number, system in gateway.systems.items()}
         ERR.tell(
-            f"the run {run}: {', '.join(f'system {n} is {name}' for name, n in named.items())}"
+            f"the run {joining.run}: {', '.join(f'system {n} is {name}' for name, n in named.items())}"
         )
         try:
             lost = _follow(session, client, gateway, stop)
         finally:
             gateway.close()
     if lost:
-        raise PeerLost(f"the router at {connect} has gone")
+        raise PeerLost(f"the router at {joining.connect} has gone")
     return {"vehicles": named, **gateway.counts()}
 
 

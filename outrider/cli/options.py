@@ -12,7 +12,7 @@ import typer
 
 from bus.errors import AccessDenied, ScenarioError
 from bus.keys import OPERATOR_NAME, Party, Role, check_run_name
-from bus.locator import PROTOCOLS, Locator
+from bus.locator import check_endpoint
 from bus.profiles import PROFILES
 from bus.registry import DRIVERS, LAWS, POLICY_FORMS, SAVED_POLICIES, DriverRow, LawRow, described
 
@@ -338,16 +338,6 @@ def secret_of(given: str, *, wanted: bool = False) -> str:
         raise ScenarioError(str(error)) from error
 
 
-def check_endpoint(endpoint: str) -> None:
-    """Refuse what is no endpoint, by a ScenarioError that says what one looks like."""
-    found = Locator.of(endpoint)
-    if found.protocol not in PROTOCOLS or not found.address:
-        raise ScenarioError(
-            f"endpoint {endpoint!r}: allowed are protocol/address, such as {DEFAULT_ENDPOINT}, "
-            f"with {', '.join(PROTOCOLS)}"
-        )
-
-
 def check_endpoints(endpoints: tuple[str, ...], *, secured: bool, insecure: bool) -> None:
     """Refuse to let strangers in by mistake.
 
@@ -355,8 +345,7 @@ def check_endpoints(endpoints: tuple[str, ...], *, secured: bool, insecure: bool
         ScenarioError: If an endpoint is none, or can be reached from other machines while nothing protects it.
     """
     for endpoint in endpoints:
-        check_endpoint(endpoint)
-        if not (secured or insecure or Locator.of(endpoint).is_local):
+        if not (check_endpoint(endpoint).is_local or secured or insecure):
             raise ScenarioError(
                 f"endpoint {endpoint}: other machines reach it, and there are no credentials; "
                 "make some with `outrider credentials`, or say --insecure"
@@ -393,13 +382,19 @@ class Joining(NamedTuple):
     run: str
     credential: "Credential | None"
     join_timeout: float
-    """The time for which a simulator may be away [s]."""
+    """The time for which a router or a simulator may be away [s]."""
 
     def session(self) -> "AbstractContextManager[Session]":
         """Its session; errors as of `open_session`."""
         from bus.session import open_session
 
-        return open_session(self.party, self.run, connect=self.connect, credential=self.credential)
+        return open_session(
+            self.party,
+            self.run,
+            connect=self.connect,
+            credential=self.credential,
+            join_timeout=self.join_timeout,
+        )
 
     def fly(self, make_pilot: "MakePilot") -> int:
         """Fly the vehicle until the run is over; result and errors as of `agents.process.fly`."""
@@ -418,7 +413,7 @@ class Joining(NamedTuple):
 
 
 def joining(
-    role: Role, name: str, connect: str, run: str, file: Path | None, join_timeout: float = 0.0
+    role: Role, name: str, connect: str, run: str, file: Path | None, join_timeout: float
 ) -> Joining:
     """The way of a party; errors as of `check_endpoint` and `credential_of`."""
     check_endpoint(connect)
@@ -427,10 +422,10 @@ def joining(
 
 
 def join(
-    role: Role, run: str, connect: str, file: Path | None
+    role: Role, run: str, connect: str, file: Path | None, join_timeout: float = 10.0
 ) -> "AbstractContextManager[Session]":
     """The session of a run's operator, observer or bridge; errors as of `joining`."""
-    return joining(role, role.value, connect, run, file).session()
+    return joining(role, role.value, connect, run, file, join_timeout).session()
 
 
 def credential_of(file: Path | None, role: Role, name: str) -> "Credential | None":

@@ -90,7 +90,10 @@ def command(
         _fly(joining, domain=domain, json=json)
         return
     role = Role.OPERATOR if operator else Role.ROS2
-    with stop_on_signals() as stop, options.join(role, run, connect, credentials) as session:
+    with (
+        stop_on_signals() as stop,
+        options.join(role, run, connect, credentials, join_timeout) as session,
+    ):
         observer, lost = _observe(
             session, stop, domain=domain, namespace=space, every_tick=every_tick
         )

@@ -168,7 +168,13 @@ def command(
         party = Party(role=Role.SIMULATOR, name=SIMULATOR_NAME)
         with (
             open_session(
-                party, run, connect=connect, listen=endpoints, credential=credential, given=given
+                party,
+                run,
+                connect=connect,
+                listen=endpoints,
+                credential=credential,
+                given=given,
+                join_timeout=join_timeout,
             ) as session,
             nullcontext(reports) if events else flight_progress(flown, "waiting") as progress,
             closing(recorder) if recorder is not None else nullcontext(),

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from bus.errors import BusError, ScenarioError
+from bus.errors import BusError, OutriderError, ScenarioError
 from outrider.bridges.mavlink.dialect import MavMessage, mavlink
 
 UNREADABLE = "is no MAVLink message"
@@ -96,7 +96,9 @@ def _resolved(address: Address) -> Address:
     try:
         found = socket.getaddrinfo(*address, socket.AF_INET, socket.SOCK_DGRAM)
     except OSError as error:
-        raise BusError(f"{address.host}:{address.port}: no such host ({error.strerror})") from error
+        raise ScenarioError(
+            f"{address.host}:{address.port}: {error.strerror or error}; allowed: a host that has an address"
+        ) from error
     return Address(*found[0][4][:2])
 
 
@@ -106,7 +108,7 @@ def _bind(opened: socket.socket, address: Address) -> None:
         opened.bind(where)
     except OSError as error:
         raise BusError(
-            f"cannot listen on {address.host}:{address.port} ({error.strerror}): is it in use?"
+            f"cannot listen on {address.host}:{address.port}: {error.strerror or error}"
         ) from error
 
 
@@ -118,7 +120,8 @@ class Network:
         listen: Addresses at which others may ask.
 
     Raises:
-        BusError: If an address cannot be used.
+        ScenarioError: If a host has no address.
+        BusError: If an address cannot be listened on.
     """
 
     def __init__(self, out: Iterable[Address] = (), listen: Iterable[Address] = ()) -> None:
@@ -135,7 +138,7 @@ class Network:
                 self._open(_resolved(address))
             for address in listen:
                 _bind(self._open(None), address)
-        except BusError:
+        except OutriderError:
             self.close()
             raise
 

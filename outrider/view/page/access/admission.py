@@ -1,5 +1,6 @@
 """Before the page is served: the socket it is served on, and who may come in."""
 
+import errno
 import re
 import secrets
 import socket
@@ -70,8 +71,9 @@ def open_socket(host: str, port: int) -> socket.socket:
         opened.listen(128)
     except OSError as error:
         opened.close()
+        other = "; allowed: another --port" if error.errno == errno.EADDRINUSE else ""
         raise ScenarioError(
-            f"cannot listen on {host}, port {port}: {error.strerror or error}; try another --port"
+            f"cannot listen on {host}, port {port}: {error.strerror or error}{other}"
         ) from error
     return opened
 
