@@ -12,7 +12,7 @@ from agents.control.orbit import Path
 from agents.control.weighting import Weighting
 from agents.drivers.policy import Policy
 from bus.access import Credential
-from bus.errors import BusError, PeerLost
+from bus.errors import BusError, PeerLost, ScenarioError
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, SIMULATOR_NAME, Party, Role
 from bus.messages import Command, UavBriefing, UavObservation, UgvBriefing, UgvObservation
 from bus.presence import Presence
@@ -134,9 +134,9 @@ def warm_up(role: Role, *, inner: "Inner | None" = None) -> None:
 _LOG = logging.getLogger("outrider.agents")
 _LONG = 5
 """Seconds with a simulator and without a briefing, after which a vehicle says that it waits."""
-_UNBRIEFED = (
-    "%s: the simulator does not brief it: has its scenario such a vehicle, and is the slot free?"
-)
+_LOOKS = 2
+"""Looks for the vehicle's slot in a row, a second apart, after which there is none: one may meet a simulator that ends.
+"""
 
 
 class _Slot:
@@ -158,15 +158,25 @@ class _Slot:
         self._observations = session.inbox(OBSERVATION[party.role], party.name, newest=_ROOM)
         self._flight: tuple[object, int] = (None, 0)  # who has briefed it for which flight
         self._first = 0  # the first tick of it that is still to be seen
+        self._without_slot = 0  # looks in a row that found a simulator and no slot
         self._simulator = Presence(session, SIMULATOR_NAME)
         session.announce()
         self.pilot = self._take_over()
 
-    def _mind_absence(self, what: str) -> None:
+    def _check_simulator(self, what: str) -> None:
+        """Give up waiting for a simulator that stays away, or whose scenario has no such vehicle."""
+        party = self._session.party
+        missing = self._simulator.there and not self._session.is_offered()
+        self._without_slot = self._without_slot + 1 if missing else 0
+        if self._without_slot >= _LOOKS:
+            raise ScenarioError(
+                f"--name {party.name}: the scenario of the run {self._session.run} has no {party.role.upper()} of "
+                "this name; allowed: one that it has"
+            )
         if self._simulator.absent_for() > self._limit:
             who = "simulator" if self._session.connected else "router"
             raise PeerLost(
-                f"the {who} has been away for {self._limit:g} s while {self._session.party.name} awaited {what}"
+                f"the {who} has been away for {self._limit:g} s while {party.name} awaited {what}"
             )
 
     def _take_over(self) -> Pilot:
@@ -179,10 +189,16 @@ class _Slot:
         while True:
             envelope = self._briefings.receive(1.0)
             if envelope is None:
-                self._mind_absence("its briefing")
+                self._check_simulator("its briefing")
                 waited = waited + 1 if self._simulator.there else 0
                 if waited == _LONG:
-                    _LOG.warning(_UNBRIEFED, self._session.party.name)
+                    _LOG.warning(
+                        "no briefing in %d s%s",
+                        _LONG,
+                        f": another session of {self._session.party.name} came first and keeps the slot"
+                        if self._session.place
+                        else "",
+                    )
                 continue
             told: Any = envelope.message
             begins = not told.past or told.past[0].tick == 0
@@ -219,7 +235,7 @@ class _Slot:
             while self._briefings.holds_any():
                 self.pilot = self._take_over()
             if envelope is None:
-                self._mind_absence("an observation")
+                self._check_simulator("an observation")
                 continue
             seen = []
             while envelope is not None:
@@ -308,7 +324,8 @@ def fly(
         PeerLost: If the simulator does not come, or goes away for longer than that.
         BusError: If the router cannot be reached, or the pilot's command is nonsense.
         AccessDenied: If the router does not know the credential.
-        ScenarioError: If the endpoint is not one, or the briefing asks for what the pilot cannot fly.
+        ScenarioError: If the endpoint is not one, the scenario has no such vehicle, or the briefing asks for what the
+            pilot cannot fly.
     """
     with compiling("uav" if party.role is Role.UAV else "ugv"):
         warm_up(party.role)  # before the token: nobody must wait for a compiler

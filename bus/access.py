@@ -34,6 +34,7 @@ from bus.keys import (
     Role,
     read_by,
     session_token,
+    slot_token,
     token,
     written_by,
 )
@@ -324,6 +325,8 @@ def grants(party: Party, run: str, *, ros2: bool = False) -> tuple[Grant, ...]:
     own = token(run, party.name, "*")
     places = tuple(token(run, party.name, place) for place in range(PLACES))
     declared = (*places, session_token(run, party.name, "*"))
+    if party.role is Role.SIMULATOR:
+        declared += tuple(slot_token(run, "*", role) for role in (Role.UAV, Role.UGV))
     found.add(Grant(message="liveliness_token", flow="ingress", keys=declared))
     found.add(Grant(message="liveliness_query", flow="ingress", keys=(own,)))
     found.add(Grant(message="declare_liveliness_subscriber", flow="ingress", keys=(watched,)))

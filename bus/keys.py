@@ -180,7 +180,8 @@ def token(run: str, name: str, place: int | str) -> str:
     Args:
         run: Name of the run.
         name: Of the party; `*` stands for any.
-        place: Number of the session, from 0 to `PLACES` - 1; `*` stands for any.
+        place: Number of the session, from 0 to `PLACES` - 1; `*` stands for any. In the place of a number the
+            simulator puts a vehicle's role: see `slot_token`.
     """
     return f"{ROOT}/{run}/{name}/{_TOKEN}/{place}"
 
@@ -189,6 +190,17 @@ def token_owner(expression: str) -> tuple[str, int]:
     """The owner of a token, and the number of its session; -1 where it has none."""
     parts = expression.split("/")
     return parts[-3], _PLACE_NUMBERS.get(parts[-1], -1)
+
+
+def slot_token(run: str, name: str, role: Role) -> str:
+    """The simulator's liveliness token of a vehicle in its scenario.
+
+    Args:
+        run: Name of the run.
+        name: Of the vehicle; `*` stands for any.
+        role: Its kind.
+    """
+    return token(run, name, role.value)
 
 
 def session_token(run: str, name: str, session: str) -> str:

@@ -19,12 +19,14 @@ from bus.keys import (
     Delivery,
     Key,
     Party,
+    Role,
     check_reads,
     check_run_name,
     check_writes,
     largest_payloads,
     read_by,
     session_token,
+    slot_token,
     token,
     token_owner,
     written_by,
@@ -236,6 +238,17 @@ class Session:
         for _ in liveliness.get(token(self.run, self.party.name, self.place), timeout=_LOOK):
             pass  # once this is answered the router knows of the token, and who comes next sees it
 
+    def offer(self, vehicle: str, role: Role) -> None:
+        """Declare that this simulator's scenario has a vehicle."""
+        offered = slot_token(self.run, vehicle, role)
+        self._kept.append(self._zenoh.liveliness().declare_token(offered))
+
+    def is_offered(self) -> bool:
+        """True if a simulator's scenario has the vehicle that this party is."""
+        offered = slot_token(self.run, self.party.name, self.party.role)
+        replies = self._zenoh.liveliness().get(offered, timeout=_LOOK)
+        return any(reply.ok is not None for reply in list(replies))
+
     def watch(self, party_name: str, on_change: Callable[[str, int, bool], None]) -> None:
         """Tell when a session of a party comes or goes, those that are there already included.
 
@@ -376,9 +389,9 @@ def _open_client(
         who = (
             "without credentials"
             if credential is None
-            else f"as {credential.name}: is the password the run's?"
+            else f"as {credential.name}: is the password the run's, and is it a router?"
         )
-        raise AccessDenied(f"the router at {connect} refuses this process {who}") from error
+        raise AccessDenied(f"{connect} accepts connections, but not this process {who}") from error
 
 
 @contextmanager

@@ -17,7 +17,9 @@ from processes import wait_until
 from staging import GIVEN, PILOT, Vehicle, client_of, hosted, stage, whole
 
 from agents import process
-from bus.keys import BRIEFING, COMMAND, OBSERVATION, Role
+from agents.uav import UavPilot
+from bus.errors import ScenarioError
+from bus.keys import BRIEFING, COMMAND, OBSERVATION, Party, Role
 from bus.messages import Action, Control, Drive, UavCommand, UgvCommand
 from outrider.running.flying import make_pilots
 from sim.engine.briefing import briefing
@@ -44,6 +46,19 @@ def test_a_vehicle_that_comes_back_with_its_past_flies_the_same_bits(victim, tmp
         f"{victim} is lost at tick 1234",
         f"{victim} has joined again at tick 1234",
     ]
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("is_open", [True, False])
+def test_a_vehicle_that_the_scenario_lacks_is_refused(tmp_path, is_open):
+    other = load_scenario("escort", overrides={"uav.0.name": "scout", "duration": 0.5})
+    with stage(tmp_path, 10, scenario=other, is_open=is_open) as run:
+        assert run.client("ugv_0").is_offered()
+        for credential in (GIVEN.of("uav_0"), GIVEN.of("ugv_0"))[: 1 + is_open]:
+            party = Party(role=Role.UAV, name=credential.name)
+            own = None if is_open else credential
+            with pytest.raises(ScenarioError, match=f"{party.name}: .* has no UAV of this name"):
+                process.fly(party, UavPilot, connect=run.endpoint, run="run", credential=own)
 
 
 @pytest.mark.parametrize("scenario", [degraded(400, LinkTable()), degraded(400)], ids=["", "late"])

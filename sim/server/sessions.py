@@ -93,6 +93,7 @@ class Slots:
         self._slots: dict[str, VehicleSlot] = {}
         for vehicle in flight.scenario.vehicles:
             role = Role.UAV if isinstance(vehicle, Uav) else Role.UGV
+            session.offer(vehicle.name, role)
             self._slots[vehicle.name] = VehicleSlot(
                 name=vehicle.name,
                 role=role,
