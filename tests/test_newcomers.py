@@ -1,9 +1,12 @@
 """The first steps of a user: names that collide, brackets in paths and errors, a file to begin with, the doctor."""
 
+import errno
 import json
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from unittest.mock import create_autospec
 
 import jsonschema
 import msgspec
@@ -112,6 +115,38 @@ def test_debug_shows_the_traceback_of_a_vehicles_process_and_its_log_keeps_it(
         assert "Traceback (most recent call last):" in text
         assert "in inner" in text
         assert "ZeroDivisionError: division by zero (deep.py:6, in inner)" in text
+
+
+@pytest.mark.parametrize(
+    ("raised", "told"),
+    [
+        (OSError(errno.EMFILE, "Too many open files"), "OSError: Too many open files; --debug"),
+        (ConnectionRefusedError(errno.ECONNREFUSED, "refused"), "ConnectionRefusedError: refused"),
+        (OSError("the recording is incomplete"), "outrider: the recording is incomplete"),
+        (FileNotFoundError(errno.ENOENT, "not there", "a.csv"), "outrider: a.csv: not there"),
+    ],
+)
+def test_an_error_of_the_system_is_told_as_what_it_is(raised, told, monkeypatch, command):
+    from outrider.cli import main as module
+
+    broken = create_autospec(module.COMMANDS["doctor"], side_effect=raised)
+    monkeypatch.setitem(module.COMMANDS, "doctor", broken)
+    monkeypatch.setenv("OUTRIDER_DEBUG", "")
+    done = command("doctor")
+    assert done.returncode == 1
+    assert told in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert "Traceback (most recent call last)" in command("doctor", "--debug").stderr
+
+
+@pytest.mark.parametrize("arguments", ["scenarios", "scenarios --json", "scenarios show"])
+def test_a_result_that_cannot_be_printed_names_standard_output(arguments):
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [SCRIPT, *words(arguments)], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 1
+    assert done.stderr == "outrider: standard output: No space left on device\n"
 
 
 TOO_FAST = """from math import cos, sin

@@ -1,10 +1,10 @@
 """Output on the terminal: results on stdout, everything on the way on stderr."""
 
 import re
-import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from rich.console import Console
@@ -19,7 +19,9 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
+from bus.files import writing
 from bus.messages import LinkStatus
+from outrider.cli.standard_output import STANDARD_OUTPUT, print_text
 from outrider.running.summary import Summary, in_flights
 from sim.input.faults import one_line
 from sim.kernels.compile import Share, is_compiled
@@ -36,6 +38,12 @@ class PlainConsole(Console):
 
     def __init__(self, *, stderr: bool = False) -> None:
         super().__init__(stderr=stderr, highlight=False, markup=False, emoji=False)
+        self._name = Path("standard error") if stderr else STANDARD_OUTPUT
+
+    def print(self, *objects: Any, **options: Any) -> None:  # noqa: ANN401 - as of `Console`
+        """Print as `Console.print`; an error of the system names the stream."""
+        with writing(self._name):
+            super().print(*objects, **options)
 
     def tell(self, text: str | Text) -> None:
         """Print a line, however long: where it is too long for the window, the terminal breaks it."""
@@ -53,8 +61,7 @@ def tell_compiling(*shares: Share) -> None:
 
 def print_json(value: object) -> None:
     """One JSON object on stdout."""
-    sys.stdout.write(msgspec.json.format(msgspec.json.encode(value), indent=2).decode() + "\n")
-    sys.stdout.flush()
+    print_text(msgspec.json.format(msgspec.json.encode(value), indent=2).decode() + "\n")
 
 
 def print_warnings(lines: Iterable[str]) -> None:

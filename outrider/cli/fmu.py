@@ -77,7 +77,7 @@ def export(
             else:
                 agent = export_vehicle(flown, Role(what), file, name=agent)
     except OSError as error:
-        raise ScenarioError(f"--out {file}: {error.strerror or error}") from error
+        raise ScenarioError(f"{error.filename or file}: {error.strerror or error}") from error
     if json:
         told = {"file": str(file), "what": what, "agent": agent or None}
         print_json(told | {"scenario": flown.name, "seed": flown.seed, "step": flown.dt})

@@ -48,6 +48,7 @@ from outrider.cli import (
     sweep,
 )
 from outrider.cli.options import help_without_command
+from outrider.cli.standard_output import print_text
 from outrider.cli.stopping import leave
 from sim.input.faults import one_line
 
@@ -78,13 +79,14 @@ COMMANDS: dict[str, Callable[..., None]] = {
 
 _DEBUG = "OUTRIDER_DEBUG"
 _INTERRUPTED = 130
+_MORE = "--debug shows the whole traceback"
 
 
 def _version(wanted: bool) -> None:
     if wanted:
         from importlib.metadata import version
 
-        sys.stdout.write(f"outrider {version('outrider')}\n")
+        print_text(f"outrider {version('outrider')}\n")
         raise typer.Exit
 
 
@@ -149,13 +151,27 @@ def _show_traceback() -> None:
         traceback.print_exc()
 
 
+def _system_fault(error: OSError) -> str:
+    """Return an error of the system and, as far as that is known, what it is about."""
+    if place_in_user_code(error):
+        return f"{told_with_place(error)}; {_MORE}"
+    reason = error.strerror or str(error)
+    if error.filename is not None:
+        return f"{error.filename}: {reason}"
+    if error.errno is None:
+        return reason  # its whole text
+    return f"{type(error).__name__}: {reason}; {_MORE}"
+
+
 def _run() -> int:
     try:
         if not _computes(sys.argv[1:]):
             from sim.kernels.compile import interpret
 
             interpret()
-        return int(make_app()(standalone_mode=False) or 0)
+        code = int(make_app()(standalone_mode=False) or 0)
+        print_text("")  # what waits to be written
+        return code
     except (ScenarioError, AccessDenied) as error:
         _show_traceback()
         return _fail(str(error), 2)
@@ -165,7 +181,8 @@ def _run() -> int:
     except BrokenPipeError:
         return 1
     except OSError as error:
-        return _fail(f"{error.filename or 'output'}: {error.strerror or error}", 1)
+        _show_traceback()
+        return _fail(_system_fault(error), 1)
     except (KeyboardInterrupt, _Interrupted):
         return _fail("interrupted", _INTERRUPTED)
     except Exception as error:
@@ -175,7 +192,7 @@ def _run() -> int:
             if not place_in_user_code(error):
                 raise
             _show_traceback()
-            return _fail(f"{told_with_place(error)}; --debug shows the whole traceback", 1)
+            return _fail(f"{told_with_place(error)}; {_MORE}", 1)
         return _fail(f"{told()} (outrider --help tells more)", int(getattr(error, "exit_code", 2)))
 
 

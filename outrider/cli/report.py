@@ -10,6 +10,7 @@ import typer
 from bus.extras import check_extra
 from bus.files import writing
 from outrider.cli.options import Json
+from outrider.cli.standard_output import print_text
 
 
 def command(
@@ -60,7 +61,7 @@ def command(
                 page(material, pictures, shlex.join(["outrider", *sys.argv[1:]])), encoding="utf-8"
             )
     if markdown:
-        sys.stdout.write(markdown_of(material))
+        print_text(markdown_of(material))
         return
     if json:
         files = {name: str(path) for name, path in pictures.items()}

@@ -1,7 +1,6 @@
 """`outrider scenarios`: what is shipped, what it says, and a file of one's own to begin with."""
 
 import shlex
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +8,7 @@ import typer
 
 from bus.files import writing
 from outrider.cli.options import Json
+from outrider.cli.standard_output import print_text
 
 Name = Annotated[str, typer.Argument(help="A shipped scenario's name.")]
 SCHEMA_FILE = "scenario.schema.json"
@@ -60,7 +60,7 @@ def show(name: Name = "escort") -> None:
     """
     from sim.scenario.loading import shipped_text
 
-    sys.stdout.write(shipped_text(name))
+    print_text(shipped_text(name))
 
 
 @app.command()
@@ -111,4 +111,4 @@ def schema() -> None:
     """
     from sim.scenario.schema import schema_text
 
-    sys.stdout.write(schema_text())
+    print_text(schema_text())

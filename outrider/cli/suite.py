@@ -1,12 +1,12 @@
 """`outrider suite`: the benchmark suite, and the leaderboard of who has flown it."""
 
-import sys
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from bus.errors import OutriderError, ScenarioError, told_with_place
 from outrider.cli.options import Json, Secret
+from outrider.cli.standard_output import print_text
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -108,7 +108,7 @@ def command(
         print_json(board)
         return
     if markdown:
-        sys.stdout.write(board.markdown())
+        print_text(board.markdown())
     else:
         OUT.print(_table(board))
     told = ERR if markdown else OUT
