@@ -9,6 +9,7 @@ import importlib
 import json
 import logging
 import math
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -30,7 +31,7 @@ from bus.layout import UgvRow
 from bus.messages import Command, UgvObservation
 from bus.registry import SAVED_POLICIES
 from outrider.envs.env_pilots import pilots
-from outrider.running import user_code
+from outrider.running import user_modules
 from outrider.running.flying import fly, make_pilots
 from outrider.running.user_code import load_function, load_policy
 from sim.models.vehicles import norm
@@ -508,6 +509,34 @@ def test_a_module_that_breaks_while_it_is_imported_is_named_in_one_line(here: Pa
         load_function("mine_broken:f", what="weighting")
 
 
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("queue:wheel", r"queue\.py in this folder is not found, as Python finds .*/queue\.py"),
+        ("queue.py:wheel", r"queue\.py in this folder is not found, as Python finds .*/queue\.py"),
+        ("sys:wheel", "the module 'sys' of Python itself has no 'wheel'"),
+        ("json:dmups", r"json/__init__\.py has no 'dmups', did you mean 'dumps'\?"),
+        ("my_drivers:whel", r"my_drivers\.py has no 'whel', did you mean 'wheel'\?"),
+        ("my_driver:wheel", "no module 'my_driver' .*, did you mean 'my_drivers'\\?"),
+        ("my_driver.py:wheel", "no module 'my_driver' .*, did you mean 'my_drivers'\\?"),
+        ("needy:wheel", "No module named 'nowhere_at_all'"),
+    ],
+)
+def test_an_object_that_is_not_found_is_told_with_its_file(name, told, here, monkeypatch):
+    monkeypatch.setattr(sys, "path", sys.path.copy())
+    for file in ("queue", "my_drivers"):
+        (here / f"{file}.py").write_text("def wheel(observation, briefing):\n    return 0.1, 0.0\n")
+    (here / "needy.py").write_text("import nowhere_at_all\n")
+    assert re.search(told, refusal(name))
+
+
+def test_a_function_may_be_named_by_its_file(here: Path, monkeypatch) -> None:
+    monkeypatch.setattr(sys, "path", sys.path.copy())
+    (here / "my_wheels.py").write_text("def wheel(observation, briefing):\n    return 0.1, 0.0\n")
+    assert load_policy("my_wheels.py:wheel")(None, None) == (0.1, 0.0)
+    assert load_scenario(overrides={"custom.weighting": "my_wheels.py:wheel"})
+
+
 def test_only_what_is_flown_is_imported() -> None:
     loaded = loaded_by("outrider.running.user_code, outrider.running.flying")
     assert loaded.isdisjoint({*LIBRARIES, "fmpy"})
@@ -533,7 +562,7 @@ def test_a_module_of_the_working_folder_goes_before_a_clone_s_and_behind_a_libra
     linked.symlink_to(clone)
     path = [str(linked), *sys.path, str(clone), str(library)]
     monkeypatch.setattr(sys, "path", path)
-    monkeypatch.setattr(user_code, "_HOME", clone.resolve())
+    monkeypatch.setattr(user_modules, "_HOME", clone.resolve())
     monkeypatch.chdir(here)
     for module, folder in (("tried", here), ("known", library), ("kept", clone)):
         policy = load_policy(f"{module}_{tmp_path.name}:policy")

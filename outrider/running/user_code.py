@@ -1,6 +1,5 @@
 """Functions of the user's own, named as module:function, and policies that a learning library has saved."""
 
-import sys
 from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 from importlib.util import find_spec
@@ -14,6 +13,7 @@ from agents.drivers.policy import RowPolicy
 from bus.errors import ScenarioError, shortened, told_with_place
 from bus.layout import Row, UgvRow
 from bus.registry import LAWS, POLICY_FORMS, SAVED_POLICIES, resolve
+from outrider.running.user_modules import find_object
 from sim.input.faults import one_line
 
 if TYPE_CHECKING:
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 _ROW, _ACTION = (len(UgvRow._fields),), (2,)
 """Shapes of what a saved policy sees and answers."""
 _FORMS = f"allowed: {POLICY_FORMS}"
-_HOME = Path(__file__).resolve().parents[2]
-"""The folder that our packages lie in."""
 _loaded: list[str] = []
 
 
@@ -61,42 +59,8 @@ def load_function(name: str, *, what: str) -> Callable[..., Any] | None:
 
 def _named(name: str, what: str) -> Any:  # noqa: ANN401 - whatever it is
     """The object that `module:name` names."""
-    module_name, separator, function_name = name.partition(":")
-    if not (separator and module_name and function_name):
-        raise ScenarioError(f"{what} = {name!r}: not of the form module:function")
     _loaded.append(name)
-    here = str(Path.cwd())
-    _search_last(here)
-    try:
-        return getattr(import_module(module_name), function_name)
-    except (ImportError, AttributeError) as error:
-        raise ScenarioError(f"{what} = {name!r}: {error}{_hidden(here)}") from error
-    except Exception as error:
-        raise ScenarioError(f"{what} = {name!r}: cannot be imported: {_reason(error)}") from error
-
-
-def _search_last(folder: str) -> None:
-    """Let modules of a folder be found: behind all libraries, so that no file there takes one's place.
-
-    But before a clone that is installed as it lies there: what a user has written in it beside our packages, which are
-    loaded by now, is of no other folder.
-    """
-    if folder in sys.path:
-        return
-    is_clone = (_HOME / "pyproject.toml").exists()
-    clone = [one for one in sys.path if is_clone and Path(one).resolve() == _HOME]
-    sys.path[:] = [*(one for one in sys.path if one not in clone), folder, *clone]
-
-
-def _hidden(folder: str) -> str:
-    """Names the user's files that Python does not find, as a package of ours has their name."""
-    own = [
-        path.name
-        for name in ("agents", "bus", "outrider", "sim")
-        for path in (Path(folder, f"{name}.py"), Path(folder, name, "__init__.py"))
-        if path.exists() and not Path(__file__).is_relative_to(folder)
-    ]
-    return f" ({', '.join(own)} beside it is not found: Outrider has that name)" if own else ""
+    return find_object(name, what)
 
 
 def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a function, or an object that predicts
