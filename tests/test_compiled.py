@@ -19,7 +19,7 @@ from numba.core import inline_closurecall, types
 from numba.core.caching import NullCache
 from numba.core.codegen import CPUCodeLibrary
 from numba.core.errors import TypingError
-from processes import ran
+from processes import python, ran
 from seeded import a_key
 
 import agents
@@ -246,6 +246,26 @@ def test_old_caches_go_but_for_some_and_those_in_use(apart: float, kept: int, tm
     (tmp_path / "numba-gone").symlink_to(tmp_path / "nowhere")
     kernels._drop_old(tmp_path)
     assert {path.name for path in tmp_path.glob("*-?")} == {f"numba-{k}" for k in range(kept)}
+
+
+def test_without_a_home_folder_there_is_no_cache_and_a_warning(monkeypatch, caplog) -> None:
+    def no_home() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    for variable in ("OUTRIDER_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr(Path, "home", no_home)
+    assert kernels.cache_folder.__wrapped__() is None
+    assert "no compile cache (Could not determine home directory.)" in caplog.text
+
+
+def test_a_relative_cache_home_is_ignored(tmp_path, monkeypatch) -> None:
+    monkeypatch.delenv("OUTRIDER_CACHE", raising=False)
+    code = "from sim.kernels.compile import cache_folder; print(cache_folder())"
+    own = os.environ | {"HOME": str(tmp_path / "home"), "XDG_CACHE_HOME": "shared"}
+    told = python(code, env=own, cwd=tmp_path).stdout
+    assert Path(told).parent == tmp_path / "home" / ".cache" / "outrider"
+    assert [path.name for path in tmp_path.iterdir()] == ["home"]
 
 
 def test_a_cache_that_is_cleared_while_a_process_lives_is_begun_anew(tmp_path, monkeypatch) -> None:

@@ -90,14 +90,30 @@ def test_brackets_in_a_path_are_no_markup(tmp_path, command):
 
 
 @pytest.mark.usefixtures("forked_forkserver")
-def test_brackets_in_an_error_of_a_policy_reach_the_terminal(here, command):
+def test_a_policy_that_raises_at_once_ends_every_kind_of_run_alike(here, command):
     (here / "frames.py").write_text(
         "def wheel(o, b): raise ValueError('frame [/base_link] unknown, [m/s²]')\n"
     )
-    done = command(*words("run --duration 1 --no-files --driver policy --policy frames:wheel"))
-    assert done.returncode == 1
+    run = words("run --duration 1 --out mine --json --driver policy --policy frames:wheel")
+    alone, done = command(*run, "--in-process"), command(*run)
     assert "frame [/base_link] unknown, [m/s²] (frames.py:1, in wheel)" in done.stderr
-    assert "Traceback" not in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    told = [(one.returncode, one.stdout, one.stderr) for one in (alone, done)]
+    assert told[0] == told[1] == (2, "", done.stderr)
+    assert not (here / "mine").exists()
+
+
+@pytest.mark.usefixtures("forked_forkserver")
+def test_a_warning_of_a_vehicles_process_is_passed_on(here, command):
+    (here / "tyres.py").write_text(
+        "import warnings\n\n\ndef wheel(o, b):\n"
+        "    if o.tick == 3:\n        warnings.warn('tyres are worn')\n    return 0.01, 0.0\n"
+    )
+    done = command(*words("run --duration 1 --no-files --driver policy --policy tyres:wheel"))
+    assert done.returncode == 0
+    (line,) = [line for line in done.stderr.splitlines() if "worn" in line]
+    assert line.startswith("ugv_0: ")
+    assert "tyres.py:6: UserWarning: tyres are worn" in line
 
 
 @pytest.mark.usefixtures("forked_forkserver")

@@ -215,6 +215,7 @@ def run_command_line() -> int:
             with contextlib.suppress(OSError):  # a child's pipe
                 stream.reconfigure(errors="replace")
     logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)
+    logging.captureWarnings(True)
     signal.signal(signal.SIGTERM, _end)
     return _run()
 

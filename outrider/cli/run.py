@@ -261,4 +261,5 @@ def _end(outcome: "Outcome", stop: Stop) -> None:
             ERR.tell("outrider: interrupted before the first tick; nothing was flown")
         raise typer.Exit(stop.exit_code)
     if outcome.fault:
-        raise PeerLost(outcome.fault)
+        unusable = outcome.unusable and outcome.summary is None
+        raise (ScenarioError if unusable else PeerLost)(outcome.fault)

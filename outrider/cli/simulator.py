@@ -213,8 +213,9 @@ def command(
             finally:
                 seconds = time.perf_counter() - server.started
                 flight, vehicles, late_ticks = server.flight, server.vehicles(), server.late_ticks
-                # also where the router was lost for good: what was flown is kept
-                if flight.recorder.rows:
+                # Also where the router was lost for good: what was flown is kept. Of a run that could not begin the
+                # cause alone is told; only a vehicle that was started again and again has a report worth keeping.
+                if flight.world.tick or (respawn and flight.recorder.rows):
                     summary = summarize(
                         flight,
                         seconds=seconds,

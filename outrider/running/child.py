@@ -3,6 +3,7 @@
 import contextlib
 import os
 import queue
+import re
 import subprocess
 import sys
 import threading
@@ -17,8 +18,10 @@ _TAIL = 200
 """Lines of a child's standard error that are kept."""
 _TOLD = 12
 """Of them so many are told in one line."""
-_NOTICE = "outrider.policy: "
-"""The beginning of a line in a pilot's log that tells of the user's own code."""
+_WARNING = re.compile(r"(?:outrider(?:\.\w+)+|py\.warnings): ")
+"""The beginning of a line with which a child's log warns."""
+_ERROR = "outrider: "
+"""The beginning of the line with which a command of ours fails."""
 _TRACEBACK = "Traceback (most recent call last):"
 
 
@@ -53,6 +56,7 @@ class Child:
         secret: Of the run: for the simulator alone.
         forkserver: What forks it; None: it is started as a new interpreter.
         log: The file that keeps all of its standard error, if it writes any; None: no file does.
+        on_warning: Called from another thread with each line with which its log warns.
     """
 
     def __init__(
@@ -64,10 +68,11 @@ class Child:
         secret: str = "",
         forkserver: Forkserver | None = None,
         log: Path | None = None,
+        on_warning: Callable[[str], None] = lambda _line: None,
     ) -> None:
         self.name = name
         self._log = log
-        self._notices: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._on_warning = on_warning
         self._tail: deque[str] = deque(maxlen=_TAIL)
         command = outrider_command(*arguments, "--watchdog")
         if forkserver is not None and not files:
@@ -98,9 +103,11 @@ class Child:
     def _listen(self, stream: IO[bytes]) -> None:
         for line in stream:
             text = line.decode(errors="replace").rstrip()
-            self._tail.append(text)
-            if text.startswith(_NOTICE):
-                self._notices.put(text.removeprefix(_NOTICE))
+            warning = _WARNING.match(text)
+            if warning is None:
+                self._tail.append(text)
+            else:
+                self._on_warning(f"{self.name}: {text[warning.end() :]}")
             if self._log is not None:
                 with contextlib.suppress(OSError):  # a full disk must not end the run
                     self._log.parent.mkdir(exist_ok=True)
@@ -113,12 +120,6 @@ class Child:
             lines.put(line)
         lines.put(None)
 
-    def notices(self) -> Iterator[str]:
-        """Tells what it has said of the user's own code since the last call, line by line."""
-        with contextlib.suppress(queue.Empty):
-            while True:
-                yield f"{self.name}: {self._notices.get_nowait()}"
-
     @property
     def pid(self) -> int:
         """Process id."""
@@ -129,14 +130,17 @@ class Child:
         """Exit code, negative for a signal; None while it runs."""
         return self._process.poll()
 
+    def _last_lines(self) -> list[str]:
+        for reader in self._readers:
+            reader.join(1.0)
+        return [line for line in self._tail if line]
+
     def stderr_tail(self) -> str:
-        """The end of what it wrote to standard error, in one line; of a traceback what follows it.
+        """The end of what it wrote to standard error but warnings, in one line; of a traceback what follows it.
 
         With OUTRIDER_DEBUG all of it, as it was written.
         """
-        for reader in self._readers:
-            reader.join(1.0)
-        lines = [line for line in self._tail if line]
+        lines = self._last_lines()
         if _TRACEBACK not in lines:
             return " | ".join(lines[-_TOLD:])
         if os.environ.get("OUTRIDER_DEBUG"):
@@ -144,6 +148,19 @@ class Child:
         last = len(lines) - lines[::-1].index(_TRACEBACK)
         where = f" (the whole traceback: {self._log})" if self._log is not None else ""
         return " | ".join(line for line in lines[last:] if not line.startswith(" ")) + where
+
+    def own_error(self) -> str:
+        """The line with which it failed, where all that it has to say is that line; empty otherwise."""
+        lines = self._last_lines()
+        is_all = len(lines) == 1 and lines[0].startswith(_ERROR)
+        return lines[0].removeprefix(_ERROR) if is_all else ""
+
+    def drop_log(self) -> None:
+        """Remove its log: all that is in it has been told."""
+        if self._log is not None:
+            with contextlib.suppress(OSError):
+                self._log.unlink()
+                self._log.parent.rmdir()
 
     def exit_report(self) -> str:
         """Its end in words, for a person."""

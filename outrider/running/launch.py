@@ -6,7 +6,7 @@ import queue
 import secrets
 import socket
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -16,7 +16,7 @@ import msgspec
 
 from bus.access import ROUTER_FILE, new_certificates, new_credentials, write_credentials
 from bus.certificates import new_authority
-from bus.errors import BusError, PeerLost, ScenarioError
+from bus.errors import BusError, PeerLost
 from bus.keys import OPERATOR_NAME, SIMULATOR_NAME
 from bus.locator import UNIX, Locator
 from bus.registry import DRIVERS
@@ -29,6 +29,8 @@ from outrider.running.summary import Process, Summary
 from sim.scenario.types import Scenario, Ugv
 from sim.server.run_timing import Timing
 
+_HELD = 0.5
+"""Time for which an event before the first tick waits [s]: it is not told if a vehicle's own error ends the run."""
 _PATIENCE = 10.0
 """Time that a process may take to end when it was asked to [s]."""
 _LAST_FRAME = 2.0
@@ -36,6 +38,8 @@ _LAST_FRAME = 2.0
 _PORTS = range(20_000, 32_000)
 """Of this machine, below those that systems give to clients."""
 Transport = Literal["unix", "tcp", "tls"]
+_UNUSABLE = 2
+"""Exit code of a process that cannot use what the user has given."""
 _LIVES = 3
 """A process that dies more often than this while the clock stands still is not started again."""
 
@@ -77,6 +81,8 @@ class Outcome(msgspec.Struct, kw_only=True):
     files: list[Path] = []
     fault: str = ""
     """The failure on the way, for a person; empty where nothing did."""
+    unusable: bool = False
+    """True: the failure is that what the user has given cannot be flown."""
 
 
 class Output(msgspec.Struct, frozen=True, kw_only=True):
@@ -188,17 +194,16 @@ def launch(
             children,
             server,
             wiring,
+            watcher,
             lockstep=timing.realtime is None,
             logs=output.folder / "logs" if output.folder else None,
         )
         settings = [argument for override in overrides for argument in ("--set", override)]
-        processes.start_simulator(
-            source, [*settings, *output.arguments(), *_words(timing)], watcher, secret
-        )
+        processes.start_simulator(source, [*settings, *output.arguments(), *_words(timing)], secret)
         if watcher.page is not None and not watcher.stop() and processes.simulator.ended is None:
-            processes.show_on(watcher.page, pages, watcher)
+            processes.show_on(watcher.page, pages)
         if _is_loaded(server, processes.simulator, watcher):
-            processes.start_vehicles(watcher)
+            processes.start_vehicles()
         if server is not None and not timing.respawn and not keep_forks:
             server.close()  # nothing more is forked
         outcome = _follow(processes, watcher, respawn=timing.respawn)
@@ -243,6 +248,7 @@ class _Processes:
         children: Where they are kept, so that they are ended whatever happens.
         forks: What forks them; None: each is started by itself.
         wiring: Cores, access control and transport.
+        watcher: Who follows the run, and is told what the processes warn of.
         logs: The folder for what each writes to standard error; None: it is not kept.
     """
 
@@ -254,11 +260,13 @@ class _Processes:
         children: list[Child],
         forks: Forkserver | None,
         wiring: Wiring,
+        watcher: Watcher,
         *,
         lockstep: bool,
         logs: Path | None,
     ) -> None:
         self.children = children
+        self._watcher = watcher
         self._logs = logs
         self._forks = forks
         self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
@@ -299,9 +307,7 @@ class _Processes:
         """The options by which a client finds the router and is known to it."""
         return ["--connect", self._endpoint, "--run", self._run, *self._known_as(name)]
 
-    def start_simulator(
-        self, source: str, settings: list[str], watcher: Watcher, secret: str
-    ) -> None:
+    def start_simulator(self, source: str, settings: list[str], secret: str) -> None:
         """Start it and wait until its router listens: before that a client would only try in vain.
 
         Where the forkserver compiles, it is an interpreter of its own, which compiles the world at the same time.
@@ -318,28 +324,36 @@ class _Processes:
                 secret=secret,
                 forkserver=None if is_own else self._forks,
                 log=self._log(SIMULATOR_NAME),
+                on_warning=self._watcher.on_event,
             )
         )
         router = Locator.of(self._endpoint)
-        while not router.listens() and self.simulator.ended is None and not watcher.stop():
+        while not router.listens() and self.simulator.ended is None and not self._watcher.stop():
             time.sleep(0.02)
 
-    def show_on(self, page: socket.socket, pages: list[Child], watcher: Watcher) -> None:
+    def show_on(self, page: socket.socket, pages: list[Child]) -> None:
         """Start the dashboard, and wait until it shows what comes: the first tick is part of it."""
         arguments = ["dashboard", *self._joining(OPERATOR_NAME)]
         arguments += ["--host", "127.0.0.1", "--listening", str(page.fileno())]
         arguments += ["--law", msgspec.json.encode(self._scenario.law).decode()]
         self._page = Child(
-            "dashboard", arguments, self._shown, (page.fileno(),), log=self._log("dashboard")
+            "dashboard",
+            arguments,
+            self._shown,
+            (page.fileno(),),
+            log=self._log("dashboard"),
+            on_warning=self._watcher.on_event,
         )
         pages.append(self._page)
         page.close()  # it is the child's now: where that ends, nobody else keeps a browser waiting
         limit = time.monotonic() + _PATIENCE
-        while not watcher.stop() and self.simulator.ended is None and time.monotonic() < limit:
+        while (
+            not self._watcher.stop() and self.simulator.ended is None and time.monotonic() < limit
+        ):
             with contextlib.suppress(queue.Empty):
                 line = self._shown.get(timeout=0.1)
                 if line is not None:
-                    watcher.on_event(f"the run is shown at {line.decode().strip()}")
+                    self._watcher.on_event(f"the run is shown at {line.decode().strip()}")
                 return
 
     def await_last_frame(self) -> None:
@@ -368,15 +382,16 @@ class _Processes:
             ["uav" if is_uav else "ugv", "--name", name, *self._joining(name), *given],
             forkserver=self._forks,
             log=self._log(name),
+            on_warning=self._watcher.on_event,
         )
 
-    def start_vehicles(self, watcher: Watcher) -> None:
+    def start_vehicles(self) -> None:
         """Start a process for each, and say what one of the user's own needs to know."""
         for vehicle in self._scenario.vehicles:
             if isinstance(vehicle, Ugv) and DRIVERS[vehicle.driver].outside:
                 known = " ".join(self._known_as(vehicle.name))
                 joining = f"--connect {self._endpoint} --run {self._run} --name {vehicle.name}"
-                watcher.on_event(f"{vehicle.name} is yours: {joining} {known}")
+                self._watcher.on_event(f"{vehicle.name} is yours: {joining} {known}")
             else:
                 self.children.append(self._start(vehicle.name))
         self._give_cores()
@@ -395,16 +410,11 @@ class _Processes:
 
 
 def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcome:
-    """Follow the run until the simulator's process has ended.
-
-    Raises:
-        ScenarioError: If a vehicle's process finds its input unusable before the first tick.
-    """
+    """Follow the run until the simulator's process has ended."""
     simulator, outcome, asked = processes.simulator, Outcome(), False
     tick, deaths, counted = 0, Counter[str](), set[int]()
-    held: list[
-        tuple[float, str]
-    ] = []  # events before the first tick: a refusal makes them pointless
+    held: deque[tuple[float, str]] = deque()  # events, and when each is told
+    has_begun = True
 
     def read(line: bytes) -> None:
         nonlocal tick
@@ -414,8 +424,8 @@ def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcom
                 deaths.clear()
             tick = told.tick
             watcher.on_tick(told.tick)
-        if told.event is not None:
-            held.append((time.monotonic(), told.event))
+        if told.event is not None and has_begun:
+            held.append((time.monotonic() + (0.0 if tick else _HELD), told.event))
         if told.warnings is not None:
             watcher.on_warnings(told.warnings)
         if told.summary is not None:
@@ -425,9 +435,17 @@ def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcom
 
     def count(dead: Child) -> bool:
         """Tell of a vehicle's process that has failed, and start it again; true if the run must end for it."""
+        nonlocal has_begun
         counted.add(dead.pid)
         deaths[dead.name] += 1
         again = respawn and deaths[dead.name] <= _LIVES
+        own = dead.own_error()
+        if own and not respawn and tick == 0 and outcome.summary is None:
+            outcome.fault, outcome.unusable = own, dead.ended == _UNUSABLE
+            dead.drop_log()
+            held.clear()
+            has_begun = False
+            return True
         report = dead.exit_report()
         if respawn and not again:
             report += (
@@ -446,9 +464,6 @@ def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcom
             simulator.ask_to_end()
         if watcher.stop() > 1:
             raise KeyboardInterrupt  # who asks twice does not wait for a summary
-        for child in processes.children[1:]:
-            for notice in child.notices():
-                watcher.on_event(notice)
         if not asked and outcome.summary is None:
             if lost := processes.lost_page():
                 watcher.on_event(lost)
@@ -458,14 +473,11 @@ def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcom
                 if child.ended not in (None, 0) and child.pid not in counted
             ]
             for child in dead:
-                if tick == 0 and child.ended == _UNUSABLE and not respawn:
-                    simulator.kill()
-                    raise ScenarioError(child.stderr_tail().removeprefix("outrider: "))
                 if count(child):
                     asked = True
                     simulator.ask_to_end()
-        while held and (tick > 0 or time.monotonic() - held[0][0] > 0.3):
-            watcher.on_event(held.pop(0)[1])
+        while held and time.monotonic() >= held[0][0]:
+            watcher.on_event(held.popleft()[1])
         with contextlib.suppress(queue.Empty):
             line = processes.lines.get(timeout=0.1)
             if line is None:

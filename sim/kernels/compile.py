@@ -7,13 +7,13 @@ import contextlib
 import fcntl
 import functools
 import hashlib
+import logging
 import os
 import re
 import shutil
 import sys
 import tempfile
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
@@ -27,6 +27,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 """Likewise int64."""
 
+_LOG = logging.getLogger("outrider.compile")
 _F = TypeVar("_F", bound=Callable[..., Any])
 _interpreted = False
 _KEEP, _IN_USE = 6, 3600.0
@@ -67,7 +68,9 @@ def _cache_home() -> Path:
     chosen = os.environ.get("OUTRIDER_CACHE")
     if chosen:
         return Path(chosen)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "outrider"
+    shared = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    # Its specification says that a relative path is invalid and ignored.
+    return (shared if shared.is_absolute() else Path.home() / ".cache") / "outrider"
 
 
 def _drop_old(home: Path) -> None:
@@ -86,18 +89,17 @@ def cache_folder() -> Path | None:
     """The folder of the compile cache, which numba is told; None where none can be written."""
     import numba  # noqa: PLC0415 - see `interpret`
 
-    home = _cache_home()
-    folder = home / f"numba-{_source_digest()}"
+    name = f"numba-{_source_digest()}"
     try:
+        folder = _cache_home() / name
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             os.utime(folder)
-        _drop_old(home)
-    except OSError as error:
-        warnings.warn(
-            f"no compile cache at {folder} ({error.strerror}): every start compiles anew; set OUTRIDER_CACHE",
-            RuntimeWarning,
-            stacklevel=2,
+        _drop_old(folder.parent)
+    except (OSError, RuntimeError) as error:  # a RuntimeError: this user has no home folder
+        _LOG.warning(
+            "no compile cache (%s): every start compiles, which takes a while; set OUTRIDER_CACHE to a folder",
+            f"{error.filename or name}: {error.strerror}" if isinstance(error, OSError) else error,
         )
         return None
     numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
