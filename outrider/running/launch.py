@@ -140,8 +140,6 @@ NOBODY = Watcher(
 
 
 _TIMING = Timing(join_timeout=120.0)
-_UNUSABLE = 2
-"""Exit code of a process whose input is unusable."""
 _WIRING = Wiring()
 
 
