@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Callable
+from typing import Any
 
 from agents.control.certificate import INNER, NO_DETECTION
 from agents.control.guard import guard_state
@@ -75,6 +76,9 @@ axis [m²], ticks since the newest believed detection, detections refused so far
 
 _OWN = frozenset(row.code for row in LAWS.values() if row.own)
 """Codes of the laws that ask a function of the user's own."""
+
+_LOADED = ("_act", "_error", "_fixed")
+"""The attributes of a pilot that a copy looks up for itself."""
 
 PERCEIVE, DECIDE, BOTH = 1, 2, 3
 """The parts of a tick: to take the observation in, and to make the command."""
@@ -200,13 +204,24 @@ class UavPilot:
         self._dt = briefing.dt
         c = self._parameters
         self._fixed_error = c.r_o, c.desired, c.cell
-        self._error = entry_point(coverage_error, self.coverage, 0.0, 0.0, *self._fixed_error)
         self._looks = LookRows(briefing.dt)
+        self._load()
+
+    def _load(self) -> None:
+        """Look up the machine code for the arrays that there are."""
         self._take_on()
+        self._error = entry_point(coverage_error, self.coverage, 0.0, 0.0, *self._fixed_error)
         rows, count = self._looks.take(())
         self._act = entry_point(
             _act, *self._fixed, _NOTHING_OWN, _NOTHING_SEEN, rows, (count, BOTH)
         )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name not in _LOADED}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        self.__dict__.update(kept)
+        self._load()
 
     def _take_on(self) -> None:
         """The law and the filter that there are now, as compiled code takes them."""

@@ -2,6 +2,7 @@
 
 import copy
 import math
+import pickle
 import runpy
 from pathlib import Path
 
@@ -174,3 +175,16 @@ def test_wrapper_leaves_the_row_alone_until_there_is_a_detection():
     )
     for rows in rows_of(env, 5):
         assert UavRow(*rows["uav_0"])[5:] == (0.0, 0.0, 0.0, 100.0)
+
+
+@pytest.mark.parametrize("name", ["escort", "minefield"])
+def test_pilots_and_environment_can_be_pickled_together(name):
+    env = parallel_env(load_scenario(name, overrides={"law.name": "certified"}), duration=6.0)
+    policies = pilots(env)
+    observations, _ = env.reset(seed=3)
+    for _ in range(20):
+        observations, *_ = env.step({one: policies[one](observations[one]) for one in env.agents})
+    other, others = pickle.loads(pickle.dumps((env, policies)))  # noqa: S301 - our own
+    ours, theirs = record(env, policies, observations), record(other, others, observations)
+    assert len(ours) == 100
+    np.testing.assert_array_equal(ours, theirs)

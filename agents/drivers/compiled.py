@@ -4,6 +4,7 @@ A driver that listens to a person or to a policy has no compiled form.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -173,8 +174,19 @@ class CompiledDriver:
         )
         self._looks = LookRows(briefing.dt)
         self._carries = briefing.ground is not None and briefing.ground.carries
+        self._load()
+
+    def _load(self) -> None:
+        """Look up the machine code."""
         here = 0.0, 0.0, 0.0, 0.0
         self._drive = entry_point(_drive, *self._fixed, *self._looks.take(()), 0, here, PLAIN)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_drive"}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        self.__dict__.update(kept)
+        self._load()
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """The acceleration [m/s²] for this observation."""
