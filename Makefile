@@ -85,7 +85,7 @@ learn-test: $(LEARNERS:%=learn-test-%) ## the learning libraries, each installed
 
 $(VENV)-%/.learn: pyproject.toml
 	$(PYTHON) -m venv $(VENV)-$*
-	$(VENV)-$*/bin/python -m pip install --quiet --quiet --disable-pip-version-check --root-user-action ignore --editable '.[$*]' 'pytest>=8.3' 'pytest-timeout>=2.3'
+	$(VENV)-$*/bin/python -m pip install --quiet --quiet --disable-pip-version-check --root-user-action ignore --editable '.[$*]' 'pytest>=8.3' 'pytest-timeout>=2.3' 'moviepy>=2'
 	@touch $@
 
 learn-test-%: $(VENV)-%/.learn

@@ -7,7 +7,8 @@ registry from 1.27 on, is told where it has been imported; nobody else pays for 
 """
 
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import gymnasium
 
@@ -20,9 +21,17 @@ if TYPE_CHECKING:
     from outrider.envs.vector import OutriderVectorEnv
 
 ESCORT = "outrider/Escort-v0"
+_Maker = TypeVar("_Maker", bound=Callable[..., Any])
 _TASKS = Suite((*TASKS, *MISSIONS))
 
 
+def _drawing(maker: _Maker) -> _Maker:
+    """Say what the environments draw: Gymnasium reads it before it makes one."""
+    maker.metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # type: ignore[attr-defined]
+    return maker
+
+
+@_drawing
 def single(*, task: str = "", **settings: Any) -> "SingleEnv":  # noqa: ANN401 - those of the environment
     """Makes what `gymnasium.make` returns: `outrider.single_env`, of a task of the suite if one is named."""
     from outrider.envs.single import SingleEnv  # noqa: PLC0415 - compiled code stands behind it

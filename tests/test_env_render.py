@@ -2,6 +2,8 @@
 
 import sys
 
+import gymnasium
+import msgspec
 import numpy as np
 import pytest
 from flights import pairs
@@ -11,6 +13,10 @@ from refusals import refused
 
 from bus.errors import OutriderError
 from bus.messages import Area, Law
+from outrider.envs.env_pilots import pilots
+from outrider.envs.single import single_env
+from outrider.envs.vector import parallel_vector_env, vector_env
+from outrider.registration import ESCORT
 from sim.env.parallel import parallel_env
 from sim.env.view import Window
 from sim.scenario.types import Scenario, Uav, Ugv
@@ -106,6 +112,74 @@ def test_without_a_mode_render_warns_and_draws_nothing():
     env.reset(seed=0)
     with pytest.warns(UserWarning, match="render_mode"):
         assert env.render() is None
+
+
+# -- many worlds, and one learner
+
+
+def in_parallel(scenario, seed, actions, agent="uav_0"):
+    """The picture of the same flight in the parallel environment."""
+    env = parallel_env(scenario, render_mode="rgb_array")
+    policies = pilots(env)
+    seen, _ = env.reset(seed=seed)
+    for action in actions:
+        others = {one: policies[one](seen[one]) for one in env.agents if one != agent}
+        seen, *_ = env.step(others | {agent: action})
+    return env.render()
+
+
+@pytest.mark.parametrize("kind", ["single", "vector", "parallel vector"])
+def test_the_same_flight_is_the_same_picture(kind):
+    scenario = msgspec.structs.replace(SCENARIO, duration=3.0)
+    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (40, 2))
+    if kind == "single":
+        env = single_env(scenario, render_mode="rgb_array")
+        env.reset(seed=6)
+        [env.step(action) for action in actions]
+        assert (env.render() == in_parallel(scenario, 6, actions)).all()
+        return
+    make = vector_env if kind == "vector" else parallel_vector_env
+    agents = {} if kind == "vector" else {"agents": ["uav_0"]}
+    env = make(scenario, num_envs=2, render_mode="rgb_array", **agents)
+    env.reset(seed=6)
+    env.reset(options={"reset_mask": np.array([True, False])}, seed=[8, None])
+    for action in np.repeat(actions[:, None], 2, axis=1):
+        env.step(action if kind == "vector" else {"uav_0": action})
+    pictures = env.render()
+    assert [picture.dtype for picture in pictures] == [np.uint8] * 2
+    for picture, seed in zip(pictures, (8, 7), strict=True):
+        assert (picture == in_parallel(scenario, seed, actions)).all()
+
+
+def test_after_an_end_a_world_shows_the_new_episode():
+    env = vector_env(SCENARIO, num_envs=2, duration=0.5, render_mode="rgb_array")
+    env.reset(seed=1)
+    for _ in range(13):
+        env.step(np.full((2, 2), 0.3))
+    short = msgspec.structs.replace(SCENARIO, duration=0.5)
+    for picture, seed in zip(env.render(), env.worlds.episode_seeds, strict=True):
+        assert (picture == in_parallel(short, seed, [[0.3, 0.3]] * 3)).all()
+
+
+def test_worlds_with_hazards_of_their_own_show_them():
+    env = vector_env("minefield", num_envs=2, duration=5.0, render_mode="rgb_array")
+    env.reset(seed=2)
+    first, other = env.render()
+    assert (first != other).any()
+    again = vector_env("minefield", num_envs=1, duration=5.0, render_mode="rgb_array")
+    again.reset(seed=3)
+    assert (again.render()[0] == other).all()
+
+
+@pytest.mark.parametrize("mode", ["rgb_array", "rgb_array_list"])
+def test_gymnasium_makes_what_draws(mode):
+    env = gymnasium.make(ESCORT, render_mode=mode, duration=1.0)
+    assert env.render_mode == mode
+    env.reset(seed=1)
+    env.step(np.zeros(2))
+    frames = env.render() if mode.endswith("list") else [env.render()]
+    assert [frame.ndim for frame in frames] == [3] * len(frames)
+    assert env.metadata["render_fps"] == 20
 
 
 # -- the window

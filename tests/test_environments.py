@@ -160,7 +160,11 @@ def test_a_bad_seed_is_refused_and_the_episode_goes_on(names: tuple[str, ...], s
         (ALL, {"coverage_patch": (8, 0.0)}, "meters_per_pixel"),
         (ALL, {"coverage_patch": (8, math.inf)}, "meters_per_pixel"),
         (("parallel",), {"render_mode": "ansi"}, "render_mode = 'ansi'; allowed: None, 'human'"),
-        (("single",), {"render_mode": "human"}, "render_mode = 'human'; allowed: None"),
+        (
+            ("single", "vector", "parallel vector"),
+            {"render_mode": "human"},
+            "render_mode = 'human'; allowed: None, 'rgb_array'",
+        ),
         (OF_ONE_AGENT, {"agent": "uav_7"}, "agent = 'uav_7'; allowed: uav_0, ugv_0"),
         (OF_ONE_AGENT, {"others": {"uav_0": "linear"}}, "comes? from outside"),
         (

@@ -53,6 +53,11 @@ def test_an_episode_is_the_bare_environments_to_its_end(kind, end):
     assert env.observation_space.contains(seen)
     assert terminated["__all__"] is (end == "terminated")
     assert truncated["__all__"] is (end == "truncated")
+    seen, expected = env.reset()[0], bare.reset()[0]  # the episode after the first
+    for _ in range(3):
+        np.testing.assert_array_equal(seen["uav_0"], expected["uav_0"])
+        still = dict.fromkeys(bare.agents, np.zeros(2))
+        seen, expected = env.step(still)[0], bare.step(still)[0]
 
 
 def marked(mark):

@@ -17,11 +17,20 @@ from episodes import DURATIONS, EXAMPLES, run_example
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.vector.utils import batch_space
+from gymnasium.wrappers import RecordEpisodeStatistics, RecordVideo
+from gymnasium.wrappers.vector import RecordVideo as RecordVectorVideo
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, StopTrainingOnMaxEpisodes
+from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecCheckNan, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import (
+    SubprocVecEnv,
+    VecCheckNan,
+    VecMonitor,
+    VecNormalize,
+    VecVideoRecorder,
+)
 from worlds import equal
 
 import outrider
@@ -294,3 +303,92 @@ def test_a_team_trains_briefly_in_a_minefield_and_stands_in_the_table(tmp_path):
     (head,) = [line for line in told.splitlines() if line.startswith("| task | ")]
     assert set(head.strip("| ").split(" | ")) == {"task", "none", "untrained", "learned"}
     assert told.count(" of 1 arrived in ") == 3
+
+
+ESCORT = "outrider/Escort-v0"
+
+
+def test_ppo_takes_the_environment_by_its_name_past_two_episodes():
+    model = PPO("MlpPolicy", ESCORT, n_steps=512, n_epochs=1, seed=1, device="cpu")
+    model.learn(40_000, callback=StopTrainingOnMaxEpisodes(3))
+    assert model.get_env().render_mode == "rgb_array"
+    assert len(model.ep_info_buffer) >= 2
+    assert all(one["l"] > 10 for one in model.ep_info_buffer)
+
+
+@pytest.mark.parametrize("kind", ["here", "processes"])
+def test_vec_envs_as_rl_zoo_makes_them(kind, tmp_path):
+    """By the environment's spec, with the zoo's arguments, and videos of more than an episode."""
+    spec = gymnasium.spec(ESCORT)
+    # A process that is spawned has not imported outrider: the name says where it is.
+    many = {"vec_env_cls": SubprocVecEnv, "vec_env_kwargs": {"start_method": "spawn"}}
+    env = make_vec_env(
+        f"outrider.registration:{ESCORT}" if kind == "processes" else spec.make,
+        n_envs=2,
+        seed=3,
+        env_kwargs={"duration": 0.5}
+        | ({} if kind == "processes" else {"render_mode": "rgb_array"}),
+        monitor_dir=str(tmp_path / "monitor"),
+        monitor_kwargs={"info_keywords": ()},
+        wrapper_class=None,
+        **(many if kind == "processes" else {}),
+    )
+    film = VecVideoRecorder(
+        env, str(tmp_path / "videos"), record_video_trigger=lambda step: step == 0, video_length=15
+    )
+    film.reset()
+    ends = 0
+    for _ in range(25):
+        _, _, dones, infos = film.step(np.zeros((2, 2)))
+        ends += sum(dones)
+        assert all(("episode" in info) == done for info, done in zip(infos, dones, strict=True))
+    film.close()
+    assert ends == 4
+    assert len(list((tmp_path / "videos").glob("*.mp4"))) == 1
+    assert len(list((tmp_path / "monitor").glob("*.csv"))) == 2
+
+
+def test_the_adapter_s_worlds_are_filmed(tmp_path):
+    adapter = VecEnvAdapter(normalized(_rows(duration=0.5, render_mode="rgb_array")))
+    assert adapter.render_mode == "rgb_array"
+    film = VecVideoRecorder(adapter, str(tmp_path), lambda step: step == 0, video_length=12)
+    film.reset()
+    for _ in range(15):
+        film.step(np.zeros((3, 2)))
+    assert film.render().ndim == 3
+    film.close()
+    assert len(list(tmp_path.glob("*.mp4"))) == 1
+
+
+def test_a_loop_as_cleanrl_writes_it_records_every_episode(tmp_path):
+    def make(idx):
+        def thunk():
+            mode = {"render_mode": "rgb_array"} if idx == 0 else {}
+            env = gymnasium.make(ESCORT, duration=0.5, **mode)
+            env = RecordVideo(env, str(tmp_path), episode_trigger=lambda _: True) if mode else env
+            env = RecordEpisodeStatistics(env)
+            env.action_space.seed(1)
+            return env
+
+        return thunk
+
+    envs = SyncVectorEnv([make(k) for k in range(2)], autoreset_mode=AutoresetMode.SAME_STEP)
+    envs.reset(seed=1)
+    lengths = []
+    for _ in range(25):
+        *_, infos = envs.step(envs.action_space.sample())
+        if "final_info" in infos:
+            lengths += infos["final_info"]["episode"]["l"].tolist()
+    envs.close()
+    assert lengths == [10] * 4
+    assert len(list(tmp_path.glob("*.mp4"))) == 3
+
+
+def test_gymnasium_films_the_worlds_of_a_vector_environment(tmp_path):
+    env = _rows(duration=0.5, render_mode="rgb_array")
+    env = RecordVectorVideo(env, str(tmp_path), episode_trigger=lambda _: True)
+    env.reset(seed=1)
+    for _ in range(25):
+        env.step(np.zeros((3, 2)))
+    env.close()
+    assert len(list(tmp_path.glob("*.mp4"))) >= 2

@@ -9,7 +9,7 @@ import pytest
 import torch
 from episodes import AWAY, DURATIONS, EXAMPLES, flown, run_example
 from pettingzoo.utils import BaseParallelWrapper
-from torchrl.envs import PettingZooWrapper
+from torchrl.envs import GymWrapper, PettingZooWrapper
 from torchrl.envs.utils import check_env_specs
 
 import outrider
@@ -125,6 +125,37 @@ def test_only_a_termination_ends_the_future():
     # the end of the old episode, not the beginning of the new
     assert frames["next", "uav", "observation"][last, 0, 0] == 1.0
     assert frames["uav", "observation"][last + 1, 0, 0] == -1.0
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_gym_wrapper_steps_many_worlds_past_their_ends(wrapped):
+    bare, inner = (outrider.vector_env("escort", num_envs=2, duration=0.5) for _ in range(2))
+    if wrapped:
+        bare, inner = normalized(bare), normalized(inner)
+    env = GymWrapper(inner)
+    seen, _ = bare.reset(seed=5)
+    frame = env.reset(seed=5)
+    ends = 0
+    for _ in range(25):
+        np.testing.assert_array_equal(frame["observation"].numpy(), seen)
+        actions = env.action_spec.rand()
+        seen, rewards, terminated, truncated, infos = bare.step(actions.numpy())
+        step, frame = env.step_and_maybe_reset(frame.set("action", actions))
+        np.testing.assert_allclose(step["next", "reward"][:, 0].numpy(), rewards, rtol=1e-6)
+        assert step["next", "done"][:, 0].tolist() == (terminated | truncated).tolist()
+        if "final_obs" in infos:
+            ends += 1
+            last = np.stack(infos["final_obs"])
+            np.testing.assert_array_equal(step["next", "observation"].numpy(), last)
+            seen, _ = bare.reset()  # TorchRL resets once more where all worlds end at once
+    assert ends == 2
+
+
+def test_gym_wrapper_steps_one_world_past_its_end():
+    env = GymWrapper(outrider.single_env("escort", duration=0.5))
+    check_env_specs(env)
+    frames = env.rollout(25, break_when_any_done=False)
+    assert int(frames["next", "truncated"].sum()) == 2
 
 
 def test_policies_see_no_state():

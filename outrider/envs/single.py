@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any, Unpack
 
 import gymnasium
+import numpy as np
 import numpy.typing as npt
 from gymnasium.error import ResetNeeded
 
-from outrider.envs.vector import BatchSettings, Worlds
+from outrider.envs.vector import PICTURES, BatchSettings, Worlds
 from sim.engine.mission import mission_numbers
 from sim.env.actions import take_actions
 from sim.env.observation import AgentObservation, one_of_world
@@ -21,12 +22,10 @@ from sim.scenario.types import Scenario
 class SingleEnv(gymnasium.Env[Any, Any]):
     """One vehicle learns; the others are flown and driven by the scenario's law and drivers, or by whom `others` names.
 
-    It draws no pictures: `outrider.parallel_env` with the same seed and actions is the same flight, and does.
-
     Args:
         scenario: A shipped name, a file, or a scenario.
         agent: Who learns.
-        render_mode: None; there is no other.
+        render_mode: None, or "rgb_array"; `outrider.parallel_env` has a window, too.
         settings: Options by keyword: `outrider.envs.vector.BatchSettings` says what each is.
 
     Raises:
@@ -35,7 +34,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         TypeError: If there is no setting of that name.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium has it
+    metadata: dict[str, Any] = PICTURES
 
     def __init__(
         self,
@@ -45,14 +44,10 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         render_mode: str | None = None,
         **settings: Unpack[BatchSettings],
     ) -> None:
-        if render_mode is not None:
-            raise ValueError(
-                f"render_mode = {render_mode!r}; allowed: None; outrider.parallel_env draws the same flight"
-            )
-        self.worlds = Worlds(scenario, 1, [agent], **settings)
+        self.worlds = Worlds(scenario, 1, [agent], render_mode=render_mode, **settings)
         """The one world, and what is true of it."""
         self.agent = agent
-        self.render_mode = None
+        self.render_mode = render_mode
         self.observation_space = self.worlds.observation_spaces[agent]
         self.action_space = self.worlds.action_spaces[agent]
         self._over = True
@@ -137,6 +132,15 @@ class SingleEnv(gymnasium.Env[Any, Any]):
             uav: {key: float(array[0]) for key, array in told.items()}
             for uav, told in self.worlds.metrics().items()
         }
+
+    def render(self) -> npt.NDArray[np.uint8] | None:
+        """A picture of this moment, shape (rows, columns, 3); None without a mode.
+
+        Raises:
+            ResetNeeded: Before the first reset.
+        """
+        pictures = self.worlds.render()
+        return None if pictures is None else pictures[0]
 
     def close(self) -> None:
         """End the threads."""

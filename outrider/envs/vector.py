@@ -12,8 +12,9 @@ from typing import Any, ClassVar, Unpack, cast
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
+from gymnasium import logger, spaces
 from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
@@ -28,6 +29,7 @@ from sim.env.rows import UGV_METRICS
 from sim.env.seeds import Seeds
 from sim.env.settings import ENV_DEFAULTS, EnvSettings, completed
 from sim.env.spaces import action_space
+from sim.env.view import BatchRendering
 from sim.kernels.compile import FloatArray, IntArray
 from sim.scenario.loading import given_scenario
 from sim.scenario.types import Scenario
@@ -63,6 +65,8 @@ class BatchSettings(EnvSettings, LoopSettings, total=False):
     None: the scenario's law and drivers."""
 
 
+PICTURES: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}
+"""Metadata of an environment that draws."""
 BATCH_DEFAULTS = BatchSettings(**{**ENV_DEFAULTS, **LOOP_DEFAULTS, "others": None})
 
 
@@ -77,6 +81,7 @@ class Worlds:
         learners: Vehicles whose actions come from outside.
         others: Who flies or drives the other vehicles: a law or driver by name, or a policy for all worlds at
             once. By default the scenario's law and drivers.
+        render_mode: None, or "rgb_array": `render` draws.
         settings: Options by keyword: `BatchSettings` says what each is.
 
     Raises:
@@ -90,8 +95,14 @@ class Worlds:
         scenario: str | Path | Scenario,
         num_envs: int,
         learners: Sequence[str] | None,
+        *,
+        render_mode: str | None = None,
         **settings: Unpack[BatchSettings],
     ) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(
+                f"render_mode = {render_mode!r}; allowed: None, 'rgb_array'; outrider.parallel_env has a window"
+            )
         options = completed(BatchSettings, settings, BATCH_DEFAULTS)
         self.num_envs = _checked_count(num_envs)
         self.scenario = given_scenario(scenario, options["duration"])
@@ -130,6 +141,8 @@ class Worlds:
         self._last: dict[str, dict[str, FloatArray]] = {}
         self.begun = False
         """True if there is an episode to step."""
+        self.render_mode = render_mode
+        self._view = None if render_mode is None else BatchRendering(self.loop.batch)
 
     def _check_others(
         self, given: Mapping[str, object], named: Mapping[str, str], names: list[str]
@@ -206,6 +219,8 @@ class Worlds:
         self.loop.begin([self._seeds[k].current for k in which.tolist()], which)
         self._returns[which] = 0.0
         self.begun = True
+        if self._view is not None:
+            self._view.begin(which)
 
     def _given(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
@@ -259,6 +274,8 @@ class Worlds:
         for place, action in enumerate(taken):
             self._actions[:, place] = action
         self.loop.step(self._actions, which)
+        if self._view is not None:
+            self._view.follow()
         state, stepped = self.loop.state, slice(None) if which is None else which
         self._returns[stepped] += state.rows.rewards[stepped]
         ended: npt.NDArray[np.bool_] = (state.rows.terminated | state.rows.truncated) != 0
@@ -355,6 +372,19 @@ class Worlds:
         """The counters of each link of one world so far, by `vehicle/kind`."""
         return self.loop.links(world)
 
+    def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
+        """The picture of each world at this moment, shape (rows, columns, 3); None without a mode.
+
+        Raises:
+            ResetNeeded: Before the first reset.
+        """
+        if self._view is None:
+            logger.warn("render() draws nothing: made without render_mode='rgb_array'")
+            return None
+        if not self.begun:
+            raise ResetNeeded("render() before reset()")
+        return self._view.render()
+
 
 class OutriderVectorEnv(VectorEnv):
     """One vehicle learns in many worlds at once; the others fly and drive in the compiled loop.
@@ -366,6 +396,7 @@ class OutriderVectorEnv(VectorEnv):
         scenario: A shipped name, a file, or a scenario.
         num_envs: How many worlds.
         agent: Who learns.
+        render_mode: None, or "rgb_array".
         settings: Options by keyword: `BatchSettings` says what each is.
 
     Raises:
@@ -374,7 +405,9 @@ class OutriderVectorEnv(VectorEnv):
         TypeError: If there is no setting of that name.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012 - as Gymnasium has it
+    metadata: dict[str, Any] = PICTURES | {"autoreset_mode": AutoresetMode.SAME_STEP}
+    autoreset_mode = AutoresetMode.SAME_STEP
+    """The same again: TorchRL reads it here."""
 
     def __init__(
         self,
@@ -382,11 +415,13 @@ class OutriderVectorEnv(VectorEnv):
         *,
         num_envs: int,
         agent: str = "uav_0",
+        render_mode: str | None = None,
         **settings: Unpack[BatchSettings],
     ) -> None:
-        self.worlds = Worlds(scenario, num_envs, [agent], **settings)
+        self.worlds = Worlds(scenario, num_envs, [agent], render_mode=render_mode, **settings)
         """The worlds, and what is true of them."""
         self.agent = agent
+        self.render_mode = render_mode
         self.num_envs = self.worlds.num_envs
         self.single_observation_space = self.worlds.observation_spaces[agent]
         self.single_action_space = self.worlds.action_spaces[agent]
@@ -410,6 +445,8 @@ class OutriderVectorEnv(VectorEnv):
             Observations and infos.
         """
         self.worlds.reset(seed, options)
+        if seed is not None:
+            self.np_random, _ = seeding.np_random(self.worlds.episode_seeds[0])
         return self.worlds.observe(self.agent), self.worlds.infos(self.agent)
 
     def step(
@@ -430,6 +467,10 @@ class OutriderVectorEnv(VectorEnv):
         observations, rewards, terminations, truncations, infos = stepped
         return observations[one], rewards[one], terminations[one], truncations[one], infos[one]
 
+    def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
+        """A picture of each world, as `Worlds.render` draws it; after an end that of the new episode's start."""
+        return self.worlds.render()
+
     def metrics(self, *, last: bool = False) -> dict[str, dict[str, FloatArray]]:
         """Each UAV's true standing, as `Worlds.metrics` tells it: for people and logs, not for policies."""
         return self.worlds.metrics(last=last)
@@ -448,6 +489,7 @@ class OutriderParallelVectorEnv:
         scenario: A shipped name, a file, or a scenario.
         num_envs: How many worlds.
         agents: Who learns; by default everybody.
+        render_mode: None, or "rgb_array".
         settings: Options by keyword: `BatchSettings` says what each is.
 
     Raises:
@@ -456,11 +498,11 @@ class OutriderParallelVectorEnv:
         TypeError: If there is no setting of that name.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: ClassVar[dict[str, Any]] = PICTURES | {
         "name": "outrider_v0",
-        "render_modes": [],
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
+    autoreset_mode = AutoresetMode.SAME_STEP
 
     def __init__(
         self,
@@ -468,11 +510,13 @@ class OutriderParallelVectorEnv:
         *,
         num_envs: int,
         agents: Sequence[str] | None = None,
+        render_mode: str | None = None,
         **settings: Unpack[BatchSettings],
     ) -> None:
-        self.worlds = Worlds(scenario, num_envs, agents, **settings)
+        self.worlds = Worlds(scenario, num_envs, agents, render_mode=render_mode, **settings)
         """The worlds, and what is true of them."""
         self.num_envs = self.worlds.num_envs
+        self.render_mode = render_mode
         self.possible_agents = self.worlds.learners
         self.agents = list(self.possible_agents)
 
@@ -509,6 +553,10 @@ class OutriderParallelVectorEnv:
                 happened then.
         """
         return self.worlds.step_with_autoreset(actions)
+
+    def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
+        """A picture of each world, as `Worlds.render` draws it; after an end that of the new episode's start."""
+        return self.worlds.render()
 
     def metrics(self, *, last: bool = False) -> dict[str, dict[str, FloatArray]]:
         """Each UAV's true standing, as `Worlds.metrics` tells it: for people and logs, not for policies."""

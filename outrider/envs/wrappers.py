@@ -129,7 +129,7 @@ class VectorObservations(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes
     def __init__(self, env: VectorEnv[Any, Any, Any], make: Callable[[], Transformation]) -> None:
         super().__init__(env)
         try:
-            self._mode = AutoresetMode(env.metadata["autoreset_mode"])
+            self.autoreset_mode = AutoresetMode(env.metadata["autoreset_mode"])
         except (KeyError, ValueError) as error:
             raise ValueError(
                 f"{env}: env.metadata['autoreset_mode'] must be a gymnasium.vector.AutoresetMode"
@@ -160,7 +160,7 @@ class VectorObservations(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes
         own = self._transformation
         observations, rewards, terminations, truncations, infos = self.env.step(own.action(actions))
         begun = self._begin_next
-        if self._mode is AutoresetMode.SAME_STEP:
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
             begun = np.asarray(infos.get("_final_obs", begun), dtype=np.bool_)
             final = infos.get("final_obs")
             seen = own.apply(observations if final is None else _with(observations, final, begun))
@@ -168,7 +168,7 @@ class VectorObservations(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes
                 infos = infos | {"final_obs": _in_form(seen, final, begun)}
         else:
             seen = own.apply(observations)
-        if self._mode is AutoresetMode.NEXT_STEP:
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP:
             self._begin_next = np.logical_or(terminations, truncations)
         if begun.any():
             seen = own.begin(observations, begun)

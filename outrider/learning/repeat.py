@@ -36,6 +36,11 @@ class ActionRepeat(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes no ar
         if self._ticks < 1:
             raise ValueError(f"ticks = {ticks!r}; must be a whole number from 1 on")
 
+    @property
+    def autoreset_mode(self) -> AutoresetMode:
+        """SAME_STEP; TorchRL reads it here."""
+        return AutoresetMode.SAME_STEP
+
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:  # noqa: ANN401 - as the environment's
         """Let all worlds go on by a step."""
         held = np.array(actions)

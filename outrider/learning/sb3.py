@@ -98,6 +98,10 @@ class VecEnvAdapter(VecEnv):  # type: ignore[misc]  # it has no types where it i
         elapsed = round(time.perf_counter() - self._begun, 6)
         return {"r": float(self._returns[k]), "l": int(self._lengths[k]), "t": elapsed}
 
+    def get_images(self) -> list[Any]:
+        """The picture of each world, for `render` and `VecVideoRecorder`."""
+        return list(self.env.render() or ())
+
     def close(self) -> None:
         """Close the environment."""
         self.env.close()

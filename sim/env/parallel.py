@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import logger, spaces
 from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
 from bus.layout import CommonState, bounds, state_names
@@ -129,11 +130,19 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self.secret = check_secret(options["secret"])
         """Of all random numbers, with the seed. For whoever made the environment, not for policies."""
         self._seeds = Seeds(self.scenario.seed)
+        self._np_random: np.random.Generator | None = None
         self._carried: dict[str, Sequence[MotionPlan]] = {}
         self._world: World | None = None
         self._view = (
             None if render_mode is None else Rendering(render_mode, self.metadata["render_fps"])
         )
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """A generator for wrappers, seeded anew with each episode's seed; nothing in the world is drawn from it."""
+        if self._np_random is None:
+            self._np_random, _ = seeding.np_random(self.episode_seed)
+        return self._np_random
 
     @property
     def episode_seed(self) -> int:
@@ -162,6 +171,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             Observations and infos by agent.
         """
         self._seeds.begin(seed)
+        self._np_random = None
         self.episode += 1
         self._world = World(self.scenario, self.episode_seed, secret=self.secret, gains=self._gains)
         self.degraded = self._world.links.degraded

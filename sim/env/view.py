@@ -4,6 +4,10 @@ The window is pygame's, which is the extra [window].
 """
 
 import importlib
+import itertools
+from collections import deque
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,8 +15,11 @@ import numpy.typing as npt
 
 from bus.errors import OutriderError
 from bus.extras import from_extra
-from bus.messages import Vector
+from bus.messages import HazardOutline, Vector
+from sim.engine.batch import Batch
+from sim.kernels.compile import FloatArray, IntArray
 from sim.scene.known import scene_of
+from sim.scene.seen_world import SeenWorld
 from sim.scene.told_tiles import ground_map
 from sim.world import World
 
@@ -86,6 +93,52 @@ class Window:
             self._pygame.display.quit()
 
 
+class Drawing:
+    """The pictures of one scenario's worlds, all on one canvas."""
+
+    def __init__(self) -> None:
+        self._frames: Frames | None = None
+        self._hazards: tuple[HazardOutline, ...] = ()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """A copy draws on a canvas of its own."""
+        return self.__dict__ | {"_frames": None}
+
+    def draw(
+        self,
+        world: World | SeenWorld,
+        ways: FloatArray,
+        routes: Mapping[str, tuple[Vector, ...]] = MappingProxyType({}),
+    ) -> npt.NDArray[np.uint8]:
+        """The picture of a world at this moment. Shape (rows, columns, 3).
+
+        Args:
+            world: Which.
+            ways: The way of each vehicle so far [m]. Shape (ticks, vehicles, 2).
+            routes: The way that each UGV plans, by its corners [m].
+        """
+        from sim.scene.frames import Frames  # noqa: PLC0415 - matplotlib is loaded when someone looks
+
+        ground = ground_map(world, routes=routes)
+        hazards = () if ground is None else ground.hazards
+        if self._frames is None or self._hazards != hazards:
+            self._frames = Frames(scene_of(world.scenario), width=_WIDTH, hazards=ground)
+            self._hazards = hazards
+        distances, errors = world.measure().T.tolist()
+        frame = self._frames.draw(
+            {name: ways[:, k] for k, name in enumerate(world.names)},
+            np.minimum(world.coverage / world.parameters.desired, 1.0),
+            time=world.time,
+            distance=max(distances, default=None),
+            r_v=world.parameters.r_v,
+            facts=f"{'sum of ' if len(errors) > 1 else ''}e(t) = {sum(errors):.0f} m²"
+            if errors
+            else "no UAV",
+            hazards=ground,
+        )
+        return frame[:, :, :3].copy()
+
+
 class Rendering:
     """One environment's pictures.
 
@@ -98,19 +151,17 @@ class Rendering:
         self._mode, self._rate = mode, rate
         self._tracks: list[list[list[float]]] = []
         self._routes: dict[str, tuple[Vector, ...]] = {}
-        self._frames: Frames | None = None
+        self._drawing = Drawing()
         self._window: Window | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """A copy of an environment draws on a canvas and in a window of its own."""
-        return self.__dict__ | {"_frames": None, "_window": None}
+        """A copy of an environment has a window of its own."""
+        return self.__dict__ | {"_window": None}
 
     def follow(self, world: World) -> None:
         """Take in the next tick, and show it where a person looks; tick 0 begins anew."""
         if world.tick == 0:
             self._tracks, self._routes = [], {}
-            if world.scenario.has_ground:
-                self._frames = None  # its hazards may be others
         self._tracks.append(world.position.tolist())
         if self._mode == "human":
             self.render(world)
@@ -131,25 +182,7 @@ class Rendering:
         return self._draw(world)
 
     def _draw(self, world: World) -> npt.NDArray[np.uint8]:
-        from sim.scene.frames import Frames  # noqa: PLC0415 - matplotlib is loaded when someone looks
-
-        hazards = ground_map(world, routes=self._routes)
-        if self._frames is None:
-            self._frames = Frames(scene_of(world.scenario), width=_WIDTH, hazards=hazards)
-        ways = np.array(self._tracks)
-        distances, errors = world.state.measures.T.tolist()
-        frame = self._frames.draw(
-            {name: ways[:, k] for k, name in enumerate(world.names)},
-            np.minimum(world.coverage / world.parameters.desired, 1.0),
-            time=world.time,
-            distance=max(distances, default=None),
-            r_v=world.parameters.r_v,
-            facts=f"{'sum of ' if len(errors) > 1 else ''}e(t) = {sum(errors):.0f} m²"
-            if errors
-            else "no UAV",
-            hazards=hazards,
-        )
-        return frame[:, :, :3].copy()
+        return self._drawing.draw(world, np.array(self._tracks), self._routes)
 
     def _show(self, world: World) -> None:
         if self._window is None:
@@ -162,3 +195,37 @@ class Rendering:
         if self._window is not None:
             self._window.close()
             self._window = None
+
+
+class BatchRendering:
+    """The pictures of many worlds.
+
+    Args:
+        batch: Their state.
+    """
+
+    def __init__(self, batch: Batch) -> None:
+        self._batch, self._drawing = batch, Drawing()
+        # A world's track ends the list: one position for each tick of its episode.
+        self._tracks: deque[FloatArray] = deque(maxlen=batch.scenario.ticks + 1)
+
+    def begin(self, worlds: IntArray) -> None:
+        """Take in that these worlds are at the start of an episode."""
+        if self._tracks:
+            self._tracks[-1][worlds] = self._batch.state.truth.position[worlds]
+        else:
+            self.follow()
+
+    def follow(self) -> None:
+        """Take in the tick that all worlds are at."""
+        self._tracks.append(self._batch.state.truth.position.copy())
+
+    def render(self) -> tuple[npt.NDArray[np.uint8], ...]:
+        """The picture of each world at this moment."""
+        pictures = []
+        for k in range(self._batch.worlds):
+            world = SeenWorld(self._batch, k)
+            last = itertools.islice(reversed(self._tracks), world.tick + 1)
+            ways = np.array([positions[k] for positions in last])[::-1]
+            pictures.append(self._drawing.draw(world, ways))
+        return tuple(pictures)

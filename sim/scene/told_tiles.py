@@ -8,6 +8,7 @@ import numpy as np
 from bus.messages import GroundMap, HazardOutline, Vector
 from bus.registry import HAZARDS
 from sim.models.ground import FOUND, UNSEEN
+from sim.scene.seen_world import SeenWorld
 from sim.world import World
 
 SEEN = 5
@@ -18,7 +19,7 @@ _NO_ROUTES: Mapping[str, tuple[Vector, ...]] = MappingProxyType({})
 _KINDS = {row.code: name for name, row in HAZARDS.items()}
 
 
-def hazards_of(world: World) -> tuple[HazardOutline, ...]:
+def hazards_of(world: World | SeenWorld) -> tuple[HazardOutline, ...]:
     """The hazards of a world, those of the scenario and those that were drawn for this flight."""
     tables, state = world.arrays
     rows = state.ground.hazards[0]
@@ -48,7 +49,7 @@ def _ahead(route: tuple[Vector, ...], place: Vector) -> tuple[Vector, ...]:
 
 
 def ground_map(
-    world: World,
+    world: World | SeenWorld,
     hazards: tuple[HazardOutline, ...] | None = None,
     routes: Mapping[str, tuple[Vector, ...]] = _NO_ROUTES,
 ) -> GroundMap | None:
