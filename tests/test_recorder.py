@@ -15,6 +15,7 @@ from bus.messages import LinkSettings
 from bus.ticks import looks_of
 from outrider.running.flying import InProcess, fly, make_pilots
 from sim.engine.certificate_counts import NEVER
+from sim.scenario.loading import load_scenario
 from sim.scenario.types import Detections, LinkTable, Scenario, Uav, Ugv
 from sim.server import recorder
 from sim.server.flight import Flight
@@ -125,3 +126,21 @@ def test_the_file_gives_back_every_number_exactly(flight: Flight, tmp_path: Path
     assert header[:4] == ["tick", "time [s]", "uav_0.x [m]", "uav_0.y [m]"]
     assert all(" [" in name for name in header[1:] if name != "uav_0.certified")
     assert "nan" not in (tmp_path / "trajectory.csv").read_text(encoding="utf-8")
+
+
+def test_rows_of_a_long_flight_stay_the_same_in_a_file(monkeypatch) -> None:
+    """Room for 7 rows at a time instead of some thousands; without a file, too."""
+    hashes = set()
+    for room, full in ((100_000, False), (7, False), (7, True)):
+        with monkeypatch.context() as patched:
+            patched.setattr("sim.server.recorder._ROOM", room)
+            if full:
+                patched.setattr("os.posix_fallocate", full_disk)
+            flight, summary = fly(load_scenario("escort", overrides=["duration=5.0"]), 3)
+        hashes.add(summary.trajectory_sha256)
+        assert flight.recorder.states.shape[0] == 101
+    assert len(hashes) == 1
+
+
+def full_disk(*_: object) -> None:
+    raise OSError(28, "No space left on device")

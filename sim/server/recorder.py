@@ -18,10 +18,13 @@ from sim.kernels.compile import FloatArray, IntArray, borrowing, entry_point
 from sim.kernels.packing import NUMBER, writer
 from sim.kernels.records import RecordArray, record_type
 from sim.models.vehicles import norm
+from sim.server.row_store import RowStore
 from sim.world import World
 
-_ROOM = 65_536
-"""Rows that there is room for at first, where the flight has so many: memory that nobody writes to costs nothing."""
+_ROOM = 16_384
+"""Rows that there is room for at first, where the flight has so many; more are kept in a file."""
+_HASHED = 4096
+"""Rows that are hashed at once."""
 _VEHICLE = ("x [m]", "y [m]", "vx [m/s]", "vy [m/s]", "ux [m/s2]", "uy [m/s2]")
 """Columns of `Recorder.states`; the last two are of the command that is applied during the tick."""
 _ESCORT = (
@@ -102,22 +105,23 @@ class Recorder:
         """Number of states taken down: one more than complete ticks, once the flight is over."""
         vehicles, uavs = len(world.names), len(world.uavs)
         room = min(world.scenario.ticks + 1, _ROOM)
-        self._states: FloatArray = np.empty((room, vehicles, len(_VEHICLE)))
-        self._escorts: FloatArray = np.empty((room, uavs, len(_ESCORT)))
+        self._tells = world.scenario.disturbed
+        told = vehicles if self._tells else 0
+        self._stores = (
+            RowStore(room, (vehicles, len(_VEHICLE))),
+            RowStore(room, (uavs, len(_ESCORT))),
+            RowStore(room, (told, 4)),
+        )
+        self._bind()
         self.arrivals: RecordArray = np.zeros(uavs, record_type(ArrivalRecord))
         """`ArrivalRecord` of each UAV, of the tick that was taken down last. Shape (UAVs,)."""
         self._truth = world.arrays[0].world, world.escorts, world.state, self.arrivals
         state = world.arrays[1]
         arrays = state.received, state.arrived, self._states, self._escorts
         self._take_down = entry_point(_take_down, *self._truth, *arrays, 0)
-        self._tells = world.scenario.disturbed
-        told = vehicles if self._tells else 0
-        self._told: FloatArray = np.empty((room, told, 4))
 
-    def _make_room(self) -> None:
-        self._states = np.concatenate((self._states, np.empty_like(self._states)))
-        self._escorts = np.concatenate((self._escorts, np.empty_like(self._escorts)))
-        self._told = np.concatenate((self._told, np.empty_like(self._told)))
+    def _bind(self) -> None:
+        self._states, self._escorts, self._told = (store.array for store in self._stores)
 
     def record(self, reports: list[UavReport | None]) -> None:
         """Take down the state at this tick and, with it, what was applied and reported during the one before.
@@ -131,7 +135,9 @@ class Recorder:
         if k < self.rows:
             return
         if k == len(self._states):
-            self._make_room()
+            for store in self._stores:
+                store.grow()
+            self._bind()
         state = self._world.arrays[1]  # which has other arrays once a link has changed
         arrays = state.received, state.arrived, self._states, self._escorts
         self._take_down(*self._truth, *arrays, k)
@@ -205,7 +211,10 @@ class Recorder:
         -0.0 written as 0.0.
         """
         complete = self._states[: self.ticks if ticks is None else min(ticks, self.ticks)]
-        return hashlib.sha256((complete + 0.0).astype("<f8").tobytes()).hexdigest()
+        digest = hashlib.sha256()
+        for begin in range(0, len(complete), _HASHED):
+            digest.update((complete[begin : begin + _HASHED] + 0.0).astype("<f8").tobytes())
+        return digest.hexdigest()
 
     def _rows(self) -> Iterator[list[float | int | str]]:
         dt = self._world.parameters.dt
