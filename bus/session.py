@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import resource
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -43,6 +44,8 @@ _ROOM = 256
 """Messages that wait in an inbox before their writers must."""
 _LOOK = 2.0
 """The longest time for which a session looks which places of its party are taken [s]."""
+_OPENED_IN: set[int] = set()
+"""Process ids of this process and of those that it was forked from, if they have opened a session."""
 _HEADER = 4096
 """Room for a message's frame beside its payload [bytes]."""
 
@@ -394,6 +397,20 @@ def _open_client(
         raise AccessDenied(f"{connect} accepts connections, but not this process {who}") from error
 
 
+def _refuse_fork() -> None:
+    """Refuse a forked process whose parent has had a session: Zenoh would wait for ever for threads of the parent.
+
+    Raises:
+        BusError: If this is one.
+    """
+    if _OPENED_IN - {os.getpid()}:
+        raise BusError(
+            "a forked process cannot open a session on the bus after its parent has opened one; allowed: a process "
+            "that is started otherwise, such as by multiprocessing.get_context('spawn')"
+        )
+    _OPENED_IN.add(os.getpid())
+
+
 @contextmanager
 def open_session(
     party: Party,
@@ -420,7 +437,8 @@ def open_session(
     Raises:
         ValueError: If the run's name cannot be part of a key.
         ScenarioError: If an endpoint is not one, or its host has no address.
-        BusError: If the router cannot be reached, or an endpoint cannot be listened on.
+        BusError: If the router cannot be reached, an endpoint cannot be listened on, or this process was forked from
+            one that has opened a session.
         AccessDenied: If the router does not know the credential, or it does not fit the endpoint, or its
             certificate is not good.
     """
@@ -436,6 +454,7 @@ def open_session(
     _check_protocol(listen or (connect,), certified=identity is not None)
     for endpoint in listen or (connect,):
         check_endpoint(endpoint)
+    _refuse_fork()
     if identity is not None:
         _check_certificate(identity, name)
     opened = (

@@ -8,6 +8,7 @@ import msgspec
 import pytest
 import zenoh
 from mutations import real_messages
+from processes import python
 
 from bus.errors import AccessDenied
 from bus.keys import (
@@ -216,3 +217,32 @@ def test_telemetry_knows_whether_it_is_wanted(sessions: dict[Role, Session]) -> 
 def test_a_run_name_that_cannot_be_a_key_is_refused(bad: str) -> None:
     with pytest.raises(ValueError, match="run"):
         check_run_name(bad)
+
+
+FORKED = """
+import multiprocessing, sys
+from bus.errors import BusError
+from bus.keys import Party, Role
+from bus.session import open_session
+
+def join(told):
+    try:
+        with open_session(Party(role=Role.UAV, name="uav_0"), "run", connect=sys.argv[1]):
+            told.put("joined")
+    except BusError as error:
+        told.put(str(error))
+
+forks = multiprocessing.get_context("fork")
+told = forks.Queue()
+with open_session(Party(role=Role.SIMULATOR, name="simulator"), "run", listen=(sys.argv[1],)):
+    child = forks.Process(target=join, args=(told,))
+    child.start()
+    child.join(20.0)
+    child.kill()
+    print("hung" if told.empty() else told.get())
+"""
+
+
+def test_a_forked_process_is_refused_a_session_after_its_parents(endpoint: str) -> None:
+    (line,) = python(FORKED, endpoint, timeout=60).stdout.splitlines()
+    assert line.startswith("a forked process cannot open a session")
