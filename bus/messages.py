@@ -575,6 +575,8 @@ class Control(Message, frozen=True, kw_only=True):
     """DRIVER: which UGV; LINK: whose. None: every one."""
     driver: Name | None = None
     """DRIVER: who takes its wheel."""
+    operator: Name | None = None
+    """DRIVER: the operator who takes it, where the driver obeys one; each has a name of its own."""
     link: LinkKind | None = None
     """LINK: which."""
     settings: LinkSettings | None = None
@@ -806,6 +808,8 @@ class Status(Message, frozen=True, kw_only=True):
     """The law that the UAVs fly now."""
     drivers: dict[Name, Name] = {}
     """The driver of each UGV now."""
+    operators: dict[Name, Name] = {}
+    """The operator at the wheel of each UGV, by the `Control.operator` that took it last; where that is known."""
     changes: tuple[Change, ...] = ()
     """The last controls that have taken effect, the newest last; not more than 20."""
     refusals: tuple[Text, ...] = ()

@@ -7,7 +7,7 @@ import pytest
 from statuses import a_status
 
 from bus.keys import SIMULATOR_NAME, Party, Role
-from bus.messages import Action, Change, Control, Law, Status
+from bus.messages import Action, Change, Control, Drive, Law, Status
 from bus.registry import TELEOP
 from outrider.view.page.controls.wheel import SharedWheel
 from outrider.view.page.hub import running_law
@@ -66,14 +66,32 @@ def test_a_reset_brings_the_first_law_back() -> None:
 def test_an_operator_whom_nobody_here_has_put_at_a_wheel_is_a_stranger() -> None:
     said: list[Control] = []
     wheel = SharedWheel(lambda control: said.append(control) is None, lambda _name, _drive: True)
-    drivers = {"ugv_0": "waypoints", "ugv_1": TELEOP}
-    assert wheel.strangers(drivers) == ["ugv_1"]
-    assert wheel.take(1, "browser 1", "ugv_0", drivers)
-    drivers = {"ugv_0": TELEOP, "ugv_1": TELEOP}
-    assert wheel.strangers(drivers) == ["ugv_1"]
+    wheel.follow(a_status(drivers={"ugv_0": "waypoints", "ugv_1": TELEOP}))
+    assert wheel.strangers() == ["ugv_1"]
+    assert wheel.take(1, "browser 1", "ugv_0")
+    operators = {"ugv_0": said[-1].operator}
+    taken = a_status(drivers={"ugv_0": TELEOP, "ugv_1": TELEOP}, operators=operators)
+    wheel.follow(taken)
+    assert wheel.strangers() == ["ugv_1"]
     wheel.release()
-    assert wheel.strangers(drivers) == ["ugv_1"]
-    wheel.hand_back(1, drivers)
+    assert wheel.strangers() == ["ugv_1"]
+    wheel.hand_back(1)
     assert said[-1].driver == "waypoints"
     # until the simulator has assigned the driver from before
-    assert wheel.strangers(drivers) == ["ugv_0", "ugv_1"]
+    assert wheel.strangers() == ["ugv_0", "ugv_1"]
+
+
+def test_a_wheel_that_another_operator_has_taken_is_not_handed_back() -> None:
+    said: list[Control] = []
+    driven: list[Drive] = []
+    wheel = SharedWheel(
+        lambda control: said.append(control) is None, lambda _, drive: driven.append(drive) is None
+    )
+    wheel.follow(a_status(drivers={"ugv_0": "waypoints"}))
+    assert wheel.take(1, "browser 1", "ugv_0")
+    wheel.follow(a_status(drivers={"ugv_0": TELEOP}, operators={"ugv_0": "a_terminal"}))
+    assert not wheel.can_be_handed_back()
+    wheel.hand_back(1)
+    assert [control.driver for control in said] == [TELEOP]
+    wheel.follow(a_status(drivers={"ugv_0": TELEOP}, over=True))
+    assert not wheel.take(1, "browser 1", "ugv_0")

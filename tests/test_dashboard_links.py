@@ -35,6 +35,7 @@ from outrider.view.page.hub import Hub
 from outrider.view.page.sources.tape import Tape
 from sim.channel.description import check_link
 from sim.scenario.loading import load_scenario
+from sim.scene.known import geometry_of
 
 NAMES = ("uav_0/detections", "uav_0/commands", "ugv_0/commands", "ugv_0/operator", "uav_0/radio")
 PERFECT, BURSTS = LinkSettings(), LinkSettings(jitter=0.1, burst_length=0.3, burst_interval=4.0)
@@ -191,11 +192,13 @@ def test_a_recording_that_is_wound_shows_its_blackout_where_it_was(tmp_path: Pat
 
 def test_full_deflection_asks_for_the_largest_speed_of_the_vehicle_that_is_driven() -> None:
     wheel = SharedWheel(lambda _control: True, lambda _name, _drive: True)
-    wheel.limits = {
+    limits = {
         "ugv_0": Limits(max_speed=0.2, max_acceleration=0.1),
         "ugv_1": Limits(max_speed=None, max_acceleration=None),
     }
-    assert wheel.take(1, "browser 1", "ugv_0", {"ugv_0": "waypoints"})
+    geometry = geometry_of(load_scenario("escort"))
+    wheel.follow(a_status(geometry=msgspec.structs.replace(geometry, limits=limits)))
+    assert wheel.take(1, "browser 1", "ugv_0")
     assert wheel.full == pytest.approx(0.2)
     wheel.share = 0.5
     assert wheel.full == pytest.approx(0.1)

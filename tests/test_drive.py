@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
+import msgspec
 import pytest
 from processes import await_status, python, wait_until
 from scattered import scattered
@@ -215,6 +216,7 @@ class Scripted:
         self.controls: list[Control] = []
         self.drives: list[Drive] = []
         self.drivers = {"ugv_0": "script"}
+        self.operators: dict[str, str] = {}
         self.tick = 100
         self._over = threading.Event()
         self._statuses, self._truths = session.outbox(STATUS), session.outbox(SAMPLED_TRUTH)
@@ -229,17 +231,22 @@ class Scripted:
             while (envelope := self._controls.next_waiting()) is not None:
                 assert isinstance(envelope.message, Control)
                 self.controls.append(envelope.message)
-                self.drivers[envelope.message.vehicle or ""] = envelope.message.driver or ""
+                vehicle = envelope.message.vehicle or ""
+                self.drivers[vehicle] = envelope.message.driver or ""
+                self.operators[vehicle] = envelope.message.operator or ""
             while (envelope := self._drives.next_waiting()) is not None:
                 assert isinstance(envelope.message, Drive)
                 self.drives.append(envelope.message)
             self.tick += 1
-            self._statuses.send(status_at(self.tick, drivers=dict(self.drivers)))
+            told = {"drivers": dict(self.drivers)}
+            told["operators"] = {name: who for name, who in self.operators.items() if who}
+            self._statuses.send(status_at(self.tick, **told))
             self._truths.send(truth_at(self.tick))
 
     def asked(self, driver: str) -> int:
         return sum(
-            one == Control(action=Action.DRIVER, vehicle="ugv_0", driver=driver)
+            msgspec.structs.replace(one, operator=None)
+            == Control(action=Action.DRIVER, vehicle="ugv_0", driver=driver)
             for one in self.controls
         )
 
@@ -308,6 +315,31 @@ def test_keys_take_the_wheel_drive_brake_and_give_it_back_and_the_terminal_is_as
         assert simulator.drivers == {"ugv_0": "script"}
         assert one.left_as_it_was()
         assert "ugv_0 is handed back to script" in one.told
+
+
+def test_of_two_terminals_only_the_one_that_drives_says_so(endpoint: str) -> None:
+    with (
+        scripted(endpoint) as simulator,
+        teleoperation(*arguments(endpoint)) as first,
+        teleoperation(*arguments(endpoint)) as second,
+    ):
+        for one in (first, second):
+            one.until_shown("script drives ugv_0")
+        first.hold("d", lambda: simulator.drives)
+        first.until_shown("YOU DRIVE ugv_0")
+        second.until_shown("another operator drives ugv_0")
+        second.press("h")
+        second.hold("w", lambda: simulator.drives[-1].velocity == (0.0, 0.2))
+        assert simulator.asked("script") == 0  # `h` is no business of one that does not drive
+        second.until_shown("YOU DRIVE ugv_0")
+        first.until_shown("another operator drives ugv_0")
+        for key in "hq":
+            first.press(key)
+        assert first.ends() == 0
+        assert "left to another operator" in first.told
+        assert simulator.asked("script") == 0
+        second.press("h")
+        second.until_shown("script drives ugv_0")
 
 
 def test_a_simulator_that_goes_is_told_and_the_next_one_is_driven_too(endpoint: str) -> None:
@@ -385,12 +417,12 @@ def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> 
             wait_until(lambda: link.press(Heading.EAST) or controls.holds_any(), 10.0)  # type: ignore[func-returns-value]
             envelope = controls.next_waiting()
             assert envelope is not None
-            asked.append((driver, envelope.message))
+            asked.append((driver, msgspec.structs.replace(envelope.message, operator=None)))
             link.leave()
         assert link.wait(10.0)
         assert asked == [
             (driver, Control(action=Action.DRIVER, vehicle="ugv_0", driver=driver))
-            for driver, _ in asked
+            for driver in ("teleop", "script")
         ]
         assert "nobody has confirmed" in link.farewell()
 
@@ -492,11 +524,9 @@ def test_the_speed_keeps_its_bounds() -> None:
         (DriveView(status=status_at(over=True), present=False), "the flight is over"),
         (DriveView(status=status_at(paused=True), driver="script"), "script drives ugv_0 (paused)"),
         (DriveView(status=status_at(), driver="script", asked=True), "taking the wheel"),
-        (DriveView(status=status_at(), driver="teleop"), "YOU DRIVE ugv_0 · braking"),
-        (
-            DriveView(status=status_at(), driver="teleop", wanted=(0.1, 0.0)),
-            "YOU DRIVE ugv_0 · driving",
-        ),
+        (DriveView(status=status_at(), driver="teleop"), "another operator drives ugv_0"),
+        (DriveView(status=status_at(), driver="teleop", mine=True), "YOU DRIVE ugv_0 · braking"),
+        (DriveView(status=status_at(), mine=True, wanted=(0.1, 0.0)), "YOU DRIVE ugv_0 · driving"),
     ],
 )
 def test_the_banner_says_what_matters_most(view: DriveView, words: str) -> None:

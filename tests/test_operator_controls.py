@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from processes import wait_until
@@ -144,8 +145,11 @@ def test_an_operator_takes_the_wheel_drives_is_silent_and_hands_back(tmp_path: P
             wait_until(lambda: wheel.wanted)
             before = status(lambda s: s.tick > 100)
             assert before.drivers == {"ugv_0": "waypoints"}
-            send(Control(action=Action.DRIVER, vehicle="ugv_0", driver="teleop"))
-            seen["taken"] = status(lambda s: s.drivers["ugv_0"] == "teleop").tick
+            for operator in ("someone_else", "a_person"):
+                take = Control(action=Action.DRIVER, vehicle="ugv_0", driver="teleop")
+                send(msgspec.structs.replace(take, operator=operator))
+                taken = status(lambda s, operator=operator: s.operators == {"ugv_0": operator})
+            seen["taken"] = taken.tick
             limit = time.monotonic() + 30.0
             while run.server.flight.world.velocity[1, 1] > -0.195 and time.monotonic() < limit:
                 wheel.send(Drive(driver="a person", velocity=(0.0, -1e5)))
@@ -157,7 +161,9 @@ def test_an_operator_takes_the_wheel_drives_is_silent_and_hands_back(tmp_path: P
             seen["silent"] = run.server.flight.world.tick
             seen["still"] = status(lambda s: s.tick > seen["silent"] + 80).tick
             send(Control(action=Action.DRIVER, vehicle="ugv_0", driver="waypoints"))
-            seen["back"] = status(lambda s: s.drivers["ugv_0"] == "waypoints").tick
+            back = status(lambda s: s.drivers["ugv_0"] == "waypoints")
+            assert not back.operators
+            seen["back"] = back.tick
             status(lambda s: s.tick > seen["back"] + 80)
             run.server.flight.stop()
 
@@ -168,7 +174,11 @@ def test_an_operator_takes_the_wheel_drives_is_silent_and_hands_back(tmp_path: P
     assert np.hypot(*v[-1]) > 0.1
     assert np.hypot(v[:, 0], v[:, 1]).max() <= 0.2 + 1e-12
     assert np.hypot(*np.diff(v, axis=0).T).max() <= 0.1 * 0.05 + 1e-12
-    assert [change.control.driver for change in run.server.changes] == ["teleop", "waypoints"]
+    assert [change.control.driver for change in run.server.changes] == [
+        "teleop",
+        "teleop",
+        "waypoints",
+    ]
 
 
 def change(flight: Any) -> None:

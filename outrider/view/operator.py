@@ -2,10 +2,11 @@
 
 import contextlib
 import queue
+import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from bus import keys
 from bus.errors import BusError
@@ -162,12 +163,24 @@ class Helm:
     ) -> None:
         self._control, self._drive = control, drive
         self._before: dict[str, str] = {}
+        self.operator = f"operator_{secrets.token_hex(6)}"
+        """Name of the operator: another one's, even with the same credentials, is different."""
 
     def take(self, vehicle: str, driver: str) -> bool:
         """Ask for the wheel of a UGV that this driver drives now; False if it cannot be asked for."""
         if driver not in ("", TELEOP):
             self._before[vehicle] = driver
-        return self._control(Control(action=Action.DRIVER, vehicle=vehicle, driver=TELEOP))
+        return self._control(
+            Control(action=Action.DRIVER, vehicle=vehicle, driver=TELEOP, operator=self.operator)
+        )
+
+    def holds(self, status: Status | None, vehicle: str) -> bool:
+        """True if the UGV obeys this operator."""
+        return _at_wheel(status, vehicle) == self.operator
+
+    def displaced(self, status: Status | None, vehicle: str) -> bool:
+        """True if the UGV obeys another operator."""
+        return _at_wheel(status, vehicle) not in ("", self.operator)
 
     def steer(self, vehicle: str, name: str, velocity: Vector | None) -> bool:
         """Say which velocity [m/s] the operator of this name wants; None is to brake."""
@@ -181,8 +194,17 @@ class Helm:
             return heir
         return ""
 
-    def waiting(self, drivers: Mapping[str, str]) -> list[str]:
-        """The UGVs that obey an operator and whose driver from before waits for the wheel."""
+    def waiting(self, status: Status | None) -> list[str]:
+        """The UGVs that obey this operator and whose driver from before waits for the wheel."""
         return [
-            name for name, driver in drivers.items() if driver == TELEOP and name in self._before
+            name
+            for name, driver in ({} if status is None else status.drivers).items()
+            if driver == TELEOP and name in self._before and not self.displaced(status, name)
         ]
+
+
+def _at_wheel(status: Status | None, vehicle: str) -> str:
+    """The operator whom a UGV obeys; empty: none, or an unknown one."""
+    if status is None or status.drivers.get(vehicle) != TELEOP:
+        return ""
+    return status.operators.get(vehicle, "")

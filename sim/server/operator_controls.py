@@ -50,6 +50,8 @@ class OperatorControls:
         """Controls that have taken effect, the oldest first."""
         self.refusals = deque[str](maxlen=_REFUSALS)
         """The last wishes that were refused, and why."""
+        self.operators: dict[str, str] = {}
+        """The operator at the wheel of each UGV, where it has told its name."""
         self._late_before = 0
         self._flight, self._make_pace, self._on_event = flight, make_pace, on_event
         self._ugvs = {ugv.name: OPERATOR for ugv in flight.scenario.ugv}
@@ -75,6 +77,7 @@ class OperatorControls:
             on_notice=old.on_notice,
         )
         self._next_seed = None
+        self.operators.clear()
         return self._flight
 
     def apply(self, *, patience: float | None = None) -> None:
@@ -161,3 +164,6 @@ class OperatorControls:
         check_scenario(msgspec.structs.replace(scenario, ugv=tuple(assigned)), source="driver")
         for name in names:
             self._flight.assign_driver(name, control.driver)
+            self.operators.pop(name, None)
+            if control.operator is not None and DRIVERS[control.driver].operated:
+                self.operators[name] = control.operator

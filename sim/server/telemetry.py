@@ -113,6 +113,7 @@ class Telemetry:
             wanted_factor=self._operators.pace.factor,
             late_ticks=self._operators.late_ticks,
             paused=self._operators.paused,
+            operators=dict(self._operators.operators),
             changes=tuple(self._operators.changes)[-_SHOWN:],
             refusals=tuple(self._operators.refusals),
             geometry=self._geometry,

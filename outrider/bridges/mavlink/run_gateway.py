@@ -201,7 +201,8 @@ class RunGateway(Gateway):
         if max(abs(north), abs(east)) > _FULL:
             self.refuse(BEYOND_BOUNDS, f"MANUAL_CONTROL x = {north}, y = {east}")
             return
-        driven = self._status.drivers.get(system.name) == TELEOP
+        displaced = self._helm.displaced(self._status, system.name)
+        driven = self._status.drivers.get(system.name) == TELEOP and not displaced
         if not driven and not (north or east):
             return  # a ground station that is only there
         if self.holds(peer) and (driven or self._take_wheel(system)):
@@ -224,6 +225,6 @@ class RunGateway(Gateway):
 
     def close(self) -> None:
         """Hand all wheels back."""
-        for name in self._helm.waiting(self._status.drivers):
+        for name in self._helm.waiting(self._status):
             self._helm.hand_back(name)
         self._client.close()

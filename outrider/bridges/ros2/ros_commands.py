@@ -162,7 +162,7 @@ class RosCommands:
             raise Refused("another node is at the wheel", wish.vehicle)
         self._wheels[wish.vehicle] = sender, now
         driver = self._status.drivers.get(wish.vehicle, "") if self._status is not None else ""
-        if begins and driver != TELEOP:
+        if begins and (driver != TELEOP or self._helm.displaced(self._status, wish.vehicle)):
             self._helm.take(wish.vehicle, driver)
         if not self._helm.steer(wish.vehicle, _DRIVER, wish.velocity):
             raise Refused("the bus takes no more", wish.vehicle)
@@ -191,5 +191,5 @@ class RosCommands:
     def hand_back(self) -> None:
         """Let the drivers from before drive on."""
         if self._status is not None and not self._status.over:
-            for vehicle in self._helm.waiting(self._status.drivers):
+            for vehicle in self._helm.waiting(self._status):
                 self._helm.hand_back(vehicle)

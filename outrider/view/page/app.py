@@ -166,8 +166,8 @@ def _obey(hub: Hub, browser: Browser, text: str) -> None:
         case "drawn":
             browser.in_hand = max(0, browser.in_hand - 1)
         case "take" if word.vehicle in hub.drivers:
-            hub.wheel.take(browser.number, browser.name, word.vehicle, hub.drivers)
+            hub.wheel.take(browser.number, browser.name, word.vehicle)
         case "back":
-            hub.wheel.hand_back(browser.number, hub.drivers)
+            hub.wheel.hand_back(browser.number)
         case "drive":
             hub.wheel.steer(browser.number, word.deflection)

@@ -87,7 +87,7 @@ class Hub:
         """Look for news and give each browser its turn, until cancelled."""
         while True:
             self.take_in()
-            self.wheel.check(self.drivers)
+            self.wheel.check()
             now = time.monotonic()
             for browser in self.browsers.values():
                 if browser.is_due(now, self._has_news(browser)):
@@ -112,7 +112,7 @@ class Hub:
             if isinstance(message, Status):
                 self.status = message
                 self.history.losses.take(message)
-                self.wheel.limits = {} if message.geometry is None else message.geometry.limits
+                self.wheel.follow(message)
             elif isinstance(message, Truth):
                 self.history.add(message, self.source.factor, self._dt)
         for message in newest.values():
@@ -215,8 +215,8 @@ class Hub:
             "driver": wheel.name,
             "vehicle": wheel.vehicle,
             "full": wheel.full,
-            "back": wheel.can_be_handed_back(self.drivers),
-            "strangers": wheel.strangers(self.drivers),
+            "back": wheel.can_be_handed_back(),
+            "strangers": wheel.strangers(),
         }
 
 

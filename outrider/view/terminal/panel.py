@@ -8,6 +8,7 @@ from typing import NamedTuple
 from rich.text import Text
 
 from bus.messages import EscortTruth, Status, VehicleStatus
+from bus.registry import TELEOP
 from outrider.view.operator import SILENCE
 from outrider.view.terminal.palette import ALARM, EDGE, FAINT, GOOD, INK, LIMIT, UAV, UGV
 from outrider.view.terminal.teleoperation import DriveView
@@ -74,7 +75,8 @@ def banner(view: DriveView, vehicle: str, *, leaving: bool) -> Banner:
     pause = " (paused)" if paused else ""
     if view.asked:
         return Banner(f"taking the wheel of {vehicle}{pause}", "#12151a", UGV[1])
-    who = f"{view.driver} drives" if view.driver else "nobody is known to drive"
+    driver = "another operator" if view.driver == TELEOP else view.driver
+    who = f"{driver} drives" if driver else "nobody is known to drive"
     return Banner(f"{who} {vehicle}{pause} · an arrow key takes the wheel", INK, EDGE)
 
 

@@ -10,7 +10,7 @@ from bus.messages import CoverageMap, GroundMap, Status, Truth
 from bus.registry import TELEOP
 from bus.session import Session
 from outrider.view.operator import Helm, RunClient
-from outrider.view.terminal.pressed_keys import Heading, PressedKeys
+from outrider.view.terminal.pressed_keys import FIRST, REPEAT, Heading, PressedKeys
 from sim.scene.model import Scene, observed_scene
 
 _LOOK = 0.05
@@ -42,6 +42,8 @@ class DriveView:
     """True if the simulator is there."""
     driver: str = ""
     """The UGV's driver."""
+    mine: bool = False
+    """True if it obeys this terminal."""
     asked: bool = False
     """True if the wheel has been asked for and not been given yet."""
     wanted: tuple[float, float] | None = None
@@ -49,11 +51,6 @@ class DriveView:
     speed: float = 0.0
     """The speed that a pressed key asks for [m/s]."""
     fault: str = ""
-
-    @property
-    def mine(self) -> bool:
-        """True if the operator drives."""
-        return self.driver == TELEOP
 
     @property
     def scene(self) -> Scene | None:
@@ -106,6 +103,7 @@ class Teleoperation:
         # Whether a brake must be sent, and whether the last message was a velocity.
         self._braked = self._moving = False
         self._asked = self._sent = -math.inf  # when the wheel was asked for, a message sent [s]
+        self._deaf = -math.inf  # until when keys do not count [s]
         self._error: Exception | None = None
         self.handed_to = ""
         """Returns the driver that is known to have got the wheel back."""
@@ -139,7 +137,7 @@ class Teleoperation:
 
     def press(self, heading: Heading) -> None:
         """Drive there for a moment; the first time, take the wheel."""
-        self._do(lambda: self._keys.press(heading, time.monotonic()))
+        self._do(lambda: self._press(heading, time.monotonic()))
 
     def brake(self) -> None:
         """Brake; also takes the wheel."""
@@ -164,12 +162,20 @@ class Teleoperation:
             unknown = self._client.simulator.there and not (self._back or self._before)
             why = "say --back DRIVER" if unknown else "the simulator has gone"
             return f"{ugv} could not be handed back ({why}); it brakes without an operator"
+        if self._driver == TELEOP:
+            return f"{ugv} was left to another operator"
         return f"{ugv} was left to {self._driver or 'its driver'}"
 
     def _do(self, change: Callable[[], object]) -> None:
         with self._lock:
             change()
         self._nudge.set()
+
+    def _press(self, heading: Heading, now: float) -> None:
+        if now < self._deaf:
+            self._deaf = max(self._deaf, now + REPEAT)
+        else:
+            self._keys.press(heading, now)
 
     def _release(self) -> None:
         self._keys.release()
@@ -189,7 +195,8 @@ class Teleoperation:
                 connected=client.connected,
                 present=client.simulator.there,
                 driver=self._driver,
-                asked=self._taken and self._driver != TELEOP,
+                mine=self._mine,
+                asked=self._taken and not self._mine,
                 wanted=self._keys.velocity(time.monotonic()),
                 speed=self._keys.speed,
                 fault=client.fault,
@@ -239,7 +246,7 @@ class Teleoperation:
 
     def _take(self, now: float) -> None:
         self._taken, self._heir, self.handed_to = True, "", ""
-        if self._driver != TELEOP and now - self._asked >= _ASK_AGAIN:
+        if not self._mine and now - self._asked >= _ASK_AGAIN:
             self._helm.take(self.vehicle, self._driver)
             self._asked = now
 
@@ -261,15 +268,26 @@ class Teleoperation:
 
     def _follow(self) -> None:
         """Keep up with who drives: somebody else may take the wheel, and a simulator may be started anew."""
-        driver = self._driver
+        driver, now = self._driver, time.monotonic()
         if driver == TELEOP:
-            self._granted = self._taken
             self._before = self._before or self._last_driver()
         elif driver:
             self.handed_to = driver if driver == self._heir else self.handed_to
             self._before = driver
-            self._taken = self._taken and not self._granted
-            self._granted = False
+        wanted = self._keys.velocity(now) is not None
+        if self._mine:
+            self._taken = self._granted = not self._heir
+        elif driver and self._granted:
+            self._lose(now, held=wanted)
+        elif driver == TELEOP and self._taken and not wanted and now - self._asked > _ASK_AGAIN:
+            self._lose(now, held=False)
+
+    def _lose(self, now: float, *, held: bool) -> None:
+        """Leave the wheel to another driver: a key that is still held does not take it back."""
+        self._keys.release()
+        self._taken = self._granted = self._braked = self._moving = False
+        self._asked = -math.inf
+        self._deaf = now + FIRST if held else -math.inf
 
     def _last_driver(self) -> str:
         """The driver before an operator who has not handed the wheel back, as far as the status still tells."""
@@ -277,6 +295,10 @@ class Teleoperation:
         controls = [change.control for change in status.changes] if status is not None else []
         found = [one.driver for one in controls if one.vehicle in (None, self.vehicle)]
         return next((driver for driver in reversed(found) if driver and driver != TELEOP), "")
+
+    @property
+    def _mine(self) -> bool:
+        return self._helm.holds(self._client.status, self.vehicle)
 
     @property
     def _driver(self) -> str:

@@ -2,9 +2,9 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
-from bus.messages import Control, Drive, Limits, Vector
+from bus.messages import Control, Drive, Status, Vector
 from bus.registry import TELEOP
 from outrider.view.operator import Helm
 
@@ -37,12 +37,18 @@ class SharedWheel:
         self.vehicle = ""
         self.share = 1.0
         """Of the vehicle's largest speed, at full deflection."""
-        self.limits: Mapping[str, Limits] = {}
-        """The vehicles' bounds, where they are known."""
+        self._status: Status | None = None
+        self._drivers: dict[str, str] = {}  # the last one of each UGV that was no operator
+
+    def follow(self, status: Status) -> None:
+        """Update who drives, and the vehicles' bounds."""
+        self._status = status
+        self._drivers |= {name: one for name, one in status.drivers.items() if one != TELEOP}
 
     def top(self, vehicle: str) -> float:
         """The largest speed that can be asked of a vehicle [m/s]."""
-        known = self.limits.get(vehicle)
+        geometry = None if self._status is None else self._status.geometry
+        known = None if geometry is None else geometry.limits.get(vehicle)
         return _UNBOUNDED if known is None or known.max_speed is None else known.max_speed
 
     @property
@@ -50,11 +56,12 @@ class SharedWheel:
         """Speed of the vehicle that is driven at full deflection [m/s]."""
         return self.share * self.top(self.vehicle)
 
-    def take(self, browser: int, name: str, vehicle: str, drivers: Mapping[str, str]) -> bool:
-        """Sit down at a vehicle's wheel; False if somebody sits there."""
-        if self.holder not in (0, browser) or not vehicle:
+    def take(self, browser: int, name: str, vehicle: str) -> bool:
+        """Sit down at a vehicle's wheel; False if another browser sits there, or the run is over."""
+        over = self._status is not None and self._status.over
+        if self.holder not in (0, browser) or not vehicle or over:
             return False
-        if not self._helm.take(vehicle, drivers.get(vehicle, "")):
+        if not self._helm.take(vehicle, self._drivers.get(vehicle, "")):
             return False
         self.holder, self.name, self.vehicle = browser, name, vehicle
         self._taken = self._alive = time.monotonic()
@@ -75,12 +82,12 @@ class SharedWheel:
             velocity = (x * scale, y * scale)
         self._helm.steer(self.vehicle, self.name, velocity)
 
-    def hand_back(self, browser: int, drivers: Mapping[str, str]) -> None:
+    def hand_back(self, browser: int) -> None:
         """Let the driver from before drive on; anybody may, once nobody holds the wheel."""
         if self.holder not in (0, browser):
             return
         self.release()
-        for vehicle in self._helm.waiting(drivers):
+        for vehicle in self._helm.waiting(self._status):
             self._helm.hand_back(vehicle)
 
     def release(self) -> None:
@@ -99,20 +106,25 @@ class SharedWheel:
         if browser == self.holder:
             self._alive = time.monotonic()
 
-    def check(self, drivers: Mapping[str, str]) -> None:
+    def check(self) -> None:
         """Free the wheel of a browser that has fallen silent, or whose vehicle has got another driver."""
         now = time.monotonic()
-        replaced = (
-            drivers.get(self.vehicle, "") not in ("", TELEOP) and now - self._taken > _SETTLING
-        )
-        if self.holder and (replaced or now - self._alive > _PATIENCE):
+        if self.holder and self._replaced() and now - self._taken > _SETTLING:
+            self.holder, self.name = 0, ""  # who drives now is not braked
+        if self.holder and now - self._alive > _PATIENCE:
             self.release()
 
-    def can_be_handed_back(self, drivers: Mapping[str, str]) -> bool:
-        """True if a driver from before waits for the wheel."""
-        return bool(self._helm.waiting(drivers))
+    def _replaced(self) -> bool:
+        driver = "" if self._status is None else self._status.drivers.get(self.vehicle, "")
+        other = driver not in ("", TELEOP)
+        return other or self._helm.displaced(self._status, self.vehicle)
 
-    def strangers(self, drivers: Mapping[str, str]) -> list[str]:
+    def can_be_handed_back(self) -> bool:
+        """True if a driver from before waits for the wheel."""
+        return bool(self._helm.waiting(self._status))
+
+    def strangers(self) -> list[str]:
         """The UGVs that obey an operator who is none of ours: another one may drive them."""
-        ours = {*self._helm.waiting(drivers), self.vehicle if self.holder else ""}
+        drivers = {} if self._status is None else self._status.drivers
+        ours = {*self._helm.waiting(self._status), self.vehicle if self.holder else ""}
         return [name for name, driver in drivers.items() if driver == TELEOP and name not in ours]
