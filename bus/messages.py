@@ -756,6 +756,8 @@ class Geometry(Message, frozen=True, kw_only=True):
     """Each vehicle's bounds."""
     uavs: dict[Name, Name]
     """Each UAV, and the UGV it escorts."""
+    goals: dict[Name, tuple[Vector, ...]] = {}
+    """The first goals of each UGV that may drive to them [m]; not more than 100 each."""
     origin: Origin = Origin()
     """Place on Earth that the positions are counted from."""
 

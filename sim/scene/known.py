@@ -18,6 +18,10 @@ def inner_radius(scenario: Scenario, ugv: str) -> float | None:
     return min((r_s for r_s in radii if 0.0 < r_s < scenario.visibility.radius), default=None)
 
 
+_GOALS = 100
+"""Goals of a UGV that observers are told."""
+
+
 def geometry_of(scenario: Scenario) -> Geometry:
     """The part of a scenario that observers are told."""
     radii = (switching_radius(scenario, uav, ugv) for _, uav, ugv in escorts(scenario))
@@ -30,6 +34,7 @@ def geometry_of(scenario: Scenario) -> Geometry:
         dt=scenario.dt,
         limits={vehicle.name: limits(vehicle) for vehicle in scenario.vehicles},
         uavs={uav.name: uav.escorts for uav in scenario.uav},
+        goals={ugv.name: goals[:_GOALS] for ugv in scenario.ugv if (goals := _goals(ugv))},
         origin=scenario.origin,
     )
 

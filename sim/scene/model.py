@@ -101,6 +101,7 @@ def observed_scene(
         (geometry.area.width, geometry.area.height),
         escorts,
         ugvs,
+        goals=geometry.goals,
         radii=(r_v, geometry.sensor_range),
         inner=dict.fromkeys(ugvs, r_s if r_s is not None and 0.0 < r_s < r_v else None),
     )
