@@ -1,5 +1,6 @@
 """The loop that puts any pilot on the bus: a process of its own, which knows only what it is told."""
 
+import copy
 import gc
 import logging
 from collections.abc import Callable
@@ -21,6 +22,7 @@ from bus.session import Envelope, Outbox, Session, open_session
 from sim.kernels.compile import compiling
 
 if TYPE_CHECKING:
+    from agents.control.uav_policy import UavPolicy
     from agents.uav import Inner
 
 _ROOM = 1024
@@ -49,6 +51,8 @@ def uav_maker(
     *,
     weighting: Weighting | None = None,
     path: Path | None = None,
+    policy: "UavPolicy | None" = None,
+    policy_name: str = "policy",
     inner: "Inner | None" = None,
 ) -> MakePilot:
     """Makes UAV pilots.
@@ -56,11 +60,24 @@ def uav_maker(
     Args:
         weighting: A weighting of one's own, for the law `weighted`.
         path: A path of one's own, for the law `path`.
+        policy: A policy of one's own, for the laws `policy` and `certified`; each pilot has a copy.
+        policy_name: Of it, in errors.
         inner: A control of one's own inside the safety filter.
     """
     from agents.uav import UavPilot  # noqa: PLC0415 - with its filter, most of a start, which a UGV can do without
 
-    return partial(UavPilot, weighting=weighting, path=path, inner=inner)
+    def make(briefing: UavBriefing) -> Pilot:
+        own = copy.deepcopy(policy)  # it remembers a flight
+        return UavPilot(
+            briefing,
+            weighting=weighting,
+            path=path,
+            policy=own,
+            policy_name=policy_name,
+            inner=inner,
+        )
+
+    return make
 
 
 def ugv_maker(*, policy: Policy | None = None, policy_name: str = "policy") -> MakePilot:

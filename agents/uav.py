@@ -9,6 +9,7 @@ from agents.control.certificate import INNER, NO_DETECTION
 from agents.control.guard import guard_state
 from agents.control.laws import (
     PATH,
+    POLICY,
     WATCHED,
     WEIGHTED,
     LawParameters,
@@ -20,6 +21,7 @@ from agents.control.lookahead import lookahead_memory
 from agents.control.orbit import Path, check_path
 from agents.control.promise import Promise
 from agents.control.telling import GroundTeller
+from agents.control.uav_policy import PolicyControl, TargetEstimate, UavPolicy
 from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
 from agents.control.visibility import SafetyFilter, Verdict, flown_in, promise_of
 from agents.control.weighting import Weighting, check_weighting
@@ -45,7 +47,7 @@ from bus.messages import (
     Vector,
     or_infinite,
 )
-from bus.registry import LAWS
+from bus.registry import LAWS, UAV_POLICY_FORMS
 from bus.ticks import radio_ticks
 from sim.kernels.compile import FloatArray, borrowing, entry_point
 from sim.kernels.records import RecordArray, records
@@ -76,6 +78,9 @@ axis [m²], ticks since the newest believed detection, detections refused so far
 
 _OWN = frozenset(row.code for row in LAWS.values() if row.own)
 """Codes of the laws that ask a function of the user's own."""
+
+_FLIES_POLICY = frozenset(row.code for row in LAWS.values() if "uav_policy" in (row.own, row.inner))
+"""Codes of the laws under which a policy flies."""
 
 _LOADED = ("_act", "_error", "_fixed")
 """The attributes of a pilot that a copy looks up for itself."""
@@ -158,6 +163,8 @@ class UavPilot:
         briefing: What the UAV is told when it joins.
         weighting: A weighting of one's own, for the law `weighted`.
         path: A path of one's own, for the law `path`.
+        policy: A policy of one's own, for the laws `policy` and `certified`; it remembers this flight alone.
+        policy_name: Of it, in errors.
         inner: A control of one's own, asked once a tick before the law; the safety filter watches over both, whatever
             the law. While it acts the law's own state stands still.
 
@@ -171,11 +178,16 @@ class UavPilot:
         *,
         weighting: Weighting | None = None,
         path: Path | None = None,
+        policy: UavPolicy | None = None,
+        policy_name: str = "policy",
         inner: Inner | None = None,
     ) -> None:
         self._briefing = briefing
         self._parameters: LawParameters = law_parameters(briefing, briefing.law)
         self._weighting, self._path, self._inner = weighting, path, inner
+        self._policy: PolicyControl | None = None
+        if policy is not None:
+            self._policy = PolicyControl(briefing, self._parameters, policy, policy_name)
         self._check_own_functions()
         self.coverage: FloatArray = empty_coverage(
             briefing.area.width, briefing.area.height, briefing.area.cell
@@ -227,6 +239,7 @@ class UavPilot:
         """The law and the filter that there are now, as compiled code takes them."""
         guard = self._no_guard if self.filter is None else self.filter.state
         self._asks = self._parameters.law in _OWN
+        self._flies_policy = self._parameters.law in _FLIES_POLICY
         self._fixed = (
             records(LawParameters, [self._parameters]),
             self._promises,
@@ -244,6 +257,10 @@ class UavPilot:
 
     def _check_own_functions(self) -> None:
         law, limits = self._parameters.law, self._briefing.limits
+        if law == POLICY and self._policy is None:
+            raise ScenarioError(
+                f"law.name = 'policy': needs a policy, given to the UAV as {UAV_POLICY_FORMS}"
+            )
         if law == WEIGHTED:
             if self._weighting is None:
                 raise ScenarioError(
@@ -266,10 +283,15 @@ class UavPilot:
             self._fly(observation.law)
         wanted = None if self._inner is None else self._inner(observation)
         verdict: Verdict | None = None
-        if wanted is not None and self.filter is not None:
+        if wanted is not None:
             acted = self._take(observation, PERCEIVE)
-            verdict = self.filter.filter(observation, wanted)
-            acceleration = verdict.acceleration
+        elif self._policy is not None and self._flies_policy:
+            acted = self._take(observation, PERCEIVE)
+            estimate = TargetEstimate(acted[1], acted[2], acted[3], acted[5])
+            wanted = self._policy.acceleration(observation, estimate, self.coverage)
+        if wanted is not None:
+            verdict = None if self.filter is None else self.filter.filter(observation, wanted)
+            acceleration = wanted if verdict is None else verdict.acceleration
         else:
             own, part = _NOTHING_OWN, BOTH
             if self._asks:
@@ -312,6 +334,8 @@ class UavPilot:
         if parts & PERCEIVE:
             if observation.ground:
                 self.teller.note(observation.ground)
+            if self._policy is not None:
+                self._policy.perceive(observation)
             estimator.get_ready(tick)
             self._tick = tick
         looked = 0 if before is None else tick - before

@@ -54,6 +54,8 @@ class LawRow:
     """True if it ever turns back to the UGV."""
     own: str = ""
     """The field of `[custom]` that names the function of the user's own which it needs."""
+    inner: str = ""
+    """The field of `[custom]` whose policy flies in its place inside the safety filter, where one is named."""
     watched: bool = False
     """True if the safety filter stands behind it."""
     color: str
@@ -130,8 +132,9 @@ LAWS = _table(
     LawRow(
         name="certified",
         code=8,
-        about="logarithmic, with the safety filter behind it",
+        about="logarithmic, or a policy of your own (--uav-policy), with the safety filter behind it",
         covers=True,
+        inner="uav_policy",
         watched=True,
         color="#d39b00",
         mark="P",
@@ -144,6 +147,15 @@ LAWS = _table(
         watched=True,
         color="#c0392b",
         mark="X",
+    ),
+    LawRow(
+        name="policy",
+        code=10,
+        about="a policy of your own (--uav-policy) alone, without the safety filter",
+        needs_radius=False,
+        own="uav_policy",
+        color="#6b4a8f",
+        mark="*",
     ),
 )
 """The laws by name, in the order in which tables and reports list them."""
@@ -303,9 +315,26 @@ SAVED_POLICIES = _table(
     SavedPolicyRow(name="fmu", form="FILE.fmu", load="outrider.bridges.fmi.driver:FmuPolicy"),
 )
 """The libraries by name."""
-_FORMS = [f"{row.name}:{row.form}" for row in SAVED_POLICIES.values()]
-POLICY_FORMS = f"module:function, {', '.join(_FORMS[:-1])} or {_FORMS[-1]}"
-"""The forms of a policy, for help texts and errors."""
+UAV_POLICIES = _table(
+    SavedPolicyRow(
+        name="npz", form="FILE.npz", load="outrider.learning.learned:load_learned_policy"
+    ),
+    SavedPolicyRow(
+        name="sb3", form="ALGORITHM:FILE.zip", load="outrider.learning.saved:load_sb3_policy"
+    ),
+)
+"""The libraries whose saved policies can fly a UAV, by name."""
+
+
+def _forms(rows: Mapping[str, SavedPolicyRow]) -> str:
+    *others, last = (f"{row.name}:{row.form}" for row in rows.values())
+    return f"module:function, {', '.join(others)} or {last}"
+
+
+POLICY_FORMS = _forms(SAVED_POLICIES)
+"""The forms of a UGV's policy, for help texts and errors."""
+UAV_POLICY_FORMS = _forms(UAV_POLICIES)
+"""The forms of a UAV's policy, likewise."""
 
 
 def described(rows: Mapping[str, LawRow] | Mapping[str, DriverRow]) -> str:

@@ -240,7 +240,7 @@ def test_what_is_true_of_an_ended_episode_can_be_had_after_the_next_has_begun() 
     assert lost >= 8
 
 
-def test_wrappers_of_other_libraries_find_the_mode_and_random_numbers() -> None:
+def test_other_libraries_find_the_mode_and_random_numbers() -> None:
     env = outrider.vector_env(SCENARIO, num_envs=2)
     layers = [env, ActionRepeat(env, 2), normalized(env), outrider.parallel_vector_env(num_envs=1)]
     assert {layer.autoreset_mode for layer in layers} == {AutoresetMode.SAME_STEP}

@@ -80,7 +80,7 @@ def test_a_uav_too_weak_for_the_radius_is_refused(r_v, v_a, v_g, u_a, r_s) -> No
 def test_only_laws_that_use_the_switching_radius_ask_for_it(law: str) -> None:
     weak = escort(law, uav=Uav(position=HERE, max_acceleration=0.05))
     refused = bool(list(switching_radius_is_positive(weak)))
-    assert refused is (law not in {"tracking", "coverage"})
+    assert refused is (law not in {"tracking", "coverage", "policy"})
     if not refused:
         assert parameters(weak).r_s < 0.0
     else:

@@ -10,6 +10,7 @@ import warnings
 from typing import ClassVar
 
 import gymnasium
+import msgspec
 import numpy as np
 import pytest
 import torch
@@ -34,12 +35,21 @@ from stable_baselines3.common.vec_env import (
 from worlds import equal
 
 import outrider
+from bus.errors import ScenarioError
 from outrider.envs.wrappers import VectorObservations, history, normalized
+from outrider.experiments.suite.scoring import evaluate
+from outrider.experiments.suite.tasks import TASKS
 from outrider.learning.learned import LearnedPolicy
 from outrider.learning.mlp import load_policy
+from outrider.learning.recipe import observation_recipe
 from outrider.learning.repeat import ActionRepeat
+from outrider.learning.saved import save_sb3_policy
 from outrider.learning.sb3 import VecEnvAdapter
+from outrider.running.flying import fly
+from outrider.running.user_code import check_own_functions, load_uav_policy
 from sim.env.observation import one_of_world
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Custom
 
 EXAMPLE = EXAMPLES / "train_uav.py"
 OUTWARDS = np.array([0.3, 0.1])
@@ -392,3 +402,74 @@ def test_gymnasium_films_the_worlds_of_a_vector_environment(tmp_path):
         env.step(np.zeros((3, 2)))
     env.close()
     assert len(list(tmp_path.glob("*.mp4"))) >= 2
+
+
+SCENARIO = "escort"
+
+
+def _trained(make, tmp_path, **settings):
+    """A model that has learned a little in these wrappers, saved with what it observes."""
+    env = make(outrider.vector_env(SCENARIO, num_envs=2, duration=5.0, **settings))
+    env.reset()
+    model = PPO("MlpPolicy", env, n_steps=40, batch_size=40, n_epochs=1, seed=2, device="cpu")
+    model.learn(320)
+    save_sb3_policy(model, tmp_path / "model.zip")
+    return model, f"sb3:ppo:{tmp_path / 'model.zip'}"
+
+
+SAVED = {
+    "rows": VecEnvAdapter,
+    "normalized": lambda env: VecMonitor(VecEnvAdapter(history(normalized(env), 2))),
+    "running": lambda env: VecNormalize(VecEnvAdapter(ActionRepeat(env, 5))),
+}
+
+
+@pytest.mark.parametrize("kind", SAVED)
+@pytest.mark.parametrize("law", ["certified", "policy"])
+def test_what_was_learned_flies_a_run_on_what_it_was_trained_on(kind, law, tmp_path):
+    model, name = _trained(SAVED[kind], tmp_path, estimate=True, safety_filter=law == "certified")
+    changes = {"law.name": law, "custom.uav_policy": name, "duration": 5.0, "links.profile": "wifi"}
+    scenario = load_scenario(SCENARIO, overrides=changes)
+    assert check_own_functions(scenario) == ()
+    flight, _ = fly(scenario, 4)
+    # the same model in its own wrappers
+    plain = msgspec.structs.replace(scenario, custom=Custom(), law=load_scenario().law)
+    env = SAVED[kind](
+        outrider.vector_env(
+            plain,
+            num_envs=1,
+            estimate=True,
+            safety_filter=law == "certified",
+            end_on_sight_lost=False,
+        )
+    )
+    if kind == "running":
+        env.obs_rms, env.training = model.get_env().obs_rms, False
+    env.seed(4)
+    seen = env.reset()
+    worlds = env.unwrapped.env.unwrapped.worlds
+    for k in range(0, 95, 5 if kind == "running" else 1):
+        truth = worlds.loop.state.batch.truth.position[0]
+        np.testing.assert_allclose(truth, flight.recorder.states[k, :, :2], atol=1e-6)
+        seen, *_ = env.step(model.predict(seen, deterministic=True)[0])
+
+
+def test_a_model_of_plain_rows_flies_and_a_normalized_one_does_not(tmp_path):
+    model = PPO("MlpPolicy", ESCORT, n_steps=8, batch_size=8, device="cpu")
+    model.save(tmp_path / "plain.zip")
+    assert observation_recipe(model.get_env()).layers == ()
+    name = f"sb3:ppo:{tmp_path / 'plain.zip'}"
+    changes = {"custom.uav_policy": name, "duration": 2.0}
+    assert fly(load_scenario(SCENARIO, overrides=changes), 1)[1].ticks == 40
+    (task,) = (one for one in TASKS if one.name == "short-sight")
+    assert evaluate(task, load_uav_policy(name), seeds=[9000], safety_filter=True).score > 0.0
+    _, name = _trained(SAVED["normalized"], tmp_path)
+    (tmp_path / "model.json").unlink()
+    with pytest.raises(ScenarioError, match=r"shape \(18,\) that are not the UAV's row"):
+        load_uav_policy(name)
+    _, name = _trained(SAVED["normalized"], tmp_path)
+    told = json.loads((tmp_path / "model.json").read_text())
+    told["layers"] = told["layers"][:1]
+    (tmp_path / "model.json").write_text(json.dumps(told))
+    with pytest.raises(ScenarioError, match=r"made for observations of shape \(18,\)"):
+        load_uav_policy(name)

@@ -43,6 +43,7 @@ WEIGHTED = LAWS["weighted"].code
 PATH = LAWS["path"].code
 CERTIFIED = LAWS["certified"].code
 LOOKAHEAD = LAWS["lookahead"].code
+POLICY = LAWS["policy"].code
 WATCHED = frozenset(row.code for row in LAWS.values() if row.watched)
 """Codes of the laws that the safety filter stands behind."""
 
@@ -273,6 +274,8 @@ def weights(law: LawParameters, own: OwnTerms, distance: float) -> tuple[float, 
     if law.law == COVERAGE:
         return 0.0, 1.0
     if law.law == TRACKING or law.law == CIRCLE or law.law == PATH or law.law == LOOKAHEAD:
+        return 1.0, 0.0
+    if law.law == POLICY:  # the pilot asks it instead
         return 1.0, 0.0
     return math.nan, math.nan  # a row without its branch
 

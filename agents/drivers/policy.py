@@ -3,15 +3,15 @@
 import inspect
 import logging
 import math
-import time
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from agents.asking import LARGEST, AskedPolicy, pair
 from agents.drivers.compiled import take_ground, told_ground
-from agents.drivers.steering import LARGEST, Steering
-from bus.errors import ScenarioError, shortened, told_with_place
+from agents.drivers.steering import Steering
+from bus.errors import ScenarioError
 from bus.layout import Row, UgvRow
 from bus.messages import UgvBriefing, UgvObservation
 from sim.models.ground import TileArray, tile_patches
@@ -42,20 +42,6 @@ Policy = Callable[[UgvObservation, UgvBriefing], object] | RowPolicy
 """A function: what a UGV perceives and was told in, its acceleration x and y [m/s²] out, as a pair, a list or an array
 of two numbers. Or an object that predicts it from a row.
 """
-
-
-def _pair(answer: object) -> tuple[float, float] | None:
-    """Two finite numbers; None where the answer is anything else."""
-    try:
-        array = np.asarray(answer)
-        if array.shape != (2,) or array.dtype.kind not in "fiu":
-            return None
-        # A long double may be too large: it is infinite then, and refused.
-        with np.errstate(over="ignore"):
-            x, y = array.astype(np.float64).tolist()
-    except Exception:  # noqa: BLE001 - what turns an answer into an array is the policy's own code, as a tensor's
-        return None
-    return (x, y) if math.isfinite(x) and math.isfinite(y) else None
 
 
 class UgvRows:
@@ -140,7 +126,7 @@ class _Predictor:
         }
         self._start = False
         answer = self._predict(seen, **{name: told[name] for name in told.keys() & self._known})
-        if isinstance(answer, tuple) and len(answer) == 2 and _pair(answer) is None:
+        if isinstance(answer, tuple) and len(answer) == 2 and pair(answer) is None:
             answer, self._state = answer
         return answer
 
@@ -170,12 +156,13 @@ class PolicyDriver:
         self._briefing = briefing
         self._steering = Steering(briefing)
         self._sees_rows = isinstance(policy, RowPolicy)
+        field = f"policy = {name!r}"
         try:
-            self._policy = _Predictor(policy, briefing) if isinstance(policy, RowPolicy) else policy
+            asked = _Predictor(policy, briefing) if isinstance(policy, RowPolicy) else policy
         except ScenarioError as error:
-            raise ScenarioError(f"policy = {name!r}: {error}") from error
-        self._name = name
-        self._warm = self._slow = self._long = False
+            raise ScenarioError(f"{field}: {error}") from error
+        self._asked = AskedPolicy(asked, field, self._steering.dt)
+        self._long = False
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """The acceleration [m/s²] for this observation.
@@ -184,27 +171,18 @@ class PolicyDriver:
             ScenarioError: If the policy raises, or answers anything but two finite numbers; one line with its
                 name, the tick and the answer.
         """
-        where = f"policy = {self._name!r}: tick {observation.tick}"
-        begun = time.perf_counter()
-        try:
-            answer = self._policy(observation, self._briefing)
-        except ScenarioError as error:
-            raise ScenarioError(f"{where}: {error}") from error
-        except Exception as error:
-            raise ScenarioError(f"{where}: raised {shortened(told_with_place(error))}") from error
-        self._mind_time(where, time.perf_counter() - begun)
-        pair = _pair(answer)
-        if pair is None or (self._sees_rows and max(map(abs, pair)) > LARGEST):
-            raise ScenarioError(
-                f"{where}: returned {shortened(repr(answer), 80)}; allowed: two finite numbers, the acceleration x "
-                "and y [m/s²]"
-            )
+        tick = observation.tick
+        answer = self._asked.answer(tick, observation, self._briefing)
+        found = pair(answer)
+        if found is None or (self._sees_rows and max(map(abs, found)) > LARGEST):
+            allowed = "two finite numbers, the acceleration x and y [m/s²]"
+            raise self._asked.nonsense(tick, answer, allowed)
         if self._sees_rows:
-            return pair
-        self._check_bound(where, math.hypot(*pair))
-        return self._steering.within(observation, pair)
+            return found
+        self._check_bound(tick, math.hypot(*found))
+        return self._steering.within(observation, found)
 
-    def _check_bound(self, where: str, size: float) -> None:
+    def _check_bound(self, tick: int, size: float) -> None:
         """Say once that an answer is longer than the UGV can accelerate: its units may be wrong."""
         bound = self._steering.u_max
         if not self._long and size > bound * (1.0 + _ROUNDING):
@@ -212,20 +190,7 @@ class PolicyDriver:
             _LOG.warning(
                 "%s: returned %.4g m/s², longer than the UGV's bound %.4g m/s², to which it is shortened; "
                 "more of these are not told",
-                where,
+                self._asked.where(tick),
                 size,
                 bound,
             )
-
-    def _mind_time(self, where: str, seconds: float) -> None:
-        """Say once that the policy is too slow for a clock; its first answer may take as long as it likes."""
-        if self._warm and not self._slow and seconds > self._steering.dt:
-            self._slow = True
-            _LOG.warning(
-                "%s: took %.2f s to answer, longer than a tick of %g s: lockstep waits for it, in real time it "
-                "comes too late",
-                where,
-                seconds,
-                self._steering.dt,
-            )
-        self._warm = True

@@ -1,12 +1,10 @@
 """The wheel that every driver turns: a velocity, a goal or a halt, always within the UGV's bounds."""
 
+from agents.asking import LARGEST
 from agents.drivers.waypoints import goal_control
 from bus.messages import UgvBriefing, UgvObservation, or_infinite
 from sim.kernels.compile import compiled
 from sim.models.vehicles import Motion, brake, clip_norm, norm
-
-LARGEST = 1e6
-"""No message carries a larger component [m/s], [m/s²]: the bound of a UGV that has none."""
 
 
 @compiled

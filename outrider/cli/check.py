@@ -20,6 +20,7 @@ def command(
     weighting: options.Weighting = "",
     path: options.VirtualPath = "",
     policy: options.PolicyName = "",
+    uav_policy: options.UavPolicyName = "",
     network: options.NetworkName = "",
     allow_code: options.AllowCode = False,
     json: options.Json = False,
@@ -40,9 +41,18 @@ def command(
     from sim.scenario.checks import scenario_warnings
     from sim.scenario.types import NO_UAV
 
-    own = {"weighting": weighting, "path": path, "policy": policy, "network": network}
     scenario, overrides = options.scenario_of(
-        file, seed=seed, duration=duration, law=law, driver=driver, changes=changes, **own
+        file,
+        seed=seed,
+        duration=duration,
+        law=law,
+        driver=driver,
+        changes=changes,
+        weighting=weighting,
+        path=path,
+        policy=policy,
+        uav_policy=uav_policy,
+        network=network,
     )
     foreign = () if allow_code else foreign_code(scenario, overrides)
     warnings = [

@@ -14,7 +14,16 @@ from bus.errors import AccessDenied, ScenarioError
 from bus.keys import OPERATOR_NAME, Party, Role, check_run_name
 from bus.locator import check_endpoint
 from bus.profiles import PROFILES
-from bus.registry import DRIVERS, LAWS, POLICY_FORMS, SAVED_POLICIES, DriverRow, LawRow, described
+from bus.registry import (
+    DRIVERS,
+    LAWS,
+    POLICY_FORMS,
+    SAVED_POLICIES,
+    UAV_POLICY_FORMS,
+    DriverRow,
+    LawRow,
+    described,
+)
 
 if TYPE_CHECKING:
     from agents.process import MakePilot
@@ -73,6 +82,14 @@ PolicyName = Annotated[
     typer.Option(
         "--policy",
         help=f"For the driver `policy`: {POLICY_FORMS}; or module:object with a method predict.",
+    ),
+]
+UavPolicyName = Annotated[
+    str,
+    typer.Option(
+        "--uav-policy",
+        metavar="POLICY",
+        help=f"For the laws `certified` (inside the safety filter) and `policy` (without it): {UAV_POLICY_FORMS}.",
     ),
 ]
 NetworkName = Annotated[
@@ -216,6 +233,7 @@ def scenario_of(
     weighting: str = "",
     path: str = "",
     policy: str = "",
+    uav_policy: str = "",
     network: str = "",
 ) -> "tuple[Scenario, list[str]]":
     """The scenario that the options ask for, and the same options as `--set` arguments for another process.
@@ -227,18 +245,18 @@ def scenario_of(
     from sim.scenario.loading import load_scenario
 
     overrides = list(changes or ())
-    own = {"weighting": weighting, "path": path, "policy": policy}
-    if any(own.values()):
-        plain = load_scenario(name, overrides=overrides)
-        law = _user_of(own, "law", LAWS, law, {plain.law.name})
-        driver = _user_of(own, "driver", DRIVERS, driver, {ugv.driver for ugv in plain.ugv})
-    quoted = {
-        "law.name": law,
+    custom = {
         "custom.weighting": weighting,
         "custom.path": path,
         "custom.policy": policy,
-        "links.profile": network,
+        "custom.uav_policy": uav_policy,
     }
+    own = {key.removeprefix("custom."): value for key, value in custom.items() if value}
+    if own:
+        plain = load_scenario(name, overrides=overrides)
+        law = _user_of(own, "law", LAWS, law, {plain.law.name})
+        driver = _user_of(own, "driver", DRIVERS, driver, {ugv.driver for ugv in plain.ugv})
+    quoted = {"law.name": law, **custom, "links.profile": network}
     overrides += [f'{key}="{_plain(key, value)}"' for key, value in quoted.items() if value]
     if duration is not None:
         overrides.append(f"duration={duration!r}")
@@ -248,7 +266,12 @@ def scenario_of(
         count = len(load_scenario(name, overrides=overrides).ugv)
         overrides += [f'ugv.{k}.driver="{_plain("driver", driver)}"' for k in range(count)]
     found = load_scenario(name, overrides=overrides)
-    for option, value in (("law", law), ("weighting", weighting), ("path", path)):
+    for option, value in (
+        ("law", law),
+        ("weighting", weighting),
+        ("path", path),
+        ("uav-policy", uav_policy),
+    ):
         if value and not found.uav:
             raise ScenarioError(
                 f"--{option} {value}: {found.name} has no UAV that could fly it; allowed: none"
@@ -275,25 +298,34 @@ def _user_of(
     Raises:
         ScenarioError: If another is chosen.
     """
-    users = {row.own: row.name for row in rows.values() if row.own and own.get(row.own)}
+    users: dict[str, list[str]] = {}
+    for row in rows.values():
+        for field in (row.own, row.inner if isinstance(row, LawRow) else ""):
+            if field and own.get(field):
+                users.setdefault(field, []).append(row.name)
     if len(users) > 1:
-        raise ScenarioError(f"{' and '.join(f'--{option}' for option in users)}: only one can fly")
-    for option, user in users.items():
-        if chosen not in (None, user):
+        options = " and ".join(f"--{field.replace('_', '-')}" for field in users)
+        raise ScenarioError(f"{options}: only one can fly")
+    for field, names in users.items():
+        option = f"--{field.replace('_', '-')} {own[field]}"
+        if chosen not in (None, *names):
             raise ScenarioError(
-                f"--{option} {own[option]}: is for --{kind} {user}, not for --{kind} {chosen}"
+                f"{option}: is for --{kind} {' or '.join(names)}, not for --{kind} {chosen}"
             )
-        if chosen is None and user not in flown:
+        if chosen is None and not flown & set(names):
             from outrider.cli.console import ERR
 
-            ERR.tell(f"--{option} {own[option]}: so the {kind} is {user}")
-            return user
+            others = "".join(f"; --{kind} {name}: {rows[name].about}" for name in names[1:])
+            ERR.tell(f"{option}: so the {kind} is {names[0]}{others}")
+            return names[0]
     return chosen
 
 
 def _plain(field: str, value: str) -> str:
     # a saved policy: any path that TOML's quotes hold
-    a_file = field == "custom.policy" or value.partition(":")[0] in SAVED_POLICIES
+    a_file = (
+        field in ("custom.policy", "custom.uav_policy") or value.partition(":")[0] in SAVED_POLICIES
+    )
     if not re.fullmatch(r"[^\"\\\x00-\x1f\x7f]+" if a_file else r"[A-Za-z0-9_.:-]+", value):
         allowed = (
             "no quotes, backslashes and control characters"

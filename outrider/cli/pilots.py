@@ -18,6 +18,7 @@ def uav(
     join_timeout: options.JoinTimeout = 30.0,
     weighting: options.Weighting = "",
     path: options.VirtualPath = "",
+    uav_policy: options.UavPolicyName = "",
     watchdog: options.Watchdog = False,
 ) -> None:
     """Fly one UAV of a run, in a process of its own.
@@ -35,6 +36,8 @@ def uav(
     maker = uav_maker(
         weighting=load_function(weighting, what="weighting"),
         path=load_function(path, what="path"),
+        policy=load_function(uav_policy, what="uav_policy"),
+        policy_name=uav_policy,
     )
     joining.fly(maker)
 

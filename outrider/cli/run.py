@@ -34,6 +34,7 @@ def command(
     weighting: options.Weighting = "",
     path: options.VirtualPath = "",
     policy: options.PolicyName = "",
+    uav_policy: options.UavPolicyName = "",
     network: options.NetworkName = "",
     allow_code: options.AllowCode = False,
     in_process: Annotated[
@@ -114,9 +115,18 @@ def command(
         from outrider.view.output import default_folder, making, write_summary
         from sim.scenario.checks import scenario_warnings
 
-        own = {"weighting": weighting, "path": path, "policy": policy, "network": network}
         flown, overrides = options.scenario_of(
-            scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, **own
+            scenario,
+            seed=seed,
+            duration=duration,
+            law=law,
+            driver=driver,
+            changes=changes,
+            weighting=weighting,
+            path=path,
+            policy=policy,
+            uav_policy=uav_policy,
+            network=network,
         )
         strangers = any(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
         _check_processes(flown, 0 if in_process else allow_processes)

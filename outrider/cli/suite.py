@@ -5,18 +5,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bus.errors import OutriderError, ScenarioError, told_with_place
+from bus.registry import UAV_POLICY_FORMS
 from outrider.cli.options import Json, Secret
 from outrider.cli.standard_output import print_text
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
     from rich.text import Text
 
-    from outrider.envs.vector import BatchPolicy
+    from agents.control.uav_policy import UavPolicy
     from outrider.experiments.suite.board import Leaderboard, Standing
     from outrider.experiments.suite.scoring import Entry, Result
     from outrider.experiments.suite.tasks import Suite
     from sim.env.observation import AgentObservation
+    from sim.scenario.types import Scenario
 
 
 def command(
@@ -32,9 +33,9 @@ def command(
         list[str] | None,
         typer.Option(
             "--uav-policy",
-            metavar="MODULE:FUNCTION",
-            help="A policy of your own: a UAV's observations in all worlds in, its accelerations out, shape "
-            "(worlds, 2); may be repeated.",
+            metavar="POLICY",
+            help="A policy of your own, a UAV's observations in all worlds in, its accelerations out, or a saved one, "
+            f"with the observation that it was trained on: {UAV_POLICY_FORMS}; may be repeated.",
         ),
     ] = None,
     name: Annotated[
@@ -132,7 +133,7 @@ def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str,
     from outrider.envs.closed_loop import pilot_names
     from outrider.experiments.suite.board import BASELINES, MISSION_BASELINES
     from outrider.experiments.suite.tasks import NO_ESCORT
-    from outrider.running.user_code import load_function
+    from outrider.running.user_code import load_uav_policy
 
     allowed, baselines = pilot_names(tasks[0].scenario, "uav_0"), BASELINES
     if tasks[0].mission:
@@ -140,24 +141,31 @@ def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str,
     for law in laws:
         if law not in allowed:
             raise ScenarioError(
-                f"law {law!r}: unknown; allowed: {', '.join(allowed)}, or --uav-policy module:function"
+                f"law {law!r}: unknown; allowed: {', '.join(allowed)}, or --uav-policy"
             )
     entries: dict[str, Entry] = {law: law for law in laws or ([] if policies else baselines)}
     for name in policies:
-        found = load_function(name, what="--uav-policy")
-        if found is None:
-            raise ScenarioError("--uav-policy '': names no function; allowed: module:function")
-        entries[name] = _Own(name, found)
+        entries[name] = _Own(name, load_uav_policy(name, what="--uav-policy"))
     return entries
 
 
 class _Own:
     """A policy of the user's own whose errors become one line that names it; a copy of it has a memory of its own."""
 
-    def __init__(self, name: str, policy: "BatchPolicy") -> None:
+    def __init__(self, name: str, policy: "UavPolicy") -> None:
         self._name, self._policy = name, policy
+        self.setup = getattr(policy, "setup", {})
 
-    def __call__(self, seen: "AgentObservation") -> "ArrayLike":
+    def check(self, scenario: "Scenario") -> None:
+        """Refuse a task that it was not made for."""
+        if not hasattr(self._policy, "check"):
+            return
+        try:
+            self._policy.check(scenario)
+        except ValueError as error:
+            raise ScenarioError(f"--uav-policy {self._name}: {error}") from error
+
+    def __call__(self, seen: "AgentObservation") -> Any:  # noqa: ANN401 - what it answers is checked where it flies
         try:
             return self._policy(seen)
         except Exception as error:
@@ -186,7 +194,7 @@ def _fly(
                 **settings,
             )
         except ValueError as error:
-            raise OutriderError(f"a policy's answer cannot be flown: {error}") from error
+            raise OutriderError(f"a policy cannot fly: {error}") from error
 
 
 def _table(board: "Leaderboard") -> Any:  # noqa: ANN401 - rich's

@@ -62,6 +62,8 @@ from sim.kernels.records import records
 from sim.models.randomness import PILOT
 from sim.scenario.types import Scenario
 
+_INNER = {law.code: law.inner for law in LAWS.values() if law.inner}
+"""By the code of a law, the field of `[custom]` whose policy flies in its place."""
 _NO_ACTIONS = np.zeros((0, 0, 2))
 _Memory = TypeVar("_Memory")
 
@@ -390,6 +392,13 @@ class _PilotNumbers:
         never_asked = dict.fromkeys(uavs, "tracking") | dict.fromkeys(ugvs, DEFAULT_DRIVER)
         pilots = {**chosen, **{name: never_asked[name] for name in external}}
         laws = [self._law(one, pilots.get(one.vehicle)) for one in told_uavs]
+        for one, law in zip(told_uavs, laws, strict=True):
+            named = getattr(scenario.custom, _INNER.get(law.law, ""), "")
+            if named and one.vehicle not in pilots:
+                raise ScenarioError(
+                    f"{one.vehicle}: uav_policy = {named!r}: flies in a run, not in many worlds; allowed: no policy, "
+                    "or the policy itself as one of the `others`"
+                )
         promises = [promise_of(one) for one in told_uavs]
         self.laws = records(LawParameters, laws)
         self.longest = max((promise.delay_ticks for promise in promises), default=0)

@@ -54,11 +54,10 @@ from sim.engine.world_state import (
     Told,
 )
 from sim.engine.world_tick import begin_world, measure, truth_of, world_tick
-from sim.env.patch import sample
 from sim.env.rows import UAV, UAV_METRICS, advance_rows, observe_rows
 from sim.kernels.compile import FloatArray, IntArray, inlined, released
 from sim.kernels.prefetch import fetch_disc, fetch_rows
-from sim.models.field import coverage_gradient
+from sim.models.field import coverage_gradient, sample
 from sim.models.randomness import key_of
 from sim.models.vehicles import Motion, norm
 

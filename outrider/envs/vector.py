@@ -104,6 +104,8 @@ class Worlds:
                 f"render_mode = {render_mode!r}; allowed: None, 'rgb_array'; outrider.parallel_env has a window"
             )
         options = completed(BatchSettings, settings, BATCH_DEFAULTS)
+        self.settings = options
+        """All of them, as they are in force."""
         self.num_envs = _checked_count(num_envs)
         self.scenario = given_scenario(scenario, options["duration"])
         names = [vehicle.name for vehicle in self.scenario.vehicles]

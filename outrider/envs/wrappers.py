@@ -134,10 +134,11 @@ class VectorObservations(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes
             raise ValueError(
                 f"{env}: env.metadata['autoreset_mode'] must be a gymnasium.vector.AutoresetMode"
             ) from error
-        self._transformation = make()
-        self.single_observation_space = self._transformation.space(env.single_observation_space)
+        self.transformation = make()
+        """Of the observations of all worlds."""
+        self.single_observation_space = self.transformation.space(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
-        self.single_action_space = self._transformation.action_space(env.single_action_space)
+        self.single_action_space = self.transformation.action_space(env.single_action_space)
         self.action_space = batch_space(self.single_action_space, env.num_envs)
         self._begin_next = self._none
 
@@ -153,11 +154,11 @@ class VectorObservations(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes
         worlds = ~self._none if worlds is None else np.array(worlds, dtype=np.bool_)
         observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]  # they take lists
         self._begin_next = self._begin_next & ~worlds
-        return self._transformation.begin(observations, worlds), infos
+        return self.transformation.begin(observations, worlds), infos
 
     def step(self, actions: Any) -> tuple[AgentObservation, Any, Any, Any, dict[str, Any]]:  # noqa: ANN401 - as the environment's
         """Let all worlds go on by one tick."""
-        own = self._transformation
+        own = self.transformation
         observations, rewards, terminations, truncations, infos = self.env.step(own.action(actions))
         begun = self._begin_next
         if self.autoreset_mode is AutoresetMode.SAME_STEP:

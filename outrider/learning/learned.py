@@ -7,11 +7,24 @@ from typing import Any, Self
 
 import numpy as np
 
+from bus.errors import ScenarioError
 from bus.layout import UavRow
+from bus.messages import UavBriefing, or_infinite
 from outrider.learning.mlp import Mlp, load_policy
 from outrider.learning.policy_inputs import EscortView
+from sim.engine.briefing import uav_briefing
 from sim.env.observation import AgentObservation, Array
 from sim.scenario.types import Scenario
+
+
+def check_made_for(name: str, value: float, made: float) -> None:
+    """Refuse a number that a policy was not made for.
+
+    Raises:
+        ValueError: If it is another.
+    """
+    if not math.isclose(value, made, rel_tol=1e-9, abs_tol=1e-9):
+        raise ValueError(f"{name} = {value:g}: the policy is made for {made:g}")
 
 
 def make_view(recipe: Mapping[str, Any]) -> EscortView:
@@ -94,13 +107,22 @@ class LearnedPolicy:
         Raises:
             ValueError: If ticks are of another length, or a UAV has another largest speed.
         """
-        made = {"dt": self._dt, "max_speed": float(self.recipe["view"]["v_max"])}
         for uav in scenario.uav:
-            for name, value in (("dt", scenario.dt), ("max_speed", uav.max_speed)):
-                if abs(value - made[name]) > 1e-9:
-                    raise ValueError(
-                        f"{scenario.name}: {uav.name}: {name} = {value:g}: the policy is made for {made[name]:g}"
-                    )
+            try:
+                self.fits(uav_briefing(scenario, uav.name, 0))
+            except ValueError as error:
+                raise ValueError(f"{scenario.name}: {uav.name}: {error}") from error
+
+    def fits(self, briefing: UavBriefing) -> tuple[str, ...]:
+        """Refuse a UAV that it was not made for; there are no warnings.
+
+        Raises:
+            ValueError: If ticks are of another length, or the UAV has another largest speed.
+        """
+        v_max = float(self.recipe["view"]["v_max"])
+        check_made_for("dt", briefing.dt, self._dt)
+        check_made_for("max_speed", or_infinite(briefing.limits.max_speed), v_max)
+        return ()
 
     def __call__(self, observation: AgentObservation) -> Array:
         """The acceleration [m/s²] for this tick's observation, of one world (2,) or of all (worlds, 2).
@@ -137,3 +159,15 @@ class LearnedPolicy:
             action = np.clip(self._network(shown), -1.0, 1.0)
             self._held[due] = self._view.action(action)[due]
         return self._held.copy()
+
+
+def load_learned_policy(rest: str, where: str) -> LearnedPolicy:
+    """`FILE.npz`, for `--uav-policy`; `where` is the field and its value, for errors.
+
+    Raises:
+        ScenarioError: If the file is not there, or no such policy.
+    """
+    try:
+        return LearnedPolicy.load(rest)
+    except ValueError as error:
+        raise ScenarioError(f"{where}: {error}") from error

@@ -52,6 +52,7 @@ class EscortView(Transformation):
         scale: float = 5.0,
     ) -> None:
         self._step, self._pixel, self._lag, self._scale = step, pixel, lag, scale
+        self._rings, self._sectors = tuple(rings), sectors
         angles = 2.0 * np.pi * np.arange(sectors) / sectors
         radii = np.repeat(np.asarray(rings, dtype=np.float64), sectors)
         self._points = (
@@ -63,6 +64,18 @@ class EscortView(Transformation):
         self._axis: Array = np.empty((0, 2))
         self._velocity: Array = np.empty((0, 2))
         self._known: Array = np.empty(0)
+
+    def settings(self) -> dict[str, Any]:
+        """The arguments."""
+        return {
+            "step": self._step,
+            "v_max": self._v_max,
+            "pixel": self._pixel,
+            "rings": list(self._rings),
+            "sectors": self._sectors,
+            "lag": self._lag,
+            "scale": self._scale,
+        }
 
     @property
     def size(self) -> int:

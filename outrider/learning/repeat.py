@@ -30,10 +30,11 @@ class ActionRepeat(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes no ar
         if env.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
             raise ValueError(f"{env}: ActionRepeat needs the autoreset mode SAME_STEP")
         try:
-            self._ticks = operator.index(ticks)
+            self.ticks = operator.index(ticks)
+            """Of a step."""
         except TypeError:
-            self._ticks = 0
-        if self._ticks < 1:
+            self.ticks = 0
+        if self.ticks < 1:
             raise ValueError(f"ticks = {ticks!r}; must be a whole number from 1 on")
 
     @property
@@ -47,7 +48,7 @@ class ActionRepeat(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes no ar
         observations, rewards, terminated, truncated, infos = self.env.step(held)
         total, ended = np.array(rewards, dtype=np.float64), np.logical_or(terminated, truncated)
         final = _final(infos)
-        for _ in range(self._ticks - 1):
+        for _ in range(self.ticks - 1):
             if ended.any():
                 held[ended] = 0.0
             observations, rewards, now_terminated, now_truncated, infos = self.env.step(held)

@@ -1,5 +1,6 @@
 """A run in this process: the same world, pilots and loop as over the bus, without a bus."""
 
+import copy
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -41,11 +42,18 @@ def make_pilots(
     weighting = weighting or load_function(scenario.custom.weighting, what="custom.weighting")
     path = path or load_function(scenario.custom.path, what="custom.path")
     policy = load_function(scenario.custom.policy, what="custom.policy")
+    own = load_function(scenario.custom.uav_policy, what="custom.uav_policy")
     pilots: dict[str, UavPilot | UgvPilot] = {}
     for vehicle in scenario.vehicles:
         told = briefing(scenario, vehicle.name, seed, secret)
         if isinstance(told, UavBriefing):
-            pilots[vehicle.name] = UavPilot(told, weighting=weighting, path=path)
+            pilots[vehicle.name] = UavPilot(
+                told,
+                weighting=weighting,
+                path=path,
+                policy=copy.deepcopy(own),  # it remembers a flight
+                policy_name=scenario.custom.uav_policy,
+            )
         else:
             pilots[vehicle.name] = UgvPilot(told, policy=policy, policy_name=scenario.custom.policy)
     return pilots

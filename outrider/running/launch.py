@@ -370,7 +370,11 @@ class _Processes:
     def _start(self, name: str) -> Child:
         custom, is_uav = self._scenario.custom, name in self._uavs
         own = (
-            [("--weighting", custom.weighting), ("--path", custom.path)]
+            [
+                ("--weighting", custom.weighting),
+                ("--path", custom.path),
+                ("--uav-policy", custom.uav_policy),
+            ]
             if is_uav
             else [("--policy", custom.policy)]
         )

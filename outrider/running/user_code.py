@@ -12,11 +12,19 @@ import numpy as np
 from agents.drivers.policy import RowPolicy
 from bus.errors import ScenarioError, shortened, told_with_place
 from bus.layout import Row, UgvRow
-from bus.registry import LAWS, POLICY_FORMS, SAVED_POLICIES, resolve
+from bus.registry import (
+    LAWS,
+    POLICY_FORMS,
+    SAVED_POLICIES,
+    UAV_POLICIES,
+    UAV_POLICY_FORMS,
+    resolve,
+)
 from outrider.running.user_modules import find_object
 from sim.input.faults import one_line
 
 if TYPE_CHECKING:
+    from agents.control.uav_policy import UavPolicy
     from sim.scenario.types import Scenario
 
 _ROW, _ACTION = (len(UgvRow._fields),), (2,)
@@ -40,13 +48,15 @@ def load_function(name: str, *, what: str) -> Callable[..., Any] | None:
     Args:
         name: Where it is.
         what: What it is for, for the error; a `policy` may also be saved, or an object that predicts: see
-            `load_policy`.
+            `load_policy`; so may a `uav_policy`: see `load_uav_policy`.
 
     Raises:
         ScenarioError: If it is not there, or no function.
     """
     if not name:
         return None
+    if what.rpartition(".")[2] == "uav_policy":
+        return load_uav_policy(name, what=what)
     if what.rpartition(".")[2] == "policy":
         policy: Callable[..., Any] = load_policy(name, what=what)
         return policy
@@ -93,6 +103,34 @@ def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a 
     return found
 
 
+def load_uav_policy(name: str, *, what: str = "uav_policy") -> "UavPolicy":
+    """A policy for UAVs: the observations of one UAV in all worlds in, its accelerations out, shape (worlds, 2).
+
+    What a library has saved is loaded with the observation that it was trained on, and may run code that is in the
+    file: load only what you trust.
+
+    Args:
+        name: `module:function`; `npz:FILE.npz` of `outrider.learning.mlp.save_policy`; `sb3:ALGORITHM:FILE.zip` of
+            `outrider.learning.saved.save_sb3_policy`.
+        what: What it is for, for the error.
+
+    Raises:
+        ScenarioError: If it is not there, cannot be loaded, or is none.
+    """
+    kind, separator, rest = name.partition(":")
+    if separator and kind in UAV_POLICIES:
+        _loaded.append(name)
+        saved: UavPolicy = resolve(UAV_POLICIES[kind].load)(rest, f"{what} = {name!r}")
+        return saved
+    if Path(name).suffix in (".npz", ".zip"):
+        raise ScenarioError(f"{what} = {name!r}: of which library? allowed: {UAV_POLICY_FORMS}")
+    found = _named(name, what)
+    if isinstance(found, type) or not callable(found):
+        raise ScenarioError(f"{what} = {name!r}: neither a function nor an object that is called")
+    policy: UavPolicy = found
+    return policy
+
+
 def _library(module: str, package: str, where: str) -> ModuleType:
     try:
         return import_module(module)
@@ -104,9 +142,9 @@ def _library(module: str, package: str, where: str) -> ModuleType:
         raise ScenarioError(f"{where}: {package} cannot be imported: {_reason(error)}") from error
 
 
-def _file(path: str, where: str) -> str:
+def _file(path: str, where: str, forms: str = _FORMS) -> str:
     if not Path(path).is_file():
-        raise ScenarioError(f"{where}: no such file: {path or 'none is named'}; {_FORMS}")
+        raise ScenarioError(f"{where}: no such file: {path or 'none is named'}; {forms}")
     return path
 
 
@@ -151,11 +189,31 @@ def _check_units(row: object, where: str) -> None:
 
 
 def load_sb3(rest: str, where: str) -> RowPolicy:
-    """`ALGORITHM:FILE.zip`, of stable_baselines3 or of sb3_contrib, imported here, and never else."""
+    """`ALGORITHM:FILE.zip`, for a UGV: `load_sb3_model` whose observations and actions are a UGV's."""
+    model: RowPolicy = load_sb3_model(rest, where, _FORMS)
+    row = _row_of(getattr(model, "observation_space", None), where)
+    done = getattr(model, "action_space", None)
+    _check_shapes(getattr(row, "shape", None), getattr(done, "shape", None), where)
+    _check_units(row, where)
+    return model
+
+
+def load_sb3_model(rest: str, where: str, forms: str) -> Any:  # noqa: ANN401 - the library's
+    """`ALGORITHM:FILE.zip`, of stable_baselines3 or of sb3_contrib, imported here, and never else.
+
+    Args:
+        rest: The algorithm and the file.
+        where: Field and value, for errors.
+        forms: The allowed forms, for errors.
+
+    Raises:
+        ScenarioError: If it cannot be loaded.
+    """
     algorithm, separator, path = rest.partition(":")
     if not separator:
-        raise ScenarioError(f"{where}: names no algorithm; {_FORMS}")
-    file, library = _file(path, where), _library("stable_baselines3", "stable-baselines3", where)
+        raise ScenarioError(f"{where}: names no algorithm; {forms}")
+    file = _file(path, where, forms)
+    library = _library("stable_baselines3", "stable-baselines3", where)
     known = _algorithms(library)
     if algorithm.lower() not in known and find_spec("sb3_contrib") is not None:
         known |= _algorithms(_library("sb3_contrib", "sb3-contrib", where))
@@ -165,14 +223,9 @@ def load_sb3(rest: str, where: str) -> RowPolicy:
             f"{where}: unknown algorithm {algorithm!r}; installed: {', '.join(sorted(known))}"
         )
     try:
-        model: RowPolicy = found.load(file, device="cpu")
+        return found.load(file, device="cpu")
     except Exception as error:
         raise ScenarioError(f"{where}: cannot be loaded: {_reason(error)}") from error
-    row = _row_of(getattr(model, "observation_space", None), where)
-    done = getattr(model, "action_space", None)
-    _check_shapes(getattr(row, "shape", None), getattr(done, "shape", None), where)
-    _check_units(row, where)
-    return model
 
 
 def _algorithms(library: ModuleType) -> dict[str, Any]:
@@ -317,15 +370,21 @@ def check_own_functions(scenario: "Scenario") -> tuple[str, ...]:
     if not own_code(scenario):
         return ()
     from agents.control.orbit import check_path  # noqa: PLC0415 - nobody else needs the laws
+    from agents.control.uav_policy import check_fit  # noqa: PLC0415
     from agents.control.visibility import switching_radius  # noqa: PLC0415
     from agents.control.weighting import check_weighting  # noqa: PLC0415
+    from sim.engine.briefing import uav_briefing  # noqa: PLC0415
 
     weighting = load_function(scenario.custom.weighting, what="custom.weighting")
     path = load_function(scenario.custom.path, what="custom.path")
     load_function(scenario.custom.policy, what="custom.policy")
+    own = load_function(scenario.custom.uav_policy, what="custom.uav_policy")
     ugvs = {ugv.name: ugv for ugv in scenario.ugv}
     warnings: list[str] = []
     for uav in scenario.uav:
+        if own is not None:
+            briefing = uav_briefing(scenario, uav.name, 0)
+            warnings += check_fit(briefing, own, scenario.custom.uav_policy)
         r_v, v_g = scenario.visibility.radius, ugvs[uav.escorts].max_speed
         if weighting is not None and LAWS[scenario.law.name].own == "weighting":
             check_weighting(

@@ -25,6 +25,29 @@ def one_of_world(seen: AgentObservation, k: int) -> AgentObservation:
     return {key: array[k] for key, array in seen.items()} if isinstance(seen, dict) else seen[k]
 
 
+def uav_space(
+    extent: dict[str, float],
+    *,
+    estimate: bool,
+    gradient: bool,
+    pixels: int,
+    dtype: type[np.floating],
+) -> spaces.Space[Any]:
+    """The space of a UAV's observation in one world.
+
+    Args:
+        extent: The values of `bus.layout.SYMBOLS`.
+        estimate, gradient, dtype: As in `ObservationFormat`.
+        pixels: On each side of the picture of its map; 0: there is none.
+    """
+    low, high = bounds(UavRow, extent | ({"d_max": math.inf} if estimate else {}))
+    least, largest = bounds(GradientCue, {}) if gradient else ([], [])
+    row = box(low + least, high + largest, dtype)
+    if not pixels:
+        return row
+    return spaces.Dict({"row": row, "coverage": spaces.Box(0.0, 1.0, (pixels, pixels), dtype)})
+
+
 class ObservationFormat:
     """The form of all vehicles' observations in one environment: type, pictures and spaces.
 
@@ -60,14 +83,9 @@ class ObservationFormat:
             row, side = box(*bounds(UgvRow, extent), self.dtype), self.tile_patch
             tiles = spaces.Box(0, OUTSIDE, (side, side), np.uint8)
             return spaces.Dict({"row": row, "tiles": tiles}) if side else row
-        low, high = bounds(UavRow, extent | ({"d_max": math.inf} if self._estimate else {}))
-        least, largest = bounds(GradientCue, {}) if self._gradient else ([], [])
-        row = box(low + least, high + largest, self.dtype)
-        if self.patch is None:
-            return row
-        pixels = self.patch.pixels
-        picture = spaces.Box(0.0, 1.0, (pixels, pixels), self.dtype)
-        return spaces.Dict({"row": row, "coverage": picture})
+        pixels = 0 if self.patch is None else self.patch.pixels
+        cues = {"estimate": self._estimate, "gradient": self._gradient}
+        return uav_space(extent, pixels=pixels, dtype=self.dtype, **cues)
 
     def shown(
         self, row: Row, *, coverage: Array | None = None, known: TileArray | None = None

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.kernels.compile import FloatArray, compiled
-from sim.models.field import accumulate
+from sim.kernels.compile import FloatArray
+from sim.models.field import accumulate, sample
 from sim.world import World
 
 
@@ -50,30 +50,6 @@ def check_tile_patch(side: int) -> int:
     if isinstance(side, bool) or not (1 <= side <= 255 and side % 2 == 1):
         raise ValueError(f"tile_patch = {side!r}; must be an odd whole number from 1 to 255")
     return int(side)
-
-
-@compiled
-def sample(
-    coverage: FloatArray,
-    p_x: float,
-    p_y: float,
-    desired: float,
-    cell: float,
-    scale: float,
-    picture: FloatArray,
-) -> None:
-    """Fill the picture around (p_x, p_y) [m] with min(C / C*, 1) of the cell under each pixel's centre; 1 outside Q."""
-    rows, columns = coverage.shape
-    count = picture.shape[0]
-    middle = 0.5 * (count - 1)
-    for j in range(count):
-        row = np.floor((p_y + (j - middle) * scale) / cell)
-        for i in range(count):
-            column = np.floor((p_x + (i - middle) * scale) / cell)
-            if 0.0 <= row < rows and 0.0 <= column < columns:
-                picture[j, i] = min(coverage[int(row), int(column)] / desired, 1.0)
-            else:
-                picture[j, i] = 1.0
 
 
 class OwnMaps:

@@ -425,3 +425,27 @@ def cover(
     y = (np.arange(rows) + 0.5) * cell
     inside = np.outer((y >= lower[1]) & (y <= upper[1]), (x >= lower[0]) & (x <= upper[0]))
     np.maximum(coverage, value, out=coverage, where=inside)
+
+
+@compiled
+def sample(
+    coverage: FloatArray,
+    p_x: float,
+    p_y: float,
+    desired: float,
+    cell: float,
+    scale: float,
+    picture: FloatArray,
+) -> None:
+    """Fill the picture around (p_x, p_y) [m] with min(C / C*, 1) of the cell under each pixel's centre; 1 outside Q."""
+    rows, columns = coverage.shape
+    count = picture.shape[0]
+    middle = 0.5 * (count - 1)
+    for j in range(count):
+        row = np.floor((p_y + (j - middle) * scale) / cell)
+        for i in range(count):
+            column = np.floor((p_x + (i - middle) * scale) / cell)
+            if 0.0 <= row < rows and 0.0 <= column < columns:
+                picture[j, i] = min(coverage[int(row), int(column)] / desired, 1.0)
+            else:
+                picture[j, i] = 1.0

@@ -1,10 +1,19 @@
 """Refusals of scenarios that cannot be flown, and warnings of those that fly unlike what one may expect."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
 
-from bus.registry import DRIVERS, LAWS, POLICY_FORMS, SAVED_POLICIES, SENSORS
+from bus.registry import (
+    DRIVERS,
+    LAWS,
+    POLICY_FORMS,
+    SAVED_POLICIES,
+    SENSORS,
+    UAV_POLICIES,
+    UAV_POLICY_FORMS,
+    SavedPolicyRow,
+)
 from sim.input.faults import Fault, one_line, unknown_name
 from sim.input.reading import as_raw, typed
 from sim.scenario.ground_checks import GROUND_CHECKS, hazard_warnings
@@ -33,24 +42,31 @@ def _names_a_function(text: str) -> bool:
     return bool(separator) and all(part.isidentifier() for part in (*module.split("."), function))
 
 
-def _names_a_policy(text: str) -> bool:
+def _names_a_policy(text: str, saved: Mapping[str, SavedPolicyRow]) -> bool:
     library, separator, file = text.partition(":")
-    return bool(separator and file) if library in SAVED_POLICIES else _names_a_function(text)
+    return bool(separator and file) if library in saved else _names_a_function(text)
+
+
+_POLICIES = {
+    "policy": (SAVED_POLICIES, POLICY_FORMS),
+    "uav_policy": (UAV_POLICIES, UAV_POLICY_FORMS),
+}
+"""Fields of `[custom]` that may name a saved policy: of which libraries, and the forms for errors."""
 
 
 def own_functions_are_named(scenario: Scenario) -> Iterator[Fault]:
     """A law with a function of the user's own has one, as `module:function`; it is not loaded here."""
-    for field in dict.fromkeys(law.own for law in LAWS.values() if law.own):
+    for field in scenario.custom.__struct_fields__:
         named = getattr(scenario.custom, field)
-        if named and not _names_a_function(named):
+        if field in _POLICIES:
+            saved, forms = _POLICIES[field]
+            if named and not _names_a_policy(named, saved):
+                yield Fault(f"custom.{field}", named, "names no policy", forms)
+        elif named and not _names_a_function(named):
             yield Fault(f"custom.{field}", named, "names no function", "module:function")
-    if scenario.custom.policy and not _names_a_policy(scenario.custom.policy):
-        yield Fault("custom.policy", scenario.custom.policy, "names no policy", POLICY_FORMS)
-    needed = (
-        {f"the law {scenario.law.name!r}": (LAWS[scenario.law.name].own, "module:function")}
-        if scenario.uav
-        else {}
-    )
+    law = LAWS[scenario.law.name]
+    allowed = _POLICIES[law.own][1] if law.own in _POLICIES else "module:function"
+    needed = {f"the law {law.name!r}": (law.own, allowed)} if scenario.uav else {}
     for ugv in scenario.ugv:
         needed[f"the driver {ugv.driver!r}"] = (DRIVERS[ugv.driver].own, POLICY_FORMS)
     for who, (field, allowed) in needed.items():

@@ -275,6 +275,8 @@ class Custom(_Table, frozen=True, kw_only=True):
     """t -> ((x, y), (x'', y'')), relative to the UGV, for the law `path`."""
     policy: Text = ""
     """(observation, briefing) -> (acceleration x, y), for the driver `policy`."""
+    uav_policy: Text = ""
+    """Observations of a batch in, accelerations (worlds, 2) out; for the law `policy`, and inside `certified`."""
 
 
 class _Links(_Table, frozen=True, kw_only=True):

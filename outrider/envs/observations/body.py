@@ -104,6 +104,10 @@ class Egocentric(Transformation):
         self._rest = float(rest)
         self._heading: Array = np.empty((0, 2))
 
+    def settings(self) -> dict[str, Any]:
+        """The speed below which the heading stays."""
+        return {"rest": self._rest}
+
     def space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
         """The row in the vehicle's frame, and the picture as it was."""
         if isinstance(space, spaces.Dict):

@@ -33,6 +33,10 @@ class CoverageImage(Transformation):
         self._axis = channel_axis(channels)
         self._only = only
 
+    def settings(self) -> dict[str, Any]:
+        """The form of the image."""
+        return {"channels": "last" if self._axis == -1 else "first", "only": self._only}
+
     def space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
         """The same dictionary with the image in the picture's place, or the image."""
         picture = space.spaces.get(COVERAGE) if isinstance(space, spaces.Dict) else None

@@ -33,6 +33,10 @@ class Normalized(EachArray):
         check_dtype(dtype)
         self._scale, self._dtype = float(scale), dtype
 
+    def settings(self) -> dict[str, Any]:
+        """Scale and type."""
+        return {"scale": self._scale, "dtype": np.dtype(self._dtype).name}
+
     def _part(self, box: spaces.Box, *, picture: bool) -> Part:
         if box.dtype.kind != "f":
             return _Cast(box, box.dtype.type)

@@ -43,6 +43,15 @@ class History(EachArray):
         self._new_axis = new_axis
         self._first = channel_axis(channels) == -3
 
+    def settings(self) -> dict[str, Any]:
+        """Length, stride, and the form."""
+        return {
+            "length": self._length,
+            "stride": self._stride,
+            "new_axis": self._new_axis,
+            "channels": "first" if self._first else "last",
+        }
+
     def _part(self, box: spaces.Box, *, picture: bool) -> Part:
         axes = len(box.shape)
         if not self._new_axis and not 1 <= axes <= 3:

@@ -28,6 +28,16 @@ class Transformation(ABC):
     One object serves one environment.
     """
 
+    def settings(self) -> dict[str, Any]:
+        """The arguments that make another one like this, as JSON can hold them.
+
+        Raises:
+            ValueError: If there are none: it cannot be saved with a policy.
+        """
+        raise ValueError(
+            f"{type(self).__name__} cannot be saved with a policy: it has no settings()"
+        )
+
     @abstractmethod
     def space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
         """The space of what comes out; to be called once, before anything else.

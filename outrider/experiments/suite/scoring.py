@@ -212,6 +212,22 @@ def result_of(
     )
 
 
+def _with_setup(entry: Entry, settings: dict[str, Any]) -> dict[str, Any]:
+    """The settings, and those that the policy itself says it was trained with.
+
+    Raises:
+        ValueError: If a setting is another than the policy's own: it would observe something else.
+    """
+    policy = entry.uav if isinstance(entry, Team) else entry
+    setup = getattr(policy, "setup", {})
+    for setting, value in settings.items():
+        if setup.get(setting, value) != value:
+            raise ValueError(
+                f"{setting} = {value!r}: the policy is made with {setup[setting]!r}; leave it out"
+            )
+    return {key: value for key, value in setup.items() if key in SETTINGS} | settings
+
+
 def evaluate(
     task: Task,
     entry: Entry,
@@ -237,7 +253,8 @@ def evaluate(
         seeds: Of the episodes.
         secret: Of the random numbers, with each seed: 32 to 128 hexadecimal digits. None: a new one, which nobody
             can have prepared for; empty: none, and the noise of the seeds is known to whoever looks.
-        settings: How a policy sees and acts: `SETTINGS`, as in `outrider.vector_env`.
+        settings: How a policy sees and acts: `SETTINGS`, as in `outrider.vector_env`; where it has a `setup`, as
+            saved policies have, the settings of that.
 
     Raises:
         ValueError: If the law is unknown, a seed, the secret or a setting is not allowed, or the policy answers
@@ -257,6 +274,7 @@ def evaluate(
             raise ValueError(
                 f"{setting}: cannot be set, it belongs to the task; allowed: {', '.join(SETTINGS)}"
             )
+    settings = _with_setup(entry, settings)
     if task.mission:
         from outrider.experiments.suite.missions import evaluate_mission  # noqa: PLC0415 - it stands on this file
 

@@ -1,0 +1,53 @@
+"""Observations scaled by a mean and a variance, as Stable-Baselines3's `VecNormalize` had them when it was saved."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from outrider.envs.observations.transformation import Transformation, the_box
+from sim.env.observation import AgentObservation, Array
+
+
+class Standardized(Transformation):
+    """One array, entry by entry (x - mean) / sqrt(variance + epsilon), cut to ± clip.
+
+    Args:
+        mean: Of each entry.
+        variance: Of each entry.
+        epsilon: Added to the variance.
+        clip: Largest value that comes out.
+    """
+
+    def __init__(
+        self, *, mean: Sequence[float], variance: Sequence[float], epsilon: float, clip: float
+    ) -> None:
+        self._mean, self._variance = np.asarray(mean), np.asarray(variance)
+        self._epsilon, self._clip = epsilon, clip
+
+    def settings(self) -> dict[str, Any]:
+        """The arguments."""
+        return {
+            "mean": self._mean.tolist(),
+            "variance": self._variance.tolist(),
+            "epsilon": self._epsilon,
+            "clip": self._clip,
+        }
+
+    def space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
+        """The box of what comes out."""
+        box = the_box(space, "Standardized")
+        if box.shape != self._mean.shape:
+            raise ValueError(
+                f"Standardized: made for shape {self._mean.shape}, and this is {box.shape}"
+            )
+        return spaces.Box(-self._clip, self._clip, box.shape, np.float32)
+
+    def apply(self, observation: AgentObservation) -> AgentObservation:
+        """The array scaled."""
+        if isinstance(observation, dict):
+            raise ValueError("Standardized takes one array, not a dictionary")
+        scaled = (observation - self._mean) / np.sqrt(self._variance + self._epsilon)
+        shown: Array = np.clip(scaled, -self._clip, self._clip).astype(np.float32)
+        return shown
