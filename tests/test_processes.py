@@ -86,6 +86,17 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_was_flown(tmp_path: Path) -> N
     assert whole.trajectory_sha256 == summary["trajectory_sha256"]
 
 
+@pytest.mark.parametrize("closed", ["1", "0 1", "1 2", "0 1 2"])
+def test_a_run_does_not_need_its_standard_files(closed: str, tmp_path: Path) -> None:
+    """Their numbers are not those of its sockets and pipes then."""
+    closing = " ".join(f"{number}>&-" for number in closed.split())
+    run = words("run escort --duration 1 --no-picture --out")
+    shell = ["sh", "-c", f'exec "$@" {closing}', "sh", *OUTRIDER, *run, tmp_path / "mine"]
+    assert ran(shell, timeout=120).returncode == 0
+    names = sorted(path.name for path in (tmp_path / "mine").iterdir())
+    assert names == words("coverage.npy summary.json trajectory.csv")
+
+
 def _ending(before: str) -> "subprocess.CompletedProcess[str]":
     """The end of a command where this has been run before it."""
     code = f"import atexit, os, signal, sys, threading, time\nfrom outrider.cli.main import main\n{before}\n"

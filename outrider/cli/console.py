@@ -21,7 +21,7 @@ from rich.text import Text
 
 from bus.files import writing
 from bus.messages import LinkStatus
-from outrider.cli.standard_output import STANDARD_OUTPUT, print_text
+from outrider.cli.standard_files import STANDARD_OUTPUT, print_text
 from outrider.running.summary import Summary, in_flights
 from sim.input.faults import one_line
 from sim.kernels.compile import Share, is_compiled

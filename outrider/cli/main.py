@@ -48,7 +48,7 @@ from outrider.cli import (
     sweep,
 )
 from outrider.cli.options import help_without_command
-from outrider.cli.standard_output import print_text
+from outrider.cli.standard_files import open_standard_files, print_text
 from outrider.cli.stopping import leave
 from sim.input.faults import one_line
 
@@ -222,6 +222,7 @@ def run_command_line() -> int:
 
 def main() -> NoReturn:
     """Run the command line, and end this process."""
+    open_standard_files()
     try:
         code = run_command_line()
     except SystemExit as ended:

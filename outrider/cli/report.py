@@ -10,7 +10,7 @@ import typer
 from bus.extras import check_extra
 from bus.files import writing
 from outrider.cli.options import Json
-from outrider.cli.standard_output import print_text
+from outrider.cli.standard_files import print_text
 
 
 def command(

@@ -8,7 +8,7 @@ import typer
 
 from bus.files import writing
 from outrider.cli.options import Json
-from outrider.cli.standard_output import print_text
+from outrider.cli.standard_files import print_text
 
 Name = Annotated[str, typer.Argument(help="A shipped scenario's name.")]
 SCHEMA_FILE = "scenario.schema.json"

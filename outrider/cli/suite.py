@@ -7,7 +7,7 @@ import typer
 from bus.errors import OutriderError, ScenarioError, told_with_place
 from bus.registry import UAV_POLICY_FORMS
 from outrider.cli.options import Json, Secret
-from outrider.cli.standard_output import print_text
+from outrider.cli.standard_files import print_text
 
 if TYPE_CHECKING:
     from rich.text import Text
