@@ -29,7 +29,7 @@ from outrider.recording.reader import statuses
 from outrider.running.flying import fly
 from outrider.running.launch import free_port
 from outrider.running.run_folder import run_folder
-from sim.scenario.loading import load_scenario, scenario_names
+from sim.scenario.loading import load_scenario, scenario_names, shipped_text
 
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
 
@@ -84,6 +84,18 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_was_flown(tmp_path: Path) -> N
     # what was flown is the beginning of the whole flight
     _, whole = fly(load_scenario("escort", overrides=[f"duration={summary['ticks'] * 0.05!r}"]), 7)
     assert whole.trajectory_sha256 == summary["trajectory_sha256"]
+
+
+@pytest.mark.parametrize("name", ["a#b", "a?b", "long" * 25, "a b%20$c[d]{e}"])
+def test_a_run_flies_whatever_its_paths_are(name: str, tmp_path, monkeypatch) -> None:
+    folder = tmp_path / name
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
+    (tmp_path / "-x #%d.toml").write_text(shipped_text("escort"), encoding="utf-8")
+    command = (*words("run --duration 1 --no-files --json --"), "-x #%d.toml")
+    run = outrider(*command, fresh=True, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert not list(folder.iterdir())
 
 
 @pytest.mark.parametrize("closed", ["1", "0 1", "1 2", "0 1 2"])

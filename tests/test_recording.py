@@ -596,12 +596,17 @@ def test_a_film_as_mp4_needs_ffmpeg_and_gives_it_every_frame(flown, tmp_path, mo
     assert "ffmpeg" in refused.stderr
     assert command("render", str(flown[0]), "-o", str(tmp_path / "run.avi")).returncode == 2
     program = tmp_path / "ffmpeg"
-    program.write_text('#!/bin/sh\nfor last; do :; done\n/bin/cat > "$last"\n')
+    # as ffmpeg, which takes what stands before ':' for a protocol
+    program.write_text(
+        "#!/bin/sh\nfor last; do :; done\n"
+        'case "$last" in /*) /bin/cat > "$last" ;; *) echo no such protocol >&2; exit 1 ;; esac\n'
+    )
     program.chmod(0o755)
-    made = command("render", str(flown[0]), "-o", str(tmp_path / "run.mp4"), "--realtime", "200")
+    monkeypatch.chdir(tmp_path)
+    made = command("render", str(flown[0]), "-o", "run:1.mp4", "--realtime", "200")
     assert made.returncode == 0
-    width, height = 800, (tmp_path / "run.mp4").stat().st_size // (800 * 4 * 5)
-    assert (tmp_path / "run.mp4").stat().st_size == width * height * 4 * 5
+    width, height = 800, (tmp_path / "run:1.mp4").stat().st_size // (800 * 4 * 5)
+    assert (tmp_path / "run:1.mp4").stat().st_size == width * height * 4 * 5
     program.write_text("#!/bin/sh\necho no such codec >&2\nexit 1\n")
     failed = command("render", str(flown[0]), "-o", str(tmp_path / "run.mp4"))
     assert failed.returncode == 1

@@ -4,13 +4,11 @@ import json
 import socket
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
-from pathlib import Path
 
 from bus.errors import BusError
 from bus.keys import Party, Role
@@ -19,6 +17,7 @@ from bus.session import open_session
 from outrider.bench.timing import Pair
 from outrider.running.child import outrider_command
 from outrider.running.forking import environment_of
+from outrider.running.run_folder import run_folder
 
 _SECONDS = 300.0
 """Length of each flight [s]: 6,000 ticks, some seconds."""
@@ -49,8 +48,8 @@ def _rate(bridge: Callable[[ExitStack, str], None] | None = None) -> float:
     Raises:
         BusError: If the run fails.
     """
-    with tempfile.TemporaryDirectory(prefix="outrider-beside-") as folder, ExitStack() as stack:
-        endpoint = f"{UNIX}/{Path(folder) / 'bus.sock'}"
+    with run_folder() as folder, ExitStack() as stack:
+        endpoint = f"{UNIX}/{folder / 'bus.sock'}"
         flight = ("simulator", "escort", "--duration", str(_SECONDS), "--json")
         simulator = stack.enter_context(_started(*flight, "--listen", endpoint))
         while not Locator.of(endpoint).listens() and simulator.poll() is None:

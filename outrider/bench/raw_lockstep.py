@@ -6,13 +6,12 @@ Run as a module it is one of the peers, or an exchange whose processes are kept 
 import os
 import subprocess
 import sys
-import tempfile
 import time
-from pathlib import Path
 
 import zenoh
 
 from outrider.running.cores import keep_apart
+from outrider.running.run_folder import run_folder
 
 _APART = "apart"
 
@@ -63,8 +62,8 @@ def ticks_per_second(
         apart: Whether the first has half of the cores for itself, as a run's UAV; this process then stays so.
     """
     names = [f"peer_{k}" for k in range(peers)]
-    with tempfile.TemporaryDirectory(prefix="outrider-") as folder:
-        endpoint = f"unixsock-stream/{Path(folder) / 'raw.sock'}"
+    with run_folder() as folder:
+        endpoint = f"unixsock-stream/{folder / 'raw.sock'}"
         with zenoh.open(_settings("router", endpoint)) as session:
             subscriber = session.declare_subscriber(
                 "raw/*/command", zenoh.handlers.FifoChannel(256)

@@ -310,7 +310,8 @@ class _Processes:
 
         Where the forkserver compiles, it is an interpreter of its own, which compiles the world at the same time.
         """
-        arguments = ["simulator", source, "--listen", self._endpoint, "--run", self._run]
+        file = f"./{source}" if source.startswith("-") else source  # which would be an option
+        arguments = ["simulator", file, "--listen", self._endpoint, "--run", self._run]
         arguments += ["--events", *self._known_as(ROUTER_FILE), *settings]
         arguments += ["--watchdog-folder", str(self._folder)]
         is_own = self._forks is not None and self._forks.is_compiling

@@ -153,7 +153,8 @@ def _write_mp4(frames: Iterator[Picture], out: Path, fps: int) -> None:
     first = next(frames)
     height, width = first.shape[:2]
     raw = ["-f", "rawvideo", "-pix_fmt", "rgba", "-s", f"{width}x{height}", "-r", str(fps)]
-    coded = ["-pix_fmt", "yuv420p", "-movflags", "+faststart", str(out)]
+    # The whole path: ffmpeg takes what begins with '-' for an option, and what stands before ':' for a protocol.
+    coded = ["-pix_fmt", "yuv420p", "-movflags", "+faststart", str(out.absolute())]
     program = shutil.which("ffmpeg") or "ffmpeg"
     with subprocess.Popen(
         [program, "-y", "-loglevel", "error", *raw, "-i", "-", *coded],
