@@ -114,7 +114,7 @@ def test_nobody_steers_a_recording(path: Path) -> None:
     shown(hub)
     assert not tape.control(Control(action=Action.PAUSE))
     assert not tape.drive("ugv_0", Drive(driver="me"))
-    assert not hub.wheel.take(1, "me", "ugv_0", hub.drivers)
+    assert not hub.wheel.take(1, "me", "ugv_0")
 
 
 def test_a_recording_that_was_cut_off_says_so_at_its_end(path: Path, tmp_path: Path) -> None:

@@ -205,6 +205,7 @@ def test_an_option_means_the_same_in_every_command():
                     kind = (option.is_flag, option.multiple, option.metavar)
                     kinds.setdefault(name, {}).setdefault(kind, []).append(found.name)
     assert set(kinds.pop("--out")) == {(False, False, "FOLDER"), (False, False, "FILE")}
+    assert set(kinds.pop("--law")) == {(False, False, None), (False, True, None)}
     one, several = (False, False, "POLICY"), (False, True, "POLICY")  # of a run, of the suite
     assert set(kinds.pop("--uav-policy")) == {one, several}
     assert {name: seen for name, seen in kinds.items() if len(seen) > 1} == {}

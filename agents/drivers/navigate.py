@@ -133,7 +133,7 @@ def hand_over_stops(memory: GroundMemory, tick: int, motions: RecordArray) -> tu
     """Put the motions that the command of this tick carries among those that set out.
 
     Returns:
-        The tick in which the last of them begins, and how many they are.
+        The tick in which the last of them begins (-1: none), and how many they are.
     """
     rows = memory.sent.shape[0]
     last, count = tick + rows - 2, 0
@@ -141,7 +141,7 @@ def hand_over_stops(memory: GroundMemory, tick: int, motions: RecordArray) -> tu
         if memory.sent[begins % rows].begins == begins:
             keep_motion(motions, memory.sent[begins % rows], tick)
             count += 1
-    return last, count
+    return (last if count else -1), count
 
 
 @borrowing

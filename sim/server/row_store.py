@@ -24,23 +24,30 @@ class RowStore:
         """Shape (rows, *shape). Another one after each growth; older ones keep what they have."""
         self._more = rows
         self._file: IO[bytes] | None = None
+        self._disk = True
+        """Whether the disk had room so far; once it was full, all rows stay in memory."""
 
     def grow(self) -> None:
         """Make room for more rows."""
         old, rows = self.array, len(self.array) + self._more
-        size = rows * old[:1].nbytes
-        try:
-            first = self._file is None
-            if self._file is None:
-                self._file = tempfile.TemporaryFile()  # noqa: SIM115 - open for as long as the store lives
-                weakref.finalize(self, self._file.close)
-            if size:
-                os.posix_fallocate(self._file.fileno(), 0, size)
-                content = mmap.mmap(self._file.fileno(), size)
-                self.array = np.ndarray((rows, *old.shape[1:]), np.float64, content)
+        if self._disk and old[:1].nbytes:
+            try:
+                self._grow_in_file(rows)
+            except OSError:  # a full disk: the flight goes on in memory
+                self._disk = False
             else:
-                self.array = np.empty((rows, *old.shape[1:]))
-        except OSError:  # a full disk: the flight goes on in memory
-            first, self.array = True, np.empty((rows, *old.shape[1:]))
+                return
+        self.array = np.empty((rows, *old.shape[1:]))
+        self.array[: len(old)] = old
+
+    def _grow_in_file(self, rows: int) -> None:
+        old, first = self.array, self._file is None
+        if self._file is None:
+            self._file = tempfile.TemporaryFile()  # noqa: SIM115 - open for as long as the store lives
+            weakref.finalize(self, self._file.close)
+        size = rows * old[:1].nbytes
+        os.posix_fallocate(self._file.fileno(), 0, size)
+        content = mmap.mmap(self._file.fileno(), size)
+        self.array = np.ndarray((rows, *old.shape[1:]), np.float64, content)
         if first:
             self.array[: len(old)] = old
