@@ -106,7 +106,7 @@ _NO_INPUTS = [
     Grant("declare_queryable", "ingress", _late(*COMMANDS), "deny"),
     Grant("query", "ingress", _CALLS, "deny"),
 ]
-"""What no party but `INPUT_WRITER` may do, although it may publish all other topics."""
+"""Denied to every party but `INPUT_WRITER`, although it may publish all other topics."""
 
 
 def _of_vehicle(name: str) -> list[Grant]:

@@ -412,7 +412,7 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
 def test_too_many_lines_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr("sim.channel.recorded.MOST_LINES", 5)
     (tmp_path / "trace").write_text("1\n2\n3\n4\n5\n6\n7\n8\n")
-    assert "line 6: too many lines" in refusal(overrides=[f"links.radio.trace={tmp_path}/trace"])
+    assert "more than 5 rows" in refusal(overrides=[f"links.radio.trace={tmp_path}/trace"])
 
 
 @pytest.mark.parametrize(
