@@ -102,7 +102,7 @@ class AutopilotLink:
         self.refused = ""
         """Why its newest telemetry was refused; empty: it was not."""
         self._said: dict[str, float] = {}
-        self._heard = -math.inf
+        self._last_received = -math.inf
         self._down = 0.0
         self._sent = self._beat = -math.inf
         self._told: _Wanted | None = None
@@ -168,7 +168,7 @@ class AutopilotLink:
                 self._refuse(OTHER_AUTOPILOT, f"{kind} of {peer}")
                 self.say(f"refused: {OTHER_AUTOPILOT}", peer)
             return
-        self._heard = time.monotonic()
+        self._last_received = time.monotonic()
         if kind == "HEARTBEAT":
             self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         else:
@@ -178,7 +178,7 @@ class AutopilotLink:
         """Return whether this party is the autopilot: the first one, or the same system at another port."""
         if self.peer is None:
             return True
-        gone = time.monotonic() - self._heard > _LEFT
+        gone = time.monotonic() - self._last_received > _LEFT
         return gone and peer != self.peer and peer.system == self.peer.system
 
     def _refuse(self, cause: str, what: str) -> None:
@@ -187,7 +187,7 @@ class AutopilotLink:
 
     def _meet(self, peer: Peer) -> None:
         """Take a party for the autopilot; we are a computer on board of it."""
-        self.peer, self._heard = peer, time.monotonic()
+        self.peer, self._last_received = peer, time.monotonic()
         ours = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
         self._packer = mavlink.MAVLink(None, srcSystem=peer.system, srcComponent=ours)
         kind, pace = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL

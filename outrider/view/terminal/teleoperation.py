@@ -103,7 +103,7 @@ class Teleoperation:
         # Whether a brake must be sent, and whether the last message was a velocity.
         self._braked = self._moving = False
         self._asked = self._sent = -math.inf  # when the wheel was asked for, a message sent [s]
-        self._deaf = -math.inf  # until when keys do not count [s]
+        self._keys_from = -math.inf  # from when on keys count [s]
         self._error: Exception | None = None
         self.handed_to = ""
         """Returns the driver that is known to have got the wheel back."""
@@ -172,8 +172,8 @@ class Teleoperation:
         self._nudge.set()
 
     def _press(self, heading: Heading, now: float) -> None:
-        if now < self._deaf:
-            self._deaf = max(self._deaf, now + REPEAT)
+        if now < self._keys_from:
+            self._keys_from = max(self._keys_from, now + REPEAT)
         else:
             self._keys.press(heading, now)
 
@@ -287,7 +287,7 @@ class Teleoperation:
         self._keys.release()
         self._taken = self._granted = self._braked = self._moving = False
         self._asked = -math.inf
-        self._deaf = now + FIRST if held else -math.inf
+        self._keys_from = now + FIRST if held else -math.inf
 
     def _last_driver(self) -> str:
         """The driver before an operator who has not handed the wheel back, as far as the status still tells."""
