@@ -46,8 +46,8 @@ def mixed(start: str, end: str, share: float) -> str:
     return "#" + "".join(f"{round(255.0 * part):02x}" for part in parts)
 
 
-def covered(share: float) -> str:
+def covered(share: float, stops: tuple[str, ...] = COVERED) -> str:
     """The colour of ground whose coverage is this share of what is wanted, from 0 to 1."""
-    place = share * (len(COVERED) - 1)
-    k = min(int(place), len(COVERED) - 2)
-    return mixed(COVERED[k], COVERED[k + 1], place - k)
+    place = share * (len(stops) - 1)
+    k = min(int(place), len(stops) - 2)
+    return mixed(stops[k], stops[k + 1], place - k)

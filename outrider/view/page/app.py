@@ -24,7 +24,8 @@ from outrider.view.page.access.headers import Nonces, SecureHeaders
 from outrider.view.page.access.login import Guard
 from outrider.view.page.access.visitors import Visitors
 from outrider.view.page.hub import Browser, Hub
-from outrider.view.page.shell import BuildControls, build_page, colors
+from outrider.view.page.palette import drawn
+from outrider.view.page.shell import BuildControls, build_page
 
 STATIC = Path(__file__).with_name("static")
 
@@ -114,6 +115,7 @@ def application(
         app,
         title="Outrider",
         favicon=STATIC / "favicon.svg",
+        dark=None,
         show_welcome_message=False,
         tailwind=False,
         gzip_middleware_factory=None,  # the page is marked before it is compressed
@@ -145,7 +147,7 @@ async def _send_frames(hub: Hub, browser: Browser, channel: WebSocket) -> None:
     hello = {
         "kind": "hello",
         "number": browser.number,
-        "colors": colors(),
+        "colors": drawn(),
         "steer": hub.source.may_steer,
     }
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):

@@ -34,13 +34,13 @@ _OWN = "own"
 """Shown as the profile where the settings are none's."""
 
 _SLIDERS = (
-    ("delay", "delay", "s", 3.0, 0.05, 30.0, 1.0),
-    ("jitter", "jitter", "s", 1.0, 0.01, 10.0, 1.0),
-    ("loss", "loss", "%", 100.0, 1.0, 100.0, 0.01),
-    ("burst_length", "bursts of", "s", 3.0, 0.05, 1000.0, 1.0),
-    ("burst_interval", "one every", "s", 30.0, 0.5, 1000.0, 1.0),
+    ("delay", "delay", "s", 3.0, 0.05, 30.0, 1.0, "Time that each message takes [s]"),
+    ("jitter", "jitter", "s", 1.0, 0.01, 10.0, 1.0, "Random time in addition to the delay [s]"),
+    ("loss", "loss", "%", 100.0, 1.0, 100.0, 0.01, "Share of messages that are lost [%]"),
+    ("burst_length", "bursts of", "s", 3.0, 0.05, 1000.0, 1.0, "Length of a burst of losses [s]"),
+    ("burst_interval", "one every", "s", 30.0, 0.5, 1000.0, 1.0, "Time between two bursts [s]"),
 )
-"""Field, label, unit, end of the slider, its step, the most that can be typed, and what one unit is in the field."""
+"""Field, label, unit, end of the slider, its step, the most that can be typed, one unit in the field, and meaning."""
 
 
 class LinkForm:
@@ -85,8 +85,9 @@ class LinkForm:
             self._dark = button("Blackout for 5 s", self._blackout, props=red)
             self._length = number(
                 value=5,
-                min=0.1,
-                max=3600,
+                low=0.1,
+                high=3600,
+                meaning="Length of the blackout [s]",
                 step=1,
                 suffix="s",
                 on_change=self._name_blackout,
@@ -99,15 +100,24 @@ class LinkForm:
         self._note.set_visibility(False)
 
     def _slider(
-        self, field: str, label: str, unit: str, end: float, step: float, most: float, one: float
+        self,
+        field: str,
+        label: str,
+        unit: str,
+        end: float,
+        step: float,
+        most: float,
+        one: float,
+        meaning: str,
     ) -> tuple[ui.slider, ui.number, float]:
         with row("slider-row"):
             ui.label(label).classes("slider-label")
             moved = slider(f"{label} [{unit}]", min=0.0, max=end, step=step, value=0.0)
             typed_in = number(
                 value=0,
-                min=0.0,
-                max=most,
+                low=0.0,
+                high=most,
+                meaning=meaning,
                 step=step,
                 suffix=unit,
                 props=f"aria-label='{label}, number [{unit}]'",
@@ -120,7 +130,7 @@ class LinkForm:
                 typed_in.set_value(round(moved.value, 3))
 
         def typed() -> None:
-            if typed_in.value is not None and not self._shows:
+            if typed_in.value is not None and typed_in.error is None and not self._shows:
                 self._set(field, typed_in.value * one)
 
         def released(event: GenericEventArguments) -> None:
@@ -141,6 +151,8 @@ class LinkForm:
         """Other links are chosen: show theirs."""
         if not self._shows:
             self._touched = -math.inf
+            for _, typed_in, _ in self._sliders.values():
+                typed_in.error = None
             self.show()
 
     def _choose(self, event: GenericEventArguments) -> None:
@@ -180,7 +192,7 @@ class LinkForm:
 
     def _blackout(self) -> None:
         hub, length = self._hub, self._length.value
-        if hub is not None and length:
+        if hub is not None and self._length.error is None:
             now = (hub.history.newest[0] if hub.history.newest else 0.0) or 0.0
             now += hub.source.factor * _LEAD
             self._send(
@@ -189,6 +201,9 @@ class LinkForm:
 
     def _send(self, wanted: dict[str, LinkSettings]) -> None:
         if self._hub is None:
+            return
+        if self._hub.status is not None and self._hub.status.over:
+            ui.notify("The run is over: no link can be changed any more.", type="warning")
             return
         self._touch()
         for control in controls_for(wanted, self._names):
@@ -263,5 +278,6 @@ class LinkForm:
         for field, (moved, typed_in, one) in self._sliders.items():
             value = round(getattr(settings, field) / one, 3)
             moved.set_value(min(value, moved.props["max"]))
-            typed_in.set_value(value)
+            if typed_in.error is None:  # what is refused stays to be seen
+                typed_in.set_value(value)
         self._note.set_visibility(differ)

@@ -7,9 +7,19 @@ from typing import Any
 from nicegui import ui
 from nicegui.events import GenericEventArguments
 
+from bus.registry import DRIVERS, LAWS
 from outrider.view.page.controls.links_card import RECORDING, LinkForm
-from outrider.view.page.controls.run_card import choose, factor_of, position_of
-from outrider.view.page.controls.widgets import button, card, number, row, select, slider, ticks
+from outrider.view.page.controls.run_card import HIGHEST_SEED, choose, factor_of, position_of
+from outrider.view.page.controls.widgets import (
+    button,
+    card,
+    number,
+    readout,
+    row,
+    select_row,
+    slider,
+    ticks,
+)
 from outrider.view.page.hub import Hub
 from outrider.view.page.sources.tape import Tape
 
@@ -60,21 +70,30 @@ class Player:
                 value=tape.begin,
             )
             self._at.on("update:model-value", self._seek, throttle=_THROTTLE)
-            self._time = ui.label("").classes("readout wide")
+            self._time = readout("Simulated time that is shown, and the end [s]", classes="wide")
         with row():
             ui.label("speed").classes("muted")
             self._speed = slider(
                 "speed", min=-1.0, max=2.0, step=0.1, value=position_of(tape.speed)
             )
             self._speed.on("update:model-value", self._set_speed, throttle=_THROTTLE)
-            self._factor = ui.label("").classes("readout")
+            self._factor = readout("Simulated seconds per second of wall time")
 
     def _build_settings(self) -> None:
         with row():
-            self._law = select([], "law", props="disable")
-            self._driver = select([], "driver", props="disable")
+            self._law = select_row(LAWS, [], "law", props="disable")
+            self._driver = select_row(DRIVERS, [], "driver", props="disable")
         with row():
-            self._seed = number("seed", props="disable", classes="grow")
+            meaning = "Seed of all random numbers"
+            self._seed = number(
+                "seed",
+                low=0,
+                high=HIGHEST_SEED,
+                meaning=meaning,
+                needed=False,
+                props="disable",
+                classes="grow",
+            )
             button("Reset", icon="restart_alt", props="outline disable", classes="")
         ui.label("Law, driver and seed cannot be changed: this is a recording.").classes("note")
 
@@ -87,7 +106,8 @@ class Player:
             self._tape.play()
 
     def _make_step(self) -> None:
-        self._tape.step(int(self._ticks.value or 1))
+        if self._ticks.error is None:
+            self._tape.step(int(self._ticks.value))
 
     def _seek(self, event: GenericEventArguments) -> None:
         self._touched = time.monotonic()

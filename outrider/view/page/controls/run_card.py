@@ -14,8 +14,9 @@ from outrider.view.page.controls.widgets import (
     card,
     html,
     number,
+    readout,
     row,
-    select,
+    select_row,
     slider,
     ticks,
 )
@@ -24,6 +25,7 @@ from outrider.view.page.hub import Hub
 _PATIENCE = 2.0
 """So long a control shows what was chosen before it shows what is [s]."""
 
+HIGHEST_SEED = 2**53 - 1
 _STICK = """<div id="stick" aria-label="joystick" role="slider" aria-valuetext="centred"><i></i></div>
 <div class="hints">
 <div id="who"></div><div><kbd>&larr;</kbd><kbd>&uarr;</kbd><kbd>&darr;</kbd><kbd>&rarr;</kbd> or
@@ -56,13 +58,19 @@ class Controls:
             self._lockstep.props("dense")
             self._speed = slider("speed", min=-1.0, max=2.0, step=0.1, value=0.0)
             self._speed.on("change", self._set_speed)
-            self._factor = ui.label("").classes("readout")
+            self._factor = readout("Wanted pace: simulated seconds per second of wall time")
             self._factor.bind_text_from(self._speed, "value", lambda x: f"{factor_of(x):g} ×")
             self._speed.bind_enabled_from(self._lockstep, "value", lambda lockstep: not lockstep)
         with row():
-            most = 2**53 - 1
             self._seed = number(
-                "seed", min=0, max=most, precision=0, placeholder="the same", classes="grow"
+                "seed",
+                low=0,
+                high=HIGHEST_SEED,
+                whole=True,
+                needed=False,
+                meaning="Seed of the flight that Reset begins; empty: the same again",
+                placeholder="the same",
+                classes="grow",
             )
             button("Reset", self._reset, icon="restart_alt", classes="")
 
@@ -84,7 +92,7 @@ class Controls:
                 "full speed", min=0.05, max=1.0, step=0.05, value=share, props="color=accent"
             )
             self._full.on("change", self._set_full)
-            self._top = ui.label().classes("readout")
+            self._top = readout("Speed that full deflection asks for")
             self._full.on_value_change(self._show_full)
             self._show_full()
 
@@ -96,13 +104,16 @@ class Controls:
             if not (driver.own or driver.outside or driver.operated)
         ]
         with row():
-            self._law = select(laws, "law", on_change=self._set_law)
-            self._driver = select(drivers, "driver", on_change=self._set_driver)
+            self._law = select_row(LAWS, laws, "law", on_change=self._set_law)
+            self._driver = select_row(DRIVERS, drivers, "driver", on_change=self._set_driver)
 
     # What people want
 
     def _say(self, control: Control) -> None:
         self._touched = time.monotonic()
+        if self._hub.status is not None and self._hub.status.over:
+            ui.notify("The run is over: nothing can be steered any more.", type="warning")
+            return
         if not self._hub.source.control(control):
             ui.notify("That could not be said: the bus does not take it now.", type="negative")
 
@@ -112,7 +123,8 @@ class Controls:
         self._say(Control(action=Action.RESUME if paused else Action.PAUSE))
 
     def _make_step(self) -> None:
-        self._say(Control(action=Action.STEP, ticks=int(self._ticks.value or 1)))
+        if self._ticks.error is None:
+            self._say(Control(action=Action.STEP, ticks=int(self._ticks.value)))
 
     def _set_speed(self) -> None:
         if not self._shows:
@@ -120,6 +132,8 @@ class Controls:
             self._say(Control(action=Action.SPEED, factor=factor))
 
     def _reset(self) -> None:
+        if self._seed.error is not None:
+            return
         self._say(
             Control(
                 action=Action.RESET,
@@ -190,10 +204,9 @@ class Controls:
             "driver": wanted in self._hub.drivers.values(),
         }
         if not (done[what] or status.paused):
-            ui.notify(
-                f"The simulator has refused the {what} {wanted}: the scenario does not allow it.",
-                type="negative",
-            )
+            told = [line for line in status.refusals if f"operator's {what} is refused" in line]
+            why = f": {told[-1].partition('is refused: ')[2]}" if told else " so far"
+            ui.notify(f"The {what} {wanted} has not taken effect{why}.", type="negative")
 
 
 def factor_of(position: float) -> float:

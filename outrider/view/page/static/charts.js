@@ -2,6 +2,8 @@
 
 import { FONT, colorOf, fit, ticks, write } from "./canvas.js";
 
+const LINE = 14; // of the numbers at the cursor [px]
+
 export const CHARTS = [
   { id: "distance", label: "distance ‖p_Δ‖ [m]", column: 0, lines: true },
   { id: "error", label: "coverage error e(t) [m²]", column: 1 },
@@ -47,9 +49,13 @@ export class Charts {
 
   series(chart) {
     const { vehicles, escorts, colors } = this.store;
-    if (chart.column < 0) return [{ at: 1, color: colors.ink }];
+    if (chart.column < 0) return [{ at: 1, color: colors.ink, name: "" }];
     const offset = 2 + 2 * vehicles.length + chart.column;
-    return escorts.map((_, k) => ({ at: offset + PER_ESCORT * k, color: colorOf(colors.uav, k) }));
+    return escorts.map(([uav], k) => ({
+      at: offset + PER_ESCORT * k,
+      color: colorOf(colors.uav, Math.max(0, this.store.uavs.indexOf(uav))),
+      name: escorts.length > 1 ? uav : "",
+    }));
   }
 
   // The largest of a number over all escorts, row by row.
@@ -98,8 +104,8 @@ export class Charts {
     c.font = `12px ${FONT}`;
     if (chart.time) c.fillText("time [s]", left + w / 2, height - 7);
     c.textAlign = "left";
-    const named = write(c, chart.label, left, 9);
-    if (chart.losses) this.drawLosses(c, rows, X, { left: left + named, right: left + w, bottom: top + h });
+    write(c, chart.label, left, 9);
+    if (chart.losses) this.drawLosses(c, rows, X, top + h);
 
     for (const [value, name, dash] of limits) {
       c.strokeStyle = colors.limit;
@@ -128,8 +134,8 @@ export class Charts {
     }
   }
 
-  // A strip below the axis, the darker the more is lost; and what shade and strip mean, where there is room and no cursor.
-  drawLosses(c, rows, X, { left, right, bottom }) {
+  // A strip below the axis, the darker the more is lost.
+  drawLosses(c, rows, X, bottom) {
     const { limit } = this.store.colors;
     const lost = this.worst(LOST);
     c.fillStyle = limit;
@@ -141,16 +147,6 @@ export class Charts {
       c.fillRect(from, bottom + 2, to - from, 4);
     }
     c.globalAlpha = 1;
-    if (this.cursor !== null || right - left < 120) return;
-    c.textAlign = "right";
-    c.font = `11px ${FONT}`;
-    c.fillText("blackout", right, 9);
-    const at = right - c.measureText("blackout").width;
-    c.fillText("lost", at - 26, 9);
-    c.fillRect(at - 26 - c.measureText("lost").width - 15, 7, 12, 5);
-    c.globalAlpha = 0.16;
-    c.fillRect(at - 15, 4, 12, 10);
-    c.globalAlpha = 1;
   }
 
   drawCursor(c, rows, series, { X, Y, left, w, top, h, start, end }) {
@@ -159,23 +155,42 @@ export class Charts {
     let k = rows.findIndex((row) => row[0] >= t);
     if (k < 0) k = rows.length - 1;
     const row = rows[k];
-    c.fillStyle = this.store.colors.muted;
+    const { colors } = this.store;
+    c.fillStyle = colors.muted;
     c.fillRect(X(row[0]) - 0.5, top, 1, h);
-    c.textAlign = "right";
-    c.font = `11px ${FONT}`;
-    let right = left + w;
-    for (const { at, color } of [...series].reverse()) {
-      if (row[at] === null || row[at] === undefined) continue;
-      const text = row[at].toPrecision(4);
+    const found = series.filter(({ at }) => row[at] !== null && row[at] !== undefined);
+    for (const { at, color } of found) {
       c.fillStyle = color;
-      c.fillText(text, right, 9);
-      right -= c.measureText(text).width + 10;
       c.beginPath();
       c.arc(X(row[0]), Y(row[at]), 3, 0, 2 * Math.PI);
       c.fill();
     }
-    c.fillStyle = this.store.colors.muted;
-    c.fillText(`${row[0].toFixed(1)} s:`, right, 9);
+    const lines = [
+      { text: `${row[0].toFixed(1)} s`, color: colors.muted },
+      ...found.map(({ at, color, name }) => ({ text: `${name} ${row[at].toPrecision(4)}`.trim(), color })),
+    ];
+    this.drawNumbers(c, lines, X(row[0]), { left, right: left + w, top });
+  }
+
+  // The numbers at the cursor, in a box on the side that has room.
+  drawNumbers(c, lines, x, { left, right, top }) {
+    const { colors } = this.store;
+    c.font = `11px ${FONT}`;
+    const width = Math.max(...lines.map(({ text }) => c.measureText(text).width)) + 14;
+    const at = x + 8 + width <= right ? x + 8 : Math.max(left, x - 8 - width);
+    c.beginPath();
+    c.roundRect(at, top + 1, width, lines.length * LINE + 5, 5);
+    c.fillStyle = colors.box;
+    c.fill();
+    c.strokeStyle = colors.edge;
+    c.lineWidth = 1;
+    c.stroke();
+    c.textAlign = "left";
+    c.textBaseline = "middle";
+    lines.forEach(({ text, color }, k) => {
+      c.fillStyle = color;
+      c.fillText(text, at + 7, top + 10 + k * LINE);
+    });
   }
 }
 

@@ -1,10 +1,14 @@
-// The map: ground, tracks, vehicles, the limits of sight, and a close-up of the UGV with its estimate.
+// The map: ground, tracks, vehicles with their names, goals, the limits of sight, and a close-up.
 
 import { FONT, colorOf, fit, paint, ticks } from "./canvas.js";
+import { CloseUp } from "./close_up.js";
 import { Hazards } from "./hazards.js";
+import { Labels } from "./labels.js";
+import { colorOfVehicle } from "./legends.js";
 
 const KEPT_DETECTIONS = 40;
 const CLOSEST = 4; // so much ground is shown at least [m]
+const TOUCH = 22; // a hand that points nearer to a vehicle than this means it [px]
 const FOLLOWED = 4.4; // how many r_v are shown around a UGV that is followed
 
 export class Ground {
@@ -13,7 +17,9 @@ export class Ground {
     this.store = store;
     this.image = document.createElement("canvas");
     this.hazards = new Hazards(store);
-    this.corner = 0;
+    this.labels = new Labels();
+    this.map = null;
+    this.closeUp = new CloseUp(this, store);
     this.zoom = 1; // of the ground's whole width
     this.middle = null; // of what is shown [m]; null: of the ground
     this.follows = false;
@@ -59,10 +65,9 @@ export class Ground {
 
   // Left and lower edge of what is shown [m], and how much that is; nothing beyond the ground while that can be helped.
   window(area) {
-    const { truth, ugvs } = this.store;
+    const { truth, selected } = this.store;
     const [width, height] = [area.width / this.zoom, area.height / this.zoom];
-    const chosen = document.getElementById("wheel-vehicle");
-    const vehicle = truth && (truth.vehicles[chosen && chosen.value] || truth.vehicles[ugvs[0]]);
+    const vehicle = truth && truth.vehicles[selected];
     if (this.follows && vehicle) this.middle = vehicle.position;
     const [x, y] = this.middle || [area.width / 2, area.height / 2];
     const within = (low, most) => Math.min(Math.max(low, 0), most);
@@ -71,8 +76,28 @@ export class Ground {
 
   // Take a coverage map.
   takeMap(map) {
+    this.map = map;
     paint(this.image, map, map.cells, this.store.shades);
     this.size = { width: map.columns * map.cell, height: map.rows * map.cell };
+  }
+
+  // The colours have changed.
+  repaint() {
+    if (this.map) this.takeMap(this.map);
+    this.hazards.repaint();
+  }
+
+  // The vehicle at a place of the picture; empty: none is near.
+  vehicleAt(x, y) {
+    const { truth } = this.store;
+    const { view } = this;
+    if (!truth || !view) return "";
+    const far = ({ position }) => Math.hypot(view.X(position[0]) - x, view.Y(position[1]) - y);
+    const [name, distance] = Object.entries(truth.vehicles).reduce(
+      (best, [one, vehicle]) => (far(vehicle) < best[1] ? [one, far(vehicle)] : best),
+      ["", TOUCH],
+    );
+    return distance < TOUCH ? name : "";
   }
 
   area() {
@@ -110,13 +135,15 @@ export class Ground {
     }
     this.hazards.draw(c, view);
     this.drawTracks(c, view);
+    this.drawGoals(c, view);
     this.drawRings(c, view);
     this.drawDetections(c, view, 1.6);
     this.drawEstimates(c, view, 5);
     this.drawVehicles(c, view);
     c.restore();
     this.drawAxes(c, view, small);
-    this.drawCloseUp(c, view);
+    this.closeUp.draw(c, view);
+    this.drawNames(c, view);
   }
 
   // Where the layout leaves the height open, it follows from the area's.
@@ -128,7 +155,7 @@ export class Ground {
 
   drawAxes(c, { X, Y, x0, y0, w, h, left, bottom, width, height }, small) {
     const { colors } = this.store;
-    c.strokeStyle = "#b9bec6";
+    c.strokeStyle = colors.edge;
     c.lineWidth = 1;
     c.strokeRect(x0 + 0.5, y0 - h + 0.5, w - 1, h - 1);
     c.fillStyle = colors.muted;
@@ -159,9 +186,23 @@ export class Ground {
   }
 
   vehicleColor(name) {
-    const { scene, colors } = this.store;
-    const vehicle = scene && scene.vehicles.find((one) => one.name === name);
-    return vehicle ? vehicle.color : colors.muted;
+    return colorOfVehicle(this.store, name);
+  }
+
+  drawGoals(c, { X, Y }) {
+    const { scene } = this.store;
+    for (const { name, goals } of (scene && scene.vehicles) || []) {
+      c.strokeStyle = this.vehicleColor(name);
+      c.lineWidth = 2;
+      c.beginPath();
+      for (const [x, y] of goals) {
+        for (const side of [-1, 1]) {
+          c.moveTo(X(x) - 4.5, Y(y) - 4.5 * side);
+          c.lineTo(X(x) + 4.5, Y(y) + 4.5 * side);
+        }
+      }
+      c.stroke();
+    }
   }
 
   drawTracks(c, { X, Y }) {
@@ -185,9 +226,10 @@ export class Ground {
     const { truth, scene, colors } = this.store;
     if (!truth || !scene || !scene.rings.length) return;
     const at = (name) => truth.vehicles[name] && truth.vehicles[name].position;
-    for (const { around, symbol, radius, color, width, dashed } of scene.rings) {
+    for (const { around, symbol, radius, width, dashed } of scene.rings) {
       const place = at(around);
       if (!place) continue;
+      const color = symbol === "r" ? this.vehicleColor(around) : colors.limit;
       c.strokeStyle = color;
       c.fillStyle = `${color}12`;
       c.lineWidth = 1.1 * width;
@@ -207,26 +249,41 @@ export class Ground {
     }
   }
 
-  drawVehicles(c, { X, Y }) {
+  get several() {
     const { truth } = this.store;
+    return Boolean(truth) && Object.keys(truth.vehicles).length > 2;
+  }
+
+  drawVehicles(c, { X, Y }) {
+    const { truth, selected, colors } = this.store;
     if (!truth) return;
-    const several = Object.keys(truth.vehicles).length > 2;
     for (const [name, { position }] of Object.entries(truth.vehicles)) {
       this.mark(c, X(position[0]), Y(position[1]), 6, name, false);
-      if (several) {
-        c.font = `10px ${FONT}`;
-        c.textAlign = "left";
-        c.fillStyle = this.store.colors.ink;
-        const below = this.store.uavs.includes(name) ? -6 : 14; // a UAV over its UGV leaves both legible
-        c.fillText(name, X(position[0]) + 8, Y(position[1]) + below);
-      }
+      if (!this.several || name !== selected) continue;
+      c.strokeStyle = colors.ink;
+      c.lineWidth = 1.5;
+      c.setLineDash([3, 3]);
+      ring(c, X(position[0]), Y(position[1]), 11);
+      c.setLineDash([]);
     }
+  }
+
+  drawNames(c, { X, Y, x0, y0, w, h }) {
+    const { truth, colors } = this.store;
+    if (!this.several) return;
+    const marks = Object.entries(truth.vehicles).map(([name, { position }]) => ({ name, x: X(position[0]), y: Y(position[1]) }));
+    const tools = this.canvas.parentElement.querySelector(".map-tools");
+    const taken = [{ x: tools.offsetLeft, y: tools.offsetTop, w: tools.offsetWidth, h: tools.offsetHeight }, this.closeUp.place].filter(Boolean);
+    const hidden = ({ x, y }) => taken.some((box) => x > box.x && x < box.x + box.w && y > box.y && y < box.y + box.h);
+    const frame = { x: x0, y: y0 - h, w, h };
+    this.labels.draw(c, marks.filter((one) => !hidden(one)), frame, taken, { ink: colors.ink, halo: colors.halo });
   }
 
   mark(c, x, y, size, name, hollow) {
     const color = this.vehicleColor(name);
-    c.fillStyle = hollow ? "#fff" : color;
-    c.strokeStyle = hollow ? color : "#fff";
+    const { paper } = this.store.colors;
+    c.fillStyle = hollow ? paper : color;
+    c.strokeStyle = hollow ? color : paper;
     c.lineWidth = 1.5;
     c.beginPath();
     if (this.store.uavs.includes(name)) c.arc(x, y, size, 0, 2 * Math.PI);
@@ -250,10 +307,10 @@ export class Ground {
   drawEstimates(c, { X, Y, scale }, size) {
     const { truth, colors } = this.store;
     if (!truth) return;
-    for (const { report } of truth.escorts) {
+    for (const { uav, report } of truth.escorts) {
       if (!report) continue;
       const [x, y] = [X(report.estimate[0]), Y(report.estimate[1])];
-      c.strokeStyle = colorOf(colors.uav, 2);
+      c.strokeStyle = truth.escorts.length > 1 ? this.vehicleColor(uav) : colors.guess;
       c.lineWidth = 1.4;
       ellipse(c, x, y, report.covariance, 2 * scale);
       c.beginPath();
@@ -263,66 +320,6 @@ export class Ground {
       c.lineTo(x, y + size);
       c.stroke();
     }
-  }
-
-  // The first UGV with its estimate, in whichever corner is free; the upper left one has the buttons.
-  drawCloseUp(c, view) {
-    const { truth, colors, now, vehicles } = this.store;
-    const escort = truth && truth.escorts[0];
-    const ugv = escort && truth.vehicles[escort.ugv];
-    if (!ugv || !escort.report) return;
-    const side = Math.max(84, Math.min(150, Math.min(view.w, view.h) * 0.3));
-    const corners = [
-      [view.x0 + view.w - side - 8, view.y0 - view.h + 8],
-      [view.x0 + view.w - side - 8, view.y0 - side - 8],
-      [view.x0 + 8, view.y0 - side - 8],
-    ];
-    const room = ([x, y]) =>
-      Math.min(
-        ...Object.values(truth.vehicles).map(({ position }) =>
-          Math.hypot(view.X(position[0]) - x - side / 2, view.Y(position[1]) - y - side / 2),
-        ),
-      );
-    if (room(corners[this.corner]) < side) this.corner = corners.map(room).reduce((best, r, k, all) => (r > all[best] ? k : best), 0);
-    const [x, y] = corners[this.corner];
-    const off = Math.hypot(escort.report.estimate[0] - ugv.position[0], escort.report.estimate[1] - ugv.position[1]);
-    const wanted = Math.max(0.25, 1.5 * off, 3 * Math.sqrt(Math.max(escort.report.covariance[0], escort.report.covariance[2])));
-    this.reach = [0.25, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000].find((r) => r >= wanted) || wanted;
-    const scale = side / 2 / this.reach;
-    const inner = {
-      X: (px) => x + side / 2 + (px - ugv.position[0]) * scale,
-      Y: (py) => y + side / 2 - (py - ugv.position[1]) * scale,
-      scale,
-    };
-    c.save();
-    c.beginPath();
-    c.roundRect(x, y, side, side, 8);
-    c.fillStyle = "rgba(255,255,255,0.94)";
-    c.fill();
-    c.strokeStyle = "#b9bec6";
-    c.lineWidth = 1;
-    c.stroke();
-    c.clip();
-    const at = 2 + 2 * vehicles.indexOf(escort.ugv);
-    c.strokeStyle = `${this.vehicleColor(escort.ugv)}88`;
-    c.lineWidth = 2;
-    c.beginPath();
-    for (const row of this.store.rows.slice(-200)) c.lineTo(inner.X(row[at]), inner.Y(row[at + 1]));
-    if (now) c.lineTo(inner.X(now[at]), inner.Y(now[at + 1]));
-    c.stroke();
-    this.drawDetections(c, inner, 2.2);
-    this.mark(c, inner.X(ugv.position[0]), inner.Y(ugv.position[1]), 5, escort.ugv, false);
-    this.drawEstimates(c, inner, 7);
-    const bar = [200, 100, 50, 20, 10, 5, 2, 1, 0.5, 0.2, 0.1].find((length) => length <= this.reach * 0.55) || this.reach / 2;
-    c.fillStyle = colors.ink;
-    c.fillRect(x + 9, y + side - 12, bar * scale, 2);
-    c.font = `10px ${FONT}`;
-    c.textAlign = "left";
-    c.textBaseline = "alphabetic";
-    c.fillText(`${bar >= 1 ? bar : bar * 100} ${bar >= 1 ? "m" : "cm"}`, x + 9 + bar * scale + 5, y + side - 7);
-    c.fillStyle = colors.muted;
-    c.fillText(side < 120 ? escort.ugv : `close-up of ${escort.ugv}`, x + 9, y + 15);
-    c.restore();
   }
 }
 

@@ -1,6 +1,7 @@
 // The ground with hazards: a veil over what the UGVs do not know, and the hazards on it; unknown ones are faint.
 
 import { paint, pixel } from "./canvas.js";
+import { colorOfVehicle } from "./legends.js";
 
 const HATCH = 7; // between two lines on rough ground [px]
 const [UNKNOWN, HIT] = [0, 2]; // states of a hazard; 1: a UGV knows of it
@@ -10,6 +11,12 @@ export class Hazards {
     this.store = store;
     this.image = document.createElement("canvas");
     this.map = null;
+  }
+
+  // The colours have changed.
+  repaint() {
+    this.pattern = null;
+    if (this.map) this.take(this.map);
   }
 
   // Take what observers are told of the ground.
@@ -35,11 +42,9 @@ export class Hazards {
 
   // The way that a UGV plans.
   drawRoute(c, { X, Y }, name, route) {
-    const { scene, colors } = this.store;
-    const vehicle = scene && scene.vehicles.find((one) => one.name === name);
     c.beginPath();
     for (const [x, y] of route) c.lineTo(X(x), Y(y));
-    c.strokeStyle = vehicle ? vehicle.color : colors.muted;
+    c.strokeStyle = colorOfVehicle(this.store, name);
     c.lineWidth = 1.4;
     c.setLineDash([6, 4]);
     c.stroke();
@@ -52,7 +57,7 @@ export class Hazards {
     const color = colors.hazards[kind];
     if (kind === "find") {
       star(c, x, y, 8);
-      c.fillStyle = state === UNKNOWN ? "#fff" : color;
+      c.fillStyle = state === UNKNOWN ? colors.paper : color;
       c.strokeStyle = state === UNKNOWN ? color : colors.ink;
       c.lineWidth = 1.2;
       c.fill();

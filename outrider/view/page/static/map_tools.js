@@ -1,19 +1,25 @@
-// Zoom and follow: buttons, the mouse wheel, a hand that drags, and two fingers.
+// Zoom, follow and the choice of a vehicle: buttons, the mouse wheel, a hand that drags or points, and two fingers.
+
+import { $, escapeText, setHtml } from "./dom.js";
 
 const STEP = 1.5;
+const STILL = 5; // a hand that moves no farther than this points at something [px]
 
 export class MapTools {
-  constructor(ground, redraw) {
+  constructor(ground, store, redraw) {
     this.ground = ground;
+    this.store = store;
     this.redraw = redraw;
     this.fingers = new Map();
     const canvas = ground.canvas;
-    const press = (id, action) => document.getElementById(id).addEventListener("click", () => this.change(action));
+    const press = (id, action) => $(id).addEventListener("click", () => this.change(action));
     press("map-closer", () => ground.magnify(STEP));
     press("map-wider", () => ground.magnify(1 / STEP));
     press("map-all", () => ground.showAll());
     press("map-follow", () => ground.follow(!ground.follows));
-    document.getElementById("map-legend").addEventListener("click", ({ currentTarget }) => {
+    $("map-vehicle").addEventListener("change", ({ target }) => this.select(target.value));
+    if ($("wheel-vehicle")) $("wheel-vehicle").addEventListener("change", ({ target }) => this.select(target.value));
+    $("map-legend").addEventListener("click", ({ currentTarget }) => {
       const shown = currentTarget.closest(".map-card").classList.toggle("explained");
       currentTarget.setAttribute("aria-pressed", shown);
     });
@@ -25,11 +31,40 @@ export class MapTools {
       },
       { passive: false },
     );
-    canvas.addEventListener("pointerdown", (event) => this.fingers.set(event.pointerId, place(event)));
+    canvas.addEventListener("pointerdown", (event) => {
+      this.fingers.set(event.pointerId, place(event));
+      this.pressed = place(event);
+    });
+    canvas.addEventListener("click", (event) => {
+      const [x, y] = place(event);
+      const moved = this.pressed ? Math.hypot(x - this.pressed[0], y - this.pressed[1]) : 0;
+      const name = moved <= STILL ? ground.vehicleAt(x, y) : "";
+      if (name) this.select(name);
+    });
     canvas.addEventListener("pointermove", (event) => this.move(event));
     for (const kind of ["pointerup", "pointercancel", "pointerleave"])
       canvas.addEventListener(kind, ({ pointerId }) => this.fingers.delete(pointerId));
     this.show();
+  }
+
+  // Show a vehicle in the close-up, and follow it; the wheel is offered for its UGV.
+  select(name) {
+    this.change(() => (this.store.selected = name));
+    this.offer();
+    const pair = this.store.escorts.find(([uav]) => uav === name);
+    const wheel = $("wheel-vehicle");
+    const ugv = pair ? pair[1] : name;
+    if (wheel && [...wheel.options].some(({ value }) => value === ugv)) wheel.value = ugv;
+  }
+
+  // Let the list show the vehicles that there are; with two there is nothing to choose.
+  offer() {
+    const { scene, selected } = this.store;
+    const names = scene ? scene.vehicles.map(({ name }) => name) : [];
+    const list = $("map-vehicle");
+    list.hidden = names.length < 3;
+    setHtml(list, names.map((name) => `<option>${escapeText(name)}</option>`).join(""));
+    if (list.value !== selected) list.value = selected;
   }
 
   change(action) {
@@ -59,8 +94,8 @@ export class MapTools {
     const { canvas, zoom, follows } = this.ground;
     canvas.style.touchAction = zoom > 1 ? "none" : "pan-x pan-y";
     canvas.style.cursor = zoom > 1 ? "grab" : "";
-    document.getElementById("map-follow").setAttribute("aria-pressed", follows);
-    document.getElementById("map-all").disabled = zoom === 1 && !follows;
+    $("map-follow").setAttribute("aria-pressed", follows);
+    $("map-all").disabled = zoom === 1 && !follows;
   }
 }
 

@@ -1,4 +1,5 @@
-// The wheel: keys, the stick on the screen, and a gamepad. Whatever is used says where to go ten times a second.
+// The wheel: keys, the stick on the screen, and a gamepad. Whatever is used says where to go ten times a second. The
+// first key takes the wheel, and so does a hand on the stick.
 
 const PERIOD = 100;
 const DEAD_ZONE = 0.15;
@@ -14,9 +15,12 @@ const KEYS = {
 };
 
 export class Wheel {
-  constructor(say) {
+  // `take` asks for the wheel of the vehicle that is chosen, where that can have an effect.
+  constructor(say, take) {
     this.say = say;
+    this.take = take;
     this.mine = false;
+    this.free = false;
     this.pressed = new Set();
     this.stick = null;
     this.used = false;
@@ -30,8 +34,10 @@ export class Wheel {
     window.addEventListener(
       "keydown",
       (event) => {
-        if (!this.mine || event.ctrlKey || event.metaKey || event.altKey || writes(event.target)) return;
+        if (event.ctrlKey || event.metaKey || event.altKey || writes(event.target)) return;
         if (!(event.code in KEYS) && event.code !== "Space") return;
+        // What has the focus keeps its keys until the wheel is taken; a key that is still held takes nothing.
+        if (!this.mine && (!this.free || event.repeat || operates(event.target, event.code) || !this.take())) return;
         event.preventDefault();
         event.stopPropagation();
         const fresh = !this.pressed.has(event.code);
@@ -43,12 +49,8 @@ export class Wheel {
     window.addEventListener("keyup", (event) => {
       if (this.pressed.delete(event.code)) this.tell();
     });
-    const release = () => {
-      this.pressed.clear();
-      this.stick = null;
-    };
-    window.addEventListener("blur", release);
-    document.addEventListener("visibilitychange", release);
+    window.addEventListener("blur", () => this.release());
+    document.addEventListener("visibilitychange", () => this.release());
   }
 
   watchStick(pane) {
@@ -70,7 +72,7 @@ export class Wheel {
       show();
     };
     pane.addEventListener("pointerdown", (event) => {
-      if (!this.mine) return;
+      if (!this.mine && (!this.free || !this.take())) return;
       pane.setPointerCapture(event.pointerId);
       follow(event);
       this.tell();
@@ -128,17 +130,29 @@ export class Wheel {
     this.used = wanted !== null;
   }
 
-  setMine(mine) {
-    if (this.mine && !mine) {
-      this.pressed.clear();
-      this.stick = null;
-      this.showStick();
-    }
+  // Whose the wheel is: `mine`, `other` or `free`.
+  follow(holder) {
+    const mine = holder === "mine";
+    if (this.mine && !mine) this.release();
     if (!this.mine && mine && document.activeElement instanceof HTMLElement) document.activeElement.blur();
     this.mine = mine;
+    this.free = holder === "free";
+  }
+
+  release() {
+    this.pressed.clear();
+    this.stick = null;
+    this.showStick();
   }
 }
 
 function writes(target) {
   return target instanceof HTMLElement && (target.isContentEditable || ["INPUT", "TEXTAREA", "SELECT"].includes(target.tagName));
+}
+
+// True if an element does something of its own with this key.
+function operates(target, code) {
+  if (!(target instanceof Element)) return false;
+  const own = "[role=slider], [role=combobox], [role=listbox], [role=option], [role=menu], [role=radio], [role=tab], .q-menu, .q-dialog";
+  return Boolean(target.closest(code === "Space" ? `${own}, a, button, summary, [role=button], [role=switch]` : own));
 }
