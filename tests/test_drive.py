@@ -194,6 +194,7 @@ GEOMETRY = Geometry(
     switching_radius=3.68,
     dt=0.05,
     uavs={"uav_0": "ugv_0"},
+    goals={"ugv_0": ((12.0, 12.0),)},
 )
 
 
@@ -560,6 +561,9 @@ def test_the_map_shows_the_vehicles_where_they_are_and_the_limit_of_sight_around
     ugv = next((row.index("■"), k) for k, row in enumerate(rows) if "■" in row)
     uav = next((row.index("▲"), k) for k, row in enumerate(rows) if "▲" in row)
     assert uav[1] == ugv[1]
+    goal = next((row.index("×"), k) for k, row in enumerate(rows) if "×" in row)
+    assert goal[0] > ugv[0]
+    assert goal[1] < ugv[1]
     metres_per_cell = 3.0 / (uav[0] - ugv[0])
     line = rows[ugv[1]]
     rim = max(k for k, letter in enumerate(line) if "\u2800" < letter <= "\u28ff") - ugv[0]

@@ -32,6 +32,8 @@ _ACTIVE = """["button", "input", "select", "[role=slider]", "[role=switch]"]
   .flatMap((kind) => [...document.querySelectorAll(`.side ${kind}`)])
   .filter((one) => one.offsetParent && !one.disabled && !one.closest("[inert], [disabled], .disabled"))
   .map((one) => one.innerText || one.ariaLabel || one.tagName)"""
+_DISTORTED = """[...document.querySelectorAll("canvas")]
+  .filter((one) => Math.abs(one.height / devicePixelRatio - one.clientHeight) > 1).map((one) => one.id)"""
 _GOAL_IS_DRAWN = """(() => {
   const { canvas, view } = outrider.ground;
   const [x, y] = outrider.store.scene.vehicles.find(({ name }) => name === "ugv_2").goals[4];
@@ -189,6 +191,7 @@ def _check_end(page: Page, run: "subprocess.Popen[bytes]", pictures: Path | None
     run.wait(60.0)
     time.sleep(1.5)
     _none(page, _ACTIVE, "active after the end")
+    _none(page, _DISTORTED, "distorted at the end")
     if "over" not in page.banner():
         raise Failed(f"at the end the page says {page.banner()!r}")
     if pictures is not None:

@@ -24,8 +24,8 @@ from outrider.view.page.access.headers import Nonces, SecureHeaders
 from outrider.view.page.access.login import Guard
 from outrider.view.page.access.visitors import Visitors
 from outrider.view.page.hub import Browser, Hub
-from outrider.view.page.palette import drawn
 from outrider.view.page.shell import BuildControls, build_page
+from outrider.view.page.themes import drawn
 
 STATIC = Path(__file__).with_name("static")
 

@@ -6,7 +6,7 @@ from nicegui import ui
 
 from outrider.view.page.controls.links_card import OBSERVER, LinkForm
 from outrider.view.page.controls.widgets import card, html
-from outrider.view.page.palette import style
+from outrider.view.page.themes import style
 from sim.scene import colors as scene_colors
 from sim.scene.model import LABELS
 

@@ -117,6 +117,9 @@ def draw(
             for start, end in pairwise(map(window.dot, route)):
                 canvas.line(*start, *end, UGV[0], dashed=True)
         _mark_hazards(canvas, window, hazards)
+    for one in scene.vehicles:
+        for goal in one.goals:
+            canvas.letter(*window.dot(goal), "×", UGV[0])
     for one in sorted(scene.vehicles, key=lambda one: (one.flies, one.name == vehicle)):
         mark, color = ("▲", UAV[0]) if one.flies else ("■", UGV[0])
         if one.name in truth.vehicles:

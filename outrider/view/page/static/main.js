@@ -171,7 +171,10 @@ whenBuilt(() => {
     takeColors(ground);
     if (store.colors) redraw();
   });
-  window.addEventListener("resize", ask);
+  const sizes = new ResizeObserver(() => {
+    if (store.colors) redraw(); // also when no frame comes any more
+  });
+  for (const canvas of document.querySelectorAll("canvas")) sizes.observe(canvas);
   $("links").addEventListener("click", (event) => {
     const row = event.target.closest("[data-link]");
     if (row && store.steer) emitEvent("choose_link", row.dataset.link); // NiceGUI's: the form shows this link
