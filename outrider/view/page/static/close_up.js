@@ -26,7 +26,7 @@ export class CloseUp {
     this.place = null;
     if (!ugv) return;
     const side = Math.max(84, Math.min(150, Math.min(view.w, view.h) * 0.3));
-    const tools = this.ground.canvas.parentElement.querySelector(".map-tools");
+    const { tools } = this.ground;
     const right = view.x0 + view.w - side - 8;
     const below = tools.offsetLeft + tools.offsetWidth + 8 > right ? tools.offsetTop + tools.offsetHeight + 6 : 0;
     const corners = [
@@ -34,12 +34,12 @@ export class CloseUp {
       [right, view.y0 - side - 8],
       [view.x0 + 8, view.y0 - side - 8],
     ];
-    const room = ([x, y]) =>
-      Math.min(
-        ...Object.values(truth.vehicles).map(({ position }) =>
-          Math.hypot(view.X(position[0]) - x - side / 2, view.Y(position[1]) - y - side / 2),
-        ),
-      );
+    const far = ([x, y], [px, py]) => Math.hypot(view.X(px) - x - side / 2, view.Y(py) - y - side / 2);
+    const goals = this.store.scene.vehicles.flatMap((one) => one.goals);
+    const room = (corner) => {
+      const near = Math.min(...Object.values(truth.vehicles).map(({ position }) => far(corner, position)));
+      return goals.some((goal) => far(corner, goal) < 0.7 * side) ? near - 0.5 * side : near;
+    };
     if (room(corners[this.corner]) < side) this.corner = corners.map(room).reduce((best, r, k, all) => (r > all[best] ? k : best), 0);
     const [x, y] = corners[this.corner];
     this.place = { x, y, w: side, h: side };

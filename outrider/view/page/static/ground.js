@@ -15,6 +15,7 @@ export class Ground {
   constructor(canvas, store) {
     this.canvas = canvas;
     this.store = store;
+    this.tools = canvas.parentElement.querySelector(".map-tools");
     this.image = document.createElement("canvas");
     this.hazards = new Hazards(store);
     this.labels = new Labels();
@@ -121,6 +122,7 @@ export class Ground {
     const scale = fits * this.zoom;
     const view = { X: (x) => x0 + (x - shown.left) * scale, Y: (y) => y0 - (y - shown.bottom) * scale, scale, x0, y0, w, h, ...shown };
     this.view = view;
+    this.placeTools(x0 + 8, y0 - h + 8);
 
     c.save();
     c.beginPath();
@@ -144,6 +146,12 @@ export class Ground {
     this.drawAxes(c, view, small);
     this.closeUp.draw(c, view);
     this.drawNames(c, view);
+  }
+
+  // The buttons lie on the map's upper left corner, wherever that is.
+  placeTools(left, top) {
+    const { style } = this.tools;
+    [style.left, style.top] = [`${Math.round(left)}px`, `${Math.round(top)}px`];
   }
 
   // Where the layout leaves the height open, it follows from the area's.
@@ -272,7 +280,7 @@ export class Ground {
     const { truth, colors } = this.store;
     if (!this.several) return;
     const marks = Object.entries(truth.vehicles).map(([name, { position }]) => ({ name, x: X(position[0]), y: Y(position[1]) }));
-    const tools = this.canvas.parentElement.querySelector(".map-tools");
+    const { tools } = this;
     const taken = [{ x: tools.offsetLeft, y: tools.offsetTop, w: tools.offsetWidth, h: tools.offsetHeight }, this.closeUp.place].filter(Boolean);
     const hidden = ({ x, y }) => taken.some((box) => x > box.x && x < box.x + box.w && y > box.y && y < box.y + box.h);
     const frame = { x: x0, y: y0 - h, w, h };
