@@ -170,7 +170,8 @@ def _run() -> int:
 
             interpret()
         code = int(make_app()(standalone_mode=False) or 0)
-        print_text("")  # what waits to be written
+        if not code:  # one of its own tells more than that the terminal has gone
+            print_text("")  # what waits to be written
         return code
     except (ScenarioError, AccessDenied) as error:
         _show_traceback()
