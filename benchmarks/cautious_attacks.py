@@ -66,7 +66,7 @@ Check = Callable[[DriverParameters, bool, TileArray, Open, Motion, float, float]
 class Trial:
     """Ground, a UGV on it, and an adversary."""
 
-    p: DriverParameters
+    parameters: DriverParameters
     truth: TileArray
     """Shape (rows, columns)."""
     start: tuple[float, float]
@@ -102,7 +102,9 @@ def _ground(rng: np.random.Generator) -> TileArray:
     rows, columns = (int(n) for n in rng.integers(4, 26, 2))
     kind, density = rng.integers(4), rng.uniform(0.0, 0.45)
     tiles = rng.choice(
-        np.array([CLEAR, ROUGH, FOUND], np.uint8), size=(rows, columns), p=[0.75, 0.2, 0.05]
+        np.array([CLEAR, ROUGH, FOUND], np.uint8),
+        size=(rows, columns),
+        parameters=[0.75, 0.2, 0.05],
     )
     if kind == 0:
         tiles[rng.random((rows, columns)) < density] = BLOCK
@@ -157,7 +159,7 @@ def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Tr
     cells = rng.integers(0, [rows, columns], size=(int(rng.integers(1, 4)), 2))
     goals = (cells[:, ::-1] + rng.random(cells.shape)) * tile
     believed = slowest if delay else float(rng.uniform(0.05, 1.0))
-    p = DriverParameters(
+    parameters = DriverParameters(
         **OF_OTHERS,
         dt=dt,
         width=columns * tile,
@@ -172,7 +174,7 @@ def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Tr
         plan_tiles=PLAN_TILES,
     )
     given = Trial(
-        p=p,
+        parameters=parameters,
         truth=truth,
         start=start,
         goals=np.ascontiguousarray(goals),
@@ -184,7 +186,7 @@ def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Tr
         ticks=20_000 if calm else 300,
     )
     most = int(rng.choice([3, 30, PLAN_TILES]))  # many ticks a plan, some, or one
-    return dataclasses.replace(given, p=p._replace(plan_tiles=most))
+    return dataclasses.replace(given, parameters=parameters._replace(plan_tiles=most))
 
 
 class Teller:
@@ -193,7 +195,7 @@ class Teller:
     def __init__(self, trial: Trial, memory: GroundMemory, rng: np.random.Generator) -> None:
         self.trial, self.memory, self.rng = trial, memory, rng
         rows, columns = trial.truth.shape
-        s = trial.p.tile
+        s = trial.parameters.tile
         self._low_x, self._low_y = np.arange(columns) * s, np.arange(rows) * s
         self._hidden = rng.random(trial.truth.shape) < 0.2
         self._wakes = int(rng.integers(0, 150))
@@ -204,7 +206,7 @@ class Teller:
             note_tiles(self.memory, rows, columns, self.trial.truth[rows, columns])
 
     def _near(self, x: float, y: float, reach: float) -> npt.NDArray[np.bool_]:
-        s = self.trial.p.tile
+        s = self.trial.parameters.tile
         d_x = np.maximum(np.maximum(self._low_x - x, x - self._low_x - s), 0.0)
         d_y = np.maximum(np.maximum(self._low_y - y, y - self._low_y - s), 0.0)
         return d_x[None, :] ** 2 + d_y[:, None] ** 2 <= reach * reach
@@ -239,9 +241,9 @@ def _wanted(
     trial: Trial, rng: np.random.Generator, before: tuple[float, float], here: Motion
 ) -> tuple[float, float]:
     """Wish of an adversary at the wheel [m/s²]: on and on, a sharp turn, or anything."""
-    u = min(trial.p.u_max, trial.p.v_max / trial.p.dt)
+    u = min(trial.parameters.u_max, trial.parameters.v_max / trial.parameters.dt)
     speed = norm(here.v_x, here.v_y)
-    if trial.wheel == "swerve" and speed > 0.2 * trial.p.v_max:
+    if trial.wheel == "swerve" and speed > 0.2 * trial.parameters.v_max:
         side = rng.choice([-1.0, 1.0])
         return -side * u * here.v_y / speed, side * u * here.v_x / speed
     if trial.wheel != "noise" and rng.random() < 0.97 and before != (0.0, 0.0):
@@ -280,7 +282,7 @@ class Receiver:
         late = int(self._rng.integers(0, self._delay + 3))  # two ticks too late at most
         self._coming.setdefault(tick + late, []).extend(packet)
 
-    def act(self, tick: int, here: Motion, p: DriverParameters) -> tuple[float, float]:
+    def act(self, tick: int, here: Motion, parameters: DriverParameters) -> tuple[float, float]:
         """Return the command of this tick [m/s²]: the due motion's if it has come and its parent is flown."""
         for begins, parent, u_x, u_y in self._coming.pop(tick, []):
             if begins >= tick:
@@ -289,7 +291,7 @@ class Receiver:
         if due is not None and due[0] == self.flown:
             self.flown = tick
             return due[1], due[2]
-        return brake(here.v_x, here.v_y, p.u_max, p.dt)
+        return brake(here.v_x, here.v_y, parameters.u_max, parameters.dt)
 
 
 def _filtered_by(
@@ -297,13 +299,13 @@ def _filtered_by(
     wanted: tuple[float, float], flown: int,
 ) -> tuple[float, float]:  # fmt: skip
     """The wanted command if it is safe, else the one that brakes: the filter alone, or one with another check."""
-    p = trial.p
-    ahead, parent = state_ahead(p, memory, tick, here, flown)
+    parameters = trial.parameters
+    ahead, parent = state_ahead(parameters, memory, tick, here, flown)
     ground = open_to(0)
     if check is None:
-        ground = open_from(memory.tiles, p.tile, p.bold, ahead.p_x, ahead.p_y)
-    if not (check or is_safe)(p, trial.delay > 0, memory.tiles, ground, ahead, *wanted):
-        wanted = brake(ahead.v_x, ahead.v_y, p.u_max, p.dt)
+        ground = open_from(memory.tiles, parameters.tile, parameters.bold, ahead.p_x, ahead.p_y)
+    if not (check or is_safe)(parameters, trial.delay > 0, memory.tiles, ground, ahead, *wanted):
+        wanted = brake(ahead.v_x, ahead.v_y, parameters.u_max, parameters.dt)
     note_sent(memory, tick, parent, *wanted)
     return wanted
 
@@ -312,8 +314,8 @@ def _is_rough(trial: Trial, x: float, y: float) -> bool:
     rows, columns = trial.truth.shape
     return any(
         trial.truth[i, j] == ROUGH
-        for i in touched(y, trial.p.tile, rows)
-        for j in touched(x, trial.p.tile, columns)
+        for i in touched(y, trial.parameters.tile, rows)
+        for j in touched(x, trial.parameters.tile, columns)
     )
 
 
@@ -324,7 +326,7 @@ def _entered(trial: Trial, known: npt.NDArray[np.int64], states: list[Motion]) -
     """
     track = np.array(states)
     a, b = track[:-1], track[1:]
-    dt, s = trial.p.dt, trial.p.tile
+    dt, s = trial.parameters.dt, trial.parameters.tile
     bad = np.zeros(len(a), bool)
     tick = np.arange(len(a))[:, None]
     shares = [np.repeat(_SAMPLES[None], len(a), axis=0)]
@@ -366,7 +368,7 @@ def fly(
         believed: Instead of the delay, likewise.
         lossy: Whether commands are lost, late and scattered; then they carry the stop that follows them.
     """
-    p, rng = trial.p, np.random.default_rng([seed, 1])
+    parameters, rng = trial.parameters, np.random.default_rng([seed, 1])
     memory = ground_memory(*trial.truth.shape, trial.delay if believed is None else believed)
     teller = Teller(trial, memory, rng)
     known = np.full(trial.truth.shape, LATER)
@@ -374,16 +376,16 @@ def fly(
     queue, states, wanted = [(0.0, 0.0)] * trial.delay, [here], (0.0, 0.0)
     receiver = Receiver(memory, rng) if lossy else None
     flown = PLAIN if receiver is None else NO_MOTION
-    drive = entry_point(navigate_control, p, memory, trial.goals, 0, here, flown)
+    drive = entry_point(navigate_control, parameters, memory, trial.goals, 0, here, flown)
     last, reached = trial.goals[-1], False
     for tick in range(trial.ticks):
         teller.tell(tick, here.p_x, here.p_y, norm(here.v_x, here.v_y))
         fresh = (known == LATER) & (memory.tiles != UNSEEN) & (memory.tiles != BLOCK)
         known[fresh] = tick
         if check is None and trial.wheel == "plan":
-            u = drive(p, memory, trial.goals, tick, here, flown)
+            u = drive(parameters, memory, trial.goals, tick, here, flown)
             at_last = memory.flags[0]["goal"] == len(trial.goals) - 1
-            reached = at_last and math.dist(here[:2], last) < p.tolerance
+            reached = at_last and math.dist(here[:2], last) < parameters.tolerance
             if reached and trial.ticks > 1000:
                 break
         else:
@@ -393,13 +395,16 @@ def fly(
         u_x, u_y = queue.pop(0)
         if receiver is not None:
             receiver.send(tick)
-            u_x, u_y = receiver.act(tick, here, p)
+            u_x, u_y = receiver.act(tick, here, parameters)
             flown = receiver.flown
-        v_max = p.v_max
+        v_max = parameters.v_max
         if _is_rough(trial, here.p_x, here.p_y):
             v_max *= rng.uniform(trial.slowest, 1.0)
-        x, y, v_x, v_y, _, _ = step_vehicle(*here, u_x, u_y, v_max, p.u_max, p.dt)
-        (x, v_x), (y, v_y) = within_walls(x, v_x, p.width), within_walls(y, v_y, p.height)
+        x, y, v_x, v_y, _, _ = step_vehicle(*here, u_x, u_y, v_max, parameters.u_max, parameters.dt)
+        (x, v_x), (y, v_y) = (
+            within_walls(x, v_x, parameters.width),
+            within_walls(y, v_y, parameters.height),
+        )
         way += math.dist((x, y), here[:2])
         here = Motion(x, y, v_x, v_y)
         states.append(here)
@@ -408,16 +413,19 @@ def fly(
 
 def is_reachable(trial: Trial) -> bool:
     """True if the true tiles have a way from the start to each goal."""
-    p, memory = trial.p, ground_memory(*trial.truth.shape)
+    parameters, memory = trial.parameters, ground_memory(*trial.truth.shape)
     memory.tiles[:] = trial.truth
     columns = trial.truth.shape[1]
     places = [trial.start, *trial.goals]
-    tiles = [int(y / p.tile) * columns + min(int(x / p.tile), columns - 1) for x, y in places]
+    tiles = [
+        int(y / parameters.tile) * columns + min(int(x / parameters.tile), columns - 1)
+        for x, y in places
+    ]
     tiles = [min(n, trial.truth.size - 1) for n in tiles]
     if any(trial.truth.reshape(-1)[n] == BLOCK for n in tiles):
         return False
     begin_search(memory, tiles[0])
-    search_on(1.0, p.tile, memory, -1, trial.truth.size)
+    search_on(1.0, parameters.tile, memory, -1, trial.truth.size)
     return bool(np.isfinite(memory.cost[tiles]).all())
 
 
@@ -501,7 +509,7 @@ def attack(runs: int = RUNS, *, lossy: bool = False) -> Iterator[str]:
         count["entered"] += one.entered > 0
         count["ticks"] += one.ticks + 1
         count["still"] += one.way == 0.0
-        way += one.way / trial.p.tile
+        way += one.way / trial.parameters.tile
         if one.entered:
             yield f"seed {seed}: {one.entered} ticks in tiles not known to be drivable"
     yield f"{count['flights']} flights of {count['ticks']} ticks and {way:.0f} tiles' way"
@@ -542,7 +550,7 @@ def _scattered(side: int) -> GroundMemory:
     """A map of tiles of all kinds, clear where a UGV starts and in the corner across."""
     memory = ground_memory(side, side)
     memory.tiles[:] = np.random.default_rng(0).choice(
-        5, size=(side, side), p=[0.3, 0.4, 0.1, 0.15, 0.05]
+        5, size=(side, side), parameters=[0.3, 0.4, 0.1, 0.15, 0.05]
     )
     memory.tiles[:4, :4] = memory.tiles[-4:, -4:] = CLEAR
     return memory
@@ -551,19 +559,21 @@ def _scattered(side: int) -> GroundMemory:
 def _slowest_tick(most: int, ticks: int = 600) -> str:
     """Of a UGV that is told something new in each tick, and plans so many tiles a tick, over 400 x 400 tiles."""
     memory, goals, took = _scattered(400), np.array([[199.0, 199.0]]), list[float]()
-    p = draw_trial(3, wheel="plan", calm=True).p._replace(
+    parameters = draw_trial(3, wheel="plan", calm=True).p._replace(
         width=200.0, height=200.0, tile=0.5, dt=0.05, v_max=1.0, u_max=0.5, plan_ticks=4,
         bold=1, plan_tiles=most,
     )  # fmt: skip
     here = Motion(1.0, 1.0, 0.0, 0.0)
-    drive = entry_point(navigate_control, p, memory, goals, 0, here, PLAIN)
+    drive = entry_point(navigate_control, parameters, memory, goals, 0, here, PLAIN)
     for tick in range(ticks):
         state = np.array([(CLEAR, FOUND)[tick % 2]], np.uint8)
         note_tiles(memory, np.array([399]), np.array([399]), state)
         began = time.perf_counter()
-        u = drive(p, memory, goals, tick, here, PLAIN)
+        u = drive(parameters, memory, goals, tick, here, PLAIN)
         took.append(1e3 * (time.perf_counter() - began))
-        here = Motion(*step_vehicle(*here, *u, p.v_max, p.u_max, p.dt)[:4])
+        here = Motion(
+            *step_vehicle(*here, *u, parameters.v_max, parameters.u_max, parameters.dt)[:4]
+        )
     slowest = ", ".join(f"{one:.1f}" for one in sorted(took)[:-4:-1])
     plans, way = memory.flags[0]["plans"], math.dist(here[:2], (1.0, 1.0))
     return f"the slowest of {ticks} ticks took {slowest} ms; {plans} plans, {way:.1f} m driven"
@@ -582,15 +592,17 @@ def speed() -> Iterator[str]:
     for most in (400 * 400, PLAN_TILES):
         yield f"{most:,} tiles a tick: {_slowest_tick(most)}"
     trial = draw_trial(3, wheel="plan", calm=True)
-    p, memory = trial.p, ground_memory(*trial.truth.shape)
+    parameters, memory = trial.parameters, ground_memory(*trial.truth.shape)
     memory.tiles[:] = trial.truth
     drive = entry_point(
-        navigate_control, p, memory, trial.goals, 0, Motion(*trial.start, 0.0, 0.0), PLAIN
+        navigate_control, parameters, memory, trial.goals, 0, Motion(*trial.start, 0.0, 0.0), PLAIN
     )
     here, began, ticks = Motion(*trial.start, 0.0, 0.0), time.perf_counter(), 5000
     for tick in range(ticks):
-        u = drive(p, memory, trial.goals, tick, here, PLAIN)
-        here = Motion(*step_vehicle(*here, *u, p.v_max, p.u_max, p.dt)[:4])
+        u = drive(parameters, memory, trial.goals, tick, here, PLAIN)
+        here = Motion(
+            *step_vehicle(*here, *u, parameters.v_max, parameters.u_max, parameters.dt)[:4]
+        )
     yield f"a tick on known ground: {1e6 * (time.perf_counter() - began) / ticks:.1f} µs with the vehicle"
 
 
