@@ -104,7 +104,7 @@ def _ground(rng: np.random.Generator) -> TileArray:
     tiles = rng.choice(
         np.array([CLEAR, ROUGH, FOUND], np.uint8),
         size=(rows, columns),
-        parameters=[0.75, 0.2, 0.05],
+        p=[0.75, 0.2, 0.05],
     )
     if kind == 0:
         tiles[rng.random((rows, columns)) < density] = BLOCK
@@ -550,7 +550,7 @@ def _scattered(side: int) -> GroundMemory:
     """A map of tiles of all kinds, clear where a UGV starts and in the corner across."""
     memory = ground_memory(side, side)
     memory.tiles[:] = np.random.default_rng(0).choice(
-        5, size=(side, side), parameters=[0.3, 0.4, 0.1, 0.15, 0.05]
+        5, size=(side, side), p=[0.3, 0.4, 0.1, 0.15, 0.05]
     )
     memory.tiles[:4, :4] = memory.tiles[-4:, -4:] = CLEAR
     return memory
@@ -559,7 +559,7 @@ def _scattered(side: int) -> GroundMemory:
 def _slowest_tick(most: int, ticks: int = 600) -> str:
     """Of a UGV that is told something new in each tick, and plans so many tiles a tick, over 400 x 400 tiles."""
     memory, goals, took = _scattered(400), np.array([[199.0, 199.0]]), list[float]()
-    parameters = draw_trial(3, wheel="plan", calm=True).p._replace(
+    parameters = draw_trial(3, wheel="plan", calm=True).parameters._replace(
         width=200.0, height=200.0, tile=0.5, dt=0.05, v_max=1.0, u_max=0.5, plan_ticks=4,
         bold=1, plan_tiles=most,
     )  # fmt: skip
