@@ -36,7 +36,7 @@ def command(
     """
     from outrider.cli.console import OUT, print_json, print_warnings
     from outrider.running.assumptions import how_certifiable, odds, promise_warnings
-    from outrider.running.flying import check_first_tick
+    from outrider.running.first_tick import check_first_tick
     from outrider.running.user_code import check_own_functions, foreign_code
     from sim.scenario.checks import scenario_warnings
     from sim.scenario.types import NO_UAV

@@ -201,7 +201,7 @@ def _computes(arguments: list[str]) -> bool:
     """False for a command that only reads scenarios, and for one whose processes compute in its place."""
     if arguments[:1] == ["run"]:
         return "--in-process" in arguments
-    return arguments[:1] != ["scenarios"]
+    return arguments[:1] not in (["scenarios"], ["check"])
 
 
 def run_command_line() -> int:

@@ -5,17 +5,14 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-import msgspec
-
 from agents.control.orbit import Path as VirtualPath
 from agents.control.weighting import Weighting
 from agents.process import Pilot
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.messages import Command, Observation, UavBriefing
-from bus.registry import DRIVERS
 from outrider.running.summary import Summary, summarize
-from outrider.running.user_code import check_code, load_function, own_code
+from outrider.running.user_code import check_code, load_function
 from sim.engine.briefing import briefing
 from sim.engine.run_keys import check_secret
 from sim.scenario.loading import load_scenario
@@ -111,17 +108,6 @@ def fly(
     started = time.perf_counter()
     flight.fly(exchange, on_tick=None if on_tick is None else lambda: on_tick(flight))
     return flight, summarize(flight, seconds=time.perf_counter() - started)
-
-
-def check_first_tick(scenario: Scenario) -> None:
-    """Fly one tick where functions of the user's own fly, so that they are called once.
-
-    Raises:
-        ScenarioError: If one fails.
-    """
-    outside = any(DRIVERS[ugv.driver].outside for ugv in scenario.ugv)
-    if own_code(scenario) and not outside:
-        fly(msgspec.structs.replace(scenario, duration=scenario.dt), scenario.seed)
 
 
 def run(

@@ -23,6 +23,8 @@ _BEHIND = 1.0
 
 A burst of ticks would leave nobody time to answer.
 """
+_FIRST_GRACE = 2.0
+"""So long [s] in the first tick: whoever has started a vehicle that fails at once can still end the run unflown."""
 _LATE = 0.5
 """A tick that ends later than it should by more than this share of its length is late."""
 
@@ -73,6 +75,7 @@ class Lockstep:
         self._on_event = on_event
         self._look_around = min(timing.deadline, _LOOK_AROUND)
         self._grace = min(timing.deadline, _GRACE)
+        self._first_grace = min(timing.deadline, _FIRST_GRACE)
         self._observations: Mapping[str, Observation] = {}
         self._awaited: dict[str, _Wait] = {}
         self._given_up: set[str] = set()
@@ -143,7 +146,7 @@ class Lockstep:
                 break
             patience = self._look_around
             if self._bus_is_there():
-                self._mind_the_absent()
+                self._mind_the_absent(tick)
                 self._give_up(tick)
                 limits = (wait.since + wait.limit for wait in awaited.values())
                 rest = min(limits, default=0.0) - time.monotonic()
@@ -174,12 +177,13 @@ class Lockstep:
                 self._awaited[name] = _Wait(now, self._patience, patient=True)
         return True
 
-    def _mind_the_absent(self) -> None:
+    def _mind_the_absent(self, tick: int) -> None:
         """Do without those who have gone, or wait for them; give those who are back what they have missed."""
         now = time.monotonic()
+        grace = self._grace if tick else self._first_grace
         for name in self._awaited.keys() & set(self._slots.absent):
             if not self._awaited[name].patient:
-                limit = self._patience if self._is_waited_for(name) else self._grace
+                limit = self._patience if self._is_waited_for(name) else grace
                 self._awaited[name] = _Wait(now, limit, patient=True)
         back = [name for name in self._slots.unbriefed if name in self._awaited]
         for name in self._slots.send({name: self._observations[name] for name in back}):
