@@ -13,7 +13,7 @@ import msgspec
 import pytest
 import typer
 from flights import Piloted
-from processes import ran
+from processes import outrider, ran
 from tabular import words
 
 from bus.errors import ScenarioError
@@ -185,7 +185,8 @@ def test_check_tries_a_function_of_ones_own_as_run_does_and_says_where_it_does_n
         assert checked.returncode == 0
         assert "loaded with --allow-code alone" in checked.stderr
         own = words("mine.toml --duration 1 --allow-code")
-    checked, flown = command("check", *own), command("run", *own, "--in-process", "--no-files")
+    checked = outrider("check", *own, cwd=here, fresh=True)
+    flown = command("run", *own, "--in-process", "--no-files")
     assert checked.returncode == flown.returncode == 0
     warned = [line for line in flown.stderr.splitlines() if "warning" in line]
     for part in ("cannot be flown: 4 m/s", "v_a - v_g = 0.4 m/s", "u_a = 0.3 m/s²"):
