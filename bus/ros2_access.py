@@ -14,6 +14,9 @@ A vehicle sees the tokens of its own topics alone. Those carry names that anybod
 vehicle's topics could tell that vehicle something by it, so each vehicle's are its own to declare too.
 """
 
+from enum import StrEnum
+from typing import NamedTuple
+
 from bus.keys import Grant, Party, Role
 
 PILOT = "pilot"
@@ -36,12 +39,44 @@ _LATE = "@adv/**"
 _ANY_OWN = tuple(f"*/**/{PILOT}/*/{hashed}" for hashed in _HASHES)
 _GRAPH = "@ros2_lv/**"
 _ENDPOINT = "@ros2_lv/*/*/*/*/*/*/*/*/{name}/*/*/*"
-COMMANDS = tuple(f"*/**/{CMD_VEL}/{hashed}" for hashed in _HASHES)
-"""All velocities for UGVs, in every domain and namespace, with whatever hash."""
-INPUT_WRITER = Role.ROS2_OPERATOR
-"""The only role that may write a bridge's inputs: `cmd_vel` and the calls of services."""
-_CALLS = tuple(f"*/**/{service}/{hashed}" for service in SERVICES for hashed in _HASHES)
 _OTHER_WAY = {"ingress": "egress", "egress": "ingress"}
+
+
+class Operation(StrEnum):
+    """The operation by which a bridge's input is written."""
+
+    PUT = "put"
+    CALL = "call"
+
+
+class Input(NamedTuple):
+    """One row: an input of a bridge."""
+
+    operation: Operation
+    keys: tuple[str, ...]
+    """Its keys in every domain and namespace, with whatever hash."""
+    writer: Role
+    """The only role that may write it."""
+    reader: Role
+    """The role of the bridge that acts on it."""
+
+
+VELOCITIES = Input(
+    Operation.PUT,
+    tuple(f"*/**/{CMD_VEL}/{hashed}" for hashed in _HASHES),
+    Role.ROS2_OPERATOR,
+    Role.OPERATOR,
+)
+"""Velocities for UGVs."""
+CALLS = Input(
+    Operation.CALL,
+    tuple(f"*/**/{service}/{hashed}" for service in SERVICES for hashed in _HASHES),
+    Role.ROS2_OPERATOR,
+    Role.OPERATOR,
+)
+"""Calls of services."""
+INPUTS = (VELOCITIES, CALLS)
+"""All inputs of a bridge that shows a run; those of a bridge that flies a vehicle are that vehicle's own."""
 
 
 def _late(*keys: str) -> tuple[str, ...]:
@@ -79,13 +114,6 @@ _DECLARES = [
     Grant("liveliness_token", "ingress", (_GRAPH,)),
     Grant("liveliness_token", "egress", (_GRAPH,)),
 ]
-_DRIVEN = [
-    Grant("declare_subscriber", "ingress", COMMANDS),
-    Grant("put", "egress", COMMANDS),
-    Grant("declare_queryable", "ingress", _CALLS),
-    Grant("query", "egress", _CALLS),
-    Grant("reply", "ingress", _CALLS),
-]
 _NOT_OWN = [
     Grant(message, flow, _ANY_OWN, "deny")
     for message in ("put", "declare_subscriber", "reply")
@@ -100,13 +128,30 @@ _NOT_OWN = [
 ]
 
 
-_NO_INPUTS = [
-    Grant("put", "ingress", COMMANDS, "deny"),
-    Grant("reply", "ingress", (*COMMANDS, *_late(*COMMANDS)), "deny"),
-    Grant("declare_queryable", "ingress", _late(*COMMANDS), "deny"),
-    Grant("query", "ingress", _CALLS, "deny"),
-]
-"""Denied to every party but `INPUT_WRITER`, although it may publish all other topics."""
+def _reads(row: Input) -> list[Grant]:
+    """The grants of the reader of a bridge's input; those of its writer are the other end."""
+    if row.operation is Operation.PUT:
+        return [
+            Grant("declare_subscriber", "ingress", row.keys),
+            Grant("put", "egress", row.keys),
+        ]
+    return [
+        Grant("declare_queryable", "ingress", row.keys),
+        Grant("query", "egress", row.keys),
+        Grant("reply", "ingress", row.keys),
+    ]
+
+
+def _never_writes(row: Input) -> list[Grant]:
+    """The denials for a party that is not a bridge's input's writer, although it may publish all other topics."""
+    late = _late(*row.keys)
+    return [
+        Grant("put", "ingress", row.keys, "deny"),
+        Grant("query", "ingress", row.keys, "deny"),
+        Grant("reply", "ingress", late, "deny"),
+        Grant("declare_queryable", "ingress", late, "deny"),
+        Grant("liveliness_token", "ingress", late, "deny"),
+    ]
 
 
 def _of_vehicle(name: str) -> list[Grant]:
@@ -125,15 +170,14 @@ def _of_staff(role: Role) -> list[Grant]:
     found: list[Grant] = []
     if role in (Role.ROS2, Role.OPERATOR):
         found += _publishes(TOPICS)
-    if role is Role.OPERATOR:
-        found += _DRIVEN
     if role in (Role.ROS2_OBSERVER, Role.ROS2_OPERATOR):
         found += _subscribes(TOPICS)
-    if role is INPUT_WRITER:
-        found += _other_end(_DRIVEN)
-    else:
-        found += _NO_INPUTS if found else []
-    return [*found, *_LOOKS, *_DECLARES, *_NOT_OWN] if found else []
+    if not found:
+        return []
+    for row in INPUTS:
+        found += _reads(row) if role is row.reader else []
+        found += _other_end(_reads(row)) if role is row.writer else _never_writes(row)
+    return [*found, *_LOOKS, *_DECLARES, *_NOT_OWN]
 
 
 def ros2_grants(party: Party) -> list[Grant]:

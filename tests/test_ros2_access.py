@@ -6,8 +6,9 @@ import zenoh
 from staging import Received, everybody, listening, settled
 
 from bus.access import access_control, new_credentials
-from bus.keys import KEYS, Role
-from bus.ros2_access import INPUT_WRITER
+from bus.errors import AccessDenied
+from bus.keys import KEYS, Key, Role, check_reads, check_writes
+from bus.ros2_access import CALLS, INPUTS, NO_HASH, SERVICES, VELOCITIES, Operation
 
 GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], ros2=True)
 NAMES = [one.name for one in GIVEN.parties if one.role is not Role.SIMULATOR]
@@ -40,7 +41,7 @@ def writers(key: str) -> set[str]:
     own = {name for name, mine in OWN.items() if mine == key}
     if own or key in NOBODYS:
         return own
-    return {INPUT_WRITER.value} if key == CMD_VEL else BRIDGES
+    return {VELOCITIES.writer.value} if key == CMD_VEL else BRIDGES
 
 
 def test_each_party_reads_and_writes_its_own_topics_and_no_others(endpoint: str) -> None:
@@ -123,23 +124,88 @@ def test_a_vehicle_sees_the_graph_of_its_own_topics_alone(endpoint: str) -> None
     assert not seen["observer"] - declared("observer")
 
 
-def test_services_are_called_by_an_operators_node_alone(endpoint: str) -> None:
-    pause = "0/pause/std_srvs::srv::dds_::SetBool_/RIHS01_abe9"
-    answered: set[str] = set()
-    with everybody(endpoint, GIVEN, NAMES) as sessions:
-        queryable = sessions["operator"].declare_queryable(
-            pause, lambda query: query.reply(query.key_expr, b"done")
-        )
+UNHASHED = f"nav_msgs::msg::dds_::Odometry_/{NO_HASH}"
+INPUT_KEYS = {
+    Operation.PUT: {CMD_VEL, f"0/fleet/ugv_0/cmd_vel/{UNHASHED}"},
+    Operation.CALL: {f"{n}/{name}/{TYPE}" for n, name in enumerate(SERVICES)}
+    | {f"0/fleet/{name}/{UNHASHED}" for name in SERVICES},
+}
+ROWS = [(key, key.expression("run", "uav_0"), "uav_0") for key in KEYS if key.vehicle is Role.UAV]
+ROWS += [(key, key.expression("run", "ugv_0"), "ugv_0") for key in KEYS if key.vehicle is Role.UGV]
+ROWS += [(key, key.expression("run"), "") for key in KEYS if key.vehicle is None]
+Done = set[tuple[str, str, str, Operation]]
+"""The party that an operation reached, its key, the party that did it, and the operation."""
 
-        def ask() -> None:
-            for name in set(NAMES) - {"operator"}:
-                for reply in sessions[name].get(pause, timeout=0.2, payload=b"x"):
-                    if reply.ok is not None:
-                        answered.add(name)
 
-        settled({"ros2_operator"}, answered, ask)
-        queryable.undeclare()
-    assert answered == {"ros2_operator"}
+def may(check: Any, key: Key, name: str, vehicle: str) -> bool:
+    try:
+        check(key, GIVEN.of(name).party, vehicle)
+    except AccessDenied:
+        return False
+    return True
+
+
+def declared_inputs() -> Done:
+    """All that the tables let through on the run's own keys and on the inputs of bridges."""
+    names = [one.name for one in GIVEN.parties]
+    done = {
+        (reader, expression, writer, Operation.PUT)
+        for key, expression, vehicle in ROWS
+        for reader in names
+        for writer in names
+        if may(check_reads, key, reader, vehicle) and may(check_writes, key, writer, vehicle)
+    }
+    for row in INPUTS:
+        for key in INPUT_KEYS[row.operation]:
+            done.add((row.reader.value, key, row.writer.value, row.operation))
+            if row.operation is Operation.PUT and NO_HASH not in key:  # `ros2 topic echo`
+                done.add(("ros2_observer", key, row.writer.value, row.operation))
+    return done
+
+
+def test_inputs_obey_the_tables_whoever_does_whatever(endpoint: str) -> None:
+    """Every party puts to, deletes and calls every key, and serves and reads each, for itself and by wide keys."""
+    assert {VELOCITIES.writer, CALLS.writer} == {Role.ROS2_OPERATOR}
+    wanted, found, deleted = declared_inputs(), set[Any](), set[Any]()
+    names = [one.name for one in GIVEN.parties]
+    keys = {expression for _, expression, _ in ROWS}.union(*INPUT_KEYS.values())
+
+    def keep(name: str, sample: zenoh.Sample) -> None:
+        if sample.kind is zenoh.SampleKind.DELETE:
+            deleted.add((name, str(sample.key_expr)))
+        else:
+            key, writer = str(sample.key_expr), sample.payload.to_string()
+            found.add((name, key, writer, Operation.PUT))
+
+    def serve(name: str, query: zenoh.Query) -> None:
+        with query:
+            asks = query.payload.to_string() if query.payload is not None else ""
+            found.add((name, str(query.key_expr), asks, Operation.CALL))
+            query.reply(query.key_expr, name.encode())
+
+    with everybody(endpoint, GIVEN, names, "observer") as sessions:
+        kept: list[Any] = []
+        for name, opened in sessions.items():
+            for key in (*keys, "**", "0/**"):
+                kept.append(opened.declare_subscriber(key, lambda one, name=name: keep(name, one)))
+                kept.append(opened.declare_queryable(key, lambda one, name=name: serve(name, one)))
+
+        def say() -> None:
+            remote = zenoh.Locality.REMOTE
+            for name, opened in sessions.items():
+                for key in keys:
+                    opened.put(key, name.encode(), allowed_destination=remote)
+                    opened.delete(key, allowed_destination=remote)
+                    list(
+                        opened.get(
+                            key, payload=name.encode(), timeout=0.2, allowed_destination=remote
+                        )
+                    )
+
+        settled(wanted, found, say)
+        assert kept
+    assert found == wanted
+    assert not deleted
 
 
 def test_who_comes_late_is_given_the_newest_but_never_a_vehicle(endpoint: str) -> None:

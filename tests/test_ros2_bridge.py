@@ -258,13 +258,15 @@ def test_an_operators_node_drives_and_what_is_bad_is_counted_and_told(tmp_path: 
             stage.node, client, namespace="/fleet", refusals=observer.refusals
         )
         stage.tell()
-        driving, looking = stage.ros("ros2_operator"), stage.ros("ros2_observer")
+        driving = stage.ros("ros2_operator")
+        others = [stage.ros(name) for name in ("ros2", "ros2_observer", "observer")]
         beside = Attachment(sequence=1, time=0, gid=bytes(16)).encoded()
         drives: list[Any] = []
 
         def driven() -> bool:
             driving.put(_key(), GOOD, attachment=beside)
-            looking.put(_key(), encode(TWISTS[1], _twist(0.0, 0.15)), attachment=beside)
+            for other in others:
+                other.put(_key(), encode(TWISTS[1], _twist(0.0, 0.15)), attachment=beside)
             while (envelope := wheels.next_waiting()) is not None:
                 drives.append(envelope.message)
             return bool(drives)

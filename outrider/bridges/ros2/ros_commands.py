@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from bus.messages import Action, Control, Limits, Status, Vector
 from bus.registry import TELEOP
-from bus.ros2_access import CMD_VEL, COMMANDS, SERVICES
+from bus.ros2_access import CMD_VEL, SERVICES, VELOCITIES
 from outrider.bridges.refused import Refusals, Refused
 from outrider.bridges.ros2.conversion import MAP, base_link
 from outrider.bridges.ros2.interfaces import (
@@ -117,7 +117,7 @@ class RosCommands:
         self.taken = 0
         """Commands and calls that were passed on."""
         # Of every domain, vehicle and type: what is not for us is counted and not decoded.
-        for expression in COMMANDS:
+        for expression in VELOCITIES.keys:
             node.receive(expression, self._receive)
         for service in SERVICES:
             interface = "std_srvs/srv/SetBool" if service == "pause" else "std_srvs/srv/Trigger"
