@@ -19,6 +19,7 @@ from outrider.bridges.mavlink.gateway import (
     NOT_ALLOWED,
     NOT_FINITE,
     NOT_SUPPORTED,
+    OTHER_ADDRESS,
     OTHER_SYSTEM,
     OUR_NUMBER,
     SECOND_STATION,
@@ -372,6 +373,10 @@ def test_one_ground_station_too_many_is_refused_and_hears_it(run):
     assert any("16 ground stations" in text for text in texts(driven))
     assert run.gateway.refusals.counts[TOO_MANY] == 1
     assert run.gateway.received == MOST_PEERS
+    for system in (UAV, UGV):
+        arm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+        assert stations[-1].ask(arm, 1.0, target=system) == mavlink.MAV_RESULT_DENIED
+        assert stations[0].ask(arm, 1.0, target=system) == mavlink.MAV_RESULT_ACCEPTED
     for station in stations:
         station.socket.close()
     network.close()
@@ -402,8 +407,14 @@ def test_services_that_a_run_does_not_have_reply(run):
             if reply == "MISSION_ACK":
                 assert answer.type == mavlink.MAV_MISSION_UNSUPPORTED
     assert list(answer.payload[:13]) == [2, 0, 3, 129, 1, 10, 0, 0, 4, 0, 0, 0, 7]
-    run.station.send(mavlink.MAVLink_log_erase_message(UAV, 1))
-    assert run.gateway.refusals.counts == {f"service {NOT_SUPPORTED}": total + 1}
+    erased = run.station.send(mavlink.MAVLink_log_erase_message(UAV, 1))
+    assert texts(erased) == ["refused: there are no logs to erase"]
+    files[3] = 128  # a reply, to which another one would be no end
+    again = run.station.send(mavlink.MAVLink_file_transfer_protocol_message(0, UAV, 1, files))
+    assert not of(again, "FILE_TRANSFER_PROTOCOL")
+    run.station.send(mavlink.MAVLink_request_data_stream_message(UAV, 1, 0, 4, 1))
+    wanted = {f"service {NOT_SUPPORTED}": total + 2, f"message {NOT_SUPPORTED}": 1}
+    assert run.gateway.refusals.counts == wanted
 
 
 def test_what_is_bad_is_counted_by_cause_and_drives_nothing(run):
@@ -482,6 +493,29 @@ def test_who_is_not_the_party_that_is_told_is_not_read(run):
         stranger.sendto(sticks(500, 0).pack(run.station.mav), run.station.to)
         run.gateway.turn(0.5)
     assert run.client.driven == []
-    assert run.gateway.network.strangers == 1
+    assert run.gateway.refusals.counts == {OTHER_ADDRESS: 1}
     run.station.send(sticks(500, 0))
     assert run.client.driven
+
+
+def test_the_first_line_says_to_whom_telemetry_goes(command):
+    def first_line(*options):
+        refused = command("mavlink", *options, "--credentials", "nowhere.json")
+        assert refused.returncode == 2
+        return refused.stderr.splitlines()[0]
+
+    usual = first_line()
+    assert "the truth among it, to 127.0.0.1:14550: to the process that listens" in usual
+    assert "--private" in usual
+    assert "to 127.0.0.1:14999: to" in first_line("--to", "127.0.0.1:14999")
+    ports = {first_line("--private").split("127.0.0.1:")[1].split(":")[0] for _ in range(2)}
+    assert len(ports) == 2
+    assert "14550" not in ports
+    assert "truth" not in first_line("--vehicle", "uav_0")
+
+
+@pytest.mark.parametrize("other", [["--to", "127.0.0.1:14999"], ["--autopilot", "uav_0"]])
+def test_a_private_port_goes_with_no_other_target(command, other):
+    refused = command("mavlink", "--private", *other)
+    assert refused.returncode == 2
+    assert "not both" in refused.stderr

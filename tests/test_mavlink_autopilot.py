@@ -45,7 +45,15 @@ class Autopilot(Station):
     def report(self, **changes):
         self.boot += 50
         (x, y, z), (v_x, v_y) = self.place, self.velocity
-        told = {"time_boot_ms": self.boot, "x": x, "y": y, "z": z, "vx": v_x, "vy": v_y, "vz": 0.0}
+        told = {
+            "time_boot_ms": self.boot % (1 << 32),
+            "x": x,
+            "y": y,
+            "z": z,
+            "vx": v_x,
+            "vy": v_y,
+            "vz": 0.0,
+        }
         return mavlink.MAVLink_local_position_ned_message(*(told | changes).values())
 
     def live(self, *, moves=True):
@@ -114,8 +122,8 @@ def test_an_autopilot_that_holds_what_it_is_told_changes_no_bit(along, plain):
     assert along.pilot.held_ticks == 0
     assert 0.0 < along.pilot.largest_deviation < 0.1  # it is told a tick later
     assert along.reports[-1].certified is True
-    (asked,) = along.autopilot.asked
-    assert (asked.command, asked.param1) == (mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 32.0)
+    asked = {(one.command, one.param1) for one in along.autopilot.asked}
+    assert asked == {(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 32.0)}
 
 
 def test_setpoints_are_the_track_from_where_the_autopilot_hovers(along, plain):
@@ -192,16 +200,43 @@ def believed(along, **changes):
 
 def test_an_autopilot_that_restarts_is_believed_again(along, monkeypatch):
     along.fly()
-    assert not believed(along, time_boot_ms=7)  # one that came late
-    assert "older" in along.link.refused
+    assert believed(along)
+    late = along.autopilot.report(time_boot_ms=7)
+    (why,) = texts(along.autopilot.send(late))
+    assert why == f"refused: telemetry {OLDER}; accepted after 1 s without any other"
     monkeypatch.setattr(module, "_SILENCE", -1.0)  # as after a second of silence
     assert believed(along, time_boot_ms=7)
     other = Autopilot(along.link, along.autopilot.to[1])
-    told = other.send(other.heartbeat())
-    assert any("another party" in text for text in texts(told))
+    (why,) = texts(other.send(other.heartbeat()))
+    assert OTHER_AUTOPILOT in why
+    assert why.endswith("accepted after 3 s of its silence")
     monkeypatch.setattr(module, "_LEFT", -1.0)
-    other.send(other.heartbeat(), other.report())
+    told = other.send(other.heartbeat(), other.report())
+    assert of(told, "COMMAND_LONG")  # it does not know what it was asked for
     assert along.link.peer.address[1] == other.port
+    assert along.link.armed
+    other.socket.close()
+
+
+def test_a_silent_autopilot_is_asked_again_for_telemetry(along, monkeypatch):
+    along.fly()
+    along.autopilot.told()
+    monkeypatch.setattr(module, "_BEAT", 0.0)
+    along.link.refresh()
+    assert not of(along.autopilot.told(), "COMMAND_LONG")
+    monkeypatch.setattr(module, "_SILENCE", -1.0)
+    along.link.refresh()
+    assert of(along.autopilot.told(), "COMMAND_LONG")
+
+
+def test_no_other_system_becomes_the_autopilot(along, monkeypatch):
+    along.fly()
+    monkeypatch.setattr(module, "_LEFT", -1.0)
+    other = Autopilot(along.link, along.autopilot.to[1])
+    other.mav.srcSystem = 43
+    (why,) = texts(other.send(other.heartbeat()))
+    assert why.endswith(OTHER_AUTOPILOT)
+    assert along.link.peer.system == 42
     other.socket.close()
 
 

@@ -121,8 +121,9 @@ def command(
         raise typer.BadParameter("--vehicle or --autopilot, not both")
     told, asked = out or [], listen or []
     if private:
-        if out:
-            raise typer.BadParameter("--private or --to, not both")
+        for option, given in {"--to": out, "--autopilot": autopilot}.items():
+            if given:
+                raise typer.BadParameter(f"--private or {option}, not both")
         told = [f"127.0.0.1:{private_port()}"]
     elif out is None and listen is None:
         told = [] if autopilot else [_OFFBOARD if vehicle else _OUT]
@@ -132,7 +133,8 @@ def command(
     network = Network(
         [parse_address(text, listens=False) for text in told], list(listening.values())
     )
-    _say_where(told, asked, private=private)
+    what = "telemetry, the truth among it," if not (vehicle or autopilot) else "telemetry"
+    _say_where("setpoints" if autopilot else what, told, asked, private=private)
     began = time.monotonic()
     try:
         if vehicle or autopilot:
@@ -155,15 +157,17 @@ def command(
         sys.stderr.write(_story(found) + "\n")
 
 
-def _say_where(told: list[str], asked: list[str], *, private: bool) -> None:
-    """Print first where telemetry goes: over UDP, to whichever process listens there."""
+def _say_where(what: str, told: list[str], asked: list[str], *, private: bool) -> None:
+    """Print first what goes where: over UDP, to whichever process is there."""
     if told:
-        known = "" if private else ", whoever its user is"
+        chosen = "" if private else "; --private chooses a random port, --to HOST:PORT another"
         sys.stderr.write(
-            f"telemetry, the truth among it, goes to {', '.join(told)}: to the process that listens there{known}\n"
+            f"sends {what} to {', '.join(told)}: to the process that listens there, of whatever user{chosen}\n"
         )
     if asked:
-        sys.stderr.write(f"ground stations may ask at {', '.join(asked)}\n")
+        sys.stderr.write(
+            f"sends {what} to the processes, of whatever user, that ask at {', '.join(asked)}\n"
+        )
 
 
 def _join(

@@ -10,6 +10,7 @@ detections of a UGV that is simulated are simulated too.
 import logging
 import math
 import time
+from collections import deque
 from typing import NamedTuple
 
 import msgspec
@@ -18,10 +19,10 @@ from agents.uav import UavPilot
 from bus.errors import ScenarioError
 from bus.messages import UavBriefing, UavCommand, UavObservation, Vector
 from outrider.bridges.mavlink.dialect import MavMessage, mavlink, packed
-from outrider.bridges.mavlink.gateway import BEYOND_BOUNDS, NOT_FINITE
-from outrider.bridges.mavlink.identity import AUTOPILOT
+from outrider.bridges.mavlink.gateway import BEYOND_BOUNDS, NOT_FINITE, TOO_MANY
+from outrider.bridges.mavlink.identity import AUTOPILOT, status_texts
 from outrider.bridges.mavlink.setpoints import REST, bounds, setpoint_control
-from outrider.bridges.mavlink.udp import UNREADABLE, Network, Peer
+from outrider.bridges.mavlink.udp import UNREADABLE, Address, Network, Peer
 from outrider.bridges.refused import Refusals, Refused
 
 OTHER_AUTOPILOT = "comes from another party than the autopilot"
@@ -34,6 +35,8 @@ _LEFT = 3.0
 """After so long without a message the autopilot has gone, and another party with its system number is it [s]."""
 _CLOCK = 1 << 32
 """Its clock starts again at 0 after this many milliseconds."""
+_REPEAT = 1.0
+"""Time between two texts to one party about one cause [s]."""
 _MOST_TEXTS = 16
 _STANDS = 0.3
 """After so long without a tick the run stands still, and what is wanted is to stay [s]."""
@@ -101,7 +104,9 @@ class AutopilotLink:
         """Its local position where the scenario's origin is [m]: when it joins it is where its UAV is then."""
         self.refused = ""
         """Why its newest telemetry was refused; empty: it was not."""
-        self._said: dict[str, float] = {}
+        self._stories: deque[str] = deque(maxlen=_MOST_TEXTS)
+        self._said: dict[tuple[str, Address], float] = {}
+        self._texts = 0
         self._last_received = -math.inf
         self._down = 0.0
         self._sent = self._beat = -math.inf
@@ -113,6 +118,8 @@ class AutopilotLink:
         before = self.network.unreadable
         for peer, message in self.network.receive(patience):
             self._take(peer, message)
+        for peer, message in self.network.turned_away:
+            self._refuse(TOO_MANY, f"{message.get_type()} of {peer}", peer)
         if self.network.unreadable > before:
             self.refusals.add(Refused(UNREADABLE, "bytes"), self.network.unreadable - before)
 
@@ -121,8 +128,12 @@ class AutopilotLink:
         now = time.monotonic()
         if self.peer is None:
             return
+        while self._stories:
+            self._send_text(self._stories.popleft(), self.peer.address)
         if now - self._beat >= _BEAT:
             self._beat = now
+            if self.reported is None or now - self.reported.received > _SILENCE:
+                self._ask(self.peer)  # one that has started again does not remember it
             kind = mavlink.MAV_TYPE_ONBOARD_CONTROLLER
             self._send(mavlink.MAVLink_heartbeat_message(kind, _NO_AUTOPILOT, 0, 0, 4, 3))
         wanted = self.wanted
@@ -165,45 +176,62 @@ class AutopilotLink:
             return
         if peer != self.peer:
             if self.peer is not None and getattr(message, "autopilot", 0) != _NO_AUTOPILOT:
-                self._refuse(OTHER_AUTOPILOT, f"{kind} of {peer}")
-                self.say(f"refused: {OTHER_AUTOPILOT}", peer)
+                hint = f"; accepted after {_LEFT:g} s of its silence" if self._same(peer) else ""
+                self._refuse(OTHER_AUTOPILOT, f"{kind} of {peer}", peer, hint)
             return
         self._last_received = time.monotonic()
         if kind == "HEARTBEAT":
             self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         else:
-            self._take_position(message)
+            self._take_position(peer, message)
+
+    def _same(self, peer: Peer) -> bool:
+        """Return whether this party has the autopilot's numbers, at whatever address."""
+        return self.peer is not None and peer[1:] == self.peer[1:]
 
     def _may_be(self, peer: Peer) -> bool:
-        """Return whether this party is the autopilot: the first one, or the same system at another port."""
+        """Return whether this party is the autopilot: the first one, or the same one at another port."""
         if self.peer is None:
             return True
         gone = time.monotonic() - self._last_received > _LEFT
-        return gone and peer != self.peer and peer.system == self.peer.system
+        return gone and peer != self.peer and self._same(peer)
 
-    def _refuse(self, cause: str, what: str) -> None:
+    def _refuse(self, cause: str, what: str, peer: Peer, hint: str = "") -> None:
+        """Count what is refused, and say why to its sender."""
         self.refusals.add(Refused(cause, what))
         self.refused = f"{what} {cause}"
+        now, key = time.monotonic(), (cause, peer.address)
+        if self._packer is None or now - self._said.get(key, -math.inf) < _REPEAT:
+            return
+        if len(self._said) >= _MOST_TEXTS:
+            self._said.clear()
+        self._said[key] = now
+        self._send_text(f"refused: {self.refused}{hint}", peer.address)
 
     def _meet(self, peer: Peer) -> None:
         """Take a party for the autopilot; we are a computer on board of it."""
         self.peer, self._last_received = peer, time.monotonic()
         ours = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
         self._packer = mavlink.MAVLink(None, srcSystem=peer.system, srcComponent=ours)
+        self._ask(peer)
+
+    def _ask(self, peer: Peer) -> None:
+        """Ask for telemetry."""
         kind, pace = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
         rest = (float(kind), _ASKED, 0.0, 0.0, 0.0, 0.0, 0.0)
         self._send(mavlink.MAVLink_command_long_message(peer.system, AUTOPILOT, pace, 0, *rest))
 
-    def _take_position(self, message: MavMessage) -> None:
+    def _take_position(self, peer: Peer, message: MavMessage) -> None:
         values = (message.x, message.y, message.z, message.vx, message.vy)
         speed = math.hypot(message.vx, message.vy)
         if not all(map(math.isfinite, values)):
-            self._refuse(NOT_FINITE, "telemetry")
+            self._refuse(NOT_FINITE, "telemetry", peer)
         elif self.reported is not None and self._is_older(self.reported, message.time_boot_ms):
-            self._refuse(OLDER, "telemetry")
+            hint = f"; accepted after {_SILENCE:g} s without any other"
+            self._refuse(OLDER, "telemetry", peer, hint)
         elif speed > self.max_speed * _SPEEDING:
             what = f"telemetry of {speed:.2f} m/s with at most {self.max_speed:g}"
-            self._refuse(BEYOND_BOUNDS, what)
+            self._refuse(BEYOND_BOUNDS, what, peer)
         else:
             self.reports += 1
             self.refused = ""
@@ -218,18 +246,19 @@ class AutopilotLink:
     @staticmethod
     def _is_older(reported: Reported, boot: int) -> bool:
         """Return whether a time stamp is older than the newest; after a silence the autopilot has started again."""
-        if time.monotonic() - reported.received > _SILENCE:
+        ahead = (boot - reported.boot) % _CLOCK
+        if 0 < ahead < _CLOCK // 2:
             return False
-        return not 0 < (boot - reported.boot) % _CLOCK < _CLOCK // 2
+        return ahead == 0 or time.monotonic() - reported.received <= _SILENCE
 
-    def say(self, text: str, peer: Peer | None = None) -> None:
-        """Send a text for people to the autopilot or another party, each at most once a second."""
-        now, to = time.monotonic(), peer or self.peer
-        if to is not None and now - self._said.get(text, -math.inf) > 1.0:
-            self._said = {**self._said, text: now} if len(self._said) < _MOST_TEXTS else {text: now}
-            data = text.encode("ascii", "replace")[:50]
-            message = mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_WARNING, data)
-            self.network.send(packed(message, self._packer), message.get_type(), to.address)
+    def say(self, text: str) -> None:
+        """Say a text for people to the autopilot; may be called from any thread."""
+        self._stories.append(text)
+
+    def _send_text(self, text: str, to: Address) -> None:
+        self._texts = self._texts % 65_535 + 1
+        for message in status_texts(text, self._texts, warns=True):
+            self.network.send(packed(message, self._packer), message.get_type(), to)
 
     def set_anchor(self, position: Vector) -> None:
         """It is where the UAV is now, and at that height it stays."""

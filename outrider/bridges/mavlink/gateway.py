@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from outrider.bridges.mavlink.dialect import MavMessage, mavlink, packed
 from outrider.bridges.mavlink.identity import AUTOPILOT, VehicleSystem
 from outrider.bridges.mavlink.services import NEGATIVE_REPLIES
-from outrider.bridges.mavlink.udp import MOST_PEERS, UNREADABLE, Network, Peer
+from outrider.bridges.mavlink.udp import MOST_PEERS, UNREADABLE, Address, Network, Peer
 from outrider.bridges.refused import Refusals, Refused
 
 ACCEPTED: int = mavlink.MAV_RESULT_ACCEPTED
@@ -19,6 +19,7 @@ OTHER_COMPONENT = "is for another component"
 OUR_NUMBER = "bears the number of a vehicle"
 SECOND_STATION = "comes from a second ground station"
 TOO_MANY = f"comes from one ground station too many; {MOST_PEERS} are the most"
+OTHER_ADDRESS = "comes from an address that nothing is sent to"
 NOT_FINITE = "has a number that is none"
 BEYOND_BOUNDS = "is beyond the bounds"
 NOT_ALLOWED = "is not allowed"
@@ -28,6 +29,8 @@ _RELEASE = 5.0
 """A ground station that has been silent for so long has no hold on a vehicle any more [s]."""
 _SETTLE = 2.0
 """Time between two texts about the same trouble of a vehicle [s]."""
+_REPEAT = 1.0
+"""Time between two texts to a ground station that is turned away [s]."""
 _FASTEST = 50.0
 """Messages of one kind that a party may ask for in a second [1/s]."""
 
@@ -101,6 +104,7 @@ class Gateway:
         self.silent = False
         """True: there is nothing to be told of now."""
         self._received = -math.inf
+        self._last_refusals: dict[Address, float] = {}
         self._troubles: dict[tuple[str, str], _Trouble] = {}
         self._timers = {
             number: {kind: _Timer(rate) for kind, rate in RATES.items()} for number in self.systems
@@ -137,15 +141,15 @@ class Gateway:
 
     def turn(self, patience: float) -> None:
         """Take in what has come, after a wait of up to `patience` [s] for the first of it, and tell what is due."""
-        before = self.network.unreadable
+        before, strangers = self.network.unreadable, self.network.strangers
         for peer, message in self.network.receive(patience):
             self.received += 1
             self._take(peer, message)
-        for peer in self.network.turned_away():
-            self.refuse(TOO_MANY, f"what {peer} wants")
-            first = next(iter(self.systems.values()))
-            for text in first.texts(f"refused: {MOST_PEERS} ground stations already", warns=True):
-                self.network.send_to_stranger(packed(text, first.sender), peer.address)
+        for peer, message in self.network.turned_away:
+            self._turn_away(peer, message)
+        if self.network.strangers > strangers:
+            count = self.network.strangers - strangers
+            self.refuse(OTHER_ADDRESS, "what is sent here", count)
         unreadable = self.network.unreadable - before
         if unreadable:
             self.refuse(UNREADABLE, "bytes that are none, or damaged", unreadable)
@@ -221,6 +225,22 @@ class Gateway:
         self._received = time.monotonic()
         return True
 
+    def _turn_away(self, peer: Peer, message: MavMessage) -> None:
+        """Refuse a ground station for which there is no room: deny its command, and say why once a second."""
+        kind, now = message.get_type(), time.monotonic()
+        self.refuse(TOO_MANY, f"{kind} of {peer}")
+        system = self.systems.get(getattr(message, "target_system", 0))
+        system = system or next(iter(self.systems.values()))
+        if kind in ("COMMAND_LONG", "COMMAND_INT"):
+            self._acknowledge(peer, system, message.command, DENIED)
+        if now - self._last_refusals.get(peer.address, -math.inf) < _REPEAT:
+            return
+        if len(self._last_refusals) >= MOST_PEERS:
+            self._last_refusals.clear()
+        self._last_refusals[peer.address] = now
+        for text in system.texts(f"refused: {MOST_PEERS} ground stations already", warns=True):
+            self.send(system, text, peer)
+
     def _take(self, peer: Peer, message: MavMessage) -> None:
         kind = message.get_type()
         if peer.system in self.systems:
@@ -232,6 +252,8 @@ class Gateway:
             self._answer_time(peer, message)
             return
         if kind not in _ADDRESSED:
+            if getattr(message, "target_system", 0) in self.systems and "_ACK" not in kind:
+                self.refusals.counts[f"message {NOT_SUPPORTED}"] += 1
             return
         target = message.target if kind == "MANUAL_CONTROL" else message.target_system
         if target and target not in self.systems:
@@ -256,9 +278,9 @@ class Gateway:
                 self._take_parameter(peer, system, message)
             case _ if kind in NEGATIVE_REPLIES:
                 self.refusals.counts[f"service {NOT_SUPPORTED}"] += 1  # the reply says it
-                reply = NEGATIVE_REPLIES[kind]
+                reply = NEGATIVE_REPLIES[kind](peer, message)
                 if reply is not None:
-                    self.send(system, reply(peer, message), peer)
+                    self.send(system, reply, peer)
             case "MANUAL_CONTROL":
                 self.manual(peer, system, message)
             case _:
@@ -287,8 +309,11 @@ class Gateway:
                 result = UNSUPPORTED
         if result == UNSUPPORTED:
             self.refusals.counts[f"command {NOT_SUPPORTED}"] += 1  # the answer says it
+        self._acknowledge(peer, system, message.command, result)
+
+    def _acknowledge(self, peer: Peer, system: VehicleSystem, command: int, result: int) -> None:
         answer = mavlink.MAVLink_command_ack_message(
-            message.command, result, 0, 0, peer.system, peer.component
+            command, result, 0, 0, peer.system, peer.component
         )
         self.send(system, answer, peer)
 

@@ -61,6 +61,23 @@ def _clipped(value: float) -> int:
     return round(max(-32_767.0, min(32_767.0, value)))
 
 
+def status_texts(text: str, number: int, *, warns: bool) -> Iterator[MavMessage]:
+    """Yield the messages of a text for people, as many as it needs.
+
+    Args:
+        text: The text.
+        number: The text's, 1 to 65535, by which its parts are put together.
+        warns: Whether it is a warning.
+    """
+    data = text.replace("²", "2").encode("ascii", "replace")
+    severity = _WORST if warns else _NOTE
+    number = number if len(data) > _CHUNK else 0
+    last = len(data) // _CHUNK if number else 0  # shorter than a chunk, if need be empty
+    for chunk in range(last + 1):
+        part = data[chunk * _CHUNK : (chunk + 1) * _CHUNK]
+        yield mavlink.MAVLink_statustext_message(severity, part, number, chunk)
+
+
 class VehicleSystem:
     """A vehicle's system.
 
@@ -131,14 +148,8 @@ class VehicleSystem:
 
     def texts(self, text: str, *, warns: bool) -> Iterator[MavMessage]:
         """A text for people, in as many messages as it needs."""
-        data = text.replace("²", "2").encode("ascii", "replace")
-        severity, number = _WORST if warns else _NOTE, 0
-        if len(data) > _CHUNK:
-            self._texts = number = self._texts % 65_535 + 1
-        last = len(data) // _CHUNK if number else 0  # shorter than a chunk, if need be empty
-        for chunk in range(last + 1):
-            part = data[chunk * _CHUNK : (chunk + 1) * _CHUNK]
-            yield mavlink.MAVLink_statustext_message(severity, part, number, chunk)
+        self._texts = self._texts % 65_535 + 1
+        return status_texts(text, self._texts, warns=warns)
 
     def _heartbeat(self) -> MavMessage:
         flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_SAFETY_ARMED

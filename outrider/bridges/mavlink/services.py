@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from outrider.bridges.mavlink.dialect import MavMessage, mavlink
 from outrider.bridges.mavlink.udp import Peer
 
-_NAK, _UNKNOWN_COMMAND = 129, 7
+_ACK, _NAK, _UNKNOWN_COMMAND = 128, 129, 7
 _FILE_BYTES = 251
 
 
@@ -29,9 +29,18 @@ def _no_log_data(_peer: Peer, message: MavMessage) -> MavMessage:
     return mavlink.MAVLink_log_data_message(message.id, message.ofs, 0, [0] * 90)
 
 
-def _no_files(peer: Peer, message: MavMessage) -> MavMessage:
+def _no_erasure(_peer: Peer, _message: MavMessage) -> MavMessage:
+    """Return a text: the protocol has no message for it."""
+    return mavlink.MAVLink_statustext_message(
+        mavlink.MAV_SEVERITY_WARNING, b"refused: there are no logs to erase"
+    )
+
+
+def _no_files(peer: Peer, message: MavMessage) -> MavMessage | None:
     """Return the NAK of the file transfer protocol: sequence number, session, opcode, size, request, error."""
     asked = bytes(message.payload)
+    if asked[3] in (_ACK, _NAK):
+        return None  # it is a reply itself
     number = (int.from_bytes(asked[:2], "little") + 1) % (1 << 16)
     head = number.to_bytes(2, "little") + bytes((asked[2], _NAK, 1, asked[3], 0, 0)) + asked[8:12]
     payload = head + bytes((_UNKNOWN_COMMAND,))
@@ -40,8 +49,8 @@ def _no_files(peer: Peer, message: MavMessage) -> MavMessage:
     )
 
 
-Answer = Callable[[Peer, MavMessage], MavMessage]
-NEGATIVE_REPLIES: Mapping[str, Answer | None] = {
+Answer = Callable[[Peer, MavMessage], MavMessage | None]
+NEGATIVE_REPLIES: Mapping[str, Answer] = {
     "MISSION_REQUEST_LIST": _no_items,
     "MISSION_REQUEST": _no_mission,
     "MISSION_REQUEST_INT": _no_mission,
@@ -54,8 +63,8 @@ NEGATIVE_REPLIES: Mapping[str, Answer | None] = {
     "MISSION_CLEAR_ALL": _no_mission,
     "LOG_REQUEST_LIST": _no_logs,
     "LOG_REQUEST_DATA": _no_log_data,
-    "LOG_ERASE": None,
-    "LOG_REQUEST_END": None,
+    "LOG_ERASE": _no_erasure,
+    "LOG_REQUEST_END": lambda _peer, _message: None,
     "FILE_TRANSFER_PROTOCOL": _no_files,
 }
-"""Reply to each request, by the request's name; None: the protocol has no reply to it."""
+"""Function that makes the reply to each request, by the request's name; its None: the protocol has no reply."""

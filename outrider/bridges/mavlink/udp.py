@@ -91,6 +91,14 @@ class _Line:
             del self.received[address]
         return list(self.received)
 
+    def admits(self, address: Address, now: float) -> bool:
+        """Return whether there is room for the party that has sent something."""
+        knows = self.fixed is not None or address in self.received
+        if not knows and len(self.reached(now)) >= MOST_PEERS:
+            return False
+        self.received[address] = now
+        return True
+
 
 def _resolved(address: Address) -> Address:
     try:
@@ -132,7 +140,9 @@ class Network:
         self.sent: Counter[str] = Counter()
         """Messages by type, however many parties each went to."""
         self._lines: list[_Line] = []
-        self._turned_away: dict[Address, tuple[Peer, socket.socket]] = {}
+        self.turned_away: list[tuple[Peer, MavMessage]] = []
+        """Messages of the newest `receive` from parties for which there was no room."""
+        self._guests: dict[Address, socket.socket] = {}
         try:
             for address in out:
                 self._open(_resolved(address))
@@ -150,6 +160,8 @@ class Network:
 
     def receive(self, patience: float) -> Iterator[tuple[Peer, MavMessage]]:
         """The messages that are there, after a wait of up to `patience` [s] for the first."""
+        self.turned_away.clear()
+        self._guests.clear()
         sockets = {line.socket: line for line in self._lines}
         ready, _, _ = select.select(list(sockets), [], [], patience)
         for one in ready:
@@ -168,27 +180,13 @@ class Network:
                 self.strangers += 1
                 continue
             found = self._parse(data)
-            if found and address not in line.received:
-                line.reached(time.monotonic())  # forgets the silent ones
-                if line.fixed is None and len(line.received) >= MOST_PEERS:
-                    sender = Peer(address, found[0].get_srcSystem(), found[0].get_srcComponent())
-                    if len(self._turned_away) < MOST_PEERS:
-                        self._turned_away[address] = sender, line.socket
-                    continue
-            if found:
-                line.received[address] = time.monotonic()
-            for message in found:
-                yield Peer(address, message.get_srcSystem(), message.get_srcComponent()), message
-
-    def turned_away(self) -> list[Peer]:
-        """Return the parties that were refused since the last call, as too many are there already."""
-        return [peer for peer, _ in self._turned_away.values()]
-
-    def send_to_stranger(self, packed: bytes, address: Address) -> None:
-        """Send a packed message to a party that was turned away, once."""
-        _, opened = self._turned_away.pop(address)
-        with suppress(OSError):
-            opened.sendto(packed, address)
+            peers = [Peer(address, one.get_srcSystem(), one.get_srcComponent()) for one in found]
+            messages = zip(peers, found, strict=True)
+            if found and not line.admits(address, time.monotonic()):
+                self._guests[address] = line.socket
+                self.turned_away += messages
+            else:
+                yield from messages
 
     def _parse(self, data: bytes) -> list[MavMessage]:
         """The messages of one datagram: each holds whole ones, so nothing of one can spoil the next."""
@@ -209,15 +207,15 @@ class Network:
         Args:
             packed: Its bytes.
             kind: Its type, which is counted.
-            to: To this party alone; None: to everybody.
+            to: To this party alone, also if it was turned away just now; None: to everybody.
         """
         now = time.monotonic()
         self.sent[kind] += 1
-        for line in self._lines:
-            for address in line.reached(now):
-                if to is None or to == address:
-                    with suppress(OSError):  # a full buffer, or nobody there: as a radio would
-                        line.socket.sendto(packed, address)
+        reached = [(line.socket, one) for line in self._lines for one in line.reached(now)]
+        for opened, address in (*reached, *((one, who) for who, one in self._guests.items() if to)):
+            if to is None or to == address:
+                with suppress(OSError):  # a full buffer, or nobody there: as a radio would
+                    opened.sendto(packed, address)
 
     def close(self) -> None:
         """Give back all sockets."""
