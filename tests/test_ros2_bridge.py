@@ -314,11 +314,17 @@ def test_an_operators_node_drives_and_what_is_bad_is_counted_and_told(tmp_path: 
             )
             answer = decode(response_of(interface), reply.ok.payload.to_bytes())
             assert answer.success
-            counted = observer.refusals.counts["another hash"]
-            key = wire_topic(interface, name, "/fleet").key(7)
-            calls = driving.get("/".join([*key.split("/")[:-1], NO_HASH]), payload=payload)
-            assert all(reply.ok is None for reply in calls)
-            wait_until(lambda now=counted: observer.refusals.counts["another hash"] > now)
+            good = wire_topic(interface, name, "/fleet").key(7)
+            bad = {
+                "another hash": "/".join([*good.split("/")[:-1], NO_HASH]),
+                "another domain": wire_topic(interface, name, "/fleet").key(8),
+                "no such service": wire_topic(interface, name, "/other").key(7),
+                "another type": good.replace("::srv::", "::msg::"),
+            }
+            for cause, key in bad.items():
+                counted = observer.refusals.counts[cause]
+                assert all(reply.ok is None for reply in driving.get(key, payload=payload))
+                assert observer.refusals.counts[cause] == counted + 1
         actions = [controls.receive(2.0).message.action for _ in asked]
         assert actions == [Action.PAUSE, Action.STEP, Action.RESET]
         client.close()

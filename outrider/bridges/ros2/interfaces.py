@@ -12,7 +12,6 @@ from outrider.bridges.ros2.wire import dds_type
 
 RosMessage = Any
 """A message of ROS 2's, of a class that rosbags generates and that has no types."""
-OTHER_HASH = "another hash"
 _MOST_ITEMS = 1 << 20
 """Elements of a sequence that is read: what claims to have more is no message to us."""
 _SERVICES = {
@@ -93,16 +92,30 @@ def decode(name: str, raw: bytes) -> RosMessage:
         raise Refused("no CDR of its type", f"{name}: {error}") from error
 
 
-def decode_checked(interface: str, hashed: str, raw: bytes, *allowed: str) -> RosMessage:
-    """The message in these bytes, whose key has this type and hash.
+def check_type(interface: str, hashed: str, *allowed: str) -> str:
+    """Return the name of the type that a key has.
+
+    Args:
+        interface: The type, as keys call it.
+        hashed: The hash in the key.
+        allowed: Names of types.
 
     Raises:
-        Refused: If it is of none of the allowed types, or no CDR of its type.
+        Refused: If it is of none of the allowed types, or has another hash.
     """
     name = next((one for one in allowed if dds_type(one) == interface), None)
     if name is None:
         verb = "are" if len(allowed) > 1 else "is"
         raise Refused("another type", f"{interface}; allowed {verb} {' and '.join(allowed)}")
     if hashed != type_hash(name):
-        raise Refused(OTHER_HASH, f"{hashed} of {name}; here it is {type_hash(name)}")
-    return decode(name, raw)
+        raise Refused("another hash", f"{hashed} of {name}; here it is {type_hash(name)}")
+    return name
+
+
+def decode_checked(interface: str, hashed: str, raw: bytes, *allowed: str) -> RosMessage:
+    """The message in these bytes, whose key has this type and hash.
+
+    Raises:
+        Refused: If it is of none of the allowed types, or no CDR of its type.
+    """
+    return decode(check_type(interface, hashed, *allowed), raw)

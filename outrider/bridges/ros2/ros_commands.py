@@ -7,17 +7,16 @@ import math
 import threading
 import time
 from collections.abc import Mapping
-from functools import partial
 from typing import NamedTuple
 
 from bus.messages import Action, Control, Limits, Status, Vector
 from bus.registry import TELEOP
-from bus.ros2_access import CMD_VEL, SERVICES, VELOCITIES
+from bus.ros2_access import CALLS, CMD_VEL, SERVICES, VELOCITIES
 from outrider.bridges.refused import Refusals, Refused
 from outrider.bridges.ros2.conversion import MAP, base_link
 from outrider.bridges.ros2.interfaces import (
-    OTHER_HASH,
     RosMessage,
+    check_type,
     decode,
     decode_checked,
     encode,
@@ -31,6 +30,11 @@ from outrider.bridges.ros2.wire import NEWEST
 from outrider.view.operator import Helm, RunClient
 
 TWISTS = ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist")
+_SERVICES = {
+    service: "std_srvs/srv/SetBool" if service == "pause" else "std_srvs/srv/Trigger"
+    for service in SERVICES
+}
+"""Types of the services."""
 _RELEASE = 1.0
 """Silence after which a wheel is free for another node, and is taken anew [s]."""
 _SLACK = 1e-9
@@ -61,15 +65,42 @@ def wish_of(
     Raises:
         Refused: If it is not passed on, whatever the reason.
     """
-    there, *middle, _topic, interface, hashed = key.split("/")
-    if there != str(domain):
-        raise Refused("another domain", f"{there}; this is {domain}")
-    parts = [part for part in namespace.split("/") if part]
-    vehicle = middle[-1] if middle else ""
-    if middle[:-1] != parts or vehicle not in ugvs:
-        raise Refused("no such UGV", f"{'/'.join(middle)}; there are {', '.join(ugvs)}")
+    name, interface, hashed = _parts_of(key, domain)
+    vehicle = name[-2] if len(name) > 1 else ""
+    if name[:-2] != _space(namespace) or vehicle not in ugvs:
+        raise Refused("no such UGV", f"{'/'.join(name[:-1])}; there are {', '.join(ugvs)}")
     told = decode_checked(interface, hashed, payload, *TWISTS)
     return Wish(vehicle, _velocity(told, vehicle, ugvs[vehicle]))
+
+
+def service_of(key: str, *, domain: int, namespace: str) -> str:
+    """Return the name of the service that a call on a key asks for.
+
+    Args:
+        key: Of the call.
+        domain: ROS 2's domain id here.
+        namespace: Before the names of our services; empty: none.
+
+    Raises:
+        Refused: If it is not for a service here, or has another type or hash.
+    """
+    (*space, service), interface, hashed = _parts_of(key, domain)
+    if space != _space(namespace) or service not in _SERVICES:
+        raise Refused("no such service", f"{service}; there are {', '.join(_SERVICES)}")
+    check_type(interface, hashed, _SERVICES[service])
+    return service
+
+
+def _parts_of(key: str, domain: int) -> tuple[list[str], str, str]:
+    """Return the parts of the name in a key, its type and its hash."""
+    there, *name, interface, hashed = key.split("/")
+    if there != str(domain):
+        raise Refused("another domain", f"{there}; this is {domain}")
+    return name, interface, hashed
+
+
+def _space(namespace: str) -> list[str]:
+    return [part for part in namespace.split("/") if part]
 
 
 def _velocity(told: RosMessage, vehicle: str, limits: Limits) -> Vector:
@@ -119,10 +150,10 @@ class RosCommands:
         # Of every domain, vehicle and type: what is not for us is counted and not decoded.
         for expression in VELOCITIES.keys:
             node.receive(expression, self._receive)
-        for service in SERVICES:
-            interface = "std_srvs/srv/SetBool" if service == "pause" else "std_srvs/srv/Trigger"
-            topic = wire_topic(interface, f"/{service}", namespace)
-            node.service(topic, partial(self._serve, service, interface), self._refuse_call)
+        for expression in CALLS.keys:
+            node.serve(expression, self._serve)
+        for service, interface in _SERVICES.items():
+            node.show_service(wire_topic(interface, f"/{service}", namespace))
 
     def follow(self, status: Status | None) -> None:
         """Take in what the simulator tells: whose wheels there are."""
@@ -168,7 +199,15 @@ class RosCommands:
             raise Refused("the bus takes no more", wish.vehicle)
         self.taken += 1
 
-    def _serve(self, service: str, interface: str, raw: bytes) -> bytes:
+    def _serve(self, key: str, raw: bytes) -> bytes | None:
+        """Answer a call; None: it is not for a service here, or without the hash of its type."""
+        try:
+            service = service_of(key, domain=self._node.domain, namespace=self._namespace)
+        except Refused as refused:
+            with self._lock:
+                self._refusals.add(refused)
+            return None
+        interface = _SERVICES[service]
         answer = response_of(interface)
         try:
             request = decode(request_of(interface), raw)
@@ -183,10 +222,6 @@ class RosCommands:
             self.taken += said
         told = f"{action.value} at the next tick" if said else "the bus takes no more messages"
         return encode(answer, make(answer, success=said, message=told))
-
-    def _refuse_call(self, name: str) -> None:
-        with self._lock:
-            self._refusals.add(Refused(OTHER_HASH, f"a call of {name} without a hash of its type"))
 
     def hand_back(self) -> None:
         """Let the drivers from before drive on."""

@@ -14,7 +14,6 @@ import zenoh
 import zenoh.ext
 
 from bus.errors import BusError
-from bus.ros2_access import NO_HASH
 from bus.session import Session
 from outrider.bridges.ros2.wire import RELIABLE, Attachment, Endpoint, Node, Qos, WireTopic, gid_of
 
@@ -25,8 +24,8 @@ _REMOTE = zenoh.Locality.REMOTE
 Receive = Callable[[str, bytes, bytes], None]
 """Takes a message: its key, its payload and the identity of who sent it; called by a thread of Zenoh's, keep it short.
 """
-Serve = Callable[[bytes], bytes]
-"""Answers a request, both as CDR; called likewise."""
+Serve = Callable[[str, bytes], bytes | None]
+"""Answers the request on a key, both as CDR, or not at all: None. Called by a thread of Zenoh's."""
 
 
 class RosPublisher:
@@ -132,34 +131,25 @@ class RosNode:
 
         self._kept.append(self._zenoh.declare_subscriber(expression, take, allowed_origin=_REMOTE))
 
-    def service(self, topic: WireTopic, serve: Serve, refuse: Callable[[str], None]) -> None:
-        """Offer a service.
-
-        Args:
-            topic: The service with its type.
-            serve: Answers a request.
-            refuse: Called with the name for each call without a hash of the type.
-        """
-        key = topic.key(self.domain)
-
-        def refuse_call(query: zenoh.Query) -> None:
-            with query:
-                refuse(topic.name)
-                query.reply_err(b"the type's hash is missing")
-
-        unhashed = topic.key(self.domain).replace(topic.hash, NO_HASH)
-        self._kept.append(self._zenoh.declare_queryable(unhashed, refuse_call, complete=True))
+    def serve(self, expression: str, serve: Serve) -> None:
+        """Answer the calls on all keys that an expression matches."""
 
         def answer(query: zenoh.Query) -> None:
             with query:
+                key = str(query.key_expr)
                 beside = None if query.attachment is None else query.attachment.to_bytes()
                 payload = b"" if query.payload is None else query.payload.to_bytes()
                 try:
-                    query.reply(key, serve(payload), attachment=beside)
+                    reply = serve(key, payload)
+                    if reply is not None:
+                        query.reply(key, reply, attachment=beside)
                 except (BusError, zenoh.ZError) as error:
-                    _LOG.warning("a call of %s is refused: %s", topic.name, error)
+                    _LOG.warning("a call of %s is refused: %s", key, error)
 
-        self._kept.append(self._zenoh.declare_queryable(key, answer, complete=True))
+        self._kept.append(self._zenoh.declare_queryable(expression, answer, complete=True))
+
+    def show_service(self, topic: WireTopic) -> None:
+        """Show in the graph that a service is offered here."""
         self._show(self._token(Endpoint.SERVICE, topic, RELIABLE))
 
     def close(self) -> None:

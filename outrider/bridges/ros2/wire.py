@@ -1,7 +1,7 @@
 """The wire format of rmw_zenoh: keys of topics, tokens of the graph, quality of service, attachments.
 
 As in ros2/rmw_zenoh, `docs/design.md` and `rmw_zenoh_cpp/src/detail/liveliness_utils.cpp`. Distributions from Jazzy on
-carry the type's hash in the key; Humble does not, and its nodes are not reached.
+carry the type's hash in the key; Humble writes `TypeHashNotSupported` there, and its nodes are refused and counted.
 """
 
 import re
