@@ -22,7 +22,7 @@ from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
 from sim.env.rows import UAV_METRICS
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Certificate, Detections, LinkTable, Scenario
+from sim.scenario.types import Certificate, Detections, LinkTable, Scenario, Uav, Wind
 from sim.server.flight import Flight
 
 
@@ -128,20 +128,35 @@ def test_a_certificate_that_ends_is_counted_unless_an_assumption_has_failed() ->
     assert _flown_with(loop, [6])["certificate_broken"] == 2.0  # an episode begins at 0
 
 
-@pytest.mark.parametrize(("declared", "broken"), [(1.0, 2.0), (0.2, 0.0)])
-def test_errors_that_occurred_excuse_a_broken_certificate(declared: float, broken: float) -> None:
-    """The noise has no bound; no error of this flight reaches 1 m, some exceed 0.2 m."""
+@pytest.mark.parametrize(
+    ("declared", "given"),
+    [
+        (Certificate(age=1.0, error=0.29), {"detections": Detections(noise=0.1, cut=0.0)}),
+        (
+            Certificate(age=1.0, tracking=0.08),
+            {"wind": Wind(gust=0.05), "uav": Uav(position=(8.0, 7.0), own_error=0.05)},
+        ),
+    ],
+    ids=["noise without a cut", "wind beyond what is declared"],
+)
+def test_a_broken_certificate_is_excused_by_actual_errors_alone(declared, given):
+    """Two blackouts end the certificate of each flight, at ages that the counts hold to be allowed."""
     dark = msgspec.structs.replace(PROFILES["perfect"], blackouts=((4.0, 2.0), (8.0, 3.0)))
-    scenario = small(
-        "certified",
-        links=LinkTable(detections=dark),
-        certificate=Certificate(age=1.0, error=declared),
-        detections=Detections(noise=0.1, cut=0.0, dropout=0.0),
-    )
-    loop = ClosedLoop(scenario, 1, error=True)
+    scenario = small("certified", links=LinkTable(detections=dark), certificate=declared, **given)
+    seeds = [5, 6, 7, 8, 9, 10]
+    loop = ClosedLoop(scenario, len(seeds), error=True)
     loop.tables.bounds["age"] += 100
-    assert _flown_with(loop, [5])["certified"] > 0.0
-    assert _flown_with(loop, [5])["certificate_broken"] == broken
+    broken = _flown_with(loop, seeds)["certificate_broken"].tolist()
+    for k, seed in enumerate(seeds):
+        record = fly(scenario, seed)[0].recorder
+        off = np.hypot(*(record.states[:, 0, :2] - record.told[:, 0, :2]).T)
+        measured = record.escorts[:, 0, 2:4] - (record.states[:, 0, :2] - record.states[:, 1, :2])
+        times = scenario.dt * np.arange(len(off))
+        heard = (times < 4.0) | (times >= 6.0) & (times < 8.0) | (times >= 11.0)
+        wrong = heard & (np.hypot(*measured.T) > 0.29) if declared.error else off > 0.08
+        first = next(iter(times[wrong].tolist()), scenario.duration)
+        assert broken[k] == (first > 5.0) + (first > 9.0), first
+    assert {0.0, 2.0} <= set(broken)  # some flights of either kind
 
 
 def test_the_whole_escort_is_the_run_that_the_readme_shows() -> None:

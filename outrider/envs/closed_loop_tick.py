@@ -4,8 +4,6 @@ The pilots' own functions are called, so a vehicle that is flown in here gets th
 give over the bus. One pass a world, so that its grid stays near the core until the tick is done.
 """
 
-import math
-
 from agents.control.certificate import CERTIFIED as NOTHING_AGAINST
 from agents.control.certificate import INNER
 from agents.control.guard import GuardState, guard
@@ -51,6 +49,7 @@ from sim.engine.mission import goals_of, receive_block
 from sim.engine.world_state import (
     COMMAND,
     LOOK,
+    TRUE_ERROR,
     Told,
 )
 from sim.engine.world_tick import begin_world, measure, truth_of, world_tick
@@ -328,15 +327,6 @@ def _perceive(parameters: LoopParameters, tables: LoopTables, state: LoopState, 
             looks[u],
             arrived[u],
         )
-        if tables.guarded[u]:
-            _note_errors(tables, state, world, u)
-            for n in range(arrived[u]):
-                note_arrival(
-                    tables.bounds[u],
-                    state.certificates[world, u],
-                    int(looks[u, n, LOOK.taken]),
-                    0.0,
-                )
         if tables.thinking[u]:
             kalman = _kalman_of(state.kalman, world, u)
             kalman_step(tables.kalman[u], kalman, tick, here.p_x, here.p_y, looks[u], arrived[u])
@@ -345,23 +335,6 @@ def _perceive(parameters: LoopParameters, tables: LoopTables, state: LoopState, 
     if state.grounds.tiles.shape[2] > 0:
         for g in range(tables.batch.ground.ugvs.shape[0]):
             _feel_ground(tables, state, world, g)
-
-
-@inlined
-def _note_errors(tables: LoopTables, state: LoopState, world: int, uav: int) -> None:
-    """Compare this tick's detection and the UAV's position with the truth.
-
-    A detection that is wrong counts at once, whether it arrives or not.
-    """
-    a, g = tables.batch.escorts[uav, 0], tables.batch.escorts[uav, 1]
-    true, told = state.batch.truth.position[world], state.batch.told.position[world]
-    found = state.batch.truth.detections[world, uav]
-    off = norm(true[a, 0] - told[a, 0], true[a, 1] - told[a, 1])
-    count_tracking(tables.bounds, state.certificates[world], uav, off)
-    if not math.isnan(found[0]):
-        x, y = true[a, 0] - true[g, 0], true[a, 1] - true[g, 1]
-        counts = state.certificates[world, uav]
-        note_arrival(tables.bounds[uav], counts, counts.newest, norm(found[0] - x, found[1] - y))
 
 
 @inlined
@@ -432,6 +405,20 @@ def _note_action(tables: LoopTables, state: LoopState, world: int, uav: int, tic
     note_sent(sent, tick, command[COMMAND.u_x], command[COMMAND.u_y])
     begins = state.batch.flown[world, v, 0].begins
     note_action(bounds, state.certificates[world, uav], sent, tick, acts[0], acts[1], begins)
+
+
+@inlined
+def _note_evidence(tables: LoopTables, state: LoopState, world: int, uav: int) -> None:
+    """Count how wrong the detections are that have reached a UAV at this tick, and how far it is off its reference."""
+    bounds, counts, batch = tables.bounds[uav], state.certificates[world, uav], state.batch
+    for n in range(batch.arrived[world, uav]):
+        look = batch.received[world, uav, n]
+        note_arrival(bounds, counts, int(look[LOOK.taken]), look[TRUE_ERROR])
+    if tables.batch.disturbances.shape[0] > 0:
+        v = tables.batch.escorts[uav, 0]
+        true, reference = batch.truth.position[world, v], batch.told.position[world, v]
+        off = norm(true[0] - reference[0], true[1] - reference[1])
+        count_tracking(tables.bounds, state.certificates[world], uav, off)
 
 
 @inlined
@@ -571,9 +558,12 @@ def run_worlds(
                     advance_rows(tables.batch, state.batch, tables.rows, state.rows, k, beginning)
                 elif part == 3:
                     over = state.rows.terminated[k] or state.rows.truncated[k]
-                    for u in range(tables.batch.escorts.shape[0] if over else 0):
-                        lost = state.rows.uavs[k, u, UAV_METRICS.lost] != 0.0
-                        note_end(state.certificates[k, u], lost)
+                    for u in range(tables.batch.escorts.shape[0]):
+                        if over:
+                            lost = state.rows.uavs[k, u, UAV_METRICS.lost] != 0.0
+                            note_end(state.certificates[k, u], lost)
+                        elif tables.guarded[u]:
+                            _note_evidence(tables, state, k, u)
                     if tick == ticks - 1 or over or beginning:
                         _observe(parameters, tables, state, k)
             after = -1

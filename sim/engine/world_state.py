@@ -23,6 +23,8 @@ from sim.scenario.types import Scenario, Uav
 
 LOOK = columns(Look)
 """Columns of `BatchState.received`."""
+TRUE_ERROR = len(LOOK)
+"""Column of `BatchState.received` behind those of `LOOK`: the detection's true error [m], which no vehicle is sent."""
 
 
 class CommandRow(NamedTuple):
@@ -42,7 +44,7 @@ class CommandRow(NamedTuple):
 COMMAND = columns(CommandRow)
 """Columns of `BatchState.sent`."""
 
-MESSAGE_SIZE = max(len(LOOK), len(COMMAND))
+MESSAGE_SIZE = max(len(LOOK) + 1, len(COMMAND))
 """Numbers in a message on a link of detections or commands."""
 
 

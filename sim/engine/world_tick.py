@@ -9,7 +9,14 @@ from sim.channel.link import receive, send
 from sim.engine.ground_tick import drive_on, keep_before, perceive_ground
 from sim.engine.link_arrays import link_of
 from sim.engine.mission import note_mission
-from sim.engine.world_state import COMMAND, LOOK, BatchState, BatchTables, WorldState
+from sim.engine.world_state import (
+    COMMAND,
+    LOOK,
+    TRUE_ERROR,
+    BatchState,
+    BatchTables,
+    WorldState,
+)
 from sim.kernels.compile import FloatArray, IntArray, borrowing, inlined
 from sim.kernels.records import RecordArray
 from sim.models.detection import detect
@@ -289,7 +296,7 @@ def deliver_detections(tables: BatchTables, state: BatchState, world: int) -> No
     """Send this tick's detections out, and receive those that arrive."""
     keys = state.keys[world]
     tick = state.ticks[world]
-    found = state.truth.detections[world]
+    found, position = state.truth.detections[world], state.truth.position[world]
     received = state.received[world]
     message = state.inbox[world, 0]
     for u in range(found.shape[0]):
@@ -297,7 +304,12 @@ def deliver_detections(tables: BatchTables, state: BatchState, world: int) -> No
         key = key_of(keys, tables.links.owners[u, 0], tables.links.owners[u, 1])
         begin_tick(tables.links, u, link, key, tick)
         if not math.isnan(found[u, 0]):
+            a, g = tables.escorts[u, 0], tables.escorts[u, 1]
             message[LOOK.taken], message[LOOK.x], message[LOOK.y] = tick, found[u, 0], found[u, 1]
+            message[TRUE_ERROR] = norm(
+                found[u, 0] - (position[a, 0] - position[g, 0]),
+                found[u, 1] - (position[a, 1] - position[g, 1]),
+            )
             send(tables.links, u, link, key, message)
         state.arrived[world, u] = receive(link, received[u])
 

@@ -12,12 +12,11 @@ import numpy as np
 
 from bus.messages import UavReport
 from sim.engine.certificate_counts import NEVER, ArrivalRecord
-from sim.engine.world_state import LOOK, WorldState
+from sim.engine.world_state import LOOK, TRUE_ERROR, WorldState
 from sim.engine.world_tick import measure
 from sim.kernels.compile import FloatArray, IntArray, borrowing, entry_point
 from sim.kernels.packing import NUMBER, writer
 from sim.kernels.records import RecordArray, record_type
-from sim.models.vehicles import norm
 from sim.server.row_store import RowStore
 from sim.world import World
 
@@ -82,12 +81,8 @@ def _take_down(
         arrivals[uav].newest, arrivals[uav].error = NEVER, 0.0
         for n in range(arrived[0, uav]):
             look = received[0, uav, n]
-            then = states[int(look[LOOK.taken])]
-            d_x = then[pairs[uav, 0], 0] - then[pairs[uav, 1], 0]
-            d_y = then[pairs[uav, 0], 1] - then[pairs[uav, 1], 1]
-            error = norm(look[LOOK.x] - d_x, look[LOOK.y] - d_y)
             arrivals[uav].newest = max(arrivals[uav].newest, int(look[LOOK.taken]))
-            arrivals[uav].error = max(arrivals[uav].error, error)
+            arrivals[uav].error = max(arrivals[uav].error, look[TRUE_ERROR])
 
 
 class Recorder:

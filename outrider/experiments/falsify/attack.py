@@ -62,6 +62,7 @@ from sim.engine.batch import Batch
 from sim.engine.world_state import (
     COMMAND,
     LOOK,
+    TRUE_ERROR,
     BatchState,
     BatchTables,
 )
@@ -81,6 +82,8 @@ from sim.models.vehicles import Motion, clip_norm, norm
 _ATTACK = 1001  # purpose of the draws
 _RING = 256
 """Commands that are remembered, to see whether they act when they should."""
+_ROUNDING = 1e-9
+"""An error that is larger than declared by no more than this [m] is as declared."""
 _A_C, _B_C, _C_C, _D_C = -3.0, -3.0, -8.0 / 3.0, -3.0  # (15) with the paper's closed loop (s + 1)^3
 
 
@@ -356,6 +359,7 @@ def fly_one(
     begin_guard(memory)
     begin_world(tables, state, 0)
     certified_before, filtering, first_seen, seen_ticks = False, True, -1, 0
+    exact = True  # no detection that has arrived had a larger error than declared
     suspected, since, total, intervened, uncertified = 0, 0, 0.0, 0, 0
     acts, code = INNER, NO_DETECTION
     result.max_distance, result.max_excess, result.max_age = 0.0, -math.inf, 0.0
@@ -375,6 +379,7 @@ def fly_one(
             for n in range(state.arrived[0, 0]):
                 look = state.received[0, 0, n]
                 taken = int(look[LOOK.taken])
+                exact = exact and look[TRUE_ERROR] <= promise.error + _ROUNDING
                 note_detection(
                     promise, memory, taken, tick, look[LOOK.x], look[LOOK.y], here.p_x, here.p_y
                 )
@@ -408,6 +413,7 @@ def fly_one(
                 filtering = not filtering
                 if filtering:
                     begin_guard(memory)
+                    exact = True
                     note_position(memory, tick, here.p_x, here.p_y)
                 trouble.last_break = tick
             leaves = conditions.disturbance == DISTURBANCES.rejoins and trouble.away == 0
@@ -437,7 +443,13 @@ def fly_one(
         if certified:
             result.max_certified = max(result.max_certified, d)
             result.certified_lost += d >= conditions.r_v
-        elif certified_before and quiet > d_ticks + 1 and new >= 0 and age <= promise.age_ticks:
+        elif (
+            exact
+            and certified_before
+            and quiet > d_ticks + 1
+            and new >= 0
+            and age <= promise.age_ticks
+        ):
             suspected, since = suspected + 1, tick
         if quiet <= 1:
             suspected = 0
