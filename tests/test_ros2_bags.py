@@ -17,6 +17,8 @@ from stamps import seconds_of
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 pytest.importorskip("rosbags", reason="the extra [ros2] is not installed")
 
+from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
 from observed import Observer, recorded
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
@@ -322,6 +324,26 @@ def test_a_folder_that_is_no_bag_of_ours_is_one_line(flown, tmp_path, spoil, lin
     spoil(tmp_path / "bad", flown)
     with refused(ScenarioError, f"^{re.escape(str(tmp_path))}/bad:? ?{line}"):
         flight_of(tmp_path / "bad")
+
+
+@pytest.mark.parametrize(
+    ("topic", "field"), [("/truth", "time"), ("/status", "time"), ("/scenario", "start")]
+)
+def test_times_out_of_range_in_messages_are_one_line(flown, tmp_path, topic, field):
+    with flown.file.open("rb") as read, (tmp_path / "late.mcap").open("wb") as written:
+        writer, channels = McapWriter(written), {}
+        writer.start()
+        for _, channel, message in make_reader(read).iter_messages():
+            name, data = channel.topic, message.data
+            if name not in channels:
+                channels[name] = writer.register_channel(name, channel.message_encoding, 0)
+            if name == topic:
+                data = json.dumps(json.loads(data) | {field: 1e12}).encode()
+            writer.add_message(channels[name], message.log_time, data, message.publish_time)
+        writer.finish()
+    with refused(ScenarioError, "time = .* s.*: out of range"):
+        write_bag(tmp_path / "late.mcap", tmp_path / "bag")
+    assert [one.name for one in tmp_path.iterdir()] == ["late.mcap"]
 
 
 def test_without_the_extra_it_is_named(flown, tmp_path, monkeypatch):

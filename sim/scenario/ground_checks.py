@@ -104,7 +104,7 @@ def _polygon_faults(path: str, hazard: Hazard) -> Iterator[Fault]:
     count = len(corners)
     if count < 3:
         yield Fault(
-            path, hazard.polygon, f"{count} corners", "three or more, a millimetre apart or more"
+            path, hazard.polygon, f"{count} corners", "three or more, more than a millimetre apart"
         )
         return
     sides = np.roll(corners, -1, axis=0) - corners

@@ -109,8 +109,8 @@ SpeedShare = Annotated[float, Meta(gt=0.0, le=1.0)]
 DEFAULT_SHARE = 0.4
 """Of its largest speed that a vehicle keeps on rough ground where no share is given."""
 MOST_CORNERS = 1000
-SAME_CORNER = 1e-3 * (1.0 - 1e-9)
-"""Corners of a polygon that are nearer than a millimetre, but for rounding, are one [m]: a ring may close so."""
+SAME_CORNER = 1e-3 + 1e-9
+"""Corners of a polygon that are no farther apart than a millimetre, but for rounding, are one [m]."""
 MOST_HAZARDS = 10_000
 
 
@@ -132,9 +132,9 @@ class Hazard(_Table, frozen=True, kw_only=True):
         """Merge corners that follow each other within `SAME_CORNER`, the last and the first too."""
         corners: list[Vector] = []
         for corner in self.polygon:
-            if not corners or math.dist(corner, corners[-1]) >= SAME_CORNER:
+            if not corners or math.dist(corner, corners[-1]) > SAME_CORNER:
                 corners.append(corner)
-        while len(corners) > 1 and math.dist(corners[0], corners[-1]) < SAME_CORNER:
+        while len(corners) > 1 and math.dist(corners[0], corners[-1]) <= SAME_CORNER:
             corners.pop()
         msgspec.structs.force_setattr(self, "polygon", tuple(corners))
 

@@ -15,6 +15,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from bus.errors import ScenarioError
 from bus.messages import (
     CoverageMap,
     EscortTruth,
@@ -29,6 +30,7 @@ from bus.messages import (
     VehicleStatus,
 )
 from outrider.bridges.ros2.interfaces import RosMessage, make
+from outrider.recording.bag_records import LATEST
 from sim.scene.colors import FAINT, HAZARDS, LIMIT, rgb
 from sim.scene.model import Scene, observed_scene
 
@@ -121,8 +123,16 @@ def view_of(name: str, geometry: Geometry) -> RunView:
 
 
 def stamp(seconds: float) -> RosMessage:
-    """A simulated time."""
+    """A simulated time.
+
+    Raises:
+        ScenarioError: If ROS 2 cannot tell it: it counts seconds in 32 bits.
+    """
     nanoseconds = round(seconds * 1e9)
+    if nanoseconds > LATEST:
+        raise ScenarioError(
+            f"time = {seconds:g} s: out of range of ROS 2; allowed up to {LATEST / 1e9:g}"
+        )
     return make(
         "builtin_interfaces/msg/Time", sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9
     )

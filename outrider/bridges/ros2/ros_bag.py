@@ -22,7 +22,7 @@ from outrider.bridges.ros2.conversion import RunView, view_of
 from outrider.bridges.ros2.interfaces import encode, make, require_extra, type_hash, type_store
 from outrider.bridges.ros2.topics import TOPICS, TopicRow, messages_of
 from outrider.bridges.ros2.wire import Qos
-from outrider.recording.bag_records import RECORDS, RECORDS_TYPE, BagRecord
+from outrider.recording.bag_records import LATEST, RECORDS, RECORDS_TYPE, BagRecord
 from outrider.recording.reader import Recording, decoded, entries
 from outrider.recording.schemas import (
     CHANGES,
@@ -161,10 +161,18 @@ class RosBag:
             topic: The recording's channel.
             message: Of the flight that has begun.
             seconds: When, in simulated time.
+
+        Raises:
+            ScenarioError: If the time is out of range.
         """
         if isinstance(message, Status) and message.geometry is not None and self._geometry is None:
             self._geometry = message.geometry
         time_ns = self._base + round(seconds * 1e9)
+        if not 0 <= time_ns <= LATEST:
+            raise ScenarioError(
+                f"{topic.name}: time = {time_ns / 1e9:g} s after the start of its flight: "
+                f"out of range; allowed from 0 up to {LATEST / 1e9:g}"
+            )
         self._last = max(self._last, time_ns)
         self._waiting.append((topic, message, time_ns))
 
