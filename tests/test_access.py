@@ -373,7 +373,12 @@ def test_links_are_not_followed_where_credentials_are_given_away(tmp_path: Path)
         access.give_folder(tmp_path / "link", (os.geteuid(), os.getegid()))
 
 
-def test_no_process_of_a_vehicle_inherits_the_pages_token(monkeypatch) -> None:
+def test_no_process_of_a_vehicle_inherits_the_pages_token_or_the_users_credentials(
+    monkeypatch,
+) -> None:
     monkeypatch.setenv("OUTRIDER_TOKEN", "x" * 20)
+    for name in ("OUTRIDER_CREDENTIALS", "OUTRIDER_PASSWORD"):
+        monkeypatch.setenv(name, "y")
+        assert name not in environment_of("", token=True)
     assert "OUTRIDER_TOKEN" not in environment_of("")
     assert "OUTRIDER_TOKEN" in environment_of("", token=True)

@@ -304,6 +304,16 @@ def test_a_long_recording_is_inspected_alike_everywhere(
     assert "no detection arrives for 8 s from 400 s on" in warning
 
 
+def test_a_table_that_lasts_for_thirty_years_is_inspected_in_part(tmp_path: Path) -> None:
+    (tmp_path / "long.csv").write_text("sent,delay\n0,0.01\n1e9,2.0\n")
+    scenario = load_scenario(
+        "escort",
+        overrides=[f"links.detections.trace={tmp_path}/long.csv", "detections.dropout=0.0"],
+    )
+    (warning,) = promise_warnings(scenario)
+    assert "in its first 50000 s; the rest was not inspected" in warning
+
+
 # --- the same bits everywhere
 
 

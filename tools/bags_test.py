@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from bridge_checks import FOREIGN, Row, environment, output, report, told
+from bridge_checks import FOREIGN, Row, await_text, environment, output, report, told
 from ros2_test import RCLPY, Run
 
 READERS = ("rosbags>=0.11,<0.12", "mcap-ros2-support>=0.5.7", "ruamel.yaml")
@@ -139,6 +139,7 @@ def live(folder: Path, python: Path) -> Iterator[Row]:
             "record", "observer", "record", "--ros2", folder / "live", "--scenario", "escort",
             "--set", f"duration={DURATION}", "--json",
         )  # fmt: skip
+        await_text(folder / "record.log", "waiting for the run")
         run.join("uav", "uav_0", "uav")
         run.join("ugv", "ugv_0", "ugv")
         run.simulator.wait(120.0)

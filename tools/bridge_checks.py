@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -121,3 +122,16 @@ def report(findings: Callable[[Path], Iterator[Row]], about: str | None) -> int:
             mark = "holds" if found.holds else "DOES NOT HOLD"
             print(f"| {found.what} | {found.value} | {mark} |", flush=True)  # noqa: T201
     return 0 if good else 1
+
+
+def await_text(file: Path, text: str, patience: float = 120.0) -> None:
+    """Wait until a log says something.
+
+    Raises:
+        SystemExit: If it does not.
+    """
+    limit = time.monotonic() + patience
+    while text not in file.read_text():
+        if time.monotonic() > limit:
+            raise SystemExit(f"{file.name} never said {text!r}: {file.read_text()[-500:]}")
+        time.sleep(0.1)

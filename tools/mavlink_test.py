@@ -8,12 +8,22 @@ import json
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-from bridge_checks import FOREIGN, Row, called, environment, output, outrider, report, started, told
+from bridge_checks import (
+    FOREIGN,
+    Row,
+    await_text,
+    called,
+    environment,
+    output,
+    outrider,
+    report,
+    started,
+    told,
+)
 
 NEEDED = ("mavsdk>=4,<5", "MAVProxy>=1.8.70,<2", "pymavlink>=2.4.49,<3")
 DURATION = 100.0
@@ -25,19 +35,6 @@ def free_port(kind: socket.SocketKind) -> int:
     with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
-
-
-def await_text(file: Path, text: str, patience: float = 120.0) -> None:
-    """Wait until a log says something.
-
-    Raises:
-        SystemExit: If it does not.
-    """
-    limit = time.monotonic() + patience
-    while text not in file.read_text():
-        if time.monotonic() > limit:
-            raise SystemExit(f"{file.name} never said {text!r}: {file.read_text()[-500:]}")
-        time.sleep(0.1)
 
 
 def log_of_mavproxy(python: Path, folder: Path) -> Iterator[Row]:

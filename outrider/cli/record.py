@@ -97,6 +97,8 @@ def command(
         options.join(Role.OBSERVER, run, connect, credentials) as session,
     ):
         recorder = RunRecorder(session, sink(target), known)
+        if not ERR.is_terminal:  # there the bar says it
+            ERR.tell(f"{target}: waiting for the run")
         try:
             lost = _follow(session, recorder, stop)
         finally:

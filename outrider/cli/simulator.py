@@ -226,11 +226,14 @@ def command(
                     )
                     # first of all, so that a full disk does not take it
                     reports.write(Report(summary=summary))
-                    files = write_flight(flight, summary, out, picture=picture) if out else []
-                    files += [record] if record is not None else []
-                    reports.write(Report(files=[str(file) for file in files]))
-                    if json:
-                        print_json(summary)
-                    elif not events:
-                        print_summary(summary, files)
+                    files: list[Path] = []
+                    try:
+                        files += write_flight(flight, summary, out, picture=picture) if out else []
+                        files += [record] if record is not None else []
+                        reports.write(Report(files=[str(file) for file in files]))
+                    finally:  # also where the disk is full
+                        if json:
+                            print_json(summary)
+                        elif not events:
+                            print_summary(summary, files)
     raise typer.Exit(stop.exit_code)

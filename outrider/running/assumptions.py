@@ -31,7 +31,7 @@ from sim.channel.description import (
     longest_wait,
 )
 from sim.channel.link import FATES, LinkParameters
-from sim.channel.places import delays_by_place
+from sim.channel.places import delays_at
 from sim.channel.recorded import Opportunities, recording_of
 from sim.channel.recorded import found as trace_named
 from sim.engine.briefing import declared as declared_bounds
@@ -42,7 +42,7 @@ from sim.scenario.types import LinkTable, Scenario, Uav
 _RARE = 1e-6
 """Events that are expected less often than this in a whole flight are not told."""
 _MOST_PLAYED = 1_000_000
-"""Ticks of a Mahimahi file that are inspected at most."""
+"""Ticks of a recorded link that are inspected at most."""
 
 
 class How(StrEnum):
@@ -262,16 +262,15 @@ class _Link:
         table, tick = p.replay == FATES, 1000.0 * p.dt
         most = _MOST_PLAYED
         step = round(tick * every)
-        whole = p.period
+        whole, settled = p.period, p.longest + p.queue * every  # before that it has only begun
         if not table:
             exact = step > 0 and abs(step - tick * every) < DUST
             whole = math.ceil(math.lcm(p.period, step) / tick) if exact else most + 1
-        ticks, settled = whole, p.longest + p.queue * every  # before that it has only begun
-        if not table:
-            ticks, settled = min(whole, most), min(p.longest + longest_wait(p) + every, most)
+            settled = p.longest + longest_wait(p) + every
+        ticks, settled = min(whole, most), min(settled, most)
         sent = np.arange(0, settled + ticks + every, every)
         if table:
-            took = delays_by_place(p)[sent % p.period]
+            took = delays_at(p, sent % p.period)
             arrived = np.where(took < 0, -1, sent + took)
         else:
             bare = p._replace(blackouts=np.zeros((0, 2), dtype=np.int64))
@@ -303,8 +302,8 @@ class _Link:
         return f"{ticks * self.scenario.dt:g} s"
 
 
-def _often(share: float) -> How:
-    return How.THROUGHOUT if share >= 0.5 else How.SOMETIMES
+def _often(share: float, *, whole: bool = True) -> How:
+    return How.THROUGHOUT if whole and share >= 0.5 else How.SOMETIMES
 
 
 def _percent(share: float) -> str:
@@ -392,7 +391,7 @@ def _recorded_ages(link: _Link, promise: Promise, limit: str) -> Iterator[tuple[
             f"older than {limit} in {_percent(share)} of the ticks of {link.inspected(ages, whole)}"
         )
         told = f"the newest detection is {what}{', and becomes so ' if often else ''}{often}"
-        yield _often(share), f"{link.path}.trace: {told}"
+        yield _often(share, whole=whole), f"{link.path}.trace: {told}"
     elif often:
         told = f"the newest detection becomes older than {limit} {often}"
         yield How.SOMETIMES, f"{link.path}.trace{dropout}: {told}"
@@ -498,7 +497,7 @@ def _delays(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
                 f"another command than that of {tau} before acts in {_percent(share)} of the ticks of "
                 f"{link.inspected(ages, whole)}"
             )
-            yield _often(share), f"{link.path}.trace: {what}"
+            yield _often(share, whole=whole), f"{link.path}.trace: {what}"
         yield from _lost_commands(link)
         return
     if parameters.spacing > 1.0 + DUST:

@@ -32,9 +32,11 @@ _LONGEST_COMMAND = 4096
 
 READY, COMPILING = b"r", b"c"
 """A forkserver's words: all is loaded; the pilots are not in the cache, and it compiles for some ten seconds."""
-_TOKEN = "OUTRIDER_TOKEN"  # noqa: S105 - the name of a variable: the page's token is no child's
+_TOKEN = "OUTRIDER_TOKEN"  # noqa: S105 - the name of a variable: the page's token is no vehicle's
 _SECRET = "OUTRIDER_SECRET"  # noqa: S105 - a variable's name
 """The place where a simulator's process that was forked finds the run's secret."""
+_OUR_ACCESS = ("OUTRIDER_CREDENTIALS", "OUTRIDER_PASSWORD")
+"""Variables by which the person who starts the run joins others; its processes have credentials of its own."""
 
 
 def environment_of(secret: str, *, token: bool = False) -> dict[str, str]:
@@ -43,7 +45,7 @@ def environment_of(secret: str, *, token: bool = False) -> dict[str, str]:
     A forked process has it in its memory alone; of an interpreter that is started all processes of its user can read
     the environment, a vehicle's among them, as all users can read its command line. The page alone gets its token.
     """
-    left_out = (_SECRET,) if token else (_SECRET, _TOKEN)
+    left_out = {_SECRET, *_OUR_ACCESS} | (set() if token else {_TOKEN})
     ours = {name: value for name, value in os.environ.items() if name not in left_out}
     return ours | ({_SECRET: secret} if secret else {})
 

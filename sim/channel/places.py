@@ -16,7 +16,12 @@ _Mask = npt.NDArray[np.bool_]
 
 def delays_by_place(parameters: LinkParameters) -> IntArray:
     """The delay of a message that is sent at each place of a round [ticks]; -1: it is lost. Shape (places,)."""
-    rows = np.searchsorted(parameters.trace[:, 0], np.arange(parameters.period), side="right") - 1
+    return delays_at(parameters, np.arange(parameters.period))
+
+
+def delays_at(parameters: LinkParameters, places: IntArray) -> IntArray:
+    """The delay of a message that is sent at each of these places of a round [ticks]; -1: it is lost."""
+    rows = np.searchsorted(parameters.trace[:, 0], places, side="right") - 1
     delays: IntArray = parameters.trace[rows, 1]
     return delays
 
