@@ -7,7 +7,7 @@ from typing import Protocol
 from agents.drivers.compiled import NavigateDriver
 from agents.drivers.policy import Policy, PolicyDriver
 from bus.errors import ScenarioError
-from bus.messages import MotionPlan, UgvBriefing, UgvCommand, UgvObservation
+from bus.messages import MotionPlan, UgvBriefing, UgvCommand, UgvObservation, UgvReport
 from bus.registry import DRIVERS, resolve
 
 
@@ -69,11 +69,22 @@ class UgvPilot:
             self._driver = self._make(observation.driver)
         acceleration, route = self._driver.drive(observation), None
         motions: tuple[MotionPlan, ...] = ()
+        report: UgvReport | None = None
         if isinstance(self._driver, NavigateDriver):
             route = self._driver.new_route(observation.position)
             motions = self._driver.motions(observation.tick)
+            report = self._driver.report()
         elif observation.driver is not None:
             route = ()  # that of the driver before is not driven any more
         return UgvCommand(
-            tick=observation.tick, acceleration=acceleration, motions=motions, route=route
+            tick=observation.tick,
+            acceleration=acceleration,
+            motions=motions,
+            route=route,
+            report=report,
         )
+
+    def forget_commands(self) -> None:
+        """The commands so far were not sent, or another process has sent them."""
+        if isinstance(self._driver, NavigateDriver):
+            self._driver.forget_commands()

@@ -32,6 +32,7 @@ from agents.drivers.compiled import PLAN_TILES
 from agents.drivers.navigate import (
     PLAIN,
     navigate_control,
+    note_claim,
     note_sent,
     state_ahead,
 )
@@ -39,7 +40,17 @@ from agents.drivers.parameters import NAVIGATE, DriverParameters
 from agents.drivers.planning import begin_search, search_on
 from agents.drivers.tile_map import GroundMemory, ground_memory, note_block, note_tiles
 from sim.kernels.compile import FloatArray, entry_point
-from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, UNSEEN, TileArray
+from sim.models.ground import (
+    BLOCK,
+    CERTIFIED,
+    CLEAR,
+    FOUND,
+    NO_CLAIM,
+    ROUGH,
+    UNSEEN,
+    WAY_UNKNOWN,
+    TileArray,
+)
 from sim.models.motion import NO_MOTION
 from sim.models.vehicles import Motion, brake, clip_norm, norm, step_vehicle, within_walls
 
@@ -87,6 +98,9 @@ class Trial:
 @dataclasses.dataclass(frozen=True)
 class Outcome:
     """Of a flight."""
+
+    broken: int
+    """Certified ticks after which the UGV was not certified."""
 
     entered: int
     """Ticks with a point in a tile that was not known to be drivable."""
@@ -307,6 +321,7 @@ def _filtered_by(
     if not (check or is_safe)(parameters, trial.delay > 0, memory.tiles, ground, ahead, *wanted):
         wanted = brake(ahead.v_x, ahead.v_y, parameters.u_max, parameters.dt)
     note_sent(memory, tick, parent, *wanted)
+    note_claim(parameters, memory, ahead, *wanted)
     return wanted
 
 
@@ -378,6 +393,7 @@ def fly(
     flown = PLAIN if receiver is None else NO_MOTION
     drive = entry_point(navigate_control, parameters, memory, trial.goals, 0, here, flown)
     last, reached = trial.goals[-1], False
+    claim, broken = NO_CLAIM, 0
     for tick in range(trial.ticks):
         teller.tell(tick, here.p_x, here.p_y, norm(here.v_x, here.v_y))
         fresh = (known == LATER) & (memory.tiles != UNSEEN) & (memory.tiles != BLOCK)
@@ -391,6 +407,8 @@ def fly(
         else:
             wanted = _wanted(trial, rng, wanted, here)
             u = _filtered_by(check, trial, memory, tick, here, wanted, flown)
+        before, claim = claim, int(memory.flags[0]["claim"])
+        broken += before == CERTIFIED and claim == WAY_UNKNOWN
         queue.append(u)
         u_x, u_y = queue.pop(0)
         if receiver is not None:
@@ -408,7 +426,7 @@ def fly(
         way += math.dist((x, y), here[:2])
         here = Motion(x, y, v_x, v_y)
         states.append(here)
-    return Outcome(_entered(trial, known, states), way, tick, bool(reached))
+    return Outcome(broken, _entered(trial, known, states), way, tick, bool(reached))
 
 
 def is_reachable(trial: Trial) -> bool:
@@ -500,13 +518,14 @@ def lossy(runs: int = RUNS) -> Iterator[str]:
 
 def attack(runs: int = RUNS, *, lossy: bool = False) -> Iterator[str]:
     """Fly the attacks and count."""
-    count = dict.fromkeys(("flights", "entered", "ticks", "still"), 0)
+    count = dict.fromkeys(("flights", "entered", "broken", "ticks", "still"), 0)
     way = 0.0
     for seed in range(runs):
         trial = draw_trial(seed)
         one = fly(trial, seed, lossy=lossy)
         count["flights"] += 1
         count["entered"] += one.entered > 0
+        count["broken"] += one.broken
         count["ticks"] += one.ticks + 1
         count["still"] += one.way == 0.0
         way += one.way / trial.parameters.tile
@@ -514,6 +533,8 @@ def attack(runs: int = RUNS, *, lossy: bool = False) -> Iterator[str]:
             yield f"seed {seed}: {one.entered} ticks in tiles not known to be drivable"
     yield f"{count['flights']} flights of {count['ticks']} ticks and {way:.0f} tiles' way"
     yield f"in {count['entered']} of them a tile was entered that was not known to be drivable"
+    if lossy:
+        yield f"the certificate was broken {count['broken']} times"
     yield f"in {count['still']} of them the UGV never moved"
 
 

@@ -533,6 +533,15 @@ class UavCommand(Message, frozen=True, kw_only=True):
     report: UavReport | None = None
 
 
+class UgvReport(Message, frozen=True, kw_only=True):
+    """The report of a cautious UGV to observers; no vehicle reads it."""
+
+    certified: bool
+    """True if it is certified to stay on tiles that it knows to be drivable, whatever becomes of its commands."""
+    uncertified: Text = ""
+    """Why not."""
+
+
 class UgvCommand(Message, frozen=True, kw_only=True):
     """A UGV's answer to its observation of the same tick."""
 
@@ -544,6 +553,8 @@ class UgvCommand(Message, frozen=True, kw_only=True):
     """For observers, no vehicle reads it: the way that it plans to its goal, by its corners [m], from where it is; none
     where it knows none. None: as before.
     """
+    report: UgvReport | None = None
+    """None: it does not promise to stay on tiles that it knows."""
 
 
 class Action(StrEnum):
@@ -659,6 +670,22 @@ class CoverageMap(Message, frozen=True, kw_only=True):
     """Row by row from y = 0 (base64 in JSON)."""
 
 
+class UgvGuarantee(Message, frozen=True, kw_only=True):
+    """The words of a cautious UGV so far, held against the truth (docs/explanation/ground.md)."""
+
+    entered_unknown_tile: Tick
+    """Ticks in which it drove over a tile that it did not know to be drivable."""
+    ticks: Tick
+    """Ticks in which it has said whether it is certified to stay on tiles that it knows."""
+    certified: Tick
+    """Those in which it was."""
+    uncertified: dict[Text, Tick] = {}
+    """Those in which it was not, by reason."""
+    certificate_broken: Tick
+    """Certified ticks after which it was not certified, or in which it entered such a tile, although all assumptions
+    hold: the guarantee is wrong if there is one."""
+
+
 class Mission(Message, frozen=True, kw_only=True):
     """The UGVs' way through ground with hazards, all together: for measuring, no vehicle is told."""
 
@@ -680,6 +707,10 @@ class Mission(Message, frozen=True, kw_only=True):
     """Share of the way that led over tiles which had come by radio before; None: nobody has moved."""
     entered_unknown_tile: Tick = 0
     """Ticks in which a UGV drove over a tile that it did not know to be drivable, of all UGVs."""
+    ground_certificate_broken: Tick = 0
+    """As `UgvGuarantee.certificate_broken`, of all UGVs."""
+    guarantees: dict[Name, UgvGuarantee] = {}
+    """Of each UGV."""
     still_time: NonNegative
     """Time that the UGVs stood still before they had arrived [s]."""
     finds: Tick

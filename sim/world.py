@@ -17,10 +17,11 @@ from bus.messages import (
     Mission,
     MotionPlan,
     SeenTile,
+    UgvReport,
 )
 from sim.engine.batch import Batch
 from sim.engine.links import Links
-from sim.engine.mission import mission_of, receive_block
+from sim.engine.mission import mission_of, note_claim, receive_block
 from sim.engine.world_state import (
     COMMAND,
     LOOK,
@@ -33,7 +34,15 @@ from sim.engine.world_state import (
 from sim.engine.world_tick import measure
 from sim.kernels.compile import FloatArray, entry_point
 from sim.kernels.packing import NUMBER, writer
-from sim.models.ground import TileArray, block_letters, tile_states
+from sim.models.ground import (
+    CERTIFIED,
+    NO_CLAIM,
+    UNCERTIFIED,
+    WAY_UNKNOWN,
+    TileArray,
+    block_letters,
+    tile_states,
+)
 from sim.models.motion import NO_MOTION, keep_motion, motion_row
 from sim.scenario.types import Scenario, Uav
 
@@ -44,6 +53,8 @@ _ROW = MESSAGE_SIZE * NUMBER
 """Bytes of a command."""
 _write_command, _write_carried = writer(COMMAND.last), writer(2)
 """The numbers of a `CommandRow`: those that every command has, and those of one that carries motions."""
+
+_CODES = {words: code for code, words in UNCERTIFIED.items()}
 
 
 class World:
@@ -191,7 +202,20 @@ class World:
         tables, state = self.arrays
         if not len(tables.ground.parameters):
             return None
-        return mission_of(tables.mission, state.ground, state.mission, 0, self.parameters.dt)
+        told = tables.mission, state.ground, state.mission, 0, self.parameters.dt
+        names = [self.names[k] for k in tables.ground.ugvs]
+        return mission_of(*told, names)
+
+    def note_claim(self, vehicle: int, report: UgvReport | None) -> None:
+        """Take in what a UGV claims at this tick of staying on tiles that it knows; None: nothing."""
+        tables, state = self.arrays
+        if not len(tables.ground.parameters):
+            return
+        claim = NO_CLAIM
+        if report is not None:
+            claim = CERTIFIED if report.certified else _CODES.get(report.uncertified, WAY_UNKNOWN)
+        ugv = int(np.flatnonzero(tables.ground.ugvs == vehicle)[0])
+        note_claim(state.mission.ugvs[0], ugv, claim)
 
     @property
     def tiles(self) -> TileArray:

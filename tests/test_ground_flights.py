@@ -31,7 +31,8 @@ def test_a_flight_over_hazards_has_one_trajectory(name: str) -> None:
     batch, tables = loop.state.batch, loop.tables.batch
     assert np.array_equal(batch.truth.position[1], flight.world.position)
     assert not np.array_equal(batch.ground.tiles[0], batch.ground.tiles[1])
-    found = mission_of(tables.mission, batch.ground, batch.mission, 1, scenario.dt)
+    names = [ugv.name for ugv in scenario.ugv]
+    found = mission_of(tables.mission, batch.ground, batch.mission, 1, scenario.dt, names)
     assert found == flight.world.mission
 
 

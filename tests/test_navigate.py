@@ -318,7 +318,7 @@ def test_it_leaves_a_blocked_tile_that_it_stands_in_but_enters_none() -> None:
     tiles[2, 2] = tiles[2, 3] = BLOCK
     here = Motion(2.5, 2.5, 0.0, 0.0)
     ground = open_from(tiles, 1.0, 0, here.p_x, here.p_y)
-    assert ground == Open(0, 1, 1, 1, 2, 3, 3)
+    assert ground == Open(0, 1, 1, 1, 2, 3, 3, TOUCH)
     fast = _on_tiles(v_max=20.0, u_max=50.0)
     assert is_safe(fast, False, tiles, ground, here, 0.0, 50.0)
     assert not is_safe(fast, False, tiles, ground, here._replace(v_x=4.9), 50.0, 0.0)

@@ -143,7 +143,7 @@ def test_with_damage_it_drives_on_and_each_hazard_counts_once() -> None:
 
 
 def test_no_fast_ugv_jumps_over_a_thin_wall() -> None:
-    wall = Hazard(kind="block", polygon=((9.0, 4.0), (9.001, 4.0), (9.001, 8.0), (9.0, 8.0)))
+    wall = Hazard(kind="block", polygon=((9.0, 4.0), (9.002, 4.0), (9.002, 8.0), (9.0, 8.0)))
     scenario = on(wall)
     fast = msgspec.structs.replace(scenario.ugv[0], max_speed=9.0, max_acceleration=50.0)
     world = World(msgspec.structs.replace(scenario, ugv=(fast,)), 1)

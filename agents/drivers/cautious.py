@@ -38,12 +38,20 @@ class Open(NamedTuple):
     end_row: int
     end_column: int
     """So are blocked ones from this row and column to before that: a UGV that stands on such tiles leaves them."""
+    touch: float
+    """A tile counts as touched if it is nearer than this [m]: `TOUCH`, or less to judge what was checked before."""
 
 
 @compiled
 def open_to(bold: int) -> Open:
     """The tiles that are open to a UGV that stands on open ones, bold (1) or cautious (0)."""
-    return Open(bold, 1, 1, 0, 0, 0, 0)
+    return Open(bold, 1, 1, 0, 0, 0, 0, TOUCH)
+
+
+@compiled
+def known_open() -> Open:
+    """The tiles that are known to be drivable, for a way that was checked before, but for rounding."""
+    return Open(0, 1, 1, 0, 0, 0, 0, 0.5 * TOUCH)
 
 
 @compiled
@@ -78,17 +86,18 @@ def triangle_is_open(
         a, b, c: Its corners [m]; some may be the same.
     """
     rows, columns = tiles.shape
+    touch = ground.touch
     lowest, highest = min(a[1], b[1], c[1]), max(a[1], b[1], c[1])
-    first, end = span(lowest - TOUCH, highest + TOUCH, tile, rows)
+    first, end = span(lowest - touch, highest + touch, tile, rows)
     for i in range(first, end):
-        low, high = i * tile - TOUCH, (i + 1) * tile + TOUCH
+        low, high = i * tile - touch, (i + 1) * tile + touch
         left, right = edge_within(a[0], a[1], b[0], b[1], low, high)
         one, other = edge_within(b[0], b[1], c[0], c[1], low, high)
         left, right = min(left, one), max(right, other)
         one, other = edge_within(c[0], c[1], a[0], a[1], low, high)
         left, right = min(left, one), max(right, other)
         if left <= right:
-            begin, behind = span(left - TOUCH, right + TOUCH, tile, columns)
+            begin, behind = span(left - touch, right + touch, tile, columns)
             for j in range(begin, behind):
                 if not _is_open(tiles, ground, i, j):
                     return False
@@ -172,21 +181,32 @@ def is_safe(
     e_x, e_y = (w_x / speed, w_y / speed) if speed > 0.0 else (0.0, 0.0)
     way = braking_way(speed, u_max, dt)
     end = x + e_x * way, y + e_y * way
-    if not (0.0 <= x <= parameters.width and 0.0 <= y <= parameters.height):
+    slack = TOUCH - ground.touch
+    width, height = parameters.width + slack, parameters.height + slack
+    if not (-slack <= x <= width and -slack <= y <= height):
         return False
-    if not (0.0 <= end[0] <= parameters.width and 0.0 <= end[1] <= parameters.height):
+    if not (-slack <= end[0] <= width and -slack <= end[1] <= height):
         return False
     # the tick itself lies within the triangle
     if not triangle_is_open(tiles, tile, ground, a, turn, (x, y)):
         return False
     if not way_is_open(tiles, tile, ground, (x, y), end):
         return False
-    slow = parameters.share * v_max  # no rough ground makes it slower
+    slow = parameters.share * v_max + slack  # no rough ground makes it slower
     if not late or speed <= slow:
         return True
     way = slowing_way(speed, slow, u_max, dt)
     there = x + e_x * way, y + e_y * way
-    even = Open(ground.unseen, 0, 1, ground.row, ground.column, ground.end_row, ground.end_column)
+    even = Open(
+        ground.unseen,
+        0,
+        1,
+        ground.row,
+        ground.column,
+        ground.end_row,
+        ground.end_column,
+        ground.touch,
+    )
     if not triangle_is_open(tiles, tile, even, a, turn, (x, y)):
         return False
     return way_is_open(tiles, tile, even, (x, y), there)
@@ -239,4 +259,4 @@ def open_from(tiles: TileArray, tile: float, bold: int, x: float, y: float) -> O
         i, j = nearest_open(tiles, tile, bold, x, y)
         row, end_row = min(row, i), max(end_row, i + 1)
         column, end_column = min(column, j), max(end_column, j + 1)
-    return Open(bold, 1, 1, row, column, end_row, end_column)
+    return Open(bold, 1, 1, row, column, end_row, end_column, TOUCH)

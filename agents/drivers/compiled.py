@@ -30,6 +30,7 @@ from bus.messages import (
     MotionPlan,
     UgvBriefing,
     UgvObservation,
+    UgvReport,
     Vector,
     or_infinite,
 )
@@ -37,7 +38,14 @@ from bus.registry import BOLD, DRIVERS
 from bus.ticks import first_tick_from
 from sim.kernels.compile import FloatArray, borrowing, entry_point
 from sim.kernels.records import RecordArray, record_type, records
-from sim.models.ground import tile_index, tile_states, tiles_shape
+from sim.models.ground import (
+    CERTIFIED,
+    NO_CLAIM,
+    UNCERTIFIED,
+    tile_index,
+    tile_states,
+    tiles_shape,
+)
 from sim.models.motion import NO_MOTION
 from sim.models.randomness import words_of
 from sim.models.vehicles import Motion
@@ -227,6 +235,17 @@ class NavigateDriver(CompiledDriver):
             for begins, row in zip(range(first, last + 1), rows, strict=True)
             if row["begins"] == begins
         )
+
+    def report(self) -> UgvReport | None:
+        """Whether the command of this tick leaves the UGV on tiles that it knows to be drivable; None: not promised."""
+        claim = int(self.memory.ground.flags[0]["claim"])
+        if claim == NO_CLAIM:
+            return None
+        return UgvReport(certified=claim == CERTIFIED, uncertified=UNCERTIFIED.get(claim, ""))
+
+    def forget_commands(self) -> None:
+        """The commands so far were not sent, or another process has sent them."""
+        self.memory.ground.sent["begins"] = NO_MOTION
 
     def new_route(self, position: Vector) -> tuple[Vector, ...] | None:
         """The way that it plans, by its corners [m] from a place to the goal, for observers; none where there is none.

@@ -11,6 +11,7 @@ import math
 from agents.drivers.cautious import (
     Open,
     is_safe,
+    known_open,
     nearest_open,
     open_from,
     open_way,
@@ -33,7 +34,15 @@ from agents.drivers.waypoints import goal_control
 from bus.messages import MOST_CARRIED
 from sim.kernels.compile import FloatArray, borrowing, compiled
 from sim.kernels.records import RecordArray
-from sim.models.ground import BLOCK, tile_index
+from sim.models.ground import (
+    BLOCK,
+    CERTIFIED,
+    NO_CLAIM,
+    NO_STOP,
+    TOUCH,
+    WAY_UNKNOWN,
+    tile_index,
+)
 from sim.models.motion import NO_MOTION, follow_on, keep_motion, motion_command
 from sim.models.vehicles import (
     Motion,
@@ -75,6 +84,9 @@ def state_ahead(
 ) -> tuple[Motion, int]:
     """Return the state of the UGV when the command of this tick acts, and the motion that it then goes on from.
 
+    It notes in `memory.flags` whether the way until then, and the one to a stop wherever commands are lost on it, lies
+    on tiles that are known to be drivable.
+
     Args:
         parameters: Of the driver.
         memory: With the commands that were sent.
@@ -85,6 +97,9 @@ def state_ahead(
     """
     sent, ahead, rows = memory.sent, memory.flown, memory.sent.shape[0]
     plain = flown == PLAIN
+    known, late = known_open(), rows > 2
+    stop_x, stop_y = brake(here.v_x, here.v_y, parameters.u_max, parameters.dt)
+    safe = is_safe(parameters, late, memory.tiles, known, here, stop_x, stop_y)
     own = flown % rows
     if flown >= 0 and sent[own].begins == flown:
         ahead[0] = sent[own]
@@ -102,6 +117,7 @@ def state_ahead(
             follow_on(sent, ahead, tick + k)
             u_x, u_y = motion_command(ahead[0], here.v_x, here.v_y, parameters.u_max, parameters.dt)
             ahead[0].age += 1
+        safe = safe and is_safe(parameters, late, memory.tiles, known, here, u_x, u_y)
         p_x, p_y, v_x, v_y, _, _ = step_vehicle(
             here.p_x,
             here.p_y,
@@ -116,7 +132,29 @@ def state_ahead(
         p_x, v_x = within_walls(p_x, v_x, parameters.width)
         p_y, v_y = within_walls(p_y, v_y, parameters.height)
         here = Motion(p_x, p_y, v_x, v_y)
+    memory.flags[0].claim = NO_STOP if plain else CERTIFIED if safe else WAY_UNKNOWN
     return here, int(ahead[0].begins)
+
+
+@borrowing
+def note_claim(
+    parameters: DriverParameters, memory: GroundMemory, ahead: Motion, u_x: float, u_y: float
+) -> None:
+    """Claim, after `state_ahead`, what the command of this tick [m/s²] leaves to be claimed.
+
+    Args:
+        parameters: Of the driver; a bold one claims nothing.
+        memory: Its flags are changed.
+        ahead: Where the UGV is when the command acts.
+        u_x, u_y: The command.
+    """
+    flags, late = memory.flags[0], memory.sent.shape[0] > 2
+    if parameters.bold != 0:
+        flags.claim = NO_CLAIM
+    elif flags.claim == CERTIFIED and not is_safe(
+        parameters, late, memory.tiles, known_open(), ahead, u_x, u_y
+    ):
+        flags.claim = WAY_UNKNOWN
 
 
 @borrowing
@@ -162,7 +200,9 @@ def _way_costs_at_most(
     unseen = 1 if price >= UNSEEN_PRICE else 0
     rough = 1 if price >= _rough_price(parameters) else 0
     beside = 1 if price >= 1.0 + BESIDE_PRICE else 0
-    return way_is_open(memory.tiles, parameters.tile, Open(unseen, rough, beside, 0, 0, 0, 0), a, b)
+    return way_is_open(
+        memory.tiles, parameters.tile, Open(unseen, rough, beside, 0, 0, 0, 0, TOUCH), a, b
+    )
 
 
 @borrowing
@@ -226,7 +266,7 @@ def _rough_speed(
 ) -> float:
     """Largest speed with which it is, at the first rough ground on its way, as slow as that makes it [m/s]."""
     slow = _slow(parameters)
-    even = Open(1, 0, 1, 0, 0, 0, 0)
+    even = Open(1, 0, 1, 0, 0, 0, 0, TOUCH)
     a, b = (here.p_x, here.p_y), (to_x, to_y)
     share = open_way(memory.tiles, parameters.tile, even, a, b)
     if share == 1.0:
@@ -342,4 +382,5 @@ def navigate_control(
                 to_x, to_y = look_ahead(parameters, memory, here.p_x, here.p_y, goal_x, goal_y)
                 u_x, u_y = drive_towards(parameters, memory, here, to_x, to_y)
     note_sent(memory, tick, parent, u_x, u_y)
+    note_claim(parameters, memory, here, u_x, u_y)
     return u_x, u_y

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from bus.messages import BLOCK_SIDE
 from sim.kernels.compile import FloatArray, IntArray, borrowing
 from sim.kernels.records import RecordArray, records
-from sim.models.ground import BLOCK, UNSEEN, TileArray
+from sim.models.ground import BLOCK, NO_CLAIM, UNSEEN, TileArray
 from sim.models.motion import no_motions
 
 _NEVER = -1
@@ -39,6 +39,8 @@ class GroundFlags(NamedTuple):
     """Number of tiles in its heap."""
     plans: int = 0
     """Number of searches that have ended."""
+    claim: int = NO_CLAIM
+    """Of the newest tick."""
     settled: float = np.inf
     """Costs up to this one are final, when the search has ended; infinite: all are."""
 

@@ -208,6 +208,19 @@ def _mission(summary: Summary) -> Iterator[tuple[str | Text, str | Text]]:
     yield "hazards on the way", way
     if summary.seen_ahead is not None:
         yield "way seen ahead", f"{100.0 * summary.seen_ahead:.0f} %"
+    for name, told in summary.guarantees.items():
+        if told.ticks:
+            yield (
+                f"{name} on known ground",
+                Text.assemble(
+                    f"certified {100.0 * told.certified / told.ticks:.2f} % of the ticks, left it in ",
+                    (
+                        f"{told.entered_unknown_tile}",
+                        "red" if told.entered_unknown_tile else "green",
+                    ),
+                    f", broken {told.certificate_broken} times" if told.certificate_broken else "",
+                ),
+            )
     if summary.finds:
         yield "found", f"{summary.found} of {summary.finds}"
 

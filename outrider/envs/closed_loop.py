@@ -359,7 +359,8 @@ class ClosedLoop:
     def mission(self, world: int) -> Mission:
         """The mission of one world so far, where there are hazards."""
         tables, state = self.tables.batch, self.state.batch
-        return mission_of(tables.mission, state.ground, state.mission, world, self.scenario.dt)
+        told = tables.mission, state.ground, state.mission, world, self.scenario.dt
+        return mission_of(*told, self.ugvs)
 
     def links(self, world: int) -> dict[str, LinkStatus]:
         """The counters of each link of one world so far, by `vehicle/kind`."""

@@ -45,7 +45,7 @@ from sim.engine.certificate_counts import (
     note_sent,
 )
 from sim.engine.link_arrays import link_of
-from sim.engine.mission import goals_of, receive_block
+from sim.engine.mission import goals_of, note_claim, receive_block
 from sim.engine.world_state import (
     COMMAND,
     LOOK,
@@ -241,6 +241,8 @@ def _drive(
         _motion_of(state.batch.told, world, vehicle),
         state.batch.flown[world, vehicle, 0].begins if carries else PLAIN,
     )
+    if ground.tiles.size > 0:
+        note_claim(state.batch.mission.ugvs[world], ugv, ground.flags[0].claim)
     if carries:
         motions = state.batch.motions[world, vehicle]
         sent[COMMAND.last], sent[COMMAND.carried] = hand_over_stops(ground, tick, motions)

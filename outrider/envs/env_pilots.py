@@ -72,6 +72,7 @@ class _EnvPilots:
             perceived = self._radio.received_by(name, perceived)
         answer = pilot.act(perceived)
         self._env.carry(name, answer.motions)
+        self._env.claim(name, answer.report)
         if answer.route is not None:
             self._env.show_route(name, answer.route)
         return np.array(answer.acceleration)

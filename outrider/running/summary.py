@@ -13,6 +13,7 @@ from bus.messages import (
     Change,
     LinkStatus,
     Mission,
+    UgvGuarantee,
     VehicleStatus,
 )
 
@@ -125,6 +126,11 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """Share of the UGVs' way that led over ground which had come by radio before."""
     entered_unknown_tile: int | None = None
     """Ticks in which a UGV drove over a tile that it did not know to be drivable: 0 for a cautious one."""
+    ground_certificate_broken: int | None = None
+    """Certified ticks after which a cautious UGV was not certified to stay on tiles that it knows, or in which it left
+    them, although all assumptions hold: 0, or the guarantee is wrong."""
+    guarantees: dict[str, UgvGuarantee] = {}
+    """Of each UGV, the certified ticks and the reasons of the others."""
     still_time: float | None = None
     """Time that the UGVs stood still before they had arrived [s]."""
     finds: int | None = None

@@ -127,6 +127,16 @@ class MissionRecord(NamedTuple):
     """Of it on tiles that had come by radio before [m]."""
     entered: int
     """Ticks in which it drove over a tile that it did not know to be drivable."""
+    claim: int
+    """Its claim at this tick, one of `sim.models.ground`'s; 0: none."""
+    certified: int
+    way_unknown: int
+    no_stop: int
+    """Ticks in which it claimed to stay on tiles that it knows, and in which it did not, by reason."""
+    untrue: int
+    """1 once a tile has been told it as drivable that is not, or as both."""
+    broken: int
+    """Certified ticks after which it was not, or in which it left them, although it was told the truth."""
     still: int
     """Ticks in which it stood still before it had arrived."""
     reached: int

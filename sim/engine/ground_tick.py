@@ -13,13 +13,13 @@ from sim.kernels.compile import FloatArray, borrowing, inlined
 from sim.models.field import accumulate
 from sim.models.ground import (
     BLOCK,
+    CERTIFIED,
     CLEAR,
     ROUGH,
     UNSEEN,
     TileArray,
     crosses_hazard,
     rough_share,
-    span,
     state_at,
     tile_index,
 )
@@ -131,7 +131,12 @@ def _meets_block(
 
 @borrowing
 def _enters_unknown(
-    tile: float, known: TileArray, told: TileArray, start: FloatArray, end: FloatArray
+    tile: float,
+    known: TileArray,
+    told: TileArray,
+    start: FloatArray,
+    end: FloatArray,
+    last: tuple[float, float],
 ) -> bool:
     """Return whether a UGV's way in a tick touches a tile that it does not know to be drivable.
 
@@ -139,16 +144,20 @@ def _enters_unknown(
         tile: Width of a tile [m].
         known: States that its bumper has told, which stand against the radio's.
         told: States that the radio has told.
-        start, end: Of the way [m]; at rest it enters nothing.
+        start, end: Of the way [m], a parabola; at rest it enters nothing.
+        last: The way that it would take in a tick with its velocity at the end [m].
     """
     if start[0] == end[0] and start[1] == end[1]:
         return False
     rows, columns = known.shape
+    bend_x, bend_y = last[0] - (end[0] - start[0]), last[1] - (end[1] - start[1])
     for k in range(_POINTS + 1):
-        x = start[0] + k / _POINTS * (end[0] - start[0])
-        y = start[1] + k / _POINTS * (end[1] - start[1])
-        first, stop = span(y, y, tile, rows)
-        left, right = span(x, x, tile, columns)
+        share = k / _POINTS
+        rest = share * (1.0 - share)
+        x = start[0] + share * (end[0] - start[0]) - rest * bend_x
+        y = start[1] + share * (end[1] - start[1]) - rest * bend_y
+        first, stop = _tile_range(y, 0.0, tile, rows)  # closed ones: on an edge two
+        left, right = _tile_range(x, 0.0, tile, columns)
         for i in range(first, stop):
             for j in range(left, right):
                 state = known[i, j] if known[i, j] != UNSEEN else told[i, j]
@@ -162,7 +171,7 @@ def drive_on(tables: BatchTables, state: BatchState, world: int) -> None:
     """Touches of hazards by the UGVs on their way from `before` to where they are; one that is stuck stops."""
     constants, ground = tables.ground, state.ground
     position, velocity = state.told.position[world], state.told.velocity[world]
-    parameters = constants.parameters[0]
+    parameters, dt = constants.parameters[0], tables.world[0].dt
     for n in range(constants.ugvs.shape[0]):
         v, start = constants.ugvs[n], ground.before[world, n]
         if _enters_unknown(
@@ -171,8 +180,11 @@ def drive_on(tables: BatchTables, state: BatchState, world: int) -> None:
             state.mission.told[world, n],
             start,
             position[v],
+            (dt * velocity[v, 0], dt * velocity[v, 1]),
         ):
-            state.mission.ugvs[world, n].entered += 1
+            row = state.mission.ugvs[world, n]
+            row.entered += 1
+            row.broken += 1 if row.claim == CERTIFIED and row.untrue == 0 else 0
         if ground.pace[world, v] == 0.0:
             continue
         hit, share = _meets_block(constants, ground, world, start, position[v])

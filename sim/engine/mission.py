@@ -4,12 +4,13 @@ No vehicle is told of any of it. Without hazards all arrays are empty, and nothi
 """
 
 import math
+from collections.abc import Sequence
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from bus.messages import BLOCK_SIDE, Mission
+from bus.messages import BLOCK_SIDE, Mission, UgvGuarantee
 from sim.engine.ground_state import (
     GroundConstants,
     GroundState,
@@ -22,9 +23,14 @@ from sim.kernels.compile import FloatArray, borrowing, inlined
 from sim.kernels.records import RecordArray
 from sim.models.ground import (
     BLOCK,
+    CERTIFIED,
     CLEAR,
     FOUND,
+    NO_STOP,
+    ROUGH,
+    UNCERTIFIED,
     UNSEEN,
+    WAY_UNKNOWN,
     distance_to_hazard,
     may_be_within,
     tile_index,
@@ -70,6 +76,24 @@ def _note(
 
 
 @borrowing
+def note_claim(ugvs: RecordArray, ugv: int, claim: int) -> None:
+    """A UGV claims this at the tick that is flown next, or nothing.
+
+    Args:
+        ugvs: `MissionRecord` of each, is changed. Shape (UGVs,).
+        ugv: Which.
+        claim: NO_CLAIM, CERTIFIED, WAY_UNKNOWN or NO_STOP.
+    """
+    record = ugvs[ugv]
+    ended = record.claim == CERTIFIED and claim in (WAY_UNKNOWN, NO_STOP)
+    record.broken += 1 if ended and record.untrue == 0 else 0
+    record.certified += 1 if claim == CERTIFIED else 0
+    record.way_unknown += 1 if claim == WAY_UNKNOWN else 0
+    record.no_stop += 1 if claim == NO_STOP else 0
+    record.claim = claim
+
+
+@borrowing
 def receive_block(
     tables: GroundConstants,
     ground: GroundState,
@@ -97,7 +121,11 @@ def receive_block(
         column = block[1] * BLOCK_SIDE + place % BLOCK_SIDE
         if state == UNSEEN or row >= received.shape[0] or column >= received.shape[1]:
             continue
-        if mission.told[world, ugv, row, column] != BLOCK:
+        true, before = ground.tiles[world, row, column], mission.told[world, ugv, row, column]
+        wrong = state != BLOCK and true in (BLOCK, ROUGH) and state != true
+        if wrong or (state == BLOCK and before not in (UNSEEN, BLOCK)):
+            mission.ugvs[world, ugv].untrue = 1
+        if before != BLOCK:
             mission.told[world, ugv, row, column] = state
         if received[row, column] == 0:
             received[row, column] = tick + 1
@@ -185,11 +213,28 @@ def note_mission(tables: BatchTables, state: BatchState, world: int) -> None:
 def mission_numbers(mission: Mission) -> dict[str, float]:
     """All of it by name, NaN for None."""
     told = msgspec.structs.asdict(mission)
+    del told["guarantees"]
     return {name: math.nan if value is None else value for name, value in told.items()}
 
 
+def _guarantee(row: RecordArray) -> UgvGuarantee:
+    by_reason = {WAY_UNKNOWN: int(row["way_unknown"]), NO_STOP: int(row["no_stop"])}
+    return UgvGuarantee(
+        entered_unknown_tile=int(row["entered"]),
+        ticks=int(row["certified"]) + sum(by_reason.values()),
+        certified=int(row["certified"]),
+        uncertified={UNCERTIFIED[code]: ticks for code, ticks in by_reason.items() if ticks},
+        certificate_broken=int(row["broken"]),
+    )
+
+
 def mission_of(
-    constants: MissionConstants, ground: GroundState, mission: MissionState, world: int, dt: float
+    constants: MissionConstants,
+    ground: GroundState,
+    mission: MissionState,
+    world: int,
+    dt: float,
+    names: Sequence[str],
 ) -> Mission:
     """The mission of a world so far.
 
@@ -197,6 +242,7 @@ def mission_of(
         constants, ground, mission: Of all worlds.
         world: Which.
         dt: Length of a tick [s].
+        names: Of the UGVs.
     """
     ugvs, kinds = mission.ugvs[world], ground.hazards["kind"][world]
     met, warned, blocks = mission.met[world] > 0, mission.warned[world], kinds == BLOCK
@@ -216,6 +262,8 @@ def mission_of(
         warned_before=float(ahead.mean() * dt) if ahead.size else None,
         seen_ahead=float(ugvs["seen_way"].sum()) / way if way > 0.0 else None,
         entered_unknown_tile=int(ugvs["entered"].sum()),
+        ground_certificate_broken=int(ugvs["broken"].sum()),
+        guarantees={name: _guarantee(row) for name, row in zip(names, ugvs, strict=True)},
         still_time=float(ugvs["still"].sum() * dt),
         finds=int(finds.sum()),
         found=int((mission.found[world][finds] > 0).sum()),

@@ -16,7 +16,7 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
 from bus.layout import CommonState, bounds, state_names
-from bus.messages import Briefing, Detection, LinkStatus, MotionPlan, SeenTile, Vector
+from bus.messages import Briefing, Detection, LinkStatus, MotionPlan, SeenTile, UgvReport, Vector
 from sim.engine.briefing import briefing
 from sim.engine.mission import mission_numbers
 from sim.engine.run_keys import check_secret
@@ -380,6 +380,10 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """
         self.ground(agent)
         self._carried[agent] = motions
+
+    def claim(self, agent: str, report: UgvReport | None) -> None:
+        """Count what a UGV's pilot claims of its next action: that it stays on tiles that it knows; None: nothing."""
+        self.world.note_claim(self.world.names.index(agent), report)
 
     def show_route(self, agent: str, route: tuple[Vector, ...]) -> None:
         """Show in pictures the way that a UGV plans, by its corners [m], until it plans another."""

@@ -31,6 +31,14 @@ TOUCH = 1e-9
 """A hazard or a way that is nearer to a tile than this touches it [m].
 
 Rounding moves no point so far, in areas of up to 10 km: it hides no hazard that a vehicle runs into."""
+NO_CLAIM, CERTIFIED, WAY_UNKNOWN, NO_STOP = range(4)
+"""Claims of a cautious UGV at a tick: none; it stays on tiles that it knows to be drivable whatever becomes of its
+commands; its way to a stop is not known to be drivable; its commands carry no stop."""
+UNCERTIFIED = {
+    WAY_UNKNOWN: "its way to a stop is not known to be drivable",
+    NO_STOP: "its commands carry no stop",
+}
+"""Why the UGV does not certify, in words."""
 
 
 class HazardRow(NamedTuple):

@@ -26,6 +26,7 @@ from bus.messages import (
     Status,
     Truth,
     UavCommand,
+    UgvCommand,
     Vector,
     VehicleTruth,
 )
@@ -272,6 +273,9 @@ class Flight:
         world = self.world
         for k, name in enumerate(world.names):
             command = commands.get(name)
+            if name not in self._uav_row:
+                report = command.report if isinstance(command, UgvCommand) else None
+                world.note_claim(k, report if command and command.tick == world.tick else None)
             if command is None:
                 continue
             world.send(k, command.tick, command.acceleration, command.motions)

@@ -239,7 +239,7 @@ class UgvPerception(Perception):
             ground=self._ground.get(tick, ()) if known else (),
             operator=news.operator if known else (),
             driver=news.driver,
-            flown=self._world.flown(self.row),
+            flown=self._world.flown(self.row) if tick == self._world.tick else None,
             over=over,
             episode=self._episode,
         )

@@ -555,7 +555,16 @@ def diagnostics(status: Status, own: Iterable[RosMessage] = ()) -> RosMessage:
     ]
     if status.mission is not None:
         told, hits = msgspec.structs.asdict(status.mission), status.mission.hazards_hit
+        of_ugvs = told.pop("guarantees")
         found.append(diagnostic("mission", told, level=WARN if hits else OK))
+        found += [
+            diagnostic(
+                f"known ground {name}",
+                msgspec.structs.asdict(one),
+                level=WARN if one.certificate_broken else OK,
+            )
+            for name, one in of_ugvs.items()
+        ]
     found += [
         _vehicle_diagnostic(name, vehicle, over=status.over)
         for name, vehicle in status.vehicles.items()

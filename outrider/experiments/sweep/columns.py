@@ -50,6 +50,7 @@ RESULTS = {
     "warned_before": "double",  # [s]
     "seen_ahead": "double",  # share of the way
     "entered_unknown_tile": "int64",  # ticks
+    "ground_certificate_broken": "int64",  # ticks; 0, or the guarantee of cautious UGVs is wrong
     "still_time": "double",  # [s]
     "finds": "int64",
     "found": "int64",

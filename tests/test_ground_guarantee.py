@@ -1,0 +1,102 @@
+"""The certificates of cautious UGVs, to stay on tiles that they know, held against the truth."""
+
+import msgspec
+import numpy as np
+import pytest
+from test_seen_ground import on
+
+from bus.messages import GroundBlock, Mission, UgvReport
+from outrider.envs.closed_loop import ClosedLoop
+from outrider.envs.env_pilots import pilots
+from outrider.running.flying import fly
+from sim.env.parallel import parallel_env
+from sim.models.ground import BLOCK, CLEAR, UNCERTIFIED, UNSEEN, block_letters
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Hazard, Scenario
+from sim.world import World
+
+CERTIFIED = UgvReport(certified=True)
+NOT = UgvReport(certified=False, uncertified=next(iter(UNCERTIFIED.values())))
+
+
+def on_unseen_ground(driver: str = "waypoints") -> Scenario:
+    """A UGV in the middle of ground on which nobody tells it of any tile."""
+    scenario = on(Hazard(kind="block", center=(2.0, 2.0), radius=0.5), bumper=0.0)
+    (ugv,) = scenario.ugv
+    return msgspec.structs.replace(
+        scenario, ugv=(msgspec.structs.replace(ugv, driver=driver, caution="cautious"),)
+    )
+
+
+def mission(world: World) -> Mission:
+    assert world.mission is not None
+    return world.mission
+
+
+def test_a_certified_tick_on_unknown_ground_breaks_the_certificate() -> None:
+    world = World(on_unseen_ground(), 1)
+    for _ in range(100):
+        world.send(0, world.tick, (0.0, 0.0))
+        world.send(1, world.tick, (0.1, 0.0))
+        world.note_claim(1, CERTIFIED)
+        world.advance()
+    told = mission(world).guarantees["ugv_0"]
+    assert told.ticks == told.certified == 100
+    assert told.entered_unknown_tile > 0
+    assert told.certificate_broken == told.entered_unknown_tile
+    assert mission(world).ground_certificate_broken == told.certificate_broken
+
+
+def test_a_certificate_that_is_not_kept_is_broken_unless_the_ground_was_told_falsely() -> None:
+    world = World(on_unseen_ground(), 1)
+    for report in (CERTIFIED, NOT, NOT, None, CERTIFIED, NOT, CERTIFIED, None):
+        world.note_claim(1, report)
+    told = mission(world).guarantees["ugv_0"]
+    assert told.certificate_broken == 2  # it may cease to claim: then another driver drives
+    assert (told.certified, told.uncertified) == (3, {NOT.uncertified: 3})
+    world.arrays[1].mission.ugvs["untrue"] = 1
+    for report in (CERTIFIED, NOT):
+        world.note_claim(1, report)
+    assert mission(world).ground_certificate_broken == 2
+
+
+@pytest.mark.parametrize(
+    ("before", "told", "true", "untrue"),
+    [
+        (UNSEEN, CLEAR, CLEAR, 0),
+        (UNSEEN, CLEAR, BLOCK, 1),
+        (UNSEEN, BLOCK, CLEAR, 0),
+        (CLEAR, BLOCK, CLEAR, 1),
+        (BLOCK, CLEAR, CLEAR, 0),
+    ],
+)
+def test_false_words_on_drivable_ground_excuse(
+    before: int, told: int, true: int, untrue: int
+) -> None:
+    """A false alarm alone does not: it closes ground and opens none."""
+    world = World(on_unseen_ground(), 1)
+    _, state = world.arrays
+    state.ground.tiles[0, 0, 0] = true
+    state.mission.told[0, 0, 0, 0] = before
+    states = np.full((1, 1), told, np.uint8)
+    world.receive_block(1, GroundBlock(row=0, column=0, tiles=block_letters(states, 0, 0)))
+    assert state.mission.ugvs["untrue"].tolist() == [[untrue]]
+
+
+@pytest.mark.parametrize("change", ["links.profile=wifi-poor", "ground.false_alarm=0.2"])
+def test_runs_environments_and_batches_count_alike(change: str) -> None:
+    scenario = load_scenario("minefield", overrides=["duration=25.0", change])
+    summary = fly(scenario, 3)[1]
+    env = parallel_env(scenario=scenario, end_on_sight_lost=False)
+    observations, _ = env.reset(seed=3)
+    act = pilots(env)
+    while env.agents:
+        observations, *_ = env.step({name: act[name](observations[name]) for name in env.agents})
+    loop = ClosedLoop(scenario, 1, threads=1)
+    loop.begin([3])
+    loop.fly()
+    told = summary.guarantees["ugv_0"]
+    assert told.ticks == 500
+    assert told.certified > 400
+    assert mission(env.unwrapped.world).guarantees == summary.guarantees
+    assert loop.mission(0).guarantees == summary.guarantees
