@@ -167,7 +167,7 @@ def _place(conditions: Conditions, tables: BatchTables, state: BatchState, rando
     if conditions.area == AREAS.open:
         position[UGV, 0], position[UGV, 1] = 0.5 * parameters.width, 0.5 * parameters.height
     elif conditions.area == AREAS.wall:
-        _place_at_wall(conditions, parameters.width, position, random)
+        _place_at_wall(conditions, parameters.width, state, random)
         return
     elif conditions.area == AREAS.corner:
         position[UGV, 0] = conditions.r_v * next_share(random)
@@ -182,15 +182,23 @@ def _place(conditions: Conditions, tables: BatchTables, state: BatchState, rando
 
 
 @borrowing
-def _place_at_wall(
-    conditions: Conditions, width: float, position: FloatArray, random: Words
-) -> None:
-    """Put UGV and UAV on the wall y = 0, or between a picometre and ten micrometres from it."""
-    position[UGV, 0] = 0.5 * width
-    position[UAV, 0] = 0.5 * width + conditions.r_v * (next_share(random) - 0.5)
+def _place_at_wall(conditions: Conditions, width: float, state: BatchState, random: Words) -> None:
+    """Put UGV and UAV on the wall y = 0, some in its corner, or between a picometre and ten micrometres from it.
+
+    Half of the UAVs start with a velocity as small as what rounding leaves.
+    """
+    position, velocity = state.truth.position[0], state.truth.velocity[0]
+    corner = next_share(random) < 0.25
+    position[UGV, 0] = 0.0 if corner else 0.5 * width
+    far = conditions.r_v * (next_share(random) - 0.5)
+    position[UAV, 0] = abs(far) if corner else 0.5 * width + far
     for k in (UGV, UAV):
         off = 10.0 ** (7.0 * next_share(random) - 12.0)
         position[k, 1] = off if next_share(random) < 0.5 else 0.0
+        if corner and next_share(random) < 0.5:
+            position[k, 0] = 10.0 ** (7.0 * next_share(random) - 12.0)
+    if next_share(random) < 0.5:
+        velocity[UAV, 0], velocity[UAV, 1] = draw_creep(random)
 
 
 @borrowing
@@ -354,6 +362,7 @@ def fly_one(
         for k in (UAV, UGV):
             for i in range(2):
                 state.told.position[0, k, i] = state.truth.position[0, k, i]
+                state.told.velocity[0, k, i] = state.truth.velocity[0, k, i]
         plots[UGV].wind = 2.0 * math.pi * next_share(random)
         blows = choose(random, conditions.blows, len(WINDS))
     begin_guard(memory)
