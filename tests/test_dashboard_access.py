@@ -19,10 +19,10 @@ from starlette.websockets import WebSocketDisconnect
 
 from bus.errors import ScenarioError
 from outrider.running.launch import free_port
-from outrider.view.page.access import MOST_WAITING, Guard
 from outrider.view.page.address import address_of, choose_token, open_socket
 from outrider.view.page.app import application
 from outrider.view.page.hub import Hub
+from outrider.view.page.page_guard import MOST_WAITING, Guard
 from outrider.view.page.sources.protocol import SourceState
 
 TOKEN = "the-token-of-this-test"  # noqa: S105 - of this test alone
@@ -196,10 +196,10 @@ SERVER = """
 import resource, socket, sys
 resource.setrlimit(resource.RLIMIT_NOFILE, (1024, 1024))
 from starlette.responses import PlainTextResponse
-from outrider.view.page import access
+from outrider.view.page import page_guard
 from outrider.view.page.address import open_socket
 from outrider.view.page.app import web_server
-access.HEAD_TIMEOUT = float(sys.argv[2])
+page_guard.HEAD_TIMEOUT = float(sys.argv[2])
 
 async def app(scope, receive, send):
     if scope["type"] == "lifespan":
@@ -211,7 +211,7 @@ async def app(scope, receive, send):
         await PlainTextResponse("the page")(scope, receive, send)
 
 listening = open_socket("127.0.0.1", int(sys.argv[1]))
-web_server(access.Guard(app, "the-token-of-this-test")).run(sockets=[listening])
+web_server(page_guard.Guard(app, "the-token-of-this-test")).run(sockets=[listening])
 """
 
 

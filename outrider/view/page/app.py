@@ -17,8 +17,8 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from bus.messages import Vector
-from outrider.view.page.access import LARGEST_HEAD, BoundedHead, Guard
 from outrider.view.page.hub import Browser, Hub
+from outrider.view.page.page_guard import LARGEST_HEAD, BoundedHead, Guard
 from outrider.view.page.shell import BuildControls, build_page
 from outrider.view.page.themes import drawn, style
 
