@@ -65,7 +65,7 @@ $(VENV)/.docs: $(VENV)/.run
 soak: $(VENV)/.dev ## an hour of simulated time with random kills: memory, trajectory, nothing left behind
 	$(BIN)/python tools/soak.py $(ARGS)
 
-crowd-test: $(VENV)/.dev ## what a crowd at the port, or a vehicle with credentials, can do to a run: a table; six minutes
+crowd-test: $(VENV)/.dev ## what a crowd at the port, or a vehicle with credentials, can do to a run: a table; five minutes
 	$(BIN)/python tools/crowd_test.py $(ARGS)
 
 kill-test: $(VENV)/.dev ## a vehicle killed at 40 random moments from its start to the run's end: the same trajectory each time

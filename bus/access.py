@@ -33,7 +33,6 @@ from bus.keys import (
     Party,
     Role,
     read_by,
-    session_token,
     slot_token,
     token,
     written_by,
@@ -323,8 +322,7 @@ def grants(party: Party, run: str, *, ros2: bool = False) -> tuple[Grant, ...]:
         found.add(Grant(message="put", flow="egress", keys=(own,)))
     watched = token(run, "*" if party.role is Role.SIMULATOR else SIMULATOR_NAME, "*")
     own = token(run, party.name, "*")
-    places = tuple(token(run, party.name, place) for place in range(PLACES))
-    declared = (*places, session_token(run, party.name, "*"))
+    declared = tuple(token(run, party.name, place) for place in range(PLACES))
     if party.role is Role.SIMULATOR:
         declared += tuple(slot_token(run, "*", role) for role in (Role.UAV, Role.UGV))
     found.add(Grant(message="liveliness_token", flow="ingress", keys=declared))

@@ -154,7 +154,6 @@ OBSERVATION = {Role.UAV: UAV_OBSERVATION, Role.UGV: UGV_OBSERVATION}
 COMMAND = {Role.UAV: UAV_COMMAND, Role.UGV: UGV_COMMAND}
 
 _TOKEN = "alive"  # noqa: S105 - a part of a liveliness token's key
-_SESSION = "session"
 _PLACE_NUMBERS = {str(place): place for place in range(PLACES)}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 
@@ -201,23 +200,6 @@ def slot_token(run: str, name: str, role: Role) -> str:
         role: Its kind.
     """
     return token(run, name, role.value)
-
-
-def session_token(run: str, name: str, session: str) -> str:
-    """The liveliness token with which a party tells the router that a session is its own.
-
-    Args:
-        run: Name of the run.
-        name: Of the party; `*` stands for any.
-        session: The session's Zenoh id; `*` stands for any.
-    """
-    return f"{ROOT}/{run}/{name}/{_SESSION}/{session}"
-
-
-def session_owner(expression: str) -> tuple[str, str]:
-    """The owner of such a token, and its session."""
-    parts = expression.split("/")
-    return parts[-3], parts[-1]
 
 
 def largest_payloads(run: str) -> dict[int, tuple[str, ...]]:

@@ -26,7 +26,6 @@ from bus.keys import (
     check_writes,
     largest_payloads,
     read_by,
-    session_token,
     slot_token,
     token,
     token_owner,
@@ -35,7 +34,6 @@ from bus.keys import (
 from bus.locator import UNIX, Locator, check_endpoint
 from bus.queues import WAKE_PERIOD, Envelope, Inbox, Outbox
 from bus.ros2_access import LARGEST
-from bus.session_limit import SessionLimit
 
 __all__ = ["Envelope", "Inbox", "Outbox", "Session", "open_session"]
 
@@ -70,8 +68,7 @@ _ROUTER: dict[str, Any] = {
     # Who connects and says nothing must not keep others out: by default 100 of these do so for 10 s.
     "transport/unicast/accept_pending": 2000,
     "transport/unicast/accept_timeout": 2000,
-    # Each party's are limited by `bus.session_limit`; this leaves room for those that come between two of its looks.
-    "transport/unicast/max_sessions": 4000,
+    "transport/unicast/max_sessions": 1000,
 }
 
 
@@ -215,10 +212,18 @@ class Session:
         self._inboxes.remove(inbox)
         inbox.close()
 
-    def claim(self) -> None:
-        """Tell the router whose session this is: it cannot tell by a password, as by a certificate."""
-        claimed = session_token(self.run, self.party.name, self.id)
-        self._kept.append(self._zenoh.liveliness().declare_token(claimed))
+    def report_unknown_certificates(self, known: frozenset[str]) -> None:
+        """Log each client whose certificate names no party of the run: the router lets it do nothing."""
+
+        def see(event: zenoh.LinkEvent) -> None:
+            name = event.link.auth_identifier
+            if event.kind == zenoh.SampleKind.PUT and name is not None and name not in known:
+                _LOG.warning(
+                    "%r has a certificate of this run's authority, but is no party of it: it gets nothing",
+                    name[:64],
+                )
+
+        self._kept.append(self._zenoh.info.declare_link_events_listener(see, history=True))
 
     def announce(self) -> None:
         """Declare this session present, until it leaves or dies, at the first free place of its party.
@@ -463,18 +468,11 @@ def open_session(
         else _open_client(connect, party, credential, join_timeout)
     )
     session = Session(opened, party, run, hosts=bool(listen))
-    if credential is not None and credential.tls is None:
-        session.claim()
-    limit = (
-        SessionLimit(opened, run, frozenset(credential.name for credential in given.parties))
-        if listen and given is not None
-        else None
-    )
+    if listen and given is not None and given.tls is not None:
+        session.report_unknown_certificates(frozenset(one.name for one in given.parties))
     try:
         yield session
     finally:
-        if limit is not None:
-            limit.close()
         session.close()
         try:
             opened.close()  # type: ignore[no-untyped-call]

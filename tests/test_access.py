@@ -36,7 +36,6 @@ from bus.keys import (
     Role,
     check_reads,
     check_writes,
-    session_token,
     token,
 )
 from bus.session import Session, open_session
@@ -134,16 +133,13 @@ def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(known_by:
 
 
 def declared(owner: str, name: str) -> list[str]:
-    """Tokens in one party's name by another: only the first, and the last where the two are one, may pass."""
+    """Tokens in one party's name by another: only the first may pass, where the two are one."""
     places = (NAMES.index(name), PLACES, "0/more", f"by_{name}")
-    return [
-        *(token(RUN, owner, place) for place in places),
-        session_token(RUN, owner, f"by_{name}"),
-    ]
+    return [token(RUN, owner, place) for place in places]
 
 
 def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulators_alone(known_by):
-    """Each declares the place of its number in everybody's name, places that nobody has, and sessions."""
+    """Each declares the place of its number in everybody's name, places that nobody has."""
     seen: dict[str, set[str]] = {name: set() for name in NAMES}
     assert len(NAMES) <= PLACES
     with parties(known_by) as sessions:

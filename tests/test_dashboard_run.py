@@ -51,7 +51,7 @@ def page_of(process: "subprocess.Popen[str]") -> Page:
     seen = []
     for line in process.stderr:
         seen.append(line)
-        if found := re.search(r"http://127\.0\.0\.1:(\d+)/\?ticket=[\w-]+(?= \(opens once)", line):
+        if found := re.search(r"http://127\.0\.0\.1:(\d+)/\?token=[\w-]+", line):
             answer = httpx2.get(found.group(0), trust_env=False, timeout=20.0)
             assert answer.status_code == 303
             return Page(int(found.group(1)), answer.headers["Set-Cookie"].partition(";")[0])

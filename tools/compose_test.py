@@ -836,7 +836,7 @@ class Checks:
             expect([row["HostIp"] for row in bound] == ["127.0.0.1"], f"it is published at {bound}")
             expect(fetch(port, "/")[0] == 401, "it is served without the token")
             expect(
-                fetch(port, "/?ticket=not-the-ticket")[0] == 401, "it is served with a wrong ticket"
+                fetch(port, "/?token=not-the-token")[0] == 401, "it is served with a wrong token"
             )
             expect(not ticks_shown(port, "", 5.0), "it is told how the run goes without the token")
             status, cookie = fetch(port, address)
@@ -912,11 +912,11 @@ class Checks:
         return f"{more:.0f} MB more; kinds of messages received at 127.0.0.1:{port}: {counts}"
 
     def _address_of_the_page(self, port: int) -> str:
-        """Path and ticket, from the log."""
+        """Path and token, from the log."""
         limit = time.monotonic() + 60.0
         while time.monotonic() < limit:
             log = self.docker.compose("logs", "--no-log-prefix", "dashboard")
-            if found := re.search(rf"http://127\.0\.0\.1:{port}(/\?ticket=[\w-]+)", log):
+            if found := re.search(rf"http://127\.0\.0\.1:{port}(/\?token=[\w-]+)", log):
                 return found.group(1)
             time.sleep(0.5)
         raise CheckFailed("its log does not tell where it is")

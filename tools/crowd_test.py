@@ -2,8 +2,8 @@
 
 Each row is a run on the wall clock with a simulator, a UAV and a UGV as processes over loopback. While it flies,
 the attack is made, and then an observer joins. The table tells how long that took, what the simulator's memory was
-and became, how many ticks were late, and how many of a crowd of sessions lasted. `make crowd-test`, or
-`python tools/crowd_test.py ATTACK ...`; exit code 1 where a limit is not kept.
+and became, and how many ticks were late. `make crowd-test`, or `python tools/crowd_test.py ATTACK ...`; exit code 1
+where a limit is not kept.
 """
 
 import argparse
@@ -27,26 +27,16 @@ from bus.access import (
     Credential,
     CredentialSet,
     client_settings,
-    new_certificates,
     new_credentials,
     write_credentials,
 )
-from bus.certificates import new_authority
-from bus.keys import PLACES
-from bus.session_limit import NAMELESS
 
 RUN, SECONDS, PORT = "crowd", 15.0, 17461
+ENDPOINT = f"tcp/127.0.0.1:{PORT}"
 """A run is stopped after so many seconds, or when its attack is over."""
 JOIN_LIMIT, GROWTH_LIMIT, LATE_LIMIT = 2.0, 150.0, 0.1
 """An observer joins within so many seconds; the simulator grows by no more MB; no larger share of the ticks is late."""
-LASTING = 10.0
-"""Of many sessions those are counted that are left after so many seconds."""
 Attack = Callable[["Run"], contextlib.AbstractContextManager[None]]
-
-
-def endpoint_of(given: CredentialSet) -> str:
-    """Address that the simulator listens on."""
-    return f"{'tcp' if given.tls is None else 'tls'}/127.0.0.1:{PORT}"
 
 
 class Run:
@@ -55,9 +45,7 @@ class Run:
     def __init__(self, given: CredentialSet, simulator: int) -> None:
         self.given, self.simulator = given, simulator
         self.rogue = given.of("ugv_0")
-        self.endpoint = endpoint_of(given)
-        self.sessions: tuple[int, int] | None = None
-        """Numbers of sessions that the attack has opened, and of these that have lasted."""
+        self.endpoint = ENDPOINT
 
     @contextlib.contextmanager
     def session(self, credential: Credential, patience: float = 30.0) -> Iterator[zenoh.Session]:
@@ -154,33 +142,6 @@ def tokens(key: str, count: int, *, kept: bool) -> Attack:
     return attack
 
 
-def addresses(opened: zenoh.Session) -> set[str]:
-    """Its ends of its connections: another one when it has connected again."""
-    return {link.src for link in opened.info.links()}
-
-
-def crowd_of_sessions(count: int) -> Attack:
-    """Sessions with the UGV's credentials that do nothing, but connect again when they are ended."""
-
-    @contextlib.contextmanager
-    def attack(run: Run) -> Iterator[None]:
-        with contextlib.ExitStack() as stack:
-            crowd: list[tuple[zenoh.Session, set[str]]] = []
-            for _ in range(count):
-                try:
-                    opened = stack.enter_context(run.session(run.rogue, 5.0))
-                except zenoh.ZError:
-                    break
-                crowd.append((opened, addresses(opened)))
-            until = time.monotonic() + LASTING
-            yield
-            time.sleep(max(0.0, until - time.monotonic()))
-            lasting = sum(bool(addresses(opened) & first) for opened, first in crowd)
-            run.sessions = len(crowd), lasting
-
-    return attack
-
-
 ATTACKS: dict[str, Attack] = {
     "none": nothing,
     "idle-400": connections(400, b""),
@@ -193,26 +154,18 @@ ATTACKS: dict[str, Attack] = {
     "tokens-20000": tokens("alive/{}", 20_000, kept=True),
     "tokens-one-key": tokens("alive/7", 20_000, kept=True),
     "tokens-flapping": tokens("alive/7", 20_000, kept=False),
-    "tokens-claims": tokens("session/{}", 20_000, kept=True),
-    "sessions-900": crowd_of_sessions(900),
-    "sessions-900-tls": crowd_of_sessions(900),
 }
 
 
 def measure(name: str) -> dict[str, Any]:
     """Fly a run, attack it, and say what happened."""
-    vehicles = ["uav_0"], ["ugv_0"]
-    given = (
-        new_certificates(new_authority(RUN), *vehicles)
-        if name.endswith("-tls")
-        else new_credentials(RUN, *vehicles)
-    )
+    given = new_credentials(RUN, ["uav_0"], ["ugv_0"])
     with (
         tempfile.TemporaryDirectory(prefix="outrider-crowd-") as folder,
         contextlib.ExitStack() as stack,
     ):
         files = write_credentials(given, Path(folder) / "credentials")
-        endpoint = endpoint_of(given)
+        endpoint = ENDPOINT
 
         def start(*arguments: str) -> "subprocess.Popen[str]":
             command = [sys.executable, "-m", "outrider", *arguments, "--run", RUN]
@@ -287,8 +240,6 @@ def measure(name: str) -> dict[str, Any]:
         "late_ticks": summary["late_ticks"],
         "missing": summary["missing_commands"],
         "faults": summary["faults"],
-        "sessions": run.sessions,
-        "sessions_allowed": NAMELESS if given.tls is None else PLACES,
     }
 
 
@@ -296,13 +247,7 @@ def kept(row: dict[str, Any]) -> bool:
     """True if the limits are kept."""
     grown = row["memory_peak_mb"] - row["memory_before_mb"]
     late = row["late_ticks"] / row["ticks"]
-    lasting = row["sessions"][1] if row["sessions"] else 0
-    return bool(
-        row["join_seconds"] <= JOIN_LIMIT
-        and grown <= GROWTH_LIMIT
-        and late <= LATE_LIMIT
-        and lasting <= row["sessions_allowed"]
-    )
+    return bool(row["join_seconds"] <= JOIN_LIMIT and grown <= GROWTH_LIMIT and late <= LATE_LIMIT)
 
 
 def main() -> int:
@@ -327,7 +272,6 @@ def main() -> int:
         sys.stdout.write(
             f"{name:18}{row['seconds']:8.1f}{row['join_seconds']:8.2f}{row['memory_before_mb']:11.0f}{row['memory_after_mb']:8.0f}"
             f"{row['memory_peak_mb']:8.0f}{row['late_ticks']:6}{row['ticks']:6}  {row['missing']} {row['faults']}"
-            f"{'  sessions opened, lasting: {}, {}'.format(*row['sessions']) if row['sessions'] else ''}"
             f"{'' if kept(row) else '  NOT KEPT'}\n"
         )
         sys.stdout.flush()

@@ -77,6 +77,8 @@ def check_pairs(browser: Any, processes: Processes, pictures: Path | None) -> st
     context = browser.new_context(viewport={"width": 1280, "height": 800}, color_scheme="light")
     page = Page(context, processes.address("pairs"), complaints)
     wait_until(lambda: page.tick > 100, "three pairs fly")
+    if page.run("window.ran") or "<img" not in page.page.locator("#scenario").inner_text():
+        raise Failed("the scenario's name is not shown as text")
     _check_layout(page, pictures, "pairs")
     _check_legends(page)
     _check_selection(page)

@@ -115,10 +115,10 @@ class Processes:
         return (self._folder / f"{name}.log").read_text(errors="replace")
 
     def address(self, name: str) -> str:
-        """Address of the page as a process says it, with the ticket that opens it."""
+        """Address of the page as a process prints it, with the token that opens it."""
 
         def told() -> "re.Match[str] | None":
-            return re.search(r"http://127\.0\.0\.1:\d+/\?ticket=[\w-]+", self.log(name))
+            return re.search(r"http://127\.0\.0\.1:\d+/\?token=[\w-]+", self.log(name))
 
         found: re.Match[str] = wait_until(told, f"{name} says where its page is", 40.0)
         return found.group(0)
@@ -130,8 +130,8 @@ class Processes:
         self._launch("replay", "replay", path, *words)
 
     def run(self, scenario: str, *words: str) -> "subprocess.Popen[bytes]":
-        """A whole run with its page, of a scenario's text; its log is called `pairs`."""
-        file = self._folder / "pairs.toml"
+        """A whole run with its page, of a scenario whose name is HTML; its log is called `pairs`."""
+        file = self._folder / "pairs <img src='data:,' onerror='window.ran = true'>.toml"
         file.write_text(scenario)
         page = ("--dashboard", "--port", "0", "--no-files")
         return self._launch("pairs", "run", str(file), *page, *words)
@@ -194,7 +194,7 @@ class Page:
         self.page.goto(address)
         self.ready()
         if "?" in self.page.url:
-            raise Failed(f"the ticket stays in the bar: {self.page.url}")
+            raise Failed(f"the token stays in the bar: {self.page.url}")
 
     def ready(self) -> None:
         """Wait until it shows a run."""

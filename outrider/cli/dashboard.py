@@ -42,20 +42,20 @@ def command(
     """Show a run in the browser while it is flown, and steer it.
 
     Pause, speed, law, driver, and a UGV's wheel are steered with the operator's credentials; with the observer's it
-    only shows. Runs until Ctrl-C or SIGTERM. Needs no internet. The printed address lets in one browser, once, and
-    another one asks for the token. `outrider run --dashboard` starts one with the run.
+    only shows. Runs until Ctrl-C or SIGTERM. Needs no internet. The printed address contains a token that opens the
+    page. `outrider run --dashboard` starts one with the run.
 
     Example: outrider dashboard --connect tcp/127.0.0.1:17447 --credentials credentials/operator.json
     """
     from bus.session import open_session
     from outrider.cli.console import ERR
     from outrider.running.watchdog import start_watchdog
-    from outrider.view.page.access.admission import address_of, choose_admission, open_socket
+    from outrider.view.page.address import address_of, choose_token, open_socket
 
     if watchdog:
         start_watchdog()
     check_endpoint(connect)
-    admission = choose_admission(host, token, wanted=not no_token)
+    token = choose_token(host, token, wanted=not no_token)
     check_extra("dashboard")
     from outrider.view.page.app import serve
     from outrider.view.page.controls.run_card import Controls
@@ -69,7 +69,7 @@ def command(
         socket.socket(fileno=listening) if has_parent else open_socket(host, port) as opened,
         open_session(party, run, connect=connect, credential=credential) as session,
     ):
-        line = address_of(opened, admission)
+        line = address_of(opened, token)
 
         def ready() -> None:
             if has_parent:
@@ -86,4 +86,4 @@ def command(
         first_law = msgspec.json.decode(law, type=Law) if law else None
         hub = Hub(Live(session), first_law, on_end)
         controls = (lambda: Controls(hub).show) if hub.source.may_steer else None
-        serve(hub, opened, admission, controls=controls, ready=ready)
+        serve(hub, opened, token, controls=controls, ready=ready)

@@ -200,9 +200,8 @@ PageToken = Annotated[
     str,
     typer.Option(
         "--token",
-        help="What a browser must know: 8 to 128 letters, digits, '_' and '-'. By default a new "
-        "one is made up, and printed with the address. Other users of this machine see what a "
-        "command line says; what is in OUTRIDER_TOKEN they do not.",
+        help="Token that opens the page: 20 to 128 letters, digits, '_' and '-'; random by "
+        "default. Other users of this machine see a command line, but not OUTRIDER_TOKEN.",
         envvar="OUTRIDER_TOKEN",
         show_default=False,
         show_envvar=True,
@@ -212,7 +211,7 @@ NoPageToken = Annotated[
     bool,
     typer.Option(
         "--no-token",
-        help="Let in every browser of this machine, also those of its other users.",
+        help="Open the page without a token, on a machine with one user.",
         envvar="OUTRIDER_NO_TOKEN",
     ),
 ]

@@ -170,9 +170,9 @@ def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
 def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted: bool) -> None:
     """Serve the page until somebody ends it."""
     from outrider.cli.console import ERR
-    from outrider.view.page.access.admission import address_of, choose_admission, open_socket
+    from outrider.view.page.address import address_of, choose_token, open_socket
 
-    admission = choose_admission("127.0.0.1", token, wanted=wanted)
+    token = choose_token("127.0.0.1", token, wanted=wanted)
     check_extra("dashboard")
     with open_socket("127.0.0.1", port) as opened:
         from outrider.view.page.app import serve
@@ -182,11 +182,11 @@ def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted
 
         tape = Tape(recording, speed)
         hub = Hub(tape)
-        line = f"{recording.path} is played at {address_of(opened, admission)}; Ctrl-C ends it"
+        line = f"{recording.path} is played at {address_of(opened, token)}; Ctrl-C ends it"
         serve(
             hub,
             opened,
-            admission,
+            token,
             controls=lambda: Player(hub, tape).show,
             ready=lambda: ERR.tell(line),
         )

@@ -202,7 +202,7 @@ def _page(wanted: bool, port: int) -> AbstractContextManager[socket.socket | Non
     """The socket for the page: what stands in its way shows before the flight."""
     if not wanted:
         return nullcontext()
-    from outrider.view.page.access.admission import open_socket
+    from outrider.view.page.address import open_socket
 
     check_extra("dashboard")
     return open_socket("127.0.0.1", port)

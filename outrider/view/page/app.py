@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import socket
-import time
 from collections.abc import AsyncIterator, Callable, MutableMapping
 from pathlib import Path
 from typing import Any
@@ -12,20 +11,16 @@ import msgspec
 import uvicorn
 from fastapi import FastAPI
 from nicegui import ui
-from starlette.middleware.gzip import GZipMiddleware
 from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from bus.messages import Vector
-from outrider.view.page.access.admission import Admission
-from outrider.view.page.access.headers import Nonces, SecureHeaders
-from outrider.view.page.access.login import Guard
-from outrider.view.page.access.visitors import Visitors
 from outrider.view.page.hub import Browser, Hub
+from outrider.view.page.page_guard import LARGEST_HEAD, BoundedHead, Guard
 from outrider.view.page.shell import BuildControls, build_page
-from outrider.view.page.themes import drawn
+from outrider.view.page.themes import drawn, style
 
 STATIC = Path(__file__).with_name("static")
 
@@ -55,7 +50,7 @@ class _Fresh(StaticFiles):
 def serve(
     hub: Hub,
     listening: socket.socket,
-    admission: Admission,
+    token: str,
     *,
     controls: BuildControls | None,
     ready: Callable[[], None],
@@ -65,52 +60,58 @@ def serve(
     Args:
         hub: What is shown.
         listening: The socket to serve on.
-        admission: What a browser must know.
+        token: Token that opens the page; empty: none is needed.
         controls: Builds what can be touched in a page; None: nothing.
         ready: Called when browsers can come.
     """
+    app = application(hub, token, controls=controls, ready=ready)
+    web_server(app).run(sockets=[listening])
+
+
+def web_server(app: ASGIApp) -> uvicorn.Server:
+    """Return a server of an application, with bounds on requests."""
     config = uvicorn.Config(
-        application(hub, admission, controls=controls, ready=ready),
+        app,
         lifespan="on",
         log_level="warning",
         access_log=False,
-        # Whoever asks is who is connected: a header must not give one another address, with tries at the token of
-        # its own.
+        http=BoundedHead,
+        h11_max_incomplete_event_size=LARGEST_HEAD,
         proxy_headers=False,
         server_header=False,
         ws_per_message_deflate=False,
         ws_max_size=1 << 20,
         timeout_graceful_shutdown=1,
     )
-    uvicorn.Server(config).run(sockets=[listening])
+    return uvicorn.Server(config)
 
 
 def application(
-    hub: Hub, admission: Admission, *, controls: BuildControls | None, ready: Callable[[], None]
+    hub: Hub, token: str, *, controls: BuildControls | None, ready: Callable[[], None]
 ) -> ASGIApp:
-    """All that is served, with what guards it; once a process, as NiceGUI is there once. Arguments as of `serve`."""
-    visitors = Visitors()
+    """Return the guarded application; once a process, as NiceGUI exists once. Arguments as of `serve`."""
 
     @contextlib.asynccontextmanager
     async def living(_app: FastAPI) -> AsyncIterator[None]:
-        following = [
-            asyncio.create_task(hub.follow()),
-            asyncio.create_task(visitors.follow(time.time)),
-        ]
+        following = asyncio.create_task(hub.follow())
         ready()
         yield
-        for task in following:
-            task.cancel()
+        following.cancel()
         hub.close()
 
     app = FastAPI(lifespan=living, docs_url=None, redoc_url=None, openapi_url=None)
+
+    @app.get("/static/colors.css")
+    def colors() -> Response:
+        return Response(style(), media_type="text/css", headers={"Cache-Control": "no-cache"})
+
     app.mount("/static", _Fresh(directory=STATIC))
 
     @app.websocket("/frames")
     async def frames(channel: WebSocket) -> None:
         await _accompany(hub, channel)
 
-    build_page(controls, visitors.welcome)
+    build_page(controls)
     ui.run_with(
         app,
         title="Outrider",
@@ -118,9 +119,8 @@ def application(
         dark=None,
         show_welcome_message=False,
         tailwind=False,
-        gzip_middleware_factory=None,  # the page is marked before it is compressed
     )
-    return SecureHeaders(Guard(GZipMiddleware(Nonces(app)), admission))
+    return Guard(app, token)
 
 
 async def _accompany(hub: Hub, channel: WebSocket) -> None:

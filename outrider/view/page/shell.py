@@ -6,7 +6,6 @@ from nicegui import ui
 
 from outrider.view.page.controls.links_card import OBSERVER, LinkForm
 from outrider.view.page.controls.widgets import card, html
-from outrider.view.page.themes import style
 from sim.scene import colors as scene_colors
 from sim.scene.model import LABELS
 
@@ -119,25 +118,20 @@ _CHARTS = f"""<div class="charts-head"><span class="title">Over time</span>
 )
 
 
-def _head() -> str:
-    return (
-        f"<style>{style()}</style><link rel='stylesheet' href='/static/dashboard.css'>"
-        "<script type='module' src='/static/main.js'></script>"
-    )
+_HEAD = """<link rel="stylesheet" href="/static/colors.css"><link rel="stylesheet" href="/static/dashboard.css">
+<script type="module" src="/static/main.js"></script>"""
 
 
-def build_page(controls: BuildControls | None, welcome: Callable[[], None]) -> None:
+def build_page(controls: BuildControls | None) -> None:
     """Make the page known to NiceGUI; each browser gets one of its own.
 
     Args:
         controls: Builds what can be touched, and the card of the links among it; None: nothing can be.
-        welcome: Called at the beginning of each.
     """
 
     @ui.page("/", title="Outrider")
     def show() -> None:
-        welcome()
-        ui.add_head_html(_head())
+        ui.add_head_html(_HEAD)
         ui.colors(
             primary=scene_colors.UAV[0],
             accent=scene_colors.UGV[0],
