@@ -17,7 +17,7 @@ import numpy as np
 from outrider.bench.timing import Pair, rate
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.vector import vector_env
-from sim.engine.world_state import Precision, WorldParameters
+from sim.engine.world_state import WorldParameters
 from sim.env.rewards import RewardWeights
 from sim.kernels.compile import FloatArray, IntArray, released
 from sim.kernels.prefetch import fetch_disc
@@ -92,7 +92,6 @@ def stepped(
     worlds: int = WORLDS,
     steps: int = _STEPS,
     limit: bool = True,
-    precision: Precision = "double",
 ) -> Pair:
     """World-steps a second of `vector_env` with estimate and gradient, and beside it of the kernels alone.
 
@@ -102,7 +101,6 @@ def stepped(
         worlds: How many.
         steps: Of all worlds, that are timed.
         limit: Whether the kernels alone are measured, too; only for one pair of vehicles.
-        precision: Of the coverage grids.
     """
     env = vector_env(
         scenario,
@@ -111,7 +109,6 @@ def stepped(
         estimate=True,
         gradient=True,
         rewards=rewards,
-        precision=precision,
     )
     try:
         env.reset(seed=1)
@@ -138,11 +135,6 @@ def on_ground() -> Pair:
     """`stepped` with 50 hazards in each world, other ones in each."""
     field = HazardField(kind="block", count=50, radius=(0.3, 0.6), clear=1.5)
     return stepped(msgspec.structs.replace(load_scenario("escort"), hazard_field=(field,)))
-
-
-def in_single() -> Pair:
-    """`stepped` with coverage grids in single precision, beside the same in double."""
-    return stepped(limit=False, precision="single")[0], stepped(limit=False)[0]
 
 
 def pilots(*, worlds: int = WORLDS, ticks: int = 40) -> Pair:

@@ -83,7 +83,6 @@ ROWS: dict[str, Layer] = {
     ),
     "batch_1024": Layer(many.stepped, "steps/s", ALONE),
     "batch_1024_hazards": Layer(many.on_ground, "steps/s", ALONE),
-    "batch_1024_single": Layer(many.in_single, "steps/s", "batch_1024, grids in double precision"),
     "batch_1024_rate": Layer(partial(many.stepped, rewards=many.RATE), "steps/s", ALONE),
     "batch_1024_pilots": Layer(many.pilots, "steps/s", ALONE),
     "batch_memory": Layer(many.memory, "B", "growth of a process by 1,024 worlds, each", 2),
