@@ -49,8 +49,10 @@ format: $(VENV)/.dev ## format and mend what can be mended
 figures: $(VENV)/.run ## the paper's figures and the table of their claims
 	$(BIN)/outrider figures $(ARGS)
 
-bench: $(VENV)/.run ## the speed of each layer beside its limit
-	$(BIN)/outrider bench $(ARGS)
+bench: $(VENV)/.dev ## the speed of each layer beside its limit, in benchmarks/results.json (ARGS="lockstep env_step")
+	@rm -f benchmarks/results.json
+	$(BIN)/python -m pytest -c benchmarks/pytest.ini --benchmark-json benchmarks/results.json \
+		$(or $(ARGS:%=benchmarks/test_speed.py::test_%),benchmarks/test_speed.py)
 
 long-test: $(VENV)/.dev ## the tests that repeat for long what a short one of the suite shows
 	$(BIN)/python -m pytest $(WORKERS) -m long $(ARGS)
