@@ -96,4 +96,4 @@ learn-test-%: $(VENV)-%/.learn
 .PRECIOUS: $(VENV)-%/.learn
 
 clean: ## remove the environments and what runs have written
-	rm -rf $(VENV) $(LEARNERS:%=$(VENV)-%) $(VENV)-ros2 $(VENV)-ros2-rclpy $(VENV)-mavlink $(VENV)-fmi runs figures site
+	rm -rf $(VENV) $(LEARNERS:%=$(VENV)-%) $(VENV)-ros2 $(VENV)-ros2-rclpy $(VENV)-mavlink $(VENV)-fmi .venv-peers runs figures site

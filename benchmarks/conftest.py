@@ -6,9 +6,6 @@ from typing import Any
 import msgspec
 import pytest
 
-VALUE, LIMIT = "value", "limit"
-"""Identifiers of the two sides of a row, as parameters of its test."""
-
 
 class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
     """One row of results: a throughput and its limit, or the time of a start."""
@@ -39,18 +36,18 @@ def _rows(benchmarks: list[Any]) -> list[ResultRow]:
     for benchmark in benchmarks:
         if benchmark and not benchmark.has_error:
             name, _, side = benchmark["name"].removeprefix("test_").partition("[")
-            medians.setdefault(name, {})[side.removesuffix("]") or VALUE] = _median(benchmark)
+            medians.setdefault(name, {})[side.removesuffix("]") or "value"] = _median(benchmark)
             units[name] = benchmark["extra_info"]["unit"]
     return [
         ResultRow(
             name=name,
-            value=sides[VALUE],
+            value=sides["value"],
             unit=units[name],
-            limit=sides.get(LIMIT),
-            ratio=sides[VALUE] / sides[LIMIT] if LIMIT in sides else None,
+            limit=sides.get("limit"),
+            ratio=sides["value"] / sides["limit"] if "limit" in sides else None,
         )
         for name, sides in medians.items()
-        if VALUE in sides
+        if "value" in sides
     ]
 
 

@@ -20,7 +20,6 @@ import numba
 import numpy as np
 import numpy.typing as npt
 import pytest
-from conftest import LIMIT, VALUE
 
 from outrider import parallel_env, vector_env
 from sim.models.field import accumulate, coverage_error, coverage_gradient
@@ -41,8 +40,7 @@ Work = AbstractContextManager[tuple[Callable[[], object], int]]
 
 def beside(value: Callable[..., Any], limit: Callable[..., Any]) -> pytest.MarkDecorator:
     """Measure the value of a row and, right after it, its limit."""
-    sides = (value, VALUE), (limit, LIMIT)
-    return pytest.mark.parametrize("side", [pytest.param(side, id=name) for side, name in sides])
+    return pytest.mark.parametrize("side", [value, limit], ids=["value", "limit"])
 
 
 def time_steps(benchmark: Any, work: Work) -> None:
