@@ -49,8 +49,10 @@ format: $(VENV)/.dev ## format and mend what can be mended
 figures: $(VENV)/.run ## the paper's figures and the table of their claims
 	$(BIN)/outrider figures $(ARGS)
 
-bench: $(VENV)/.run ## the speed of each layer beside its limit
-	$(BIN)/outrider bench $(ARGS)
+bench: $(VENV)/.dev ## the speed of each layer beside its limit, in benchmarks/results.json (ARGS="lockstep env_step")
+	@rm -f benchmarks/results.json
+	$(BIN)/python -m pytest -c benchmarks/pytest.ini --benchmark-json benchmarks/results.json \
+		$(or $(ARGS:%=benchmarks/test_speed.py::test_%),benchmarks/test_speed.py)
 
 long-test: $(VENV)/.dev ## the tests that repeat for long what a short one of the suite shows
 	$(BIN)/python -m pytest $(WORKERS) -m long $(ARGS)
@@ -94,4 +96,4 @@ learn-test-%: $(VENV)-%/.learn
 .PRECIOUS: $(VENV)-%/.learn
 
 clean: ## remove the environments and what runs have written
-	rm -rf $(VENV) $(LEARNERS:%=$(VENV)-%) $(VENV)-ros2 $(VENV)-ros2-rclpy $(VENV)-mavlink $(VENV)-fmi runs figures site
+	rm -rf $(VENV) $(LEARNERS:%=$(VENV)-%) $(VENV)-ros2 $(VENV)-ros2-rclpy $(VENV)-mavlink $(VENV)-fmi .venv-peers runs figures site

@@ -13,7 +13,7 @@ from preloaded import Popen, subprocess_with
 from processes import wait_until
 
 FIRST = (
-    *("assurance", "estimator_late", "fuzz_decoders", "bus", "bench", "attack"),
+    *("assurance", "estimator_late", "fuzz_decoders", "bus", "attack"),
     *("faults", "dashboard_run", "falsify", "sweep", "rogue", "suite"),
 )
 """The first test files, in this order. What takes long comes before what is short, which fills the end of the run.

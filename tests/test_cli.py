@@ -10,10 +10,7 @@ from processes import outrider, python
 from tabular import rows, words
 
 from bus.locator import Locator
-from outrider.bench.pairs import many_pairs
 from outrider.cli.main import COMMANDS
-from outrider.experiments.falsify.saving import as_toml
-from sim.scenario.loading import load_scenario
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -53,7 +50,6 @@ weighting quoted | run --law weighted --weighting a"b:c | custom.weighting
 weighting that does not fit | run --law weighted --weighting json:dumps | weighting at a distance
 path that does not fit | run --law path --path math:sin | path at t =
 check | check nowhere.toml | nowhere.toml
-bench row | bench --only nothing | no such row
 run name | uav --run a/b | run = 'a/b'
 router for strangers | router --listen tcp/0.0.0.0:17447 | there are no credentials
 simulator for strangers | simulator --listen tcp/[::]:17447 | there are no credentials
@@ -119,6 +115,10 @@ policy that raises | suite --uav-policy json:loads --only paper | --uav-policy j
 policy that gives no action | suite --uav-policy math:fsum --only paper | --uav-policy math:fsum:
 """)
 """Causes that are no fault of the input."""
+TWO_PAIRS = """
+uav = [{position = [7, 8]}, {position = [7, 28], escorts = "ugv_1"}]
+ugv = [{position = [7, 7]}, {position = [7, 27]}]
+"""
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_what_cannot_be_done_gets_one_line_its_exit_code_and_no_file(
     arguments, told, code, here, command
 ):
     (here / "taken").write_text("a file", encoding="utf-8")
-    (here / "pairs.toml").write_text(as_toml(many_pairs(2, seconds=10), []), encoding="utf-8")
+    (here / "pairs.toml").write_text(TWO_PAIRS, encoding="utf-8")
     run = command(*words(arguments))
     assert run.returncode == code, run.stderr
     assert told in run.stderr
@@ -203,9 +203,6 @@ def test_json_of_the_lists(command):
     assert 0.0 < checked.pop("lost_chance") == sum(exceeded.values()) < 1e-12
     valid = {"scenario": "escort", "valid": True, "certifiable": "always", "warnings": []}
     assert checked == valid
-    rows = told("bench --only kernel_vs_numpy --repeats 1")["rows"]
-    assert set(rows[0]) == {"name", "value", "unit", "reference", "reference_value", "ratio"}
-    assert rows[0]["value"] > 0.0
 
 
 def test_a_circle_that_cannot_be_flown_warns_and_flies(command) -> None:
@@ -270,13 +267,3 @@ def test_a_password_may_come_from_the_environment(here, command, monkeypatch):
 )
 def test_only_this_machines_endpoints_need_no_credentials(local: bool, endpoints: str) -> None:
     assert {Locator.of(endpoint).is_local for endpoint in words(endpoints)} == {local}
-
-
-def test_many_pairs_can_be_flown(tmp_path: Path) -> None:
-    for count in (1, 5, 50):
-        scenario = many_pairs(count, seconds=10)
-        (tmp_path / "pairs.toml").write_text(as_toml(scenario, []), encoding="utf-8")
-        assert load_scenario(tmp_path / "pairs.toml") == scenario
-        assert len(scenario.uav) == len(scenario.ugv) == count
-    with pytest.raises(ValueError, match="count = 0"):
-        many_pairs(0, seconds=10)

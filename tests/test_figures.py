@@ -8,12 +8,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+import reference_field as reference
 from flights import DESIRED, DT, R_S, R_V, R
 from pages import marked
 from tabular import rows, words
 
 from bus.messages import Law
-from outrider.bench import reference
 from outrider.experiments import paper_figures
 from outrider.experiments.claims import (
     claim_anchor,

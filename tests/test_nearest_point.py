@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import reference_field as reference
 from flights import DESIRED, HERE, R_O, escort, parameters
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -11,7 +12,6 @@ from seeded import a_key
 
 from agents.control.coverage import symmetry_breaker
 from agents.control.laws import initial_state, way_to_uncovered
-from outrider.bench import reference
 from sim.models.field import cover, empty_coverage, is_uncovered, nearest_uncovered
 
 CELL = 0.25

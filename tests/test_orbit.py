@@ -8,6 +8,7 @@ from flights import DT, R_S, R_V, U_A, V_A, V_G, distances, escort, tracks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
+from reference_field import FloatGrid
 
 from agents.control.orbit import (
     Path,
@@ -21,7 +22,6 @@ from agents.control.orbit import (
 )
 from bus.errors import ScenarioError
 from bus.messages import Area, Law
-from outrider.bench.reference import FloatGrid
 from outrider.running.flying import fly
 from sim.models.vehicles import step_vehicle
 from sim.scenario.checks import largest_circle_rate

@@ -105,7 +105,7 @@ def test_the_commands_and_options_shown_exist() -> None:
                 options = {word.partition("=")[0] for word in words if word.startswith("--")}
                 assert options <= known[command], f"{page}: {line}"
                 shown.add(command)
-    assert {"run", "simulator", "uav", "ugv", "scenarios", "figures", "bench", "suite"} <= shown
+    assert {"run", "simulator", "uav", "ugv", "scenarios", "figures", "suite"} <= shown
 
 
 def test_the_weighting_shown_flies(here: Path, command: Any) -> None:

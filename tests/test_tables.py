@@ -208,7 +208,9 @@ def test_no_file_and_no_public_class_has_the_name_of_another(trees: dict[Path, a
         for folder in ("benchmarks", "tools", "tests")
         for path in (ROOT / folder).rglob("*.py")
     ]
-    files = [path.name for path in (*PRODUCT, *beside) if path.name != "__init__.py"]
+    files = [
+        path.name for path in (*PRODUCT, *beside) if path.name not in {"__init__.py", "conftest.py"}
+    ]
     classes = [
         node.name
         for tree in trees.values()

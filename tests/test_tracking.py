@@ -11,6 +11,7 @@ from flights import DT, HERE, R_S, U_A, U_G, V_A, V_G, distances, escort, parame
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
+from reference_field import FloatGrid
 from scipy.signal import cont2discrete
 
 from agents.control.laws import OwnTerms, initial_state, uav_control
@@ -22,7 +23,6 @@ from agents.control.tracking import (
     tracking_step,
 )
 from bus.messages import Law
-from outrider.bench.reference import FloatGrid
 from outrider.running.flying import fly
 from sim.models.field import cover, empty_coverage
 from sim.models.vehicles import Motion, norm, step_vehicle

@@ -150,8 +150,8 @@ def _arguments(words: list[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--venvs",
         type=Path,
-        default=HERE / ".venvs",
-        help="folder for the environments (.venvs/ beside this)",
+        default=HERE.parents[1] / ".venv-peers",
+        help="folder for the environments (.venv-peers/ in the project)",
     )
     parser.add_argument(
         "--cuda", action="store_true", help="take torch's CUDA build where pip finds no other"

@@ -23,7 +23,6 @@ from bus.errors import (
     told_with_place,
 )
 from outrider.cli import (
-    bench,
     check,
     credentials,
     dashboard,
@@ -72,7 +71,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "suite": suite.command,
     "sweep": sweep.command,
     "report": report.command,
-    "bench": bench.command,
     "doctor": doctor.command,
 }
 

@@ -51,7 +51,6 @@ from sim.engine.ground_state import joined
 from sim.engine.link_arrays import LinkArrays
 from sim.engine.mission import mission_of
 from sim.engine.run_keys import check_secret
-from sim.engine.world_state import Precision
 from sim.env.patch import given_patch
 from sim.env.rewards import RewardWeights
 from sim.env.rows import UAV_METRICS, row_state, row_tables
@@ -101,9 +100,6 @@ class LoopSettings(EpisodeSettings, total=False):
     """True: actions from outside go through the safety filter, as those of the law `certified` do."""
     threads: int | None
     """Processor cores that share the worlds; None: all that this process may use."""
-    precision: Precision
-    """`double`, or `single`: the coverage grids take half the memory, and the bits are no longer those of
-    `outrider.parallel_env`."""
 
 
 LOOP_DEFAULTS = LoopSettings(
@@ -112,7 +108,6 @@ LOOP_DEFAULTS = LoopSettings(
     gradient=False,
     safety_filter=False,
     threads=None,
-    precision="double",
 )
 
 
@@ -175,7 +170,6 @@ class ClosedLoop:
             gains=weights.seen > 0.0,
             threads=options["threads"],
             secret=check_secret(options["secret"]),
-            precision=options["precision"],
         )
         radio = self._radio = LinkArrays(scenario, (LinkKind.RADIO,), RADIO_SIZE, worlds)
         receiving = numbers.radio

@@ -20,14 +20,12 @@ from sim.engine.world_state import (
     MESSAGE_SIZE,
     BatchState,
     BatchTables,
-    Precision,
     WorldParameters,
     WorldState,
     bounds_of,
     disturbances_of,
     escorts_of,
     first_state,
-    grid_in,
     no_tracking_errors,
     receivers_of,
     told_of,
@@ -88,10 +86,9 @@ class Batch:
         gains: Whether the fall of e(t) by each look is counted.
         threads: Processor cores that share the worlds; by default all that this process may use.
         secret: Of all their random numbers, with each one's seed; empty: none.
-        precision: Of the coverage grids.
 
     Raises:
-        ValueError: If there are no worlds, or no such precision.
+        ValueError: If there are no worlds.
     """
 
     def __init__(
@@ -102,7 +99,6 @@ class Batch:
         gains: bool = False,
         threads: int | None = None,
         secret: str = "",
-        precision: Precision = "double",
     ) -> None:
         if worlds < 1:
             raise ValueError(f"worlds = {worlds}: must be 1 or more")
@@ -120,7 +116,6 @@ class Batch:
         """Those of detections and commands."""
         escorts, vehicles = escorts_of(scenario), len(scenario.vehicles)
         first = first_state(scenario)
-        first = first._replace(coverage=grid_in(first.coverage, precision))
         self.tables = BatchTables(
             world=records(WorldParameters, [self.parameters]),
             bounds=bounds_of(scenario),

@@ -4,7 +4,7 @@ Arrays have an axis for vehicles, or for UAVs with the UGVs they escort, in name
 """
 
 import math
-from typing import Literal, NamedTuple, cast, get_args
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,10 +46,6 @@ COMMAND = columns(CommandRow)
 
 MESSAGE_SIZE = max(len(LOOK) + 1, len(COMMAND))
 """Numbers in a message on a link of detections or commands."""
-
-
-Precision = Literal["double", "single"]
-"""Precision of a coverage grid: 8 or 4 bytes a cell. What is computed from it is in double precision."""
 
 
 class WorldParameters(NamedTuple):
@@ -134,23 +130,6 @@ def first_state(scenario: Scenario) -> WorldState:
         gains=np.zeros(uavs),
         measures=np.zeros((uavs, 2)),
     )
-
-
-def grid_in(coverage: FloatArray, precision: Precision) -> FloatArray:
-    """A copy of a coverage grid in a precision; no cell has less than before, so that what was covered is.
-
-    Raises:
-        ValueError: If there is no such precision.
-    """
-    if precision not in get_args(Precision):
-        allowed = ", ".join(map(repr, get_args(Precision)))
-        raise ValueError(f"precision = {precision!r}; allowed: {allowed}")
-    if precision == "double":
-        return coverage.copy()
-    grid = coverage.astype(np.float32)
-    less = grid < coverage
-    grid[less] = np.nextafter(grid[less], np.float32(np.inf))
-    return cast("FloatArray", grid)  # kernels take either
 
 
 def bounds_of(scenario: Scenario) -> FloatArray:

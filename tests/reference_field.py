@@ -1,9 +1,4 @@
-"""The field of `sim.models.field` once more, as the paper prints it: NumPy on the whole grid, with masks.
-
-Slow, and plain to check.
-
-The tests hold the compiled kernels against it, and `outrider bench` measures against it.
-"""
+"""Reference implementation of `sim.models.field`: the paper's equations in NumPy on the whole grid, with masks."""
 
 import numpy as np
 import numpy.typing as npt
