@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import zenoh
+from outrider.running.forking import environment_of
 from staging import Received, everybody, hosted, listening, raw_session, settled
 
 from bus import access
@@ -40,7 +41,6 @@ from bus.keys import (
     token,
 )
 from bus.session import Session, open_session
-from outrider.running.forking import environment_of
 from outrider.running.launch import free_port
 
 RUN = "run"

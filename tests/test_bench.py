@@ -105,7 +105,7 @@ def test_a_sweep_has_a_rate() -> None:
 
 def test_a_row_whose_extra_is_missing_is_left_out_unless_it_is_asked_for(monkeypatch):
     layer = rows.Layer(lambda: (2.0, 1.0), "1", "one")
-    monkeypatch.setitem(EXTRAS, "tls", ("joblib", "no_such_package"))
+    monkeypatch.setitem(EXTRAS, "tls", ("pyarrow", "no_such_package"))
     monkeypatch.setattr(rows, "ROWS", {"can": layer, "cannot": layer._replace(extra="tls")})
     assert [row.name for row in measure([], 1)] == ["can"]
     with pytest.raises(ScenarioError, match="--only cannot: no_such_package is missing"):

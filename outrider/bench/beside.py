@@ -15,8 +15,7 @@ from bus.keys import Party, Role
 from bus.locator import UNIX, Locator
 from bus.session import open_session
 from outrider.bench.timing import Pair
-from outrider.running.child import outrider_command
-from outrider.running.forking import environment_of
+from outrider.running.child import child_environment, outrider_command
 from outrider.running.run_folder import run_folder
 
 _SECONDS = 300.0
@@ -27,7 +26,7 @@ _SECONDS = 300.0
 def _started(*words: str) -> Iterator["subprocess.Popen[bytes]"]:
     process = subprocess.Popen(
         outrider_command(*words),
-        env=environment_of(""),
+        env=child_environment(),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

@@ -2,7 +2,6 @@
 
 import statistics
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
 from functools import partial
 from typing import NamedTuple
 
@@ -12,7 +11,6 @@ from bus.errors import ScenarioError
 from bus.extras import check_extra, missing_of
 from outrider.bench import beside, kernels, many, runs
 from outrider.bench.timing import Pair
-from outrider.running.forking import forkserver
 
 Progress = Callable[[str, float], None]
 
@@ -33,7 +31,7 @@ class Layer(NamedTuple):
     """The measurement of one layer."""
 
     work: Callable[..., Pair]
-    """Takes the bench's forkserver where `forked`, and nothing else."""
+    """Takes nothing."""
     unit: str
     """Of both numbers."""
     reference: str
@@ -44,8 +42,6 @@ class Layer(NamedTuple):
     """The words in the place of `reference` where there is no second number."""
     extra: str = ""
     """An extra without which the row is left out, unless it is asked for."""
-    forked: bool = False
-    """True if it flies over several processes, forked from one for all repeats: to load everything takes longer."""
 
 
 BARE = "bare exchange among as many processes"
@@ -53,14 +49,7 @@ NO_COMPILER = "no C compiler found that builds it (cc, gcc, clang)"
 WITHOUT_BRIDGE = "the same processes without the bridge"
 ALONE = "its kernels alone, compiled, as many grids and threads"
 ROWS: dict[str, Layer] = {
-    "lockstep": Layer(runs.lockstep, "ticks/s", "bare three-process exchange", forked=True),
-    "exchange_apart": Layer(
-        runs.exchange_apart, "ticks/s", "bare three-process exchange, as the system places it"
-    ),
-    "access_control": Layer(
-        runs.access_control, "ticks/s", "lockstep without credentials", forked=True
-    ),
-    "tls": Layer(runs.tls, "ticks/s", "lockstep over TCP with passwords", extra="tls", forked=True),
+    "lockstep": Layer(runs.lockstep, "ticks/s", "bare three-process exchange"),
     "ros2_idle": Layer(beside.ros2_idle, "ticks/s", WITHOUT_BRIDGE, 3, extra="ros2"),
     "ros2_read": Layer(beside.ros2_read, "ticks/s", WITHOUT_BRIDGE, 3, extra="ros2"),
     "mavlink_read": Layer(beside.mavlink_read, "ticks/s", WITHOUT_BRIDGE, 3, extra="mavlink"),
@@ -89,10 +78,10 @@ ROWS: dict[str, Layer] = {
     "batch_memory": Layer(many.memory, "B", "growth of a process by 1,024 worlds, each", 2),
     "memory_bandwidth": Layer(many.bandwidth, "GB/s", "one core"),
     "first_tick": Layer(runs.first_tick, "s", "with an empty compile cache", 2),
-    "pairs_1": Layer(partial(runs.pairs, 1), "ticks/s", BARE, forked=True),
-    "pairs_5": Layer(partial(runs.pairs, 5), "ticks/s", BARE, forked=True),
-    "pairs_10": Layer(partial(runs.pairs, 10), "ticks/s", BARE, 2, forked=True),
-    "pairs_50": Layer(partial(runs.pairs, 50), "ticks/s", BARE, 1, forked=True),
+    "pairs_1": Layer(partial(runs.pairs, 1), "ticks/s", BARE),
+    "pairs_5": Layer(partial(runs.pairs, 5), "ticks/s", BARE),
+    "pairs_10": Layer(partial(runs.pairs, 10), "ticks/s", BARE, 2),
+    "pairs_50": Layer(partial(runs.pairs, 50), "ticks/s", BARE, 1),
 }
 GROUPS = {"bridges": ("ros2_idle", "ros2_read", "mavlink_read")}
 """Rows that are asked for by one name."""
@@ -100,9 +89,8 @@ GROUPS = {"bridges": ("ros2_idle", "ros2_read", "mavlink_read")}
 
 def _measure(name: str, repeats: int) -> Iterator[Pair]:
     layer = ROWS[name]
-    with forkserver() if layer.forked else nullcontext() as server:
-        for _ in range(min(repeats, layer.most)):
-            yield layer.work(server) if layer.forked else layer.work()
+    for _ in range(min(repeats, layer.most)):
+        yield layer.work()
 
 
 def measure(only: list[str], repeats: int, *, on_progress: Progress | None = None) -> list[Row]:

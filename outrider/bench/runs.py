@@ -14,13 +14,12 @@ import msgspec
 from bus.errors import BusError
 from outrider.bench.kernels import world_step
 from outrider.bench.pairs import many_pairs
-from outrider.bench.raw_lockstep import kept_apart, ticks_per_second
+from outrider.bench.raw_lockstep import ticks_per_second
 from outrider.bench.timing import Pair
 from outrider.experiments.falsify.saving import as_toml
 from outrider.running.child import outrider_command
 from outrider.running.flying import InProcess, fly, make_pilots
-from outrider.running.forking import Forkserver
-from outrider.running.launch import NOBODY, Outcome, Output, Wiring, launch
+from outrider.running.launch import NOBODY, Outcome, Output, launch
 from sim.kernels.threads import cores
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
@@ -56,40 +55,14 @@ def _flown(outcome: Outcome) -> float:
     return outcome.summary.ticks_per_second
 
 
-def _launched(server: Forkserver | None, **settings: Any) -> float:  # noqa: ANN401 - those of `launch`
-    """Ticks a second of `escort` over three processes, as long as it takes to be sure and no longer."""
-    scenario = load_scenario("escort", overrides={"duration": _SECONDS})
-    overrides = (f"duration={_SECONDS}",)
-    shared: dict[str, Any] = {"forks": server, "keep_forks": server is not None}
-    return _flown(launch(scenario, "escort", overrides, NOBODY, Output(), **shared, **settings))
-
-
-def lockstep(server: Forkserver | None) -> Pair:
+def lockstep() -> Pair:
     """Three processes with everything computed, beside a bare exchange of the same payloads."""
     scenario = load_scenario("escort", overrides={"duration": _SECONDS})
-    return _launched(server), ticks_per_second(*_payloads(scenario), scenario.ticks)
+    outcome = launch(scenario, "escort", (f"duration={_SECONDS}",), NOBODY, Output())
+    return _flown(outcome), ticks_per_second(*_payloads(scenario), scenario.ticks)
 
 
-def exchange_apart() -> Pair:
-    """The bare exchange, its processes kept apart as a run's, beside the same as the system places them."""
-    scenario = load_scenario("escort", overrides={"duration": _SECONDS})
-    payloads = _payloads(scenario)
-    return kept_apart(*payloads, scenario.ticks), ticks_per_second(*payloads, scenario.ticks)
-
-
-def access_control(server: Forkserver | None) -> Pair:
-    """Lockstep with credentials and access control, beside the same without."""
-    return _launched(server), _launched(server, wiring=Wiring(secured=False))
-
-
-def tls(server: Forkserver | None) -> Pair:
-    """Lockstep over mutual TLS, beside the same over TCP with passwords."""
-    return _launched(server, wiring=Wiring(transport="tls")), _launched(
-        server, wiring=Wiring(transport="tcp")
-    )
-
-
-def pairs(count: int, server: Forkserver | None) -> Pair:
+def pairs(count: int) -> Pair:
     """So many pairs in lockstep, each vehicle in a process of its own, beside a bare exchange among as many peers."""
     scenario = many_pairs(count, seconds=round(max(10.0, 200.0 / count)))
     with tempfile.TemporaryDirectory(prefix="outrider-pairs-") as folder:
@@ -102,8 +75,6 @@ def pairs(count: int, server: Forkserver | None) -> Pair:
             NOBODY,
             Output(),
             timing=Timing(deadline=120.0, join_timeout=900.0),
-            forks=server,
-            keep_forks=server is not None,
         )
     escort = load_scenario("escort")
     return _flown(outcome), ticks_per_second(*_payloads(escort), scenario.ticks, peers=2 * count)
