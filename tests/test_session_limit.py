@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 import pytest
-from processes import wait_until
+from processes import free_port, wait_until
 from staging import client_of, hosted, raw_session
 
 from bus import session_limit
@@ -14,7 +14,6 @@ from bus.certificates import new_authority
 from bus.keys import PLACES, session_token
 from bus.session import Session, open_session
 from bus.session_limit import GRACE, NAMELESS, NEWCOMERS, Connection, end_connections, surplus
-from outrider.running.launch import free_port
 
 RUN = "run"
 GIVEN = {

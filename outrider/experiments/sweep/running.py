@@ -136,7 +136,7 @@ def _results_of_cluster(
     from distributed import as_completed  # noqa: PLC0415 - an extra
 
     def submit(task: SweepTask) -> Any:  # noqa: ANN401 - distributed's future
-        return client.submit(fly_runs, task.scenario, task.seeds, pure=False)  # type: ignore[no-untyped-call]
+        return client.submit(fly_runs, task.scenario, task.seeds, pure=False)
 
     waiting = iter(tasks)
     # A future that nobody refers to is cancelled: so is what is left when this is closed.
@@ -144,7 +144,7 @@ def _results_of_cluster(
     for future in asked:
         yield future.result()
         for task in islice(waiting, 1):
-            asked.add(submit(task))
+            asked.add(submit(task))  # type: ignore[no-untyped-call]
 
 
 def _is_a_death(error: Exception) -> bool:
