@@ -25,7 +25,7 @@ from outrider.running.summary import Process, Summary
 from sim.scenario.types import Scenario, Uav, Ugv
 from sim.server.run_timing import Timing
 
-_HELD = 0.5
+_HELD = 3.0
 """Time for which an event before the first tick waits [s]: it is not told if a vehicle's own error ends the run."""
 _PATIENCE = 10.0
 """Time that a process may take to end when it was asked to [s]."""
