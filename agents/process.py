@@ -1,7 +1,6 @@
 """The loop that puts any pilot on the bus: a process of its own, which knows only what it is told."""
 
 import copy
-import gc
 import logging
 from collections.abc import Callable
 from functools import partial
@@ -19,7 +18,6 @@ from bus.messages import Command, UavBriefing, UavObservation, UgvBriefing, UgvO
 from bus.presence import Presence
 from bus.registry import DEFAULT_DRIVER, TELEOP
 from bus.session import Envelope, Outbox, Session, open_session
-from sim.kernels.compile import compiling
 
 if TYPE_CHECKING:
     from agents.control.uav_policy import UavPolicy
@@ -231,7 +229,6 @@ class _Slot:
                     _call_if_there(pilot, "forget_commands")
                 _call_if_there(pilot, "attend", self._awaits)
                 self._flight = (envelope.session, told.episode)
-                gc.freeze()  # what is here stays: the collector need not look at it again
                 return pilot
 
     def _awaits(self) -> bool:
@@ -344,8 +341,7 @@ def fly(
         ScenarioError: If the endpoint is not one, the scenario has no such vehicle, or the briefing asks for what the
             pilot cannot fly.
     """
-    with compiling("uav" if party.role is Role.UAV else "ugv"):
-        warm_up(party.role)  # before the token: nobody must wait for a compiler
+    warm_up(party.role)  # before the token: nobody must wait for a compiler
     with open_session(
         party, run, connect=connect, credential=credential, join_timeout=join_timeout
     ) as session:

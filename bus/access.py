@@ -200,10 +200,23 @@ def write_credentials(
         if path.exists():
             raise FileExistsError(17, "there already; credentials are never overwritten", str(path))
     for name, content in contents.items():
-        write_whole(files[name], _encoded(content), private=True, fresh=True, owner=owner)
+        write_credential(content, files[name], owner)
     if owner is not None:
         give_folder(folder, owner)
     return files
+
+
+def write_credential(
+    content: Credential | CredentialSet | Authority,
+    path: Path,
+    owner: tuple[int, int] | None = None,
+) -> None:
+    """Write credentials into a new file; mode 600.
+
+    Raises:
+        OSError: If it cannot be written, or is there already.
+    """
+    write_whole(path, _encoded(content), private=True, fresh=True, owner=owner)
 
 
 def _encoded(content: Credential | CredentialSet | Authority) -> bytes:

@@ -11,7 +11,7 @@ EXTRAS = {
     "drive": ("textual",),
     "dashboard": ("nicegui",),
     "window": ("pygame",),
-    "sweep": ("joblib", "pyarrow"),
+    "sweep": ("pyarrow",),
     "dask": ("distributed",),
     "falsify": ("cma",),
     "tls": ("cryptography",),

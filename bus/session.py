@@ -5,6 +5,7 @@ import logging
 import os
 import resource
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -44,6 +45,10 @@ _LOOK = 2.0
 """The longest time for which a session looks which places of its party are taken [s]."""
 _OPENED_IN: set[int] = set()
 """Process ids of this process and of those that it was forked from, if they have opened a session."""
+_PROBED = ("tcp", "tls", "ws", UNIX)
+"""Protocols of which a plain connection shows whether a router listens."""
+_PROBE = 0.05
+"""Interval at which a client looks whether its router listens [s]."""
 _HEADER = 4096
 """Room for a message's frame beside its payload [bytes]."""
 
@@ -371,6 +376,19 @@ def _check_certificate(identity: Identity, name: str) -> None:
         _LOG.warning("%s", warning)
 
 
+def _await_router(router: Locator, endpoint: str, join_timeout: float) -> None:
+    """Wait until the router accepts connections. A signal ends this wait; in Zenoh's own it would be ignored.
+
+    Raises:
+        BusError: If it does not do so in time.
+    """
+    limit = time.monotonic() + join_timeout
+    while fault := router.connection_fault():
+        if time.monotonic() >= limit:
+            raise BusError(f"no router at {endpoint} within {join_timeout:g} s: {fault}")
+        time.sleep(_PROBE)
+
+
 def _open_client(
     connect: str, party: Party, credential: Credential | None, join_timeout: float | None
 ) -> zenoh.Session:
@@ -378,8 +396,12 @@ def _open_client(
     limit = _CLIENT["connect/timeout_ms"]
     if join_timeout is not None:
         wanted = round(1000.0 * join_timeout)
-        # A router that is there refuses this process for good, or is crowded for a while.
-        limit = min(wanted, limit) if router.listens() else wanted
+        if router.protocol in _PROBED:
+            _await_router(router, connect, join_timeout)
+            # A router that is there refuses this process for good, or is crowded for a while.
+            limit = min(wanted, limit)
+        else:
+            limit = wanted
     largest = max((LARGEST, *(key.largest for key in (*read_by(party), *written_by(party)))))
     settings = _COMMON | _CLIENT | _received(largest) | client_settings(credential)
     settings |= {"connect/endpoints": [connect], "connect/timeout_ms": limit}
@@ -387,7 +409,7 @@ def _open_client(
         return zenoh.open(_config(settings))
     except zenoh.ZError as error:
         missing = f"no router at {connect} within {limit / 1000.0:g} s"
-        if router.protocol not in ("tcp", "tls", "ws", UNIX):
+        if router.protocol not in _PROBED:
             raise BusError(f"{missing} ({_reason(error)})") from error
         fault = router.connection_fault()
         if fault:

@@ -9,7 +9,6 @@ from pathlib import Path
 from subprocess import CompletedProcess
 
 import pytest
-from preloaded import Popen, subprocess_with
 from processes import wait_until
 
 FIRST = (
@@ -62,14 +61,6 @@ def command(
         return CompletedProcess(arguments, code, written.out, written.err)
 
     return call
-
-
-@pytest.fixture
-def forked_forkserver(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run that the test's process starts has a forkserver that is forked too; see `preloaded`."""
-    from outrider.running import forking
-
-    monkeypatch.setattr(forking, "subprocess", subprocess_with(Popen))
 
 
 @pytest.fixture

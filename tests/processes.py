@@ -1,15 +1,15 @@
 """Runs with real processes, for the tests: starting them, looking at them, and what they leave behind."""
 
 import json
+import random
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
-
-from preloaded import Popen
 
 from bus.access import read_credential
 from bus.keys import CONTROL, STATUS, Role
@@ -24,17 +24,16 @@ OUTRIDER = [sys.executable, "-m", "outrider"]
 
 
 def outrider(
-    *arguments: str, timeout: float = 120.0, fresh: bool = False, **settings: Any
+    *arguments: str, timeout: float = 120.0, **settings: Any
 ) -> "subprocess.CompletedProcess[str]":
     """A command of ours, come to its end.
 
     Args:
         arguments: Of the command line.
         timeout: How long it may take [s].
-        fresh: Whether an interpreter is started for it; else it is forked from one that has loaded everything.
         settings: As of `subprocess.Popen`.
     """
-    with opened([*OUTRIDER, *arguments], fresh=fresh, **PIPES, **settings) as process:
+    with subprocess.Popen([*OUTRIDER, *arguments], **PIPES, **settings) as process:
         try:
             out, err = process.communicate(timeout=timeout)
         except BaseException:
@@ -44,13 +43,6 @@ def outrider(
 
 
 PIPES: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-
-
-def opened(
-    command: Sequence[str], *, fresh: bool = False, **settings: Any
-) -> "subprocess.Popen[Any]":
-    """A process as `subprocess.Popen` starts it, but forked where that can be unless it is to be fresh."""
-    return (subprocess.Popen if fresh else Popen)(command, **settings)
 
 
 def ran(
@@ -108,14 +100,23 @@ def children_of(pid: int) -> list[int]:
     return [int(child) for child in text.split()]
 
 
+def free_port() -> int:
+    """Return a port of this machine on which no process listens, below those that systems give to clients."""
+    for port in random.sample(range(20_000, 32_000), 100):
+        with suppress(OSError), socket.socket() as probe:
+            probe.bind(("127.0.0.1", port))
+            return port
+    raise OSError("no free port")
+
+
 def kind_of(pid: int) -> str:
-    """The command that a process of a run flies; empty for another, such as the one that forks them."""
+    """The command that a process of a run flies; empty for another."""
     words = command_line(pid).split()
     return words[words.index("outrider") + 1] if "outrider" in words else ""
 
 
 def family(pid: int) -> list[int]:
-    """The processes of a run: its children without the one that forks them."""
+    """The processes of a run that have started."""
     return [child for child in children_of(pid) if kind_of(child)]
 
 
@@ -143,11 +144,10 @@ def wait_until(condition, seconds=30.0, told=lambda: "waited in vain"):
 def joined(run: "subprocess.Popen[str]", role: Role) -> Iterator[Session]:
     """A session of an observer or operator on the bus of a run."""
     words = command_line(child_of(run, "simulator")).split()
-    endpoint, name, known = (
-        words[words.index(option) + 1] for option in ("--listen", "--run", "--credentials")
-    )
-    wait_until(lambda: Path(endpoint.removeprefix("unixsock-stream/")).exists())
-    credential = read_credential(Path(known).with_name(f"{role.value}.json"))
+    endpoint, name = (words[words.index(option) + 1] for option in ("--listen", "--run"))
+    path = Path(endpoint.removeprefix("unixsock-stream/"))
+    wait_until(path.exists)
+    credential = read_credential(path.with_name(f"{role.value}.json"))
     with open_session(credential.party, name, connect=endpoint, credential=credential) as session:
         yield session
 
@@ -190,9 +190,9 @@ def fly_to(operator: Session, tick: int) -> None:
 
 
 @contextmanager
-def started(*arguments: str, fresh: bool = False) -> Iterator["subprocess.Popen[str]"]:
+def started(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
     """A command of ours in the background, killed in the end if it still lives."""
-    process = opened([*OUTRIDER, *arguments], fresh=fresh, **PIPES)
+    process = subprocess.Popen([*OUTRIDER, *arguments], **PIPES)
     try:
         yield process
     finally:
@@ -205,12 +205,12 @@ def started(*arguments: str, fresh: bool = False) -> Iterator["subprocess.Popen[
 
 
 @contextmanager
-def flying(*arguments: str, fresh: bool = False) -> Iterator["subprocess.Popen[str]"]:
+def flying(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
     """A run in the background that is under way: all its processes are there and it has flown 20 ticks.
 
     It is held there, so that nothing of it is over when the test begins, and goes on with the test.
     """
-    with started("run", *arguments, fresh=fresh) as run:
+    with started("run", *arguments) as run:
         wait_until(lambda: "simulator" in map(kind_of, family(run.pid)))
         with joined(run, Role.OPERATOR) as operator:
             fly_to(operator, 20)

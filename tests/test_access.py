@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import zenoh
+from processes import free_port
 from staging import Received, everybody, hosted, listening, raw_session, settled
 
 from bus import access
@@ -39,8 +40,7 @@ from bus.keys import (
     token,
 )
 from bus.session import Session, open_session
-from outrider.running.forking import environment_of
-from outrider.running.launch import free_port
+from outrider.running.child import child_environment
 
 RUN = "run"
 GIVEN = new_credentials(RUN, ["uav_0", "uav_1"], ["ugv_0", "ugv_1"])
@@ -375,6 +375,6 @@ def test_no_process_of_a_vehicle_inherits_the_pages_token_or_the_users_credentia
     monkeypatch.setenv("OUTRIDER_TOKEN", "x" * 20)
     for name in ("OUTRIDER_CREDENTIALS", "OUTRIDER_PASSWORD"):
         monkeypatch.setenv(name, "y")
-        assert name not in environment_of("", token=True)
-    assert "OUTRIDER_TOKEN" not in environment_of("")
-    assert "OUTRIDER_TOKEN" in environment_of("", token=True)
+        assert name not in child_environment(token=True)
+    assert "OUTRIDER_TOKEN" not in child_environment()
+    assert "OUTRIDER_TOKEN" in child_environment(token=True)

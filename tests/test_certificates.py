@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import pytest
 import zenoh
+from processes import free_port
 from staging import client_of, hosted, raw_session
 from tabular import rows
 
@@ -37,7 +38,6 @@ from bus.errors import AccessDenied
 from bus.keys import COMMAND, Role
 from bus.messages import UavCommand
 from bus.session import open_session
-from outrider.running.launch import free_port
 
 RUN = "run"
 AUTHORITY, FOREIGN = new_authority(RUN), new_authority(RUN)

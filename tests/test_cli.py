@@ -149,7 +149,7 @@ def test_what_cannot_be_done_gets_one_line_its_exit_code_and_no_file(
 run --dashboard | nicegui | dashboard
 dashboard | nicegui | dashboard
 falsify | cma | falsify
-sweep | joblib | sweep
+sweep | pyarrow | sweep
 sweep --dask tcp://127.0.0.1:1 | distributed | dask
 mavlink | pymavlink.dialects.v20 | mavlink
 ros2 | rosbags.typesys | ros2

@@ -197,7 +197,7 @@ OF_MESSAGES = {"sim.scene", "sim.scene.colors", "sim.scene.model"}
     [
         (
             "agents.uav, agents.ugv, outrider.cli.main, outrider.cli.pilots, "
-            "outrider.running.user_code, outrider.running.watchdog",
+            "outrider.running.user_code, outrider.running.parent",
             REFUSES_FUNCTIONS,
         ),
         ("agents.uav, outrider.cli.mavlink, outrider.bridges.mavlink.offboard", set()),

@@ -7,6 +7,7 @@ import json
 import math
 import os
 import signal
+import subprocess
 import time
 from itertools import islice
 from pathlib import Path
@@ -16,7 +17,7 @@ import msgspec
 import numpy as np
 import pytest
 from flights import R_S, R_V, Piloted, distances
-from processes import OUTRIDER, PIPES, opened
+from processes import OUTRIDER, PIPES
 from tabular import words
 
 from bus.errors import PeerLost
@@ -338,7 +339,7 @@ def test_nothing_found_is_no_file_and_exit_code_0(here, command):
 
 def test_ctrl_c_keeps_the_best(tmp_path: Path) -> None:
     arguments = words("falsify --law switching --undegraded --minutes 5 --jobs 2 --json")
-    process = opened([*OUTRIDER, *arguments], cwd=tmp_path, **PIPES)
+    process = subprocess.Popen([*OUTRIDER, *arguments], cwd=tmp_path, **PIPES)
     assert process.stderr is not None
     while "runs" not in process.stderr.readline():  # the first line of progress
         assert process.poll() is None

@@ -132,7 +132,6 @@ def test_a_vehicle_that_cannot_live_is_not_started_for_ever(tmp_path: Path) -> N
     assert json.loads(run.stdout)["complete"] is False
 
 
-@pytest.mark.usefixtures("forked_forkserver")
 @pytest.mark.parametrize("respawn", [True, False])
 def test_a_vehicle_killed_before_the_first_tick_is_started_again(respawn, monkeypatch):
     class Doomed(launch.Child):
@@ -222,7 +221,7 @@ def test_a_port_in_use_is_named(command: str) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
-        run = outrider(command, "--listen", endpoint, fresh=command == "router")
+        run = outrider(command, "--listen", endpoint)
     assert run.returncode == 1
     assert f"cannot listen on {endpoint}: " in run.stderr
     assert "Address already in use" in run.stderr

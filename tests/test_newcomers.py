@@ -89,7 +89,6 @@ def test_brackets_in_a_path_are_no_markup(tmp_path, command):
     assert str(out / "summary.json") in done.stdout
 
 
-@pytest.mark.usefixtures("forked_forkserver")
 def test_a_policy_that_raises_at_once_ends_every_kind_of_run_alike(here, command):
     (here / "frames.py").write_text(
         "def wheel(o, b): raise ValueError('frame [/base_link] unknown, [m/s²]')\n"
@@ -103,7 +102,6 @@ def test_a_policy_that_raises_at_once_ends_every_kind_of_run_alike(here, command
     assert not (here / "mine").exists()
 
 
-@pytest.mark.usefixtures("forked_forkserver")
 def test_a_warning_of_a_vehicles_process_is_passed_on(here, command):
     (here / "tyres.py").write_text(
         "import warnings\n\n\ndef wheel(o, b):\n"
@@ -116,7 +114,6 @@ def test_a_warning_of_a_vehicles_process_is_passed_on(here, command):
     assert "tyres.py:6: UserWarning: tyres are worn" in line
 
 
-@pytest.mark.usefixtures("forked_forkserver")
 def test_debug_shows_the_traceback_of_a_vehicles_process_and_its_log_keeps_it(
     here, monkeypatch, command
 ):
@@ -185,7 +182,7 @@ def test_check_tries_a_function_of_ones_own_as_run_does_and_says_where_it_does_n
         assert checked.returncode == 0
         assert "loaded with --allow-code alone" in checked.stderr
         own = words("mine.toml --duration 1 --allow-code")
-    checked = outrider("check", *own, cwd=here, fresh=True)
+    checked = outrider("check", *own, cwd=here)
     flown = command("run", *own, "--in-process", "--no-files")
     assert checked.returncode == flown.returncode == 0
     warned = [line for line in flown.stderr.splitlines() if "warning" in line]

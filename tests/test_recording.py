@@ -21,7 +21,7 @@ from typing import Any
 import msgspec
 import pytest
 from flights import HERE, escort
-from processes import loaded_by, opened, wait_until
+from processes import loaded_by, wait_until
 from staging import stage
 from worlds import SCENARIOS
 
@@ -321,7 +321,9 @@ fly(scenario, 3, on_tick=follow)
 def killed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[int, float]], float]:
     """A recording whose process was killed with SIGKILL, when it was where, and when it was killed."""
     path = tmp_path_factory.mktemp("killed") / "run.mcap"
-    process = opened([sys.executable, "-c", _ENDLESS, str(path)], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", _ENDLESS, str(path)], stdout=subprocess.PIPE, text=True
+    )
     assert process.stdout is not None
     reached: list[tuple[int, float]] = []
     for line in process.stdout:

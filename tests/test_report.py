@@ -3,7 +3,6 @@
 import json
 import math
 import re
-import sys
 from pathlib import Path
 
 import pytest
@@ -292,8 +291,7 @@ def test_fields_have_words_and_units():
     assert told == ["0", "0.05", "1", "12.3", "1234", "inf"]
 
 
-def test_the_command_writes_page_and_pictures_and_prints_one_object(tmp_path, command, monkeypatch):
-    monkeypatch.setitem(sys.modules, "joblib", None)  # of the same extra, and for flying alone
+def test_the_command_writes_page_and_pictures_and_prints_one_object(tmp_path, command):
     folder = swept(tmp_path / "delay", plan_of(seeds=2))
     told = command("report", str(folder), "--json")
     assert told.returncode == 0, told.stderr

@@ -67,7 +67,7 @@ def test_a_briefing_with_a_secret_differs_in_its_key_alone() -> None:
 def test_a_runs_secret_is_in_no_command_line_and_no_environment_of_its_processes(monkeypatch):
     monkeypatch.setenv(VARIABLE, SECRET)
     words = ("escort", "--set", "duration=100000.0", "--no-files", "--json")
-    with flying(*words, fresh=True) as going:  # what is forked shows the environment of its origin
+    with flying(*words) as going:
         children = family(going.pid)
         assert not any(
             SECRET.encode() in Path(f"/proc/{pid}/environ").read_bytes() for pid in children

@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from processes import OUTRIDER, PIPES, blocks, command_line, opened, outrider, stat_of, wait_until
+from processes import OUTRIDER, PIPES, blocks, command_line, outrider, stat_of, wait_until
 from refusals import refused
 from tabular import words
 
@@ -75,7 +75,9 @@ def wait_for(there: Callable[[], bool], process: "subprocess.Popen[str]") -> Non
 
 def started(*command: str, **settings) -> "subprocess.Popen[str]":
     """A command in a session of its own."""
-    return opened(command, start_new_session=True, stderr=subprocess.PIPE, text=True, **settings)
+    return subprocess.Popen(
+        command, start_new_session=True, stderr=subprocess.PIPE, text=True, **settings
+    )
 
 
 def parts(folder: Path) -> int:
@@ -281,7 +283,9 @@ def test_ctrl_c_keeps_what_is_done_says_how_to_go_on_and_leaves_no_process(tmp_p
     command = [*OUTRIDER, *GRID, "--seeds", "200", "--out", str(tmp_path / "sweep"), "--jobs", "2"]
     process = started(*command, stdout=subprocess.PIPE)
     wait_for(lambda: parts(tmp_path / "sweep") >= 1, process)
-    workers = [pid for pid in _session(process.pid) if "LokyProcess" in command_line(pid)]
+    workers = [
+        pid for pid in _session(process.pid) if "--multiprocessing-fork" in command_line(pid)
+    ]
     # else one may show where it was interrupted
     blocking = [blocks(pid, signal.SIGINT) for pid in workers]
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
@@ -354,7 +358,7 @@ def test_on_a_cluster_a_worker_may_die_and_the_rows_are_those_of_this_machine(
 
     def dask(what: str, *arguments: str) -> "subprocess.Popen[str]":
         code = f"from distributed.cli.dask_{what} import main; main()"
-        return opened([sys.executable, "-c", code, *common, *arguments], **quiet)
+        return subprocess.Popen([sys.executable, "-c", code, *common, *arguments], **quiet)
 
     processes = [dask("scheduler", "--port", "0")]
     try:
@@ -364,7 +368,7 @@ def test_on_a_cluster_a_worker_may_die_and_the_rows_are_those_of_this_machine(
         with Client(address, timeout=60) as client:
             client.wait_for_workers(2, timeout=60)
         command = [*OUTRIDER, *GRID, *LONG, "--dask", address, "--json", "--out"]
-        sweep = opened([*command, str(tmp_path / "far")], **PIPES)
+        sweep = subprocess.Popen([*command, str(tmp_path / "far")], **PIPES)
         wait_for(lambda: parts(tmp_path / "far") >= 2, sweep)
         processes[1].kill()
         out, err = sweep.communicate(timeout=100)

@@ -374,7 +374,7 @@ def test_three_processes_play_it_and_it_is_flown_again_without_its_file(tmp_path
     assert there["trajectory_sha256"] == here.trajectory_sha256
     assert there["traces"] == {"recorded/wifi.csv": scenario.links.traces[0].sha256}
     (tmp_path / "recorded" / "wifi.csv").unlink()
-    again = outrider("replay", str(tmp_path / "run.mcap"), "--refly", "--json", fresh=True)
+    again = outrider("replay", str(tmp_path / "run.mcap"), "--refly", "--json")
     assert again.returncode == 0, again.stderr
     assert json.loads(again.stdout)["trajectory_sha256"] == here.trajectory_sha256
 

@@ -115,7 +115,7 @@ def test_no_control_of_an_operator_makes_anybody_compile_or_load():
 def test_no_control_makes_a_tick_late_in_real_time_on_a_cold_cache(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("OUTRIDER_CACHE", str(tmp_path / "cache"))
     words = ("escort", "--realtime", "1", "--duration", "20000", "--no-files", "--json")
-    with started("run", *words, fresh=True) as run:
+    with started("run", *words) as run:
         wait_until(lambda: "simulator" in map(kind_of, family(run.pid)), 300.0)
         words_of = command_line(child_of(run, "simulator")).split()
         socket = words_of[words_of.index("--listen") + 1].removeprefix("unixsock-stream/")

@@ -24,7 +24,6 @@ from bus.messages import LinkStatus
 from outrider.cli.standard_files import STANDARD_OUTPUT, print_text
 from outrider.running.summary import Summary, in_flights
 from sim.input.faults import one_line
-from sim.kernels.compile import Share, is_compiled
 from sim.scenario.types import Scenario
 
 
@@ -53,10 +52,10 @@ class PlainConsole(Console):
 ERR, OUT = PlainConsole(stderr=True), PlainConsole()
 
 
-def tell_compiling(*shares: Share) -> None:
-    """Say on a terminal that compiling takes its time, where these have never been compiled."""
-    if ERR.is_terminal and not is_compiled(*shares):
-        ERR.tell("compiling: the first start takes twenty to thirty seconds")
+def tell_starting() -> None:
+    """Say on a terminal that the first start takes its time."""
+    if ERR.is_terminal:
+        ERR.tell("starting (the first start compiles for some 30 s)")
 
 
 def print_json(value: object) -> None:

@@ -9,7 +9,7 @@ import msgspec
 import typer
 
 from bus.extras import check_extra
-from bus.keys import Role
+from bus.keys import OPERATOR_NAME, Party, Role
 from bus.locator import check_endpoint
 from bus.messages import Law
 from outrider.cli import options
@@ -37,7 +37,7 @@ def command(
             hidden=True, help="Serve on this socket of the parent's, and say so on stdout."
         ),
     ] = -1,
-    watchdog: options.Watchdog = False,
+    child: options.Child = False,
 ) -> None:
     """Show a run in the browser while it is flown, and steer it.
 
@@ -49,11 +49,10 @@ def command(
     """
     from bus.session import open_session
     from outrider.cli.console import ERR
-    from outrider.running.watchdog import start_watchdog
+    from outrider.running.parent import read_start
     from outrider.view.page.address import address_of, choose_token, open_socket
 
-    if watchdog:
-        start_watchdog()
+    start = read_start() if child else None
     check_endpoint(connect)
     token = choose_token(host, token, wanted=not no_token)
     check_extra("dashboard")
@@ -62,7 +61,11 @@ def command(
     from outrider.view.page.hub import Hub
     from outrider.view.page.sources.live import Live
 
-    party, credential = options.staff_of(credentials, Role.OPERATOR)
+    party, credential = (
+        (Party(role=Role.OPERATOR, name=OPERATOR_NAME), start.credential)
+        if start is not None
+        else options.staff_of(credentials, Role.OPERATOR)
+    )
     os.nice(_NICE)
     has_parent = listening >= 0
     with (

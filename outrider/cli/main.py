@@ -2,7 +2,6 @@
 
 import contextlib
 import functools
-import gc
 import io
 import logging
 import os
@@ -48,7 +47,6 @@ from outrider.cli import (
 )
 from outrider.cli.options import help_without_command
 from outrider.cli.standard_files import open_standard_files, print_text
-from outrider.cli.stopping import leave
 from sim.input.faults import one_line
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -222,15 +220,11 @@ def run_command_line() -> int:
 def main() -> NoReturn:
     """Run the command line, and end this process."""
     open_standard_files()
+    code: int | str | None
     try:
         code = run_command_line()
     except SystemExit as ended:
-        if not isinstance(ended.code, int):
-            raise  # of code that is not ours
         code = ended.code
-    loader = sys.modules.get("outrider.running.user_code")
-    if code != _INTERRUPTED and loader is not None and loader.has_loaded():
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        gc.unfreeze()
-        sys.exit(code)  # what it has left open is freed, and so written out and closed
-    leave(code)
+    # It ends: an exception in the middle of its exit would only be written to its log.
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.exit(code)

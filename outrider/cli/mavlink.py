@@ -176,10 +176,8 @@ def _join(
     """Fly a UAV until the run is over, and serve MAVLink beside it."""
     from agents.process import warm_up
     from outrider.bridges.mavlink.offboard import serving
-    from sim.kernels.compile import compiling
 
-    with compiling("uav"):
-        warm_up(Role.UAV, inner=lambda _observation: (0.0, 0.0))
+    warm_up(Role.UAV, inner=lambda _observation: (0.0, 0.0))
     with serving(gateway):
         joining.fly(make)
 

@@ -113,8 +113,12 @@ VirtualPath = Annotated[
 Json = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")
 ]
-Watchdog = Annotated[
-    bool, typer.Option(hidden=True, help="End when standard input closes: the parent has gone.")
+Child = Annotated[
+    bool,
+    typer.Option(
+        hidden=True,
+        help="Started by `outrider run`: read credentials from stdin, end when it closes, report on stdout.",
+    ),
 ]
 
 
@@ -430,9 +434,7 @@ class Joining(NamedTuple):
     def fly(self, make_pilot: "MakePilot") -> int:
         """Fly the vehicle until the run is over; result and errors as of `agents.process.fly`."""
         from agents.process import fly
-        from outrider.cli.console import tell_compiling
 
-        tell_compiling("uav" if self.party.role is Role.UAV else "ugv")
         return fly(
             self.party,
             make_pilot,

@@ -1,10 +1,11 @@
 """`outrider uav` and `outrider ugv`: one vehicle's process."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from bus.keys import Role
+from bus.keys import Party, Role
 from outrider.cli import options
 
 
@@ -19,7 +20,7 @@ def uav(
     weighting: options.Weighting = "",
     path: options.VirtualPath = "",
     uav_policy: options.UavPolicyName = "",
-    watchdog: options.Watchdog = False,
+    child: options.Child = False,
 ) -> None:
     """Fly one UAV of a run, in a process of its own.
 
@@ -31,8 +32,7 @@ def uav(
     from agents.process import uav_maker
     from outrider.running.user_code import load_function
 
-    _watch(watchdog)
-    joining = options.joining(Role.UAV, name, connect, run, credentials, join_timeout)
+    joining = _joining(Role.UAV, name, connect, run, credentials, join_timeout, child=child)
     maker = uav_maker(
         weighting=load_function(weighting, what="weighting"),
         path=load_function(path, what="path"),
@@ -51,7 +51,7 @@ def ugv(
     credentials: options.CredentialFile = None,
     join_timeout: options.JoinTimeout = 30.0,
     policy: options.PolicyName = "",
-    watchdog: options.Watchdog = False,
+    child: options.Child = False,
 ) -> None:
     """Drive one UGV of a run, in a process of its own.
 
@@ -63,14 +63,27 @@ def ugv(
     from agents.process import ugv_maker
     from outrider.running.user_code import load_function
 
-    _watch(watchdog)
-    joining = options.joining(Role.UGV, name, connect, run, credentials, join_timeout)
+    joining = _joining(Role.UGV, name, connect, run, credentials, join_timeout, child=child)
     maker = ugv_maker(policy=load_function(policy, what="policy"), policy_name=policy)
     joining.fly(maker)
 
 
-def _watch(watchdog: bool) -> None:
-    if watchdog:
-        from outrider.running.watchdog import start_watchdog
+def _joining(
+    role: Role,
+    name: str,
+    connect: str,
+    run: str,
+    credentials: Path | None,
+    join_timeout: float,
+    *,
+    child: bool,
+) -> options.Joining:
+    if not child:
+        from outrider.cli.console import tell_starting
 
-        start_watchdog()
+        tell_starting()
+        return options.joining(role, name, connect, run, credentials, join_timeout)
+    from outrider.running.parent import read_start
+
+    party = Party(role=role, name=name)
+    return options.Joining(party, connect, run, read_start().credential, join_timeout)

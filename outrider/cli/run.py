@@ -40,12 +40,6 @@ def command(
     in_process: Annotated[
         bool, typer.Option("--in-process", help="Without a bus, all in this process.")
     ] = False,
-    pin: Annotated[
-        bool,
-        typer.Option(
-            help="Give the UAVs one half of the processor cores: faster, unless the machine is busy otherwise."
-        ),
-    ] = True,
     record: options.Record = None,
     realtime: options.RealTime = None,
     lockstep: Annotated[
@@ -106,81 +100,75 @@ def command(
         raise typer.BadParameter("--lockstep and --realtime exclude each other")
     if dashboard and not lockstep and realtime is None:
         realtime = 1.0
-    from outrider.running.forking import forkserver
+    from outrider.cli.console import flight_progress, print_json, print_summary, print_warnings
+    from outrider.running.user_code import check_code, check_own_functions
+    from outrider.view.output import default_folder, making, write_summary
+    from sim.scenario.checks import scenario_warnings
 
-    # it loads meanwhile
-    with nullcontext() if in_process else forkserver() as forks:
-        from outrider.cli.console import flight_progress, print_json, print_summary, print_warnings
-        from outrider.running.user_code import check_code, check_own_functions
-        from outrider.view.output import default_folder, making, write_summary
-        from sim.scenario.checks import scenario_warnings
+    flown, overrides = options.scenario_of(
+        scenario,
+        seed=seed,
+        duration=duration,
+        law=law,
+        driver=driver,
+        changes=changes,
+        weighting=weighting,
+        path=path,
+        policy=policy,
+        uav_policy=uav_policy,
+        network=network,
+    )
+    strangers = any(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
+    _check_processes(flown, 0 if in_process else allow_processes)
+    if in_process and strangers:
+        raise typer.BadParameter("--driver external is another process; leave --in-process out")
+    kept = options.secret_of(secret, wanted=strangers)
+    check_code(flown, overrides, source=scenario, allowed=allow_code)
+    # what does not fit shows here, not in a child
+    print_warnings((*scenario_warnings(flown), *check_own_functions(flown)))
+    if record is not None:
+        import outrider.recording.writer  # noqa: F401 - a missing extra shows here, not in a child
+    folder = (out or default_folder(flown.name)) if files else None
+    with making(folder), stop_on_signals() as stop, _page(dashboard, port) as page:
+        if in_process:
+            outcome = _fly_here(flown, kept, folder, picture, record, stop)
+        else:
+            from outrider.running.launch import Output, Watcher, launch
+            from sim.server.run_timing import Timing
 
-        flown, overrides = options.scenario_of(
-            scenario,
-            seed=seed,
-            duration=duration,
-            law=law,
-            driver=driver,
-            changes=changes,
-            weighting=weighting,
-            path=path,
-            policy=policy,
-            uav_policy=uav_policy,
-            network=network,
-        )
-        strangers = any(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
-        _check_processes(flown, 0 if in_process else allow_processes)
-        if in_process and strangers:
-            raise typer.BadParameter("--driver external is another process; leave --in-process out")
-        kept = options.secret_of(secret, wanted=strangers)
-        check_code(flown, overrides, source=scenario, allowed=allow_code)
-        # what does not fit shows here, not in a child
-        print_warnings((*scenario_warnings(flown), *check_own_functions(flown)))
-        if record is not None:
-            import outrider.recording.writer  # noqa: F401 - a missing extra shows here, not in a child
-        folder = (out or default_folder(flown.name)) if files else None
-        with making(folder), stop_on_signals() as stop, _page(dashboard, port) as page:
-            if in_process:
-                outcome = _fly_here(flown, kept, folder, picture, record, stop)
-            else:
-                from outrider.running.launch import Output, Watcher, Wiring, launch
-                from sim.server.run_timing import Timing
-
-                with flight_progress(flown, "starting (the first start compiles)") as progress:
-                    watcher = Watcher(
-                        on_tick=progress.show,
-                        on_event=progress.say,
-                        on_warnings=print_warnings,
-                        stop=lambda: stop.count,
-                        page=page,
-                    )
-                    outcome = launch(
-                        flown,
-                        scenario,
-                        overrides,
-                        watcher,
-                        Output(folder=folder, picture=picture, record=record),
-                        timing=Timing(
-                            realtime=realtime,
-                            deadline=deadline,
-                            join_timeout=120.0,
-                            respawn=respawn,
-                        ),
-                        wiring=Wiring(pin=pin),
-                        secret=kept,
-                        forks=forks,
-                    )
-            if outcome.summary is not None and folder is not None:
-                try:
-                    write_summary(outcome.summary, folder)
-                except OSError as error:  # it is printed all the same
-                    outcome.fault = outcome.fault or f"{error.filename}: {error.strerror}"
-        if outcome.summary is not None:
-            if json:
-                print_json(outcome.summary)
-            else:
-                print_summary(outcome.summary, outcome.files)
-        _end(outcome, stop)
+            with flight_progress(flown, "starting (the first start compiles)") as progress:
+                watcher = Watcher(
+                    on_tick=progress.show,
+                    on_event=progress.say,
+                    on_warnings=print_warnings,
+                    stop=lambda: stop.count,
+                    page=page,
+                )
+                outcome = launch(
+                    flown,
+                    scenario,
+                    overrides,
+                    watcher,
+                    Output(folder=folder, picture=picture, record=record),
+                    timing=Timing(
+                        realtime=realtime,
+                        deadline=deadline,
+                        join_timeout=120.0,
+                        respawn=respawn,
+                    ),
+                    secret=kept,
+                )
+        if outcome.summary is not None and folder is not None:
+            try:
+                write_summary(outcome.summary, folder)
+            except OSError as error:  # it is printed all the same
+                outcome.fault = outcome.fault or f"{error.filename}: {error.strerror}"
+    if outcome.summary is not None:
+        if json:
+            print_json(outcome.summary)
+        else:
+            print_summary(outcome.summary, outcome.files)
+    _end(outcome, stop)
 
 
 def _check_processes(flown: "Scenario", allowed: int) -> None:

@@ -1,7 +1,7 @@
 """`outrider simulator`: the process that knows the truth, with the router inside."""
 
 import time
-from contextlib import closing, nullcontext
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated
 
@@ -78,14 +78,7 @@ def command(
     ] = None,
     picture: Annotated[bool, typer.Option(help="Draw the picture too.")] = True,
     json: options.Json = False,
-    events: Annotated[
-        bool,
-        typer.Option(hidden=True, help="Report on stdout as JSON lines, for a parent process."),
-    ] = False,
-    watchdog: options.Watchdog = False,
-    watchdog_folder: Annotated[
-        Path | None, typer.Option(hidden=True, help="Removed when the parent has gone.")
-    ] = None,
+    child: options.Child = False,
 ) -> None:
     """Simulate a scenario for vehicles that join over Zenoh.
 
@@ -103,21 +96,19 @@ def command(
         print_json,
         print_summary,
         print_warnings,
-        tell_compiling,
+        tell_starting,
     )
     from outrider.running.assumptions import promise_warnings
     from outrider.running.exit_reports import Report, Reports
+    from outrider.running.parent import Start, read_start
     from outrider.running.summary import summarize
-    from outrider.running.watchdog import start_watchdog
     from outrider.view.output import write_flight
-    from sim.kernels.compile import compiling
     from sim.scenario.checks import scenario_warnings
     from sim.server.flight import warm_up
     from sim.server.run_timing import Timing
     from sim.server.serving import Server
 
-    if watchdog:
-        start_watchdog(watchdog_folder)
+    start = read_start() if child else Start()
     flown, _ = options.scenario_of(
         scenario,
         seed=seed,
@@ -129,7 +120,7 @@ def command(
     )
     endpoints = () if connect else tuple(listen or (options.DEFAULT_ENDPOINT,))
     # By which the router inside knows its clients, or the router elsewhere knows this one.
-    given, credential = None, None
+    given, credential = start.credentials, None
     if connect:
         credential = options.credential_of(credentials, Role.SIMULATOR, SIMULATOR_NAME)
     elif credentials is not None:
@@ -138,102 +129,106 @@ def command(
         endpoints or (connect,), secured=given is not None or bool(connect), insecure=insecure
     )
     secured = given is not None or credential is not None
-    kept = options.secret_of(secret, wanted=secured and not events)  # a parent has decided
-    if not events:
-        tell_compiling("world")
-    with compiling("world"):
-        warm_up(flown)
-    reports, promised = Reports(enabled=events), promise_warnings(flown)
-    if events and promised:
-        reports.write(Report(warnings=promised))  # of the scenario itself the parent has told
-    if not events:
-        print_warnings((*scenario_warnings(flown), *promised))
-        where = (
-            f"using the router at {connect}" if connect else f"listening on {', '.join(endpoints)}"
-        )
-        ERR.tell(f"{where}, run {run}: waiting for {', '.join(v.name for v in flown.vehicles)}")
-        if endpoints and given is None:
-            ERR.tell(
-                "no credentials: every process that reaches this endpoint may read and write everything"
-            )
+    # a parent has decided on the secret
+    kept = start.secret if child else options.secret_of(secret, wanted=secured)
+    reports = Reports(enabled=child)
     timing = Timing(
         realtime=realtime, deadline=deadline, join_timeout=join_timeout, respawn=respawn
     )
-    recorder = None
-    if record is not None:  # a file that cannot be written shows before anybody joins
-        from outrider.recording.writer import FlightRecorder
-
-        recorder = FlightRecorder(record, flown, flown.seed, secret=kept)
-    with stop_on_signals() as stop:
-        party = Party(role=Role.SIMULATOR, name=SIMULATOR_NAME)
-        with (
+    if not child:
+        tell_starting()
+    with stop_on_signals() as stop, ExitStack() as opened:
+        # The router listens while the rest is compiled, so that vehicles need not wait to reach it.
+        session = opened.enter_context(
             open_session(
-                party,
+                Party(role=Role.SIMULATOR, name=SIMULATOR_NAME),
                 run,
                 connect=connect,
                 listen=endpoints,
                 credential=credential,
                 given=given,
                 join_timeout=join_timeout,
-            ) as session,
-            nullcontext(reports) if events else flight_progress(flown, "waiting") as progress,
-            closing(recorder) if recorder is not None else nullcontext(),
-        ):
-
-            def on_event(line: str) -> None:
-                progress.say(line)
-                if recorder is not None:
-                    recorder.event(line)
-
-            server = Server(
-                session,
-                flown,
-                flown.seed,
-                timing,
-                secret=kept,
-                on_event=on_event,
-                stop=lambda: bool(stop),
-                warn=promise_warnings,
             )
+        )
+        warm_up(flown)
+        promised = promise_warnings(flown)
+        if child and promised:
+            reports.write(Report(warnings=promised))  # of the scenario itself the parent has told
+        if not child:
+            print_warnings((*scenario_warnings(flown), *promised))
+            where = (
+                f"using the router at {connect}"
+                if connect
+                else f"listening on {', '.join(endpoints)}"
+            )
+            names = ", ".join(vehicle.name for vehicle in flown.vehicles)
+            ERR.tell(f"{where}, run {run}: waiting for {names}")
+            if endpoints and given is None:
+                ERR.tell(
+                    "no credentials: every process that reaches this endpoint may read and write everything"
+                )
+        recorder = None
+        if record is not None:  # a file that cannot be written shows before anybody joins
+            from outrider.recording.writer import FlightRecorder
+
+            recorder = FlightRecorder(record, flown, flown.seed, secret=kept)
+            opened.enter_context(closing(recorder))
+        progress = reports if child else opened.enter_context(flight_progress(flown, "waiting"))
+
+        def on_event(line: str) -> None:
+            progress.say(line)
             if recorder is not None:
-                recorder.vehicles = server.vehicles
-            shown = 0.0
+                recorder.event(line)
 
-            def on_tick() -> None:
-                nonlocal shown
-                if recorder is not None:
-                    recorder.tick(server.flight)
-                now = time.monotonic()
-                if now - shown > 0.1 or server.flight.over:
-                    shown = now
-                    progress.show(server.flight.world.tick)
+        server = Server(
+            session,
+            flown,
+            flown.seed,
+            timing,
+            secret=kept,
+            on_event=on_event,
+            stop=lambda: bool(stop),
+            warn=promise_warnings,
+        )
+        if recorder is not None:
+            recorder.vehicles = server.vehicles
+        shown = 0.0
 
-            try:
-                server.fly(on_tick=on_tick)
-            finally:
-                seconds = time.perf_counter() - server.started
-                flight, vehicles, late_ticks = server.flight, server.vehicles(), server.late_ticks
-                # Also where the router was lost for good: what was flown is kept. Of a run that could not begin the
-                # cause alone is told; only a vehicle that was started again and again has a report worth keeping.
-                if flight.world.tick or (respawn and flight.recorder.rows):
-                    summary = summarize(
-                        flight,
-                        seconds=seconds,
-                        vehicles=vehicles,
-                        realtime=realtime,
-                        late_ticks=late_ticks,
-                        changes=server.changes,
-                    )
-                    # first of all, so that a full disk does not take it
-                    reports.write(Report(summary=summary))
-                    files: list[Path] = []
-                    try:
-                        files += write_flight(flight, summary, out, picture=picture) if out else []
-                        files += [record] if record is not None else []
-                        reports.write(Report(files=[str(file) for file in files]))
-                    finally:  # also where the disk is full
-                        if json:
-                            print_json(summary)
-                        elif not events:
-                            print_summary(summary, files)
+        def on_tick() -> None:
+            nonlocal shown
+            if recorder is not None:
+                recorder.tick(server.flight)
+            now = time.monotonic()
+            if now - shown > 0.1 or server.flight.over:
+                shown = now
+                progress.show(server.flight.world.tick)
+
+        try:
+            server.fly(on_tick=on_tick)
+        finally:
+            seconds = time.perf_counter() - server.started
+            flight, vehicles, late_ticks = server.flight, server.vehicles(), server.late_ticks
+            # Also where the router was lost for good: what was flown is kept. Of a run that could not begin the
+            # cause alone is told; only a vehicle that was started again and again has a report worth keeping.
+            if flight.world.tick or (respawn and flight.recorder.rows):
+                summary = summarize(
+                    flight,
+                    seconds=seconds,
+                    vehicles=vehicles,
+                    realtime=realtime,
+                    late_ticks=late_ticks,
+                    changes=server.changes,
+                )
+                # first of all, so that a full disk does not take it
+                reports.write(Report(summary=summary))
+                files: list[Path] = []
+                try:
+                    files += write_flight(flight, summary, out, picture=picture) if out else []
+                    files += [record] if record is not None else []
+                    reports.write(Report(files=[str(file) for file in files]))
+                finally:  # also where the disk is full
+                    if json:
+                        print_json(summary)
+                    elif not child:
+                        print_summary(summary, files)
     raise typer.Exit(stop.exit_code)

@@ -1,14 +1,10 @@
-"""Ctrl-C and SIGTERM as a wish, not as an exception in the middle of a tick; and the end of a process."""
+"""Ctrl-C and SIGTERM as a wish, not as an exception in the middle of a tick."""
 
-import atexit
-import os
 import signal
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import NoReturn
 
 
 class Stop:
@@ -55,21 +51,3 @@ def stop_on_signals() -> Iterator[Stop]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def leave(code: int) -> NoReturn:
-    """End this process as the interpreter would, all but freeing what is loaded.
-
-    That takes 0.3 s, copies what a forked process shares, and a library's thread that is in the middle of something
-    may make C++ abort in it. Threads are awaited, exit handlers called, and output written out.
-    """
-    # It ends: an exception in a handler of its exit would only be written to its log.
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    threading._shutdown()  # type: ignore[attr-defined]
-    atexit._run_exitfuncs()
-    for stream in filter(None, (sys.stdout, sys.stderr)):  # None: it was closed from the start
-        try:
-            stream.flush()
-        except (OSError, ValueError):  # a full disk, a reader that has gone; or closed already
-            code = code or 1
-    os._exit(code)

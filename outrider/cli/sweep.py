@@ -138,12 +138,11 @@ def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any
 
     It fills with what runs cost, so that the time left is right for ticks of any length.
     """
-    from joblib import cpu_count
-
     from outrider.cli.console import runs_bar
     from outrider.experiments.sweep.running import cost_of, fly_sweep
+    from sim.kernels.threads import cores
 
-    workers = jobs or (sum(client.ncores().values()) if client is not None else cpu_count())
+    workers = jobs or (sum(client.ncores().values()) if client is not None else cores())
     costs = [cost_of(point.scenario) for point in plan.points]
     done = folder.done
     kept = sum(costs[run // plan.sweep.seeds] for run in done)

@@ -1,4 +1,4 @@
-"""One process of a run, as the process sees it that has started it."""
+"""One process of a run, as `outrider run` sees it."""
 
 import contextlib
 import os
@@ -8,11 +8,13 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import IO
 
-from outrider.running.forking import Forked, Forkserver, environment_of
+import msgspec
+
+from outrider.running.parent import Start
 
 _TAIL = 200
 """Lines of a child's standard error that are kept."""
@@ -23,38 +25,37 @@ _WARNING = re.compile(r"(?:outrider(?:\.\w+)+|py\.warnings): ")
 _ERROR = "outrider: "
 """The beginning of the line with which a command of ours fails."""
 _TRACEBACK = "Traceback (most recent call last):"
-
-
-@contextlib.contextmanager
-def _readable(secret: str) -> Iterator[tuple[int, ...]]:
-    """An open file from which a child reads a secret, once; none where there is no secret."""
-    if not secret:
-        yield ()
-        return
-    reader, writer = os.pipe()
-    os.write(writer, secret.encode())
-    os.close(writer)
-    try:
-        yield (reader,)
-    finally:
-        os.close(reader)
+_TOKEN = "OUTRIDER_TOKEN"  # noqa: S105 - a variable's name
+_KEPT_BACK = ("OUTRIDER_SECRET", "OUTRIDER_CREDENTIALS", "OUTRIDER_PASSWORD")
+"""Variables by which the user joins other runs, or sets this one's secret; no child inherits them."""
 
 
 def outrider_command(*words: str) -> list[str]:
-    """The command line that runs our own command in a process of its own."""
+    """Return the command line that runs a command of ours in a process of its own."""
     return [sys.executable, "-P", "-m", "outrider", *words]
+
+
+def child_environment(*, token: bool = False) -> dict[str, str]:
+    """Return our environment without secrets.
+
+    Args:
+        token: Whether the page's token is kept.
+    """
+    left_out = _KEPT_BACK if token else (*_KEPT_BACK, _TOKEN)
+    return {name: value for name, value in os.environ.items() if name not in left_out}
 
 
 class Child:
     """One process of the run, with the end of its standard error.
 
+    Its standard input stays open: it ends when that closes, so also when this process is killed.
+
     Args:
         name: On the bus.
-        arguments: Of the `outrider` command line.
-        lines: Where its standard output goes, line by line; None is its end.
-        files: Open files that it inherits, by their numbers; none of a forked one.
-        secret: Of the run: for the simulator alone.
-        forkserver: What forks it; None: it is started as a new interpreter.
+        arguments: Words of the `outrider` command line.
+        start: First line of its standard input.
+        lines: Receives its standard output, line by line; None is its end.
+        files: Open files that it inherits, by their numbers.
         log: The file that keeps all of its standard error, if it writes any; None: no file does.
         on_warning: Called from another thread with each line with which its log warns.
     """
@@ -63,10 +64,10 @@ class Child:
         self,
         name: str,
         arguments: Sequence[str],
+        start: Start,
+        *,
         lines: "queue.SimpleQueue[bytes | None] | None" = None,
         files: Sequence[int] = (),
-        secret: str = "",
-        forkserver: Forkserver | None = None,
         log: Path | None = None,
         on_warning: Callable[[str], None] = lambda _line: None,
     ) -> None:
@@ -74,26 +75,26 @@ class Child:
         self._log = log
         self._on_warning = on_warning
         self._tail: deque[str] = deque(maxlen=_TAIL)
-        command = outrider_command(*arguments, "--watchdog")
-        if forkserver is not None and not files:
-            self._process: Forked | subprocess.Popen[bytes] = forkserver.fork(
-                command, secret, piped=lines is not None
-            )
-        else:
-            with _readable(secret) as told:
-                self._process = subprocess.Popen(
-                    [*command, *(f"--secret=@/dev/fd/{file}" for file in told)],
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.DEVNULL if lines is None else subprocess.PIPE,
-                    stderr=subprocess.PIPE,
-                    pass_fds=(*files, *told),
-                    env=environment_of("", token=name == "dashboard"),
-                    start_new_session=True,  # Ctrl-C reaches us alone; we end the children in order
-                )
+        self._process = subprocess.Popen(
+            outrider_command(*arguments, "--child"),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL if lines is None else subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            pass_fds=files,
+            env=child_environment(token=name == "dashboard"),
+            start_new_session=True,  # Ctrl-C reaches us alone; we end the children in order
+        )
+        self._send(msgspec.json.encode(start) + b"\n")
         self._readers: list[threading.Thread] = []
         self._read_with(self._listen, self._process.stderr)
         if lines is not None:
             self._read_with(self._pass_on, self._process.stdout, lines)
+
+    def _send(self, line: bytes) -> None:
+        if self._process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):  # it has ended; its exit code says why
+                self._process.stdin.write(line)
+                self._process.stdin.flush()
 
     def _read_with(self, work: Callable[..., None], *given: object) -> None:
         reader = threading.Thread(target=work, args=given, daemon=True)
@@ -174,9 +175,10 @@ class Child:
         return f"{self.name} (pid {self.pid}) {how}" + (f": {tail}" if tail else "")
 
     def ask_to_end(self) -> None:
-        """SIGTERM, if it still runs."""
-        if self.ended is None:
-            self._process.terminate()
+        """Close its standard input, by which it ends."""
+        if self._process.stdin is not None:
+            with contextlib.suppress(OSError):
+                self._process.stdin.close()
 
     def wait(self, patience: float) -> bool:
         """Wait up to `patience` [s] for its end; true if it has ended."""
@@ -190,10 +192,8 @@ class Child:
         self._process.wait()
 
     def close(self) -> None:
-        """Close our ends of its pipes: its standard input first, by which it ends if it has not yet."""
-        if self._process.stdin is not None:
-            with contextlib.suppress(OSError):
-                self._process.stdin.close()
+        """Close our ends of its pipes."""
+        self.ask_to_end()
         for reader in self._readers:
             reader.join(5.0)
         if any(reader.is_alive() for reader in self._readers):

@@ -24,7 +24,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Reports:
-    """Writes reports, or nothing where nobody asked for them."""
+    """Writes reports for the parent, if this process is its child."""
 
     def __init__(self, *, enabled: bool) -> None:
         self._enabled = enabled

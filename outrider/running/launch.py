@@ -8,54 +8,33 @@ import socket
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 
-from bus.access import ROUTER_FILE, new_certificates, new_credentials, write_credentials
-from bus.certificates import new_authority
-from bus.errors import BusError, PeerLost
-from bus.keys import OPERATOR_NAME, SIMULATOR_NAME
-from bus.locator import UNIX, Locator
+from bus.access import new_credentials, write_credential
+from bus.errors import PeerLost
+from bus.keys import OBSERVER_NAME, OPERATOR_NAME, SIMULATOR_NAME
+from bus.locator import UNIX
 from bus.registry import DRIVERS
 from outrider.running.child import Child
-from outrider.running.cores import can_be_kept_apart, keep_apart
 from outrider.running.exit_reports import Report
-from outrider.running.forking import Forkserver, forkserver
+from outrider.running.parent import Start
 from outrider.running.run_folder import run_folder
 from outrider.running.summary import Process, Summary
-from sim.scenario.types import Scenario, Ugv
+from sim.scenario.types import Scenario, Uav, Ugv
 from sim.server.run_timing import Timing
 
-_HELD = 0.5
+_HELD = 3.0
 """Time for which an event before the first tick waits [s]: it is not told if a vehicle's own error ends the run."""
 _PATIENCE = 10.0
 """Time that a process may take to end when it was asked to [s]."""
 _LAST_FRAME = 2.0
 """The page is still served so long after the end of the simulator [s] at most, so that browsers show that it is."""
-_PORTS = range(20_000, 32_000)
-"""Of this machine, below those that systems give to clients."""
-Transport = Literal["unix", "tcp", "tls"]
 _UNUSABLE = 2
 """Exit code of a process that cannot use what the user has given."""
 _LIVES = 3
 """A process that dies more often than this while the clock stands still is not started again."""
-
-
-def free_port() -> int:
-    """A port that nobody listens on now.
-
-    Raises:
-        BusError: If there is none.
-    """
-    for _ in range(100):
-        port = secrets.choice(_PORTS)
-        with contextlib.suppress(OSError), socket.socket() as probe:
-            probe.bind(("127.0.0.1", port))
-            return port
-    raise BusError("no free port found for the run's router")
 
 
 @contextlib.contextmanager
@@ -104,17 +83,6 @@ class Output(msgspec.Struct, frozen=True, kw_only=True):
         ]
 
 
-class Wiring(msgspec.Struct, frozen=True, kw_only=True):
-    """Cores, access control and transport of a run's processes. All but `pin` only to measure what it costs."""
-
-    pin: bool = True
-    """True: the UAVs keep to one half of the processor cores and the others to the other half, if there are few."""
-    secured: bool = True
-    """True: there are credentials and access control."""
-    transport: Transport = "unix"
-    """The way they reach each other: `tcp` and `tls`, with certificates for passwords, use a port of this machine."""
-
-
 class Watcher(msgspec.Struct, frozen=True, kw_only=True):
     """Callbacks of whoever follows a run, and can end it."""
 
@@ -140,7 +108,6 @@ NOBODY = Watcher(
 
 
 _TIMING = Timing(join_timeout=120.0)
-_WIRING = Wiring()
 
 
 def launch(
@@ -151,10 +118,7 @@ def launch(
     output: Output,
     *,
     timing: Timing = _TIMING,
-    wiring: Wiring = _WIRING,
     secret: str = "",
-    forks: Forkserver | None = None,
-    keep_forks: bool = False,
 ) -> Outcome:
     """Fly a scenario as one process for the simulator and one for each vehicle, over Zenoh on a private socket.
 
@@ -167,43 +131,21 @@ def launch(
         watcher: Who follows the run.
         output: What is written.
         timing: Its pace and patience.
-        wiring: Cores, access control and transport of its processes.
         secret: Of the run, for the simulator's process alone; empty: none.
-        forks: A forkserver that the caller has started; None: one is started here.
-        keep_forks: Whether it serves other runs after this one; else it ends once nothing more is forked.
 
     Returns:
         The summary of what was flown, if anything was; and the fault that ended it early.
     """
-    with (
-        run_folder() as folder,
-        nullcontext(forks) if forks else forkserver() as server,
-        _ended_afterwards() as pages,
-        _ended_afterwards() as children,
-    ):
-        while server is not None and not (server.ready(0.1) or server.is_compiling):
-            if watcher.stop():
-                return Outcome()
+    with run_folder() as folder, _ended_afterwards() as pages, _ended_afterwards() as children:
         run = f"run-{os.getpid()}-{secrets.token_hex(4)}"
-        processes = _Processes(
-            scenario,
-            folder,
-            run,
-            children,
-            server,
-            wiring,
-            watcher,
-            lockstep=timing.realtime is None,
-            logs=output.folder / "logs" if output.folder else None,
-        )
+        logs = output.folder / "logs" if output.folder else None
+        processes = _Processes(scenario, folder, run, children, watcher, timing, logs)
         settings = [argument for override in overrides for argument in ("--set", override)]
         processes.start_simulator(source, [*settings, *output.arguments(), *_words(timing)], secret)
-        if watcher.page is not None and not watcher.stop() and processes.simulator.ended is None:
+        if watcher.page is not None and not watcher.stop():
             processes.show_on(watcher.page, pages)
-        if _is_loaded(server, processes.simulator, watcher):
+        if not watcher.stop():
             processes.start_vehicles()
-        if server is not None and not timing.respawn and not keep_forks:
-            server.close()  # nothing more is forked
         outcome = _follow(processes, watcher, respawn=timing.respawn)
         processes.await_last_frame()
         if outcome.summary is not None:
@@ -217,16 +159,6 @@ def launch(
         return outcome
 
 
-def _is_loaded(server: Forkserver | None, simulator: Child, watcher: Watcher) -> bool:
-    """Wait until vehicles can be forked; false if the run is to end, or has ended, before."""
-    while not watcher.stop():
-        if server is None or server.ready(0.1):
-            return True
-        if simulator.ended is not None:
-            return False
-    return False
-
-
 def _words(timing: Timing) -> list[str]:
     """The same on the simulator's command line."""
     return [
@@ -234,6 +166,11 @@ def _words(timing: Timing) -> list[str]:
         *(["--realtime", str(timing.realtime)] if timing.realtime is not None else []),
         *(["--respawn"] if timing.respawn else []),
     ]
+
+
+def _is_outside(vehicle: Uav | Ugv) -> bool:
+    """Return whether the user starts this vehicle's process."""
+    return isinstance(vehicle, Ugv) and DRIVERS[vehicle.driver].outside
 
 
 class _Processes:
@@ -244,9 +181,8 @@ class _Processes:
         folder: The run's private folder.
         run: Its name.
         children: Where they are kept, so that they are ended whatever happens.
-        forks: What forks them; None: each is started by itself.
-        wiring: Cores, access control and transport.
         watcher: Who follows the run, and is told what the processes warn of.
+        timing: Its patience.
         logs: The folder for what each writes to standard error; None: it is not kept.
     """
 
@@ -256,39 +192,30 @@ class _Processes:
         folder: Path,
         run: str,
         children: list[Child],
-        forks: Forkserver | None,
-        wiring: Wiring,
         watcher: Watcher,
-        *,
-        lockstep: bool,
+        timing: Timing,
         logs: Path | None,
     ) -> None:
         self.children = children
         self._watcher = watcher
         self._logs = logs
-        self._forks = forks
         self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         """Reports of the simulator, a line each."""
         self._scenario, self._folder, self._run = scenario, folder, run
-        self._lockstep = lockstep
-        self._pin = wiring.pin and can_be_kept_apart(len(scenario.vehicles))
-        self._endpoint = (
-            f"{UNIX}/{folder / 'bus.sock'}"
-            if wiring.transport == "unix"
-            else f"{wiring.transport}/127.0.0.1:{free_port()}"
-        )
-        self._uavs = {uav.name for uav in scenario.uav}
-        self._files: dict[str, Path] = {}
+        self._endpoint = f"{UNIX}/{folder / 'bus.sock'}"
+        self._patience = timing.join_timeout
+        self._uavs = [uav.name for uav in scenario.uav]
         self._page: Child | None = None
         self._shown: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-        if wiring.secured:
-            names = [uav.name for uav in scenario.uav], [ugv.name for ugv in scenario.ugv]
-            given = (
-                new_certificates(new_authority(run), *names)
-                if wiring.transport == "tls"
-                else new_credentials(run, *names)
-            )
-            self._files = write_credentials(given, folder / "credentials")
+        ugvs = [ugv.name for ugv in scenario.ugv]
+        own = [vehicle.name for vehicle in scenario.vehicles if _is_outside(vehicle)]
+        self._credentials = new_credentials(run, self._uavs, ugvs)
+        self._files = {
+            name: folder / f"{name}.json" for name in (OPERATOR_NAME, OBSERVER_NAME, *own)
+        }
+        """Credentials of parties that are no children of ours: they read them from a file."""
+        for name, path in self._files.items():
+            write_credential(self._credentials.of(name), path)
 
     @property
     def simulator(self) -> Child:
@@ -298,48 +225,37 @@ class _Processes:
     def _log(self, name: str) -> Path | None:
         return self._logs / f"{name}.log" if self._logs is not None else None
 
-    def _known_as(self, name: str) -> list[str]:
-        return ["--credentials", str(self._files[name])] if self._files else []
-
-    def _joining(self, name: str) -> list[str]:
-        """The options by which a client finds the router and is known to it."""
-        return ["--connect", self._endpoint, "--run", self._run, *self._known_as(name)]
+    def _joining(self) -> list[str]:
+        """Return the options by which a client finds the router."""
+        return ["--connect", self._endpoint, "--run", self._run]
 
     def start_simulator(self, source: str, settings: list[str], secret: str) -> None:
-        """Start it and wait until its router listens: before that a client would only try in vain.
-
-        Where the forkserver compiles, it is an interpreter of its own, which compiles the world at the same time.
-        """
+        """Start it; clients wait until its router listens."""
         file = f"./{source}" if source.startswith("-") else source  # which would be an option
-        arguments = ["simulator", file, "--listen", self._endpoint, "--run", self._run]
-        arguments += ["--events", *self._known_as(ROUTER_FILE), *settings]
-        arguments += ["--watchdog-folder", str(self._folder)]
-        is_own = self._forks is not None and self._forks.is_compiling
+        arguments = ["simulator", file, "--listen", self._endpoint, "--run", self._run, *settings]
+        start = Start(credentials=self._credentials, secret=secret, folder=str(self._folder))
         self.children.append(
             Child(
                 SIMULATOR_NAME,
                 arguments,
-                self.lines,
-                secret=secret,
-                forkserver=None if is_own else self._forks,
+                start,
+                lines=self.lines,
                 log=self._log(SIMULATOR_NAME),
                 on_warning=self._watcher.on_event,
             )
         )
-        router = Locator.of(self._endpoint)
-        while not router.listens() and self.simulator.ended is None and not self._watcher.stop():
-            time.sleep(0.02)
 
     def show_on(self, page: socket.socket, pages: list[Child]) -> None:
         """Start the dashboard, and wait until it shows what comes: the first tick is part of it."""
-        arguments = ["dashboard", *self._joining(OPERATOR_NAME)]
+        arguments = ["dashboard", *self._joining()]
         arguments += ["--host", "127.0.0.1", "--listening", str(page.fileno())]
         arguments += ["--law", msgspec.json.encode(self._scenario.law).decode()]
         self._page = Child(
             "dashboard",
             arguments,
-            self._shown,
-            (page.fileno(),),
+            Start(credential=self._credentials.of(OPERATOR_NAME)),
+            lines=self._shown,
+            files=(page.fileno(),),
             log=self._log("dashboard"),
             on_warning=self._watcher.on_event,
         )
@@ -382,8 +298,11 @@ class _Processes:
         given = [argument for option, value in own if value for argument in (option, value)]
         return Child(
             name,
-            ["uav" if is_uav else "ugv", "--name", name, *self._joining(name), *given],
-            forkserver=self._forks,
+            [
+                *("uav" if is_uav else "ugv", "--name", name, *self._joining()),
+                *("--join-timeout", str(self._patience), *given),
+            ],
+            Start(credential=self._credentials.of(name)),
             log=self._log(name),
             on_warning=self._watcher.on_event,
         )
@@ -391,25 +310,18 @@ class _Processes:
     def start_vehicles(self) -> None:
         """Start a process for each, and say what one of the user's own needs to know."""
         for vehicle in self._scenario.vehicles:
-            if isinstance(vehicle, Ugv) and DRIVERS[vehicle.driver].outside:
-                known = " ".join(self._known_as(vehicle.name))
-                joining = f"--connect {self._endpoint} --run {self._run} --name {vehicle.name}"
+            if _is_outside(vehicle):
+                joining = " ".join(self._joining())
+                known = f"--name {vehicle.name} --credentials {self._files[vehicle.name]}"
                 self._watcher.on_event(f"{vehicle.name} is yours: {joining} {known}")
             else:
                 self.children.append(self._start(vehicle.name))
-        self._give_cores()
 
     def start_again(self, dead: Child) -> None:
         """Put a new process in the place of one that has ended."""
         place = self.children.index(dead)
         dead.close()
         self.children[place] = self._start(dead.name)
-        self._give_cores()
-
-    def _give_cores(self) -> None:
-        if self._pin:
-            pids = {child.pid: child.name in self._uavs for child in self.children}
-            keep_apart(pids, lockstep=self._lockstep)
 
 
 def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcome:

@@ -30,12 +30,6 @@ if TYPE_CHECKING:
 _ROW, _ACTION = (len(UgvRow._fields),), (2,)
 """Shapes of what a saved policy sees and answers."""
 _FORMS = f"allowed: {POLICY_FORMS}"
-_loaded: list[str] = []
-
-
-def has_loaded() -> bool:
-    """True if this process runs code that is not ours."""
-    return bool(_loaded)
 
 
 def _reason(error: BaseException) -> str:
@@ -69,7 +63,6 @@ def load_function(name: str, *, what: str) -> Callable[..., Any] | None:
 
 def _named(name: str, what: str) -> Any:  # noqa: ANN401 - whatever it is
     """The object that `module:name` names."""
-    _loaded.append(name)
     return find_object(name, what)
 
 
@@ -91,7 +84,6 @@ def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a 
     """
     kind, separator, rest = name.partition(":")
     if separator and kind in SAVED_POLICIES:
-        _loaded.append(name)
         return resolve(SAVED_POLICIES[kind].load)(rest, f"{what} = {name!r}")
     if Path(name).suffix in (".zip", ".pt", ".onnx", ".fmu"):
         raise ScenarioError(f"{what} = {name!r}: of which library? {_FORMS}")
@@ -119,7 +111,6 @@ def load_uav_policy(name: str, *, what: str = "uav_policy") -> "UavPolicy":
     """
     kind, separator, rest = name.partition(":")
     if separator and kind in UAV_POLICIES:
-        _loaded.append(name)
         saved: UavPolicy = resolve(UAV_POLICIES[kind].load)(rest, f"{what} = {name!r}")
         return saved
     if Path(name).suffix in (".npz", ".zip"):

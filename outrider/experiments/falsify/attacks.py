@@ -20,7 +20,6 @@ from outrider.experiments.falsify.conditions import (
 )
 from outrider.experiments.falsify.pool import Workers
 from outrider.experiments.falsify.search import Budget
-from sim.kernels.compile import compiling
 from sim.models.vehicles import raw_switching_radius
 
 CONTROLS = {
@@ -134,10 +133,9 @@ class AttackTally:
 
 
 def warm() -> None:
-    """Compile, or load what another process has compiled."""
+    """Compile an attack, or load it from the cache."""
     conditions = Conditions()
-    with compiling():
-        attack(declared(conditions, 0.0), conditions, 0, 0, 1, 1.0)
+    attack(declared(conditions, 0.0), conditions, 0, 0, 1, 1.0)
 
 
 def _guarded(control: str | None, promise: Promise, conditions: Conditions) -> Conditions:

@@ -1,8 +1,5 @@
 """All cores: worker processes that answer in the order in which they were asked, and end with their parent."""
 
-import multiprocessing
-import os
-import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, wait
@@ -10,7 +7,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Self, TypeVar
 
 from bus.errors import PeerLost
-from outrider.running.watchdog import end_with_parent, interrupts_masked
+from outrider.running.workers import interrupts_masked, open_pool
 
 _Result = TypeVar("_Result")
 
@@ -18,16 +15,6 @@ _AHEAD = 3
 """Tasks a worker that are under way."""
 _LOOK = 0.1
 """So often somebody looks whether the search is to end [s]."""
-
-
-def _begin(parent: int, warm: Callable[[], None]) -> None:
-    """In a worker: leave Ctrl-C, which a terminal sends to all, to the parent.
-
-    End when it has gone, however it went.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with_parent(parent)
-    warm()
 
 
 class Workers:
@@ -44,10 +31,7 @@ class Workers:
         if jobs == 1:
             warm()
         else:
-            spawned = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(
-                jobs, mp_context=spawned, initializer=_begin, initargs=(os.getpid(), warm)
-            )
+            self._pool = open_pool(jobs, warm)
 
     def __enter__(self) -> Self:
         return self

@@ -3,20 +3,18 @@
 Tasks of about a second, handed to worker processes here or on a cluster, results taken as they come.
 """
 
-import os
-import warnings
 from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING, Any
-
-from joblib import Parallel, delayed, parallel_config
 
 from bus.errors import PeerLost
 from outrider.experiments.sweep.folder import SweepFolder
 from outrider.experiments.sweep.plan import SweepPlan
-from outrider.experiments.sweep.worker import fly_runs, installed_version
-from outrider.running.watchdog import interrupts_masked
+from outrider.experiments.sweep.worker import fly_runs, installed_version, warm_up_once
+from outrider.running.workers import interrupts_masked, open_pool
 from sim.scenario.types import Scenario
 
 if TYPE_CHECKING:
@@ -26,6 +24,8 @@ _TASK = 20_000
 """Ticks of one UAV in a task: about a second, beside which a task's own cost of some milliseconds is nothing."""
 _CONNECT = 10.0
 """To find a cluster's scheduler [s]."""
+_AHEAD = 3
+"""Tasks of each worker that are submitted."""
 _TASKS_A_WORKER = 4
 """At least, if there are runs enough: so that all workers end at about the same time."""
 
@@ -103,25 +103,53 @@ def open_cluster(address: str, version: str) -> Iterator["Client"]:
 def _results(
     tasks: list[SweepTask], jobs: int, client: "Client | None"
 ) -> Generator[list[dict[str, Any]]]:
-    """The results of the tasks, as they come."""
-    backend: dict[str, Any] = (
-        {"backend": "loky", "max_nbytes": None}
-        if client is None
-        else {"backend": "dask", "client": client}
-    )
-    with parallel_config(**backend, n_jobs=jobs):
-        parent = os.getpid() if client is None else None
-        calls = (delayed(fly_runs)(task.scenario, task.seeds, parent) for task in tasks)
-        with interrupts_masked():
-            results = Parallel(
-                return_as="generator_unordered", batch_size=1, pre_dispatch="3*n_jobs"
-            )(calls)
-        yield from results
+    """Yield the results of the tasks, as they come."""
+    if client is not None:
+        yield from _results_of_cluster(tasks, jobs, client)
+    elif jobs == 1:
+        for task in tasks:
+            yield fly_runs(task.scenario, task.seeds)
+    else:
+        yield from _results_of_pool(tasks, jobs)
+
+
+def _results_of_pool(tasks: list[SweepTask], jobs: int) -> Generator[list[dict[str, Any]]]:
+    waiting, asked = iter(tasks), set[Future[list[dict[str, Any]]]]()
+    pool = open_pool(jobs, warm_up_once)
+    try:
+        while True:
+            with interrupts_masked():
+                for task in islice(waiting, _AHEAD * jobs - len(asked)):
+                    asked.add(pool.submit(fly_runs, task.scenario, task.seeds))
+            if not asked:
+                return
+            done, asked = wait(asked, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _results_of_cluster(
+    tasks: list[SweepTask], jobs: int, client: "Client"
+) -> Generator[list[dict[str, Any]]]:
+    from distributed import as_completed  # noqa: PLC0415 - an extra
+
+    def submit(task: SweepTask) -> Any:  # noqa: ANN401 - distributed's future
+        return client.submit(fly_runs, task.scenario, task.seeds, pure=False)
+
+    waiting = iter(tasks)
+    # A future that nobody refers to is cancelled: so is what is left when this is closed.
+    asked = as_completed([submit(task) for task in islice(waiting, _AHEAD * jobs)])  # type: ignore[no-untyped-call]
+    for future in asked:
+        yield future.result()
+        for task in islice(waiting, 1):
+            asked.add(submit(task))  # type: ignore[no-untyped-call]
 
 
 def _is_a_death(error: Exception) -> bool:
-    """True if a worker process has died: of loky's pool, or one too many of a cluster's."""
-    return type(error).__name__ in ("TerminatedWorkerError", "BrokenProcessPool", "KilledWorker")
+    """Return whether a worker process has died: of the pool, or one too many of a cluster's."""
+    return type(error).__name__ in ("BrokenProcessPool", "KilledWorker")
 
 
 def fly_sweep(
@@ -153,10 +181,7 @@ def fly_sweep(
         if not tasks:
             return
         try:
-            with warnings.catch_warnings(), closing(_results(tasks, jobs, client)) as all_results:
-                # joblib's advice to whoever does not wait for the end: that somebody has pressed Ctrl-C is no mistake
-                unfinished = ".*still being processed by the workers"
-                warnings.filterwarnings("ignore", message=unfinished, category=UserWarning)
+            with closing(_results(tasks, jobs, client)) as all_results:
                 for results in all_results:
                     folder.add(results)
                     done |= {result["run"] for result in results}

@@ -1,6 +1,5 @@
 """The work of a sweep's worker process: a few runs of one point, each in this process."""
 
-import os
 import time
 from functools import cache
 from importlib.metadata import version
@@ -9,10 +8,13 @@ from typing import Any
 from outrider.experiments.sweep.columns import failed_row, row_of
 from outrider.running.flying import fly
 from outrider.running.warming import warm_up_flight
-from outrider.running.watchdog import end_with_parent
 from sim.scenario.types import Scenario
 
-_warm = cache(warm_up_flight)  # once a process
+
+@cache
+def warm_up_once() -> None:
+    """Compile everything that a flight needs, once in a process."""
+    warm_up_flight()
 
 
 def fly_run(scenario: Scenario, seed: int) -> dict[str, Any]:
@@ -25,22 +27,17 @@ def fly_run(scenario: Scenario, seed: int) -> dict[str, Any]:
     return row_of(summary, time.perf_counter() - started)
 
 
-def fly_runs(
-    scenario: Scenario, seeds: dict[int, int], parent: int | None = None
-) -> list[dict[str, Any]]:
+def fly_runs(scenario: Scenario, seeds: dict[int, int]) -> list[dict[str, Any]]:
     """Fly a scenario with some seeds.
 
     Args:
-        scenario: Of one point.
-        seeds: By the runs' numbers.
-        parent: The process without which this one is not to stay; none on a cluster.
+        scenario: Scenario of one point.
+        seeds: Seeds by the runs' numbers.
 
     Returns:
         The results, each with its run's number.
     """
-    if parent not in (None, os.getpid()):  # a single job is flown in the sweep's own process
-        end_with_parent(parent)
-    _warm()
+    warm_up_once()
     return [{"run": run, **fly_run(scenario, seed)} for run, seed in seeds.items()]
 
 

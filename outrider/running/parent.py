@@ -1,0 +1,51 @@
+"""A child's view of `outrider run`: the first line of its standard input, and the end of that input."""
+
+import atexit
+import os
+import shutil
+import signal
+import threading
+
+import msgspec
+
+from bus.access import Credential, CredentialSet
+
+
+class Start(msgspec.Struct, kw_only=True, omit_defaults=True):
+    """First line of a child's standard input. The pipe stays open: its end asks the child to end."""
+
+    credential: Credential | None = None
+    """Credential of a client of the run's router."""
+    credentials: CredentialSet | None = None
+    """Credentials of all parties, for the router."""
+    secret: str = ""
+    """Secret of the run, for the simulator alone."""
+    folder: str = ""
+    """Private folder of the run, which the simulator removes when it ends."""
+
+
+def read_start() -> Start:
+    """Read the first line of standard input. From then on, the end of standard input ends this process.
+
+    Raises:
+        SystemExit: If the parent has gone already.
+    """
+    line = b""
+    while not line.endswith(b"\n"):
+        piece = os.read(
+            0, 65536
+        )  # not sys.stdin: a thread that waits in it aborts the interpreter's exit
+        if not piece:
+            raise SystemExit(1)
+        line += piece
+    start = msgspec.json.decode(line, type=Start)
+    if start.folder:
+        atexit.register(shutil.rmtree, start.folder, ignore_errors=True)
+    threading.Thread(target=_await_end, name="outrider-watchdog", daemon=True).start()
+    return start
+
+
+def _await_end() -> None:
+    while os.read(0, 65536):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)  # its handler closes sessions and files

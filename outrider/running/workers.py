@@ -1,0 +1,45 @@
+"""Pools of worker processes, for sweeps and searches."""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
+
+
+def open_pool(jobs: int, prepare: Callable[[], None]) -> ProcessPoolExecutor:
+    """Return a pool of spawned processes that end when this process ends, even if it is killed.
+
+    Args:
+        jobs: Number of worker processes.
+        prepare: Called first in each worker; a function of a module.
+    """
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin, initargs=(prepare,))
+
+
+def _begin(prepare: Callable[[], None]) -> None:
+    threading.Thread(target=_end_with_parent, name="outrider-watchdog", daemon=True).start()
+    prepare()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+@contextmanager
+def interrupts_masked() -> Iterator[None]:
+    """Start processes that do not receive SIGINT, which a terminal sends to all; their parent ends them."""
+    # It would be started with the first process, and unblock SIGINT again.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
