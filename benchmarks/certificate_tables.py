@@ -15,6 +15,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 from markdown_tables import head, print_chosen
 
@@ -75,7 +76,7 @@ def _attacked(task: tuple[str, Conditions, float, float]) -> tuple[str, RecordAr
 
 
 def _fly(tasks: list[tuple[str, Conditions, float, float]]) -> Iterator[tuple[str, RecordArray]]:
-    with ProcessPoolExecutor() as pool:
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
         yield from pool.map(_attacked, tasks)
 
 
@@ -304,7 +305,7 @@ def profiles() -> Iterator[str]:
         for links, carries in cases
         for seed in range(SEEDS)
     ]
-    with ProcessPoolExecutor() as pool:
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
         found = list(pool.map(_flown, tasks))
     for k in range(0, len(tasks), SEEDS):
         share, error, false, far = zip(*found[k : k + SEEDS], strict=True)

@@ -8,6 +8,7 @@ import os
 import sys
 from importlib import import_module
 from importlib.machinery import PathFinder
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -63,10 +64,9 @@ def _check_names() -> None:
     started = sys.argv[0] if sys.argv else ""
     as_module = started == "-m" and "outrider" in sys.orig_argv
     # `python -m outrider` takes the folder where the user stands off the path, but only after this.
-    path = sys.path[1:] if as_module and not sys.flags.safe_path else sys.path
+    is_unsafe = as_module and not sys.flags.safe_path
     for name in _OURS:
-        loaded = sys.modules.get(name)
-        spec = PathFinder.find_spec(name, path) if loaded is None else loaded.__spec__
+        spec = PathFinder.find_spec(name, sys.path[1:]) if is_unsafe else find_spec(name)
         places = [spec.origin or "", *(spec.submodule_search_locations or ())] if spec else []
         if not places or os.path.realpath(places[-1]) == os.path.join(root, name):
             continue

@@ -18,6 +18,7 @@ from bridge_checks import (
     await_text,
     called,
     environment,
+    free_port,
     output,
     outrider,
     report,
@@ -28,13 +29,6 @@ from bridge_checks import (
 NEEDED = ("mavsdk>=4,<5", "MAVProxy>=1.8.70,<2", "pymavlink>=2.4.49,<3")
 DURATION = 100.0
 """Of the flight, simulated [s]: at twice real time the checks are over before its end."""
-
-
-def free_port(kind: socket.SocketKind) -> int:
-    """A port that nobody uses now."""
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def log_of_mavproxy(python: Path, folder: Path) -> Iterator[Row]:

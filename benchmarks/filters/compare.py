@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from itertools import groupby, product
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -262,7 +263,7 @@ def main() -> None:
     for name in FILTERS:  # compile before anything is timed
         fly(Case("undegraded", "outward", name, "evade", seed=1, duration=5.0))
     results: list[Result] = []
-    with ProcessPoolExecutor(given.jobs) as pool:
+    with ProcessPoolExecutor(given.jobs, mp_context=get_context("spawn")) as pool:
         for n, result in enumerate(pool.map(fly, wanted, chunksize=5), 1):
             results.append(result)
             if n % 50 == 0 or n == len(wanted):

@@ -137,7 +137,7 @@ def command(
     )
     if not child:
         tell_starting()
-    with stop_on_signals() as stop, ExitStack() as opened:
+    with ExitStack() as opened:
         # The router listens while the rest is compiled, so that vehicles need not wait to reach it.
         session = opened.enter_context(
             open_session(
@@ -167,6 +167,8 @@ def command(
                 ERR.tell(
                     "no credentials: every process that reaches this endpoint may read and write everything"
                 )
+        # Not before: a signal ends the compiling at once.
+        stop = opened.enter_context(stop_on_signals())
         recorder = None
         if record is not None:  # a file that cannot be written shows before anybody joins
             from outrider.recording.writer import FlightRecorder

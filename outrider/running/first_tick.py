@@ -1,7 +1,5 @@
 """One tick flown with the user's own functions, to try them."""
 
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 
 import msgspec
@@ -9,6 +7,7 @@ import msgspec
 from bus.errors import ScenarioError
 from bus.registry import DRIVERS
 from outrider.running.user_code import own_code
+from outrider.running.workers import open_pool
 from sim.scenario.types import Scenario
 
 
@@ -24,7 +23,7 @@ def check_first_tick(scenario: Scenario) -> None:
     if not own_code(scenario) or outside:
         return
     tick = msgspec.structs.replace(scenario, duration=scenario.dt)
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with open_pool(1) as pool:
         try:
             pool.submit(_fly_for_nothing, tick).result()
         except BrokenProcessPool:

@@ -10,7 +10,11 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 
 
-def open_pool(jobs: int, prepare: Callable[[], None]) -> ProcessPoolExecutor:
+def _do_nothing() -> None:
+    pass
+
+
+def open_pool(jobs: int, prepare: Callable[[], None] = _do_nothing) -> ProcessPoolExecutor:
     """Return a pool of spawned processes that end when this process ends, even if it is killed.
 
     Args:

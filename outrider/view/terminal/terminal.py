@@ -63,7 +63,11 @@ class Ending:
         self._link.leave()
 
     def guard(self, descriptor: int, attributes: list[Any]) -> None:
-        """See to it that the process ends, even where its screen cannot: a write to a stuck terminal waits for ever."""
+        """End the process even if its screen cannot close.
+
+        Textual waits for its writer thread, which waits for ever in a write to a stuck terminal. So no clean exit is
+        possible then: this is the one place that calls `os._exit`.
+        """
         with contextlib.suppress(Exception):  # is told by whoever waits for the link
             self._link.wait()
         if not self.closed.wait(_GRACE if self.code else _PATIENCE):
