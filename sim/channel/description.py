@@ -257,7 +257,7 @@ def link_parameters(
         dt=dt,
         delay=settings.delay,
         jitter=j,
-        shape=shape,
+        jitter_shape=shape,
         least=least,
         most=most,
         low=jitter_share(shape, j, least) if j > 0.0 else 0.0,
@@ -348,7 +348,7 @@ def arrival_share(parameters: LinkParameters, ticks: int) -> float:
         if parameters.jitter == 0.0 or extra >= parameters.most:
             return 1.0 if extra >= parameters.most else 0.0
         share = (
-            jitter_share(parameters.shape, parameters.jitter, max(extra, parameters.least))
+            jitter_share(parameters.jitter_shape, parameters.jitter, max(extra, parameters.least))
             - parameters.low
         ) / (parameters.high - parameters.low)
         return 0.0 if extra < parameters.least else min(max(share, 0.0), 1.0)

@@ -29,6 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.ticks import DUST, first_tick_from
+from sim.channel.ring import LinkParameters
 from sim.kernels.compile import FloatArray, IntArray, borrowing, compiled
 from sim.kernels.records import RecordArray, record_type
 from sim.models.randomness import (
@@ -106,67 +107,6 @@ def jitter_quantile(shape: int, scale: float, share: float) -> float:
     if shape == EXPONENTIAL:
         return -scale * math.log1p(-inner)
     return scale * (_TAIL - 1.0) * (float((1.0 - inner) ** (-1.0 / _TAIL)) - 1.0)
-
-
-class LinkParameters(NamedTuple):
-    """The numbers of one link. Made by `sim.channel.description.link_parameters`."""
-
-    perfect: bool
-    """True if it does nothing at all."""
-    dt: float
-    """[s]"""
-    delay: float
-    """[s]"""
-    jitter: float
-    """Scale of the extra delay [s]."""
-    shape: int
-    """A value of `SHAPES`."""
-    least: float
-    most: float
-    """Ends of the extra delay [s]."""
-    low: float
-    high: float
-    """Shares of the uncut extra delays below these ends: drawn between them, it is as if drawn again until it fits."""
-    reorder: float
-    reorder_delay: float
-    """[s]"""
-    loss: float
-    bursts: bool
-    burst_loss: float
-    bad_share: float
-    bad_stay: float
-    bad_enter: float
-    """Chance of the bad state at the start, a tick after bad, a tick after good."""
-    blackouts: IntArray
-    """Rows (first dark tick, first tick after), in order and apart."""
-    up: float
-    down: float
-    """Mean time between two random blackouts and their length [ticks]; up is 0: none."""
-    duplicates: float
-    spacing: float
-    """Between two messages that leave [ticks]; 0: no limit."""
-    queue: int
-    newest: bool
-    """True if a full queue keeps the newest."""
-    longest: int
-    """The longest delay [ticks]."""
-    room: int
-    """Messages that may wait or fly at once."""
-    replay: int
-    """`FATES` or `OPPORTUNITIES` where a recorded link is played."""
-    trace: IntArray
-    """Rows in order of time. Of fates (first tick, delay in ticks or -1); of opportunities (time in ms, 0)."""
-    period: int
-    """Length of a round [ticks or ms]; of opportunities the last is at its end."""
-    message_bytes: int
-    opportunity: int
-    """Bytes that may leave at each."""
-    first_blackout: int = 0
-    end_blackout: int = 0
-    """The places of its `blackouts` among the pairs of a `LinkNumbers`."""
-    first_row: int = 0
-    end_row: int = 0
-    """Likewise its rows of `trace`."""
 
 
 class LinkNumbers(NamedTuple):
@@ -367,7 +307,7 @@ def _flight_time(parameters: LinkParameters, share: float, held: bool, later: fl
     extra = 0.0
     if parameters.jitter > 0.0:
         extra = jitter_quantile(
-            parameters.shape,
+            parameters.jitter_shape,
             parameters.jitter,
             parameters.low + share * (parameters.high - parameters.low),
         )

@@ -1,0 +1,552 @@
+r"""One radio link in simulated time, compiled and seeded: a `Link` record and its packets.
+
+In each tick call `begin_tick` once, `send` for each message, then `receive` once. `begin_tick` draws the channel's
+state of the tick, and packets that wait at the sender leave before new ones. The caller may skip ticks in which nothing
+is sent, waits or flies: the next `begin_tick` makes up for them.
+
+A packet passes these stages:
+
+1. The sender's queue, where the bandwidth is limited: one packet leaves every 1/bandwidth. A full queue drops the
+   oldest packet that waits, or the new one. The transmission time is part of the delay.
+2. The channel at the tick at which the packet leaves. A blackout drops it, or a burst, or independent loss; the first
+   of them is counted as the cause. The sender does not notice.
+3. A packet that gets through may be duplicated. Each copy has its own delay: delay + jitter, and `reorder_delay` for
+   packets that are held back. A packet that leaves at tick k with the delay d arrives at the first tick n with
+   n dt >= k dt + d. Packets of one tick arrive in the order in which they left.
+
+A recorded link (`LinkParameters.replay`) is played in a loop from an offset that is drawn once from the link's key. In
+a table of delays, the last row before the packet replaces the draws of stages 2 and 3. With delivery opportunities,
+packets wait at the sender until their bytes have been granted, 1,500 at each opportunity after they were sent; they
+pass stages 2 and 3 as at the tick before they leave.
+
+Draws are pure functions of (key of the link, purpose, tick, index): for a packet, the tick at which it was sent and its
+number within this tick; for the channel, the tick or the number of the random blackout.
+
+Packets lie in three lists of the array `packets`, shape (worlds, links, lists, room). `FLYING` is a ring in the order
+in which packets left, `WAITING` the ring of the sender's queue, `ARRIVED` the arrivals of the tick. The caller may
+write the packet that it sends into the first place of `ARRIVED`.
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from bus.messages import Vector
+from bus.ticks import DUST, first_tick_from
+from sim.channel.jitter import jitter_quantile
+from sim.kernels.compile import IntArray, borrowing, compiled
+from sim.kernels.records import RecordArray, record_type
+from sim.models.randomness import (
+    LINK_DELAY,
+    LINK_LOSS,
+    LINK_STATE,
+    LINK_TRACE,
+    Key,
+    draw,
+    to_uniform,
+    uniform,
+)
+
+FLYING, WAITING, ARRIVED = range(3)
+"""Lists of packets of a link."""
+
+CAUSES = ("loss", "burst", "blackout", "queue", "full", "trace")
+"""Causes of losses; `full`: the link had no room, which never happens to one message a tick; `trace`: lost in the
+recorded link."""
+LOSS, BURST, BLACKOUT, QUEUE, FULL, TRACE = range(6)
+
+NOTHING, DELAYS, OPPORTUNITIES = range(3)
+"""Kinds of recorded links: none, a table of delays, or delivery opportunities."""
+
+_ZERO, _ONE = np.int64(0), np.int64(1)
+
+
+class LinkParameters(NamedTuple):
+    """Parameters of one link. Made by `sim.channel.description.link_parameters`."""
+
+    perfect: bool
+    """True if the link delivers every message at once."""
+    dt: float
+    """[s]"""
+    delay: float
+    """[s]"""
+    jitter: float
+    """Scale of the extra delay [s]."""
+    jitter_shape: int
+    """A value of `sim.channel.jitter.SHAPES`."""
+    least: float
+    most: float
+    """Bounds of the extra delay [s]."""
+    low: float
+    high: float
+    """Shares of the unbounded extra delays below these bounds. Drawing between them equals drawing until it fits."""
+    reorder: float
+    reorder_delay: float
+    """[s]"""
+    loss: float
+    bursts: bool
+    burst_loss: float
+    bad_share: float
+    bad_stay: float
+    bad_enter: float
+    """Probability of the bad state at the start, a tick after bad, a tick after good."""
+    blackouts: IntArray
+    """Rows (first tick of a blackout, first tick after it), in order and apart."""
+    up: float
+    down: float
+    """Mean time between two random blackouts, and their length [ticks]; up is 0: none."""
+    duplicates: float
+    spacing: float
+    """Time between two packets that leave [ticks]; 0: no limit."""
+    queue: int
+    newest: bool
+    """True if a full queue keeps the newest packets."""
+    longest: int
+    """Longest delay [ticks]."""
+    room: int
+    """Packets that may wait or fly at once."""
+    replay: int
+    """`DELAYS` or `OPPORTUNITIES` for a recorded link."""
+    trace: IntArray
+    """Rows in order of time. Delays: (first tick, delay in ticks or -1); opportunities: (time in ms, 0)."""
+    period: int
+    """Length of a loop of the trace [ticks or ms]; the last opportunity is at its end."""
+    message_bytes: int
+    opportunity: int
+    """Bytes that may leave at each opportunity."""
+    first_blackout: int = 0
+    end_blackout: int = 0
+    """Rows of its blackouts in the array of all traces."""
+    first_row: int = 0
+    end_row: int = 0
+    """Rows of its trace there."""
+
+
+class Link:
+    """Parameters, state and counters of one link in one world; times in ticks."""
+
+    parameters: LinkParameters
+    number: int
+    """Its place among the links of its world."""
+    room: int
+    """Places of its rings."""
+    key: Annotated[np.uint64, (2,)]
+    """Key of its random draws."""
+    tick: int
+    index: int
+    """Messages sent in this tick."""
+    first: int
+    span: int
+    """Begin and length of the ring of flying packets. Packets that have arrived before others that left earlier are
+    part of it."""
+    flying: int
+    first_waiting: int
+    waiting: int
+    """Begin and length of the sender's queue."""
+    arrived: int
+    """Packets that arrived at the last tick."""
+    bad: int
+    """State of the channel: 1: bad, 0: good, -1: not drawn yet."""
+    blackout: bool
+    """True during a blackout."""
+    served: int
+    """Packets that have left since the sender was last idle."""
+    renewals: int
+    """Random blackouts drawn."""
+    granted: int
+    """Bytes granted to the packet that waits first."""
+    sent: int
+    delivered: int
+    duplicated: int
+    originals: int
+    """Messages delivered, without copies."""
+    ages: int
+    """Ticks in `age_sum`."""
+    busy_since: float
+    """Time since which the sender is busy."""
+    blackout_begin: float
+    blackout_end: float
+    """The random blackout; -1: none drawn yet."""
+    newest: float
+    """Newest stamp that has arrived; NaN: none."""
+    age_sum: float
+    age_max: float
+    """Sum and maximum over the ticks of the age of the newest stamp."""
+    lost: Annotated[int, (len(CAUSES),)]
+    """Messages lost by each of `CAUSES`."""
+
+
+class Packet:
+    """One message on a link. Each kind of link uses some of the first seven fields."""
+
+    stamp: float
+    """Tick that its content is from. In a list of messages to send, -1: none."""
+    vector: Vector
+    """Relative position p_a - p_g [m], or acceleration [m/s²]."""
+    error: float
+    """True error of a detection [m], for the counters; vehicles do not receive it."""
+    plan: int
+    """Tick in which the last motion that a command carries begins; -1: none."""
+    plans: int
+    """Motions that a command carries; they begin in the tick `plan` and the ticks before it."""
+    block: int
+    """Number of the block of tiles of a radio message; -1: relative position."""
+    tiles: Annotated[int, (4,)]
+    """States of its tiles, from `agents.control.telling.block_words`."""
+    due: int
+    """Tick of arrival; -1: has arrived."""
+    sent_at: int
+    number: int
+    """Number within the tick at which it was sent."""
+    copy: bool
+
+
+def reset_links(links: RecordArray) -> None:
+    """Set the state of links on which nothing was ever sent; parameters, numbers, rooms and keys stay."""
+    for name in links.dtype.names or ():
+        if name not in ("parameters", "number", "room", "key"):
+            links[name] = 0
+    for name in ("tick", "bad", "blackout_begin", "blackout_end"):
+        links[name] = -1
+    links["newest"] = math.nan
+
+
+def no_packets(*shape: int) -> RecordArray:
+    """Return an array of packets, all zero."""
+    return np.zeros(shape, dtype=record_type(Packet))
+
+
+_first_tick_from = compiled(first_tick_from)
+
+
+@compiled
+def _flight_time(parameters: LinkParameters, share: float, held: bool, later: float) -> int:
+    """Return the time of flight of a packet [ticks].
+
+    Args:
+        parameters: Of the link.
+        share: Quantile of its extra delay.
+        held: Whether it is held back.
+        later: Time after the tick at which it leaves [s].
+    """
+    extra = 0.0
+    if parameters.jitter > 0.0:
+        extra = jitter_quantile(
+            parameters.jitter_shape,
+            parameters.jitter,
+            parameters.low + share * (parameters.high - parameters.low),
+        )
+        extra = min(max(extra, parameters.least), parameters.most)
+    return _first_tick_from(
+        parameters.delay + extra + (parameters.reorder_delay if held else 0.0) + later,
+        parameters.dt,
+    )
+
+
+@compiled
+def trace_offset(key: Key, period: int) -> int:
+    """Return the place at which the loop of a recorded link begins."""
+    return int(draw(key, LINK_TRACE, _ZERO, _ZERO)[0] % np.uint64(period))
+
+
+@compiled
+def in_milliseconds(tick: int, dt: float) -> int:
+    """Return the last whole millisecond up to this tick."""
+    return math.floor(tick * dt * 1000.0 + DUST)
+
+
+@borrowing
+def _first_after(rows: IntArray, column: int, first: int, end: int, time: int) -> int:
+    """Return the first of these rows whose time in a column is later than this one; `end`: none."""
+    below, above = first, end
+    while below < above:
+        middle = (below + above) // 2
+        if rows[middle, column] <= time:
+            below = middle + 1
+        else:
+            above = middle
+    return below
+
+
+@borrowing
+def _key_of(link: Link) -> Key:
+    return link.key[0], link.key[1]
+
+
+@borrowing
+def _place(link: Link, k: int) -> int:
+    """Return the place in a ring of the link for a number below twice its room."""
+    return k - link.room if k >= link.room else k
+
+
+@borrowing
+def _close_gaps(link: Link, packets: RecordArray, w: int) -> None:
+    """Remove the packets that have arrived from the ring, behind one with a longer delay."""
+    row, kept = link.number, 0
+    for n in range(link.span):
+        packet = packets[w, row, FLYING, _place(link, link.first + n)]
+        if packet.due >= 0:
+            packets[w, row, FLYING, _place(link, link.first + kept)] = packet
+            kept += 1
+    link.span = kept
+
+
+@borrowing
+def _fly(link: Link, packets: RecordArray, w: int, packet: Packet, due: int) -> None:
+    """Append a packet to those that fly."""
+    if link.flying == link.room:
+        link.lost[FULL] += 1
+        return
+    if link.span == link.room:
+        _close_gaps(link, packets, w)
+    k = _place(link, link.first + link.span)
+    packets[w, link.number, FLYING, k] = packet
+    packets[w, link.number, FLYING, k].due = due
+    link.span += 1
+    link.flying += 1
+
+
+@borrowing
+def _replay(link: Link, packets: RecordArray, w: int, traces: IntArray, packet: Packet) -> None:
+    """Let a packet leave with the delay or the loss of the last recorded row before it was sent."""
+    p = link.parameters
+    place = (packet.sent_at + trace_offset(_key_of(link), p.period)) % p.period
+    ticks = traces[_first_after(traces, 0, p.first_row, p.end_row, place) - 1, 1]
+    if link.blackout or ticks < 0:
+        link.lost[BLACKOUT if link.blackout else TRACE] += 1
+    else:
+        _fly(link, packets, w, packet, link.tick + ticks)
+
+
+@borrowing
+def _transmit(link: Link, packets: RecordArray, w: int, packet: Packet, later: float) -> None:
+    """Let a packet leave: the channel drops it, or it flies, perhaps twice.
+
+    Args:
+        link, packets, w: The link.
+        packet: The packet; changed.
+        later: Time after the link's tick at which it leaves [s].
+    """
+    p, key, bad = link.parameters, _key_of(link), link.bad == 1
+    if link.blackout:
+        link.lost[BLACKOUT] += 1
+        return
+    twice, held = False, False
+    if p.loss > 0.0 or bad or p.duplicates > 0.0 or p.reorder > 0.0:
+        word_0, word_1, word_2, word_3 = draw(key, LINK_LOSS, packet.sent_at, packet.number)
+        if bad and to_uniform(word_1) < p.burst_loss:
+            link.lost[BURST] += 1
+            return
+        if to_uniform(word_0) < p.loss:
+            link.lost[LOSS] += 1
+            return
+        twice, held = to_uniform(word_2) < p.duplicates, to_uniform(word_3) < p.reorder
+    share, share_too, held_too = 0.0, 0.0, False
+    if p.jitter > 0.0 or twice:
+        word_0, word_1, word_2, _ = draw(key, LINK_DELAY, packet.sent_at, packet.number)
+        share, share_too = to_uniform(word_0), to_uniform(word_1)
+        held_too = to_uniform(word_2) < p.reorder
+    _fly(link, packets, w, packet, link.tick + _flight_time(p, share, held, later))
+    if twice and link.flying < link.room:
+        link.duplicated += 1
+        packet.copy = True
+        _fly(link, packets, w, packet, link.tick + _flight_time(p, share_too, held_too, later))
+
+
+@borrowing
+def _in_random_blackout(link: Link, tick: int) -> bool:
+    """Draw exponential times between blackouts of fixed length, stationary from the first tick on."""
+    up, down = link.parameters.up, link.parameters.down
+    while link.blackout_end <= tick + DUST:
+        word_0, word_1, _, _ = draw(_key_of(link), LINK_STATE, link.renewals, _ONE)
+        link.renewals += 1
+        between = -up * math.log1p(-to_uniform(word_0))
+        place = to_uniform(word_1) * (up + down)
+        if link.blackout_end >= 0.0:
+            link.blackout_begin = link.blackout_end + between
+        else:
+            link.blackout_begin = tick + (place - down if place < down else between)
+        link.blackout_end = link.blackout_begin + down
+    return bool(link.blackout_begin <= tick + DUST)
+
+
+@borrowing
+def _draw_channel(link: Link, traces: IntArray, tick: int) -> None:
+    """Begin a tick with the state of the channel: good or bad, blackout or not."""
+    p = link.parameters
+    link.tick, link.index = tick, 0
+    if p.perfect and link.waiting == 0:
+        return
+    if p.bursts:
+        chance = p.bad_stay if link.bad == 1 else p.bad_enter
+        if link.bad < 0:
+            chance = p.bad_share
+        link.bad = 1 if uniform(_key_of(link), LINK_STATE, tick, _ZERO) < chance else 0
+    row = _first_after(traces, 1, p.first_blackout, p.end_blackout, tick)
+    blackout = row < p.end_blackout and traces[row, 0] <= tick
+    if p.up > 0.0:
+        blackout = _in_random_blackout(link, tick) or blackout
+    link.blackout = blackout
+
+
+@borrowing
+def _count_age(link: Link) -> None:
+    """End a tick: count the age of the newest stamp."""
+    if not math.isnan(link.newest):
+        age = link.tick - link.newest
+        link.age_max = age if link.ages == 0 else max(link.age_max, age)
+        link.age_sum += age
+        link.ages += 1
+
+
+@borrowing
+def _sender_is_free(link: Link) -> bool:
+    """True if the sender may transmit at this tick: packet m of a busy period leaves m spacings after the first."""
+    return bool(link.busy_since + link.served * link.parameters.spacing <= link.tick + DUST)
+
+
+@borrowing
+def _leave_queue(link: Link) -> int:
+    """Remove the packet that has waited longest; return its place."""
+    k = link.first_waiting
+    link.first_waiting = _place(link, k + 1)
+    link.waiting -= 1
+    return k
+
+
+@borrowing
+def _grant(link: Link, packets: RecordArray, w: int, traces: IntArray, tick: int) -> None:
+    """Let packets leave at the recorded opportunities since the link's tick, up to this one, which is the next."""
+    p = link.parameters
+    offset = trace_offset(_key_of(link), p.period)
+    begin = in_milliseconds(tick - 1, p.dt) + offset
+    end = in_milliseconds(tick, p.dt) + offset
+    start, place = begin - begin % p.period, begin % p.period
+    k = _first_after(traces, 0, p.first_row, p.end_row, place)
+    while link.waiting > 0:
+        now = start + traces[k, 0]
+        if now > end:
+            return
+        bytes_left = p.opportunity
+        while bytes_left > 0 and link.waiting > 0:
+            used = min(bytes_left, p.message_bytes - link.granted)
+            bytes_left -= used
+            link.granted += used
+            if link.granted == p.message_bytes:
+                link.granted = 0
+                # at least a moment past the tick, so that a packet which leaves after a tick arrives after it
+                later = max(0.001 * (now - offset) - (tick - 1) * p.dt, 2.0 * DUST * p.dt)
+                packet = packets[w, link.number, WAITING, _leave_queue(link)]
+                _transmit(link, packets, w, packet, later)
+        k += 1
+        if k == p.end_row:
+            k, start = p.first_row, start + p.period
+
+
+@borrowing
+def catch_up(link: Link, traces: IntArray, tick: int) -> None:
+    """Make up for the ticks up to this one that were skipped; in none of them did a packet wait or fly."""
+    while link.tick < tick:
+        _draw_channel(link, traces, link.tick + 1)
+        _count_age(link)
+
+
+@borrowing
+def begin_tick(link: Link, packets: RecordArray, w: int, traces: IntArray, tick: int) -> None:
+    """Begin a tick: draw the channel's state, then transmit from the queue. Once a tick, in order.
+
+    Args:
+        link: The link; changed.
+        packets: Packets of all links. Shape (worlds, links, 3, room).
+        w: World of the link.
+        traces: Planned blackouts and recorded links. Shape (any, 2).
+        tick: The tick; 0 is the first.
+    """
+    catch_up(link, traces, tick - 1)
+    p = link.parameters
+    if link.waiting > 0 and p.replay == OPPORTUNITIES:
+        _grant(link, packets, w, traces, tick)
+    _draw_channel(link, traces, tick)
+    while link.waiting > 0 and p.replay != OPPORTUNITIES and _sender_is_free(link):
+        link.served += 1
+        packet = packets[w, link.number, WAITING, _leave_queue(link)]
+        if p.replay == DELAYS:
+            _replay(link, packets, w, traces, packet)
+        else:
+            _transmit(link, packets, w, packet, 0.0)
+
+
+@borrowing
+def _wait(link: Link, packets: RecordArray, w: int, packet: Packet) -> None:
+    """Append a packet to the sender's queue, which drops one if it is full."""
+    row, begun = (
+        link.number,
+        1 if link.granted > 0 else 0,
+    )  # the first that waits is leaving already
+    if link.waiting - begun >= link.parameters.queue:
+        link.lost[QUEUE] += 1
+        if not link.parameters.newest:
+            return
+        first = _leave_queue(link)
+        if begun == 1:  # it takes the place of the next one, which is dropped
+            packets[w, row, WAITING, link.first_waiting] = packets[w, row, WAITING, first]
+    if link.waiting == link.room:
+        link.lost[FULL] += 1
+        return
+    packets[w, row, WAITING, _place(link, link.first_waiting + link.waiting)] = packet
+    link.waiting += 1
+
+
+@borrowing
+def send(link: Link, packets: RecordArray, w: int, traces: IntArray, packet: Packet) -> None:
+    """Send one packet at the tick that `begin_tick` has begun.
+
+    Args:
+        link, packets, w, traces: As in `begin_tick`.
+        packet: The packet, with its content; changed and copied.
+    """
+    packet.sent_at, packet.number, packet.copy = link.tick, link.index, False
+    link.index += 1
+    link.sent += 1
+    p = link.parameters
+    if link.waiting > 0 or p.replay == OPPORTUNITIES or not _sender_is_free(link):
+        _wait(link, packets, w, packet)
+        return
+    link.busy_since, link.served = link.tick, 1
+    if p.perfect:
+        _fly(link, packets, w, packet, link.tick)
+    elif p.replay == DELAYS:
+        _replay(link, packets, w, traces, packet)
+    else:
+        _transmit(link, packets, w, packet, 0.0)
+
+
+@borrowing
+def receive(link: Link, packets: RecordArray, w: int) -> int:
+    """End a tick: copy its arrivals into the list `ARRIVED`, and count the age of the newest stamp.
+
+    Args:
+        link, packets, w: As in `begin_tick`.
+
+    Returns:
+        The number of arrivals, which is `link.arrived`.
+    """
+    row, arrived = link.number, 0
+    for n in range(link.span):
+        packet = packets[w, row, FLYING, _place(link, link.first + n)]
+        if packet.due == link.tick:
+            packets[w, row, ARRIVED, arrived] = packet
+            arrived += 1
+            if not packet.stamp <= link.newest:
+                link.newest = packet.stamp
+            link.delivered += 1
+            link.originals += 0 if packet.copy else 1
+            link.flying -= 1
+            packet.due = -1
+    while link.span > 0 and packets[w, row, FLYING, link.first].due < 0:
+        link.first = _place(link, link.first + 1)
+        link.span -= 1
+    link.arrived = arrived
+    _count_age(link)
+    return arrived
