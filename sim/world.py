@@ -14,18 +14,19 @@ from bus.messages import (
     CoverageMap,
     Detection,
     GroundBlock,
+    LinkKind,
+    LinkSettings,
     Mission,
     MotionPlan,
     SeenTile,
     UgvReport,
 )
+from sim.channel.links import Links
+from sim.channel.ring import ARRIVED
 from sim.engine.batch import Batch
-from sim.engine.links import Links
 from sim.engine.mission import mission_of, note_claim, receive_block
 from sim.engine.world_state import (
     COMMAND,
-    LOOK,
-    MESSAGE_SIZE,
     BatchState,
     BatchTables,
     Told,
@@ -44,12 +45,12 @@ from sim.models.ground import (
     tile_states,
 )
 from sim.models.motion import NO_MOTION, keep_motion, motion_row
-from sim.scenario.types import Scenario, Uav
+from sim.scenario.types import LinkTable, Scenario, Uav
 
-_KEPT = ("scenario", "seed", "_batch", "names", "uavs", "parameters", "links", "tick")
+_KEPT = ("scenario", "seed", "_batch", "names", "uavs", "parameters", "tick")
 """The attributes that a copy takes over; it makes views of its own."""
 
-_ROW = MESSAGE_SIZE * NUMBER
+_ROW = len(COMMAND) * NUMBER
 """Bytes of a command."""
 _write_command, _write_carried = writer(COMMAND.last), writer(2)
 """The numbers of a `CommandRow`: those that every command has, and those of one that carries motions."""
@@ -72,7 +73,8 @@ class World:
     ) -> None:
         self.scenario = scenario
         self.seed = seed
-        self._batch = Batch(scenario, 1, gains=gains, threads=1, secret=secret)
+        carried = (LinkKind.OPERATOR, LinkKind.RADIO)
+        self._batch = Batch(scenario, 1, gains=gains, threads=1, secret=secret, others=carried)
         self._batch.begin((seed,))
         self.names: tuple[str, ...] = tuple(vehicle.name for vehicle in scenario.vehicles)
         """Vehicles in the order of every array."""
@@ -80,8 +82,6 @@ class World:
             vehicle for vehicle in scenario.vehicles if isinstance(vehicle, Uav)
         )
         self.parameters = self._batch.parameters
-        self.links = Links(scenario, self._batch)
-        """All links of the run."""
         self.tick = 0
         """The tick that it is at; `move_to` changes it."""
         self._bind()
@@ -138,19 +138,34 @@ class World:
         return self.tick * self.parameters.dt
 
     @property
+    def links(self) -> Links:
+        """All links of the run."""
+        return self._batch.links
+
+    @property
+    def link_table(self) -> LinkTable:
+        """The links' settings now, as a scenario would write them."""
+        return self._batch.link_table
+
+    def change_links(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> None:
+        """Give links other settings; see `Batch.change_links`."""
+        self._batch.change_links(kind, vehicle, settings)
+
+    @property
     def arrays(self) -> tuple[BatchTables, BatchState]:
         """The batch of one, for compiled functions."""
         return self._batch.tables, self._batch.state
 
     def received(self, uav: int) -> tuple[Detection, ...]:
         """The detections that have reached a UAV's computer at this tick, in the order of arrival."""
-        state = self._batch.state
-        count = state.arrived.item(0, uav)
-        if not count:
+        state, dt = self._batch.state, self.parameters.dt
+        packets = state.packets[0, uav, ARRIVED, : state.links[0, uav]["arrived"]]
+        if not packets.size:
             return ()
-        dt = self.parameters.dt
-        rows = state.received[0, uav, :count, : len(LOOK)].tolist()
-        return tuple([Detection(time=taken * dt, relative_position=(x, y)) for taken, x, y in rows])
+        rows = zip(packets["stamp"].tolist(), packets["vector"].tolist(), strict=True)
+        return tuple(
+            [Detection(time=stamp * dt, relative_position=(x, y)) for stamp, (x, y) in rows]
+        )
 
     def send(
         self,

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from bus.messages import BLOCK_SIDE, TILE_LETTERS, GroundBlock, SeenTile, UavBriefing
 from sim.kernels.compile import IntArray, borrowing, inlined
@@ -21,7 +20,7 @@ _REPEATS = 3
 _REACH = 12.0
 """Largest distance from the UGV of a block that it is told of [m]."""
 _WORD_TILES = 16
-"""Tiles in a number of a message: three bits each, which a float holds exactly."""
+"""Tiles in a number of a message, three bits each."""
 BLOCK_TILES = BLOCK_SIDE * BLOCK_SIDE
 BLOCK_WORDS = BLOCK_TILES // _WORD_TILES
 
@@ -101,7 +100,7 @@ def next_block(
 
 
 @borrowing
-def block_words(tiles: TileArray, row: int, column: int, words: npt.NDArray[np.float64]) -> None:
+def block_words(tiles: TileArray, row: int, column: int, words: IntArray) -> None:
     """Write the states of a block of tiles as numbers, three bits a tile, the first lowest. Shape (BLOCK_WORDS,)."""
     for n in range(BLOCK_WORDS):
         word = 0
@@ -114,9 +113,9 @@ def block_words(tiles: TileArray, row: int, column: int, words: npt.NDArray[np.f
 
 
 @borrowing
-def word_state(words: npt.NDArray[np.float64], place: int) -> int:
+def word_state(words: IntArray, place: int) -> int:
     """The state of a tile of a block, from what `block_words` has written."""
-    return (int(words[place // _WORD_TILES]) >> (3 * (place % _WORD_TILES))) & 7
+    return int(words[place // _WORD_TILES] >> (3 * (place % _WORD_TILES))) & 7
 
 
 def telling_ticks(telling: float, dt: float) -> int:

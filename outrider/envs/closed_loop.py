@@ -33,12 +33,12 @@ from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
 from bus.ticks import radio_ticks, ticks_within
 from outrider.envs.closed_loop_state import (
     GUARD_METRICS,
-    RADIO_SIZE,
     LoopParameters,
     LoopState,
     LoopTables,
 )
 from outrider.envs.closed_loop_tick import run_worlds
+from sim.channel.ring import no_packets
 from sim.engine.batch import Batch, Fresh, arrays_of
 from sim.engine.briefing import uav_briefing, ugv_briefing
 from sim.engine.certificate_counts import (
@@ -48,7 +48,6 @@ from sim.engine.certificate_counts import (
     sent_commands,
 )
 from sim.engine.ground_state import joined
-from sim.engine.link_arrays import LinkArrays
 from sim.engine.mission import mission_of
 from sim.engine.run_keys import check_secret
 from sim.engine.world_state import Precision
@@ -176,8 +175,8 @@ class ClosedLoop:
             threads=options["threads"],
             secret=check_secret(options["secret"]),
             precision=options["precision"],
+            others=(LinkKind.RADIO,),
         )
-        radio = self._radio = LinkArrays(scenario, (LinkKind.RADIO,), RADIO_SIZE, worlds)
         receiving = numbers.radio
         thinking = numbers.thinking | (estimate or gradient or receiving)
         dt, ground, grounded = scenario.dt, scenario.ground, scenario.has_ground and receiving
@@ -219,7 +218,6 @@ class ClosedLoop:
             scripts=scripts,
             script_rows=script_rows,
             late=numbers.late,
-            radio=radio.table,
             seen=disc_widths(scenario.sensor.range, scenario.area.cell),
             around=disc_widths(
                 scenario.visibility.radius + scenario.sensor.range, scenario.area.cell
@@ -231,7 +229,7 @@ class ClosedLoop:
         kalman = kalman_state(min(late, ticks_within(SPAN, dt)) + 1)
         guard = guard_state(numbers.longest, min(late + 1, numbers.track))
         uavs, ugvs = len(self.uavs), len(self.ugvs)
-        room = radio.room * uavs if receiving else 1
+        room = self.batch.links.packets.shape[3]
         coverage = self.batch.state.truth.coverage
         told_room = max(BLOCK_TILES, self.batch.state.ground.seen.shape[2]) if grounded else 0
         telling = telling_memory(scenario.area.width, scenario.area.height, self.parameters.tile)
@@ -256,16 +254,16 @@ class ClosedLoop:
             guards=_repeated(guard, worlds, uavs),
             driver_states=_repeated(driver_memory(), worlds, ugvs),
             grounds=_repeated(numbers.ground, worlds, ugvs),
-            outbox=np.full((worlds, uavs, 2, RADIO_SIZE), -1.0),
-            radio=radio.states,
-            inbox=np.zeros((worlds, radio.room if receiving else 1, RADIO_SIZE)),
-            inboxes=np.zeros((worlds, ugvs, room, 3)),
+            outbox=no_packets(worlds, uavs, 2),
+            looks=np.zeros((worlds, room, 3)),
+            inboxes=np.zeros((worlds, ugvs, room * uavs if receiving else 1, 3)),
             arrived=np.zeros((worlds, ugvs), dtype=np.int64),
             patches=np.zeros((worlds, uavs if patch else 0, pixels, pixels)),
             telling=_repeated(telling, worlds, uavs),
             places=np.zeros((worlds, 2, told_room), dtype=np.int64),
             states=np.zeros((worlds, told_room), dtype=np.uint8),
         )
+        self.state.outbox["stamp"] = -1.0
         self._fresh = Fresh(self.state[1:])  # all but the batch, which knows its own
         self._all = np.arange(worlds)
         with compiling():  # one process does, the others wait
@@ -274,7 +272,7 @@ class ClosedLoop:
     @property
     def degraded(self) -> bool:
         """True if any link does anything to a message."""
-        return not (self.batch.links.perfect and self._radio.perfect)
+        return self.batch.links.degraded
 
     def begin(
         self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None = None
@@ -364,7 +362,7 @@ class ClosedLoop:
 
     def links(self, world: int) -> dict[str, LinkStatus]:
         """The counters of each link of one world so far, by `vehicle/kind`."""
-        return self.batch.links.status(world) | self._radio.status(world)
+        return self.batch.links.status(world)
 
     def bytes_per_world(self) -> int:
         """Memory that one more world needs [bytes]."""

@@ -33,8 +33,7 @@ from outrider.envs.closed_loop_state import (
     LoopState,
     LoopTables,
 )
-from sim.channel.link import advance as begin_tick
-from sim.channel.link import receive, send
+from sim.channel.ring import ARRIVED, Packet, begin_tick, receive, send
 from sim.engine.certificate_counts import (
     CertificateClaim,
     count_tracking,
@@ -44,12 +43,9 @@ from sim.engine.certificate_counts import (
     note_report,
     note_sent,
 )
-from sim.engine.link_arrays import link_of
 from sim.engine.mission import goals_of, note_claim, receive_block
 from sim.engine.world_state import (
     COMMAND,
-    LOOK,
-    TRUE_ERROR,
     Told,
 )
 from sim.engine.world_tick import begin_world, measure, truth_of, world_tick
@@ -57,13 +53,10 @@ from sim.env.rows import UAV, UAV_METRICS, advance_rows, observe_rows
 from sim.kernels.compile import FloatArray, IntArray, inlined, released
 from sim.kernels.prefetch import fetch_disc, fetch_rows
 from sim.models.field import coverage_gradient, sample
-from sim.models.randomness import key_of
 from sim.models.vehicles import Motion, norm
 
-_SAID, _BLOCK, _SENT = range(3)
-"""Columns of a message by radio: the tick, the block of tiles (-1: of none), and where its content begins."""
 _RELATIVE, _GROUND = range(2)
-"""Rows of `LoopState.outbox`."""
+"""Messages in `LoopState.outbox`."""
 
 
 @inlined
@@ -201,18 +194,19 @@ def _speak(
     target: Target,
 ) -> None:
     """Radio messages of a UAV at this tick."""
-    known, g_x, g_y, out = target.known, target.p_x, target.p_y, state.outbox[world, uav]
-    out[_RELATIVE, _SAID] = tick if known and tick % parameters.radio_ticks == 0 else -1.0
-    out[_RELATIVE, _BLOCK] = -1.0
-    out[_RELATIVE, _SENT], out[_RELATIVE, _SENT + 1] = here.p_x - g_x, here.p_y - g_y
-    out[_GROUND, _SAID] = -1.0
+    known, g_x, g_y = target.known, target.p_x, target.p_y
+    relative, ground = state.outbox[world, uav, _RELATIVE], state.outbox[world, uav, _GROUND]
+    relative.stamp = tick if known and tick % parameters.radio_ticks == 0 else -1.0
+    relative.block = -1
+    relative.vector[0], relative.vector[1] = here.p_x - g_x, here.p_y - g_y
+    ground.stamp = -1.0
     if parameters.telling_ticks > 0 and known and tick % parameters.telling_ticks == 0:
         memory = telling_of(state.telling, world, uav)
         row, column = next_block(memory, parameters.tile, tick, g_x, g_y)
         if row >= 0:
-            out[_GROUND, _SAID] = tick
-            out[_GROUND, _BLOCK] = row * memory.news.shape[1] + column
-            block_words(memory.tiles, row, column, out[_GROUND, _SENT:])
+            ground.stamp = tick
+            ground.block = row * memory.news.shape[1] + column
+            block_words(memory.tiles, row, column, ground.tiles)
 
 
 @inlined
@@ -250,13 +244,13 @@ def _drive(
 
 @inlined
 def _receive_block(
-    tables: LoopTables, state: LoopState, world: int, ugv: int, message: FloatArray
+    tables: LoopTables, state: LoopState, world: int, ugv: int, packet: Packet
 ) -> None:
     """A UGV is told of a block of tiles by radio."""
-    block, across, words = int(message[_BLOCK]), state.telling.news.shape[3], message[_SENT:]
+    block, across = packet.block, state.telling.news.shape[3]
     row, column, states = block // across, block % across, state.states[world, :BLOCK_TILES]
     for place in range(BLOCK_TILES):
-        states[place] = word_state(words, place)
+        states[place] = word_state(packet.tiles, place)
     note_block(_ground_of(tables, state, world, ugv), row, column, states)
     batch, tick = state.batch, state.batch.ticks[world]
     receive_block(
@@ -284,21 +278,24 @@ def _radio(tables: LoopTables, state: LoopState, world: int) -> None:
     """Send out the radio messages of the tick before, and receive those that arrive."""
     tick, arrived = state.batch.ticks[world], state.arrived[world]
     arrived[:] = 0
+    packets, traces = state.batch.packets, tables.batch.traces
     for u in range(tables.receivers.shape[0]):
-        g, outbox, inbox = tables.receivers[u], state.outbox[world, u], state.inbox[world]
-        come, link = state.inboxes[world, g], link_of(state.radio, world, u)
-        key = key_of(state.batch.keys[world], tables.radio.owners[u, 0], tables.radio.owners[u, 1])
-        begin_tick(tables.radio, u, link, key, tick)
-        for row in range(outbox.shape[0]):
-            if outbox[row, _SAID] >= 0.0:
-                send(tables.radio, u, link, key, outbox[row])
-                outbox[row, _SAID] = -1.0
-        for i in range(receive(link, inbox)):
-            if inbox[i, _BLOCK] >= 0.0:
-                _receive_block(tables, state, world, g, inbox[i])
+        g, come = tables.receivers[u], state.inboxes[world, tables.receivers[u]]
+        # behind the links of detections and commands
+        link = state.batch.links[world, tables.receivers.shape[0] + tables.hand.shape[0] + u]
+        begin_tick(link, packets, world, traces, tick)
+        for k in range(state.outbox.shape[2]):
+            packet = state.outbox[world, u, k]
+            if packet.stamp >= 0.0:
+                send(link, packets, world, traces, packet)
+                packet.stamp = -1.0
+        for i in range(receive(link, packets, world)):
+            packet = packets[world, link.number, ARRIVED, i]
+            if packet.block >= 0:
+                _receive_block(tables, state, world, g, packet)
                 continue
             n = arrived[g]
-            come[n, 0], come[n, 1], come[n, 2] = inbox[i, 0], inbox[i, 2], inbox[i, 3]
+            come[n, 0], come[n, 1], come[n, 2] = packet.stamp, packet.vector[0], packet.vector[1]
             arrived[g] = n + 1
 
 
@@ -306,7 +303,7 @@ def _radio(tables: LoopTables, state: LoopState, world: int) -> None:
 def _perceive(parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int) -> None:
     """Every UAV takes what has reached it at this tick into its map and its filters, every UGV its radio."""
     escorts, tick = tables.batch.escorts, state.batch.ticks[world]
-    looks, arrived = state.batch.received[world], state.batch.arrived[world]
+    looks = state.looks[world]
     looked = 1 if parameters.own_maps and tick > 0 else 0  # else the world has done it
     for u in range(escorts.shape[0]):
         here = _motion_of(state.batch.told, world, escorts[u, 0])
@@ -318,6 +315,10 @@ def _perceive(parameters: LoopParameters, tables: LoopTables, state: LoopState, 
                 column = ground.seen[world, v, n] % columns
                 found = ground.known[world, v, row, column]
                 note_tile(telling_of(state.telling, world, u), column, row, found)
+        arrived = state.batch.links[world, u].arrived
+        for n in range(arrived):
+            packet = state.batch.packets[world, u, ARRIVED, n]
+            looks[n, 0], looks[n, 1], looks[n, 2] = packet.stamp, packet.vector[0], packet.vector[1]
         uav_perceive(
             state.laws[world, u],
             tables.promises[u],
@@ -326,12 +327,12 @@ def _perceive(parameters: LoopParameters, tables: LoopTables, state: LoopState, 
             looked,
             tick,
             here,
-            looks[u],
-            arrived[u],
+            looks,
+            arrived,
         )
         if tables.thinking[u]:
             kalman = _kalman_of(state.kalman, world, u)
-            kalman_step(tables.kalman[u], kalman, tick, here.p_x, here.p_y, looks[u], arrived[u])
+            kalman_step(tables.kalman[u], kalman, tick, here.p_x, here.p_y, looks, arrived)
     if parameters.radio:
         _radio(tables, state, world)
     if state.grounds.tiles.shape[2] > 0:
@@ -413,9 +414,9 @@ def _note_action(tables: LoopTables, state: LoopState, world: int, uav: int, tic
 def _note_evidence(tables: LoopTables, state: LoopState, world: int, uav: int) -> None:
     """Count how wrong the detections are that have reached a UAV at this tick, and how far it is off its reference."""
     bounds, counts, batch = tables.bounds[uav], state.certificates[world, uav], state.batch
-    for n in range(batch.arrived[world, uav]):
-        look = batch.received[world, uav, n]
-        note_arrival(bounds, counts, int(look[LOOK.taken]), look[TRUE_ERROR])
+    for n in range(batch.links[world, uav].arrived):
+        packet = batch.packets[world, uav, ARRIVED, n]
+        note_arrival(bounds, counts, int(packet.stamp), packet.error)
     if tables.batch.disturbances.shape[0] > 0:
         v = tables.batch.escorts[uav, 0]
         true, reference = batch.truth.position[world, v], batch.told.position[world, v]
@@ -473,8 +474,7 @@ def _fetch_rows(state: LoopState, world: int) -> None:
         (
             batch.keys,
             batch.ticks,
-            batch.received,
-            batch.arrived,
+            batch.links,
             truth.velocity,
             truth.acceleration,
             truth.commands,

@@ -305,7 +305,7 @@ def summarize(
         tracking_error=recorder.tracking_error,
         **mission_fields(world.mission),
         links=world.links.status(),
-        traces={one.name: one.sha256 for one in world.links.table.traces},
+        traces={one.name: one.sha256 for one in world.link_table.traces},
         realtime=realtime,
         realtime_factor=recorder.ticks * scenario.dt / seconds if seconds > 0.0 else 0.0,
         late_ticks=late_ticks,

@@ -10,14 +10,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from bus.errors import ScenarioError
 from bus.messages import LinkKind, LinkSettings
 from bus.ticks import first_tick_from
+from sim.channel.description import check_link
 from sim.engine.briefing import declared, ugv_delay
 from sim.engine.ground_state import ground_constants, ground_state, mission_constants, mission_state
-from sim.engine.link_arrays import LinkArrays
+from sim.engine.links import ENGINE_LINKS, key_rows, links_of, vehicles_with
 from sim.engine.run_keys import derive_keys
 from sim.engine.world_state import (
-    MESSAGE_SIZE,
+    COMMAND,
     BatchState,
     BatchTables,
     Precision,
@@ -89,6 +91,7 @@ class Batch:
         threads: Processor cores that share the worlds; by default all that this process may use.
         secret: Of all their random numbers, with each one's seed; empty: none.
         precision: Of the coverage grids.
+        others: Kinds of links beside those of detections and commands, which the engine carries.
 
     Raises:
         ValueError: If there are no worlds, or no such precision.
@@ -103,6 +106,7 @@ class Batch:
         threads: int | None = None,
         secret: str = "",
         precision: Precision = "double",
+        others: Sequence[LinkKind] = (),
     ) -> None:
         if worlds < 1:
             raise ValueError(f"worlds = {worlds}: must be 1 or more")
@@ -114,10 +118,11 @@ class Batch:
         self.workers = WorkerThreads(threads)
         """The threads that share the worlds."""
         self._shared = self.workers.shares(worlds)
-        self.links = LinkArrays(
-            scenario, (LinkKind.DETECTIONS, LinkKind.COMMANDS), MESSAGE_SIZE, worlds
-        )
-        """Those of detections and commands."""
+        self.links = links_of(scenario, (*ENGINE_LINKS, *others), worlds)
+        """Of detections, of commands, then the others."""
+        self._key_rows = key_rows(scenario, self.links)
+        self.link_table = scenario.links
+        """The links' settings now, as a scenario would write them."""
         escorts, vehicles = escorts_of(scenario), len(scenario.vehicles)
         first = first_state(scenario)
         first = first._replace(coverage=grid_in(first.coverage, precision))
@@ -125,7 +130,7 @@ class Batch:
             world=records(WorldParameters, [self.parameters]),
             bounds=bounds_of(scenario),
             escorts=escorts,
-            links=self.links.table,
+            traces=self.links.traces,
             receivers=receivers_of(scenario),
             disturbances=disturbances_of(scenario),
             ground=ground_constants(scenario),
@@ -133,26 +138,23 @@ class Batch:
         )
         ground = ground_state(scenario, worlds)
         truth = WorldState._make(np.repeat(array[None], worlds, axis=0) for array in first)
-        room, rows = self.links.room, self._motion_rows()
+        rows = self._motion_rows()
         self.state = BatchState(
             keys=np.zeros((worlds, RUN_PURPOSES, vehicles, 2), dtype=np.uint64),
             ticks=np.zeros(worlds, dtype=np.int64),
             truth=truth,
             told=told_of(scenario, truth),
             tracking=no_tracking_errors(worlds, len(self.tables.disturbances)),
-            received=np.zeros((worlds, len(escorts), room, MESSAGE_SIZE)),
-            arrived=np.zeros((worlds, len(escorts)), dtype=np.int64),
-            sent=np.full((worlds, vehicles, MESSAGE_SIZE), -1.0),
+            sent=np.full((worlds, vehicles, len(COMMAND)), -1.0),
             motions=no_motions(worlds, vehicles, rows),
             flown=no_motions(worlds, vehicles, 1),
             answered=np.full((worlds, vehicles), -1, dtype=np.int64),
-            inbox=np.zeros((worlds, room, MESSAGE_SIZE)),
-            links=self.links.states,
+            links=self.links.records,
+            packets=self.links.packets,
             ground=ground,
             mission=mission_state(ground),
         )
-        self._first_links = self.state.links
-        self.fresh = Fresh(self.state)
+        self.fresh = Fresh(tuple(part for part in self.state if part is not self.state.packets))
         """The start of every world."""
 
     def _motion_rows(self) -> int:
@@ -190,7 +192,7 @@ class Batch:
         """
         which = np.arange(self.worlds) if worlds is None else np.asarray(worlds, dtype=np.int64)
         given = np.asarray(seeds, dtype=np.int64)
-        if self.state.links is not self._first_links:
+        if self.link_table is not self.scenario.links:
             raise ValueError("a world cannot begin anew: its links have been changed")
         if given.shape != which.shape:
             raise ValueError(f"{given.size} seeds for {which.size} worlds")
@@ -198,6 +200,7 @@ class Batch:
         self.state.keys[which] = derive_keys(
             given.tolist(), len(self.scenario.vehicles), self._secret
         )
+        self.links.records["key"][which] = self.state.keys[which[:, None], *self._key_rows]
         if self.scenario.hazard_field:
             self._place_hazards(which)
         return which
@@ -226,19 +229,27 @@ class Batch:
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_step": None}
 
-    def change_link(self, kind: LinkKind, vehicle: str, settings: LinkSettings) -> None:
-        """Give a link other settings in all worlds, between two ticks: what is under way arrives as it would have.
+    def change_links(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> None:
+        """Give links other settings in all worlds, between two ticks: packets on their way arrive as they would have.
 
         No world can begin anew afterwards.
+
+        Args:
+            kind: The kind of the links.
+            vehicle: The vehicle; None: all that have such a link.
+            settings: The new settings.
+
+        Raises:
+            ScenarioError: If the settings are impossible, or this vehicle has no such link.
         """
-        self.links.change(kind, vehicle, settings)
-        state, room = self.state, self.links.room
-        received = np.zeros((*state.received.shape[:2], room, MESSAGE_SIZE))
-        kept = min(room, state.received.shape[2])
-        received[:, :, :kept] = state.received[:, :, :kept]
-        self.tables = self.tables._replace(links=self.links.table)
-        self.state = state._replace(
-            received=received,
-            inbox=np.zeros((self.worlds, room, MESSAGE_SIZE)),
-            links=self.links.states,
-        )
+        names = vehicles_with(self.scenario, kind)
+        if vehicle is not None and vehicle not in names:
+            raise ScenarioError(
+                f"vehicle = {vehicle!r}: has no link for its {kind}; allowed: {', '.join(names)}"
+            )
+        check_link(settings, str(kind), self.link_table.traces)
+        for name in names if vehicle is None else (vehicle,):
+            self.links.change(self.links.row(kind, name), settings)
+        self.link_table = self.link_table.changed(kind, vehicle, settings)
+        self.tables = self.tables._replace(traces=self.links.traces)
+        self.state = self.state._replace(packets=self.links.packets)

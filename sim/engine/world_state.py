@@ -9,8 +9,6 @@ from typing import Literal, NamedTuple, cast, get_args
 import numpy as np
 
 from bus.registry import SENSORS
-from bus.ticks import Look
-from sim.channel.link import LinkNumbers, LinkState
 from sim.engine.ground_state import GroundConstants, GroundState, MissionConstants, MissionState
 from sim.kernels.compile import FloatArray, IntArray
 from sim.kernels.records import RecordArray, columns, record_type, records
@@ -20,11 +18,6 @@ from sim.models.randomness import WordArray
 from sim.models.wind import DisturbanceRow
 from sim.scenario.risk import carries_motions, ugv_carries
 from sim.scenario.types import Scenario, Uav
-
-LOOK = columns(Look)
-"""Columns of `BatchState.received`."""
-TRUE_ERROR = len(LOOK)
-"""Column of `BatchState.received` behind those of `LOOK`: the detection's true error [m], which no vehicle is sent."""
 
 
 class CommandRow(NamedTuple):
@@ -43,10 +36,6 @@ class CommandRow(NamedTuple):
 
 COMMAND = columns(CommandRow)
 """Columns of `BatchState.sent`."""
-
-MESSAGE_SIZE = max(len(LOOK) + 1, len(COMMAND))
-"""Numbers in a message on a link of detections or commands."""
-
 
 Precision = Literal["double", "single"]
 """Precision of a coverage grid: 8 or 4 bytes a cell. What is computed from it is in double precision."""
@@ -233,8 +222,8 @@ class BatchTables(NamedTuple):
     """v_max [m/s] and u_max [m/s²]. Shape (vehicles, 2)."""
     escorts: IntArray
     """Rows (UAV, UGV). Shape (UAVs, 2)."""
-    links: LinkNumbers
-    """Of the detections, a row for each UAV, then of the commands, a row for each vehicle."""
+    traces: IntArray
+    """Planned blackouts and recorded links of all links. Shape (any, 2)."""
     receivers: IntArray
     """1 for each vehicle whose receiver flies the motions that its commands carry. Shape (vehicles,)."""
     disturbances: RecordArray
@@ -256,14 +245,8 @@ class BatchState(NamedTuple):
     """`TrackingRecord`: how each UAV is off what it is told. Shape (worlds, UAVs); (worlds, 0) where nobody is
     disturbed.
     """
-    received: FloatArray
-    """The detections that reach each UAV at this tick, in the order of arrival. Shape (worlds, UAVs, room,
-    MESSAGE_SIZE).
-    """
-    arrived: IntArray
-    """Their number. Shape (worlds, UAVs)."""
     sent: FloatArray
-    """The commands that set out in the coming tick. Shape (worlds, vehicles, MESSAGE_SIZE)."""
+    """The commands that set out in the coming tick, in the columns `COMMAND`. Shape (worlds, vehicles, columns)."""
     motions: RecordArray
     """`MotionRecord` of those that commands carry: of the one that begins in tick k in row k % rows.
 
@@ -276,8 +259,12 @@ class BatchState(NamedTuple):
 
     Shape (worlds, vehicles).
     """
-    inbox: FloatArray
-    """Room for what arrives by one link. Shape (worlds, room, MESSAGE_SIZE)."""
-    links: LinkState
+    links: RecordArray
+    """`Link`: of the detections of each UAV, then of the commands of each vehicle, then of other kinds.
+
+    Shape (worlds, links).
+    """
+    packets: RecordArray
+    """`Packet`: those that fly, wait, and have arrived at this tick. Shape (worlds, links, 3, room)."""
     ground: GroundState
     mission: MissionState

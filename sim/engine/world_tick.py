@@ -4,15 +4,11 @@ import math
 
 import numpy as np
 
-from sim.channel.link import advance as begin_tick
-from sim.channel.link import receive, send
+from sim.channel.ring import ARRIVED, begin_tick, receive, send
 from sim.engine.ground_tick import drive_on, keep_before, perceive_ground
-from sim.engine.link_arrays import link_of
 from sim.engine.mission import note_mission
 from sim.engine.world_state import (
     COMMAND,
-    LOOK,
-    TRUE_ERROR,
     BatchState,
     BatchTables,
     WorldState,
@@ -196,27 +192,29 @@ def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None
     Where none has come for a while, it brakes. A receiver of motions begins each in its own tick, and flies on what it
     flies where none begins.
     """
-    parameters, keys, tick = tables.world[0], state.keys[world], state.ticks[world]
+    parameters, tick = tables.world[0], state.ticks[world]
     acting = state.truth.commands[world]
     sent = state.sent[world]
     answered = state.answered[world]
-    inbox = state.inbox[world]
     for v in range(sent.shape[0]):
         row = tables.escorts.shape[0] + v
-        link = link_of(state.links, world, row)
-        key = key_of(keys, tables.links.owners[row, 0], tables.links.owners[row, 1])
-        begin_tick(tables.links, row, link, key, tick)
+        link = state.links[world, row]
+        begin_tick(link, state.packets, world, tables.traces, tick)
         if sent[v, COMMAND.answered] >= 0.0:
-            send(tables.links, row, link, key, sent[v])
+            packet = state.packets[world, row, ARRIVED, 0]
+            packet.stamp = sent[v, COMMAND.answered]
+            packet.vector[0], packet.vector[1] = sent[v, COMMAND.u_x], sent[v, COMMAND.u_y]
+            packet.plan, packet.plans = int(sent[v, COMMAND.last]), int(sent[v, COMMAND.carried])
+            send(link, state.packets, world, tables.traces, packet)
             sent[v, COMMAND.answered] = -1.0
-        for n in range(receive(link, inbox)):
-            last = int(inbox[n, COMMAND.last])
-            if tables.receivers[v] and last >= 0:
-                _note_arrival(state.motions[world, v], last, int(inbox[n, COMMAND.carried]))
-            if inbox[n, COMMAND.answered] > answered[v]:
-                answered[v] = int(inbox[n, COMMAND.answered])
-                acting[v, 0], acting[v, 1] = inbox[n, COMMAND.u_x], inbox[n, COMMAND.u_y]
-                if tables.receivers[v] and last < 0:
+        for n in range(receive(link, state.packets, world)):
+            packet = state.packets[world, row, ARRIVED, n]
+            if tables.receivers[v] and packet.plan >= 0:
+                _note_arrival(state.motions[world, v], packet.plan, packet.plans)
+            if packet.stamp > answered[v]:
+                answered[v] = int(packet.stamp)
+                acting[v, 0], acting[v, 1] = packet.vector[0], packet.vector[1]
+                if tables.receivers[v] and packet.plan < 0:
                     flown = state.flown[world, v, 0]
                     flown.begins, flown.plain = NO_MOTION, 1
         if tables.receivers[v] and _fly_motion(tables, state, world, v):
@@ -294,24 +292,22 @@ def move(tables: BatchTables, state: BatchState, world: int) -> None:
 @inlined
 def deliver_detections(tables: BatchTables, state: BatchState, world: int) -> None:
     """Send this tick's detections out, and receive those that arrive."""
-    keys = state.keys[world]
     tick = state.ticks[world]
     found, position = state.truth.detections[world], state.truth.position[world]
-    received = state.received[world]
-    message = state.inbox[world, 0]
     for u in range(found.shape[0]):
-        link = link_of(state.links, world, u)
-        key = key_of(keys, tables.links.owners[u, 0], tables.links.owners[u, 1])
-        begin_tick(tables.links, u, link, key, tick)
+        link = state.links[world, u]
+        begin_tick(link, state.packets, world, tables.traces, tick)
         if not math.isnan(found[u, 0]):
             a, g = tables.escorts[u, 0], tables.escorts[u, 1]
-            message[LOOK.taken], message[LOOK.x], message[LOOK.y] = tick, found[u, 0], found[u, 1]
-            message[TRUE_ERROR] = norm(
+            packet = state.packets[world, u, ARRIVED, 0]
+            packet.stamp = tick
+            packet.vector[0], packet.vector[1] = found[u, 0], found[u, 1]
+            packet.error = norm(
                 found[u, 0] - (position[a, 0] - position[g, 0]),
                 found[u, 1] - (position[a, 1] - position[g, 1]),
             )
-            send(tables.links, u, link, key, message)
-        state.arrived[world, u] = receive(link, received[u])
+            send(link, state.packets, world, tables.traces, packet)
+        receive(link, state.packets, world)
 
 
 @inlined

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.layout import UavRow, UgvRow
+from sim.channel.ring import ARRIVED
 from sim.engine.mission import goals_of
-from sim.engine.world_state import LOOK, BatchState, BatchTables
+from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rewards import RewardWeights, UavTerms, full_error, uav_terms, ugv_terms
 from sim.kernels.compile import FloatArray, IntArray, inlined
 from sim.kernels.records import RecordArray, columns, records
@@ -153,7 +154,7 @@ def row_state(
 @inlined
 def _measure_uav(bt: BatchTables, bs: BatchState, state: RowState, world: int, uav: int) -> None:
     """Notes a UAV's true standing at this tick, and the newest detection that has reached it."""
-    row, received = state.uavs[world, uav], bs.received[world, uav]
+    row = state.uavs[world, uav]
     distance, error = bs.truth.measures[world, uav, 0], bs.truth.measures[world, uav, 1]
     row[UAV_METRICS.was_lost] = row[UAV_METRICS.lost]
     row[UAV_METRICS.lost] = 1.0 if distance >= bt.world[0].r_v else 0.0
@@ -162,8 +163,9 @@ def _measure_uav(bt: BatchTables, bs: BatchState, state: RowState, world: int, u
     row[UAV_METRICS.violations] += row[UAV_METRICS.lost]
     row[UAV_METRICS.error] = error
     row[UAV_METRICS.error_sum] += error
-    for n in range(bs.arrived[world, uav]):
-        row[UAV_METRICS.newest] = max(row[UAV_METRICS.newest], received[n, LOOK.taken])
+    for n in range(bs.links[world, uav].arrived):
+        stamp = bs.packets[world, uav, ARRIVED, n].stamp
+        row[UAV_METRICS.newest] = max(row[UAV_METRICS.newest], stamp)
 
 
 @inlined
@@ -280,7 +282,7 @@ def _observe_uav(
     bt: BatchTables, bs: BatchState, tables: RowTables, state: RowState, world: int, uav: int
 ) -> None:
     """Write the row of a UAV: of several detections the newest, the pilots over the bus use them all."""
-    row, received, dt = state.uav_rows[world, uav], bs.received[world, uav], bt.world[0].dt
+    row, dt = state.uav_rows[world, uav], bt.world[0].dt
     v = bt.escorts[uav, 0]
     position, velocity = bs.told.position[world, v], bs.told.velocity[world, v]
     time, newest = bs.ticks[world] * dt, state.uavs[world, uav, UAV_METRICS.newest]
@@ -288,14 +290,14 @@ def _observe_uav(
     row[UAV.vx], row[UAV.vy] = velocity[0], velocity[1]
     row[UAV.detected], row[UAV.relative_x], row[UAV.relative_y] = 0.0, 0.0, 0.0
     row[UAV.age] = tables.episode[0].ticks * dt if newest < 0.0 else time - newest * dt
-    best = -1
-    for n in range(bs.arrived[world, uav]):
-        if best < 0 or received[n, LOOK.taken] > received[best, LOOK.taken]:
-            best = n
-    if best >= 0:
+    best = bs.packets[world, uav, ARRIVED, 0]
+    for n in range(1, bs.links[world, uav].arrived):
+        if bs.packets[world, uav, ARRIVED, n].stamp > best.stamp:
+            best = bs.packets[world, uav, ARRIVED, n]
+    if bs.links[world, uav].arrived > 0:
         row[UAV.detected] = 1.0
-        row[UAV.relative_x], row[UAV.relative_y] = received[best, LOOK.x], received[best, LOOK.y]
-        row[UAV.age] = time - received[best, LOOK.taken] * dt
+        row[UAV.relative_x], row[UAV.relative_y] = best.vector[0], best.vector[1]
+        row[UAV.age] = time - best.stamp * dt
 
 
 @inlined

@@ -39,7 +39,7 @@ def _column(hint: Any) -> tuple[Any, ...]:  # noqa: ANN401 - a type, as it is an
         return (*_column(parts[0])[:1], *shape[:1])
     if origin in (Union, UnionType):
         return _column(next(part for part in parts if part is not type(None)))
-    if origin is tuple and parts == (float, float):
+    if origin is tuple and [_column(part) for part in parts] == [(np.float64,)] * 2:
         return (np.float64, (2,))
     if isinstance(hint, type) and origin is None and "__annotations__" in vars(hint):
         nested = record_type(hint)

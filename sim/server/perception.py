@@ -188,9 +188,9 @@ class UgvPerception(Perception):
 
     def __init__(self, world: World, name: str, episode: int) -> None:
         super().__init__(world, name, episode)
-        self._operators = world.links.of(LinkKind.OPERATOR)[name]
-        radios = world.links.of(LinkKind.RADIO)
-        self._radios = [radios[uav.name] for uav in world.uavs if uav.escorts == name]
+        self._operators = world.links.row(LinkKind.OPERATOR, name)
+        escorts = [uav.name for uav in world.uavs if uav.escorts == name]
+        self._radios = [world.links.row(LinkKind.RADIO, uav) for uav in escorts]
         self.blocks: dict[int, tuple[GroundBlock, ...]] = {}
         """Blocks of tiles that have come by radio, by tick."""
 
@@ -198,12 +198,13 @@ class UgvPerception(Perception):
         """Take in what has crossed the links for this tick, and what the sensors say; once for every tick."""
         if self._grounded:
             self._see_ground(tick)
-        commands = self._operators.arrivals(tick)
+        links = self._world.links
+        commands = links.arrivals(self._operators, tick)
         if commands:
             self.news_now().operator = tuple(commands)
         self._now = ()
         for radio in self._radios:
-            for message in radio.arrivals(tick):
+            for message in links.arrivals(radio, tick):
                 self._receive_message(tick, message)
 
     def _receive_message(self, tick: int, message: object) -> None:

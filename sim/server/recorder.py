@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from bus.messages import UavReport
+from sim.channel.ring import ARRIVED
 from sim.engine.certificate_counts import NEVER, ArrivalRecord
-from sim.engine.world_state import LOOK, TRUE_ERROR, WorldState
+from sim.engine.world_state import WorldState
 from sim.engine.world_tick import measure
 from sim.kernels.compile import FloatArray, IntArray, borrowing, entry_point
 from sim.kernels.packing import NUMBER, writer
@@ -50,8 +51,8 @@ def _take_down(
     pairs: IntArray,
     truth: WorldState,
     arrivals: RecordArray,
-    received: FloatArray,
-    arrived: IntArray,
+    links: RecordArray,
+    packets: RecordArray,
     states: FloatArray,
     escorts: FloatArray,
     k: int,
@@ -59,7 +60,7 @@ def _take_down(
     """Measure the world at tick k, and write its row, and into the row before what was applied.
 
     Args:
-        parameters, pairs, truth, received, arrived: Of the world, as in its batch.
+        parameters, pairs, truth, links, packets: Of the world, as in its batch.
         arrivals: Of each UAV, see `Recorder.arrivals`.
         states, escorts: The record.
         k: The tick.
@@ -79,10 +80,10 @@ def _take_down(
         for n in range(4, 8):
             escorts[k, uav, n] = np.nan
         arrivals[uav].newest, arrivals[uav].error = NEVER, 0.0
-        for n in range(arrived[0, uav]):
-            look = received[0, uav, n]
-            arrivals[uav].newest = max(arrivals[uav].newest, int(look[LOOK.taken]))
-            arrivals[uav].error = max(arrivals[uav].error, look[TRUE_ERROR])
+        for n in range(links[0, uav].arrived):
+            packet = packets[0, uav, ARRIVED, n]
+            arrivals[uav].newest = max(arrivals[uav].newest, int(packet.stamp))
+            arrivals[uav].error = max(arrivals[uav].error, packet.error)
 
 
 class Recorder:
@@ -112,7 +113,7 @@ class Recorder:
         """`ArrivalRecord` of each UAV, of the tick that was taken down last. Shape (UAVs,)."""
         self._truth = world.arrays[0].world, world.escorts, world.state, self.arrivals
         state = world.arrays[1]
-        arrays = state.received, state.arrived, self._states, self._escorts
+        arrays = state.links, state.packets, self._states, self._escorts
         self._take_down = entry_point(_take_down, *self._truth, *arrays, 0)
 
     def _bind(self) -> None:
@@ -134,7 +135,7 @@ class Recorder:
                 store.grow()
             self._bind()
         state = self._world.arrays[1]  # which has other arrays once a link has changed
-        arrays = state.received, state.arrived, self._states, self._escorts
+        arrays = state.links, state.packets, self._states, self._escorts
         self._take_down(*self._truth, *arrays, k)
         if self._tells:
             self._told[k, :, 0:2], self._told[k, :, 2:4] = self._world.told

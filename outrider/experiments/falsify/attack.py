@@ -58,11 +58,10 @@ from outrider.experiments.falsify.opponents import (
     ugv_command,
 )
 from outrider.experiments.falsify.tick_distance import largest_between
+from sim.channel.ring import ARRIVED
 from sim.engine.batch import Batch
 from sim.engine.world_state import (
     COMMAND,
-    LOOK,
-    TRUE_ERROR,
     BatchState,
     BatchTables,
 )
@@ -385,13 +384,11 @@ def fly_one(
         # what has reached the UAV's computer
         if trouble.away == 0:
             note_position(memory, tick, here.p_x, here.p_y)
-            for n in range(state.arrived[0, 0]):
-                look = state.received[0, 0, n]
-                taken = int(look[LOOK.taken])
-                exact = exact and look[TRUE_ERROR] <= promise.error + _ROUNDING
-                note_detection(
-                    promise, memory, taken, tick, look[LOOK.x], look[LOOK.y], here.p_x, here.p_y
-                )
+            for n in range(state.links[0, 0].arrived):
+                packet = state.packets[0, 0, ARRIVED, n]
+                taken, (d_x, d_y) = int(packet.stamp), packet.vector
+                exact = exact and packet.error <= promise.error + _ROUNDING
+                note_detection(promise, memory, taken, tick, d_x, d_y, here.p_x, here.p_y)
         detections = memory.detections
         new = newest_detection(detections)
         bound = certified_distance(promise, detections, tick, here.p_x, here.p_y)
