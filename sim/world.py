@@ -21,8 +21,8 @@ from bus.messages import (
     SeenTile,
     UgvReport,
 )
+from sim.channel.link import ARRIVED
 from sim.channel.links import Links
-from sim.channel.ring import ARRIVED
 from sim.engine.batch import Batch
 from sim.engine.mission import mission_of, note_claim, receive_block
 from sim.engine.world_state import (

@@ -33,7 +33,7 @@ from outrider.envs.closed_loop_state import (
     LoopState,
     LoopTables,
 )
-from sim.channel.ring import ARRIVED, Packet, begin_tick, receive, send
+from sim.channel.link import ARRIVED, Packet, begin_tick, receive, send
 from sim.engine.certificate_counts import (
     CertificateClaim,
     count_tracking,

@@ -7,8 +7,7 @@ import numpy as np
 
 from bus.messages import LinkKind, LinkSettings, LinkStatus
 from sim.channel.description import check_link, link_parameters, longest_wait
-from sim.channel.recorded import RecordedLink
-from sim.channel.ring import (
+from sim.channel.link import (
     ARRIVED,
     CAUSES,
     FLYING,
@@ -24,6 +23,7 @@ from sim.channel.ring import (
     reset_links,
     send,
 )
+from sim.channel.recorded import RecordedLink
 from sim.kernels.compile import FloatArray, IntArray, borrowing
 from sim.kernels.records import RecordArray, fill, record_type
 from sim.models.randomness import Key
@@ -78,26 +78,30 @@ def _send_all(
                 arrivals[message] = tick
 
 
-def trace_rows(links: Sequence[LinkParameters]) -> tuple[IntArray, list[LinkParameters]]:
-    """Join the planned blackouts and recorded links of all links.
+def place_traces(links: RecordArray, parameters: Sequence[LinkParameters]) -> IntArray:
+    """Write the parameters of links into their records.
 
     Returns:
-        Their rows, each recorded link once, shape (any, 2); and the parameters, which name their rows.
+        The planned blackouts and recorded links of all links, each recorded link once. Shape (any, 2).
     """
-    parts: list[IntArray] = [np.zeros((0, 2), dtype=np.int64)]
-    end, traces, placed = 0, dict[int, int](), []
-    for p in links:
-        parts.append(p.blackouts)
-        placed.append(p._replace(first_blackout=end, end_blackout=end + len(p.blackouts)))
-        end += len(p.blackouts)
-    for k, p in enumerate(placed):
+    parts: list[IntArray] = [np.zeros((0, 2), dtype=np.int64), *(p.blackouts for p in parameters)]
+    ends = np.cumsum([len(part) for part in parts]).tolist()
+    traces, end = dict[int, int](), ends[-1]
+    for row, p in enumerate(parameters):
         if id(p.trace) not in traces:
             traces[id(p.trace)] = end
             parts.append(p.trace)
             end += len(p.trace)
         first = traces[id(p.trace)]
-        placed[k] = p._replace(first_row=first, end_row=first + len(p.trace))
-    return np.concatenate(parts), placed
+        placed = p._replace(
+            first_blackout=ends[row],
+            end_blackout=ends[row + 1],
+            first_row=first,
+            end_row=first + len(p.trace),
+        )
+        fill(links["parameters"][0, row], placed)
+    links["parameters"] = links["parameters"][:1]
+    return np.concatenate(parts)
 
 
 def new_links(
@@ -108,15 +112,11 @@ def new_links(
     Returns:
         Records of type `Link`, shape (worlds, links); their packets, shape (worlds, links, 3, room); their traces.
     """
-    traces, placed = trace_rows(links)
     records = np.zeros((worlds, len(links)), dtype=record_type(Link))
     reset_links(records)
-    for row, p in enumerate(placed):
-        fill(records["parameters"][0, row], p)
-        records["number"][:, row], records["room"][:, row] = row, p.room
-    records["parameters"] = records["parameters"][:1]
+    records["number"], records["room"] = np.arange(len(links)), [p.room for p in links]
     room = max((p.room for p in links), default=1)
-    return records, no_packets(worlds, len(links), 3, room), traces
+    return records, no_packets(worlds, len(links), 3, room), place_traces(records, links)
 
 
 def first_arrivals(
@@ -213,7 +213,7 @@ def change_links(
     opportunities continue with the same message size. Counters stay.
 
     Args:
-        links: Records; changed, but for the rows of traces.
+        links: Records; changed, but for the parameters, which `place_traces` writes.
         packets: Their packets; changed.
         row: The link.
         new: Its parameters from the next tick on.
@@ -315,10 +315,7 @@ class Links:
         self._catch_up(row)
         new = self._parameters[row] = self._parameters_of(row)
         self.packets = change_links(self.records, self.packets, row, new)
-        self.traces, placed = trace_rows(self._parameters)
-        for k, p in enumerate(placed):
-            fill(self.records["parameters"][0, k], p)
-        self.records["parameters"] = self.records["parameters"][:1]
+        self.traces = place_traces(self.records, self._parameters)
 
     def status(self, world: int = 0) -> dict[str, LinkStatus]:
         """Return the counters of each link of a world so far, by `vehicle/kind`."""

@@ -243,10 +243,12 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         }
         if self.agents:
             return infos
-        links, mission = self.world.links, self.world.mission
+        links, mission = self.links() if self.degraded else {}, self.world.mission
         for name, info in infos.items():
             if self.degraded:
-                info["links"] = links.status(name)
+                info["links"] = {
+                    key: one for key, one in links.items() if key.rpartition("/")[0] == name
+                }
             if mission is not None and self._episode.uav(name) is None:
                 info.update(mission_numbers(mission))
         return infos

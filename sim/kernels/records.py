@@ -22,7 +22,7 @@ _KINDS = {float: np.float64, int: np.int64, bool: np.bool_, np.uint64: np.uint64
 def record_type(fields: type) -> np.dtype[np.void]:
     """Return the dtype of a class: one column for each number, flag, vector, fixed array or nested class.
 
-    A vector is a tuple of two floats; `Annotated[int, (6,)]` is an array of six numbers. Other fields are left out.
+    A vector is a tuple of two floats; `Annotated[IntArray, (6,)]` holds six numbers. Other fields are left out.
     """
     hints = get_type_hints(fields, include_extras=True).items()
     columns = [(name, *column) for name, hint in hints if (column := _column(hint))]
@@ -35,8 +35,10 @@ def _column(hint: Any) -> tuple[Any, ...]:  # noqa: ANN401 - a type, as it is an
         return (_KINDS[hint],)
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        shape = tuple(part for part in parts[1:] if isinstance(part, tuple))
-        return (*_column(parts[0])[:1], *shape[:1])
+        shapes = [part for part in parts[1:] if isinstance(part, tuple)]
+        if shapes:  # an array of NumPy's, whose second parameter is its dtype
+            return (get_args(get_args(parts[0])[1])[0], shapes[0])
+        return _column(parts[0])
     if origin in (Union, UnionType):
         return _column(next(part for part in parts if part is not type(None)))
     if origin is tuple and [_column(part) for part in parts] == [(np.float64,)] * 2:
