@@ -26,7 +26,7 @@ from sim.channel.chances import (
     smallest_outage,
 )
 from sim.channel.description import link_parameters
-from sim.channel.link import ARRIVED
+from sim.channel.link_records import ARRIVED
 from sim.channel.links import exchange, new_links
 from sim.channel.recorded import RecordedLink, pack
 from sim.kernels.compile import IntArray, compiled

@@ -21,7 +21,7 @@ from bus.messages import (
     SeenTile,
     UgvReport,
 )
-from sim.channel.link import ARRIVED
+from sim.channel.link_records import ARRIVED
 from sim.channel.links import Links
 from sim.engine.batch import Batch
 from sim.engine.mission import mission_of, note_claim, receive_block

@@ -9,7 +9,7 @@ from worlds import POOR, SEVERAL, SMALL, small, step
 
 from bus.profiles import PROFILES
 from bus.ticks import looks_of
-from sim.channel.link import ARRIVED
+from sim.channel.link_records import ARRIVED
 from sim.engine.batch import Batch
 from sim.kernels.threads import WorkerThreads
 from sim.scenario.types import (

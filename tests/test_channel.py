@@ -25,7 +25,8 @@ from bus.messages import LinkSettings, LinkStatus
 from bus.profiles import PROFILES
 from sim.channel.description import KEEPS, check_link, extra_delays, link_parameters
 from sim.channel.jitter import SHAPES, jitter_quantile, jitter_share, normal_quantile
-from sim.channel.link import ARRIVED, CAUSES, begin_tick, receive, send
+from sim.channel.link import begin_tick, receive, send
+from sim.channel.link_records import ARRIVED, CAUSES
 from sim.channel.links import change_links, exchange, link_status, new_links, place_traces
 from sim.kernels.compile import compiled
 

@@ -38,7 +38,7 @@ from outrider.envs.closed_loop_state import (
     LoopTables,
 )
 from outrider.envs.closed_loop_tick import run_worlds
-from sim.channel.link import no_packets
+from sim.channel.link_records import no_packets
 from sim.engine.batch import Batch, Fresh, arrays_of
 from sim.engine.briefing import uav_briefing, ugv_briefing
 from sim.engine.certificate_counts import (

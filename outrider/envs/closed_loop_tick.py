@@ -33,7 +33,8 @@ from outrider.envs.closed_loop_state import (
     LoopState,
     LoopTables,
 )
-from sim.channel.link import ARRIVED, Packet, begin_tick, receive, send
+from sim.channel.link import begin_tick, receive, send
+from sim.channel.link_records import ARRIVED, Packet
 from sim.engine.certificate_counts import (
     CertificateClaim,
     count_tracking,

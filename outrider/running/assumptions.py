@@ -29,7 +29,7 @@ from sim.channel.description import (
     longest_delay,
     longest_wait,
 )
-from sim.channel.link import DELAYS, LinkParameters
+from sim.channel.link_records import DELAYS, LinkParameters
 from sim.channel.links import first_arrivals
 from sim.channel.places import delays_at
 from sim.channel.recorded import Opportunities, recording_of

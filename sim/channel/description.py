@@ -9,7 +9,7 @@ import numpy as np
 from bus.messages import LinkSettings
 from bus.ticks import DUST, first_tick_from
 from sim.channel.jitter import NORMAL, SHAPES, UNIFORM, jitter_share
-from sim.channel.link import DELAYS, NOTHING, OPPORTUNITIES, LinkParameters
+from sim.channel.link_records import DELAYS, NOTHING, OPPORTUNITIES, LinkParameters
 from sim.channel.recorded import (
     OPPORTUNITY,
     Opportunities,

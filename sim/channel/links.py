@@ -7,7 +7,8 @@ import numpy as np
 
 from bus.messages import LinkKind, LinkSettings, LinkStatus
 from sim.channel.description import check_link, link_parameters, longest_wait
-from sim.channel.link import (
+from sim.channel.link import begin_tick, catch_up, receive, send
+from sim.channel.link_records import (
     ARRIVED,
     CAUSES,
     FLYING,
@@ -16,12 +17,8 @@ from sim.channel.link import (
     WAITING,
     Link,
     LinkParameters,
-    begin_tick,
-    catch_up,
     no_packets,
-    receive,
     reset_links,
-    send,
 )
 from sim.channel.recorded import RecordedLink
 from sim.kernels.compile import FloatArray, IntArray, borrowing

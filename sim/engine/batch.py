@@ -16,8 +16,8 @@ from bus.ticks import first_tick_from
 from sim.channel.description import check_link
 from sim.engine.briefing import declared, ugv_delay
 from sim.engine.ground_state import ground_constants, ground_state, mission_constants, mission_state
-from sim.engine.links import ENGINE_LINKS, key_rows, links_of, vehicles_with
 from sim.engine.run_keys import derive_keys
+from sim.engine.scenario_links import ENGINE_LINKS, key_rows, links_of, vehicles_with
 from sim.engine.world_state import (
     COMMAND,
     BatchState,

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from sim.channel.link import ARRIVED, begin_tick, receive, send
+from sim.channel.link import begin_tick, receive, send
+from sim.channel.link_records import ARRIVED
 from sim.engine.ground_tick import drive_on, keep_before, perceive_ground
 from sim.engine.mission import note_mission
 from sim.engine.world_state import (

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.layout import UavRow, UgvRow
-from sim.channel.link import ARRIVED
+from sim.channel.link_records import ARRIVED
 from sim.engine.mission import goals_of
 from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rewards import RewardWeights, UavTerms, full_error, uav_terms, ugv_terms

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bus.messages import UavReport
-from sim.channel.link import ARRIVED
+from sim.channel.link_records import ARRIVED
 from sim.engine.certificate_counts import NEVER, ArrivalRecord
 from sim.engine.world_state import WorldState
 from sim.engine.world_tick import measure

@@ -58,7 +58,7 @@ from outrider.experiments.falsify.opponents import (
     ugv_command,
 )
 from outrider.experiments.falsify.tick_distance import largest_between
-from sim.channel.link import ARRIVED
+from sim.channel.link_records import ARRIVED
 from sim.engine.batch import Batch
 from sim.engine.world_state import (
     COMMAND,

@@ -8,7 +8,7 @@ import numpy as np
 from bus.errors import ScenarioError
 from bus.messages import LinkSettings
 from sim.channel.description import link_parameters
-from sim.channel.link import LinkParameters
+from sim.channel.link_records import LinkParameters
 from sim.channel.links import first_arrivals
 from sim.channel.recorded import Fates, RecordedLink, recording_of
 from sim.kernels.compile import FloatArray, IntArray
