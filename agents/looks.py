@@ -7,10 +7,6 @@ import numpy as np
 from bus.messages import Detection, RelativeInformation
 from bus.ticks import Look, tick_of
 from sim.kernels.compile import FloatArray
-from sim.kernels.packing import NUMBER, writer
-
-_write = writer(len(Look._fields))
-_ROW = NUMBER * len(Look._fields)
 
 
 class LookRows:
@@ -31,9 +27,6 @@ class LookRows:
             return rows, 0
         if len(looks) > len(rows):
             rows = self._rows = np.zeros((2 * len(looks), len(Look._fields)))
-        place = 0
-        for one in looks:
-            x, y = one.relative_position
-            _write(rows, place, tick_of(one.time, self._dt), x, y)
-            place += _ROW
+        for row, one in zip(rows, looks, strict=False):
+            row[:] = tick_of(one.time, self._dt), *one.relative_position
         return rows, len(looks)

@@ -341,7 +341,7 @@ def fly(
         ScenarioError: If the endpoint is not one, the scenario has no such vehicle, or the briefing asks for what the
             pilot cannot fly.
     """
-    warm_up(party.role)  # before the token: nobody must wait for a compiler
+    warm_up(party.role)  # before the token: the simulator must not wait for a compiler
     with open_session(
         party, run, connect=connect, credential=credential, join_timeout=join_timeout
     ) as session:

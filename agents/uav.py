@@ -3,7 +3,6 @@
 import math
 from collections import deque
 from collections.abc import Callable
-from typing import Any
 
 from agents.control.certificate import INNER, NO_DETECTION
 from agents.control.guard import guard_state
@@ -49,7 +48,7 @@ from bus.messages import (
 )
 from bus.registry import LAWS, UAV_POLICY_FORMS
 from bus.ticks import radio_ticks
-from sim.kernels.compile import FloatArray, borrowing, entry_point
+from sim.kernels.compile import FloatArray, compiled
 from sim.kernels.records import RecordArray, records
 from sim.models.field import cover, coverage_error, empty_coverage
 from sim.models.vehicles import Motion, norm
@@ -66,8 +65,6 @@ _Seen = tuple[int, int, int, float, float, float, float]
 """An observation, as compiled code takes it: ticks for which the ground below has been looked at since the last one,
 tick, the motion flown as in `agents.control.guard.guard`, position [m] and velocity [m/s]."""
 
-_NOTHING_SEEN: _Seen = (0, 0, 0, 0.0, 0.0, 0.0, 0.0)
-
 _Command = tuple[float, float, int, int, float]
 """As `agents.control.uav_tick.uav_tick` returns it."""
 
@@ -82,14 +79,11 @@ _OWN = frozenset(row.code for row in LAWS.values() if row.own)
 _FLIES_POLICY = frozenset(row.code for row in LAWS.values() if "uav_policy" in (row.own, row.inner))
 """Codes of the laws under which a policy flies."""
 
-_LOADED = ("_act", "_error", "_fixed")
-"""The attributes of a pilot that a copy looks up for itself."""
-
 PERCEIVE, DECIDE, BOTH = 1, 2, 3
 """The parts of a tick: to take the observation in, and to make the command."""
 
 
-@borrowing
+@compiled
 def _act(
     laws: RecordArray,
     promises: RecordArray,
@@ -217,23 +211,7 @@ class UavPilot:
         c = self._parameters
         self._fixed_error = c.r_o, c.desired, c.cell
         self._looks = LookRows(briefing.dt)
-        self._load()
-
-    def _load(self) -> None:
-        """Look up the machine code for the arrays that there are."""
         self._take_on()
-        self._error = entry_point(coverage_error, self.coverage, 0.0, 0.0, *self._fixed_error)
-        rows, count = self._looks.take(())
-        self._act = entry_point(
-            _act, *self._fixed, _NOTHING_OWN, _NOTHING_SEEN, rows, (count, BOTH)
-        )
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in _LOADED}
-
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        self.__dict__.update(kept)
-        self._load()
 
     def _take_on(self) -> None:
         """The law and the filter that there are now, as compiled code takes them."""
@@ -342,10 +320,10 @@ class UavPilot:
         flown = flown_in(observation)
         seen = looked, tick, flown, *observation.position, *observation.velocity
         rows, count = self._looks.take(observation.detections)
-        acted = self._act(*self._fixed, own, seen, rows, (count, parts))
+        acted = _act(*self._fixed, own, seen, rows, (count, parts))
         while acted[0] != DONE:
             estimator.work_out(acted[0])
-            acted = self._act(*self._fixed, own, seen, rows, (count, parts & DECIDE))
+            acted = _act(*self._fixed, own, seen, rows, (count, parts & DECIDE))
         return acted
 
     def _fly(self, law: Law) -> None:
@@ -376,7 +354,7 @@ class UavPilot:
         self, observation: UavObservation, g_x: float, g_y: float
     ) -> tuple[RelativeInformation, ...]:
         p_x, p_y = observation.position
-        error = self._error(self.coverage, g_x, g_y, *self._fixed_error)
+        error = coverage_error(self.coverage, g_x, g_y, *self._fixed_error)
         return (
             RelativeInformation(
                 time=observation.time,

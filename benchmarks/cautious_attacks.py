@@ -39,7 +39,7 @@ from agents.drivers.navigate import (
 from agents.drivers.parameters import NAVIGATE, DriverParameters
 from agents.drivers.planning import begin_search, search_on
 from agents.drivers.tile_map import GroundMemory, ground_memory, note_block, note_tiles
-from sim.kernels.compile import FloatArray, entry_point
+from sim.kernels.compile import FloatArray
 from sim.models.ground import (
     BLOCK,
     CERTIFIED,
@@ -391,7 +391,6 @@ def fly(
     queue, states, wanted = [(0.0, 0.0)] * trial.delay, [here], (0.0, 0.0)
     receiver = Receiver(memory, rng) if lossy else None
     flown = PLAIN if receiver is None else NO_MOTION
-    drive = entry_point(navigate_control, parameters, memory, trial.goals, 0, here, flown)
     last, reached = trial.goals[-1], False
     claim, broken = NO_CLAIM, 0
     for tick in range(trial.ticks):
@@ -399,7 +398,7 @@ def fly(
         fresh = (known == LATER) & (memory.tiles != UNSEEN) & (memory.tiles != BLOCK)
         known[fresh] = tick
         if check is None and trial.wheel == "plan":
-            u = drive(parameters, memory, trial.goals, tick, here, flown)
+            u = navigate_control(parameters, memory, trial.goals, tick, here, flown)
             at_last = memory.flags[0]["goal"] == len(trial.goals) - 1
             reached = at_last and math.dist(here[:2], last) < parameters.tolerance
             if reached and trial.ticks > 1000:
@@ -585,12 +584,11 @@ def _slowest_tick(most: int, ticks: int = 600) -> str:
         bold=1, plan_tiles=most,
     )  # fmt: skip
     here = Motion(1.0, 1.0, 0.0, 0.0)
-    drive = entry_point(navigate_control, parameters, memory, goals, 0, here, PLAIN)
     for tick in range(ticks):
         state = np.array([(CLEAR, FOUND)[tick % 2]], np.uint8)
         note_tiles(memory, np.array([399]), np.array([399]), state)
         began = time.perf_counter()
-        u = drive(parameters, memory, goals, tick, here, PLAIN)
+        u = navigate_control(parameters, memory, goals, tick, here, PLAIN)
         took.append(1e3 * (time.perf_counter() - began))
         here = Motion(
             *step_vehicle(*here, *u, parameters.v_max, parameters.u_max, parameters.dt)[:4]
@@ -615,12 +613,9 @@ def speed() -> Iterator[str]:
     trial = draw_trial(3, wheel="plan", calm=True)
     parameters, memory = trial.parameters, ground_memory(*trial.truth.shape)
     memory.tiles[:] = trial.truth
-    drive = entry_point(
-        navigate_control, parameters, memory, trial.goals, 0, Motion(*trial.start, 0.0, 0.0), PLAIN
-    )
     here, began, ticks = Motion(*trial.start, 0.0, 0.0), time.perf_counter(), 5000
     for tick in range(ticks):
-        u = drive(parameters, memory, trial.goals, tick, here, PLAIN)
+        u = navigate_control(parameters, memory, trial.goals, tick, here, PLAIN)
         here = Motion(
             *step_vehicle(*here, *u, parameters.v_max, parameters.u_max, parameters.dt)[:4]
         )

@@ -25,10 +25,12 @@ from sim.channel.chances import (
     smallest_age,
     smallest_outage,
 )
-from sim.channel.description import link_parameters, link_table
-from sim.channel.link import LinkNumbers, LinkState, exchange, link_state
+from sim.channel.description import link_parameters
+from sim.channel.link_records import ARRIVED
+from sim.channel.links import exchange, new_links
 from sim.channel.recorded import RecordedLink, pack
-from sim.kernels.compile import FloatArray, compiled
+from sim.kernels.compile import IntArray, compiled
+from sim.kernels.records import RecordArray
 from sim.models.randomness import DETECTION_CHANCE, uniform
 
 DT, TICKS, SEED = 0.05, 1200, 1
@@ -43,22 +45,17 @@ Traces = tuple[RecordedLink, ...]
 
 
 @compiled
-def _copied(empty: LinkState) -> LinkState:
-    """A link on which nothing was ever sent."""
-    return LinkState(
-        empty.slots.copy(),
-        empty.payload.copy(),
-        empty.buckets.copy(),
-        empty.memory.copy(),
-        empty.lost.copy(),
-    )
+def _begin(links: RecordArray, fresh: RecordArray, seed: int, flight: int) -> None:
+    """Reset a link to one on which nothing was ever sent, with the key of a flight."""
+    links[0, 0] = fresh[0, 0]
+    links[0, 0].key[0], links[0, 0].key[1] = np.uint64(seed), np.uint64(flight)
 
 
 @compiled
 def _too_old(
-    table: LinkNumbers,
-    empty: LinkState,
-    out: FloatArray,
+    links: RecordArray,
+    packets: RecordArray,
+    traces: IntArray,
     seed: int,
     flights: int,
     ticks: int,
@@ -67,17 +64,15 @@ def _too_old(
     age: int,
 ) -> int:
     """Counts the flights in which the newest detection that has arrived is older than `age` [ticks] at some tick."""
-    count = 0
+    count, fresh, stamps = 0, links.copy(), np.zeros(1)
     for flight in range(flights):
-        state, newest = _copied(empty), -1
-        key, looks = (np.uint64(seed), np.uint64(flight)), (np.uint64(~seed), np.uint64(flight))
-        message = np.zeros((1, 1))
+        _begin(links, fresh, seed, flight)
+        newest, looks = -1, (np.uint64(~seed), np.uint64(flight))
         for tick in range(ticks):
             found = tick % period == 0 and uniform(looks, DETECTION_CHANCE, tick, 0) >= dropout
-            message[0, 0] = tick
-            arrived, _ = exchange(table, state, key, tick, message, int(found), out)
-            for k in range(arrived):
-                newest = max(newest, int(out[k, 0]))
+            stamps[0] = tick
+            for k in range(exchange(links, packets, 0, traces, tick, stamps[: int(found)])):
+                newest = max(newest, int(packets[0, 0, ARRIVED, k].stamp))
             if newest >= 0 and tick - newest > age:
                 count += 1
                 break
@@ -86,9 +81,9 @@ def _too_old(
 
 @compiled
 def _interrupted(
-    table: LinkNumbers,
-    empty: LinkState,
-    out: FloatArray,
+    links: RecordArray,
+    packets: RecordArray,
+    traces: IntArray,
     seed: int,
     flights: int,
     ticks: int,
@@ -97,12 +92,11 @@ def _interrupted(
     outage: int,
 ) -> int:
     """Counts the flights in which no motion begins within `outage` [ticks] after one has."""
-    count = 0
+    count, fresh, stamps = 0, links.copy(), np.zeros(1)
     parents, lowest = np.zeros(ticks, dtype=np.int64), np.zeros(ticks, dtype=np.int64)
     known = np.zeros(ticks, dtype=np.bool_)
-    message = np.zeros((1, 1))
     for flight in range(flights):
-        state, key = _copied(empty), (np.uint64(seed), np.uint64(flight))
+        _begin(links, fresh, seed, flight)
         known[:] = False
         chain, flown, begun = 0, -1, delay - 1
         for tick in range(ticks):
@@ -111,10 +105,9 @@ def _interrupted(
                 chain = tick
             parents[tick] = flown if tick == chain else tick - 1
             lowest[tick] = max(chain, tick - repeats + 1)
-            message[0, 0] = tick
-            arrived, _ = exchange(table, state, key, tick, message, 1, out)
-            for k in range(arrived):
-                packet = int(out[k, 0])
+            stamps[0] = tick
+            for k in range(exchange(links, packets, 0, traces, tick, stamps)):
+                packet = packets[0, 0, ARRIVED, k].sent_at
                 for motion in range(lowest[packet], packet + 1):
                     known[motion] = True
             due = tick - delay
@@ -124,14 +117,6 @@ def _interrupted(
                 count += 1
                 break
     return count
-
-
-def _link(
-    settings: LinkSettings, dt: float, traces: Traces
-) -> tuple[LinkNumbers, LinkState, FloatArray]:
-    p = link_parameters(settings, dt, traces=traces)
-    state = link_state(p, 1)
-    return link_table([p]), state, np.empty_like(state.payload)
 
 
 def ages_exceeded(
@@ -147,7 +132,7 @@ def ages_exceeded(
 ) -> int:
     """Counts those of so many flights in which the age is exceeded; arguments as of `chance_of_age`."""
     limit = ticks_within(age, dt)
-    link = _link(settings, dt, traces)
+    link = new_links([link_parameters(settings, dt, traces=traces)])
     return int(_too_old(*link, SEED, flights, ticks, period_ticks, dropout, limit))
 
 
@@ -164,7 +149,7 @@ def outages_exceeded(
 ) -> int:
     """Counts those of so many flights in which the outage is exceeded; arguments as of `chance_of_outage`."""
     limit = ticks_within(outage, dt)
-    link = _link(settings, dt, traces)
+    link = new_links([link_parameters(settings, dt, traces=traces)])
     return int(_interrupted(*link, SEED, flights, ticks, delay_ticks, repeats, limit))
 
 

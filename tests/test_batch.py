@@ -9,6 +9,7 @@ from worlds import POOR, SEVERAL, SMALL, small, step
 
 from bus.profiles import PROFILES
 from bus.ticks import looks_of
+from sim.channel.link_records import ARRIVED
 from sim.engine.batch import Batch
 from sim.kernels.threads import WorkerThreads
 from sim.scenario.types import (
@@ -57,7 +58,9 @@ def _same(batch: Batch, worlds: list[World]) -> None:
         assert s.ticks[k] == world.tick
         for u in range(len(world.uavs)):
             looks = looks_of(world.received(u), world.parameters.dt)
-            assert s.received[k, u, : s.arrived[k, u], :3].tolist() == [list(one) for one in looks]
+            packets = s.packets[k, u, ARRIVED, : s.links["arrived"][k, u]]
+            found = np.column_stack([packets["stamp"], packets["vector"]])
+            assert found.tolist() == [list(one) for one in looks]
         for single, many in zip(world.state, s.truth, strict=True):
             assert single.tobytes() == many[k].tobytes()
 

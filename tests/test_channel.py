@@ -5,6 +5,7 @@ Each impairment against its theory, conservation, the same bits, and going on un
 
 import math
 import re
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from one_link import OneLink
 from properties import PROPERTY
 from scipy import stats
 from seeded import a_key
@@ -21,30 +23,11 @@ from tabular import words
 from bus.errors import ScenarioError
 from bus.messages import LinkSettings, LinkStatus
 from bus.profiles import PROFILES
-from sim.channel.description import (
-    KEEPS,
-    Link,
-    check_link,
-    extra_delays,
-    link_parameters,
-    link_status,
-    link_table,
-    relink,
-)
-from sim.channel.link import (
-    CAUSES,
-    SHAPES,
-    LinkParameters,
-    LinkState,
-    advance,
-    exchange,
-    jitter_quantile,
-    jitter_share,
-    link_state,
-    normal_quantile,
-    receive,
-    send,
-)
+from sim.channel.description import KEEPS, check_link, extra_delays, link_parameters
+from sim.channel.jitter import SHAPES, jitter_quantile, jitter_share, normal_quantile
+from sim.channel.link import begin_tick, receive, send
+from sim.channel.link_records import ARRIVED, CAUSES
+from sim.channel.links import change_links, exchange, link_status, new_links, place_traces
 from sim.kernels.compile import compiled
 
 MILLION = 1_000_000
@@ -54,18 +37,19 @@ KS = 1.95
 
 
 @compiled
-def _drive(t, s, key, first, ticks, each, out, log, dark):
+def _drive(links, packets, traces, w, first, ticks, each, log, dark):
     """Send `each` messages in every tick; a row (arrival tick, sent tick, number) in `log` for each that arrives."""
-    payload = np.zeros(2)
-    n = 0
+    n, link = 0, links[w, 0]
     for tick in range(first, first + ticks):
-        advance(t, 0, s, key, tick)
-        dark[tick - first] = s.memory[0].dark
+        begin_tick(link, packets, w, traces, tick)
+        dark[tick - first] = link.blackout
         for k in range(each):
-            payload[0], payload[1] = tick, k
-            send(t, 0, s, key, payload)
-        for k in range(receive(s, out)):
-            log[n, 0], log[n, 1], log[n, 2] = tick, out[k, 0], out[k, 1]
+            packet = packets[w, 0, ARRIVED, 0]
+            packet.stamp, packet.block = tick, k
+            send(link, packets, w, traces, packet)
+        for k in range(receive(link, packets, w)):
+            packet = packets[w, 0, ARRIVED, k]
+            log[n, 0], log[n, 1], log[n, 2] = tick, packet.stamp, packet.block
             n += 1
     return n
 
@@ -75,23 +59,24 @@ class Flown:
 
     def __init__(self, wanted, ticks, *, dt=DT, each=1, seed=1, link=2):
         self.parameters = link_parameters(check_link(wanted, "test"), dt, per_tick=each)
-        self.state = link_state(self.parameters, 2)
-        self.key, self.each, self.tick = a_key(seed, link), each, 0
+        self.links, self.packets, self.traces = new_links([self.parameters])
+        self.links["key"] = a_key(seed, link)
+        self.each, self.tick = each, 0
         self.arrived = np.zeros((0, 3), dtype=np.int64)
         self.go_on(ticks)
 
     def go_on(self, ticks: int) -> None:
-        rows = 2 * self.each * ticks + len(self.state.slots)
+        rows = 2 * self.each * ticks + self.packets.shape[3]
         log, self.dark = np.zeros((rows, 3), dtype=np.int64), np.zeros(ticks, dtype=np.int64)
-        out = np.zeros_like(self.state.payload)
-        numbers = link_table([self.parameters])
-        n = _drive(numbers, self.state, self.key, self.tick, ticks, self.each, out, log, self.dark)
+        link = self.links, self.packets, self.traces
+        n = _drive(*link, 0, self.tick, ticks, self.each, log, self.dark)
         self.tick += ticks
         self.arrived = np.concatenate([self.arrived, log[:n]])
 
     def change(self, wanted: LinkSettings) -> None:
         new = link_parameters(check_link(wanted, "test"), self.parameters.dt, per_tick=self.each)
-        self.state, self.parameters = relink(self.parameters, self.state, new), new
+        self.packets = change_links(self.links, self.packets, 0, new)
+        self.parameters, self.traces = new, place_traces(self.links, [new])
 
     @property
     def delays(self) -> np.ndarray:
@@ -107,11 +92,13 @@ class Flown:
 
     @property
     def status(self) -> LinkStatus:
-        return link_status(self.parameters, self.state)
+        return link_status(self.links[0, 0])
 
     @property
     def bits(self) -> bytes:
-        return b"".join(array.tobytes() for array in self.state) + self.arrived.tobytes()
+        link = self.links.copy()
+        link["key"] = 0
+        return repr(link[0].tolist()).encode() + self.arrived.tobytes()
 
 
 def _spread(share: float, n: float = MILLION) -> float:
@@ -389,7 +376,7 @@ def test_a_full_queue_keeps_the_newest_or_the_oldest_as_wanted(queue: int) -> No
 
 
 def test_a_queue_that_is_never_full_delays_a_volley_one_message_after_the_other() -> None:
-    link = Link(LinkSettings(bandwidth=4.0, queue=9), dt=DT, key=a_key(1, 1), per_tick=10)
+    link = OneLink(LinkSettings(bandwidth=4.0, queue=9), dt=DT, key=a_key(1, 1))
     for k in range(10):
         link.send(0, k, 0)
     found = [(tick, message) for tick in range(100) for message in link.arrivals(tick)]
@@ -451,21 +438,20 @@ def test_the_same_settings_on_the_way_change_nothing(wanted: LinkSettings, seed:
 
 
 def test_more_messages_than_the_room_holds_are_counted_and_break_nothing() -> None:
-    parameters = link_parameters(LinkSettings(delay=0.2), DT)
-    state, out = link_state(parameters, 2), np.zeros((parameters.room, 2))
-    numbers, key = link_table([parameters]), a_key(1, 1)
+    links, packets, traces = new_links([link_parameters(LinkSettings(delay=0.2), DT)])
     for tick in range(100):
-        exchange(numbers, state, key, tick, np.full((5, 2), float(tick)), 5, out)
-    status = link_status(parameters, state)
+        exchange(links, packets, 0, traces, tick, np.full(5, float(tick)))
+    status = link_status(links[0, 0])
     assert status.lost["full"] == status.sent - status.delivered - status.flying == 400
     assert _conserved(status)
 
 
-def test_too_few_rows_for_what_arrives_is_an_error() -> None:
-    parameters = link_parameters(LinkSettings(), DT, per_tick=2)
-    numbers, state, two = link_table([parameters]), link_state(parameters, 2), np.zeros((2, 2))
-    with pytest.raises(ValueError, match="fewer rows"):
-        exchange(numbers, state, a_key(1, 1), 0, two, 2, np.zeros((1, 2)))
+def test_a_packet_that_stays_long_leaves_room_for_those_that_overtake_it() -> None:
+    flown = Flown(LinkSettings(delay=10.0), 2)
+    flown.change(LinkSettings(delay=0.05))
+    flown.go_on(250)
+    assert flown.status.lost["full"] == 0
+    assert flown.status.delivered == 251
 
 
 # --- the same bits
@@ -477,36 +463,19 @@ DARK = {"blackout_interval": 5.0, "blackout_length": 0.5}
 BUSY = LinkSettings(loss=0.1, bandwidth=15.0, duplicates=0.1, **LATE, **BURSTS, **DARK)
 
 
-def _many(parameters: LinkParameters, worlds: int) -> LinkState:
-    """The state of one link in each of many worlds."""
-    return LinkState._make(
-        np.repeat(array[None], worlds, axis=0) for array in link_state(parameters, 2)
-    )
-
-
-def _of_world(states: LinkState, world: int) -> LinkState:
-    return LinkState._make(array[world] for array in states)
-
-
 def test_a_link_does_the_same_twice_and_whatever_other_links_do() -> None:
     alone = Flown(BUSY, 2000, seed=5, link=3).bits
     assert Flown(BUSY, 2000, seed=5, link=3).bits == alone
-    parameters = link_parameters(BUSY, DT)
-    worlds, others = _many(parameters, 3), _many(parameters, 4)
-    out, log = np.zeros((parameters.room, 2)), np.zeros((9000, 3), dtype=np.int64)
-    numbers, dark, arrived = link_table([parameters]), np.zeros(1, dtype=np.int64), []
-
-    def drive(state: LinkState, key: Any, tick: int) -> list[list[int]]:
-        return log[: _drive(numbers, state, key, tick, 1, 1, out, log, dark)].tolist()
-
+    links, packets, traces = new_links([link_parameters(BUSY, DT)], worlds=7)
+    for world in range(7):
+        links["key"][world] = a_key(5 + world, 3)
+    log, dark, arrived = np.zeros((9000, 3), dtype=np.int64), np.zeros(1, dtype=np.int64), []
     for tick in range(2000):
-        for k in range(4):
-            drive(_of_world(others, k), a_key(5, 10 + k), tick)
-        for world in (2, 0, 1):
-            found = drive(_of_world(worlds, world), a_key(5 + world, 3), tick)
-            arrived += found if world == 0 else []
-    state = b"".join(array[0].tobytes() for array in worlds)
-    assert state + np.array(arrived, dtype=np.int64).tobytes() == alone
+        for world in (6, 3, 2, 0, 1, 4, 5):
+            found = _drive(links, packets, traces, world, tick, 1, 1, log, dark)
+            arrived += log[:found].tolist() if world == 0 else []
+    links["key"] = 0
+    assert repr(links[0].tolist()).encode() + np.array(arrived, dtype=np.int64).tobytes() == alone
 
 
 def test_each_link_and_each_seed_has_a_fate_of_its_own() -> None:
@@ -600,7 +569,7 @@ def test_a_burst_and_a_blackout_go_on_under_other_settings() -> None:
 
 
 def test_the_age_of_information_is_that_of_the_newest_stamp_delivered() -> None:
-    link = Link(LinkSettings(delay=0.1, blackouts=((0.5, 0.3),)), dt=DT, key=a_key(1, 1))
+    link = OneLink(LinkSettings(delay=0.1, blackouts=((0.5, 0.3),)), dt=DT, key=a_key(1, 1))
     assert link.counters().age is None
     ages = []
     for tick in range(30):
@@ -621,51 +590,52 @@ def test_late_messages_make_the_known_no_older() -> None:
         newest = max([newest, *flown.arrived[flown.arrived[:, 0] == tick, 1]])
         total += tick - newest if newest >= 0 else 0
     assert (np.diff(flown.arrived[:, 1]) < 0).any()
-    assert flown.state.memory["age_sum"][0] == total
+    assert flown.links["age_sum"][0, 0] == total
+
+
+class _Message:
+    def __init__(self, number: int) -> None:
+        self.number = number
 
 
 @pytest.mark.parametrize("name", [*PROFILES, "busy"])
 def test_python_objects_arrive_as_they_were_sent_and_none_is_kept(name: str) -> None:
     wanted = PROFILES.get(name, BUSY)
-    link, sent, arrived = Link(wanted, dt=DT, key=a_key(4, 2)), [], []
-    flown = Flown(wanted, 2000, seed=4, link=2)
+    link, flown = OneLink(wanted, dt=DT, key=a_key(4, 2)), Flown(wanted, 2000, seed=4, link=2)
+    arrived, kept = [], weakref.WeakValueDictionary[int, _Message]()
     for tick in range(2000):
-        sent.append(object())
-        link.send(tick, sent[-1], tick)
-        arrived += [(tick, message) for message in link.arrivals(tick)]
+        kept[tick] = message = _Message(tick)
+        link.send(tick, message, tick)
+        del message
+        arrived += [(tick, message.number) for message in link.arrivals(tick)]
         left = link.counters().waiting + link.counters().flying
-        assert len(link._objects) <= left
-        assert bool(link._objects) == bool(left)
-    number = {id(message): k for k, message in enumerate(sent)}
-    assert [(tick, number[id(message)]) for tick, message in arrived] == [
-        (t, k) for t, k, _ in flown.arrived.tolist()
-    ]
+        assert len(kept) <= left
+        assert bool(kept) == bool(left)
+    assert arrived == [(t, k) for t, k, _ in flown.arrived.tolist()]
     assert link.counters() == msgspec.structs.replace(flown.status, settings=wanted)
     link.change(LinkSettings())
     for tick in range(2000, 2200):
         link.arrivals(tick)
-    assert not link._objects
+    assert not kept
 
 
 @pytest.mark.parametrize("every", [1, 3, 70])
-def test_a_perfect_link_counts_what_the_compiled_path_counts(every: int) -> None:
-    parameters = link_parameters(LinkSettings(), DT, per_tick=2)
-    state, out = link_state(parameters, 2), np.zeros((2, 2))
-    link = Link(LinkSettings(), dt=DT, key=a_key(1, 1), per_tick=2)
+def test_a_link_counts_ticks_without_messages(every: int) -> None:
+    links, packets, traces = new_links([link_parameters(LinkSettings(), DT, per_tick=2)])
+    link = OneLink(LinkSettings(), dt=DT, key=a_key(1, 1))
     for tick in range(200):
         stamps = [float(tick - 4 - k) for k in range(2) if tick % every == every // 2]
         for stamp in stamps:
             link.send(tick, stamp, stamp)
         assert link.arrivals(tick) == stamps
-        rows = np.array([[stamp, 0.0] for stamp in stamps]).reshape(-1, 2)
-        exchange(link_table([parameters]), state, a_key(1, 1), tick, rows, len(rows), out)
+        exchange(links, packets, 0, traces, tick, np.array(stamps))
         if tick % 13 == 0:
-            assert link.counters() == link_status(parameters, state, LinkSettings())
-    assert link.counters() == link_status(parameters, state, LinkSettings())
+            assert link.counters() == link_status(links[0, 0], LinkSettings())
+    assert link.counters() == link_status(links[0, 0], LinkSettings())
 
 
 def test_objects_change_over_with_the_settings() -> None:
-    link = Link(LinkSettings(delay=0.5), dt=DT, key=a_key(1, 1))
+    link = OneLink(LinkSettings(delay=0.5), dt=DT, key=a_key(1, 1))
     link.send(0, "late", 0)
     assert link.arrivals(0) == []
     link.send(1, "soon", 1)
@@ -675,7 +645,7 @@ def test_objects_change_over_with_the_settings() -> None:
 
 
 def test_ticks_come_once_and_in_order() -> None:
-    link = Link(LinkSettings(), dt=DT, key=a_key(1, 1))
+    link = OneLink(LinkSettings(), dt=DT, key=a_key(1, 1))
     with pytest.raises(ValueError, match="the link is at tick 0, not 1"):
         link.send(1, "too early", 1)
     link.arrivals(0)
@@ -715,7 +685,7 @@ def test_an_impossible_link_is_refused_in_one_line(field: str) -> None:
     wanted = rf"escort\.toml: link\.radio: {re.escape(field)}\b.*: .+; allowed: .+"
     assert re.fullmatch(wanted, line), line
     with pytest.raises(ScenarioError):
-        Link(LinkSettings(**WRONG[field]), dt=DT, key=a_key(1, 1))
+        OneLink(LinkSettings(**WRONG[field]), dt=DT, key=a_key(1, 1))
 
 
 def test_checked_settings_are_equal_and_have_their_types() -> None:
@@ -738,7 +708,3 @@ def test_each_profile_is_a_link_that_does_what_it_says(name: str) -> None:
     low, high = (ranges | {"satellite": (0.98, 0.999)}).get(name, (0.05, 1.0))
     assert low <= (status.delivery_ratio or 0.0) <= high
     assert status.lost["queue"] == 0 or name == "narrowband"
-
-
-def test_the_causes_are_counted_in_their_places() -> None:
-    assert link_state(link_parameters(LinkSettings(), DT), 1).lost.shape == (len(CAUSES),)

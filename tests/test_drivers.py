@@ -85,7 +85,7 @@ def _policy(told: UgvBriefing) -> PolicyDriver:
 
 def _on_clear_ground(told: UgvBriefing) -> NavigateDriver:
     driver = NavigateDriver(told)
-    driver.memory.ground.tiles[:] = CLEAR
+    driver.ground.tiles[:] = CLEAR
     return driver
 
 

@@ -79,7 +79,7 @@ class Watched(InProcess):
     def collect(self, tick: int) -> Any:
         said = super().collect(tick)
         driver: Any = self._pilots["ugv_0"]._driver  # type: ignore[union-attr]
-        tiles = driver.memory.ground.tiles
+        tiles = driver.ground.tiles
         told = np.frombuffer(ground_map(self.flight.world).tiles, np.uint8).reshape(tiles.shape)
         assert (np.where(told == SEEN, 0, told) == tiles).all(), tick
         self.compared += int((tiles > 0).sum())

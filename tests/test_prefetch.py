@@ -4,9 +4,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
+from sim.kernels.prefetch import disc_widths, fetch_disc, fetch_rows
 
 from sim.kernels.compile import FloatArray, released
-from sim.kernels.prefetch import disc_widths, fetch_disc, fetch_rows
 from sim.models.field import disc_chords
 
 ROWS, COLUMNS = 90, 110

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from one_link import OneLink
 from refusals import refused
 from seeded import a_key
 from tabular import rows
@@ -13,7 +14,7 @@ from bus.messages import LinkKind, LinkSettings
 from outrider.running.assumptions import How, how_certifiable, odds, promise_warnings, shortfalls
 from outrider.running.flying import run
 from outrider.running.summary import in_flights
-from sim.channel.description import Link, arrival_share, least_ticks, link_parameters
+from sim.channel.description import arrival_share, least_ticks, link_parameters
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.world import World
@@ -102,19 +103,19 @@ def test_where_the_assumptions_are_kept_nothing_is_told(changes: list[str]) -> N
 
 def test_what_an_operator_makes_of_a_link_is_told_against_what_the_uav_was_told() -> None:
     scenario = certified("links.commands.delay=0.2")
-    links = World(scenario, 7).links
-    links.change(LinkKind.COMMANDS, "ugv_0", LinkSettings(loss=0.5))
-    assert promise_warnings(scenario, links.table) == ()
-    links.change(LinkKind.COMMANDS, None, LinkSettings(delay=0.4))
-    (line,) = promise_warnings(scenario, links.table)
+    world = World(scenario, 7)
+    world.change_links(LinkKind.COMMANDS, "ugv_0", LinkSettings(loss=0.5))
+    assert promise_warnings(scenario, world.link_table) == ()
+    world.change_links(LinkKind.COMMANDS, None, LinkSettings(delay=0.4))
+    (line,) = promise_warnings(scenario, world.link_table)
     assert "A5" in line
     assert "links.commands.delay = 0.4: a command acts 0.4 s after its tick, tau_c = 0.2 s" in line
-    assert links.table.of("ugv_0", LinkKind.COMMANDS).delay == 0.4
-    links.change(LinkKind.COMMANDS, "uav_0", LinkSettings(delay=0.3))
-    assert "links.only.1.commands.delay = 0.3" in promise_warnings(scenario, links.table)[0]
-    links.change(LinkKind.COMMANDS, "uav_0", LinkSettings(delay=0.2))
-    assert promise_warnings(scenario, links.table) == ()
-    assert links.table.of("ugv_0", LinkKind.COMMANDS).delay == 0.4
+    assert world.link_table.of("ugv_0", LinkKind.COMMANDS).delay == 0.4
+    world.change_links(LinkKind.COMMANDS, "uav_0", LinkSettings(delay=0.3))
+    assert "links.only.1.commands.delay = 0.3" in promise_warnings(scenario, world.link_table)[0]
+    world.change_links(LinkKind.COMMANDS, "uav_0", LinkSettings(delay=0.2))
+    assert promise_warnings(scenario, world.link_table) == ()
+    assert world.link_table.of("ugv_0", LinkKind.COMMANDS).delay == 0.4
 
 
 COMMANDS = [
@@ -132,7 +133,7 @@ COMMANDS = [
 @pytest.mark.parametrize("settings", COMMANDS)
 def test_what_is_said_of_a_link_is_what_the_link_does(settings: LinkSettings) -> None:
     ticks = 6_000
-    link, p = Link(settings, dt=DT, key=a_key(1)), link_parameters(settings, DT)
+    link, p = OneLink(settings, dt=DT, key=a_key(1)), link_parameters(settings, DT)
     newest, ages, arrived = -1, np.zeros(ticks, dtype=int), np.full(ticks, 999)
     for tick in range(ticks):
         link.send(tick, tick, tick)

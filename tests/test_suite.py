@@ -21,7 +21,7 @@ from outrider.experiments.suite.tasks import SEEDS, TASKS, Suite, Task, suite
 from outrider.running.flying import InProcess, make_pilots, run
 from sim.engine.briefing import briefing
 from sim.engine.run_keys import derive_secret
-from sim.engine.world_state import first_state
+from sim.engine.world_state import first_coverage
 from sim.kernels.compile import FloatArray
 from sim.models.field import coverage_error
 from sim.scenario.checks import scenario_warnings
@@ -87,7 +87,7 @@ def test_the_score_is_the_mean_share_of_what_there_was_to_see() -> None:
     errors = flight.recorder.escorts[:, 0, 1]
     places = flight.recorder.states[:, flight.world.escorts[0, 1], :2].tolist()
     r_o = scenario.visibility.radius + scenario.sensor.range
-    nothing = first_state(scenario).coverage
+    nothing = first_coverage(scenario)
     desired, cell = scenario.coverage.desired, scenario.area.cell
     most = np.array([coverage_error(nothing, x, y, r_o, desired, cell) for x, y in places])
     result = evaluate(task, "certified", seeds=[9000, 9001], secret=SECRET)

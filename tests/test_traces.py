@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 from flights import degraded, flown_in_both
+from one_link import OneLink
 from processes import outrider, run_json
 from refusals import SMALL, refusal
 from seeded import a_key
@@ -23,7 +24,8 @@ from outrider.experiments.network.samples import drawn_sample
 from outrider.running import assumptions
 from outrider.running.assumptions import promise_warnings
 from outrider.running.flying import fly
-from sim.channel.description import Link, arrivals_of, check_link, link_parameters
+from sim.channel.description import check_link, link_parameters
+from sim.channel.links import first_arrivals
 from sim.channel.recorded import MOST_BYTES, RecordedLink, pack
 from sim.engine.batch import Batch
 from sim.models.randomness import LINK_TRACE, Key, draw
@@ -50,7 +52,7 @@ def offset_of(key: Key, period: int) -> int:
     return int(draw(key, LINK_TRACE, 0, 0)[0]) % period
 
 
-def arrivals(link: Link, ticks: int, each: int = 1) -> list[list[int]]:
+def arrivals(link: OneLink, ticks: int, each: int = 1) -> list[list[int]]:
     """The numbers of the messages that arrive at each tick; `each` are sent in every tick."""
     found = []
     for tick in range(ticks):
@@ -60,7 +62,7 @@ def arrivals(link: Link, ticks: int, each: int = 1) -> list[list[int]]:
     return found
 
 
-def conserved(link: Link) -> bool:
+def conserved(link: OneLink) -> bool:
     status = link.counters()
     left = status.delivered + sum(status.lost.values()) + status.waiting + status.flying
     return status.sent + status.duplicated == left
@@ -73,7 +75,9 @@ def conserved(link: Link) -> bool:
 @pytest.mark.parametrize("delay", [0.0, 0.12])
 def test_a_message_has_the_fate_of_the_row_nearest_before_it(number: int, delay: float) -> None:
     key, ticks = a_key(number, 5), 100
-    link = Link(LinkSettings(trace="trace", delay=delay), dt=DT, key=key, traces=(a_trace(TABLE),))
+    link = OneLink(
+        LinkSettings(trace="trace", delay=delay), dt=DT, key=key, traces=(a_trace(TABLE),)
+    )
     wanted: list[list[int]] = [[] for _ in range(ticks + 20)]
     lost = 0
     for tick in range(ticks):
@@ -130,7 +134,7 @@ def test_a_message_leaves_when_its_bytes_have_been_granted(dt, size, queue, keep
     wanted: list[list[int]] = [[] for _ in range(ticks + 1000)]
     for message, at in left.items():
         wanted[math.ceil(round((at * 0.001 + delay) / dt, 6))].append(message)
-    link = Link(settings, dt=dt, key=key, traces=(a_trace(MAHIMAHI),))
+    link = OneLink(settings, dt=dt, key=key, traces=(a_trace(MAHIMAHI),))
     assert arrivals(link, ticks) == wanted[:ticks]
     assert link.counters().lost["queue"] == lost
     assert conserved(link)
@@ -140,7 +144,7 @@ def test_a_message_leaves_when_its_bytes_have_been_granted(dt, size, queue, keep
 def test_a_recording_is_looped_and_begins_where_the_key_says() -> None:
     traces, settings = (a_trace(TABLE),), LinkSettings(trace="trace")
     p = link_parameters(settings, DT, traces=traces)
-    came = [arrivals_of(p, a_key(k), 60) for k in range(40)]
+    came = [first_arrivals(p, a_key(k), 60) for k in range(40)]
     fates = [np.where(ticks < 0, -1, ticks - np.arange(60)) for ticks in came]
     for ticks in fates:
         assert np.array_equal(ticks[11:44], ticks[:33])
@@ -150,12 +154,12 @@ def test_a_recording_is_looped_and_begins_where_the_key_says() -> None:
 def test_planned_blackouts_and_what_is_drawn_stand_beside_a_mahimahi_file() -> None:
     traces = (a_trace("1\n"),)
     dark = LinkSettings(trace="trace", blackouts=((1.0, 1.0),), delay=0.02)
-    link = Link(dark, dt=DT, key=a_key(1), traces=traces)
+    link = OneLink(dark, dt=DT, key=a_key(1), traces=traces)
     got = arrivals(link, 60)
     assert got[20:41] == [[19], *([] for _ in range(20))]
     assert link.counters().lost["blackout"] == 20
     drawn = LinkSettings(trace="trace", loss=0.5, jitter=0.01, delay=0.02, duplicates=0.5)
-    link = Link(drawn, dt=DT, key=a_key(1), traces=traces)
+    link = OneLink(drawn, dt=DT, key=a_key(1), traces=traces)
     arrivals(link, 400)
     assert 150 < link.counters().lost["loss"] < 250
     assert link.counters().duplicated > 50
@@ -164,7 +168,7 @@ def test_planned_blackouts_and_what_is_drawn_stand_beside_a_mahimahi_file() -> N
 
 def test_planned_blackouts_stand_beside_a_table() -> None:
     settings = LinkSettings(trace="trace", blackouts=((0.5, 0.5),))
-    link = Link(settings, dt=DT, key=a_key(1), traces=(a_trace("sent,delay\n0,0\n"),))
+    link = OneLink(settings, dt=DT, key=a_key(1), traces=(a_trace("sent,delay\n0,0\n"),))
     assert arrivals(link, 30) == [[k] if not 10 <= k < 20 else [] for k in range(30)]
 
 
@@ -182,8 +186,8 @@ CHANGES = {
 @pytest.mark.parametrize("then", CHANGES)
 @pytest.mark.parametrize("first", CHANGES)
 def test_links_change_from_and_to_recorded_ones(first: str, then: str) -> None:
-    def flown(*changes: str) -> tuple[list[list[int]], Link]:
-        link = Link(CHANGES[first], dt=DT, key=a_key(3), traces=BOTH)
+    def flown(*changes: str) -> tuple[list[list[int]], OneLink]:
+        link = OneLink(CHANGES[first], dt=DT, key=a_key(3), traces=BOTH)
         got = []
         for tick in range(200):
             link.send(tick, tick, tick)
@@ -203,7 +207,7 @@ def test_links_change_from_and_to_recorded_ones(first: str, then: str) -> None:
 def test_a_message_that_has_begun_to_leave_begins_anew_in_another_size(number: int) -> None:
     """An opportunity for 1,500 bytes every 0.1 s: one has passed after 0.1 s, 4,500 bytes need three more."""
     settings = LinkSettings(trace="trace", message_bytes=3000)
-    link = Link(settings, dt=DT, key=a_key(number), traces=(a_trace("100\n"),))
+    link = OneLink(settings, dt=DT, key=a_key(number), traces=(a_trace("100\n"),))
     link.send(0, "message", 0)
     arrived = [link.arrivals(tick) for tick in range(3)]
     link.change(msgspec.structs.replace(settings, message_bytes=4500))
@@ -215,7 +219,7 @@ def test_a_message_that_has_begun_to_leave_begins_anew_in_another_size(number: i
 
 def test_a_blackout_that_a_change_ends_takes_no_message_that_leaves_later() -> None:
     dark = LinkSettings(trace="trace", blackouts=((0.0, 10.0),))
-    link = Link(dark, dt=DT, key=a_key(1), traces=(a_trace("20\n"),))
+    link = OneLink(dark, dt=DT, key=a_key(1), traces=(a_trace("20\n"),))
     link.send(0, "message", 0)
     assert link.arrivals(0) == []
     link.change(msgspec.structs.replace(dark, blackouts=()))
@@ -246,7 +250,7 @@ def test_no_message_is_under_way_for_longer_than_batches_have_room_for(
     settings = LinkSettings(trace="trace", message_bytes=message_bytes, queue=queue, keep="oldest")
     scenario = degraded(3000, LinkTable(detections=settings, traces=(trace,)))
     longest = Batch(scenario, 1).links.longest(LinkKind.DETECTIONS)
-    link = Link(settings, dt=DT, key=a_key(4), traces=(trace,))
+    link = OneLink(settings, dt=DT, key=a_key(4), traces=(trace,))
     ages = [tick - number for tick, got in enumerate(arrivals(link, 3000)) for number in got]
     assert 0.3 * longest < max(ages) <= longest
 
@@ -354,7 +358,7 @@ def test_world_batch_and_environment_play_the_same() -> None:
 def test_the_secret_shifts_a_recording_too() -> None:
     scenario = recorded_scenario()
     ages = {
-        World(scenario, 7, secret=secret).links._batch.state.keys.tobytes()
+        World(scenario, 7, secret=secret).links.records["key"].tobytes()
         for secret in ("", "0" * 32)
     }
     assert len(ages) == 2

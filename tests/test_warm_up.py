@@ -63,7 +63,7 @@ def control(flight):
             flight.order(asked.law)
         elif asked.action is Action.DRIVER:
             flight.assign_driver("ugv_0", asked.driver)
-        promise_warnings(flight.flown, flight.world.links.table)  # as observers are told
+        promise_warnings(flight.flown, flight.world.link_table)  # as observers are told
 
 linking._Entry.compile = noted
 flight, _ = fly(scenario, 7, on_tick=control)

@@ -58,7 +58,7 @@ from agents.control.underway import (
     take_rest,
     underway,
 )
-from sim.kernels.compile import FloatArray, borrowing
+from sim.kernels.compile import FloatArray, compiled
 from sim.kernels.records import RecordArray, record_type
 from sim.models.motion import NO_MOTION
 from sim.models.vehicles import Motion, within_walls
@@ -152,7 +152,7 @@ def guard_state(delay_ticks: int, depth: int) -> GuardState:
     return state
 
 
-@borrowing
+@compiled
 def begin_guard(state: GuardState) -> None:
     """Make a memory as fresh as one from `guard_state`, in place: an episode begins."""
     for k in range(state.detections.shape[0]):
@@ -170,14 +170,14 @@ def begin_guard(state: GuardState) -> None:
     begin_underway(state.underway)
 
 
-@borrowing
+@compiled
 def note_position(state: GuardState, tick: int, p_x: float, p_y: float) -> None:
     """Remember where the UAV is at this tick [m]: detections that were taken here may arrive later."""
     place = state.track[tick % state.track.shape[0]]
     place.x, place.y, place.tick = p_x, p_y, tick
 
 
-@borrowing
+@compiled
 def note_detection(
     promise: Promise,
     state: GuardState,
@@ -207,7 +207,7 @@ def note_detection(
         state.flags[0].contradicted = 1
 
 
-@borrowing
+@compiled
 def forget_commands(state: GuardState) -> None:
     """It is not known whether the last commands were sent.
 
@@ -217,7 +217,7 @@ def forget_commands(state: GuardState) -> None:
     doubt(state.underway)
 
 
-@borrowing
+@compiled
 def note_commands(state: GuardState, commands: FloatArray) -> None:
     """Tell a filter that begins in the middle of a flight which commands are likely to be under way.
 
@@ -232,7 +232,7 @@ def note_commands(state: GuardState, commands: FloatArray) -> None:
         row.u_x, row.u_y = commands[given - 1 - k, 0], commands[given - 1 - k, 1]
 
 
-@borrowing
+@compiled
 def _begin_course(promise: Promise, course: RecordArray, here: Motion) -> None:
     """Work the course out from this state on, under the commands in it."""
     for k in range(course.shape[0]):
@@ -240,7 +240,7 @@ def _begin_course(promise: Promise, course: RecordArray, here: Motion) -> None:
         here, _ = step_in_area(promise, here, course[k].u_x, course[k].u_y)
 
 
-@borrowing
+@compiled
 def _set_out(promise: Promise, state: GuardState, tick: int, here: Motion) -> bool:
     """Bring the course to this tick; true if the UAV is on it, as far as there was one.
 
@@ -269,7 +269,7 @@ def _set_out(promise: Promise, state: GuardState, tick: int, here: Motion) -> bo
     return on_course
 
 
-@borrowing
+@compiled
 def _course_is_safe(promise: Promise, state: GuardState, tick: int) -> bool:
     """True if the UGV is surely in sight from now until the next command acts, if the commands under way act."""
     course, over = state.course, 0.0
@@ -282,7 +282,7 @@ def _course_is_safe(promise: Promise, state: GuardState, tick: int) -> bool:
     return True
 
 
-@borrowing
+@compiled
 def _send(promise: Promise, state: GuardState, tick: int, u_x: float, u_y: float) -> None:
     """Take a command among those under way; the course moves on by a tick."""
     course, flags = state.course, state.flags[0]
@@ -296,7 +296,7 @@ def _send(promise: Promise, state: GuardState, tick: int, u_x: float, u_y: float
     flags.tick, flags.known = tick, min(flags.known + 1, last + 1)
 
 
-@borrowing
+@compiled
 def _reason(
     promise: Promise, state: GuardState, tick: int, acts: int, on_course: bool, known: bool
 ) -> int:
@@ -317,7 +317,7 @@ def _reason(
     return CERTIFIED if flags.safe != 0 else UNSAFE_COURSE
 
 
-@borrowing
+@compiled
 def _guard_motions(
     promise: Promise,
     state: GuardState,
@@ -351,7 +351,7 @@ def _guard_motions(
     return u_x, u_y, acts, code
 
 
-@borrowing
+@compiled
 def guard(
     promise: Promise,
     state: GuardState,

@@ -30,7 +30,7 @@ from bus.registry import LAWS, SENSORS, LawRow, SensorRow
 from sim.kernels.compile import FloatArray, compiled
 from sim.kernels.records import RecordArray, record_type
 from sim.models.field import coverage_gradient, is_uncovered, nearest_uncovered
-from sim.models.randomness import START_DIRECTION, uniform, words_of
+from sim.models.randomness import FIRST, START_DIRECTION, uniform, words_of
 from sim.models.vehicles import Motion, norm, raw_switching_radius
 
 TRACKING = LAWS["tracking"].code
@@ -219,7 +219,7 @@ def way_to_uncovered(
     u_x, u_y = symmetry_breaker(own.q_x, own.q_y, p_ax, p_ay, 1.0)
     if norm(u_x, u_y) < _ON_THE_SPOT:
         # Deviation: (10) would divide by zero right over the point. Any direction is as good: draw one.
-        angle = 2.0 * math.pi * uniform(key, START_DIRECTION, tick, 0)
+        angle = 2.0 * math.pi * uniform(key, START_DIRECTION, tick, FIRST)
         u_x, u_y = math.cos(angle), math.sin(angle)
     return True, u_x, u_y
 

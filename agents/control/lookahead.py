@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.control.laws import LawParameters
-from sim.kernels.compile import FloatArray, IntArray, borrowing, compiled
+from sim.kernels.compile import FloatArray, IntArray, compiled
 from sim.kernels.records import RecordArray, record_type
 from sim.models.field import density, sensor_quality
 from sim.models.randomness import LOOKAHEAD_MOTION, draw, to_uniform
@@ -150,7 +150,7 @@ def expected_velocity(target: Target) -> tuple[float, float]:
     return share * target.v_x, share * target.v_y
 
 
-@borrowing
+@compiled
 def _copy(source: FloatArray, to: FloatArray) -> None:
     """Copy an array of the same shape; by `to[:] = source` numba would compile how its error is put into words."""
     for i in range(source.shape[0]):
@@ -158,7 +158,7 @@ def _copy(source: FloatArray, to: FloatArray) -> None:
             to[i, j] = source[i, j]
 
 
-@borrowing
+@compiled
 def add_density(
     weight: FloatArray, x: float, y: float, cell: float, spread: float, r_o: float, share: float
 ) -> None:
@@ -189,7 +189,7 @@ def add_density(
             )
 
 
-@borrowing
+@compiled
 def add_lack(
     lack: FloatArray, coverage: FloatArray, desired: float, column: int, row: int, ratio: int
 ) -> None:
@@ -263,7 +263,7 @@ def look_ahead(
     return Ahead(step, cell, column * cell, row * cell, legs, track, lack, weight)
 
 
-@borrowing
+@compiled
 def fly_step(
     here: Motion, w_x: float, w_y: float, u_max: float, step: float
 ) -> tuple[Motion, float, float]:
@@ -280,7 +280,7 @@ def fly_step(
     return Motion(x, y, w_x, w_y), 0.5 * (here.p_x + x), 0.5 * (here.p_y + y)
 
 
-@borrowing
+@compiled
 def strayed(law: LawParameters, here: Motion, g_x: float, g_y: float) -> float:
     """Distance of a state beyond what the safety filter lets through, and beyond the border's safety distance [m].
 
@@ -295,7 +295,7 @@ def strayed(law: LawParameters, here: Motion, g_x: float, g_y: float) -> float:
     return over + max(0.0, law.margin - inside)
 
 
-@borrowing
+@compiled
 def worth(
     law: LawParameters,
     ahead: Ahead,
@@ -355,7 +355,7 @@ def worth(
     return total * cell * cell - cost
 
 
-@borrowing
+@compiled
 def aim(
     law: LawParameters,
     ahead: Ahead,
@@ -389,7 +389,7 @@ def aim(
         p_y += motion[n, 1] * leg
 
 
-@borrowing
+@compiled
 def draw_motion(
     law: LawParameters,
     ahead: Ahead,
@@ -429,7 +429,7 @@ def draw_motion(
             )
 
 
-@borrowing
+@compiled
 def learn_persistence(memory: LookaheadMemory, target: Target) -> float:
     """For how long the UGV keeps a velocity, by what the filter has believed of it so far [s].
 
@@ -452,7 +452,7 @@ def learn_persistence(memory: LookaheadMemory, target: Target) -> float:
     return -lag / math.log(min(max(alike, _LEAST_ALIKE), _MOST_ALIKE))
 
 
-@borrowing
+@compiled
 def recall(memory: LookaheadMemory, now: int, motion: FloatArray) -> None:
     """The motion that is flown, from the leg of now on; after its last one it keeps the velocity."""
     passed = max(0, now - memory.state[0].first)

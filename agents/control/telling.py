@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from bus.messages import BLOCK_SIDE, TILE_LETTERS, GroundBlock, SeenTile, UavBriefing
-from sim.kernels.compile import IntArray, borrowing, inlined
+from sim.kernels.compile import IntArray, compiled, inlined
 from sim.models.ground import TileArray, block_letters, tiles_shape
 
 _REPEATS = 3
@@ -21,7 +20,7 @@ _REPEATS = 3
 _REACH = 12.0
 """Largest distance from the UGV of a block that it is told of [m]."""
 _WORD_TILES = 16
-"""Tiles in a number of a message: three bits each, which a float holds exactly."""
+"""Tiles in a number of a message, three bits each."""
 BLOCK_TILES = BLOCK_SIDE * BLOCK_SIDE
 BLOCK_WORDS = BLOCK_TILES // _WORD_TILES
 
@@ -59,7 +58,7 @@ def telling_of(memory: TellingMemory, world: int, uav: int) -> TellingMemory:
     return TellingMemory(memory.tiles[world, uav], memory.news[world, uav], memory.told[world, uav])
 
 
-@borrowing
+@compiled
 def note_tile(memory: TellingMemory, column: int, row: int, state: int) -> None:
     """The UAV's own sensor tells of a tile."""
     if row < memory.tiles.shape[0] and column < memory.tiles.shape[1]:
@@ -67,7 +66,7 @@ def note_tile(memory: TellingMemory, column: int, row: int, state: int) -> None:
         memory.news[row // BLOCK_SIDE, column // BLOCK_SIDE] = _REPEATS
 
 
-@borrowing
+@compiled
 def next_block(
     memory: TellingMemory, tile: float, tick: int, g_x: float, g_y: float
 ) -> tuple[int, int]:
@@ -100,8 +99,8 @@ def next_block(
     return best_row, best_column
 
 
-@borrowing
-def block_words(tiles: TileArray, row: int, column: int, words: npt.NDArray[np.float64]) -> None:
+@compiled
+def block_words(tiles: TileArray, row: int, column: int, words: IntArray) -> None:
     """Write the states of a block of tiles as numbers, three bits a tile, the first lowest. Shape (BLOCK_WORDS,)."""
     for n in range(BLOCK_WORDS):
         word = 0
@@ -113,10 +112,10 @@ def block_words(tiles: TileArray, row: int, column: int, words: npt.NDArray[np.f
         words[n] = word
 
 
-@borrowing
-def word_state(words: npt.NDArray[np.float64], place: int) -> int:
+@compiled
+def word_state(words: IntArray, place: int) -> int:
     """The state of a tile of a block, from what `block_words` has written."""
-    return (int(words[place // _WORD_TILES]) >> (3 * (place % _WORD_TILES))) & 7
+    return int(words[place // _WORD_TILES] >> (3 * (place % _WORD_TILES))) & 7
 
 
 def telling_ticks(telling: float, dt: float) -> int:

@@ -17,7 +17,7 @@ from agents.control.laws import (
 from agents.control.lookahead import LookaheadMemory, Target, lookahead_control
 from agents.control.promise import Promise
 from bus.ticks import Look
-from sim.kernels.compile import FloatArray, borrowing
+from sim.kernels.compile import FloatArray, compiled
 from sim.kernels.records import RecordArray, columns
 from sim.models.field import accumulate
 from sim.models.vehicles import Motion, brake, clip_norm
@@ -39,7 +39,7 @@ class UavMemory(NamedTuple):
     """Of the safety filter."""
 
 
-@borrowing
+@compiled
 def uav_perceive(
     law: LawParameters,
     promise: Promise,
@@ -75,7 +75,7 @@ def uav_perceive(
             note_detection(promise, memory.guard, taken, tick, x, y, here.p_x, here.p_y)
 
 
-@borrowing
+@compiled
 def uav_tick(
     law: LawParameters,
     promise: Promise,

@@ -17,7 +17,7 @@ from agents.control.certificate import BEST_EFFORT, rest_radius, step_in_area
 from agents.control.discs import AS_EXPECTED
 from agents.control.promise import Promise
 from bus.messages import MOST_CARRIED
-from sim.kernels.compile import borrowing
+from sim.kernels.compile import compiled
 from sim.kernels.records import RecordArray, record_type
 from sim.models.motion import (
     NO_MOTION,
@@ -56,21 +56,21 @@ def underway(delay_ticks: int) -> Underway:
     )
 
 
-@borrowing
+@compiled
 def motion_in(rows: RecordArray, k: int) -> Motion:
     """The state of the UAV in a row of such."""
     row = rows[k]
     return Motion(row.p_x, row.p_y, row.v_x, row.v_y)
 
 
-@borrowing
+@compiled
 def set_motion(rows: RecordArray, k: int, here: Motion) -> None:
     """Put a state of the UAV into a row of such."""
     row = rows[k]
     row.p_x, row.p_y, row.v_x, row.v_y = here.p_x, here.p_y, here.v_x, here.v_y
 
 
-@borrowing
+@compiled
 def begin_underway(state: Underway) -> None:
     """Nothing has been sent yet: an episode or a filter begins."""
     for k in range(state.sent.shape[0]):
@@ -80,7 +80,7 @@ def begin_underway(state: Underway) -> None:
         set_motion(state.expected, k, Motion(0.0, 0.0, 0.0, 0.0))
 
 
-@borrowing
+@compiled
 def _clear(rows: RecordArray, k: int) -> None:
     """Let a row be that of no motion."""
     row = rows[k]
@@ -92,7 +92,7 @@ def _clear(rows: RecordArray, k: int) -> None:
     row.end_x, row.end_y, row.end_radius, row.end_tick = 0.0, 0.0, math.inf, 0
 
 
-@borrowing
+@compiled
 def doubt(state: Underway) -> None:
     """The UAV is not where it was expected: none of the plans was checked from where it is."""
     for k in range(state.sent.shape[0]):
@@ -100,7 +100,7 @@ def doubt(state: Underway) -> None:
     state.flown[_NOW].checked = 0
 
 
-@borrowing
+@compiled
 def _take_flown(state: Underway, tick: int, flown: int) -> None:
     """Take in what the vehicle flew in the tick before; one that was not sent by this pilot has no checked plan."""
     if state.flown[_NOW].begins != flown:
@@ -114,21 +114,21 @@ def _take_flown(state: Underway, tick: int, flown: int) -> None:
         state.flown[_NOW].age = tick - flown
 
 
-@borrowing
+@compiled
 def off_by(here: Motion, due: Motion) -> float:
     """The largest difference of a state from the one that is due [m, m/s]."""
     off = max(abs(here.p_x - due.p_x), abs(here.p_y - due.p_y))
     return max(off, abs(here.v_x - due.v_x), abs(here.v_y - due.v_y))
 
 
-@borrowing
+@compiled
 def is_expected(state: Underway, tick: int, here: Motion, flown: int) -> bool:
     """True if the UAV is in the state in which what it tells that it has flown has brought it from the tick before."""
     due = motion_in(state.expected, _BEGUN if flown == tick - 1 else _LOST)
     return bool(off_by(here, due) <= AS_EXPECTED)
 
 
-@borrowing
+@compiled
 def take_observation(state: Underway, tick: int, here: Motion, flown: int, last_tick: int) -> bool:
     """Take in what the vehicle has flown; true if it is where this pilot expected it.
 
@@ -147,7 +147,7 @@ def take_observation(state: Underway, tick: int, here: Motion, flown: int, last_
     return expected
 
 
-@borrowing
+@compiled
 def due_end(promise: Promise, state: Underway, tick: int, here: Motion) -> tuple[Motion, bool, int]:
     """Predicts the UAV's state when the motion of this tick's command begins.
 
@@ -170,7 +170,7 @@ def due_end(promise: Promise, state: Underway, tick: int, here: Motion) -> tuple
     return here, checked, waited(next_begins, state.flown[_NOW].begins, c.delay_ticks)
 
 
-@borrowing
+@compiled
 def take_rest(state: Underway, plan: RecordArray) -> None:
     """Let the plan that is held be the rest of the motion that is flown at the end of the course.
 
@@ -188,7 +188,7 @@ def take_rest(state: Underway, plan: RecordArray) -> None:
         held.end_radius, held.end_tick = m.end_radius, m.end_tick
 
 
-@borrowing
+@compiled
 def _rests(rows: RecordArray, k: int) -> bool:
     """True if a motion of this pilot's leaves a UAV that is at rest where it is."""
     m = rows[k]
@@ -196,14 +196,14 @@ def _rests(rows: RecordArray, k: int) -> bool:
     return bool(still and m.plain == 0)
 
 
-@borrowing
+@compiled
 def _check_rest(rows: RecordArray, k: int, tick: int, here: Motion, radius: float) -> None:
     row = rows[k]
     row.checked, row.end_x, row.end_y = 1, here.p_x, here.p_y
     row.end_radius, row.end_tick = radius, tick
 
 
-@borrowing
+@compiled
 def check_rest(
     promise: Promise,
     state: Underway,
@@ -236,7 +236,7 @@ def check_rest(
             _check_rest(state.sent, place, tick, here, radius)
 
 
-@borrowing
+@compiled
 def send_motion(
     promise: Promise,
     state: Underway,
@@ -282,7 +282,7 @@ def send_motion(
         set_motion(state.expected, k, there)
 
 
-@borrowing
+@compiled
 def carried(promise: Promise, state: Underway, tick: int) -> int:
     """The number of motions that this tick's command carries: its own, and those just before it that have not begun."""
     last, n = tick + promise.delay_ticks, 0
@@ -293,7 +293,7 @@ def carried(promise: Promise, state: Underway, tick: int) -> int:
     return n
 
 
-@borrowing
+@compiled
 def hand_over(
     promise: Promise, state: Underway, tick: int, motions: RecordArray
 ) -> tuple[int, int]:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from agents.drivers.parameters import DriverParameters
 from agents.drivers.planning import is_beside_block
-from sim.kernels.compile import borrowing, compiled
+from sim.kernels.compile import compiled
 from sim.models.ground import (
     BLOCK,
     ROUGH,
@@ -68,7 +68,7 @@ def _is_open(tiles: TileArray, ground: Open, i: int, j: int) -> bool:
     return True
 
 
-@borrowing
+@compiled
 def triangle_is_open(
     tiles: TileArray,
     tile: float,
@@ -104,7 +104,7 @@ def triangle_is_open(
     return True
 
 
-@borrowing
+@compiled
 def way_is_open(
     tiles: TileArray, tile: float, ground: Open, a: tuple[float, float], b: tuple[float, float]
 ) -> bool:
@@ -112,7 +112,7 @@ def way_is_open(
     return triangle_is_open(tiles, tile, ground, a, b, b)
 
 
-@borrowing
+@compiled
 def open_way(
     tiles: TileArray, tile: float, ground: Open, a: tuple[float, float], b: tuple[float, float]
 ) -> float:
@@ -153,7 +153,7 @@ def slowing_way(speed: float, slow: float, u_max: float, dt: float) -> float:
     return full * dt * (speed - 0.5 * u_max * dt * full)
 
 
-@borrowing
+@compiled
 def is_safe(
     parameters: DriverParameters,
     late: bool,
@@ -212,7 +212,7 @@ def is_safe(
     return way_is_open(tiles, tile, even, (x, y), there)
 
 
-@borrowing
+@compiled
 def nearest_open(tiles: TileArray, tile: float, bold: int, x: float, y: float) -> tuple[int, int]:
     """The row and column of the open tile nearest to a point, on the first square ring around its own that has any.
 
@@ -240,7 +240,7 @@ def nearest_open(tiles: TileArray, tile: float, bold: int, x: float, y: float) -
     return row, column
 
 
-@borrowing
+@compiled
 def open_from(tiles: TileArray, tile: float, bold: int, x: float, y: float) -> Open:
     """The tiles that are open to a UGV at a point: if it stands on blocked ones, so are these and its way out of them.
 

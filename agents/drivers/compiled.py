@@ -4,7 +4,6 @@ A driver that listens to a person or to a policy has no compiled form.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from agents.drivers.tile_map import (
     note_block,
     note_tiles,
 )
-from agents.drivers.ugv_tick import UgvMemory, ugv_tick
+from agents.drivers.ugv_tick import ugv_tick
 from agents.drivers.wander import wander_pace
 from agents.looks import LookRows
 from bus.errors import ScenarioError
@@ -36,7 +35,7 @@ from bus.messages import (
 )
 from bus.registry import BOLD, DRIVERS
 from bus.ticks import first_tick_from
-from sim.kernels.compile import FloatArray, borrowing, entry_point
+from sim.kernels.compile import FloatArray, compiled
 from sim.kernels.records import RecordArray, record_type, records
 from sim.models.ground import (
     CERTIFIED,
@@ -144,11 +143,12 @@ def take_ground(memory: GroundMemory, observation: UgvObservation) -> None:
         note_tiles(memory, rows, columns, states)
 
 
-@borrowing
+@compiled
 def _drive(
     rows: RecordArray,
     route: Route,
-    memory: UgvMemory,
+    own: RecordArray,
+    ground: GroundMemory | None,
     radio: FloatArray,
     received: int,
     tick: int,
@@ -156,7 +156,7 @@ def _drive(
     flown: int,
 ) -> tuple[float, float]:
     here = Motion(state[0], state[1], state[2], state[3])
-    return ugv_tick(rows[0], route, memory, radio, received, tick, here, flown)
+    return ugv_tick(rows[0], route, own, ground, radio, received, tick, here, flown)
 
 
 class CompiledDriver:
@@ -173,43 +173,33 @@ class CompiledDriver:
     def __init__(self, briefing: UgvBriefing, name: str) -> None:
         self.parameters = driver_parameters(briefing, name)
         """Its numbers."""
-        self.memory = UgvMemory(driver_memory(), told_ground(briefing))
-        """All that it remembers."""
+        self.own = driver_memory()
+        """Memory of the drivers without a plan."""
+        self.ground = told_ground(briefing)
+        """Memory of the ground; without tiles if there are no hazards."""
         self._fixed = (
             records(DriverParameters, [self.parameters]),
             told_route(briefing),
-            self.memory,
+            self.own,
+            self.ground if self.ground.tiles.size else None,
         )
         self._looks = LookRows(briefing.dt)
         self._carries = briefing.ground is not None and briefing.ground.carries
-        self._load()
-
-    def _load(self) -> None:
-        """Look up the machine code."""
-        here = 0.0, 0.0, 0.0, 0.0
-        self._drive = entry_point(_drive, *self._fixed, *self._looks.take(()), 0, here, PLAIN)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_drive"}
-
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        self.__dict__.update(kept)
-        self._load()
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """The acceleration [m/s²] for this observation."""
         if observation.ground or observation.blocks:
-            take_ground(self.memory.ground, observation)
+            take_ground(self.ground, observation)
         radio, here = self._looks.take(observation.radio), observation.position
         tick, moving = observation.tick, observation.velocity
         flown = NO_MOTION if observation.flown is None else observation.flown
         flown = flown if self._carries else PLAIN
-        return self._drive(*self._fixed, *radio, tick, (*here, *moving), flown)
+        return _drive(*self._fixed, *radio, tick, (*here, *moving), flown)
 
     @property
     def goal(self) -> tuple[float, float] | None:
         """The random goal that it wanders to [m]; None while it has none."""
-        own = self.memory.driver[0]
+        own = self.own[0]
         return (float(own["goal_x"]), float(own["goal_y"])) if own["chosen"] else None
 
 
@@ -226,7 +216,7 @@ class NavigateDriver(CompiledDriver):
         """Return the motions that the command of this tick carries: its own, and those before it that may begin yet."""
         if not self._carries:
             return ()
-        sent = self.memory.ground.sent
+        sent = self.ground.sent
         last = tick + len(sent) - 2
         first = max(tick, last - MOST_CARRIED + 1)
         rows = [sent[begins % len(sent)] for begins in range(first, last + 1)]
@@ -238,14 +228,14 @@ class NavigateDriver(CompiledDriver):
 
     def report(self) -> UgvReport | None:
         """Whether the command of this tick leaves the UGV on tiles that it knows to be drivable; None: not promised."""
-        claim = int(self.memory.ground.flags[0]["claim"])
+        claim = int(self.ground.flags[0]["claim"])
         if claim == NO_CLAIM:
             return None
         return UgvReport(certified=claim == CERTIFIED, uncertified=UNCERTIFIED.get(claim, ""))
 
     def forget_commands(self) -> None:
         """The commands so far were not sent, or another process has sent them."""
-        self.memory.ground.sent["begins"] = NO_MOTION
+        self.ground.sent["begins"] = NO_MOTION
 
     def new_route(self, position: Vector) -> tuple[Vector, ...] | None:
         """The way that it plans, by its corners [m] from a place to the goal, for observers; none where there is none.
@@ -256,12 +246,12 @@ class NavigateDriver(CompiledDriver):
         Returns:
             None if it has not changed since it was asked last, but for what has been driven of it.
         """
-        memory, tile = self.memory.ground, self.parameters.tile
+        memory, tile = self.ground, self.parameters.tile
         flags = memory.flags[0]
         if flags["plans"] == self._plans:
             return None
         self._plans = int(flags["plans"])
-        (rows, columns), (_, route, _) = memory.tiles.shape, self._fixed
+        (rows, columns), route = memory.tiles.shape, self._fixed[1]
         goal_x, goal_y = route.goals[flags["goal"]].tolist()
         own, goal = (
             tile_index(y, tile, rows) * columns + tile_index(x, tile, columns)

@@ -20,7 +20,7 @@ from agents.drivers.parameters import DriverParameters
 from agents.drivers.steering import velocity_control
 from agents.drivers.wander import wander_control
 from bus.ticks import NO_TICK, first_tick_from, ticks_within
-from sim.kernels.compile import FloatArray, borrowing, compiled
+from sim.kernels.compile import FloatArray, compiled, constant
 from sim.kernels.records import RecordArray
 from sim.models.randomness import WANDER, uniform
 from sim.models.vehicles import Motion, norm
@@ -31,16 +31,16 @@ _LEAD = 1.0, 10.0  # least and largest lead [s], for a UGV that turns at once or
 _SLOT = 5.0  # one sharp turn in so many leads
 _DASH = 4.0  # out of a corner it drives along a wall for so many leads
 # Indices of the draws of a slot; 0 and 1 are the wanderer's.
-_BEGIN, _SIDE, _ANGLE, _WALL, _SPOT = range(2, 7)
+_BEGIN, _SIDE, _ANGLE, _WALL, _SPOT = (constant(k) for k in range(2, 7))
 
 
-@borrowing
+@compiled
 def is_known(parameters: DriverParameters, memory: RecordArray, tick: int) -> bool:
     """True if there has been a message of the UAV, and not too long ago."""
     return bool(tick - memory[0].received <= parameters.forgotten)
 
 
-@borrowing
+@compiled
 def receive_radio(
     parameters: DriverParameters,
     memory: RecordArray,
@@ -73,14 +73,14 @@ def receive_radio(
         m.uav_x, m.uav_y, m.at, m.received = x, y, at, tick
 
 
-@borrowing
+@compiled
 def slot_draw(parameters: DriverParameters, tick: int, index: int) -> float:
     """A number in [0, 1) for the slot of this tick; a slot is five leads long."""
     slot = int(tick * parameters.dt / (_SLOT * parameters.lead))
     return uniform((parameters.key_0, parameters.key_1), WANDER, slot, index)
 
 
-@borrowing
+@compiled
 def away(
     parameters: DriverParameters, memory: RecordArray, tick: int, here: Motion
 ) -> tuple[float, float]:
@@ -97,7 +97,7 @@ def away(
     return math.cos(angle), math.sin(angle)
 
 
-@borrowing
+@compiled
 def turned(parameters: DriverParameters, x: float, y: float, tick: int) -> tuple[float, float]:
     """The direction (x, y), turned off sharply for one lead of each slot."""
     lead = parameters.lead
@@ -119,7 +119,7 @@ def border_side(at: float, size: float, margin: float) -> float:
     return -1.0 if at < margin else 0.0
 
 
-@borrowing
+@compiled
 def leave_wall(
     parameters: DriverParameters, memory: RecordArray, out_x: float, out_y: float, tick: int
 ) -> tuple[float, float]:
@@ -163,7 +163,7 @@ def off_walls(
     return w_x, w_y
 
 
-@borrowing
+@compiled
 def flee(
     parameters: DriverParameters, memory: RecordArray, x: float, y: float, tick: int, here: Motion
 ) -> tuple[float, float]:
@@ -188,7 +188,7 @@ def flee(
     )
 
 
-@borrowing
+@compiled
 def evade_control(
     parameters: DriverParameters,
     memory: RecordArray,

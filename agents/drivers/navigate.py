@@ -32,7 +32,7 @@ from agents.drivers.planning import (
 from agents.drivers.tile_map import GroundMemory
 from agents.drivers.waypoints import goal_control
 from bus.messages import MOST_CARRIED
-from sim.kernels.compile import FloatArray, borrowing, compiled
+from sim.kernels.compile import FloatArray, compiled
 from sim.kernels.records import RecordArray
 from sim.models.ground import (
     BLOCK,
@@ -65,7 +65,7 @@ _ROUNDING = 1e-9
 """By this share a straight way may cost more a metre than the cheapest, and rough ground is driven on slower."""
 
 
-@borrowing
+@compiled
 def _tile_of(parameters: DriverParameters, memory: GroundMemory, x: float, y: float) -> int:
     rows, columns = memory.tiles.shape
     return int(
@@ -78,7 +78,7 @@ def _centre(n: int, columns: int, tile: float) -> tuple[float, float]:
     return (n % columns + 0.5) * tile, (n // columns + 0.5) * tile
 
 
-@borrowing
+@compiled
 def state_ahead(
     parameters: DriverParameters, memory: GroundMemory, tick: int, here: Motion, flown: int
 ) -> tuple[Motion, int]:
@@ -136,7 +136,7 @@ def state_ahead(
     return here, int(ahead[0].begins)
 
 
-@borrowing
+@compiled
 def note_claim(
     parameters: DriverParameters, memory: GroundMemory, ahead: Motion, u_x: float, u_y: float
 ) -> None:
@@ -157,7 +157,7 @@ def note_claim(
         flags.claim = WAY_UNKNOWN
 
 
-@borrowing
+@compiled
 def note_sent(memory: GroundMemory, tick: int, parent: int, u_x: float, u_y: float) -> None:
     """Keep the command of this tick [m/s²], which goes on from the motion `parent`, until it acts."""
     rows = memory.sent.shape[0]
@@ -166,7 +166,7 @@ def note_sent(memory: GroundMemory, tick: int, parent: int, u_x: float, u_y: flo
     row.begins, row.parent, row.first_x, row.first_y = begins, parent, u_x, u_y
 
 
-@borrowing
+@compiled
 def hand_over_stops(memory: GroundMemory, tick: int, motions: RecordArray) -> tuple[int, int]:
     """Put the motions that the command of this tick carries among those that set out.
 
@@ -182,13 +182,13 @@ def hand_over_stops(memory: GroundMemory, tick: int, motions: RecordArray) -> tu
     return (last if count else -1), count
 
 
-@borrowing
+@compiled
 def _rough_price(parameters: DriverParameters) -> float:
     """Cost of a metre on rough ground: so much longer it takes there."""
     return 1.0 / parameters.share
 
 
-@borrowing
+@compiled
 def _way_costs_at_most(
     parameters: DriverParameters,
     memory: GroundMemory,
@@ -205,7 +205,7 @@ def _way_costs_at_most(
     )
 
 
-@borrowing
+@compiled
 def look_ahead(
     parameters: DriverParameters,
     memory: GroundMemory,
@@ -254,13 +254,13 @@ def look_ahead(
     return best_x, best_y
 
 
-@borrowing
+@compiled
 def _slow(parameters: DriverParameters) -> float:
     """As fast as it drives on rough ground [m/s]."""
     return (1.0 - _ROUNDING) * parameters.share * parameters.v_max
 
 
-@borrowing
+@compiled
 def _rough_speed(
     parameters: DriverParameters, memory: GroundMemory, here: Motion, to_x: float, to_y: float
 ) -> float:
@@ -282,7 +282,7 @@ def _rough_speed(
     )
 
 
-@borrowing
+@compiled
 def drive_towards(
     parameters: DriverParameters,
     memory: GroundMemory,
@@ -317,7 +317,7 @@ def drive_towards(
     return brake(here.v_x, here.v_y, parameters.u_max, parameters.dt)
 
 
-@borrowing
+@compiled
 def _plan_if_due(
     parameters: DriverParameters, memory: GroundMemory, tick: int, target: int, own: int
 ) -> None:
@@ -340,7 +340,7 @@ def _plan_if_due(
         take_plan(memory)
 
 
-@borrowing
+@compiled
 def navigate_control(
     parameters: DriverParameters,
     memory: GroundMemory,

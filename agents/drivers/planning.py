@@ -10,7 +10,7 @@ whatever is told meanwhile. The plan before is followed until it ends. The limit
 import math
 
 from agents.drivers.tile_map import GroundMemory, PlaceArray
-from sim.kernels.compile import FloatArray, borrowing, compiled
+from sim.kernels.compile import FloatArray, compiled
 from sim.models.ground import BLOCK, ROUGH, UNSEEN, TileArray
 
 _DONE, _UNTOUCHED = -2, -1
@@ -65,7 +65,7 @@ def _comes_first(cost: FloatArray, a: int, b: int) -> bool:
     return bool(cost[a] < cost[b] or (cost[a] == cost[b] and a < b))
 
 
-@borrowing
+@compiled
 def _rise(cost: FloatArray, heap: PlaceArray, place: PlaceArray, at: int) -> None:
     n = heap[at]
     while at > 0:
@@ -79,7 +79,7 @@ def _rise(cost: FloatArray, heap: PlaceArray, place: PlaceArray, at: int) -> Non
     place[n] = at
 
 
-@borrowing
+@compiled
 def _sink(cost: FloatArray, heap: PlaceArray, place: PlaceArray, count: int) -> None:
     n, at = heap[0], 0
     while 2 * at + 1 < count:
@@ -95,7 +95,7 @@ def _sink(cost: FloatArray, heap: PlaceArray, place: PlaceArray, count: int) -> 
     place[n] = at
 
 
-@borrowing
+@compiled
 def _touch(draft: TileArray, rows: int, columns: int, n: int) -> None:
     """Note of a tile that the search reaches whether it is beside a blocked one."""
     i, j = n // columns, n % columns
@@ -107,7 +107,7 @@ def _touch(draft: TileArray, rows: int, columns: int, n: int) -> None:
                 return
 
 
-@borrowing
+@compiled
 def begin_search(memory: GroundMemory, goal: int) -> None:
     """Begin a search on the tiles as they are known now; a goal in a blocked tile is approached.
 
@@ -129,7 +129,7 @@ def begin_search(memory: GroundMemory, goal: int) -> None:
     flags.aim, flags.open, flags.searching = goal, 1, 1
 
 
-@borrowing
+@compiled
 def _reach_out(rough: float, tile: float, memory: GroundMemory, count: int, n: int) -> int:
     """The ways to the neighbours of a tile that has been settled; how many tiles are in the heap then."""
     draft, cost, heap, place = memory.draft, memory.cost, memory.heap, memory.place
@@ -165,7 +165,7 @@ def _reach_out(rough: float, tile: float, memory: GroundMemory, count: int, n: i
     return count
 
 
-@borrowing
+@compiled
 def search_on(rough: float, tile: float, memory: GroundMemory, until: int, most: int) -> bool:
     """Go on with the search that has begun, until the cost of the cheapest way from one tile to the goal is known.
 
@@ -199,7 +199,7 @@ def search_on(rough: float, tile: float, memory: GroundMemory, until: int, most:
     return True
 
 
-@borrowing
+@compiled
 def take_plan(memory: GroundMemory) -> None:
     """From now on the plan of the search that has ended is followed."""
     for n in range(memory.way.shape[0]):
@@ -209,7 +209,7 @@ def take_plan(memory: GroundMemory) -> None:
     flags.plans += 1
 
 
-@borrowing
+@compiled
 def is_settled(memory: GroundMemory, n: int) -> bool:
     """True if the search that has ended says which way is the cheapest from a tile, or that there is none."""
     settled = memory.flags[0].settled
@@ -218,7 +218,7 @@ def is_settled(memory: GroundMemory, n: int) -> bool:
     )
 
 
-@borrowing
+@compiled
 def next_tile(way: TileArray, columns: int, n: int) -> int:
     """The neighbour through which the way of a plan goes; the tile itself at the goal, and where there is no way.
 
@@ -233,7 +233,7 @@ def next_tile(way: TileArray, columns: int, n: int) -> int:
     return int(n + ((step - 1) // 3 - 1) * columns + (step - 1) % 3 - 1)
 
 
-@borrowing
+@compiled
 def way_corners(way: TileArray, columns: int, n: int, corners: PlaceArray) -> int:
     """The tiles in which the way of a plan turns, from one on to the goal, both with them.
 
@@ -258,7 +258,7 @@ def way_corners(way: TileArray, columns: int, n: int, corners: PlaceArray) -> in
     return count
 
 
-@borrowing
+@compiled
 def has_way(way: TileArray, n: int) -> bool:
     """True if a plan knows a way from a tile to its goal."""
     return bool(way[n] >= _STEP)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages import BLOCK_SIDE
-from sim.kernels.compile import FloatArray, IntArray, borrowing
+from sim.kernels.compile import FloatArray, IntArray, compiled
 from sim.kernels.records import RecordArray, records
 from sim.models.ground import BLOCK, NO_CLAIM, UNSEEN, TileArray
 from sim.models.motion import no_motions
@@ -97,14 +97,14 @@ def ground_memory(rows: int, columns: int, delay: int = 0) -> GroundMemory:
     )
 
 
-@borrowing
+@compiled
 def _set_tile(memory: GroundMemory, row: int, column: int, state: int) -> None:
     if memory.tiles[row, column] != state:
         memory.tiles[row, column] = state
         memory.flags[0].stale = 1
 
 
-@borrowing
+@compiled
 def note_tiles(memory: GroundMemory, rows: IntArray, columns: IntArray, states: TileArray) -> None:
     """Take in tiles that the bumper has seen: its word stands against the radio's, before and after.
 
@@ -121,7 +121,7 @@ def note_tiles(memory: GroundMemory, rows: IntArray, columns: IntArray, states: 
             memory.sure[i, j] = 1
 
 
-@borrowing
+@compiled
 def note_block(memory: GroundMemory, block_row: int, block_column: int, states: TileArray) -> None:
     """Take in a block of tiles that the radio tells.
 

@@ -8,9 +8,9 @@ two ticks' way. It is at most a quarter of Q's shorter side: a UGV that needs mo
 
 from agents.drivers.parameters import DriverParameters
 from agents.drivers.waypoints import goal_control
-from sim.kernels.compile import borrowing
+from sim.kernels.compile import compiled
 from sim.kernels.records import RecordArray
-from sim.models.randomness import WANDER, uniform
+from sim.models.randomness import FIRST, SECOND, WANDER, uniform
 from sim.models.vehicles import Motion, goal_reached, speed_to_stop_within, stopping_distance
 
 
@@ -29,7 +29,7 @@ def wander_pace(
     return speed, 2.0 * (stopping_distance(speed, u_max) + speed * dt)
 
 
-@borrowing
+@compiled
 def wander_control(
     parameters: DriverParameters, memory: RecordArray, tick: int, here: Motion
 ) -> tuple[float, float]:
@@ -44,7 +44,7 @@ def wander_control(
     m = memory[0]
     if m.chosen == 0 or goal_reached(here.p_x, here.p_y, m.goal_x, m.goal_y, parameters.tolerance):
         key, margin = (parameters.key_0, parameters.key_1), parameters.margin
-        m.goal_x = margin + (parameters.width - 2.0 * margin) * uniform(key, WANDER, tick, 0)
-        m.goal_y = margin + (parameters.height - 2.0 * margin) * uniform(key, WANDER, tick, 1)
+        m.goal_x = margin + (parameters.width - 2.0 * margin) * uniform(key, WANDER, tick, FIRST)
+        m.goal_y = margin + (parameters.height - 2.0 * margin) * uniform(key, WANDER, tick, SECOND)
         m.chosen = 1
     return goal_control(here, m.goal_x, m.goal_y, parameters.speed, parameters.u_max, parameters.dt)

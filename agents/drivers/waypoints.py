@@ -1,7 +1,7 @@
 """The paper's driver: straight to one goal after the other (section II)."""
 
 from agents.drivers.parameters import DriverParameters
-from sim.kernels.compile import FloatArray, borrowing, compiled
+from sim.kernels.compile import FloatArray, compiled
 from sim.kernels.records import RecordArray
 from sim.models.vehicles import Motion, clip_norm, next_goal, norm, speed_to_stop_within
 
@@ -30,7 +30,7 @@ def goal_control(
     return clip_norm((w_x - here.v_x) / dt, (w_y - here.v_y) / dt, u_max)
 
 
-@borrowing
+@compiled
 def waypoint_control(
     parameters: DriverParameters, goals: FloatArray, memory: RecordArray, here: Motion
 ) -> tuple[float, float]:

@@ -6,9 +6,8 @@ How detections are taken up is compiled (`agents.estimation.filtering`); the pro
 Deviation: the paper's laws see the true $p_\Delta$. Ours see this estimate, never the truth.
 """
 
-import functools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 import msgspec
@@ -27,7 +26,7 @@ from agents.estimation.kalman import AxisFilter
 from agents.estimation.motion_model import KalmanParameters, kalman_parameters, motion
 from bus.messages import Detector, Estimator, Limits, UavBriefing
 from bus.ticks import Look, ticks_within
-from sim.kernels.compile import FloatArray, borrowing, entry_point
+from sim.kernels.compile import FloatArray, compiled
 from sim.kernels.records import RecordArray, records
 
 SPAN = 60.0
@@ -56,7 +55,7 @@ def _view(row: RecordArray, first: str, shape: tuple[int, ...]) -> FloatArray:
     return np.ndarray(shape, np.float64, buffer=row.data, offset=fields[first][1])
 
 
-@borrowing
+@compiled
 def _update(
     parameters: RecordArray,
     state: KalmanState,
@@ -70,7 +69,7 @@ def _update(
     return kalman_go_on(parameters[0], state)
 
 
-@borrowing
+@compiled
 def _go_on(parameters: RecordArray, state: KalmanState) -> int:
     return kalman_go_on(parameters[0], state)
 
@@ -136,16 +135,6 @@ class RelativeEstimator:
         flags = (state.step[name] for name in ("ticks", "predicted", "weighed"))
         self._ticks, self._predicted, self._weighed = flags
 
-    @functools.cached_property
-    def _update(self) -> Callable[..., int]:
-        """Compiled for whoever asks: a pilot's tick has both in one call of its own."""
-        looks = np.zeros((0, len(Look._fields)))
-        return entry_point(_update, *self.arrays, 0, 0.0, 0.0, looks, 0)
-
-    @functools.cached_property
-    def _go_on(self) -> Callable[..., int]:
-        return entry_point(_go_on, *self.arrays)
-
     def __getstate__(self) -> dict[str, Any]:
         return {name: self.__dict__[name] for name in _KEPT}
 
@@ -197,10 +186,10 @@ class RelativeEstimator:
         """
         self.get_ready(tick)
         rows = np.array([*looks], dtype=np.float64).reshape(-1, len(Look._fields))
-        needs = self._update(*self.arrays, tick, *own_position, rows, len(rows))
+        needs = _update(*self.arrays, tick, *own_position, rows, len(rows))
         while needs != DONE:
             self.work_out(needs)
-            needs = self._go_on(*self.arrays)
+            needs = _go_on(*self.arrays)
         if not self._known.item(0):
             return None
         x, y, v_x, v_y = self._mean.tolist()

@@ -24,7 +24,7 @@ from agents.control.lookahead import Target
 from agents.control.uav_tick import LOOK
 from agents.estimation.motion_model import SURE, KalmanParameters, strayed_distance
 from bus.ticks import NO_TICK
-from sim.kernels.compile import FloatArray, borrowing
+from sim.kernels.compile import FloatArray, compiled
 from sim.kernels.records import RecordArray, record_type
 from sim.models.vehicles import clip_norm
 
@@ -151,7 +151,7 @@ def kalman_state(depth: int) -> KalmanState:
     return state
 
 
-@borrowing
+@compiled
 def kalman_estimate(state: KalmanState) -> Target:
     """All that is believed of the UGV."""
     belief = state.belief[0]
@@ -160,13 +160,13 @@ def kalman_estimate(state: KalmanState) -> Target:
     )
 
 
-@borrowing
+@compiled
 def kalman_refused(state: KalmanState) -> int:
     """Detections refused, by the gate (as if all had come in order) or for the wrong time."""
     return int(state.belief[0].by_gate + state.counts[0].misdated)
 
 
-@borrowing
+@compiled
 def kalman_begin(
     state: KalmanState, tick: int, p_ax: float, p_ay: float, looks: FloatArray, count: int
 ) -> None:
@@ -196,7 +196,7 @@ def kalman_begin(
     step.detected = first == step.at
 
 
-@borrowing
+@compiled
 def _arrange(state: KalmanState, tick: int, looks: FloatArray, count: int) -> int:
     """Put what has arrived into its ticks; the earliest at which something is new, or the tick after this one."""
     past, counts = state.past, state.counts[0]
@@ -222,7 +222,7 @@ def _arrange(state: KalmanState, tick: int, looks: FloatArray, count: int) -> in
     return first
 
 
-@borrowing
+@compiled
 def kalman_go_on(parameters: KalmanParameters, state: KalmanState) -> int:
     """Go on to the tick that the filter was called for, as far as the products that there are reach.
 
@@ -256,12 +256,12 @@ def kalman_go_on(parameters: KalmanParameters, state: KalmanState) -> int:
         step.detected = past[tick % len(past)].seen
 
 
-@borrowing
+@compiled
 def _set_covariance(belief: Belief, pp: float, pv: float, vp: float, vv: float) -> None:
     belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv = pp, pv, vp, vv
 
 
-@borrowing
+@compiled
 def _predict(parameters: KalmanParameters, belief: Belief, step: Step) -> None:
     """Take on what is predicted, with the standard deviations of an axis in bounds.
 
@@ -287,7 +287,7 @@ def _predict(parameters: KalmanParameters, belief: Belief, step: Step) -> None:
     step.weighed = False  # it was for another covariance
 
 
-@borrowing
+@compiled
 def _take(parameters: KalmanParameters, state: KalmanState, x: float, y: float) -> bool:
     r"""Believe or refuse a detection of the UGV at (x, y) [m].
 
@@ -318,7 +318,7 @@ def _take(parameters: KalmanParameters, state: KalmanState, x: float, y: float) 
     return True
 
 
-@borrowing
+@compiled
 def _start(parameters: KalmanParameters, belief: Belief, step: Step, x: float, y: float) -> None:
     """Know nothing but one detection at (x, y) [m]."""
     belief.known = True
@@ -328,7 +328,7 @@ def _start(parameters: KalmanParameters, belief: Belief, step: Step, x: float, y
     step.predicted = step.weighed = False
 
 
-@borrowing
+@compiled
 def _correct(
     parameters: KalmanParameters, belief: Belief, step: Step, nu_x: float, nu_y: float
 ) -> None:

@@ -4,47 +4,22 @@ Its packages import every filter when they are opened, and for them `scipy.stats
 time than all else that a pilot loads. The filter needs neither, so the packages are entered without being opened.
 """
 
-import sys
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 
 from sim.kernels.compile import FloatArray
-from sim.kernels.lazy_packages import enter
-from sim.kernels.packing import writer
 
 __all__ = ["AxisFilter", "KalmanFilter"]
 
-_write_matrix = writer(4)
+import struct
+
+_write_matrix = struct.Struct("4d").pack_into
 
 
-def _log_density(*arguments: Any, **named: Any) -> float:  # noqa: ANN401 - filterpy's
-    """`filterpy.stats.logpdf`, which a filter asks for its likelihood alone, loaded then."""
-    density: float = import_module("filterpy.stats.stats").logpdf(*arguments, **named)
-    return density
+from filterpy.kalman import KalmanFilter as KF
 
-
-def _load() -> Any:  # noqa: ANN401 - a class that has no types
-    if "filterpy" in sys.modules:
-        return import_module("filterpy.kalman").KalmanFilter
-    enter("filterpy")
-    common, stats = enter("filterpy.common"), enter("filterpy.stats")
-    enter("filterpy.kalman")
-    helpers = import_module("filterpy.common.helpers")
-    needed = {common: ("pretty_str", "reshape_z"), stats: ("logpdf",)}
-    common.__dict__.update({name: getattr(helpers, name) for name in needed[common]})
-    stats.__dict__["logpdf"] = _log_density
-    found = import_module("filterpy.kalman.kalman_filter").KalmanFilter
-    for package, names in needed.items():
-        if "__getattr__" in package.__dict__:  # still not opened: what it was lent goes again
-            for name in names:
-                del package.__dict__[name]
-    return found
-
-
-KalmanFilter: Any = _load()
-"""The class `filterpy.kalman.KalmanFilter`."""
+KalmanFilter: Any = KF
 
 
 class AxisFilter(KalmanFilter):  # type: ignore[misc]

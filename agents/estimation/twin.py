@@ -31,10 +31,10 @@ from agents.estimation.filtering import (
     kalman_go_on,
 )
 from agents.estimation.motion_model import KalmanParameters
-from sim.kernels.compile import FloatArray, borrowing
+from sim.kernels.compile import FloatArray, compiled
 
 
-@borrowing
+@compiled
 def kalman_step(
     parameters: KalmanParameters,
     state: KalmanState,
@@ -71,7 +71,7 @@ def _fma(
 fma = cast("Callable[[float, float, float], float]", intrinsic(_fma))
 
 
-@borrowing
+@compiled
 def _predict(parameters: KalmanParameters, belief: Belief, step: Step) -> None:
     r"""The covariance of one axis a tick later: $F P F^T + Q$."""
     dt, vp, vv = parameters.dt, belief.p_vp, belief.p_vv
@@ -81,7 +81,7 @@ def _predict(parameters: KalmanParameters, belief: Belief, step: Step) -> None:
     step.predicted = True
 
 
-@borrowing
+@compiled
 def _weigh(variance: float, belief: Belief, step: Step) -> None:
     r"""Gain of one axis, and its covariance after a detection, $(I - KH) P (I - KH)^T + K R K^T$."""
     pp, pv, vp, vv = belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv

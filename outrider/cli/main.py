@@ -161,10 +161,6 @@ def _system_fault(error: OSError) -> str:
 
 def _run() -> int:
     try:
-        if not _computes(sys.argv[1:]):
-            from sim.kernels.compile import interpret
-
-            interpret()
         code = int(make_app()(standalone_mode=False) or 0)
         if not code:  # one of its own tells more than that the terminal has gone
             print_text("")  # what waits to be written
@@ -191,13 +187,6 @@ def _run() -> int:
             _show_traceback()
             return _fail(f"{told_with_place(error)}; {_MORE}", 1)
         return _fail(f"{told()} (outrider --help tells more)", int(getattr(error, "exit_code", 2)))
-
-
-def _computes(arguments: list[str]) -> bool:
-    """False for a command that only reads scenarios, and for one whose processes compute in its place."""
-    if arguments[:1] == ["run"]:
-        return "--in-process" in arguments
-    return arguments[:1] not in (["scenarios"], ["check"])
 
 
 def run_command_line() -> int:

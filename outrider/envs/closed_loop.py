@@ -3,7 +3,7 @@
 World, links, filters, laws, drivers and rewards of a tick in one compiled pass.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, TypeVar, Unpack, cast
 
 import msgspec
@@ -33,12 +33,12 @@ from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
 from bus.ticks import radio_ticks, ticks_within
 from outrider.envs.closed_loop_state import (
     GUARD_METRICS,
-    RADIO_SIZE,
     LoopParameters,
     LoopState,
     LoopTables,
 )
 from outrider.envs.closed_loop_tick import run_worlds
+from sim.channel.link_records import no_packets
 from sim.engine.batch import Batch, Fresh, arrays_of
 from sim.engine.briefing import uav_briefing, ugv_briefing
 from sim.engine.certificate_counts import (
@@ -47,16 +47,14 @@ from sim.engine.certificate_counts import (
     certificate_counts,
     sent_commands,
 )
-from sim.engine.ground_state import joined
-from sim.engine.link_arrays import LinkArrays
 from sim.engine.mission import mission_of
 from sim.engine.run_keys import check_secret
+from sim.engine.world_state import joined
 from sim.env.patch import given_patch
 from sim.env.rewards import RewardWeights
 from sim.env.rows import UAV_METRICS, row_state, row_tables
 from sim.env.settings import EPISODE_DEFAULTS, EpisodeSettings, completed
-from sim.kernels.compile import FloatArray, IntArray, compiling, entry_point
-from sim.kernels.prefetch import disc_widths
+from sim.kernels.compile import FloatArray, IntArray
 from sim.kernels.records import records
 from sim.models.randomness import PILOT
 from sim.scenario.types import Scenario
@@ -170,8 +168,8 @@ class ClosedLoop:
             gains=weights.seen > 0.0,
             threads=options["threads"],
             secret=check_secret(options["secret"]),
+            others=(LinkKind.RADIO,),
         )
-        radio = self._radio = LinkArrays(scenario, (LinkKind.RADIO,), RADIO_SIZE, worlds)
         receiving = numbers.radio
         thinking = numbers.thinking | (estimate or gradient or receiving)
         dt, ground, grounded = scenario.dt, scenario.ground, scenario.has_ground and receiving
@@ -213,24 +211,18 @@ class ClosedLoop:
             scripts=scripts,
             script_rows=script_rows,
             late=numbers.late,
-            radio=radio.table,
-            seen=disc_widths(scenario.sensor.range, scenario.area.cell),
-            around=disc_widths(
-                scenario.visibility.radius + scenario.sensor.range, scenario.area.cell
-            ),
-            looked=disc_widths(scenario.sensor.range, ground.tile),
-            felt=disc_widths(ground.bumper, ground.tile),
         )
         late = self.batch.links.longest(LinkKind.DETECTIONS)
         kalman = kalman_state(min(late, ticks_within(SPAN, dt)) + 1)
         guard = guard_state(numbers.longest, min(late + 1, numbers.track))
         uavs, ugvs = len(self.uavs), len(self.ugvs)
-        room = radio.room * uavs if receiving else 1
-        coverage = self.batch.state.truth.coverage
-        told_room = max(BLOCK_TILES, self.batch.state.ground.seen.shape[2]) if grounded else 0
+        room = self.batch.links.packets.shape[3]
+        coverage = self.batch.state.coverage
+        told_room = 0
+        if grounded and self.batch.ground is not None:
+            told_room = max(BLOCK_TILES, self.batch.ground.seen.shape[2])
         telling = telling_memory(scenario.area.width, scenario.area.height, self.parameters.tile)
         pixels = patch.pixels if patch else 1
-        self._compiled: Callable[..., object] | None = None
         self.state = LoopState(
             batch=self.batch.state,
             rows=row_state(
@@ -250,25 +242,24 @@ class ClosedLoop:
             guards=_repeated(guard, worlds, uavs),
             driver_states=_repeated(driver_memory(), worlds, ugvs),
             grounds=_repeated(numbers.ground, worlds, ugvs),
-            outbox=np.full((worlds, uavs, 2, RADIO_SIZE), -1.0),
-            radio=radio.states,
-            inbox=np.zeros((worlds, radio.room if receiving else 1, RADIO_SIZE)),
-            inboxes=np.zeros((worlds, ugvs, room, 3)),
+            outbox=no_packets(worlds, uavs, 2),
+            looks=np.zeros((worlds, room, 3)),
+            inboxes=np.zeros((worlds, ugvs, room * uavs if receiving else 1, 3)),
             arrived=np.zeros((worlds, ugvs), dtype=np.int64),
             patches=np.zeros((worlds, uavs if patch else 0, pixels, pixels)),
             telling=_repeated(telling, worlds, uavs),
             places=np.zeros((worlds, 2, told_room), dtype=np.int64),
             states=np.zeros((worlds, told_room), dtype=np.uint8),
         )
+        self.state.outbox["stamp"] = -1.0
         self._fresh = Fresh(self.state[1:])  # all but the batch, which knows its own
         self._all = np.arange(worlds)
-        with compiling():  # one process does, the others wait
-            self.begin([scenario.seed], [0])
+        self.begin([scenario.seed], [0])
 
     @property
     def degraded(self) -> bool:
         """True if any link does anything to a message."""
-        return not (self.batch.links.perfect and self._radio.perfect)
+        return self.batch.links.degraded
 
     def begin(
         self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None = None
@@ -281,10 +272,10 @@ class ClosedLoop:
         """
         which = self.batch.restore(seeds, worlds)
         self._fresh.restore(which)
-        keys = self.state.batch.keys[which, PILOT]
+        keys = self.state.batch.vehicles["keys"][which, :, PILOT]
         for rows, vehicles in (
             (self.state.laws, self.tables.batch.escorts[:, 0]),
-            (self.state.drivers, self.tables.batch.ground.ugvs),
+            (self.state.drivers, self.tables.batch.ugvs),
         ):
             for word, name in enumerate(("key_0", "key_1")):
                 rows[name][which] = keys[:, vehicles, word]
@@ -317,13 +308,8 @@ class ClosedLoop:
     ) -> None:
         which = np.ascontiguousarray(worlds, dtype=np.int64)
         given = np.ascontiguousarray(actions, dtype=np.float64)
-        told = (self.parameters, self.tables, self.state, which, beginning, given, ticks)
-        if self._compiled is None:
-            self._compiled = entry_point(run_worlds, *told, 0, 0)
-        self.batch.workers.share(self._compiled, len(worlds), *told)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_compiled": None}
+        loop = self.parameters, self.tables, self.state, self.batch.ground
+        self.batch.workers.share(run_worlds, len(worlds), *loop, which, beginning, given, ticks)
 
     def metrics(self, uav: str) -> dict[str, FloatArray]:
         """A UAV's true standing in this episode, in each world; arrays of shape (worlds,).
@@ -352,13 +338,14 @@ class ClosedLoop:
 
     def mission(self, world: int) -> Mission:
         """The mission of one world so far, where there are hazards."""
-        tables, state = self.tables.batch, self.state.batch
-        told = tables.mission, state.ground, state.mission, world, self.scenario.dt
-        return mission_of(*told, self.ugvs)
+        if self.batch.ground is None:
+            raise ValueError("there are no hazards, so there is no mission")
+        goal_rows, dt = self.tables.batch.goal_rows, self.scenario.dt
+        return mission_of(goal_rows, self.batch.ground, world, dt, self.ugvs)
 
     def links(self, world: int) -> dict[str, LinkStatus]:
         """The counters of each link of one world so far, by `vehicle/kind`."""
-        return self.batch.links.status(world) | self._radio.status(world)
+        return self.batch.links.status(world)
 
     def bytes_per_world(self) -> int:
         """Memory that one more world needs [bytes]."""

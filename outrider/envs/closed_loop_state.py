@@ -4,11 +4,10 @@ from typing import Any, NamedTuple
 
 from agents.control.guard import GuardState
 from agents.control.lookahead import LookaheadMemory
-from agents.control.telling import BLOCK_WORDS, TellingMemory
+from agents.control.telling import TellingMemory
 from agents.drivers.tile_map import GroundMemory
 from agents.estimation.filtering import KalmanState
 from bus.layout import UavRow
-from sim.channel.link import LinkNumbers, LinkState
 from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rows import UAV_METRICS, RowState, RowTables
 from sim.kernels.compile import FloatArray, IntArray
@@ -17,10 +16,6 @@ from sim.models.ground import TileArray
 
 GRADIENT_X, GRADIENT_Y = len(UavRow._fields), len(UavRow._fields) + 1
 """Columns of `RowState.uav_rows` after `UavRow`: those of `GradientCue`."""
-
-
-RADIO_SIZE = 2 + BLOCK_WORDS
-"""Numbers in a message by radio."""
 
 
 class GuardMetrics(NamedTuple):
@@ -83,15 +78,6 @@ class LoopTables(NamedTuple):
     script_rows: IntArray
     late: IntArray
     """For each UGV after how many ticks its commands act. Shape (UGVs,)."""
-    radio: LinkNumbers
-    """A row for each UAV."""
-    seen: IntArray
-    """The sensor's disc, and of the density (9), from `sim.kernels.prefetch.disc_widths`."""
-    around: IntArray
-    looked: IntArray
-    """The sensor's disc on the tiles of the ground, likewise."""
-    felt: IntArray
-    """A UGV's bumper there."""
 
 
 class LoopState(NamedTuple):
@@ -120,15 +106,13 @@ class LoopState(NamedTuple):
     """`DriverMemory`. Shape (worlds, UGVs, 1)."""
     grounds: GroundMemory
     """The ground as each UGV knows it; without tiles where there are no hazards. Shape (worlds, UGVs, ...)."""
-    outbox: FloatArray
-    """The radio messages that each UAV has just sent: of where it is, and of the ground.
+    outbox: RecordArray
+    """`Packet`: the radio messages that each UAV has just sent, of its relative position and of the ground.
 
-    The tick (-1: none), the block of tiles (-1: of none), and p_delta [m] or `block_words`.
-    Shape (worlds, UAVs, 2, RADIO_SIZE).
+    Shape (worlds, UAVs, 2).
     """
-    radio: LinkState
-    inbox: FloatArray
-    """Room for the messages that arrive by one radio link. Shape (worlds, room, RADIO_SIZE)."""
+    looks: FloatArray
+    """Room for the detections that have reached one UAV: tick, p_delta [m]. Shape (worlds, room, 3)."""
     inboxes: FloatArray
     """The radio messages of where it is that have reached each UGV at this tick: the tick, p_delta [m].
 

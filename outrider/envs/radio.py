@@ -28,7 +28,8 @@ class Radio:
         told = {uav.name: env.briefing(uav.name) for uav in env.scenario.uav}
         self._filters = {uav: estimator_of(one) for uav, one in told.items()}
         self._escorts = {uav.name: uav.escorts for uav in env.scenario.uav}
-        self._links = env.world.links.of(LinkKind.RADIO)
+        links = env.world.links
+        self._links = {uav: links.row(LinkKind.RADIO, uav) for uav in self._escorts}
         self._tellers = {uav: GroundTeller(one) for uav, one in told.items()}
         self._said: dict[str, tuple[RelativeInformation | GroundBlock, ...]] = {}
         self._arrived: dict[str, tuple[RelativeInformation | GroundBlock, ...]] = {}
@@ -55,11 +56,12 @@ class Radio:
     def _go_on(self) -> None:
         self._tick += 1
         self._arrived = {}
-        for uav, link in self._links.items():
+        links = self._env.world.links
+        for uav, row in self._links.items():
             for message in self._said.pop(uav, ()):
-                link.send(self._tick, message, self._tick - 1)
+                links.send_object(row, self._tick, message, self._tick - 1)
             ugv = self._escorts[uav]
-            self._arrived[ugv] = self._arrived.get(ugv, ()) + tuple(link.arrivals(self._tick))
+            self._arrived[ugv] = self._arrived.get(ugv, ()) + tuple(links.arrivals(row, self._tick))
         if self._tick == self._env.world.tick:
             for ugv in self._arrived:
                 for block in self.blocks(ugv):
@@ -69,7 +71,7 @@ class Radio:
 
     def _speak(self, uav: str) -> None:
         world = self._env.world
-        p_x, p_y = world.told.position[self._rows[uav]].tolist()
+        p_x, p_y = world.reference_position[self._rows[uav]].tolist()
         estimate = self._filters[uav].update(
             tick=self._tick,
             own_position=(p_x, p_y),

@@ -87,7 +87,7 @@ def _put(flight: Flight, truth: Truth) -> None:
     escorts = {escort.uav: escort for escort in truth.escorts}
     for k, uav in enumerate(world.uavs):
         found = escorts[uav.name].detection
-        world.detections[k] = found if found is not None else (np.nan, np.nan)
+        world.vehicles["detection"][world.escorts[k, 0]] = found or (np.nan, np.nan)
     flight.recorder.record([escorts[uav.name].report for uav in world.uavs])
 
 

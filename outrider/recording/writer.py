@@ -207,7 +207,7 @@ class FlightRecorder:
             realtime_factor=max(0, flight.world.tick - tick)
             * flight.scenario.dt
             / max(now - before, 1e-6),
-            warnings=promise_warnings(flight.flown, flight.world.links.table),
+            warnings=promise_warnings(flight.flown, flight.world.link_table),
             vehicles={**status.vehicles, **self.vehicles()},
         )
 

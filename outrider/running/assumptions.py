@@ -25,12 +25,12 @@ from outrider.running.summary import PERHAPS_EVERY, in_flights
 from sim.channel.chances import Chance, chance_of_age, chance_of_error, chance_of_outage
 from sim.channel.description import (
     arrival_share,
-    arrivals_of,
     link_parameters,
     longest_delay,
     longest_wait,
 )
-from sim.channel.link import FATES, LinkParameters
+from sim.channel.link_records import DELAYS, LinkParameters
+from sim.channel.links import first_arrivals
 from sim.channel.places import delays_at
 from sim.channel.recorded import Opportunities, recording_of
 from sim.channel.recorded import found as trace_named
@@ -259,7 +259,7 @@ class _Link:
             The ages until all repeats, and whether it is so: otherwise they are those of a part.
         """
         p = self.parameters
-        table, tick = p.replay == FATES, 1000.0 * p.dt
+        table, tick = p.replay == DELAYS, 1000.0 * p.dt
         most = _MOST_PLAYED
         step = round(tick * every)
         whole, settled = p.period, p.longest + p.queue * every  # before that it has only begun
@@ -275,7 +275,7 @@ class _Link:
         else:
             bare = p._replace(blackouts=np.zeros((0, 2), dtype=np.int64))
             with np.errstate(over="ignore"):  # of its draws, where it is not compiled
-                arrived = arrivals_of(bare, (np.uint64(0), np.uint64(0)), len(sent), every=every)
+                arrived = first_arrivals(bare, (np.uint64(0), np.uint64(0)), len(sent), every=every)
         newest = np.full(settled + ticks, -1, dtype=np.int64)
         there = (arrived >= 0) & (arrived < len(newest))
         np.maximum.at(newest, arrived[there], sent[there])

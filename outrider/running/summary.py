@@ -180,8 +180,13 @@ def switching_radius_of(flight: "Flight", escort: int = 0) -> float | None:
 
     world = flight.world
     a, g = world.escorts[escort]
-    v_a, u_a = world.bounds[a].tolist()
-    r_s: float = raw_switching_radius(world.parameters.r_v, v_a, float(world.bounds[g, 0]), u_a)
+    uav, ugv = world.vehicles[a], world.vehicles[g]
+    r_s: float = raw_switching_radius(
+        world.parameters.r_v,
+        float(uav["max_speed"]),
+        float(ugv["max_speed"]),
+        float(uav["max_acceleration"]),
+    )
     return r_s if math.isfinite(r_s) else None
 
 
@@ -305,7 +310,7 @@ def summarize(
         tracking_error=recorder.tracking_error,
         **mission_fields(world.mission),
         links=world.links.status(),
-        traces={one.name: one.sha256 for one in world.links.table.traces},
+        traces={one.name: one.sha256 for one in world.link_table.traces},
         realtime=realtime,
         realtime_factor=recorder.ticks * scenario.dt / seconds if seconds > 0.0 else 0.0,
         late_ticks=late_ticks,

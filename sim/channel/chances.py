@@ -36,7 +36,7 @@ import numpy.typing as npt
 from bus.messages import LinkSettings
 from bus.ticks import DUST, ticks_within
 from sim.channel.description import arrival_share, link_parameters
-from sim.channel.link import OPPORTUNITIES, LinkParameters
+from sim.channel.link_records import OPPORTUNITIES, LinkParameters
 from sim.channel.places import delays_by_place, oldest_by_place, unseen_by_place, waits_by_place
 from sim.channel.recorded import RecordedLink
 from sim.kernels.compile import FloatArray

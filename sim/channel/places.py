@@ -8,7 +8,7 @@ sent before.
 import numpy as np
 import numpy.typing as npt
 
-from sim.channel.link import LinkParameters
+from sim.channel.link_records import LinkParameters
 from sim.kernels.compile import FloatArray, IntArray
 
 _Mask = npt.NDArray[np.bool_]

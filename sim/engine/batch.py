@@ -4,39 +4,33 @@ No laws in here. World k with a seed is, bit for bit, the `World` of that seed a
 a single world is a batch of one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from bus.errors import ScenarioError
 from bus.messages import LinkKind, LinkSettings
 from bus.ticks import first_tick_from
+from sim.channel.description import check_link
 from sim.engine.briefing import declared, ugv_delay
-from sim.engine.ground_state import ground_constants, ground_state, mission_constants, mission_state
-from sim.engine.link_arrays import LinkArrays
+from sim.engine.ground_state import CONSTANTS, Ground, ground_of
 from sim.engine.run_keys import derive_keys
+from sim.engine.scenario_links import ENGINE_LINKS, key_rows, links_of, vehicles_with
 from sim.engine.world_state import (
-    MESSAGE_SIZE,
     BatchState,
     BatchTables,
-    WorldParameters,
-    WorldState,
-    bounds_of,
-    disturbances_of,
-    escorts_of,
-    first_state,
-    no_tracking_errors,
-    receivers_of,
-    told_of,
+    batch_tables,
+    first_coverage,
+    first_vehicles,
     world_parameters,
 )
 from sim.engine.world_tick import begin_world, world_tick
-from sim.kernels.compile import IntArray, entry_point, released
-from sim.kernels.records import records
+from sim.kernels.compile import IntArray, released
 from sim.kernels.threads import WorkerThreads
 from sim.models.motion import no_motions
-from sim.models.randomness import HAZARD_FIELDS, RUN_PURPOSES
+from sim.models.randomness import HAZARD_FIELDS
 from sim.scenario.ground_tables import ground_tables, place_fields
 from sim.scenario.risk import carries_motions, ugv_carries
 from sim.scenario.types import Scenario
@@ -44,18 +38,28 @@ from sim.scenario.types import Scenario
 
 @released
 def _begin_worlds(
-    tables: BatchTables, state: BatchState, worlds: IntArray, begin: int, end: int
+    tables: BatchTables,
+    state: BatchState,
+    ground: Ground | None,
+    worlds: IntArray,
+    begin: int,
+    end: int,
 ) -> None:
     for n in range(begin, end):
-        begin_world(tables, state, worlds[n])
+        begin_world(tables, state, ground, worlds[n])
 
 
 @released
 def _step_worlds(
-    tables: BatchTables, state: BatchState, linked: bool, begin: int, end: int
+    tables: BatchTables,
+    state: BatchState,
+    ground: Ground | None,
+    linked: bool,
+    begin: int,
+    end: int,
 ) -> None:
     for k in range(begin, end):
-        world_tick(tables, state, k, linked)
+        world_tick(tables, state, ground, k, linked)
 
 
 def arrays_of(state: object) -> list[npt.NDArray[Any]]:
@@ -86,6 +90,7 @@ class Batch:
         gains: Whether the fall of e(t) by each look is counted.
         threads: Processor cores that share the worlds; by default all that this process may use.
         secret: Of all their random numbers, with each one's seed; empty: none.
+        others: Kinds of links beside those of detections and commands, which the engine carries.
 
     Raises:
         ValueError: If there are no worlds.
@@ -99,55 +104,40 @@ class Batch:
         gains: bool = False,
         threads: int | None = None,
         secret: str = "",
+        others: Sequence[LinkKind] = (),
     ) -> None:
         if worlds < 1:
             raise ValueError(f"worlds = {worlds}: must be 1 or more")
         self.scenario = scenario
         self.worlds = worlds
         self._secret = secret
-        self._step: Callable[..., object] | None = None
         self.parameters = world_parameters(scenario, gains=gains)
         self.workers = WorkerThreads(threads)
         """The threads that share the worlds."""
         self._shared = self.workers.shares(worlds)
-        self.links = LinkArrays(
-            scenario, (LinkKind.DETECTIONS, LinkKind.COMMANDS), MESSAGE_SIZE, worlds
-        )
-        """Those of detections and commands."""
-        escorts, vehicles = escorts_of(scenario), len(scenario.vehicles)
-        first = first_state(scenario)
-        self.tables = BatchTables(
-            world=records(WorldParameters, [self.parameters]),
-            bounds=bounds_of(scenario),
-            escorts=escorts,
-            links=self.links.table,
-            receivers=receivers_of(scenario),
-            disturbances=disturbances_of(scenario),
-            ground=ground_constants(scenario),
-            mission=mission_constants(scenario),
-        )
-        ground = ground_state(scenario, worlds)
-        truth = WorldState._make(np.repeat(array[None], worlds, axis=0) for array in first)
-        room, rows = self.links.room, self._motion_rows()
+        self.links = links_of(scenario, (*ENGINE_LINKS, *others), worlds)
+        """Of detections, of commands, then the others."""
+        self._key_rows = key_rows(scenario, self.links)
+        self.link_table = scenario.links
+        """The links' settings now, as a scenario would write them."""
+        self.tables = batch_tables(scenario, self.parameters, self.links.traces)
+        vehicles = first_vehicles(scenario)
         self.state = BatchState(
-            keys=np.zeros((worlds, RUN_PURPOSES, vehicles, 2), dtype=np.uint64),
             ticks=np.zeros(worlds, dtype=np.int64),
-            truth=truth,
-            told=told_of(scenario, truth),
-            tracking=no_tracking_errors(worlds, len(self.tables.disturbances)),
-            received=np.zeros((worlds, len(escorts), room, MESSAGE_SIZE)),
-            arrived=np.zeros((worlds, len(escorts)), dtype=np.int64),
-            sent=np.full((worlds, vehicles, MESSAGE_SIZE), -1.0),
-            motions=no_motions(worlds, vehicles, rows),
-            flown=no_motions(worlds, vehicles, 1),
-            answered=np.full((worlds, vehicles), -1, dtype=np.int64),
-            inbox=np.zeros((worlds, room, MESSAGE_SIZE)),
-            links=self.links.states,
-            ground=ground,
-            mission=mission_state(ground),
+            vehicles=np.repeat(vehicles[None], worlds, axis=0),
+            coverage=np.repeat(first_coverage(scenario)[None], worlds, axis=0),
+            motions=no_motions(worlds, len(vehicles), self._motion_rows()),
+            flown=no_motions(worlds, len(vehicles), 1),
+            links=self.links.records,
+            packets=self.links.packets,
         )
-        self._first_links = self.state.links
-        self.fresh = Fresh(self.state)
+        self.ground = ground_of(scenario, worlds)
+        """The ground; None if there are no hazards."""
+        changing = self.ground._asdict() if self.ground is not None else {}
+        changing |= self.state._asdict()
+        for constant in (*CONSTANTS, "packets"):  # links without any packets are new
+            changing.pop(constant, None)
+        self.fresh = Fresh(tuple(changing.values()))
         """The start of every world."""
 
     def _motion_rows(self) -> int:
@@ -170,7 +160,7 @@ class Batch:
             worlds: Which; all by default.
         """
         which = self.restore(seeds, worlds)
-        self.workers.share(_begin_worlds, len(which), self.tables, self.state, which)
+        self.workers.share(_begin_worlds, len(which), self.tables, self.state, self.ground, which)
 
     def restore(
         self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None
@@ -185,55 +175,62 @@ class Batch:
         """
         which = np.arange(self.worlds) if worlds is None else np.asarray(worlds, dtype=np.int64)
         given = np.asarray(seeds, dtype=np.int64)
-        if self.state.links is not self._first_links:
+        if self.link_table is not self.scenario.links:
             raise ValueError("a world cannot begin anew: its links have been changed")
         if given.shape != which.shape:
             raise ValueError(f"{given.size} seeds for {which.size} worlds")
         self.fresh.restore(which)
-        self.state.keys[which] = derive_keys(
-            given.tolist(), len(self.scenario.vehicles), self._secret
-        )
+        keys = derive_keys(given.tolist(), len(self.scenario.vehicles), self._secret)
+        self.state.vehicles["keys"][which] = keys.swapaxes(1, 2)
+        purposes, vehicles = self._key_rows
+        self.links.records["key"][which] = keys[:, purposes, vehicles]
         if self.scenario.hazard_field:
             self._place_hazards(which)
         return which
 
     def _place_hazards(self, worlds: IntArray) -> None:
         """Draw the hazards of the scenario's fields; every seed has others."""
-        tables, ground = ground_tables(self.scenario), self.state.ground
+        if self.ground is None:
+            return
+        tables = ground_tables(self.scenario)
         for k in worlds.tolist():
-            first, second = self.state.keys[k, HAZARD_FIELDS, 0]  # as words, not Python's numbers
-            own = tables._replace(hazards=ground.hazards[k], tiles=ground.tiles[k])
+            first, second = self.state.vehicles["keys"][k, 0, HAZARD_FIELDS]
+            own = tables._replace(hazards=self.ground.hazards[k], tiles=self.ground.tiles[k])
             place_fields(self.scenario, own, (first, second))
 
     def advance(self, *, linked: bool = True) -> None:
-        """All worlds advance by one tick under the commands in `state.sent`, or in `state.truth.commands`.
+        """Advance all worlds by one tick under the outgoing commands, or under `command` of each vehicle.
 
         Args:
             linked: Whether commands cross their links.
         """
-        if self._step is None:
-            self._step = entry_point(_step_worlds, self.tables, self.state, True, 0, 1)
+        given = self.tables, self.state, self.ground, linked
         if self._shared:
-            self.workers.share(self._step, self.worlds, self.tables, self.state, linked)
+            self.workers.share(_step_worlds, self.worlds, *given)
         else:
-            self._step(self.tables, self.state, linked, 0, self.worlds)
+            _step_worlds(*given, 0, self.worlds)
 
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_step": None}
-
-    def change_link(self, kind: LinkKind, vehicle: str, settings: LinkSettings) -> None:
-        """Give a link other settings in all worlds, between two ticks: what is under way arrives as it would have.
+    def change_links(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> None:
+        """Give links other settings in all worlds, between two ticks: packets on their way arrive as they would have.
 
         No world can begin anew afterwards.
+
+        Args:
+            kind: The kind of the links.
+            vehicle: The vehicle; None: all that have such a link.
+            settings: The new settings.
+
+        Raises:
+            ScenarioError: If the settings are impossible, or this vehicle has no such link.
         """
-        self.links.change(kind, vehicle, settings)
-        state, room = self.state, self.links.room
-        received = np.zeros((*state.received.shape[:2], room, MESSAGE_SIZE))
-        kept = min(room, state.received.shape[2])
-        received[:, :, :kept] = state.received[:, :, :kept]
-        self.tables = self.tables._replace(links=self.links.table)
-        self.state = state._replace(
-            received=received,
-            inbox=np.zeros((self.worlds, room, MESSAGE_SIZE)),
-            links=self.links.states,
-        )
+        names = vehicles_with(self.scenario, kind)
+        if vehicle is not None and vehicle not in names:
+            raise ScenarioError(
+                f"vehicle = {vehicle!r}: has no link for its {kind}; allowed: {', '.join(names)}"
+            )
+        check_link(settings, str(kind), self.link_table.traces)
+        for name in names if vehicle is None else (vehicle,):
+            self.links.change(self.links.row(kind, name), settings)
+        self.link_table = self.link_table.changed(kind, vehicle, settings)
+        self.tables = self.tables._replace(traces=self.links.traces)
+        self.state = self.state._replace(packets=self.links.packets)

@@ -13,7 +13,7 @@ import numpy as np
 
 from bus.messages import DeclaredBounds
 from bus.ticks import first_tick_from, ticks_within
-from sim.kernels.compile import FloatArray, borrowing
+from sim.kernels.compile import FloatArray, compiled
 from sim.kernels.records import RecordArray, record_type
 from sim.models.motion import waited
 
@@ -127,7 +127,7 @@ def sent_commands(bounds: Sequence[CertificateBounds]) -> FloatArray:
     return sent
 
 
-@borrowing
+@compiled
 def note_arrival(
     bounds: CertificateBounds, counts: CertificateCounts, taken: int, error: float
 ) -> None:
@@ -136,14 +136,14 @@ def note_arrival(
     counts.exact = counts.exact and error <= bounds.error
 
 
-@borrowing
+@compiled
 def note_sent(sent: FloatArray, answered: int, u_x: float, u_y: float) -> None:
     """The UAV's command [m/s²] for the tick `answered` has set out."""
     row = answered % sent.shape[0]
     sent[row, 0], sent[row, 1], sent[row, 2] = answered, u_x, u_y
 
 
-@borrowing
+@compiled
 def _confirm(bounds: CertificateBounds, counts: CertificateCounts, tick: int) -> None:
     """Count what was suspected, if everything has held for long enough at this tick.
 
@@ -155,7 +155,7 @@ def _confirm(bounds: CertificateBounds, counts: CertificateCounts, tick: int) ->
         counts.suspected = 0
 
 
-@borrowing
+@compiled
 def note_report(
     bounds: CertificateBounds, counts: CertificateCounts, tick: int, said: CertificateClaim
 ) -> None:
@@ -175,7 +175,7 @@ def note_report(
     counts.promised = said.certified and said.current
 
 
-@borrowing
+@compiled
 def note_action(
     bounds: CertificateBounds,
     counts: CertificateCounts,
@@ -199,7 +199,7 @@ def note_action(
     counts.obeyed = sent[row, 0] == due and sent[row, 1] == u_x and sent[row, 2] == u_y
 
 
-@borrowing
+@compiled
 def note_end(counts: CertificateCounts, lost: bool) -> None:
     """The flight ends, and nobody is asked at its last state any more.
 
@@ -213,7 +213,7 @@ def note_end(counts: CertificateCounts, lost: bool) -> None:
     counts.promised = False
 
 
-@borrowing
+@compiled
 def count_tracking(bounds: RecordArray, counts: RecordArray, uav: int, off: float) -> None:
     """One UAV truly is so far from where it is told that it is [m].
 
@@ -222,7 +222,7 @@ def count_tracking(bounds: RecordArray, counts: RecordArray, uav: int, off: floa
     counts[uav].tracked = counts[uav].tracked and off <= bounds[uav].tracking
 
 
-@borrowing
+@compiled
 def count_tick(
     tables: tuple[RecordArray, RecordArray, FloatArray],
     evidence: tuple[RecordArray, FloatArray, RecordArray],

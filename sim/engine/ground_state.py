@@ -1,10 +1,6 @@
-"""The state of the ground in many worlds, and of the UGVs' missions on it.
-
-Where a scenario has no hazards, the arrays are empty.
-"""
+"""State of the ground in many worlds, and of the UGVs' missions on it."""
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +17,7 @@ TickArray = npt.NDArray[np.int32]
 
 
 class GroundParameters(NamedTuple):
-    """The numbers of the ground, in SI units."""
+    """Parameters of the ground, in SI units."""
 
     tile: float
     period: int
@@ -32,90 +28,6 @@ class GroundParameters(NamedTuple):
     bumper: float
     stuck: bool
     """True if a vehicle that touches what blocks stays there; else it is damaged and drives on."""
-
-
-class GroundConstants(NamedTuple):
-    """The constants of all worlds."""
-
-    parameters: RecordArray
-    """`GroundParameters`. Shape (1,); (0,) where there are no hazards."""
-    corners: FloatArray
-    """Of all polygons [m]. Shape (any, 2)."""
-    ugvs: IntArray
-    """For each UGV its row among the vehicles. Shape (UGVs,)."""
-    strides: FloatArray
-    """The longest way of each UGV in a tick [m]. Shape (UGVs,)."""
-
-
-class GroundState(NamedTuple):
-    """The ground of each world. All arrays have an axis for worlds in front."""
-
-    hazards: RecordArray
-    """`HazardRow`: those of the scenario, then those that were drawn. Shape (worlds, hazards)."""
-    tiles: TileArray
-    """The true state of each tile. Shape (worlds, rows, columns)."""
-    looked: npt.NDArray[np.float32]
-    """C of (3) of each UAV alone at the tiles' centres. Shape (worlds, UAVs, rows, columns)."""
-    known: TileArray
-    """Tiles as each vehicle's own sensor has told them. Shape (worlds, vehicles, rows, columns)."""
-    seen: npt.NDArray[np.int32]
-    """The tiles of which it has told since the tick before, row * columns + column. Shape (worlds, vehicles, room)."""
-    told: IntArray
-    """Their number. Shape (worlds, vehicles)."""
-    pace: FloatArray
-    """Share of its largest speed that each vehicle has where it is; 0: it is stuck. Shape (worlds, vehicles)."""
-    before: FloatArray
-    """Position of each UGV before it moved [m]. Shape (worlds, UGVs, 2)."""
-    hits: npt.NDArray[np.uint8]
-    """1 where a UGV has touched a hazard that blocks. Shape (worlds, UGVs, hazards)."""
-
-
-def ground_constants(scenario: Scenario) -> GroundConstants:
-    """The constants of a scenario's ground."""
-    ground, rows = scenario.ground, list[GroundParameters]()
-    if scenario.has_ground:
-        rows.append(
-            GroundParameters(
-                tile=float(ground.tile),
-                period=scenario.ground_period,
-                miss=float(ground.miss),
-                false_alarm=float(ground.false_alarm),
-                bumper=float(ground.bumper),
-                stuck=ground.touch == "stuck",
-            )
-        )
-    ugvs = [(k, one) for k, one in enumerate(scenario.vehicles) if isinstance(one, Ugv)]
-    return GroundConstants(
-        parameters=records(GroundParameters, rows),
-        corners=ground_tables(scenario).corners,
-        ugvs=np.array([k for k, _ in ugvs], dtype=np.int64),
-        strides=np.array([one.max_speed * scenario.dt for _, one in ugvs]),
-    )
-
-
-def ground_state(scenario: Scenario, worlds: int) -> GroundState:
-    """The ground before anything has been drawn or seen."""
-    tables, ground = ground_tables(scenario), scenario.ground
-    hazards, tiles = tables.hazards, tables.tiles
-    if scenario.has_ground:
-        reach = max(scenario.sensor.range, ground.bumper)
-        room = min(tiles.size, (2 * math.ceil(reach / ground.tile) + 3) ** 2)
-        vehicles, uavs, ugvs = len(scenario.vehicles), len(scenario.uav), len(scenario.ugv)
-    else:
-        tiles = np.zeros((0, 0), np.uint8)
-        room = vehicles = uavs = ugvs = 0
-    rows, columns = tiles.shape
-    return GroundState(
-        hazards=np.repeat(hazards[None], worlds, axis=0),
-        tiles=np.repeat(tiles[None], worlds, axis=0),
-        looked=np.zeros((worlds, uavs, rows, columns), np.float32),
-        known=np.zeros((worlds, vehicles, rows, columns), np.uint8),
-        seen=np.zeros((worlds, vehicles, room), np.int32),
-        told=np.zeros((worlds, vehicles), np.int64),
-        pace=np.ones((worlds, vehicles)),
-        before=np.zeros((worlds, ugvs, 2)),
-        hits=np.zeros((worlds, ugvs, len(hazards)), np.uint8),
-    )
 
 
 class MissionRecord(NamedTuple):
@@ -152,26 +64,41 @@ class MissionRecord(NamedTuple):
     """Its position then [m]."""
 
 
-class MissionConstants(NamedTuple):
-    """The constants of all worlds."""
+class Ground(NamedTuple):
+    """Ground of all worlds: two constant arrays, then arrays with an axis for worlds in front."""
 
-    goals: FloatArray
-    """Of all UGVs [m]. Shape (any, 2)."""
-    goal_rows: IntArray
-    """First row of each UGV's. Shape (UGVs + 1,)."""
-    tolerances: FloatArray
-    """[m]. Shape (UGVs,)."""
-
-
-class MissionState(NamedTuple):
-    """The UGVs' missions in each world. All arrays have an axis for worlds in front."""
-
-    ugvs: RecordArray
+    parameters: RecordArray
+    """`GroundParameters`. Shape (1,)."""
+    corners: FloatArray
+    """Corners of all polygons [m]. Shape (any, 2)."""
+    ugvs: IntArray
+    """Row of each UGV among the vehicles. Shape (UGVs,)."""
+    strides: FloatArray
+    """Longest way of each UGV in a tick [m]. Shape (UGVs,)."""
+    hazards: RecordArray
+    """`HazardRow`: those of the scenario, then those that were drawn. Shape (worlds, hazards)."""
+    tiles: TileArray
+    """True state of each tile. Shape (worlds, rows, columns)."""
+    looked: npt.NDArray[np.float32]
+    """C of (3) of each UAV alone at the tiles' centres. Shape (worlds, UAVs, rows, columns)."""
+    known: TileArray
+    """Tiles as each vehicle's own sensor has reported them. Shape (worlds, vehicles, rows, columns)."""
+    seen: npt.NDArray[np.int32]
+    """Tiles that it has reported since the tick before, row * columns + column. Shape (worlds, vehicles, room)."""
+    told: IntArray
+    """Their number. Shape (worlds, vehicles)."""
+    pace: FloatArray
+    """Share of its maximum speed that each vehicle has where it is; 0: it is stuck. Shape (worlds, vehicles)."""
+    before: FloatArray
+    """Position of each UGV before it moved [m]. Shape (worlds, UGVs, 2)."""
+    hits: npt.NDArray[np.uint8]
+    """1 for each blocking hazard that a UGV has touched. Shape (worlds, UGVs, hazards)."""
+    missions: RecordArray
     """`MissionRecord`. Shape (worlds, UGVs)."""
     received: TickArray
-    """Time at which each UGV was told of each tile by radio first. Shape (worlds, UGVs, rows, columns)."""
-    told: TileArray
-    """State that the radio has told of each: BLOCK stays, the rest gives way to later words. Shape as `received`."""
+    """Time at which each UGV received each tile by radio first. Shape (worlds, UGVs, rows, columns)."""
+    radioed: TileArray
+    """State that the radio has reported of each: BLOCK stays, others are overwritten. Shape as `received`."""
     warned: TickArray
     """Time at which it knew of each hazard first, by radio or by its bumper. Shape (worlds, UGVs, hazards)."""
     met: TickArray
@@ -179,39 +106,55 @@ class MissionState(NamedTuple):
     nearest: FloatArray
     """Smallest distance to each hazard [m]. Shape (worlds, UGVs, hazards)."""
     near: npt.NDArray[np.int32]
-    """Those that it could come nearer to than `ON_WAY` before they are listed anew, in order: `MissionRecord.listed`
-    of them. Shape (worlds, UGVs, hazards).
+    """Hazards that it could come nearer to than `ON_WAY` before they are listed anew; `MissionRecord.listed` of them.
+
+    Shape (worlds, UGVs, hazards).
     """
     found: TickArray
-    """Time at which any vehicle's sensor told of each hazard first. Shape (worlds, hazards)."""
+    """Time at which any vehicle's sensor reported each hazard first. Shape (worlds, hazards)."""
 
 
-def joined(arrays: Sequence[FloatArray], width: int) -> tuple[FloatArray, IntArray]:
-    """Arrays one after the other, and where each begins."""
-    edges = np.cumsum([0, *(len(array) for array in arrays)]).astype(np.int64)
-    return np.concatenate([np.zeros((0, width)), *arrays]), edges
+CONSTANTS = ("parameters", "corners", "ugvs", "strides")
+"""Arrays of `Ground` without an axis for worlds."""
 
 
-def mission_constants(scenario: Scenario) -> MissionConstants:
-    """The goals of a scenario."""
-    ugvs = [one for one in scenario.vehicles if isinstance(one, Ugv)]
-    goals, goal_rows = joined(
-        [np.array(one.goals, dtype=np.float64).reshape(-1, 2) for one in ugvs], 2
+def ground_of(scenario: Scenario, worlds: int) -> Ground | None:
+    """Return the ground before anything has been drawn or seen; None if there are no hazards."""
+    if not scenario.has_ground:
+        return None
+    tables, ground = ground_tables(scenario), scenario.ground
+    parameters = GroundParameters(
+        tile=float(ground.tile),
+        period=scenario.ground_period,
+        miss=float(ground.miss),
+        false_alarm=float(ground.false_alarm),
+        bumper=float(ground.bumper),
+        stuck=ground.touch == "stuck",
     )
-    tolerances = np.array([one.goal_tolerance for one in ugvs], dtype=np.float64)
-    return MissionConstants(goals, goal_rows, tolerances)
-
-
-def mission_state(ground: GroundState) -> MissionState:
-    """Nothing has happened yet on this ground."""
-    worlds, ugvs = ground.before.shape[:2]
-    count = ground.hazards.shape[1]
-    numbers = np.zeros((worlds, ugvs), dtype=record_type(MissionRecord))
-    numbers["arrived"] = numbers["listed"] = -1
-    return MissionState(
-        ugvs=numbers,
-        received=np.zeros((worlds, ugvs, *ground.tiles.shape[1:]), np.int32),
-        told=np.zeros((worlds, ugvs, *ground.tiles.shape[1:]), np.uint8),
+    reach = max(scenario.sensor.range, ground.bumper)
+    room = min(tables.tiles.size, (2 * math.ceil(reach / ground.tile) + 3) ** 2)
+    rows = [(k, one) for k, one in enumerate(scenario.vehicles) if isinstance(one, Ugv)]
+    vehicles, uavs, ugvs = len(scenario.vehicles), len(scenario.uav), len(rows)
+    size, count = tables.tiles.shape, len(tables.hazards)
+    missions = np.zeros((worlds, ugvs), dtype=record_type(MissionRecord))
+    missions["arrived"] = missions["listed"] = -1
+    return Ground(
+        parameters=records(GroundParameters, [parameters]),
+        corners=tables.corners,
+        ugvs=np.array([k for k, _ in rows], dtype=np.int64),
+        strides=np.array([one.max_speed * scenario.dt for _, one in rows]),
+        hazards=np.repeat(tables.hazards[None], worlds, axis=0),
+        tiles=np.repeat(tables.tiles[None], worlds, axis=0),
+        looked=np.zeros((worlds, uavs, *size), np.float32),
+        known=np.zeros((worlds, vehicles, *size), np.uint8),
+        seen=np.zeros((worlds, vehicles, room), np.int32),
+        told=np.zeros((worlds, vehicles), np.int64),
+        pace=np.ones((worlds, vehicles)),
+        before=np.zeros((worlds, ugvs, 2)),
+        hits=np.zeros((worlds, ugvs, count), np.uint8),
+        missions=missions,
+        received=np.zeros((worlds, ugvs, *size), np.int32),
+        radioed=np.zeros((worlds, ugvs, *size), np.uint8),
         warned=np.zeros((worlds, ugvs, count), np.int32),
         met=np.zeros((worlds, ugvs, count), np.int32),
         nearest=np.full((worlds, ugvs, count), np.inf),

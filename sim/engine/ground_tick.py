@@ -7,9 +7,9 @@ arrays are empty, and nothing is done.
 
 import math
 
-from sim.engine.ground_state import GroundConstants, GroundParameters, GroundState
-from sim.engine.world_state import BatchState, BatchTables
-from sim.kernels.compile import FloatArray, borrowing, inlined
+from sim.engine.ground_state import Ground, GroundParameters
+from sim.engine.world_state import BatchState, Vehicle, WorldParameters
+from sim.kernels.compile import FloatArray, IntArray, compiled
 from sim.models.field import accumulate
 from sim.models.ground import (
     BLOCK,
@@ -29,7 +29,7 @@ _POINTS = 8
 """Parts of a tick's way, at whose ends its tiles are looked up."""
 
 
-@borrowing
+@compiled
 def _tile_range(center: float, reach: float, tile: float, count: int) -> tuple[int, int]:
     """The tiles on one axis that have a point within `reach` [m] of here: the first, and the one after the last."""
     first = math.ceil((center - reach) / tile) - 1
@@ -37,8 +37,8 @@ def _tile_range(center: float, reach: float, tile: float, count: int) -> tuple[i
     return max(0, first), min(count, last + 1)
 
 
-@borrowing
-def _tell(ground: GroundState, world: int, vehicle: int, row: int, column: int, state: int) -> None:
+@compiled
+def _tell(ground: Ground, world: int, vehicle: int, row: int, column: int, state: int) -> None:
     """The sensor of a vehicle tells of a tile."""
     ground.known[world, vehicle, row, column] = state
     n = ground.told[world, vehicle]
@@ -46,9 +46,9 @@ def _tell(ground: GroundState, world: int, vehicle: int, row: int, column: int, 
     ground.told[world, vehicle] = n + 1
 
 
-@borrowing
+@compiled
 def _told_state(
-    parameters: GroundParameters, state: int, keys: WordArray, vehicle: int, row: int, column: int
+    parameters: GroundParameters, state: int, keys: WordArray, row: int, column: int
 ) -> int:
     """State that the sensor of UAV v tells of a tile which truly is in this one."""
     if state == CLEAR:
@@ -57,16 +57,17 @@ def _told_state(
         chance, wrong = parameters.miss, CLEAR
     if chance == 0.0:
         return state
-    key = key_of(keys, GROUND_LOOK, vehicle)
+    key = key_of(keys, GROUND_LOOK)
     return wrong if uniform(key, TILE_CHANCE, row, column) < chance else state
 
 
-@inlined
-def _look(tables: BatchTables, state: BatchState, world: int, uav: int) -> None:
-    """A UAV looks at the ground from where it is told that it is."""
-    numbers, settings, ground = tables.world[0], tables.ground.parameters[0], state.ground
-    vehicle = tables.escorts[uav, 0]
-    x, y = state.told.position[world, vehicle, 0], state.told.position[world, vehicle, 1]
+@compiled
+def _look(
+    numbers: WorldParameters, ground: Ground, one: Vehicle, world: int, uav: int, vehicle: int
+) -> None:
+    """Let a UAV look at the ground from its reference position."""
+    settings = ground.parameters[0]
+    x, y = one.reference_position[0], one.reference_position[1]
     looked, known = ground.looked[world, uav], ground.known[world, vehicle]
     accumulate(
         looked,
@@ -89,15 +90,15 @@ def _look(tables: BatchTables, state: BatchState, world: int, uav: int) -> None:
         for column in range(first, end):
             if known[row, column] == UNSEEN and looked[row, column] >= numbers.desired:
                 true = ground.tiles[world, row, column]
-                told = _told_state(settings, true, state.keys[world], vehicle, row, column)
+                told = _told_state(settings, true, one.keys, row, column)
                 _tell(ground, world, vehicle, row, column, told)
 
 
-@inlined
-def _feel(tables: BatchTables, state: BatchState, world: int, vehicle: int) -> None:
-    """The bumper of a UGV tells of the tiles that have a point within its range."""
-    parameters, ground = tables.ground.parameters[0], state.ground
-    x, y = state.told.position[world, vehicle, 0], state.told.position[world, vehicle, 1]
+@compiled
+def _feel(ground: Ground, one: Vehicle, world: int, vehicle: int) -> None:
+    """Report, by the bumper of a UGV, the tiles that have a point within its range."""
+    parameters = ground.parameters[0]
+    x, y = one.reference_position[0], one.reference_position[1]
     known = ground.known[world, vehicle]
     first_row, end_row = _tile_range(y, parameters.bumper, parameters.tile, known.shape[0])
     first, end = _tile_range(x, parameters.bumper, parameters.tile, known.shape[1])
@@ -111,12 +112,10 @@ def _feel(tables: BatchTables, state: BatchState, world: int, vehicle: int) -> N
                 _tell(ground, world, vehicle, row, column, ground.tiles[world, row, column])
 
 
-@borrowing
-def _meets_block(
-    tables: GroundConstants, ground: GroundState, world: int, p: FloatArray, q: FloatArray
-) -> tuple[int, float]:
+@compiled
+def _meets_block(ground: Ground, world: int, p: FloatArray, q: FloatArray) -> tuple[int, float]:
     """The hazard that blocks the way from p to q [m], and the share of the way to it; -1: none."""
-    tile, tiles = tables.parameters[0].tile, ground.tiles[world]
+    tile, tiles = ground.parameters[0].tile, ground.tiles[world]
     rows, columns = tiles.shape
     first, end = tile_index(min(p[1], q[1]), tile, rows), tile_index(max(p[1], q[1]), tile, rows)
     left = tile_index(min(p[0], q[0]), tile, columns)
@@ -125,11 +124,11 @@ def _meets_block(
         for column in range(left, right + 1):
             if tiles[row, column] == BLOCK:
                 start, stop = (p[0], p[1]), (q[0], q[1])
-                return crosses_hazard(ground.hazards[world], tables.corners, BLOCK, start, stop)
+                return crosses_hazard(ground.hazards[world], ground.corners, BLOCK, start, stop)
     return -1, math.inf
 
 
-@borrowing
+@compiled
 def _enters_unknown(
     tile: float,
     known: TileArray,
@@ -166,57 +165,61 @@ def _enters_unknown(
     return False
 
 
-@inlined
-def drive_on(tables: BatchTables, state: BatchState, world: int) -> None:
-    """Touches of hazards by the UGVs on their way from `before` to where they are; one that is stuck stops."""
-    constants, ground = tables.ground, state.ground
-    position, velocity = state.told.position[world], state.told.velocity[world]
-    parameters, dt = constants.parameters[0], tables.world[0].dt
-    for n in range(constants.ugvs.shape[0]):
-        v, start = constants.ugvs[n], ground.before[world, n]
+@compiled
+def drive_on(p: WorldParameters, ground: Ground, state: BatchState, world: int) -> None:
+    """Let the UGVs touch hazards on their way from `before` to where they are; one that is stuck stops."""
+    parameters = ground.parameters[0]
+    for n in range(ground.ugvs.shape[0]):
+        v, start = ground.ugvs[n], ground.before[world, n]
+        vehicle = state.vehicles[world, v]
+        place, velocity = vehicle.reference_position, vehicle.reference_velocity
         if _enters_unknown(
             parameters.tile,
             ground.known[world, v],
-            state.mission.told[world, n],
+            ground.radioed[world, n],
             start,
-            position[v],
-            (dt * velocity[v, 0], dt * velocity[v, 1]),
+            place,
+            (p.dt * velocity[0], p.dt * velocity[1]),
         ):
-            row = state.mission.ugvs[world, n]
+            row = ground.missions[world, n]
             row.entered += 1
             row.broken += 1 if row.claim == CERTIFIED and row.untrue == 0 else 0
         if ground.pace[world, v] == 0.0:
             continue
-        hit, share = _meets_block(constants, ground, world, start, position[v])
+        hit, share = _meets_block(ground, world, start, place)
         if hit >= 0:
             ground.hits[world, n, hit] = 1
             if parameters.stuck:
                 ground.pace[world, v] = 0.0
                 for i in range(2):
-                    position[v, i] = start[i] + share * (position[v, i] - start[i])
-                    velocity[v, i] = 0.0
+                    place[i] = start[i] + share * (place[i] - start[i])
+                    velocity[i] = 0.0
                 continue
-        x, y = position[v, 0], position[v, 1]
+        x, y = place[0], place[1]
         ground.pace[world, v] = 1.0
         if state_at(ground.tiles[world], parameters.tile, x, y) in (ROUGH, BLOCK):
-            ground.pace[world, v] = rough_share(ground.hazards[world], constants.corners, x, y)
+            ground.pace[world, v] = rough_share(ground.hazards[world], ground.corners, x, y)
 
 
-@inlined
-def keep_before(tables: BatchTables, state: BatchState, world: int) -> None:
-    """Note where the UGVs are before they move."""
-    for n in range(tables.ground.ugvs.shape[0]):
-        here = state.told.position[world, tables.ground.ugvs[n]]
-        state.ground.before[world, n, 0], state.ground.before[world, n, 1] = here[0], here[1]
+@compiled
+def keep_before(ground: Ground, state: BatchState, world: int) -> None:
+    """Note the UGVs' positions before they move."""
+    for n in range(ground.ugvs.shape[0]):
+        here = state.vehicles[world, ground.ugvs[n]].reference_position
+        ground.before[world, n, 0], ground.before[world, n, 1] = here[0], here[1]
 
 
-@inlined
-def perceive_ground(tables: BatchTables, state: BatchState, world: int) -> None:
-    """Every vehicle's sensor tells of what it has seen of the ground since the tick before."""
+@compiled
+def perceive_ground(
+    p: WorldParameters, ground: Ground, state: BatchState, escorts: IntArray, world: int
+) -> None:
+    """Report the tiles that every vehicle's sensor has seen since the tick before."""
     tick = state.ticks[world]
-    state.ground.told[world] = 0
-    if tick > 0 and tick % tables.ground.parameters[0].period == 0:
-        for u in range(tables.escorts.shape[0]):
-            _look(tables, state, world, u)
-    for n in range(tables.ground.ugvs.shape[0]):
-        _feel(tables, state, world, tables.ground.ugvs[n])
+    for v in range(ground.told.shape[1]):
+        ground.told[world, v] = 0
+    if tick > 0 and tick % ground.parameters[0].period == 0:
+        for u in range(escorts.shape[0]):
+            v = escorts[u, 0]
+            _look(p, ground, state.vehicles[world, v], world, u, v)
+    for n in range(ground.ugvs.shape[0]):
+        _feel(ground, state.vehicles[world, ground.ugvs[n]], world, ground.ugvs[n])

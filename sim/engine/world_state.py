@@ -1,51 +1,23 @@
-"""The state of worlds, and the tables that they share: the arrays that the compiled tick works on.
+"""State of worlds and their common constants: the arrays of the compiled tick.
 
 Arrays have an axis for vehicles, or for UAVs with the UGVs they escort, in name order.
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from bus.registry import SENSORS
-from bus.ticks import Look
-from sim.channel.link import LinkNumbers, LinkState
-from sim.engine.ground_state import GroundConstants, GroundState, MissionConstants, MissionState
 from sim.kernels.compile import FloatArray, IntArray
-from sim.kernels.records import RecordArray, columns, record_type, records
+from sim.kernels.records import RecordArray, record_type, records
 from sim.models.field import cover, empty_coverage
 from sim.models.inner_loop import TrackingRecord
-from sim.models.randomness import WordArray
+from sim.models.randomness import RUN_PURPOSES, WordArray
 from sim.models.wind import DisturbanceRow
 from sim.scenario.risk import carries_motions, ugv_carries
-from sim.scenario.types import Scenario, Uav
-
-LOOK = columns(Look)
-"""Columns of `BatchState.received`."""
-TRUE_ERROR = len(LOOK)
-"""Column of `BatchState.received` behind those of `LOOK`: the detection's true error [m], which no vehicle is sent."""
-
-
-class CommandRow(NamedTuple):
-    """A command as a row of numbers."""
-
-    answered: float
-    """The tick that it answers, -1 where there is none."""
-    u_x: float
-    u_y: float
-    """The acceleration [m/s²]."""
-    last: float
-    """Of one that carries motions, the tick in which the last of them begins, else -1."""
-    carried: float
-    """Number of motions that it carries, which begin in that tick and those before it."""
-
-
-COMMAND = columns(CommandRow)
-"""Columns of `BatchState.sent`."""
-
-MESSAGE_SIZE = max(len(LOOK) + 1, len(COMMAND))
-"""Numbers in a message on a link of detections or commands."""
+from sim.scenario.types import Scenario, Uav, Ugv
 
 
 class WorldParameters(NamedTuple):
@@ -71,27 +43,6 @@ class WorldParameters(NamedTuple):
     """True if the fall of e(t) by each look is counted."""
 
 
-class WorldState(NamedTuple):
-    """The truth of one world; with an axis for worlds in front, of each of many."""
-
-    position: FloatArray
-    """Positions [m]. Shape (vehicles, 2)."""
-    velocity: FloatArray
-    """Velocities [m/s]. Shape (vehicles, 2)."""
-    acceleration: FloatArray
-    """Accelerations applied in the last tick, after their bounds [m/s²]. Shape (vehicles, 2)."""
-    commands: FloatArray
-    """The commands that acted in the last tick, before the bounds [m/s²]. Shape (vehicles, 2)."""
-    coverage: FloatArray
-    """C of (3) on the grid, all UAVs together. Shape (rows, columns)."""
-    detections: FloatArray
-    """The relative position that each UAV has detected at this tick [m]; NaN where none. Shape (UAVs, 2)."""
-    gains: FloatArray
-    """Decrease of e(t) by the last look of each UAV [m²]. Shape (UAVs,)."""
-    measures: FloatArray
-    """Distance [m] and e(t) (4) with the true p_g [m²] of each UAV, when they were last measured. Shape (UAVs, 2)."""
-
-
 def world_parameters(scenario: Scenario, *, gains: bool = False) -> WorldParameters:
     """The numbers of a scenario."""
     return WorldParameters(
@@ -114,68 +65,127 @@ def world_parameters(scenario: Scenario, *, gains: bool = False) -> WorldParamet
     )
 
 
-def first_state(scenario: Scenario) -> WorldState:
-    """The state that every run of a scenario begins with, before the first look."""
-    vehicles, uavs = scenario.vehicles, len(scenario.uav)
+Pair = Annotated[FloatArray, (2,)]
+"""A vector in a record, x before y."""
+
+
+class Vehicle:
+    """Limits, state and commands of one vehicle in one world; metres, seconds, ticks.
+
+    The reference state follows the commands by eq. (1). Wind and position errors displace the true state of a UAV.
+    """
+
+    max_speed: float
+    max_acceleration: float
+    follows_motions: bool
+    """True if its receiver flies the motions that its commands carry."""
+    position: Pair
+    velocity: Pair
+    """True state [m], [m/s]."""
+    reference_position: Pair
+    reference_velocity: Pair
+    """Reference state [m], [m/s]."""
+    acceleration: Pair
+    """Acceleration applied in the last tick, after its bounds [m/s²]."""
+    command: Pair
+    """Command that acted in the last tick, before the bounds [m/s²]."""
+    command_tick: int
+    """Tick that the newest received command answers; -1: none."""
+    outgoing: Pair
+    """Command that leaves in the coming tick [m/s²]."""
+    outgoing_tick: int
+    """Tick that it answers; -1: there is none."""
+    outgoing_motion: int
+    outgoing_motions: int
+    """Tick in which the last motion that it carries begins, -1: none; number of motions."""
+    detection: Pair
+    """Relative position that a UAV has detected at this tick [m]; NaN: none."""
+    gain: float
+    """Decrease of e(t) by the last look of a UAV [m²]."""
+    distance: float
+    coverage_error: float
+    """Distance of a UAV to its UGV [m] and e(t) (4) with the true p_g [m²], when they were last measured."""
+    disturbance: TrackingRecord
+    """Tracking error of a UAV and its causes."""
+    keys: Annotated[WordArray, (RUN_PURPOSES, 2)]
+    """Keys of its random draws."""
+
+
+class BatchTables(NamedTuple):
+    """Constants of all worlds."""
+
+    world: RecordArray
+    """`WorldParameters`. Shape (1,)."""
+    escorts: IntArray
+    """Rows (UAV, UGV). Shape (UAVs, 2)."""
+    ugvs: IntArray
+    """Row of each UGV among the vehicles. Shape (UGVs,)."""
+    traces: IntArray
+    """Planned blackouts and recorded links of all links. Shape (any, 2)."""
+    disturbances: RecordArray
+    """`DisturbanceRow` of each UAV. Shape (UAVs,); (0,) if nothing disturbs them."""
+    goals: FloatArray
+    """Goals of all UGVs [m]. Shape (any, 2)."""
+    goal_rows: IntArray
+    """First goal of each UGV, and the end. Shape (UGVs + 1,)."""
+    tolerances: FloatArray
+    """Distances at which each UGV reaches a goal [m]. Shape (UGVs,)."""
+
+
+class BatchState(NamedTuple):
+    """State of each world. All arrays have an axis for worlds in front."""
+
+    ticks: IntArray
+    """Shape (worlds,)."""
+    vehicles: RecordArray
+    """`Vehicle`. Shape (worlds, vehicles)."""
+    coverage: FloatArray
+    """C of (3) on the grid, all UAVs together. Shape (worlds, rows, columns)."""
+    motions: RecordArray
+    """`MotionRecord` of each motion that commands carry; the one that begins in tick k is in row k % rows.
+
+    Shape (worlds, vehicles, rows).
+    """
+    flown: RecordArray
+    """`MotionRecord` of the motion that each vehicle flies. Shape (worlds, vehicles, 1)."""
+    links: RecordArray
+    """`Link`: of the detections of each UAV, then of the commands of each vehicle, then of other kinds.
+
+    Shape (worlds, links).
+    """
+    packets: RecordArray
+    """`Packet`: those that fly, wait, and have arrived at this tick. Shape (worlds, links, 3, room)."""
+
+
+def first_coverage(scenario: Scenario) -> FloatArray:
+    """Return the coverage grid with which every run begins. Shape (rows, columns)."""
     coverage = empty_coverage(scenario.area.width, scenario.area.height, scenario.area.cell)
     for region in scenario.coverage.covered:
         cover(coverage, region.lower, region.upper, scenario.area.cell, scenario.coverage.desired)
-    return WorldState(
-        position=np.array([v.position for v in vehicles], dtype=np.float64),
-        velocity=np.array([v.velocity for v in vehicles], dtype=np.float64),
-        acceleration=np.zeros((len(vehicles), 2)),
-        commands=np.zeros((len(vehicles), 2)),
-        coverage=coverage,
-        detections=np.full((uavs, 2), np.nan),
-        gains=np.zeros(uavs),
-        measures=np.zeros((uavs, 2)),
-    )
+    return coverage
 
 
-def bounds_of(scenario: Scenario) -> FloatArray:
-    """v_max [m/s] and u_max [m/s²] of each vehicle. Shape (vehicles, 2)."""
-    return np.array(
-        [(v.max_speed, v.max_acceleration) for v in scenario.vehicles], dtype=np.float64
-    )
+def first_vehicles(scenario: Scenario) -> RecordArray:
+    """Return the state with which every run begins, before the first look. Shape (vehicles,)."""
+    vehicles = np.zeros(len(scenario.vehicles), record_type(Vehicle))
+    for row, one in zip(vehicles, scenario.vehicles, strict=True):
+        row["max_speed"], row["max_acceleration"] = one.max_speed, one.max_acceleration
+        row["follows_motions"] = (
+            carries_motions(scenario) if isinstance(one, Uav) else ugv_carries(scenario, one)
+        )
+        row["position"] = row["reference_position"] = one.position
+        row["velocity"] = row["reference_velocity"] = one.velocity
+    vehicles["command_tick"] = vehicles["outgoing_tick"] = vehicles["outgoing_motion"] = -1
+    vehicles["detection"] = math.nan
+    return vehicles
 
 
 def escorts_of(scenario: Scenario) -> IntArray:
-    """Rows (UAV, UGV), one for each UAV, in name order. Shape (UAVs, 2)."""
+    """Return rows (UAV, UGV), one for each UAV, in name order. Shape (UAVs, 2)."""
     index = {vehicle.name: k for k, vehicle in enumerate(scenario.vehicles)}
     escorts = {uav.name: uav.escorts for uav in scenario.uav}
     rows = [(index[name], index[escorts[name]]) for name in index if name in escorts]
     return np.array(rows, dtype=np.int64).reshape(-1, 2)
-
-
-def receivers_of(scenario: Scenario) -> IntArray:
-    """Return 1 for each vehicle whose receiver flies motions. Shape (vehicles,).
-
-    These are the UAVs where an outage is declared, and the UGVs that navigate.
-    """
-    carries = carries_motions(scenario)
-    return np.array(
-        [carries if isinstance(v, Uav) else ugv_carries(scenario, v) for v in scenario.vehicles],
-        dtype=np.int64,
-    )
-
-
-class Told(NamedTuple):
-    """Positions and velocities that the vehicles are told to have: where their commands lead, by (1).
-
-    Without wind and errors of the own position that is the truth, and these are its own arrays.
-    """
-
-    position: FloatArray
-    """[m]. Shape (vehicles, 2); with an axis for worlds in front, of each of many."""
-    velocity: FloatArray
-    """[m/s]. Likewise."""
-
-
-def told_of(scenario: Scenario, truth: WorldState) -> Told:
-    """Arrays for where the vehicles are told that they are, at the start the truth."""
-    if not scenario.disturbed:
-        return Told(truth.position, truth.velocity)
-    return Told(truth.position.copy(), truth.velocity.copy())
 
 
 def disturbances_of(scenario: Scenario) -> RecordArray:
@@ -198,65 +208,23 @@ def disturbances_of(scenario: Scenario) -> RecordArray:
     return records(DisturbanceRow, rows)
 
 
-def no_tracking_errors(*shape: int) -> RecordArray:
-    """Rows of `TrackingRecord` of UAVs that are where they are told to be."""
-    return np.zeros(shape, dtype=record_type(TrackingRecord))
+def batch_tables(scenario: Scenario, parameters: WorldParameters, traces: IntArray) -> BatchTables:
+    """Return the constants of a scenario."""
+    ugvs = [(k, one) for k, one in enumerate(scenario.vehicles) if isinstance(one, Ugv)]
+    goals, goal_rows = joined([np.array(one.goals, float).reshape(-1, 2) for _, one in ugvs], 2)
+    return BatchTables(
+        world=records(WorldParameters, [parameters]),
+        escorts=escorts_of(scenario),
+        ugvs=np.array([k for k, _ in ugvs], dtype=np.int64),
+        traces=traces,
+        disturbances=disturbances_of(scenario),
+        goals=goals,
+        goal_rows=goal_rows,
+        tolerances=np.array([one.goal_tolerance for _, one in ugvs], dtype=np.float64),
+    )
 
 
-class BatchTables(NamedTuple):
-    """The constants of all worlds."""
-
-    world: RecordArray
-    """`WorldParameters`. Shape (1,)."""
-    bounds: FloatArray
-    """v_max [m/s] and u_max [m/s²]. Shape (vehicles, 2)."""
-    escorts: IntArray
-    """Rows (UAV, UGV). Shape (UAVs, 2)."""
-    links: LinkNumbers
-    """Of the detections, a row for each UAV, then of the commands, a row for each vehicle."""
-    receivers: IntArray
-    """1 for each vehicle whose receiver flies the motions that its commands carry. Shape (vehicles,)."""
-    disturbances: RecordArray
-    """`DisturbanceRow` of each UAV. Shape (UAVs,); (0,) where nobody is disturbed."""
-    ground: GroundConstants
-    mission: MissionConstants
-
-
-class BatchState(NamedTuple):
-    """The state of each world. All arrays have an axis for worlds in front."""
-
-    keys: WordArray
-    """Of each world's random numbers. Shape (worlds, RUN_PURPOSES, vehicles, 2)."""
-    ticks: IntArray
-    """Shape (worlds,)."""
-    truth: WorldState
-    told: Told
-    tracking: RecordArray
-    """`TrackingRecord`: how each UAV is off what it is told. Shape (worlds, UAVs); (worlds, 0) where nobody is
-    disturbed.
-    """
-    received: FloatArray
-    """The detections that reach each UAV at this tick, in the order of arrival. Shape (worlds, UAVs, room,
-    MESSAGE_SIZE).
-    """
-    arrived: IntArray
-    """Their number. Shape (worlds, UAVs)."""
-    sent: FloatArray
-    """The commands that set out in the coming tick. Shape (worlds, vehicles, MESSAGE_SIZE)."""
-    motions: RecordArray
-    """`MotionRecord` of those that commands carry: of the one that begins in tick k in row k % rows.
-
-    Shape (worlds, vehicles, rows).
-    """
-    flown: RecordArray
-    """`MotionRecord` of the motion that each vehicle flies. Shape (worlds, vehicles, 1)."""
-    answered: IntArray
-    """The tick that the newest command of each vehicle, as it has arrived, answers; -1: none.
-
-    Shape (worlds, vehicles).
-    """
-    inbox: FloatArray
-    """Room for what arrives by one link. Shape (worlds, room, MESSAGE_SIZE)."""
-    links: LinkState
-    ground: GroundState
-    mission: MissionState
+def joined(arrays: Sequence[FloatArray], width: int) -> tuple[FloatArray, IntArray]:
+    """Return arrays one after the other, and where each begins."""
+    edges = np.cumsum([0, *(len(array) for array in arrays)]).astype(np.int64)
+    return np.concatenate([np.zeros((0, width)), *arrays]), edges

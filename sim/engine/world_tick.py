@@ -4,20 +4,13 @@ import math
 
 import numpy as np
 
-from sim.channel.link import advance as begin_tick
-from sim.channel.link import receive, send
+from sim.channel.link import begin_tick, receive, send
+from sim.channel.link_records import ARRIVED
+from sim.engine.ground_state import Ground
 from sim.engine.ground_tick import drive_on, keep_before, perceive_ground
-from sim.engine.link_arrays import link_of
 from sim.engine.mission import note_mission
-from sim.engine.world_state import (
-    COMMAND,
-    LOOK,
-    TRUE_ERROR,
-    BatchState,
-    BatchTables,
-    WorldState,
-)
-from sim.kernels.compile import FloatArray, IntArray, borrowing, inlined
+from sim.engine.world_state import BatchState, BatchTables, Vehicle, WorldParameters
+from sim.kernels.compile import FloatArray, IntArray, compiled
 from sim.kernels.records import RecordArray
 from sim.models.detection import detect
 from sim.models.field import accumulate, accumulate_with_gain, coverage_error
@@ -28,311 +21,308 @@ from sim.models.vehicles import brake, norm, step_vehicle, within_walls
 from sim.models.wind import draw_disturbance
 
 
-@inlined
-def _move(tables: BatchTables, state: BatchState, world: int) -> None:
-    """Every vehicle moves to where its command leads, (1)."""
-    parameters, pace = tables.world[0], state.ground.pace[world]
-    position, velocity = state.told.position[world], state.told.velocity[world]
-    acceleration, commands = state.truth.acceleration[world], state.truth.commands[world]
-    for k in range(position.shape[0]):
-        speed = tables.bounds[k, 0]
-        if pace.shape[0] > 0 and pace[k] < 1.0:
-            speed = speed * pace[k] if pace[k] > 0.0 else 0.0  # which may be infinite
-        p_x, p_y, v_x, v_y, u_x, u_y = step_vehicle(
-            position[k, 0],
-            position[k, 1],
-            velocity[k, 0],
-            velocity[k, 1],
-            commands[k, 0],
-            commands[k, 1],
-            speed,
-            tables.bounds[k, 1],
-            parameters.dt,
-        )
-        position[k, 0], velocity[k, 0] = within_walls(p_x, v_x, parameters.width)
-        position[k, 1], velocity[k, 1] = within_walls(p_y, v_y, parameters.height)
-        acceleration[k, 0], acceleration[k, 1] = u_x, u_y
+@compiled
+def _step(p: WorldParameters, vehicle: Vehicle, max_speed: float) -> None:
+    """Move the reference state of a vehicle over a tick, (1), and the true state with it."""
+    place, velocity = vehicle.reference_position, vehicle.reference_velocity
+    p_x, p_y, v_x, v_y, u_x, u_y = step_vehicle(
+        place[0],
+        place[1],
+        velocity[0],
+        velocity[1],
+        vehicle.command[0],
+        vehicle.command[1],
+        max_speed,
+        vehicle.max_acceleration,
+        p.dt,
+    )
+    place[0], velocity[0] = within_walls(p_x, v_x, p.width)
+    place[1], velocity[1] = within_walls(p_y, v_y, p.height)
+    vehicle.acceleration[0], vehicle.acceleration[1] = u_x, u_y
 
 
-@inlined
-def _see(tables: BatchTables, state: BatchState, world: int) -> None:
-    """Every UAV's sensor looks at the ground, (3)."""
-    parameters, position = tables.world[0], state.truth.position[world]
-    coverage, gains = state.truth.coverage[world], state.truth.gains[world]
-    for k in range(tables.escorts.shape[0]):
-        a, g = tables.escorts[k, 0], tables.escorts[k, 1]
-        if parameters.gains:
-            gains[k] = accumulate_with_gain(
+@compiled
+def _move(p: WorldParameters, vehicles: RecordArray, ground: Ground | None, world: int) -> None:
+    """Move every vehicle to where its command leads, (1)."""
+    for v in range(vehicles.shape[1]):
+        vehicle = vehicles[world, v]
+        speed = vehicle.max_speed
+        if ground is not None:
+            pace = ground.pace[world, v]
+            if pace < 1.0:
+                speed = speed * pace if pace > 0.0 else 0.0  # which may be infinite
+        _step(p, vehicle, speed)
+
+
+@compiled
+def apply_disturbance(vehicle: Vehicle) -> None:
+    """Apply the disturbance: true state = reference state + tracking error."""
+    off = vehicle.disturbance
+    vehicle.position[0] = vehicle.reference_position[0] + off.x
+    vehicle.position[1] = vehicle.reference_position[1] + off.y
+    vehicle.velocity[0] = vehicle.reference_velocity[0] + off.v_x
+    vehicle.velocity[1] = vehicle.reference_velocity[1] + off.v_y
+
+
+@compiled
+def _be_at_reference(vehicle: Vehicle) -> None:
+    """Let the true state of a vehicle without disturbances be its reference state."""
+    for i in range(2):
+        vehicle.position[i] = vehicle.reference_position[i]
+        vehicle.velocity[i] = vehicle.reference_velocity[i]
+
+
+@compiled
+def _look(p: WorldParameters, state: BatchState, escorts: IntArray, world: int) -> None:
+    """Let every UAV's sensor look at the ground, (3)."""
+    coverage = state.coverage[world]
+    for k in range(escorts.shape[0]):
+        uav, ugv = state.vehicles[world, escorts[k, 0]], state.vehicles[world, escorts[k, 1]]
+        if p.gains:
+            uav.gain = accumulate_with_gain(
                 coverage,
-                position[a, 0],
-                position[a, 1],
-                position[g, 0],
-                position[g, 1],
-                parameters.r_o,
-                parameters.desired,
-                parameters.sensor,
-                parameters.peak,
-                parameters.reach,
-                parameters.cell,
-                parameters.dt,
+                uav.position[0],
+                uav.position[1],
+                ugv.position[0],
+                ugv.position[1],
+                p.r_o,
+                p.desired,
+                p.sensor,
+                p.peak,
+                p.reach,
+                p.cell,
+                p.dt,
             )
         else:
             accumulate(
                 coverage,
-                position[a, 0],
-                position[a, 1],
-                parameters.sensor,
-                parameters.peak,
-                parameters.reach,
-                parameters.cell,
-                parameters.dt,
+                uav.position[0],
+                uav.position[1],
+                p.sensor,
+                p.peak,
+                p.reach,
+                p.cell,
+                p.dt,
             )
 
 
-@inlined
-def _detect(tables: BatchTables, state: BatchState, world: int) -> None:
-    """Every UAV's detector looks for its UGV, where it is due at this tick."""
-    parameters, keys, tick = tables.world[0], state.keys[world], state.ticks[world]
-    position, detections = state.truth.position[world], state.truth.detections[world]
-    for k in range(tables.escorts.shape[0]):
-        a, g = tables.escorts[k, 0], tables.escorts[k, 1]
-        detections[k, 0], detections[k, 1] = np.nan, np.nan
-        if tick % parameters.period == 0:
-            _, detections[k, 0], detections[k, 1] = detect(
-                position[a, 0] - position[g, 0],
-                position[a, 1] - position[g, 1],
-                parameters.r_v,
-                parameters.reach,
-                parameters.dropout,
-                parameters.sigma,
-                parameters.cut,
-                key_of(keys, DETECTION_NOISE, a),
-                key_of(keys, DETECTION_CHANCE, a),
-                tick,
-            )
+@compiled
+def _detect(p: WorldParameters, uav: Vehicle, ugv: Vehicle, tick: int) -> None:
+    """Let a UAV's detector look for its UGV, if it is due at this tick."""
+    uav.detection[0], uav.detection[1] = np.nan, np.nan
+    if tick % p.period == 0:
+        _, uav.detection[0], uav.detection[1] = detect(
+            uav.position[0] - ugv.position[0],
+            uav.position[1] - ugv.position[1],
+            p.r_v,
+            p.reach,
+            p.dropout,
+            p.sigma,
+            p.cut,
+            key_of(uav.keys, DETECTION_NOISE),
+            key_of(uav.keys, DETECTION_CHANCE),
+            tick,
+        )
 
 
-@borrowing
+@compiled
 def measure(
-    world: RecordArray,
-    position: FloatArray,
+    parameters: RecordArray,
+    vehicles: RecordArray,
     escorts: IntArray,
     coverage: FloatArray,
-    measures: FloatArray,
+    world: int,
     error: bool,
 ) -> None:
-    """Distance [m] and e(t) (4) with the true p_g [m²] of each UAV, into `measures`; `world` as in `BatchTables`.
+    """Measure the distance [m] and e(t) (4) with the true p_g [m²] of each UAV of a world.
 
-    e(t) is left out, and 0, where `error` is not asked for.
+    Args:
+        parameters: `WorldParameters`. Shape (1,).
+        vehicles, coverage: Of all worlds; `distance` and `coverage_error` are changed.
+        escorts: Rows (UAV, UGV). Shape (UAVs, 2).
+        world: The world.
+        error: False: leave e(t) at 0.
     """
-    parameters = world[0]
+    p = parameters[0]
     for k in range(escorts.shape[0]):
-        a, g = escorts[k, 0], escorts[k, 1]
-        measures[k, 0] = norm(position[a, 0] - position[g, 0], position[a, 1] - position[g, 1])
-        measures[k, 1] = 0.0
+        uav, ugv = vehicles[world, escorts[k, 0]], vehicles[world, escorts[k, 1]]
+        uav.distance = norm(uav.position[0] - ugv.position[0], uav.position[1] - ugv.position[1])
+        uav.coverage_error = 0.0
         if error:
-            measures[k, 1] = coverage_error(
-                coverage,
-                position[g, 0],
-                position[g, 1],
-                parameters.r_o,
-                parameters.desired,
-                parameters.cell,
+            uav.coverage_error = coverage_error(
+                coverage[world], ugv.position[0], ugv.position[1], p.r_o, p.desired, p.cell
             )
 
 
-@inlined
-def truth_of(truth: WorldState, world: int) -> WorldState:
-    """The truth of one world: views, no copies."""
-    return WorldState(
-        truth.position[world],
-        truth.velocity[world],
-        truth.acceleration[world],
-        truth.commands[world],
-        truth.coverage[world],
-        truth.detections[world],
-        truth.gains[world],
-        truth.measures[world],
-    )
+@compiled
+def _note_arrival(motions: RecordArray, world: int, vehicle: int, last: int, carried: int) -> None:
+    """Mark the motions of a received command, which begin in the tick `last` and the ticks before it.
 
-
-@borrowing
-def _note_arrival(motions: RecordArray, last: int, carried: int) -> None:
-    """A command has arrived that carries the motions that begin in the tick `last` and in those before it.
-
-    Of one that has begun already, or whose row holds a later one by now, nothing comes.
+    Motions that have begun already, or whose row holds a later one by now, stay unmarked.
     """
-    rows = motions.shape[0]
+    rows = motions.shape[2]
     for begins in range(max(0, last - min(carried, rows) + 1), last + 1):
-        if motions[begins % rows].begins == begins:
-            motions[begins % rows].arrived = 1
+        motion = motions[world, vehicle, begins % rows]
+        if motion.begins == begins:
+            motion.arrived = 1
 
 
-@inlined
-def _fly_motion(tables: BatchTables, state: BatchState, world: int, vehicle: int) -> bool:
+@compiled
+def _fly_motion(p: WorldParameters, state: BatchState, world: int, v: int) -> bool:
     """Fly the motion of this tick if it has come and goes on from the one that is flown, else the rest of that one.
 
-    False where commands act that carry none.
+    Returns:
+        False if commands act that carry no motion.
     """
-    motions, flown = state.motions[world, vehicle], state.flown[world, vehicle]
-    tick, velocity = state.ticks[world], state.told.velocity[world, vehicle]
-    if motions[tick % motions.shape[0]].arrived == 1:
-        follow_on(motions, flown, tick)
-    if flown[0].plain == 1:
+    vehicle, tick = state.vehicles[world, v], state.ticks[world]
+    if state.motions[world, v, tick % state.motions.shape[2]].arrived == 1:
+        follow_on(state.motions[world, v], state.flown[world, v], tick)
+    flown = state.flown[world, v, 0]
+    if flown.plain == 1:
         return False
-    u_x, u_y = motion_command(
-        flown[0], velocity[0], velocity[1], tables.bounds[vehicle, 1], tables.world[0].dt
+    vehicle.command[0], vehicle.command[1] = motion_command(
+        flown,
+        vehicle.reference_velocity[0],
+        vehicle.reference_velocity[1],
+        vehicle.max_acceleration,
+        p.dt,
     )
-    acting = state.truth.commands[world, vehicle]
-    acting[0], acting[1] = u_x, u_y
-    flown[0].age += 1
+    flown.age += 1
     return True
 
 
-@inlined
+@compiled
+def _exchange_commands(state: BatchState, traces: IntArray, world: int, v: int, row: int) -> None:
+    """Send the command of a vehicle over its link, and take the newest one that has arrived."""
+    vehicle, link = state.vehicles[world, v], state.links[world, row]
+    begin_tick(link, state.packets, world, traces, state.ticks[world])
+    if vehicle.outgoing_tick >= 0:
+        packet = state.packets[world, row, ARRIVED, 0]
+        packet.stamp = vehicle.outgoing_tick
+        packet.vector[0], packet.vector[1] = vehicle.outgoing[0], vehicle.outgoing[1]
+        packet.plan, packet.plans = vehicle.outgoing_motion, vehicle.outgoing_motions
+        send(link, state.packets, world, traces, packet)
+        vehicle.outgoing_tick = -1
+    for n in range(receive(link, state.packets, world)):
+        packet = state.packets[world, row, ARRIVED, n]
+        if vehicle.follows_motions and packet.plan >= 0:
+            _note_arrival(state.motions, world, v, packet.plan, packet.plans)
+        if packet.stamp > vehicle.command_tick:
+            vehicle.command_tick = int(packet.stamp)
+            vehicle.command[0], vehicle.command[1] = packet.vector[0], packet.vector[1]
+            if vehicle.follows_motions and packet.plan < 0:
+                flown = state.flown[world, v, 0]
+                flown.begins, flown.plain = NO_MOTION, 1
+
+
+@compiled
 def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None:
     """Send the commands out; each vehicle acts on its newest one that has arrived.
 
-    Where none has come for a while, it brakes. A receiver of motions begins each in its own tick, and flies on what it
-    flies where none begins.
+    Without one for a while, it brakes. A receiver of motions begins each in its own tick, and goes on with the motion
+    that it flies if none begins.
     """
-    parameters, keys, tick = tables.world[0], state.keys[world], state.ticks[world]
-    acting = state.truth.commands[world]
-    sent = state.sent[world]
-    answered = state.answered[world]
-    inbox = state.inbox[world]
-    for v in range(sent.shape[0]):
-        row = tables.escorts.shape[0] + v
-        link = link_of(state.links, world, row)
-        key = key_of(keys, tables.links.owners[row, 0], tables.links.owners[row, 1])
-        begin_tick(tables.links, row, link, key, tick)
-        if sent[v, COMMAND.answered] >= 0.0:
-            send(tables.links, row, link, key, sent[v])
-            sent[v, COMMAND.answered] = -1.0
-        for n in range(receive(link, inbox)):
-            last = int(inbox[n, COMMAND.last])
-            if tables.receivers[v] and last >= 0:
-                _note_arrival(state.motions[world, v], last, int(inbox[n, COMMAND.carried]))
-            if inbox[n, COMMAND.answered] > answered[v]:
-                answered[v] = int(inbox[n, COMMAND.answered])
-                acting[v, 0], acting[v, 1] = inbox[n, COMMAND.u_x], inbox[n, COMMAND.u_y]
-                if tables.receivers[v] and last < 0:
-                    flown = state.flown[world, v, 0]
-                    flown.begins, flown.plain = NO_MOTION, 1
-        if tables.receivers[v] and _fly_motion(tables, state, world, v):
+    p, uavs = tables.world[0], tables.escorts.shape[0]
+    for v in range(state.vehicles.shape[1]):
+        vehicle = state.vehicles[world, v]
+        _exchange_commands(state, tables.traces, world, v, uavs + v)
+        if vehicle.follows_motions and _fly_motion(p, state, world, v):
             continue
-        if tick - answered[v] > parameters.hold_ticks:
-            v_x, v_y = state.told.velocity[world, v, 0], state.told.velocity[world, v, 1]
-            acting[v, 0], acting[v, 1] = brake(v_x, v_y, tables.bounds[v, 1], parameters.dt)
+        if state.ticks[world] - vehicle.command_tick > p.hold_ticks:
+            velocity = vehicle.reference_velocity
+            vehicle.command[0], vehicle.command[1] = brake(
+                velocity[0], velocity[1], vehicle.max_acceleration, p.dt
+            )
 
 
-@inlined
+@compiled
 def draw_disturbances(tables: BatchTables, state: BatchState, world: int) -> None:
-    """Draw what acts on each UAV beside its commands in the coming tick."""
+    """Draw the disturbances of each UAV in the coming tick."""
     for u in range(tables.disturbances.shape[0]):
-        key = key_of(state.keys[world], DISTURBANCE, tables.escorts[u, 0])
-        draw_disturbance(tables.disturbances, state.tracking[world], u, key, state.ticks[world])
+        uav = state.vehicles[world, tables.escorts[u, 0]]
+        key = key_of(uav.keys, DISTURBANCE)
+        draw_disturbance(tables.disturbances[u], uav.disturbance, key, state.ticks[world])
 
 
-@inlined
-def put_off(state: BatchState, escorts: IntArray, world: int) -> None:
-    """Let every vehicle truly be where it is told that it is, and every UAV off that by its error.
+@compiled
+def _perceive(tables: BatchTables, state: BatchState, ground: Ground | None, world: int) -> None:
+    """Let the vehicles' sensors look at the ground, and the UAVs' detectors at their UGVs.
 
-    Args:
-        state: Of all worlds; `truth` is changed.
-        escorts: Rows (UAV, UGV). Shape (UAVs, 2).
-        world: The world.
+    A sensor of the ground looks from the reference position of its vehicle: the time of a tile's report depends on the
+    vehicle's own track alone, so that no UAV can infer the wind from it.
     """
-    position, velocity = state.truth.position[world], state.truth.velocity[world]
-    for v in range(position.shape[0]):
-        for i in range(2):
-            position[v, i] = state.told.position[world, v, i]
-            velocity[v, i] = state.told.velocity[world, v, i]
-    for u in range(escorts.shape[0]):
-        a, off = escorts[u, 0], state.tracking[world, u]
-        position[a, 0] += off.x
-        position[a, 1] += off.y
-        velocity[a, 0] += off.v_x
-        velocity[a, 1] += off.v_y
+    p = tables.world[0]
+    if ground is not None:
+        perceive_ground(p, ground, state, tables.escorts, world)
+        note_mission(tables, state, ground, world)
+    for u in range(tables.escorts.shape[0]):
+        uav, ugv = tables.escorts[u, 0], tables.escorts[u, 1]
+        vehicles = state.vehicles
+        _detect(p, vehicles[world, uav], vehicles[world, ugv], state.ticks[world])
 
 
-@inlined
-def _perceive(tables: BatchTables, state: BatchState, world: int) -> None:
-    """The vehicles' sensors look at the ground, and the UAVs' detectors at their UGVs.
-
-    A sensor of the ground looks from where its vehicle is told that it is: when a tile is told depends on nothing but
-    the vehicle's own track, so that no UAV finds the wind by it.
-    """
-    if tables.ground.parameters.shape[0] > 0:
-        perceive_ground(tables, state, world)
-        note_mission(tables, state, world)
-    _detect(tables, state, world)
-
-
-@inlined
-def move(tables: BatchTables, state: BatchState, world: int) -> None:
-    """To the next tick: everybody moves (1), the UAVs look at the ground (3) and at their UGVs.
-
-    Commands lead to where the vehicles are told that they are; a UAV that wind or a wrong own position takes from there
-    is truly elsewhere.
-    """
-    grounded = tables.ground.parameters.shape[0] > 0
+@compiled
+def move(tables: BatchTables, state: BatchState, ground: Ground | None, world: int) -> None:
+    """Advance to the next tick: vehicles move (1), UAVs look at the ground (3) and at their UGVs."""
+    p = tables.world[0]
     state.ticks[world] += 1
-    if grounded:
-        keep_before(tables, state, world)
-    _move(tables, state, world)
-    if grounded:
-        drive_on(tables, state, world)
-    if tables.disturbances.shape[0] > 0:
-        for u in range(tables.disturbances.shape[0]):
-            step_error(tables.disturbances[u], state.tracking[world], u, tables.world[0].dt)
-        put_off(state, tables.escorts, world)
-    _see(tables, state, world)
-    _perceive(tables, state, world)
+    if ground is not None:
+        keep_before(ground, state, world)
+    _move(p, state.vehicles, ground, world)
+    if ground is not None:
+        drive_on(p, ground, state, world)
+    for v in range(state.vehicles.shape[1]):
+        _be_at_reference(state.vehicles[world, v])
+    for u in range(tables.disturbances.shape[0]):
+        uav = state.vehicles[world, tables.escorts[u, 0]]
+        step_error(tables.disturbances[u], uav.disturbance, p.dt)
+        apply_disturbance(uav)
+    _look(p, state, tables.escorts, world)
+    _perceive(tables, state, ground, world)
 
 
-@inlined
+@compiled
 def deliver_detections(tables: BatchTables, state: BatchState, world: int) -> None:
     """Send this tick's detections out, and receive those that arrive."""
-    keys = state.keys[world]
-    tick = state.ticks[world]
-    found, position = state.truth.detections[world], state.truth.position[world]
-    received = state.received[world]
-    message = state.inbox[world, 0]
-    for u in range(found.shape[0]):
-        link = link_of(state.links, world, u)
-        key = key_of(keys, tables.links.owners[u, 0], tables.links.owners[u, 1])
-        begin_tick(tables.links, u, link, key, tick)
-        if not math.isnan(found[u, 0]):
-            a, g = tables.escorts[u, 0], tables.escorts[u, 1]
-            message[LOOK.taken], message[LOOK.x], message[LOOK.y] = tick, found[u, 0], found[u, 1]
-            message[TRUE_ERROR] = norm(
-                found[u, 0] - (position[a, 0] - position[g, 0]),
-                found[u, 1] - (position[a, 1] - position[g, 1]),
+    for u in range(tables.escorts.shape[0]):
+        link = state.links[world, u]
+        begin_tick(link, state.packets, world, tables.traces, state.ticks[world])
+        uav = state.vehicles[world, tables.escorts[u, 0]]
+        if not math.isnan(uav.detection[0]):
+            ugv = state.vehicles[world, tables.escorts[u, 1]]
+            packet = state.packets[world, u, ARRIVED, 0]
+            packet.stamp = state.ticks[world]
+            packet.vector[0], packet.vector[1] = uav.detection[0], uav.detection[1]
+            packet.error = norm(
+                uav.detection[0] - (uav.position[0] - ugv.position[0]),
+                uav.detection[1] - (uav.position[1] - ugv.position[1]),
             )
-            send(tables.links, u, link, key, message)
-        state.arrived[world, u] = receive(link, received[u])
+            send(link, state.packets, world, tables.traces, packet)
+        receive(link, state.packets, world)
 
 
-@inlined
-def begin_world(tables: BatchTables, state: BatchState, world: int) -> None:
-    """World k, whose arrays are as they are at the start but for its keys, has the first look."""
-    _perceive(tables, state, world)
+@compiled
+def begin_world(tables: BatchTables, state: BatchState, ground: Ground | None, world: int) -> None:
+    """Let a world whose arrays are as they are at the start, but for its keys, have the first look."""
+    _perceive(tables, state, ground, world)
     deliver_detections(tables, state, world)
 
 
-@inlined
-def world_tick(tables: BatchTables, state: BatchState, world: int, linked: bool) -> None:
-    """World k advances by one tick.
+@compiled
+def world_tick(
+    tables: BatchTables, state: BatchState, ground: Ground | None, world: int, linked: bool
+) -> None:
+    """Advance a world by one tick.
 
     Args:
-        tables: What all worlds share.
-        state: Is changed.
+        tables: Constants of all worlds.
+        state: Changed.
+        ground: Changed; None: there are no hazards, and nothing is compiled for them.
         world: The world.
-        linked: Whether commands cross their links; else everybody acts on what stands in `truth.commands`.
+        linked: Whether commands cross their links; else every vehicle acts on its `command`.
     """
     if linked:
         receive_commands(tables, state, world)
     draw_disturbances(tables, state, world)
-    move(tables, state, world)
+    move(tables, state, ground, world)
     deliver_detections(tables, state, world)

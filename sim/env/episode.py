@@ -1,8 +1,7 @@
 """One world's rows, rewards and metrics by vehicle: a shell around `sim.env.rows` with a batch of one."""
 
-from typing import Any
-
 from bus.layout import Row, UavRow, UavState, UgvRow, UgvState
+from sim.engine.ground_state import Ground
 from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rewards import MISSION_TERMS, RewardWeights, UavTerms, UgvTerms
 from sim.env.rows import (
@@ -16,16 +15,21 @@ from sim.env.rows import (
     row_state,
     row_tables,
 )
-from sim.kernels.compile import borrowing, entry_point
+from sim.kernels.compile import compiled
 from sim.scenario.types import Scenario, Ugv
 from sim.world import World
 
 
-@borrowing
+@compiled
 def _advance(
-    bt: BatchTables, bs: BatchState, tables: RowTables, state: RowState, beginning: bool
+    bt: BatchTables,
+    bs: BatchState,
+    ground: Ground | None,
+    tables: RowTables,
+    state: RowState,
+    beginning: bool,
 ) -> None:
-    advance_rows(bt, bs, tables, state, 0, beginning)
+    advance_rows(bt, bs, ground, tables, state, 0, beginning)
     observe_rows(bt, bs, tables, state, 0)
 
 
@@ -52,9 +56,6 @@ class Episode:
         }
         """The entries of the state of each vehicle."""
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_advance"}
-
     def uav(self, name: str) -> int | None:
         """A vehicle's row among the UAVs; None where it is none."""
         place = self._places.get(name, -1)
@@ -73,10 +74,7 @@ class Episode:
 
     def _take(self, world: World, *, beginning: bool) -> None:
         world.measure()
-        told = (*world.arrays, self._tables, self._state, beginning)
-        if "_advance" not in self.__dict__:
-            self._advance = entry_point(_advance, *told)
-        self._advance(*told)
+        _advance(*world.arrays, world.ground, self._tables, self._state, beginning)
 
     @property
     def terminated(self) -> bool:

@@ -243,10 +243,12 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         }
         if self.agents:
             return infos
-        links, mission = self.world.links, self.world.mission
+        links, mission = self.links() if self.degraded else {}, self.world.mission
         for name, info in infos.items():
             if self.degraded:
-                info["links"] = links.status(name)
+                info["links"] = {
+                    key: one for key, one in links.items() if key.rpartition("/")[0] == name
+                }
             if mission is not None and self._episode.uav(name) is None:
                 info.update(mission_numbers(mission))
         return infos
@@ -268,7 +270,10 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
 
         In here from its bumper alone: `outrider.parallel_env` has the radio of the UAVs' computers, too.
         """
-        known: TileArray = self.world.arrays[1].ground.known[0, self.world.names.index(ugv)]
+        ground = self.world.ground
+        if ground is None:
+            return self.world.tiles
+        known: TileArray = ground.known[0, self.world.names.index(ugv)]
         return known.copy()
 
     @property

@@ -73,7 +73,7 @@ class OwnMaps:
             return
         parameters = world.parameters
         for own, (uav, _) in zip(self._maps, world.escorts, strict=True):
-            x, y = world.told.position[uav].tolist()
+            x, y = world.reference_position[uav].tolist()
             accumulate(
                 own,
                 x,
@@ -87,7 +87,7 @@ class OwnMaps:
 
     def patch(self, escort: int, world: World, patch: CoveragePatch) -> FloatArray:
         """The picture around one UAV, row 0 in the south. Shape (pixels, pixels)."""
-        x, y = world.told.position[world.escorts[escort, 0]].tolist()
+        x, y = world.reference_position[world.escorts[escort, 0]].tolist()
         picture = np.empty((patch.pixels, patch.pixels))
         parameters = world.parameters
         own = world.coverage if self._shared else self._maps[escort]

@@ -8,10 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.layout import UavRow, UgvRow
+from sim.channel.link_records import ARRIVED
+from sim.engine.ground_state import Ground
 from sim.engine.mission import goals_of
-from sim.engine.world_state import LOOK, BatchState, BatchTables
+from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rewards import RewardWeights, UavTerms, full_error, uav_terms, ugv_terms
-from sim.kernels.compile import FloatArray, IntArray, inlined
+from sim.kernels.compile import FloatArray, IntArray, compiled
 from sim.kernels.records import RecordArray, columns, records
 from sim.models.vehicles import next_goal, norm
 from sim.scenario.types import Scenario, Uav
@@ -150,11 +152,12 @@ def row_state(
     return state
 
 
-@inlined
+@compiled
 def _measure_uav(bt: BatchTables, bs: BatchState, state: RowState, world: int, uav: int) -> None:
     """Notes a UAV's true standing at this tick, and the newest detection that has reached it."""
-    row, received = state.uavs[world, uav], bs.received[world, uav]
-    distance, error = bs.truth.measures[world, uav, 0], bs.truth.measures[world, uav, 1]
+    row = state.uavs[world, uav]
+    vehicle = bs.vehicles[world, bt.escorts[uav, 0]]
+    distance, error = vehicle.distance, vehicle.coverage_error
     row[UAV_METRICS.was_lost] = row[UAV_METRICS.lost]
     row[UAV_METRICS.lost] = 1.0 if distance >= bt.world[0].r_v else 0.0
     row[UAV_METRICS.distance] = distance
@@ -162,16 +165,17 @@ def _measure_uav(bt: BatchTables, bs: BatchState, state: RowState, world: int, u
     row[UAV_METRICS.violations] += row[UAV_METRICS.lost]
     row[UAV_METRICS.error] = error
     row[UAV_METRICS.error_sum] += error
-    for n in range(bs.arrived[world, uav]):
-        row[UAV_METRICS.newest] = max(row[UAV_METRICS.newest], received[n, LOOK.taken])
+    for n in range(bs.links[world, uav].arrived):
+        stamp = bs.packets[world, uav, ARRIVED, n].stamp
+        row[UAV_METRICS.newest] = max(row[UAV_METRICS.newest], stamp)
 
 
-@inlined
-def _measure_mission(bs: BatchState, state: RowState, world: int, ugv: int) -> None:
+@compiled
+def _measure_mission(ground: Ground, state: RowState, world: int, ugv: int) -> None:
     """Earnings of a UGV in this tick on ground with hazards."""
-    row, mission, hits = state.ugvs[world, ugv], bs.mission.ugvs[world, ugv], 0
-    for n in range(bs.ground.hits.shape[2]):
-        hits += bs.ground.hits[world, ugv, n]
+    row, mission, hits = state.ugvs[world, ugv], ground.missions[world, ugv], 0
+    for n in range(ground.hits.shape[2]):
+        hits += ground.hits[world, ugv, n]
     row[UGV_METRICS.new_told] = mission.told - row[UGV_METRICS.told]
     row[UGV_METRICS.new_hits] = hits - row[UGV_METRICS.hits]
     row[UGV_METRICS.new_still] = mission.still - row[UGV_METRICS.still]
@@ -179,57 +183,63 @@ def _measure_mission(bs: BatchState, state: RowState, world: int, ugv: int) -> N
     row[UGV_METRICS.still] = mission.still
 
 
-@inlined
+@compiled
 def _measure_ugv(
     bt: BatchTables, bs: BatchState, state: RowState, world: int, ugv: int, beginning: bool
 ) -> None:
     """A UGV turns to the next goal where it has reached one."""
-    row, position = state.ugvs[world, ugv], bs.truth.position[world, bt.ground.ugvs[ugv]]
+    row, position = state.ugvs[world, ugv], bs.vehicles[world, bt.ugvs[ugv]].position
     x, y, reached = position[0], position[1], int(row[UGV_METRICS.reached])
-    goals = goals_of(bt.mission, ugv)
+    goals = goals_of(bt.goals, bt.goal_rows, ugv)
     row[UGV_METRICS.nearer], row[UGV_METRICS.arrivals] = 0.0, 0.0
     if reached < goals.shape[0]:
         if not beginning:
             way = norm(x - goals[reached, 0], y - goals[reached, 1])
             row[UGV_METRICS.nearer] = row[UGV_METRICS.to_go] - way
-        now, row[UGV_METRICS.to_go] = next_goal(goals, reached, bt.mission.tolerances[ugv], x, y)
+        now, row[UGV_METRICS.to_go] = next_goal(goals, reached, bt.tolerances[ugv], x, y)
         row[UGV_METRICS.arrivals], row[UGV_METRICS.reached] = now - reached, now
 
 
-@inlined
+@compiled
 def _end(bt: BatchTables, tables: RowTables, state: RowState, world: int, left: int) -> int:
     """Tells if the episode is over, and for how many ticks a UAV out of sight pays."""
-    lost, goals = False, bt.mission.goals.shape[0]
+    lost, goals = False, bt.goals.shape[0]
     for u in range(state.uavs.shape[1]):
         lost = lost or state.uavs[world, u, UAV_METRICS.lost] != 0.0
     for g in range(state.ugvs.shape[1]):
         goals -= int(state.ugvs[world, g, UGV_METRICS.reached])
     lost = tables.episode[0].end_on_sight_lost and lost
-    arrived = tables.episode[0].end_on_goals and bt.mission.goals.shape[0] > 0 and goals == 0
+    arrived = tables.episode[0].end_on_goals and bt.goals.shape[0] > 0 and goals == 0
     state.terminated[world] = 1 if lost or arrived else 0
     state.truncated[world] = 1 if left <= 0 else 0
     return 1 + left if lost else 1
 
 
-@inlined
+@compiled
 def _pay(
-    bt: BatchTables, bs: BatchState, tables: RowTables, state: RowState, world: int, ticks_lost: int
+    bt: BatchTables,
+    bs: BatchState,
+    ground: Ground | None,
+    tables: RowTables,
+    state: RowState,
+    world: int,
+    ticks_lost: int,
 ) -> None:
     """Everybody's reward of this tick: the sum of its terms, in their order."""
     episode, weights, dt = tables.episode[0], tables.weights[0], bt.world[0].dt
-    grounded = bt.ground.parameters.shape[0] > 0
     for v in range(tables.place.shape[0]):
-        acceleration = bs.truth.acceleration[world, v, 0], bs.truth.acceleration[world, v, 1]
+        vehicle = bs.vehicles[world, v]
+        acceleration = vehicle.acceleration[0], vehicle.acceleration[1]
         terms = state.terms[world, v]
         if tables.place[v] >= 0:
             row, told = state.uavs[world, tables.place[v]], 0.0
-            if grounded:
-                tile, ugv = bt.ground.parameters[0].tile, bt.escorts[tables.place[v], 1]
+            if ground is not None:
+                tile, ugv = ground.parameters[0].tile, bt.escorts[tables.place[v], 1]
                 told = tile * tile * state.ugvs[world, -1 - tables.place[ugv], UGV_METRICS.new_told]
             terms[0], terms[1], terms[2], terms[3], terms[4], terms[5] = uav_terms(
                 weights,
                 row[UAV_METRICS.error],
-                bs.truth.gains[world, tables.place[v]],
+                vehicle.gain,
                 episode.full,
                 row[UAV_METRICS.lost] != 0.0,
                 row[UAV_METRICS.was_lost] != 0.0,
@@ -251,14 +261,20 @@ def _pay(
         state.rewards[world, v] = reward
 
 
-@inlined
+@compiled
 def advance_rows(
-    bt: BatchTables, bs: BatchState, tables: RowTables, state: RowState, world: int, beginning: bool
+    bt: BatchTables,
+    bs: BatchState,
+    ground: Ground | None,
+    tables: RowTables,
+    state: RowState,
+    world: int,
+    beginning: bool,
 ) -> None:
     """Take in the tick that a world is at, whose measures are there: how everybody stands and is paid.
 
     Args:
-        bt, bs: The worlds.
+        bt, bs, ground: The worlds.
         tables: What all worlds share.
         state: Is changed.
         world: The world.
@@ -268,44 +284,45 @@ def advance_rows(
         _measure_uav(bt, bs, state, world, u)
     for g in range(state.ugvs.shape[1]):
         _measure_ugv(bt, bs, state, world, g, beginning)
-        if bt.ground.parameters.shape[0] > 0:
-            _measure_mission(bs, state, world, g)
+        if ground is not None:
+            _measure_mission(ground, state, world, g)
     if not beginning:
         ticks_lost = _end(bt, tables, state, world, tables.episode[0].ticks - bs.ticks[world])
-        _pay(bt, bs, tables, state, world, ticks_lost)
+        _pay(bt, bs, ground, tables, state, world, ticks_lost)
 
 
-@inlined
+@compiled
 def _observe_uav(
     bt: BatchTables, bs: BatchState, tables: RowTables, state: RowState, world: int, uav: int
 ) -> None:
     """Write the row of a UAV: of several detections the newest, the pilots over the bus use them all."""
-    row, received, dt = state.uav_rows[world, uav], bs.received[world, uav], bt.world[0].dt
-    v = bt.escorts[uav, 0]
-    position, velocity = bs.told.position[world, v], bs.told.velocity[world, v]
+    row, dt = state.uav_rows[world, uav], bt.world[0].dt
+    vehicle = bs.vehicles[world, bt.escorts[uav, 0]]
+    position, velocity = vehicle.reference_position, vehicle.reference_velocity
     time, newest = bs.ticks[world] * dt, state.uavs[world, uav, UAV_METRICS.newest]
     row[UAV.time], row[UAV.x], row[UAV.y] = time, position[0], position[1]
     row[UAV.vx], row[UAV.vy] = velocity[0], velocity[1]
     row[UAV.detected], row[UAV.relative_x], row[UAV.relative_y] = 0.0, 0.0, 0.0
     row[UAV.age] = tables.episode[0].ticks * dt if newest < 0.0 else time - newest * dt
-    best = -1
-    for n in range(bs.arrived[world, uav]):
-        if best < 0 or received[n, LOOK.taken] > received[best, LOOK.taken]:
-            best = n
-    if best >= 0:
+    best = bs.packets[world, uav, ARRIVED, 0]
+    for n in range(1, bs.links[world, uav].arrived):
+        if bs.packets[world, uav, ARRIVED, n].stamp > best.stamp:
+            best = bs.packets[world, uav, ARRIVED, n]
+    if bs.links[world, uav].arrived > 0:
         row[UAV.detected] = 1.0
-        row[UAV.relative_x], row[UAV.relative_y] = received[best, LOOK.x], received[best, LOOK.y]
-        row[UAV.age] = time - received[best, LOOK.taken] * dt
+        row[UAV.relative_x], row[UAV.relative_y] = best.vector[0], best.vector[1]
+        row[UAV.age] = time - best.stamp * dt
 
 
-@inlined
+@compiled
 def _observe_ugv(bt: BatchTables, bs: BatchState, state: RowState, world: int, ugv: int) -> None:
     """Write the row of a UGV."""
-    row, v, goals = state.ugv_rows[world, ugv], bt.ground.ugvs[ugv], goals_of(bt.mission, ugv)
+    row, vehicle = state.ugv_rows[world, ugv], bs.vehicles[world, bt.ugvs[ugv]]
+    goals = goals_of(bt.goals, bt.goal_rows, ugv)
     goal = int(state.ugvs[world, ugv, UGV_METRICS.reached])
     row[UGV.time] = bs.ticks[world] * bt.world[0].dt
-    row[UGV.x], row[UGV.y] = bs.truth.position[world, v, 0], bs.truth.position[world, v, 1]
-    row[UGV.vx], row[UGV.vy] = bs.truth.velocity[world, v, 0], bs.truth.velocity[world, v, 1]
+    row[UGV.x], row[UGV.y] = vehicle.position[0], vehicle.position[1]
+    row[UGV.vx], row[UGV.vy] = vehicle.velocity[0], vehicle.velocity[1]
     count = goals.shape[0]
     row[UGV.underway], row[UGV.goal_x], row[UGV.goal_y] = 1.0 if goal < count else 0.0, 0.0, 0.0
     if count > 0:
@@ -313,7 +330,7 @@ def _observe_ugv(bt: BatchTables, bs: BatchState, state: RowState, world: int, u
         row[UGV.goal_x], row[UGV.goal_y] = goals[goal, 0], goals[goal, 1]
 
 
-@inlined
+@compiled
 def observe_rows(
     bt: BatchTables, bs: BatchState, tables: RowTables, state: RowState, world: int
 ) -> None:

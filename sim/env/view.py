@@ -212,13 +212,13 @@ class BatchRendering:
     def begin(self, worlds: IntArray) -> None:
         """Take in that these worlds are at the start of an episode."""
         if self._tracks:
-            self._tracks[-1][worlds] = self._batch.state.truth.position[worlds]
+            self._tracks[-1][worlds] = self._batch.state.vehicles["position"][worlds]
         else:
             self.follow()
 
     def follow(self) -> None:
         """Take in the tick that all worlds are at."""
-        self._tracks.append(self._batch.state.truth.position.copy())
+        self._tracks.append(self._batch.state.vehicles["position"].copy())
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...]:
         """The picture of each world at this moment."""

@@ -1,6 +1,6 @@
 """Sums of eight interleaved partial sums, which the compiler turns into vector instructions."""
 
-from sim.kernels.compile import FloatArray, borrowing, compiled
+from sim.kernels.compile import FloatArray, compiled
 
 LANES = 8
 """Number of partial sums, and of cells in a block."""
@@ -17,7 +17,7 @@ def widened(first: int, end: int, count: int) -> tuple[int, int]:
     return start, min(count, start + whole)
 
 
-@borrowing
+@compiled
 def lane_sum(terms: FloatArray, begin: int, count: int) -> float:
     """Sum `count` terms from `begin` on.
 

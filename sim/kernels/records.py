@@ -1,36 +1,69 @@
-"""Parameters as rows of structured arrays: compiled code reads `rows[k].name`, one array crosses the call.
+"""Parameters and state as structured arrays: compiled code reads `rows[k].name`.
 
-A named tuple costs some 0.1 µs a number each time that Python hands it to a compiled function, an array costs
-0.15 µs however much is in it.
+One array crosses a call from Python, whatever it holds, and a record costs no reference count.
 """
 
 import functools
+import math
 from collections.abc import Sequence
-from typing import Any, get_type_hints
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
 
 RecordArray = npt.NDArray[np.void]
-"""A structured array, one row each."""
+"""A structured array, one record for each element."""
 
 _KINDS = {float: np.float64, int: np.int64, bool: np.bool_, np.uint64: np.uint64}
 
 
 @functools.cache
 def record_type(fields: type) -> np.dtype[np.void]:
-    """The columns of a table of such named tuples or data classes: one for each field that is a number or a flag."""
-    hints = get_type_hints(fields).items()
-    columns = [(name, _KINDS[hint]) for name, hint in hints if hint in _KINDS]
-    return np.dtype((np.record, np.dtype(columns, align=True)))
+    """Return the dtype of a class: one column for each number, flag, vector, fixed array or nested class.
+
+    A vector is a tuple of two floats; `Annotated[IntArray, (6,)]` holds six numbers. Other fields are left out.
+    """
+    hints = get_type_hints(fields, include_extras=True).items()
+    columns = [(name, *column) for name, hint in hints if (column := _column(hint))]
+    return np.dtype(columns, align=True)
+
+
+def _column(hint: Any) -> tuple[Any, ...]:  # noqa: ANN401 - a type, as it is annotated
+    """Return the type of a column, and its shape; nothing for a field that is left out."""
+    if hint in _KINDS:
+        return (_KINDS[hint],)
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        shapes = [part for part in parts[1:] if isinstance(part, tuple)]
+        if shapes:  # an array of NumPy's, whose second parameter is its dtype
+            return (get_args(get_args(parts[0])[1])[0], shapes[0])
+        return _column(parts[0])
+    if origin in (Union, UnionType):
+        return _column(next(part for part in parts if part is not type(None)))
+    if origin is tuple and [_column(part) for part in parts] == [(np.float64,)] * 2:
+        return (np.float64, (2,))
+    if isinstance(hint, type) and origin is None and "__annotations__" in vars(hint):
+        nested = record_type(hint)
+        return (nested,) if nested.names else ()
+    return ()
+
+
+def fill(row: Any, value: Any) -> None:  # noqa: ANN401 - a record, and what its class was made from
+    """Write an object into a record, field by field; None becomes infinity."""
+    for name in row.dtype.names:
+        given = getattr(value, name)
+        if row.dtype[name].names:
+            fill(row[name], given)
+        else:
+            row[name] = math.inf if given is None else given
 
 
 def records(fields: type, rows: Sequence[Any]) -> RecordArray:
-    """A table with a row for each of these. Shape (rows,)."""
-    kind = record_type(fields)
-    table = np.zeros(len(rows), dtype=kind)
-    for name in kind.names or ():
-        table[name] = [getattr(row, name) for row in rows]
+    """Return a table with one record for each object. Shape (rows,)."""
+    table = np.zeros(len(rows), dtype=record_type(fields))
+    for row, value in zip(table, rows, strict=True):
+        fill(row, value)
     return table
 
 

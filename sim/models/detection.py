@@ -3,7 +3,14 @@
 import math
 
 from sim.kernels.compile import compiled
-from sim.models.randomness import DETECTION_CHANCE, DETECTION_NOISE, Key, cut_normal_vector, uniform
+from sim.models.randomness import (
+    DETECTION_CHANCE,
+    DETECTION_NOISE,
+    FIRST,
+    Key,
+    cut_normal_vector,
+    uniform,
+)
 from sim.models.vehicles import norm
 
 
@@ -51,9 +58,9 @@ def detect(
         Whether the UGV was found, and the noisy p_a - p_g [m]; NaN where it was not.
     """
     chance = detection_chance(norm(p_delta_x, p_delta_y), r_v, reach, dropout)
-    if uniform(chance_key, DETECTION_CHANCE, tick, 0) >= chance:
+    if uniform(chance_key, DETECTION_CHANCE, tick, FIRST) >= chance:
         return False, math.nan, math.nan
     if sigma == 0.0:
         return True, p_delta_x, p_delta_y
-    n_x, n_y = cut_normal_vector(sigma, cut, noise_key, DETECTION_NOISE, tick, 0)
+    n_x, n_y = cut_normal_vector(sigma, cut, noise_key, DETECTION_NOISE, tick, FIRST)
     return True, p_delta_x + n_x, p_delta_y + n_y

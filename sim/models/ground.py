@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from bus.messages import BLOCK_SIDE, TILE_LETTERS
 from bus.registry import HAZARDS
-from sim.kernels.compile import FloatArray, borrowing, compiled
+from sim.kernels.compile import FloatArray, compiled
 from sim.kernels.records import RecordArray
 from sim.models.vehicles import norm
 
@@ -86,7 +86,7 @@ def _met(
     return way if 0.0 <= way <= 1.0 and 0.0 <= along <= 1.0 else math.inf
 
 
-@borrowing
+@compiled
 def distance_to_hazard(
     hazards: RecordArray, corners: FloatArray, k: int, x: float, y: float
 ) -> float:
@@ -117,7 +117,7 @@ def distance_to_hazard(
     return 0.0 if inside else math.sqrt(nearest)
 
 
-@borrowing
+@compiled
 def may_be_within(hazards: RecordArray, k: int, x: float, y: float, distance: float) -> bool:
     """False only if a point is farther from a hazard than this distance [m], by the circle around it.
 
@@ -128,14 +128,14 @@ def may_be_within(hazards: RecordArray, k: int, x: float, y: float, distance: fl
     return bool(d_x * d_x + d_y * d_y <= far * far)
 
 
-@borrowing
+@compiled
 def point_in_hazard(hazards: RecordArray, corners: FloatArray, k: int, x: float, y: float) -> bool:
     """True if a point touches a hazard. Arguments as `distance_to_hazard`."""
     near = may_be_within(hazards, k, x, y, TOUCH)
     return near and distance_to_hazard(hazards, corners, k, x, y) == 0.0
 
 
-@borrowing
+@compiled
 def hazard_at(hazards: RecordArray, corners: FloatArray, kind: int, x: float, y: float) -> int:
     """The first hazard of a kind that a point touches; -1: none.
 
@@ -150,7 +150,7 @@ def hazard_at(hazards: RecordArray, corners: FloatArray, kind: int, x: float, y:
     return -1
 
 
-@borrowing
+@compiled
 def rough_share(hazards: RecordArray, corners: FloatArray, x: float, y: float) -> float:
     """Share of its largest speed that a vehicle keeps at a point: the least of the rough hazards there, 1 without one.
 
@@ -170,7 +170,7 @@ def rough_share(hazards: RecordArray, corners: FloatArray, x: float, y: float) -
     return least
 
 
-@borrowing
+@compiled
 def way_to_hazard(
     hazards: RecordArray,
     corners: FloatArray,
@@ -212,7 +212,7 @@ def way_to_hazard(
     return first
 
 
-@borrowing
+@compiled
 def crosses_hazard(
     hazards: RecordArray,
     corners: FloatArray,
@@ -286,7 +286,7 @@ def tile_index(p: float, tile: float, count: int) -> int:
     return int(min(max(math.floor(p / tile), 0), count - 1))
 
 
-@borrowing
+@compiled
 def state_at(tiles: TileArray, tile: float, x: float, y: float) -> int:
     """State of the tile that a point lies in; outside the area that of the nearest.
 
@@ -350,7 +350,7 @@ def disc_columns(
     return span(x - half, x + half, tile, columns)
 
 
-@borrowing
+@compiled
 def add_disc(x: float, y: float, radius: float, state: int, tile: float, tiles: TileArray) -> None:
     """Give the tiles that a disc touches a state; those that are BLOCK stay so.
 

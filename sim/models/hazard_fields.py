@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.kernels.compile import FloatArray, IntArray, borrowing
+from sim.kernels.compile import FloatArray, IntArray, compiled
 from sim.kernels.records import RecordArray
 from sim.models.ground import (
     BLOCK,
@@ -61,7 +61,7 @@ def work_array(rows: int, columns: int) -> IntArray:
     return np.zeros((4, (rows + 2) * (columns + 2)), dtype=np.int64)
 
 
-@borrowing
+@compiled
 def _crossed(ways: IntArray, i: int, j: int, d_i: int, d_j: int) -> int:
     """The lines that are crossed an odd number of times between the centres of two neighbouring tiles, as bits.
 
@@ -90,7 +90,7 @@ def _crossed(ways: IntArray, i: int, j: int, d_i: int, d_j: int) -> int:
     return bits
 
 
-@borrowing
+@compiled
 def _joined(work: IntArray, one: int, other: int, crossed: int) -> bool:
     """Put the sets of two neighbouring tiles together; False: their step closes a ring around one end of a way."""
     while work[_PARENT, one] != one:
@@ -110,7 +110,7 @@ def _joined(work: IntArray, one: int, other: int, crossed: int) -> bool:
     return True
 
 
-@borrowing
+@compiled
 def _block(work: IntArray, ways: IntArray, i: int, j: int, columns: int) -> bool:
     """Block a free tile, and join it to those around it that are blocked; False: that closes a way."""
     width = columns + 2
@@ -128,7 +128,7 @@ def _block(work: IntArray, ways: IntArray, i: int, j: int, columns: int) -> bool
     return True
 
 
-@borrowing
+@compiled
 def begin_work(ways: IntArray, tiles: TileArray, work: IntArray) -> None:
     """Join the tiles that are blocked from the start, and all that is outside.
 
@@ -156,7 +156,7 @@ def begin_work(ways: IntArray, tiles: TileArray, work: IntArray) -> None:
                 work[_PARENT, node] = _STOP
 
 
-@borrowing
+@compiled
 def _block_disc(
     x: float, y: float, radius: float, tile: float, ways: IntArray, tiles: TileArray, work: IntArray
 ) -> bool:
@@ -190,7 +190,7 @@ def _block_disc(
     return False
 
 
-@borrowing
+@compiled
 def _fits(
     fields: RecordArray,
     f: int,
@@ -221,7 +221,7 @@ def _fits(
     return True
 
 
-@borrowing
+@compiled
 def _drawn(
     fields: RecordArray, f: int, attempt: int, area: tuple[float, float], key: Key
 ) -> tuple[float, float, float]:
@@ -232,7 +232,7 @@ def _drawn(
     return to_uniform(first) * area[0], to_uniform(second) * area[1], radius
 
 
-@borrowing
+@compiled
 def place_hazards(
     fields: RecordArray,
     stops: FloatArray,

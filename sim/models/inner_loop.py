@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.kernels.compile import FloatArray, borrowing
-from sim.kernels.records import RecordArray
+from sim.kernels.compile import FloatArray, compiled
 from sim.models.vehicles import clip_norm
 
 _ENOUGH = 1e-6
@@ -37,7 +36,7 @@ class InnerLoop(NamedTuple):
     """u_r, beyond the bound of (1) [m/s²]."""
 
 
-class TrackingRecord(NamedTuple):
+class TrackingRecord:
     """The columns of a table: how each UAV is off its reference, and what acts on it in the coming tick."""
 
     x: float
@@ -69,17 +68,15 @@ class Responses(NamedTuple):
     """Without unit."""
 
 
-@borrowing
-def step_error(loop: InnerLoop, tracking: RecordArray, u: int, dt: float) -> None:
-    """Move the error on by a tick, exactly, as the accelerations are held over it.
+@compiled
+def step_error(loop: InnerLoop, row: TrackingRecord, dt: float) -> None:
+    """Advance the tracking error over a tick, exactly, as the accelerations are held over it.
 
     Args:
-        loop: Gains and reserve; or a row of a table that has them.
-        tracking: A table of `TrackingRecord`.
-        u: Its row that is changed.
+        loop: Gains and reserve, or a record that has them.
+        row: The error and its causes; changed.
         dt: Length of the tick [s].
     """
-    row = tracking[u]
     u_x, u_y = clip_norm(
         -loop.position_gain * (row.x + row.own_x) - loop.velocity_gain * row.v_x,
         -loop.position_gain * (row.y + row.own_y) - loop.velocity_gain * row.v_y,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.messages import MotionPlan
-from sim.kernels.compile import borrowing, compiled
+from sim.kernels.compile import compiled
 from sim.kernels.records import RecordArray, record_type
 from sim.models.vehicles import brake
 
@@ -65,7 +65,7 @@ def no_motions(*shape: int) -> RecordArray:
     return rows
 
 
-@borrowing
+@compiled
 def motion_command(
     motion: MotionRecord, v_x: float, v_y: float, u_max: float, dt: float
 ) -> tuple[float, float]:
@@ -101,7 +101,7 @@ def waited(tick: int, begins: int, delay_ticks: int) -> int:
     return tick - (begins if begins >= 0 else delay_ticks - 1)
 
 
-@borrowing
+@compiled
 def follow_on(motions: RecordArray, flown: RecordArray, tick: int) -> bool:
     """True if the motion of this tick goes on from the one that is flown; then it is the one that is flown, at age 0.
 
@@ -118,7 +118,7 @@ def follow_on(motions: RecordArray, flown: RecordArray, tick: int) -> bool:
     return True
 
 
-@borrowing
+@compiled
 def keep_motion(motions: RecordArray, motion: MotionRecord, tick: int) -> None:
     """Keep a motion that sets out at this tick until it begins; one that is there already stays as it is.
 

@@ -12,7 +12,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from sim.kernels.compile import borrowing, compiled
+from sim.kernels.compile import compiled, constant
 
 Key = tuple[np.uint64, np.uint64]
 """Of draws. A vehicle's process is told one, its pilot's; the simulator knows the others."""
@@ -21,33 +21,36 @@ WordArray = npt.NDArray[np.uint64]
 """Keys in arrays: the last axis has two words."""
 
 # Purposes of the run: each has a key of its own for each vehicle. A number, once given, stays.
-DETECTION_NOISE = 0
-DETECTION_CHANCE = 1
-PILOT = 2
-DETECTION_LINK = 3
-COMMAND_LINK = 4
-OPERATOR_LINK = 5
-RADIO_LINK = 6
-DISTURBANCE = 7
-HAZARD_FIELDS = 8
-GROUND_LOOK = 9
+DETECTION_NOISE = constant(0)
+DETECTION_CHANCE = constant(1)
+PILOT = constant(2)
+DETECTION_LINK = constant(3)
+COMMAND_LINK = constant(4)
+OPERATOR_LINK = constant(5)
+RADIO_LINK = constant(6)
+DISTURBANCE = constant(7)
+HAZARD_FIELDS = constant(8)
+GROUND_LOOK = constant(9)
 RUN_PURPOSES = 10
 """Their number."""
 
 # Purposes of draws that share a key: a pilot's, a link's, that of wind and own position, or that of the hazards. A
 # number, once given, stays.
-NEAREST_POINT = 16
-START_DIRECTION = 17
-WANDER = 18
-LINK_LOSS = 19
-LINK_STATE = 20
-LINK_DELAY = 21
-LINK_TRACE = 22
-GUST = 23
-OWN_POSITION = 24
-LOOKAHEAD_MOTION = 25
-TILE_CHANCE = 26
-HAZARD_PLACE = 27
+NEAREST_POINT = constant(16)
+START_DIRECTION = constant(17)
+WANDER = constant(18)
+LINK_LOSS = constant(19)
+LINK_STATE = constant(20)
+LINK_DELAY = constant(21)
+LINK_TRACE = constant(22)
+GUST = constant(23)
+OWN_POSITION = constant(24)
+LOOKAHEAD_MOTION = constant(25)
+TILE_CHANCE = constant(26)
+HAZARD_PLACE = constant(27)
+
+FIRST, SECOND = constant(0), constant(1)
+"""Indices of draws."""
 
 _MASK = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)
@@ -87,10 +90,10 @@ def philox(
     return c_0, c_1, c_2, c_3
 
 
-@borrowing
-def key_of(keys: WordArray, purpose: int, vehicle: int) -> Key:
-    """One key of those of a run, of shape (RUN_PURPOSES, vehicles, 2)."""
-    return keys[purpose, vehicle, 0], keys[purpose, vehicle, 1]
+@compiled
+def key_of(keys: WordArray, purpose: int) -> Key:
+    """Return one key of a vehicle. Shape of all: (RUN_PURPOSES, 2)."""
+    return keys[purpose, 0], keys[purpose, 1]
 
 
 def words_of(key: str) -> Key:

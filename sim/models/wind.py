@@ -9,9 +9,9 @@ n is normal in each axis: the exact sampling of an Ornstein-Uhlenbeck process.
 import math
 from typing import NamedTuple
 
-from sim.kernels.compile import borrowing, compiled
-from sim.kernels.records import RecordArray
-from sim.models.randomness import GUST, OWN_POSITION, Key, cut_normal_vector
+from sim.kernels.compile import compiled
+from sim.models.inner_loop import TrackingRecord
+from sim.models.randomness import FIRST, GUST, OWN_POSITION, Key, cut_normal_vector
 from sim.models.vehicles import clip_norm
 
 
@@ -46,25 +46,21 @@ def _drifted(
         return 0.0, 0.0
     if tick == 0:
         kept = 0.0
-    n_x, n_y = cut_normal_vector(sigma, math.inf, key, purpose, tick, 0)
+    n_x, n_y = cut_normal_vector(sigma, math.inf, key, purpose, tick, FIRST)
     fresh = math.sqrt(1.0 - kept * kept)
     return kept * x + fresh * n_x, kept * y + fresh * n_y
 
 
-@borrowing
-def draw_disturbance(
-    disturbances: RecordArray, tracking: RecordArray, u: int, key: Key, tick: int
-) -> None:
+@compiled
+def draw_disturbance(row: DisturbanceRow, state: TrackingRecord, key: Key, tick: int) -> None:
     """Draw the wind of the coming tick, and the error of the own position in it.
 
     Args:
-        disturbances: A table of `DisturbanceRow`.
-        tracking: A table of `TrackingRecord`, changed.
-        u: The row in both.
+        row: Parameters.
+        state: Changed.
         key: Of the draws.
         tick: The coming one.
     """
-    row, state = disturbances[u], tracking[u]
     state.gust_x, state.gust_y = _drifted(
         state.gust_x, state.gust_y, row.gust, row.gust_kept, key, GUST, tick
     )

@@ -1,45 +1,53 @@
 """One world of many as pictures read it."""
 
-from typing import Any
-
 import numpy as np
 
 from sim.engine.batch import Batch
-from sim.engine.world_state import BatchState, BatchTables
+from sim.engine.ground_state import CONSTANTS, Ground
 from sim.engine.world_tick import measure
 from sim.kernels.compile import FloatArray
-
-
-def _of_world(state: Any, k: int) -> Any:  # noqa: ANN401 - arrays, however deep
-    """The state of one world as that of a batch of one: views."""
-    if isinstance(state, np.ndarray):
-        return state[k : k + 1]
-    return state._make(_of_world(part, k) for part in state)
 
 
 class SeenWorld:
     """World k of a batch, with the attributes of `sim.world.World` that a picture needs; it stays up to date.
 
     Args:
-        batch: Of which.
-        k: Which.
+        batch: The batch.
+        k: The number of the world.
     """
 
     def __init__(self, batch: Batch, k: int) -> None:
+        self._batch, self._k = batch, k
         self.scenario = batch.scenario
         self.parameters = batch.parameters
         self.names = tuple(vehicle.name for vehicle in batch.scenario.vehicles)
-        state: BatchState = _of_world(batch.state, k)
-        self.arrays: tuple[BatchTables, BatchState] = batch.tables, state
-        """As a batch of one."""
         self.escorts = batch.tables.escorts
-        self.position = state.truth.position[0]
-        self.coverage = state.truth.coverage[0]
+
+    @property
+    def ground(self) -> Ground | None:
+        """The ground as that of a batch of one; None if there are no hazards."""
+        ground, k = self._batch.ground, self._k
+        if ground is None:
+            return None
+        changing = (name for name in Ground._fields if name not in CONSTANTS)
+        return ground._replace(**{name: getattr(ground, name)[k : k + 1] for name in changing})
+
+    @property
+    def position(self) -> FloatArray:
+        """True positions [m]. Shape (vehicles, 2)."""
+        position: FloatArray = self._batch.state.vehicles["position"][self._k]
+        return position
+
+    @property
+    def coverage(self) -> FloatArray:
+        """C of (3) on the grid. Shape (rows, columns)."""
+        coverage: FloatArray = self._batch.state.coverage[self._k]
+        return coverage
 
     @property
     def tick(self) -> int:
         """The tick that it is at."""
-        return int(self.arrays[1].ticks[0])
+        return int(self._batch.state.ticks[self._k])
 
     @property
     def time(self) -> float:
@@ -48,7 +56,7 @@ class SeenWorld:
 
     def measure(self) -> FloatArray:
         """Distance [m] and e(t) (4) [m²] of each UAV at this tick. Shape (UAVs, 2)."""
-        measures: FloatArray = np.zeros((len(self.escorts), 2))
-        tables, _ = self.arrays
-        measure(tables.world, self.position, self.escorts, self.coverage, measures, True)
-        return measures
+        tables, state = self._batch.tables, self._batch.state
+        measure(tables.world, state.vehicles, tables.escorts, state.coverage, self._k, True)
+        uavs = state.vehicles[self._k, self.escorts[:, 0]]
+        return np.stack((uavs["distance"], uavs["coverage_error"]), axis=1)

@@ -21,12 +21,14 @@ _KINDS = {row.code: name for name, row in HAZARDS.items()}
 
 def hazards_of(world: World | SeenWorld) -> tuple[HazardOutline, ...]:
     """The hazards of a world, those of the scenario and those that were drawn for this flight."""
-    tables, state = world.arrays
-    rows = state.ground.hazards[0]
+    ground = world.ground
+    if ground is None:
+        return ()
+    rows = ground.hazards[0]
     found = []
     for row in rows[rows["kind"] > 0]:
         first, count = int(row["first"]), int(row["corners"])
-        corners = tables.ground.corners[first : first + count].tolist()
+        corners = ground.corners[first : first + count].tolist()
         found.append(
             HazardOutline(
                 kind=_KINDS[int(row["kind"])],
@@ -60,20 +62,19 @@ def ground_map(
         hazards: Its hazards, where they have been asked for before: they stay.
         routes: The way that each UGV has told that it plans, by its corners [m].
     """
-    if not world.scenario.has_ground:
+    ground = world.ground
+    if ground is None:
         return None
-    tables, state = world.arrays
-    ground, mission = state.ground, state.mission
     rows, columns = ground.tiles.shape[1:]
     tiles = np.zeros((rows, columns), np.uint8)
-    for n, v in enumerate(tables.ground.ugvs.tolist()):
+    for n, v in enumerate(ground.ugvs.tolist()):
         felt = ground.known[0, v]
-        own = np.where(felt == UNSEEN, mission.told[0, n], felt)
+        own = np.where(felt == UNSEEN, ground.radioed[0, n], felt)
         tiles = np.where(tiles == UNSEEN, own, tiles)
     for v in world.escorts[:, 0].tolist():
         tiles[(tiles == UNSEEN) & (ground.known[0, v] != UNSEEN)] = SEEN
     kinds = ground.hazards[0]["kind"]
-    known = np.where(kinds == FOUND, mission.found[0] > 0, (mission.warned[0] > 0).any(axis=0))
+    known = np.where(kinds == FOUND, ground.found[0] > 0, (ground.warned[0] > 0).any(axis=0))
     states = np.where(ground.hits[0].any(axis=0), HIT, np.where(known, KNOWN, UNKNOWN))
     places = dict(zip(world.names, world.position.tolist(), strict=True))
     return GroundMap(

@@ -65,7 +65,7 @@ class Answers:
         self.assurance = Assurance(scenario)
         """Checks the reports of the safety filters."""
         self._reporting = [False] * len(world.uavs)
-        limits = np.square(world.bounds[:, 1] * (1.0 + _ROUNDING)).tolist()
+        limits = np.square(world.vehicles["max_acceleration"] * (1.0 + _ROUNDING)).tolist()
         self._limits = dict(zip(world.names, limits, strict=True))  # of a command's square [m²/s⁴]
         self._uavs = [uav.name for uav in world.uavs]
         flown = world.arrays[1].flown[0, :, 0]
@@ -129,7 +129,7 @@ class Answers:
         """Count a command of which the bound of (1) shortens anything, and tell of the first; units may be wrong."""
         self.shortened[name] += 1
         if self.shortened[name] == 1:
-            bound = self._world.bounds.item(self._world.names.index(name), 1)
+            bound = float(self._world.vehicles[self._world.names.index(name)]["max_acceleration"])
             self._on_notice(
                 f"{name}: its command for tick {tick}, {size:.4g} m/s², is longer than its "
                 f"bound {bound:.4g} m/s² and is shortened to it; more of these are only counted"

@@ -3,13 +3,10 @@
 import math
 from collections import Counter
 
-import numpy as np
-
 from bus.messages import CertificateStatus, UavCommand
 from sim.engine.briefing import declared
 from sim.engine.certificate_counts import (
     NEVER,
-    ArrivalRecord,
     CertificateBounds,
     certificate_bounds,
     certificate_counts,
@@ -19,9 +16,8 @@ from sim.engine.certificate_counts import (
     note_sent,
     sent_commands,
 )
-from sim.kernels.compile import FloatArray, entry_point
-from sim.kernels.records import RecordArray, record_type, records
-from sim.models.motion import no_motions
+from sim.kernels.compile import FloatArray
+from sim.kernels.records import RecordArray, records
 from sim.scenario.types import Scenario, Uav
 
 _SILENT = "the UAV has no estimate yet, or its command did not come"
@@ -63,13 +59,6 @@ class Assurance:
         self._last = [_NOBODY] * len(uavs)
         self._silent = [0] * len(uavs)  # ticks of which nothing was said
         self._disregarded = [False] * len(uavs)
-        if uavs:
-            evidence = np.zeros(1, record_type(ArrivalRecord)), np.zeros((1, 2)), no_motions(1)
-            given = (0, 0, 0), _NOTHING_SENT, (False, False, False, False)
-            self._tick = entry_point(count_tick, self._tables, evidence, *given)
-            self._send = entry_point(note_sent, self._sent[0], *_NOTHING_SENT)
-            self._track = entry_point(count_tracking, self._bounds, self._counts, 0, 0.0)
-            self._end = entry_point(note_end, self._counts[0], False)
 
     def _sum(self, name: str) -> int:
         return int(self._counts[name].sum())
@@ -100,7 +89,7 @@ class Assurance:
     def track(self, uav: int, off: float) -> None:
         """A UAV truly is so far from where it is told that it is at the tick that is taken next [m]."""
         self.tracking_error = max(self.tracking_error, off)
-        self._track(self._bounds, self._counts, uav, off)
+        count_tracking(self._bounds, self._counts, uav, off)
 
     def excuse(self, uav: int) -> None:
         """This UAV's certificate may end at the coming tick: its law has changed, or its process has joined again."""
@@ -145,7 +134,7 @@ class Assurance:
                 reason = report.uncertified
         if not says and (not watched or self._disregarded[uav]):
             if command is not None:  # the next one may be watched
-                self._send(self._sent[uav], *sent)
+                note_sent(self._sent[uav], *sent)
             return
         if self._last[uav] != tick - 1:  # not watched just before: a new filter, without a memory
             count = self._counts[uav]
@@ -156,11 +145,11 @@ class Assurance:
         if not says:
             self._silent[uav] += 1
         claim = certified, intervened, distance >= self._radius, says and sent[0] == tick
-        self._tick(self._tables, evidence, (uav, self._rows[uav], tick), sent, claim)
+        count_tick(self._tables, evidence, (uav, self._rows[uav], tick), sent, claim)
 
     def end(self, uav: int, distance: float) -> None:
         """The flight is over with this UAV so far from its UGV [m]: the last tick's certificate is held against it."""
-        self._end(self._counts[uav], distance >= self._radius)
+        note_end(self._counts[uav], distance >= self._radius)
 
     def status(self) -> CertificateStatus | None:
         """All of it as a message; None where no filter has watched over anything."""

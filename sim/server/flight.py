@@ -119,8 +119,6 @@ class Flight:
         self._stopped = self._abandoned = False
         self._ticks = scenario.ticks
         self._uav_row = {uav.name: k for k, uav in enumerate(self.world.uavs)}
-        self._operators = self.world.links.of(LinkKind.OPERATOR)
-        self._radios = self.world.links.of(LinkKind.RADIO)
         self._grounded = scenario.has_ground
         self._radio_ticks = radio_ticks(self.world.parameters.dt)
         self._radioed: dict[str, int | None] = dict.fromkeys(self._uav_row)
@@ -171,7 +169,8 @@ class Flight:
 
     def say(self, ugv: str, words: Drive) -> None:
         """An operator says something to a UGV; its link brings it there, at once or later."""
-        self._operators[ugv].send(self.world.tick, words, self.world.tick)
+        tick, links = self.world.tick, self.world.links
+        links.send_object(links.row(LinkKind.OPERATOR, ugv), tick, words, tick)
 
     def assign_driver(self, ugv: str, driver: str) -> None:
         """Another driver takes a UGV's wheel with the coming observation."""
@@ -227,7 +226,7 @@ class Flight:
         Raises:
             ScenarioError: If the settings are impossible, or this vehicle has no such link.
         """
-        self.world.links.change(kind, vehicle, settings)
+        self.world.change_links(kind, vehicle, settings)
         control = Control(action=Action.LINK, link=kind, vehicle=vehicle, settings=settings)
         self.degradations.append(Change(tick=self.world.tick, control=control))
 
@@ -299,7 +298,8 @@ class Flight:
         if message is None:
             self.refused_radio[uav] += 1
         else:  # it arrives at the next tick at the earliest
-            self._radios[uav].send(self.world.tick + 1, message, self.world.tick)
+            tick, links = self.world.tick, self.world.links
+            links.send_object(links.row(LinkKind.RADIO, uav), tick + 1, message, tick)
 
     def _due(self, uav: str, tick: int, message: RelativeInformation) -> RelativeInformation | None:
         """A message with the time of the tick that its command answers; None: of another, or too soon after the last.
@@ -418,9 +418,8 @@ def warm_up(scenario: Scenario) -> None:
     """
     flight = Flight(scenario, scenario.seed)
     world, links = flight.world, flight.world.links
-    carried = [
-        link for kind in (LinkKind.RADIO, LinkKind.OPERATOR) for link in links.of(kind).values()
-    ]
+    objects = (LinkKind.RADIO, LinkKind.OPERATOR)
+    carried = [row for row, (kind, _) in enumerate(links.names) if kind in objects]
     flight.take_down()
     if scenario.has_ground:
         block = GroundBlock(row=0, column=0, tiles=world.known_block(0, 0, 0))
@@ -433,7 +432,7 @@ def warm_up(scenario: Scenario) -> None:
             flight.observations()
             for k in range(len(world.names)):
                 world.send(k, world.tick, (0.0, 0.0))
-            for link in carried:
+            for row in carried:
                 for _ in range(3):
-                    link.send(world.tick + 1, None, world.tick)
+                    links.send_object(row, world.tick + 1, None, world.tick)
             flight.apply({})

@@ -8,8 +8,6 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from bus.messages import (
     Detection,
     Drive,
@@ -24,7 +22,6 @@ from bus.messages import (
     Vector,
 )
 from sim.kernels.compile import FloatArray
-from sim.kernels.packing import NUMBER, packer, reader
 from sim.world import World
 
 
@@ -38,7 +35,6 @@ class News:
 
 
 _NO_NEWS = News()
-_read_vector = reader(2)
 
 
 class Perception(ABC):
@@ -50,9 +46,6 @@ class Perception(ABC):
         episode: Which flight of the run it is.
     """
 
-    numbers = 0
-    """Numbers that are kept of each message that has arrived: its tick, the one that it is of, and what it says."""
-
     def __init__(self, world: World, name: str, episode: int) -> None:
         self.name, self.row = name, world.names.index(name)
         self.news: dict[int, News] = {}
@@ -61,8 +54,7 @@ class Perception(ABC):
         self._dt, self._grounded = world.parameters.dt, world.scenario.has_ground
         self._ground: dict[int, tuple[SeenTile, ...]] = {}
         self._now: tuple[Any, ...] = ()  # the messages that have arrived at the world's tick
-        self._arrived, self._pack = bytearray(), packer(self.numbers)
-        self._place = self.row * 2 * NUMBER  # of its vectors in the world's arrays [bytes]
+        self._arrived: dict[int, tuple[Any, ...]] = {}  # messages by tick of arrival
 
     def news_now(self) -> News:
         """The news of the world's tick, to be added to."""
@@ -79,9 +71,10 @@ class Perception(ABC):
 
     def observe(self, *, over: bool) -> Observation:
         """The observation of the world's tick; `over`: no command is awaited."""
-        tick, told, place = self._world.tick, self._world.told, self._place
-        motion = _read_vector(told.position, place), _read_vector(told.velocity, place)
-        return self._observation(tick, motion, self._now, over=over)
+        vehicle = self._world.vehicles[self.row]
+        x, y = vehicle["reference_position"].tolist()
+        v_x, v_y = vehicle["reference_velocity"].tolist()
+        return self._observation(self._world.tick, ((x, y), (v_x, v_y)), self._now, over=over)
 
     def past(
         self, begin: int, end: int, told: FloatArray, missed: Collection[int]
@@ -95,21 +88,12 @@ class Perception(ABC):
             missed: Ticks whose observation it was not sent: of those it is told its own motion, law and driver and
                 nothing else.
         """
-        rows: FloatArray = np.frombuffer(bytes(self._arrived)).reshape(-1, self.numbers)
-        first, last = np.searchsorted(rows[:, 0], (begin, end))
-        arrived: dict[int, tuple[Any, ...]] = {}
-        for tick, *numbers in rows[first:last].tolist():
-            arrived[int(tick)] = (*arrived.get(int(tick), ()), self._message(*numbers))
         return tuple(
             self._observation(tick, ((x, y), (v_x, v_y)), known=False)
             if tick in missed
-            else self._observation(tick, ((x, y), (v_x, v_y)), arrived.get(tick, ()))
+            else self._observation(tick, ((x, y), (v_x, v_y)), self._arrived.get(tick, ()))
             for tick, (x, y, v_x, v_y) in enumerate(told.tolist(), begin)
         )
-
-    @abstractmethod
-    def _message(self, *numbers: float) -> Any:  # noqa: ANN401 - of the vehicle's kind
-        """A message of the numbers that were kept of it."""
 
     @abstractmethod
     def _observation(
@@ -135,8 +119,6 @@ class Perception(ABC):
 class UavPerception(Perception):
     """The perception of a UAV: the detections of the UGV that it escorts."""
 
-    numbers = 4  # tick, time, p_delta
-
     def __init__(self, world: World, name: str, episode: int) -> None:
         super().__init__(world, name, episode)
         self._uav = [uav.name for uav in world.uavs].index(name)
@@ -147,13 +129,8 @@ class UavPerception(Perception):
         if self._grounded:
             self._see_ground(tick)
         self._now = self._world.received(self._uav)
-        for one in self._now:
-            x, y = one.relative_position
-            self._arrived += self._pack(tick, one.time, x, y)
-
-    def _message(self, *numbers: float) -> Detection:
-        time, x, y = numbers
-        return Detection(time=time, relative_position=(x, y))
+        if self._now:
+            self._arrived[tick] = self._now
 
     def _observation(
         self,
@@ -184,13 +161,11 @@ class UavPerception(Perception):
 class UgvPerception(Perception):
     """The perception of a UGV: its operators' commands, and what the UAVs that escort it have radioed."""
 
-    numbers = 5  # tick, time, p_delta, error
-
     def __init__(self, world: World, name: str, episode: int) -> None:
         super().__init__(world, name, episode)
-        self._operators = world.links.of(LinkKind.OPERATOR)[name]
-        radios = world.links.of(LinkKind.RADIO)
-        self._radios = [radios[uav.name] for uav in world.uavs if uav.escorts == name]
+        self._operators = world.links.row(LinkKind.OPERATOR, name)
+        escorts = [uav.name for uav in world.uavs if uav.escorts == name]
+        self._radios = [world.links.row(LinkKind.RADIO, uav) for uav in escorts]
         self.blocks: dict[int, tuple[GroundBlock, ...]] = {}
         """Blocks of tiles that have come by radio, by tick."""
 
@@ -198,26 +173,22 @@ class UgvPerception(Perception):
         """Take in what has crossed the links for this tick, and what the sensors say; once for every tick."""
         if self._grounded:
             self._see_ground(tick)
-        commands = self._operators.arrivals(tick)
+        links = self._world.links
+        commands = links.arrivals(self._operators, tick)
         if commands:
             self.news_now().operator = tuple(commands)
         self._now = ()
         for radio in self._radios:
-            for message in radio.arrivals(tick):
+            for message in links.arrivals(radio, tick):
                 self._receive_message(tick, message)
 
     def _receive_message(self, tick: int, message: object) -> None:
         if isinstance(message, RelativeInformation):
             self._now = (*self._now, message)
-            numbers = message.time, *message.relative_position, message.coverage_error
-            self._arrived += self._pack(tick, *numbers)
+            self._arrived[tick] = self._now
         elif isinstance(message, GroundBlock):
             self.blocks[tick] = (*self.blocks.get(tick, ()), message)
             self._world.receive_block(self.row, message)
-
-    def _message(self, *numbers: float) -> RelativeInformation:
-        time, x, y, error = numbers
-        return RelativeInformation(time=time, relative_position=(x, y), coverage_error=error)
 
     def _observation(
         self,

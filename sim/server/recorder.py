@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from bus.messages import UavReport
+from sim.channel.link_records import ARRIVED
 from sim.engine.certificate_counts import NEVER, ArrivalRecord
-from sim.engine.world_state import LOOK, TRUE_ERROR, WorldState
+from sim.engine.world_state import BatchState, BatchTables
 from sim.engine.world_tick import measure
-from sim.kernels.compile import FloatArray, IntArray, borrowing, entry_point
-from sim.kernels.packing import NUMBER, writer
+from sim.kernels.compile import FloatArray, compiled
 from sim.kernels.records import RecordArray, record_type
 from sim.server.row_store import RowStore
 from sim.world import World
@@ -38,20 +38,15 @@ _ESCORT = (
 )
 """Columns of `Recorder.escorts`."""
 _CERTIFIED = _ESCORT.index("certified")
-_REPORT = _ESCORT[4:]
-_write_report = writer(len(_REPORT))
-_ROW, _SAID = len(_ESCORT) * NUMBER, (len(_ESCORT) - len(_REPORT)) * NUMBER
-"""Bytes of a row, and of those before what a UAV reports."""
+_REPORTED = 4
+"""First column of a UAV's report."""
 
 
-@borrowing
+@compiled
 def _take_down(
-    parameters: RecordArray,
-    pairs: IntArray,
-    truth: WorldState,
+    tables: BatchTables,
+    state: BatchState,
     arrivals: RecordArray,
-    received: FloatArray,
-    arrived: IntArray,
     states: FloatArray,
     escorts: FloatArray,
     k: int,
@@ -59,30 +54,31 @@ def _take_down(
     """Measure the world at tick k, and write its row, and into the row before what was applied.
 
     Args:
-        parameters, pairs, truth, received, arrived: Of the world, as in its batch.
+        tables, state: The world, a batch of one.
         arrivals: Of each UAV, see `Recorder.arrivals`.
         states, escorts: The record.
         k: The tick.
     """
-    measure(parameters, truth.position, pairs, truth.coverage, truth.measures, True)
-    for vehicle in range(states.shape[1]):
+    measure(tables.world, state.vehicles, tables.escorts, state.coverage, 0, True)
+    for v in range(states.shape[1]):
+        vehicle = state.vehicles[0, v]
         for axis in range(2):
             if k > 0:
-                states[k - 1, vehicle, 4 + axis] = truth.acceleration[vehicle, axis]
-            states[k, vehicle, axis] = truth.position[vehicle, axis]
-            states[k, vehicle, 2 + axis] = truth.velocity[vehicle, axis]
-            states[k, vehicle, 4 + axis] = np.nan
+                states[k - 1, v, 4 + axis] = vehicle.acceleration[axis]
+            states[k, v, axis] = vehicle.position[axis]
+            states[k, v, 2 + axis] = vehicle.velocity[axis]
+            states[k, v, 4 + axis] = np.nan
     for uav in range(escorts.shape[1]):
-        for n in range(2):
-            escorts[k, uav, n] = truth.measures[uav, n]
-            escorts[k, uav, 2 + n] = truth.detections[uav, n]
+        vehicle = state.vehicles[0, tables.escorts[uav, 0]]
+        escorts[k, uav, 0], escorts[k, uav, 1] = vehicle.distance, vehicle.coverage_error
+        escorts[k, uav, 2], escorts[k, uav, 3] = vehicle.detection[0], vehicle.detection[1]
         for n in range(4, 8):
             escorts[k, uav, n] = np.nan
         arrivals[uav].newest, arrivals[uav].error = NEVER, 0.0
-        for n in range(arrived[0, uav]):
-            look = received[0, uav, n]
-            arrivals[uav].newest = max(arrivals[uav].newest, int(look[LOOK.taken]))
-            arrivals[uav].error = max(arrivals[uav].error, look[TRUE_ERROR])
+        for n in range(state.links[0, uav].arrived):
+            packet = state.packets[0, uav, ARRIVED, n]
+            arrivals[uav].newest = max(arrivals[uav].newest, int(packet.stamp))
+            arrivals[uav].error = max(arrivals[uav].error, packet.error)
 
 
 class Recorder:
@@ -110,10 +106,6 @@ class Recorder:
         self._bind()
         self.arrivals: RecordArray = np.zeros(uavs, record_type(ArrivalRecord))
         """`ArrivalRecord` of each UAV, of the tick that was taken down last. Shape (UAVs,)."""
-        self._truth = world.arrays[0].world, world.escorts, world.state, self.arrivals
-        state = world.arrays[1]
-        arrays = state.received, state.arrived, self._states, self._escorts
-        self._take_down = entry_point(_take_down, *self._truth, *arrays, 0)
 
     def _bind(self) -> None:
         self._states, self._escorts, self._told = (store.array for store in self._stores)
@@ -133,26 +125,18 @@ class Recorder:
             for store in self._stores:
                 store.grow()
             self._bind()
-        state = self._world.arrays[1]  # which has other arrays once a link has changed
-        arrays = state.received, state.arrived, self._states, self._escorts
-        self._take_down(*self._truth, *arrays, k)
+        _take_down(*self._world.arrays, self.arrivals, self._states, self._escorts, k)
         if self._tells:
-            self._told[k, :, 0:2], self._told[k, :, 2:4] = self._world.told
-        if k:
-            place = (k - 1) * len(reports) * _ROW + _SAID
-            for report in reports:
-                if report is not None:
-                    certified, distance = report.certified, report.certified_distance
-                    x, y = report.estimate
-                    _write_report(
-                        self._escorts,
-                        place,
-                        x,
-                        y,
-                        math.nan if certified is None else certified,
-                        math.nan if certified is None or distance is None else distance,
-                    )
-                place += _ROW
+            self._told[k, :, 0:2] = self._world.reference_position
+            self._told[k, :, 2:4] = self._world.reference_velocity
+        for uav, report in enumerate(reports if k else ()):
+            if report is not None:
+                certified, distance = report.certified, report.certified_distance
+                self._escorts[k - 1, uav, _REPORTED:] = (
+                    *report.estimate,
+                    math.nan if certified is None else certified,
+                    math.nan if certified is None or distance is None else distance,
+                )
         self.ticks, self.rows = k, k + 1
 
     @property

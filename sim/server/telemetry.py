@@ -117,6 +117,6 @@ class Telemetry:
             changes=tuple(self._operators.changes)[-_SHOWN:],
             refusals=tuple(self._operators.refusals),
             geometry=self._geometry,
-            warnings=self._warn(flight.flown, world.links.table),
+            warnings=self._warn(flight.flown, world.link_table),
             vehicles=self._slots.statuses(),
         )

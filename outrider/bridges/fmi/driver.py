@@ -20,7 +20,6 @@ from bus.extras import from_extra
 from bus.layout import Row, UgvRow
 from bus.messages import UgvObservation
 from outrider.bridges.fmi.variables import ACCELERATION, DRIVER_INPUTS, GOAL, OWN_STATE, RADIO
-from sim.kernels.compile import is_interpreted
 
 _INPUTS = {one.name: "Float64" if one.unit else "Boolean" for one in DRIVER_INPUTS}
 """The inputs that a unit may have, with their types."""
@@ -125,9 +124,8 @@ class FmuPolicy:
         self._check(described)
         self._check_platform(fmpy.platform_tuple)
         self._make: Any = FMU3Slave
-        if not is_interpreted():  # where it is, a pilot of ours cannot fly: the UGV's process tries
-            step = described.defaultExperiment and described.defaultExperiment.stepSize
-            self._try(float(step or _STEP))
+        step = described.defaultExperiment and described.defaultExperiment.stepSize
+        self._try(float(step or _STEP))
 
     def _check(self, described: Any) -> None:  # noqa: ANN401
         where = self._where

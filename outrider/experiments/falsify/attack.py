@@ -58,11 +58,9 @@ from outrider.experiments.falsify.opponents import (
     ugv_command,
 )
 from outrider.experiments.falsify.tick_distance import largest_between
+from sim.channel.link_records import ARRIVED
 from sim.engine.batch import Batch
 from sim.engine.world_state import (
-    COMMAND,
-    LOOK,
-    TRUE_ERROR,
     BatchState,
     BatchTables,
 )
@@ -71,12 +69,11 @@ from sim.engine.world_tick import (
     deliver_detections,
     move,
     receive_commands,
-    truth_of,
 )
-from sim.kernels.compile import FloatArray, borrowing, released
+from sim.kernels.compile import FloatArray, compiled, released
 from sim.kernels.records import RecordArray, record_type
 from sim.models.motion import keep_motion, waited
-from sim.models.randomness import draw
+from sim.models.randomness import FIRST, draw
 from sim.models.vehicles import Motion, clip_norm, norm
 
 _ATTACK = 1001  # purpose of the draws
@@ -152,56 +149,63 @@ def empty_room() -> Room:
     )
 
 
-@borrowing
+@compiled
 def _keep_states(state: BatchState, states: RecordArray) -> None:
     for k in range(states.shape[0]):
-        row = states[k]
-        row.p_x, row.p_y = state.truth.position[0, k, 0], state.truth.position[0, k, 1]
-        row.v_x, row.v_y = state.truth.velocity[0, k, 0], state.truth.velocity[0, k, 1]
+        row, vehicle = states[k], state.vehicles[0, k]
+        row.p_x, row.p_y = vehicle.position[0], vehicle.position[1]
+        row.v_x, row.v_y = vehicle.velocity[0], vehicle.velocity[1]
 
 
-@borrowing
+@compiled
 def _place(conditions: Conditions, tables: BatchTables, state: BatchState, random: Words) -> None:
     """Put UGV and UAV where the run begins."""
-    parameters, position = tables.world[0], state.truth.position[0]
+    parameters, vehicles = tables.world[0], state.vehicles
     if conditions.area == AREAS.open:
-        position[UGV, 0], position[UGV, 1] = 0.5 * parameters.width, 0.5 * parameters.height
+        vehicles[0, UGV].position[0], vehicles[0, UGV].position[1] = (
+            0.5 * parameters.width,
+            0.5 * parameters.height,
+        )
     elif conditions.area == AREAS.wall:
         _place_at_wall(conditions, parameters.width, state, random)
         return
     elif conditions.area == AREAS.corner:
-        position[UGV, 0] = conditions.r_v * next_share(random)
-        position[UGV, 1] = conditions.r_v * next_share(random)
+        vehicles[0, UGV].position[0] = conditions.r_v * next_share(random)
+        vehicles[0, UGV].position[1] = conditions.r_v * next_share(random)
     else:
-        position[UGV, 0] = parameters.width * next_share(random)
-        position[UGV, 1] = parameters.height * next_share(random)
+        vehicles[0, UGV].position[0] = parameters.width * next_share(random)
+        vehicles[0, UGV].position[1] = parameters.height * next_share(random)
     e_x, e_y = draw_direction(random)
     far = conditions.r_v * (0.1 if next_share(random) < 0.5 else 0.5)
-    position[UAV, 0] = min(max(position[UGV, 0] + far * e_x, 0.0), parameters.width)
-    position[UAV, 1] = min(max(position[UGV, 1] + far * e_y, 0.0), parameters.height)
+    vehicles[0, UAV].position[0] = min(
+        max(vehicles[0, UGV].position[0] + far * e_x, 0.0), parameters.width
+    )
+    vehicles[0, UAV].position[1] = min(
+        max(vehicles[0, UGV].position[1] + far * e_y, 0.0), parameters.height
+    )
 
 
-@borrowing
+@compiled
 def _place_at_wall(conditions: Conditions, width: float, state: BatchState, random: Words) -> None:
     """Put UGV and UAV on the wall y = 0, some in its corner, or between a picometre and ten micrometres from it.
 
     Half of the UAVs start with a velocity as small as what rounding leaves.
     """
-    position, velocity = state.truth.position[0], state.truth.velocity[0]
+    vehicles = state.vehicles
     corner = next_share(random) < 0.25
-    position[UGV, 0] = 0.0 if corner else 0.5 * width
+    vehicles[0, UGV].position[0] = 0.0 if corner else 0.5 * width
     far = conditions.r_v * (next_share(random) - 0.5)
-    position[UAV, 0] = abs(far) if corner else 0.5 * width + far
+    vehicles[0, UAV].position[0] = abs(far) if corner else 0.5 * width + far
     for k in (UGV, UAV):
         off = 10.0 ** (7.0 * next_share(random) - 12.0)
-        position[k, 1] = off if next_share(random) < 0.5 else 0.0
+        vehicles[0, k].position[1] = off if next_share(random) < 0.5 else 0.0
         if corner and next_share(random) < 0.5:
-            position[k, 0] = 10.0 ** (7.0 * next_share(random) - 12.0)
+            vehicles[0, k].position[0] = 10.0 ** (7.0 * next_share(random) - 12.0)
     if next_share(random) < 0.5:
-        velocity[UAV, 0], velocity[UAV, 1] = draw_creep(random)
+        vehicles[0, UAV].velocity[0], vehicles[0, UAV].velocity[1] = draw_creep(random)
 
 
-@borrowing
+@compiled
 def _begin_plots(room: Room, random: Words, u_a: float, u_g: float) -> None:
     """Let the adversaries begin, who may accelerate so much [m/s²]."""
     plots, trouble, ring = room.plots, room.trouble[0], room.ring
@@ -221,7 +225,7 @@ def _begin_plots(room: Room, random: Words, u_a: float, u_g: float) -> None:
         ring[k, 0], ring[k, 1] = 0.0, 0.0
 
 
-@borrowing
+@compiled
 def _switch_command(
     conditions: Conditions,
     promise: Promise,
@@ -252,7 +256,7 @@ def _switch_command(
     )
 
 
-@borrowing
+@compiled
 def _disturb_command(
     conditions: Conditions, promise: Promise, room: Room, random: Words, tick: int, carrying: bool
 ) -> tuple[float, float]:
@@ -282,7 +286,7 @@ def _disturb_command(
     return u_x, u_y
 
 
-@borrowing
+@compiled
 def _darken(conditions: Conditions, promise: Promise, room: Room, random: Words, tick: int) -> None:
     """Begin a blackout now and then, with a detection at least since the last one."""
     trouble, now, longest = room.trouble[0], room.now, round(conditions.blackout_time / promise.dt)
@@ -298,7 +302,7 @@ def _darken(conditions: Conditions, promise: Promise, room: Room, random: Words,
             trouble.dark = longest
 
 
-@borrowing
+@compiled
 def _acted(promise: Promise, state: BatchState, room: Room, tick: int) -> bool:
     """True if the command acted in this tick that should have; else A5 is broken."""
     trouble, ring = room.trouble[0], room.ring
@@ -312,7 +316,7 @@ def _acted(promise: Promise, state: BatchState, room: Room, tick: int) -> bool:
     if tick >= promise.delay_ticks:
         should = (tick - promise.delay_ticks) % _RING
         u_x, u_y = ring[should, 0], ring[should, 1]
-    acting = state.truth.commands[0, UAV]
+    acting = state.vehicles[0, UAV].command
     acted = acting[0] == u_x and acting[1] == u_y
     if not acted:
         trouble.last_break = max(trouble.last_break, tick + promise.delay_ticks)
@@ -343,7 +347,7 @@ def fly_one(
         ticks: Length of the run.
         results: Filled: `AttackResult`. (1,)
     """
-    sent, result = state.sent[0], results[0]
+    uav_row, ugv_row, result = state.vehicles[0, UAV], state.vehicles[0, UGV], results[0]
     plots, trouble, before, now = room.plots, room.trouble[0], room.before, room.now
     dt, u_a, d_ticks = promise.dt, promise.u_a, promise.delay_ticks
     u_g = conditions.u_g if math.isfinite(conditions.u_g) else 2.0 * promise.v_g / dt
@@ -357,16 +361,17 @@ def fly_one(
     if conditions.area == AREAS.wall and next_share(random) < 0.8:  # along the wall
         plots[UGV].heading_x = plots[UGV].side
         plots[UGV].heading_y = 1e-6 * next_share(random) if next_share(random) < 0.5 else 0.0
-    disturbed, blows = state.tracking.shape[1] > 0, 0
+    for k in range(2):
+        vehicle = state.vehicles[0, k]
+        for i in range(2):
+            vehicle.reference_position[i] = vehicle.position[i]
+            vehicle.reference_velocity[i] = vehicle.velocity[i]
+    disturbed, blows = tables.disturbances.shape[0] > 0, 0
     if disturbed:
-        for k in (UAV, UGV):
-            for i in range(2):
-                state.told.position[0, k, i] = state.truth.position[0, k, i]
-                state.told.velocity[0, k, i] = state.truth.velocity[0, k, i]
         plots[UGV].wind = 2.0 * math.pi * next_share(random)
         blows = choose(random, conditions.blows, len(WINDS))
     begin_guard(memory)
-    begin_world(tables, state, 0)
+    begin_world(tables, state, None, 0)
     certified_before, filtering, first_seen, seen_ticks = False, True, -1, 0
     exact = True  # no detection that has arrived had a larger error than declared
     suspected, since, total, intervened, uncertified = 0, 0, 0.0, 0, 0
@@ -377,7 +382,7 @@ def fly_one(
     losses = choose(random, conditions.losses, len(LOSSES))
     allowed = int(conditions.outage / dt + DUST)
     for tick in range(ticks + 1):
-        there, moving = state.told.position[0, UAV], state.told.velocity[0, UAV]
+        there, moving = uav_row.reference_position, uav_row.reference_velocity
         here = Motion(there[0], there[1], moving[0], moving[1])
         w_x, w_y = now[UGV].v_x, now[UGV].v_y
         x, y = now[UAV].p_x - now[UGV].p_x, now[UAV].p_y - now[UGV].p_y
@@ -385,13 +390,11 @@ def fly_one(
         # what has reached the UAV's computer
         if trouble.away == 0:
             note_position(memory, tick, here.p_x, here.p_y)
-            for n in range(state.arrived[0, 0]):
-                look = state.received[0, 0, n]
-                taken = int(look[LOOK.taken])
-                exact = exact and look[TRUE_ERROR] <= promise.error + _ROUNDING
-                note_detection(
-                    promise, memory, taken, tick, look[LOOK.x], look[LOOK.y], here.p_x, here.p_y
-                )
+            for n in range(state.links[0, 0].arrived):
+                packet = state.packets[0, 0, ARRIVED, n]
+                taken, (d_x, d_y) = int(packet.stamp), packet.vector
+                exact = exact and packet.error <= promise.error + _ROUNDING
+                note_detection(promise, memory, taken, tick, d_x, d_y, here.p_x, here.p_y)
         detections = memory.detections
         new = newest_detection(detections)
         bound = certified_distance(promise, detections, tick, here.p_x, here.p_y)
@@ -472,25 +475,25 @@ def fly_one(
         # what becomes of the command
         room.ring[tick % _RING, 0], room.ring[tick % _RING, 1] = u_x, u_y
         u_x, u_y = _disturb_command(conditions, promise, room, random, tick, carrying)
-        sent[UAV, COMMAND.last], sent[UAV, COMMAND.carried] = -1.0, 0.0
+        uav_row.outgoing_motion, uav_row.outgoing_motions = -1, 0
         if carrying:
             held, under = memory.plan[0], memory.underway.sent
             left = held.turn + held.cruise + held.brake
             pending = Pending(tick, d_ticks, allowed, d / conditions.r_v, left)
             lost, plots[UAV].losing = loses(losses, random, plots[UAV].losing, pending)
             keep_motion(state.motions[0, UAV], under[(tick + d_ticks) % under.shape[0]], tick)
-            sent[UAV, COMMAND.last], sent[UAV, COMMAND.carried] = tick + d_ticks, 1.0
+            uav_row.outgoing_motion, uav_row.outgoing_motions = tick + d_ticks, 1
             if lost:
                 u_x = math.nan
-        sent[UAV, COMMAND.answered] = -1.0 if math.isnan(u_x) else tick
-        sent[UAV, COMMAND.u_x], sent[UAV, COMMAND.u_y] = u_x, u_y
+        uav_row.outgoing_tick = -1 if math.isnan(u_x) else tick
+        uav_row.outgoing[0], uav_row.outgoing[1] = u_x, u_y
         # the UGV
         if next_share(random) < 0.01:
             redraw(random, plots, UGV, u_g)
             if conditions.ugv == ANY and next_share(random) < 0.2:
                 ugv = choose(random, conditions.ugv, len(UGVS))
-        sent[UGV, COMMAND.answered] = tick
-        sent[UGV, COMMAND.u_x], sent[UGV, COMMAND.u_y] = ugv_command(
+        ugv_row.outgoing_tick = tick
+        ugv_row.outgoing[0], ugv_row.outgoing[1] = ugv_command(
             ugv, x, y, here, w_x, w_y, plots, u_g
         )
         # the motion, as the world steps it, but that the adversary chooses which detections are made, and with
@@ -499,9 +502,9 @@ def fly_one(
         receive_commands(tables, state, 0)
         if disturbed:
             blows = disturb(conditions, state, random, blows, trouble.dark, x, y, plots)
-        move(tables, state, 0)
+        move(tables, state, None, 0)
         if conditions.jumps > 0.0:
-            jump(conditions, state, tables.escorts)
+            jump(conditions, state)
         _keep_states(state, now)
         x, y = now[UAV].p_x - now[UGV].p_x, now[UAV].p_y - now[UGV].p_y
         _darken(conditions, promise, room, random, tick)
@@ -512,7 +515,7 @@ def fly_one(
         if trouble.dark > 0:
             trouble.dark -= 1
             n_x = math.nan
-        found = truth_of(state.truth, 0).detections[0]
+        found = uav_row.detection
         if not math.isnan(found[0]):
             found[0], found[1] = x - n_x, y - n_y
         deliver_detections(tables, state, 0)
@@ -546,7 +549,9 @@ def attack(
     results, random = np.zeros(runs, record_type(AttackResult)), np.empty(1, np.uint64)
     world, ticks = (batch.tables, batch.state), round(duration / promise.dt)
     for k in range(runs):
-        random[0] = draw((np.uint64(seed), np.uint64(_ATTACK) << np.uint64(32)), 0, first + k, 0)[0]
+        random[0] = draw(
+            (np.uint64(seed), np.uint64(_ATTACK) << np.uint64(32)), FIRST, first + k, 0
+        )[0]
         batch.restore([int(random[0] >> np.uint64(11))], [0])
         fly_one(*world, memory, rest, promise, conditions, random, ticks, results[k : k + 1])
     batch.workers.close()

@@ -13,8 +13,8 @@ from outrider.experiments.falsify.conditions import (
 )
 from outrider.experiments.falsify.draws import Words, next_share
 from sim.engine.world_state import BatchState
-from sim.engine.world_tick import put_off
-from sim.kernels.compile import IntArray, borrowing, compiled
+from sim.engine.world_tick import apply_disturbance
+from sim.kernels.compile import compiled
 from sim.kernels.records import RecordArray
 from sim.models.vehicles import Motion, brake, norm
 
@@ -67,7 +67,7 @@ def direction(x: float, y: float) -> tuple[float, float]:
     return x / length, y / length
 
 
-@borrowing
+@compiled
 def redraw(random: Words, plots: RecordArray, k: int, u: float) -> None:
     """Draw an adversary's acceleration, of at most u [m/s²], and its side anew."""
     angle, strength = 2.0 * math.pi * next_share(random), u * min(1.0, 2.0 * next_share(random))
@@ -102,7 +102,7 @@ def _creep(here: Motion, c_x: float, c_y: float, side: float) -> tuple[float, fl
     return push * c_x, push * c_y
 
 
-@borrowing
+@compiled
 def inner_command(
     kind: int,
     x: float,
@@ -149,7 +149,7 @@ def inner_command(
     return u * e_x, u * e_y
 
 
-@borrowing
+@compiled
 def ugv_command(
     kind: int,
     x: float,
@@ -191,7 +191,7 @@ def ugv_command(
     return brake(w_x, w_y, u, 0.05)
 
 
-@borrowing
+@compiled
 def detection_error(
     kind: int,
     random: Words,
@@ -226,13 +226,13 @@ def detection_error(
     return size * e_x, size * e_y
 
 
-@borrowing
+@compiled
 def _push(
     kind: int, dark: int, x: float, y: float, state: BatchState, plots: RecordArray
 ) -> tuple[float, float]:
     """The way in which wind and own position drive the UAV, a unit vector. Arguments as in `disturb`."""
     e_x, e_y = direction(x, y)
-    off, acting = state.tracking[0, 0], state.truth.commands[0, UAV]
+    off, acting = state.vehicles[0, UAV].disturbance, state.vehicles[0, UAV].command
     if kind == WINDS.outward:
         return e_x, e_y
     if kind <= WINDS.random:
@@ -244,7 +244,7 @@ def _push(
     return (e_x, e_y) if dark > 0 else (-e_x, -e_y)
 
 
-@borrowing
+@compiled
 def disturb(
     conditions: Conditions,
     state: BatchState,
@@ -272,18 +272,21 @@ def disturb(
         if conditions.blows == ANY and next_share(random) < 0.1:
             kind = choose(random, conditions.blows, len(WINDS))
     w_x, w_y = _push(kind, dark, x, y, state, plots)
-    strength, row = 1.0 if conditions.jumps > 0.0 else conditions.wind, state.tracking[0, 0]
+    strength, row = (
+        1.0 if conditions.jumps > 0.0 else conditions.wind,
+        state.vehicles[0, UAV].disturbance,
+    )
     row.wind_x, row.wind_y = strength * w_x, strength * w_y
     row.own_x, row.own_y = -conditions.own_error * w_x, -conditions.own_error * w_y
     return kind
 
 
-@borrowing
-def jump(conditions: Conditions, state: BatchState, escorts: IntArray) -> None:
+@compiled
+def jump(conditions: Conditions, state: BatchState) -> None:
     """Put the UAV off what it is told, the way that its wind blows."""
-    row = state.tracking[0, 0]
+    row = state.vehicles[0, UAV].disturbance
     row.x = conditions.jumps * row.wind_x
     row.y = conditions.jumps * row.wind_y
     row.v_x = 0.0
     row.v_y = 0.0
-    put_off(state, escorts, 0)
+    apply_disturbance(state.vehicles[0, UAV])

@@ -2,7 +2,7 @@
 
 import math
 
-from sim.kernels.compile import borrowing, compiled
+from sim.kernels.compile import compiled
 from sim.kernels.records import RecordArray
 from sim.models.vehicles import norm
 
@@ -52,13 +52,13 @@ def largest_in_tick(
     return most
 
 
-@borrowing
+@compiled
 def _bounced(p: float, v: float, after: float, w: float, dt: float) -> bool:
     """True if constant acceleration does not lead along one axis from p and v to the place after with w: at a wall."""
     return abs(after - p - 0.5 * (v + w) * dt) > 1e-12
 
 
-@borrowing
+@compiled
 def largest_between(before: RecordArray, after: RecordArray, dt: float) -> float:
     """The largest distance of two vehicles within the last tick [m]; at its ends only, where a wall was met.
 

@@ -17,7 +17,7 @@ from bus.messages import LinkSettings
 from bus.profiles import PROFILES
 from outrider.experiments.network.samples import Sample, drawn_sample, recorded_sample
 from sim.channel.description import extra_delays
-from sim.channel.link import SHAPES, jitter_quantile, jitter_share
+from sim.channel.jitter import SHAPES, jitter_quantile, jitter_share
 from sim.channel.recorded import Fates, RecordedLink, recording_of
 from sim.kernels.compile import FloatArray, compiled
 

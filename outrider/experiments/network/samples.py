@@ -7,8 +7,9 @@ import numpy as np
 
 from bus.errors import ScenarioError
 from bus.messages import LinkSettings
-from sim.channel.description import arrivals_of, link_parameters
-from sim.channel.link import LinkParameters
+from sim.channel.description import link_parameters
+from sim.channel.link_records import LinkParameters
+from sim.channel.links import first_arrivals
 from sim.channel.recorded import Fates, RecordedLink, recording_of
 from sim.kernels.compile import FloatArray, IntArray
 from sim.models.randomness import Key
@@ -108,6 +109,6 @@ def drawn_sample(settings: LinkSettings, interval: float) -> Sample:
 
 
 def _played(parameters: LinkParameters, dt: float, messages: int, every: int) -> Sample:
-    arrived = arrivals_of(parameters, _KEY, messages, every=every)
+    arrived = first_arrivals(parameters, _KEY, messages, every=every)
     took = (arrived - np.arange(messages) * every) * dt
     return Sample(every * dt, np.where(arrived >= 0, took, np.nan))

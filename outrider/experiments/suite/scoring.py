@@ -15,7 +15,7 @@ from outrider.envs.vector import BatchPolicy, Worlds
 from outrider.experiments.intervals import mean_interval
 from outrider.experiments.suite.tasks import SEEDS, Task
 from sim.engine.run_keys import check_secret, derive_secret, new_secret
-from sim.engine.world_state import first_state
+from sim.engine.world_state import first_coverage
 from sim.env.rows import UAV_METRICS
 from sim.env.seeds import Seeds
 from sim.kernels.compile import FloatArray
@@ -74,7 +74,7 @@ class _Meter:
     def __init__(self, loop: ClosedLoop) -> None:
         scenario = loop.scenario
         self._loop = loop
-        self._untouched = first_state(scenario).coverage
+        self._untouched = first_coverage(scenario)
         self._r_o = float(scenario.visibility.radius + scenario.sensor.range)
         self._desired, self._cell = float(scenario.coverage.desired), float(scenario.area.cell)
         self._known: dict[tuple[float, float], float] = {}
@@ -91,7 +91,7 @@ class _Meter:
         """Take in the tick that all worlds are at."""
         state = self._loop.state
         self.in_sight &= ~(state.rows.uavs[:, :, UAV_METRICS.lost] != 0.0).any(axis=1)
-        ugvs = state.batch.truth.position[:, self._loop.tables.batch.escorts[:, 1]]
+        ugvs = state.batch.vehicles["position"][:, self._loop.tables.batch.escorts[:, 1]]
         which = np.flatnonzero(self.in_sight)
         if which.size == 0:
             return

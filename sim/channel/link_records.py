@@ -1,0 +1,177 @@
+"""Records of radio links: parameters, state and counters of a link, and its packets."""
+
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from bus.messages import Vector
+from sim.kernels.compile import IntArray
+from sim.kernels.records import RecordArray, record_type
+from sim.models.randomness import WordArray
+
+FLYING, WAITING, ARRIVED = range(3)
+"""Lists of packets of a link."""
+
+CAUSES = ("loss", "burst", "blackout", "queue", "full", "trace")
+"""Causes of losses; `full`: the link had no room, which never happens to one message a tick; `trace`: lost in the
+recorded link."""
+LOSS, BURST, BLACKOUT, QUEUE, FULL, TRACE = range(6)
+
+NOTHING, DELAYS, OPPORTUNITIES = range(3)
+"""Kinds of recorded links: none, a table of delays, or delivery opportunities."""
+
+
+class LinkParameters(NamedTuple):
+    """Parameters of one link. Made by `sim.channel.description.link_parameters`."""
+
+    perfect: bool
+    """True if the link delivers every message at once."""
+    dt: float
+    """[s]"""
+    delay: float
+    """[s]"""
+    jitter: float
+    """Scale of the extra delay [s]."""
+    jitter_shape: int
+    """A value of `sim.channel.jitter.SHAPES`."""
+    least: float
+    most: float
+    """Bounds of the extra delay [s]."""
+    low: float
+    high: float
+    """Shares of the unbounded extra delays below these bounds. Drawing between them equals drawing until it fits."""
+    reorder: float
+    reorder_delay: float
+    """[s]"""
+    loss: float
+    bursts: bool
+    burst_loss: float
+    bad_share: float
+    bad_stay: float
+    bad_enter: float
+    """Probability of the bad state at the start, a tick after bad, a tick after good."""
+    blackouts: IntArray
+    """Rows (first tick of a blackout, first tick after it), in order and apart."""
+    up: float
+    down: float
+    """Mean time between two random blackouts, and their length [ticks]; up is 0: none."""
+    duplicates: float
+    spacing: float
+    """Time between two packets that leave [ticks]; 0: no limit."""
+    queue: int
+    newest: bool
+    """True if a full queue keeps the newest packets."""
+    longest: int
+    """Longest delay [ticks]."""
+    room: int
+    """Packets that may wait or fly at once."""
+    replay: int
+    """`DELAYS` or `OPPORTUNITIES` for a recorded link."""
+    trace: IntArray
+    """Rows in order of time. Delays: (first tick, delay in ticks or -1); opportunities: (time in ms, 0)."""
+    period: int
+    """Length of a loop of the trace [ticks or ms]; the last opportunity is at its end."""
+    message_bytes: int
+    opportunity: int
+    """Bytes that may leave at each opportunity."""
+    first_blackout: int = 0
+    end_blackout: int = 0
+    """Rows of its blackouts in the array of all traces."""
+    first_row: int = 0
+    end_row: int = 0
+    """Rows of its trace there."""
+
+
+class Link:
+    """Parameters, state and counters of one link in one world; times in ticks."""
+
+    parameters: LinkParameters
+    number: int
+    """Its place among the links of its world."""
+    room: int
+    """Places of its rings."""
+    key: Annotated[WordArray, (2,)]
+    """Key of its random draws."""
+    tick: int
+    index: int
+    """Messages sent in this tick."""
+    first: int
+    span: int
+    """Begin and length of the ring of flying packets. Packets that have arrived before others that left earlier are
+    part of it."""
+    flying: int
+    first_waiting: int
+    waiting: int
+    """Begin and length of the sender's queue."""
+    arrived: int
+    """Packets that arrived at the last tick."""
+    bad: int
+    """State of the channel: 1: bad, 0: good, -1: not drawn yet."""
+    blackout: bool
+    """True during a blackout."""
+    served: int
+    """Packets that have left since the sender was last idle."""
+    renewals: int
+    """Random blackouts drawn."""
+    granted: int
+    """Bytes granted to the packet that waits first."""
+    sent: int
+    delivered: int
+    duplicated: int
+    originals: int
+    """Messages delivered, without copies."""
+    ages: int
+    """Ticks in `age_sum`."""
+    busy_since: float
+    """Time since which the sender is busy."""
+    blackout_begin: float
+    blackout_end: float
+    """The random blackout; -1: none drawn yet."""
+    newest: float
+    """Newest stamp that has arrived; NaN: none."""
+    age_sum: float
+    age_max: float
+    """Sum and maximum over the ticks of the age of the newest stamp."""
+    lost: Annotated[IntArray, (len(CAUSES),)]
+    """Messages lost by each of `CAUSES`."""
+
+
+class Packet:
+    """One message on a link. Each kind of link uses some of the first seven fields."""
+
+    stamp: float
+    """Tick that its content is from. In a list of messages to send, -1: none."""
+    vector: Vector
+    """Relative position p_a - p_g [m], or acceleration [m/s²]."""
+    error: float
+    """True error of a detection [m], for the counters; vehicles do not receive it."""
+    plan: int
+    """Tick in which the last motion that a command carries begins; -1: none."""
+    plans: int
+    """Motions that a command carries; they begin in the tick `plan` and the ticks before it."""
+    block: int
+    """Number of the block of tiles of a radio message; -1: relative position."""
+    tiles: Annotated[IntArray, (4,)]
+    """States of its tiles, from `agents.control.telling.block_words`."""
+    due: int
+    """Tick of arrival; -1: has arrived."""
+    sent_at: int
+    number: int
+    """Number within the tick at which it was sent."""
+    copy: bool
+
+
+def reset_links(links: RecordArray) -> None:
+    """Set the state of links on which nothing was ever sent; parameters, numbers, rooms and keys stay."""
+    for name in links.dtype.names or ():
+        if name not in ("parameters", "number", "room", "key"):
+            links[name] = 0
+    for name in ("tick", "bad", "blackout_begin", "blackout_end"):
+        links[name] = -1
+    links["newest"] = math.nan
+
+
+def no_packets(*shape: int) -> RecordArray:
+    """Return an array of packets, all zero."""
+    return np.zeros(shape, dtype=record_type(Packet))

@@ -1,0 +1,51 @@
+"""The radio links of a scenario, and the keys of their random numbers.
+
+Every message crosses in simulated time, inside the simulator: the environment, three processes and containers meet
+one network.
+"""
+
+from collections.abc import Sequence
+
+from bus.messages import LinkKind
+from sim.channel.links import Links
+from sim.models.randomness import COMMAND_LINK, DETECTION_LINK, OPERATOR_LINK, RADIO_LINK
+from sim.scenario.types import Scenario, Uav, Ugv
+
+ENGINE_LINKS = (LinkKind.DETECTIONS, LinkKind.COMMANDS)
+"""Kinds of links that the engine's tick carries."""
+_PURPOSES = {
+    LinkKind.DETECTIONS: DETECTION_LINK,
+    LinkKind.COMMANDS: COMMAND_LINK,
+    LinkKind.OPERATOR: OPERATOR_LINK,
+    LinkKind.RADIO: RADIO_LINK,
+}
+_VEHICLES = {
+    LinkKind.DETECTIONS: Uav,
+    LinkKind.COMMANDS: Uav | Ugv,
+    LinkKind.OPERATOR: Ugv,
+    LinkKind.RADIO: Uav,
+}
+
+
+def vehicles_with(scenario: Scenario, kind: LinkKind) -> tuple[str, ...]:
+    """Return the vehicles that have a link of this kind, in name order."""
+    return tuple(one.name for one in scenario.vehicles if isinstance(one, _VEHICLES[kind]))
+
+
+def links_of(scenario: Scenario, kinds: Sequence[LinkKind], worlds: int = 1) -> Links:
+    """Return the links of these kinds: all of the first kind, in name order, then those of the next.
+
+    Args:
+        scenario: The scenario.
+        kinds: Kinds of links.
+        worlds: Number of worlds.
+    """
+    names = [(kind, name) for kind in kinds for name in vehicles_with(scenario, kind)]
+    settings = {(kind, name): scenario.links.of(name, kind) for kind, name in names}
+    return Links(settings, dt=scenario.dt, worlds=worlds, traces=scenario.links.traces)
+
+
+def key_rows(scenario: Scenario, links: Links) -> tuple[list[int], list[int]]:
+    """Return the purpose and the vehicle's row of each link's key."""
+    rows = {vehicle.name: k for k, vehicle in enumerate(scenario.vehicles)}
+    return [_PURPOSES[kind] for kind, _ in links.names], [rows[name] for _, name in links.names]
