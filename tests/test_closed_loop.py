@@ -59,8 +59,10 @@ def test_world_k_flies_as_the_single_flight_of_its_seed(name: str) -> None:
     loop = _flown(scenario, seeds, error=True, end_on_sight_lost=False)
     for k, seed in enumerate(seeds):
         flight, summary = fly(scenario, seed)
-        for single, many in zip(flight.world.state[:6], loop.state.batch.truth[:6], strict=True):
-            assert _same(single, many[k])
+        for field in ("position", "velocity", "acceleration", "command", "detection"):
+            single = flight.world.vehicles[field]
+            assert _same(single, loop.state.batch.vehicles[field][k])
+        assert _same(flight.world.coverage, loop.state.batch.coverage[k])
         escorts = flight.recorder.escorts
         for u, uav in enumerate(loop.uavs):
             found = {key: values[k] for key, values in loop.metrics(uav).items()}
@@ -163,8 +165,8 @@ def test_the_whole_escort_is_the_run_that_the_readme_shows() -> None:
     scenario = load_scenario("escort")
     loop = _flown(scenario, [7])
     flight, summary = fly(scenario, 7)
-    assert _same(flight.world.position, loop.state.batch.truth.position[0])
-    assert _same(flight.world.coverage, loop.state.batch.truth.coverage[0])
+    assert _same(flight.world.position, loop.state.batch.vehicles["position"][0])
+    assert _same(flight.world.coverage, loop.state.batch.coverage[0])
     assert loop.metrics("uav_0")["mean_error"][0] == pytest.approx(summary.mean_error, rel=1e-9)
 
 
@@ -180,17 +182,19 @@ def test_a_ugv_that_evades_hears_a_uav_that_is_flown_from_outside(name: str) -> 
         flight = Flight(scenario, seed)
         told = lambda seen: {"acceleration": tuple(actions[seen.tick].tolist())}  # noqa: E731
         flight.fly(altered(make_pilots(scenario, seed), "uav_0", told))
-        assert _same(flight.world.position, loop.state.batch.truth.position[k])
+        assert _same(flight.world.position, loop.state.batch.vehicles["position"][k])
     wanders = msgspec.structs.replace(scenario.ugv[0], driver="wander")
     still = _flown(msgspec.structs.replace(scenario, ugv=(wanders,)), [4])
-    assert not _same(still.state.batch.truth.position[0, 1], loop.state.batch.truth.position[0, 1])
+    assert not _same(
+        still.state.batch.vehicles["position"][0, 1], loop.state.batch.vehicles["position"][0, 1]
+    )
 
 
 def test_pilots_are_chosen_by_name() -> None:
     scenario = small("tracking", "waypoints")
     loop = _flown(scenario, [2], pilots={"uav_0": "circle", "ugv_0": "wander"})
     flight, _ = fly(small("circle", "wander"), 2)
-    assert _same(flight.world.position, loop.state.batch.truth.position[0])
+    assert _same(flight.world.position, loop.state.batch.vehicles["position"][0])
 
 
 ANY = "(uav_0, ugv_0|ugv_0, uav_0)"
@@ -238,7 +242,7 @@ def test_an_episode_ends_by_itself_and_begins_anew_as_if_it_were_the_first() -> 
         (s.patches, f.patches),
     ):
         assert one.tobytes() == other.tobytes()
-    assert s.batch.truth.coverage.tobytes() == f.batch.truth.coverage.tobytes()
+    assert s.batch.coverage.tobytes() == f.batch.coverage.tobytes()
     used.fly()
     assert s.rows.truncated.tolist() == [1, 1, 1]
     ticks = s.batch.ticks.copy()

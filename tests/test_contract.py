@@ -129,10 +129,7 @@ ON_BOARD = {
     "sim.models.motion",
     "sim.models.randomness",
     "sim.kernels.compile",
-    "sim.kernels.linking",
     "sim.kernels.lanes",
-    "sim.kernels.lazy_packages",
-    "sim.kernels.packing",
     "sim.kernels.records",
 }
 """All that a vehicle carries of the simulator."""

@@ -54,7 +54,7 @@ def test_a_certificate_that_is_not_kept_is_broken_unless_the_ground_was_told_fal
     told = mission(world).guarantees["ugv_0"]
     assert told.certificate_broken == 2  # it may cease to claim: then another driver drives
     assert (told.certified, told.uncertified) == (3, {NOT.uncertified: 3})
-    world.arrays[1].mission.ugvs["untrue"] = 1
+    world.ground.missions["untrue"] = 1
     for report in (CERTIFIED, NOT):
         world.note_claim(1, report)
     assert mission(world).ground_certificate_broken == 2
@@ -75,12 +75,12 @@ def test_false_words_on_drivable_ground_excuse(
 ) -> None:
     """A false alarm alone does not: it closes ground and opens none."""
     world = World(on_unseen_ground(), 1)
-    _, state = world.arrays
-    state.ground.tiles[0, 0, 0] = true
-    state.mission.told[0, 0, 0, 0] = before
+    ground = world.ground
+    ground.tiles[0, 0, 0] = true
+    ground.radioed[0, 0, 0, 0] = before
     states = np.full((1, 1), told, np.uint8)
     world.receive_block(1, GroundBlock(row=0, column=0, tiles=block_letters(states, 0, 0)))
-    assert state.mission.ugvs["untrue"].tolist() == [[untrue]]
+    assert ground.missions["untrue"].tolist() == [[untrue]]
 
 
 @pytest.mark.parametrize("change", ["links.profile=wifi-poor", "ground.false_alarm=0.2"])

@@ -112,10 +112,10 @@ def test_the_true_velocity_of_the_ugv_changes_no_command() -> None:
         loop = ClosedLoop(SCENARIOS["lookahead"], 2, error=True, end_on_sight_lost=False)
         loop.begin([5, 11])
         loop.fly(120)
-        loop.state.batch.truth.velocity[:, 1] *= factor
+        loop.state.batch.vehicles["velocity"][:, 1] *= factor
         loop.fly(1)
         commands.append(loop.state.batch.sent[:, 0].copy())
-        assert (np.hypot(*loop.state.batch.truth.velocity[0, 1]) > 0.01).all()
+        assert (np.hypot(*loop.state.batch.vehicles["velocity"][0, 1]) > 0.01).all()
         loop.close()
     assert np.array_equal(commands[0], commands[1])
     assert np.abs(commands[0][:, 1:3]).sum() > 0.01

@@ -79,7 +79,7 @@ def test_a_world_of_the_vector_environment_is_the_parallel_one_bit_for_bit() -> 
     assert math.isnan(told["mission_time"])
     tiles = seen["ugv_0"]["tiles"]
     assert equal(tiles, all_infos["ugv_0"]["final_obs"][0]["tiles"])
-    received = env.world.arrays[1].mission.ugvs["told"].item()
+    received = env.world.ground.missions["told"].item()
     assert received > 100
     metrics = env.metrics()["ugv_0"]
     assert metrics["reward_hit"] == 0.0  # it was paid for once, some ticks ago
@@ -98,7 +98,7 @@ def test_a_ugv_observes_the_tiles_around_its_own_as_it_knows_them() -> None:
         actions = {name: fly[name](seen[name]) for name in env.agents}
         seen, *_ = env.step(actions)
         alone, *_ = bare.step(actions)
-    tiles, truth = seen["ugv_0"]["tiles"], env.world.arrays[1].ground.tiles[0]
+    tiles, truth = seen["ugv_0"]["tiles"], env.world.ground.tiles[0]
     assert env.observation_space("ugv_0").contains(seen["ugv_0"])
     x, y = seen["ugv_0"]["row"][1:3]
     row, column = int(y / 0.5), int(x / 0.5)

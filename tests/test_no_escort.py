@@ -55,7 +55,7 @@ def positions(scenario: Scenario, seeds: list[int]) -> np.ndarray:
     loop = ClosedLoop(scenario, len(seeds), threads=1, end_on_sight_lost=False)
     loop.begin(seeds)
     loop.fly()
-    found = loop.state.batch.truth.position[:, loop.tables.batch.ground.ugvs].copy()
+    found = loop.state.batch.vehicles["position"][:, loop.tables.batch.ugvs].copy()
     loop.close()
     return found
 

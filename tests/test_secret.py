@@ -90,7 +90,7 @@ def test_the_environment_and_many_worlds_fly_the_bits_of_the_run() -> None:
     first, _ = worlds.reset(seed=6)
     assert first[1].tobytes() == seen["uav_0"].tobytes()
     record(env, pilots(env), seen)
-    assert np.array_equal(env.world.state.position, flight.world.state.position)
+    assert np.array_equal(env.world.position, flight.world.position)
     assert np.array_equal(env.world.detections, flight.world.detections)
 
 

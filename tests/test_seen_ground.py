@@ -55,7 +55,7 @@ def test_a_uav_tells_of_a_tile_once_when_it_has_looked_at_its_centre_for_long_en
     scenario = on(DISC, MUD)
     world = World(scenario, 1)
     tile, every, dt = scenario.ground.tile, 5, scenario.dt
-    rows, columns = world.arrays[1].ground.tiles.shape[1:]
+    rows, columns = world.ground.tiles.shape[1:]
     y, x = (np.mgrid[0:rows, 0:columns] + 0.5) * tile
     seen_for, told = np.zeros((rows, columns)), set[tuple[int, int]]()
     for tick in range(1, 301):
@@ -81,7 +81,7 @@ def test_a_uav_tells_of_a_tile_once_when_it_has_looked_at_its_centre_for_long_en
 def test_a_bumper_tells_of_the_tiles_that_have_a_point_within_its_range() -> None:
     scenario = on(DISC, MUD, bumper=0.9, tile=0.4)
     world, told, truth = World(scenario, 1), set[tuple[int, int]](), {}
-    tiles = world.arrays[1].ground.tiles[0]
+    tiles = world.ground.tiles[0]
     for tick in range(200):
         seen = world.seen_ground(1)
         assert not told & places(seen)
@@ -102,7 +102,7 @@ def test_a_bumper_tells_of_the_tiles_that_have_a_point_within_its_range() -> Non
 @pytest.mark.parametrize(("chances", "wrong"), [({"miss": 1.0}, "."), ({"false_alarm": 1.0}, "#")])
 def test_misses_and_false_alarms_are_the_uavs_alone(chances: dict[str, float], wrong: str) -> None:
     world = World(on(DISC, MUD, FLAG, **chances), 1)
-    tiles = world.arrays[1].ground.tiles[0]
+    tiles = world.ground.tiles[0]
     seen = drive(world, 200)
     of_uav = {(t.row, t.column): t.state for tick in seen for t in tick[0]}
     for place, state in of_uav.items():
@@ -265,7 +265,7 @@ def test_the_blocks_that_a_ugv_receives_are_what_the_uav_has_seen_of_the_ground_
     scenario = msgspec.structs.replace(on(DISC, MUD), duration=30.0)
     flight = Flight(scenario, 1)
     flight.fly(InProcess(make_pilots(scenario, 1)))
-    known = flight.world.arrays[1].ground.known[0, 0]
+    known = flight.world.ground.known[0, 0]
     received = np.zeros_like(known)
     for tick, blocks in blocks_received(flight).items():
         assert tick % 5 == 1  # four in a second, and a tick by radio
@@ -319,7 +319,7 @@ def test_how_near_a_ugv_came_to_each_hazard_is_the_least_of_all_its_distances() 
         for x, y in rng.uniform(0.5, 11.5, (40, 2))
     ]
     world = World(on(*discs, at=(3.0, 3.0), touch="damage"), 1)
-    state, track = world.arrays[1].mission, [world.position[1].copy()]
+    state, track = world.ground, [world.position[1].copy()]
     for tick in range(700):  # out and back: farther than its hazards are listed for
         drive(world, 1, ugv=(0.1, 0.06) if tick < 350 else (-0.1, 0.02))
         track.append(world.position[1].copy())
@@ -336,7 +336,7 @@ def test_without_hazards_nothing_is_told_and_nothing_is_kept() -> None:
     world = World(small("tracking"), 1)
     assert drive(world, 5) == [[(), ()]] * 6
     assert world.mission is None
-    assert world.arrays[1].ground.tiles.size == 0
+    assert world.tiles.size == 0
 
 
 def test_every_ugv_has_a_bumper_of_its_own() -> None:

@@ -348,7 +348,7 @@ def test_world_batch_and_environment_play_the_same() -> None:
                 world.send(v, world.tick, tuple(command))
             world.advance()
     for k, world in enumerate(worlds):
-        assert batch.state.truth.position[k].tobytes() == world.position.tobytes()
+        assert batch.state.vehicles["position"][k].tobytes() == world.position.tobytes()
         status = batch.links.status(k)
         assert status == {name: world.links.status()[name] for name in status}
     ages = {batch.links.status(k)["uav_0/detections"].mean_age for k in range(3)}

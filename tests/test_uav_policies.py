@@ -221,8 +221,8 @@ def test_a_saved_policy_acts_as_in_its_training(name: str, patch: Any) -> None:
             seen, *_ = plain.step(policy(seen))
         for one, other in zip((env.unwrapped, plain), (plain, env.unwrapped), strict=True):
             np.testing.assert_array_equal(
-                one.worlds.loop.state.batch.truth.position,
-                other.worlds.loop.state.batch.truth.position,
+                one.worlds.loop.state.batch.vehicles["position"],
+                other.worlds.loop.state.batch.vehicles["position"],
             )
 
 
@@ -236,7 +236,7 @@ def test_a_saved_policy_flies_a_run_and_says_where_its_ground_ends() -> None:
     seen, _ = env.reset(seed=1)
     model = Linear(env.single_observation_space)
     for k in range(200):
-        truth = env.unwrapped.worlds.loop.state.batch.truth.position[0]
+        truth = env.unwrapped.worlds.loop.state.batch.vehicles["position"][0]
         np.testing.assert_array_equal(truth, flight.recorder.states[k, :, :2])
         seen, *_ = env.step(model.predict(seen, deterministic=True)[0])
     assert policy.fits(briefing) == ()

@@ -222,7 +222,7 @@ def test_what_is_true_of_an_ended_episode_can_be_had_after_the_next_has_begun() 
     for field in ("r_v", "handover", "reach"):
         env.worlds.loop.tables.promises[field] += 0.5
     env.reset(seed=1)
-    position = env.worlds.loop.batch.state.truth.position
+    position = env.worlds.loop.batch.state.vehicles["position"]
     lengths, lost = np.zeros(4), 0
     assert np.isnan(env.metrics(last=True)["uav_0"]["ticks"]).all()
     for _ in range(400):

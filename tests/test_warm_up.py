@@ -31,25 +31,26 @@ from bus.keys import Role
 from bus.messages import Action, Control
 from outrider.running.flying import fly
 from outrider.running.assumptions import promise_warnings
-from sim.kernels import linking
-from sim.kernels.compile import compiling
 from sim.models.vehicles import clip_norm
 from sim.scenario.loading import load_scenario
 from sim.server.flight import warm_up
 
 scenario = load_scenario("escort", overrides={"duration": 12.0})
 promise_warnings(scenario)  # as the simulator's process does before it listens
-with compiling():
-    warm_up(scenario)
-    for role in (Role.UAV, Role.UGV):
-        warm_up_pilot(role)
+warm_up(scenario)
+for role in (Role.UAV, Role.UGV):
+    warm_up_pilot(role)
 
-late = []
-compile_or_load = linking._Entry.compile
-def noted(self, types):
-    if types not in self.overloads:
-        late.append(self.py_func.__qualname__)
-    return compile_or_load(self, types)
+def compiled():
+    # the signatures of each function
+    functions = {
+        id(one): one
+        for module in tuple(sys.modules.values())
+        if module.__name__.partition(".")[0] in ("sim", "agents", "outrider")
+        for one in vars(module).values()
+        if hasattr(one, "signatures")
+    }
+    return {(one.__module__, one.__name__, str(types)) for one in functions.values() for types in one.signatures}
 """
 FLY = """
 controls = msgspec.json.decode(sys.argv[1], type=list[Control])
@@ -65,11 +66,11 @@ def control(flight):
             flight.assign_driver("ugv_0", asked.driver)
         promise_warnings(flight.flown, flight.world.link_table)  # as observers are told
 
-linking._Entry.compile = noted
+before = compiled()
 flight, _ = fly(scenario, 7, on_tick=control)
-while_flown = list(late)
+late = compiled()
 clip_norm(1, 0, 1)  # of whole numbers, as nobody else asks for
-print(not controls, flight.world.tick, while_flown, len(late) - len(while_flown))
+print(not controls, flight.world.tick, sorted(late - before), len(compiled()) - len(late))
 """
 
 

@@ -19,8 +19,14 @@ from outrider.experiments.falsify.conditions import ANY, Conditions, declared
 from outrider.running.assumptions import shortfalls
 from outrider.running.flying import fly
 from sim.engine.batch import Batch
-from sim.engine.world_state import no_tracking_errors
-from sim.models.inner_loop import InnerLoop, needed_reserve, step_error, tracking_error
+from sim.kernels.records import record_type, records
+from sim.models.inner_loop import (
+    InnerLoop,
+    TrackingRecord,
+    needed_reserve,
+    step_error,
+    tracking_error,
+)
 from sim.scenario.checks import check_scenario
 from sim.scenario.types import Certificate, Hazard, LinkTable, Tracking, Uav, Wind
 from sim.world import World
@@ -33,11 +39,11 @@ LOOPS = [(1.0, 2.0), (1.0, 0.4), (4.0, 3.0), (0.2, 1.5)]
 
 def errors(loop: InnerLoop, wind: np.ndarray, own: np.ndarray, dt: float) -> np.ndarray:
     """Where the error is under these winds and own positions, by tick: x, y [m] and the feedback's size [m/s²]."""
-    table, found = no_tracking_errors(1), []
-    row = table[0]
+    (row,), found = np.zeros(1, record_type(TrackingRecord)), []
+    (gains,) = records(InnerLoop, [loop])
     for (row["wind_x"], row["wind_y"]), (row["own_x"], row["own_y"]) in zip(wind, own, strict=True):
         before = row["v_x"], row["v_y"]
-        step_error(loop, table, 0, dt)
+        step_error(gains, row, dt)
         asked = [
             (row[f"v_{axis}"] - was) / dt - row[f"wind_{axis}"]
             for axis, was in zip("xy", before, strict=True)
@@ -136,11 +142,15 @@ def test_a_w_that_is_declared_too_small_is_caught_by_the_attack(conditions, less
 # -- the world
 
 
-def test_without_wind_what_is_told_is_the_truth_itself() -> None:
-    state = Batch(SCENARIOS["certified"], 2).state
-    assert state.told.position is state.truth.position
-    assert state.told.velocity is state.truth.velocity
-    assert state.tracking.size == 0
+def test_without_wind_the_true_state_is_the_reference_state() -> None:
+    batch = Batch(SCENARIOS["certified"], 2)
+    batch.begin([1, 2])
+    for _ in range(50):
+        step(batch, np.array([0.2, -0.1]))
+    vehicles = batch.state.vehicles
+    assert np.array_equal(vehicles["position"], vehicles["reference_position"])
+    assert np.array_equal(vehicles["velocity"], vehicles["reference_velocity"])
+    assert (vehicles["velocity"] != 0.0).any()
 
 
 def test_wind_takes_the_uav_from_what_it_is_told_and_nothing_else(tmp_path) -> None:
@@ -181,9 +191,9 @@ def test_wind_changes_neither_the_draws_of_others_nor_what_a_vehicle_is_told_of_
     one, other = worlds
     assert tiles[0] == tiles[1]
     assert sum(map(len, tiles[0])) > 100
-    assert np.array_equal(one.told.position, other.told.position)
-    assert np.array_equal(one.told.velocity, other.told.velocity)
-    assert np.array_equal(other.told.position, other.position)
+    assert np.array_equal(one.reference_position, other.reference_position)
+    assert np.array_equal(one.reference_velocity, other.reference_velocity)
+    assert np.array_equal(other.reference_position, other.position)
     assert not np.array_equal(one.position, other.position)
 
 

@@ -11,7 +11,6 @@ from tabular import words
 from bus.messages import Estimator, Law, ScriptStep
 from bus.profiles import PROFILES
 from sim.engine.batch import Batch
-from sim.engine.world_state import COMMAND
 from sim.env.rewards import RewardWeights
 from sim.scenario.types import Area, Certificate, Detections, LinkTable, Scenario, Uav, Ugv, Wind
 
@@ -135,10 +134,10 @@ def random_actions(worlds: int, ticks: int, *, size: float = 0.3) -> np.ndarray:
 
 def step(batch: Batch, commands: np.ndarray) -> None:
     """All worlds of a batch advance by a tick in which these commands set out to cross the links."""
-    sent = batch.state.sent
-    sent[:, :, COMMAND.answered] = batch.state.ticks[:, None]
-    sent[:, :, COMMAND.u_x : COMMAND.u_y + 1] = commands
-    sent[:, :, COMMAND.last], sent[:, :, COMMAND.carried] = -1.0, 0.0
+    vehicles = batch.state.vehicles
+    vehicles["outgoing_tick"] = batch.state.ticks[:, None]
+    vehicles["outgoing"] = commands
+    vehicles["outgoing_motion"], vehicles["outgoing_motions"] = -1, 0
     batch.advance()
 
 

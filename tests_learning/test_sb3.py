@@ -449,7 +449,7 @@ def test_what_was_learned_flies_a_run_on_what_it_was_trained_on(kind, law, tmp_p
     seen = env.reset()
     worlds = env.unwrapped.env.unwrapped.worlds
     for k in range(0, 95, 5 if kind == "running" else 1):
-        truth = worlds.loop.state.batch.truth.position[0]
+        truth = worlds.loop.state.batch.vehicles["position"][0]
         np.testing.assert_allclose(truth, flight.recorder.states[k, :, :2], atol=1e-6)
         seen, *_ = env.step(model.predict(seen, deterministic=True)[0])
 
