@@ -91,18 +91,17 @@ def test_the_bits_do_not_depend_on_the_number_of_worlds_or_threads() -> None:
     alone.begin(seeds[69:])
     for row in commands:
         step(alone, np.ascontiguousarray(row[69:]))
-    for one, other, last in zip(
-        found[0].state.truth, found[1].state.truth, alone.state.truth, strict=True
-    ):
+    for name in ("vehicles", "coverage", "links"):
+        one, other, last = (getattr(batch.state, name) for batch in (*found, alone))
         assert one.tobytes() == other.tobytes()
         assert one[69].tobytes() == last[0].tobytes()
 
 
 def test_a_world_that_begins_anew_is_as_if_it_had_never_flown() -> None:
     batch, _ = _fly_both(SCENARIOS["network"], [1, 2, 3], 90)
-    kept = [array[1].copy() for array in batch.state.truth]
+    kept = [array[1].copy() for array in batch.state]
     batch.begin([9, 8], [2, 0])
-    for array, before in zip(batch.state.truth, kept, strict=True):
+    for array, before in zip(batch.state, kept, strict=True):
         assert array[1].tobytes() == before.tobytes()
     fresh = Batch(SCENARIOS["network"], 3, gains=True)
     fresh.begin([8, 2, 9])

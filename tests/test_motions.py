@@ -345,5 +345,5 @@ def test_what_the_vehicle_tells_that_it_flies_does_not_depend_on_the_ugv() -> No
 
 def test_uavs_alone_have_receivers() -> None:
     world = still()
-    tables, _ = world.arrays
-    assert tables.receivers.tolist() == [isinstance(v, Uav) for v in world.scenario.vehicles]
+    follows = world.vehicles["follows_motions"].tolist()
+    assert follows == [isinstance(v, Uav) for v in world.scenario.vehicles]

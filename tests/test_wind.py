@@ -209,7 +209,7 @@ def test_the_wind_is_never_stronger_than_its_limit_and_has_its_mean_and_spread()
     batch.begin(range(40))
     for _ in range(60):
         step(batch, np.zeros((40, 2, 2)))
-        row = batch.state.tracking[:, 0]
+        row = batch.state.vehicles["disturbance"][:, 0]
         found.append(np.stack([row["wind_x"], row["wind_y"]], axis=-1))
     wind = np.array(found)
     assert np.hypot(wind[..., 0], wind[..., 1]).max() <= 0.4 * (1.0 + 1e-12)
