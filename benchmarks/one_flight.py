@@ -57,12 +57,9 @@ def parts(flight: Flight, pilots: dict[str, Pilot]) -> dict[str, tuple[Any, str]
     for name, pilot in pilots.items():
         found[f"pilot of {name}"] = pilot, "act"
         if isinstance(pilot, UavPilot):
-            kalman: Any = pilot.estimator._filter
             found |= {
-                "- covariance and gain for the next tick": (pilot.estimator, "get_ready"),
-                "- of it filterpy's prediction": (kalman, "predict"),
-                "- of it filterpy's gain and covariance": (kalman, "weigh"),
-                "- law, map and safety filter, compiled": (pilot, "_act"),
+                "- map, estimator and safety filter updated": (pilot, "perceive"),
+                "- of it the estimator, by filterpy": (pilot.estimator, "update"),
             }
     return found
 

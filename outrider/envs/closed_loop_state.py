@@ -6,7 +6,6 @@ from agents.control.guard import GuardState
 from agents.control.lookahead import LookaheadMemory
 from agents.control.telling import BLOCK_WORDS, TellingMemory
 from agents.drivers.tile_map import GroundMemory
-from agents.estimation.filtering import KalmanState
 from bus.layout import UavRow
 from sim.channel.link import LinkNumbers, LinkState
 from sim.engine.world_state import BatchState, BatchTables
@@ -114,7 +113,8 @@ class LoopState(NamedTuple):
     """`LawState`. Shape (worlds, UAVs, 1)."""
     lookaheads: LookaheadMemory
     """Of the law `lookahead`, with axes for worlds and UAVs in front."""
-    kalman: KalmanState
+    kalman: RecordArray
+    """`EstimatorRow` of each UAV. Shape (worlds, UAVs, 1 + depth): see `agents.estimation.batch_filter`."""
     guards: GuardState
     driver_states: RecordArray
     """`DriverMemory`. Shape (worlds, UGVs, 1)."""

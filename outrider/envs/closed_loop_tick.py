@@ -23,8 +23,8 @@ from agents.drivers.navigate import PLAIN, hand_over_stops
 from agents.drivers.parameters import Route
 from agents.drivers.tile_map import GroundMemory, note_block, note_tiles
 from agents.drivers.ugv_tick import UgvMemory, ugv_tick
-from agents.estimation.filtering import KalmanState, kalman_estimate
-from agents.estimation.twin import kalman_step
+from agents.estimation.batch_filter import estimate
+from agents.estimation.batch_filter import update as update_estimate
 from outrider.envs.closed_loop_state import (
     GRADIENT_X,
     GRADIENT_Y,
@@ -82,17 +82,6 @@ def _guard_of(tables: LoopTables, state: GuardState, world: int, uav: int) -> Gu
         state.track[world, uav],
         state.flags[world, uav],
         sent,
-    )
-
-
-@inlined
-def _kalman_of(state: KalmanState, world: int, uav: int) -> KalmanState:
-    return KalmanState(
-        state.belief[world, uav],
-        state.counts[world, uav],
-        state.step[world, uav],
-        state.past[world, uav],
-        state.before[world, uav],
     )
 
 
@@ -156,7 +145,7 @@ def _fly(
     law = state.laws[world, uav]
     guarded = tables.guarded[uav] != 0
     memory = _memory_of(parameters, tables, state, world, uav)
-    target = kalman_estimate(_kalman_of(state.kalman, world, uav))
+    target = estimate(state.kalman, world, uav)
     flown = state.batch.flown[world, vehicle, 0].begins
     if tables.hand[vehicle] < 0:
         own = OwnTerms(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -330,8 +319,8 @@ def _perceive(parameters: LoopParameters, tables: LoopTables, state: LoopState, 
             arrived[u],
         )
         if tables.thinking[u]:
-            kalman = _kalman_of(state.kalman, world, u)
-            kalman_step(tables.kalman[u], kalman, tick, here.p_x, here.p_y, looks[u], arrived[u])
+            numbers, place = tables.kalman[u], (world, u)
+            update_estimate(numbers, state.kalman, place, tick, here, looks[u], arrived[u])
     if parameters.radio:
         _radio(tables, state, world)
     if state.grounds.tiles.shape[2] > 0:
@@ -346,14 +335,14 @@ def _add_cues(
     """Put the estimate and the gradient into the row of a UAV, where they are asked for and known."""
     world_parameters, row = tables.batch.world[0], state.rows.uav_rows[world, uav]
     row[GRADIENT_X], row[GRADIENT_Y] = 0.0, 0.0
-    target = kalman_estimate(_kalman_of(state.kalman, world, uav))
+    target = estimate(state.kalman, world, uav)
     if not target.known:
         return
     g_x, g_y = target.p_x, target.p_y
     x, y = row[UAV.x], row[UAV.y]
     if parameters.estimate:
         row[UAV.detected], row[UAV.relative_x], row[UAV.relative_y] = 1.0, x - g_x, y - g_y
-        row[UAV.age] = state.kalman.belief[world, uav, 0].age * world_parameters.dt
+        row[UAV.age] = state.kalman[world, uav, 0].age * world_parameters.dt
     if parameters.gradient:
         u_x, u_y, size = coverage_gradient(
             state.maps[world, uav] if parameters.own_maps else state.batch.truth.coverage[world],
@@ -485,7 +474,6 @@ def _fetch_rows(state: LoopState, world: int) -> None:
         (truth.detections, truth.gains, truth.measures, state.rows.uavs, state.rows.ugvs),
         world,
     )
-    fetch_rows((state.kalman.belief, state.kalman.step), world)
     fetch_rows(
         (state.laws, state.drivers, state.law_states, state.driver_states, state.certificates),
         world,
