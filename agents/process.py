@@ -143,7 +143,6 @@ def warm_up(role: Role, *, inner: "Inner | None" = None) -> None:
         for tick in range(3):
             look = {"time": tick * 0.05, "relative_position": [1.0, 0.0]}
             uav.act(msgspec.convert(_seen(tick) | {"detections": [look]}, UavObservation))
-            uav.prepare()
 
 
 _LOG = logging.getLogger("outrider.agents")

@@ -4,7 +4,8 @@ import math
 from collections import deque
 from collections.abc import Callable
 
-from agents.control.certificate import INNER, NO_DETECTION
+import msgspec
+
 from agents.control.guard import guard_state
 from agents.control.laws import (
     PATH,
@@ -16,7 +17,7 @@ from agents.control.laws import (
     initial_state,
     law_parameters,
 )
-from agents.control.lookahead import lookahead_memory
+from agents.control.lookahead import Target, lookahead_memory
 from agents.control.orbit import Path, check_path
 from agents.control.promise import Promise
 from agents.control.telling import GroundTeller
@@ -24,15 +25,7 @@ from agents.control.uav_policy import PolicyControl, TargetEstimate, UavPolicy
 from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
 from agents.control.visibility import SafetyFilter, Verdict, flown_in, promise_of
 from agents.control.weighting import Weighting, check_weighting
-from agents.estimation.estimator import estimator_of
-from agents.estimation.filtering import (
-    DONE,
-    KalmanState,
-    kalman_begin,
-    kalman_estimate,
-    kalman_go_on,
-    kalman_refused,
-)
+from agents.estimation.estimator import Estimate, estimator_of
 from agents.looks import LookRows
 from bus.errors import ScenarioError
 from bus.messages import (
@@ -47,7 +40,7 @@ from bus.messages import (
     or_infinite,
 )
 from bus.registry import LAWS, UAV_POLICY_FORMS
-from bus.ticks import radio_ticks
+from bus.ticks import looks_of, radio_ticks
 from sim.kernels.compile import FloatArray, compiled
 from sim.kernels.records import RecordArray, records
 from sim.models.field import cover, coverage_error, empty_coverage
@@ -61,88 +54,53 @@ _PATH_HORIZON = 600.0
 
 _NOTHING_OWN = OwnTerms()
 
-_Seen = tuple[int, int, int, float, float, float, float]
-"""An observation, as compiled code takes it: ticks for which the ground below has been looked at since the last one,
-tick, the motion flown as in `agents.control.guard.guard`, position [m] and velocity [m/s]."""
-
-_Command = tuple[float, float, int, int, float]
-"""As `agents.control.uav_tick.uav_tick` returns it."""
-
-_Acted = tuple[int, bool, float, float, float, int, int, _Command]
-"""The outcome of `_act`: what the filter needs, as `agents.estimation.filtering.kalman_go_on` says it; unless it is
-`DONE`, the rest means nothing. Whether the UGV was ever seen, where it is believed to be [m], the variance of that per
-axis [m²], ticks since the newest believed detection, detections refused so far. The command, where it was asked for."""
-
-_OWN = frozenset(row.code for row in LAWS.values() if row.own)
-"""Codes of the laws that ask a function of the user's own."""
-
 _FLIES_POLICY = frozenset(row.code for row in LAWS.values() if "uav_policy" in (row.own, row.inner))
 """Codes of the laws under which a policy flies."""
 
-PERCEIVE, DECIDE, BOTH = 1, 2, 3
-"""The parts of a tick: to take the observation in, and to make the command."""
-
 
 @compiled
-def _act(
+def _perceive(
     laws: RecordArray,
     promises: RecordArray,
     guarded: bool,
     memory: UavMemory,
-    filters: RecordArray,
-    kalman: KalmanState,
-    own: OwnTerms,
-    seen: _Seen,
+    looked: int,
+    tick: int,
+    here: Motion,
     looks: FloatArray,
-    parts: tuple[int, int],
-) -> _Acted:
-    """A tick in one call, since handing over the memory costs as much as either part of it.
+    count: int,
+) -> None:
+    """Update map and safety filter; the arguments are those of `uav_perceive`."""
+    uav_perceive(laws[0], promises[0], guarded, memory, looked, tick, here, looks, count)
 
-    Where the filter needs a product of matrices it ends there, to be called again without the first part.
 
-    Args:
-        laws, promises, guarded, memory: As in `uav_tick`.
-        filters, kalman: Parameters and memory of the Kalman filter.
-        own: As in `uav_tick`.
-        seen: The observation.
-        looks: Its detections. Shape (rows, 3).
-        parts: How many rows of these count, and which parts of the tick are asked for.
-    """
-    looked, tick, flown, p_x, p_y, v_x, v_y = seen
-    here, (count, part) = Motion(p_x, p_y, v_x, v_y), parts
-    law, promise = laws[0], promises[0]
-    if part & PERCEIVE:
-        uav_perceive(law, promise, guarded, memory, looked, tick, here, looks, count)
-        kalman_begin(kalman, tick, p_x, p_y, looks, count)
-    needs = kalman_go_on(filters[0], kalman)
-    command = 0.0, 0.0, INNER, NO_DETECTION, 0.0
-    if needs == DONE and part & DECIDE:
-        target = kalman_estimate(kalman)
-        command = uav_tick(law, promise, guarded, memory, own, tick, here, target, flown)
-    belief = kalman.belief[0]
-    return (
-        needs,
-        belief.known,
-        belief.x,
-        belief.y,
-        belief.p_pp,
-        belief.age,
-        kalman_refused(kalman),
-        command,
+@compiled
+def _decide(
+    laws: RecordArray,
+    promises: RecordArray,
+    guarded: bool,
+    memory: UavMemory,
+    own: OwnTerms,
+    tick: int,
+    here: Motion,
+    target: Target,
+    flown: int,
+) -> tuple[float, float, int, int, float]:
+    """Return the command; arguments and result are those of `uav_tick`."""
+    return uav_tick(laws[0], promises[0], guarded, memory, own, tick, here, target, flown)
+
+
+def _report(estimate: Estimate, verdict: Verdict | None) -> UavReport:
+    report = UavReport(
+        estimate=estimate.position,
+        covariance=estimate.covariance,
+        age=estimate.age,
+        refused=estimate.refused,
     )
-
-
-def _report(acted: _Acted, dt: float, verdict: Verdict | None) -> UavReport:
-    _, _, g_x, g_y, variance, age, refused, _ = acted
     if verdict is None:
-        return UavReport(
-            estimate=(g_x, g_y), covariance=(variance, 0.0, variance), age=age * dt, refused=refused
-        )
-    return UavReport(
-        estimate=(g_x, g_y),
-        covariance=(variance, 0.0, variance),
-        age=age * dt,
-        refused=refused,
+        return report
+    return msgspec.structs.replace(
+        report,
         certified=verdict.certified,
         uncertified=verdict.reason[:LONGEST_TEXT],
         intervened=verdict.intervened,
@@ -211,19 +169,18 @@ class UavPilot:
         c = self._parameters
         self._fixed_error = c.r_o, c.desired, c.cell
         self._looks = LookRows(briefing.dt)
+        self._estimate: Estimate | None = None
         self._take_on()
 
     def _take_on(self) -> None:
         """The law and the filter that there are now, as compiled code takes them."""
         guard = self._no_guard if self.filter is None else self.filter.state
-        self._asks = self._parameters.law in _OWN
         self._flies_policy = self._parameters.law in _FLIES_POLICY
         self._fixed = (
             records(LawParameters, [self._parameters]),
             self._promises,
             self.filter is not None,
             UavMemory(self.coverage, *self._law_memory, guard),
-            *self.estimator.arrays,
         )
 
     def _make_filter(self) -> SafetyFilter | None:
@@ -260,39 +217,35 @@ class UavPilot:
         if observation.law is not None:
             self._fly(observation.law)
         wanted = None if self._inner is None else self._inner(observation)
+        self.perceive(observation)
+        estimate = self._estimate
+        if wanted is None and self._policy is not None and self._flies_policy:
+            wanted = self._policy.acceleration(observation, self._policy_estimate(), self.coverage)
         verdict: Verdict | None = None
-        if wanted is not None:
-            acted = self._take(observation, PERCEIVE)
-        elif self._policy is not None and self._flies_policy:
-            acted = self._take(observation, PERCEIVE)
-            estimate = TargetEstimate(acted[1], acted[2], acted[3], acted[5])
-            wanted = self._policy.acceleration(observation, estimate, self.coverage)
         if wanted is not None:
             verdict = None if self.filter is None else self.filter.filter(observation, wanted)
             acceleration = wanted if verdict is None else verdict.acceleration
         else:
-            own, part = _NOTHING_OWN, BOTH
-            if self._asks:
-                acted = self._take(observation, PERCEIVE)
-                own, part = self._own_terms(observation, acted), DECIDE
-            acted = self._take(observation, part, own)
-            u_x, u_y, acts, code, distance = acted[-1]
+            here = Motion(*observation.position, *observation.velocity)
+            own, target = self._own_terms(observation), self.estimator.target
+            u_x, u_y, acts, code, distance = _decide(
+                *self._fixed, own, tick, here, target, flown_in(observation)
+            )
             acceleration = u_x, u_y
             if self.filter is not None:
                 verdict = self.filter.verdict(tick, u_x, u_y, acts, code, distance)
         self._sent.append(acceleration)
         motions = () if verdict is None else verdict.motions
-        if not acted[1]:
+        if estimate is None:
             return UavCommand(tick=tick, acceleration=acceleration, motions=motions)
-        report = _report(acted, self._dt, verdict)
-        target = report.estimate
+        target_position = estimate.position
         return UavCommand(
             tick=tick,
             acceleration=acceleration,
             motions=motions,
-            radio=() if tick % self._radio_ticks else self._radio(observation, *target),
-            blocks=self.teller.blocks(tick, target),
-            report=report,
+            radio=() if tick % self._radio_ticks else self._radio(observation, *target_position),
+            blocks=self.teller.blocks(tick, target_position),
+            report=_report(estimate, verdict),
         )
 
     def forget_commands(self) -> None:
@@ -301,30 +254,20 @@ class UavPilot:
             self.filter.forget_commands()
 
     def perceive(self, observation: UavObservation) -> None:
-        """Take an observation into the map and the filters that comes too late to be answered."""
-        self._take(observation, PERCEIVE)
-
-    def _take(
-        self, observation: UavObservation, parts: int, own: OwnTerms = _NOTHING_OWN
-    ) -> _Acted:
-        """One part of a tick or both, with the products of matrices that the filter needs on the way."""
-        tick, before, estimator = observation.tick, self._tick, self.estimator
-        if parts & PERCEIVE:
-            if observation.ground:
-                self.teller.note(observation.ground)
-            if self._policy is not None:
-                self._policy.perceive(observation)
-            estimator.get_ready(tick)
-            self._tick = tick
+        """Update map, estimator and safety filter, also by an observation that comes too late to be answered."""
+        tick, before, dt = observation.tick, self._tick, self._dt
+        if observation.ground:
+            self.teller.note(observation.ground)
+        if self._policy is not None:
+            self._policy.perceive(observation)
+        self._estimate = self.estimator.update(
+            tick=tick, own_position=observation.position, looks=looks_of(observation.detections, dt)
+        )
+        self._tick = tick
         looked = 0 if before is None else tick - before
-        flown = flown_in(observation)
-        seen = looked, tick, flown, *observation.position, *observation.velocity
+        here = Motion(*observation.position, *observation.velocity)
         rows, count = self._looks.take(observation.detections)
-        acted = _act(*self._fixed, own, seen, rows, (count, parts))
-        while acted[0] != DONE:
-            estimator.work_out(acted[0])
-            acted = _act(*self._fixed, own, seen, rows, (count, parts & DECIDE))
-        return acted
+        _perceive(*self._fixed, looked, tick, here, rows, count)
 
     def _fly(self, law: Law) -> None:
         """Take another law; map, filter and the state of the law before stay."""
@@ -334,18 +277,21 @@ class UavPilot:
             self.filter = self._make_filter()
         self._take_on()
 
-    def prepare(self) -> None:
-        """Work ahead for the next observation, while the simulator is busy; changes nothing but when it is done."""
-        self.estimator.prepare()
+    def _policy_estimate(self) -> TargetEstimate:
+        s = self.estimator.target
+        return TargetEstimate(s.known, s.p_x, s.p_y, self.estimator.age)
 
-    def _own_terms(self, observation: UavObservation, acted: _Acted) -> OwnTerms:
-        """The answer of the user's own function at this tick."""
-        _, known, g_x, g_y, *_ = acted
-        if known and self._weighting is not None and self._parameters.law == WEIGHTED:
+    def _own_terms(self, observation: UavObservation) -> OwnTerms:
+        """Return the answer of the user's own function at this tick, if the law asks one."""
+        target = self.estimator.target
+        if not target.known:
+            return _NOTHING_OWN
+        if self._weighting is not None and self._parameters.law == WEIGHTED:
             p_x, p_y = observation.position
-            alpha, beta = self._weighting(norm(p_x - g_x, p_y - g_y), self._parameters.r_s)
+            distance = norm(p_x - target.p_x, p_y - target.p_y)
+            alpha, beta = self._weighting(distance, self._parameters.r_s)
             return OwnTerms(alpha=float(alpha), beta=float(beta))
-        if known and self._path is not None and self._parameters.law == PATH:
+        if self._path is not None and self._parameters.law == PATH:
             (v_x, v_y), (a_x, a_y) = self._path(observation.time)
             return OwnTerms(p_vx=float(v_x), p_vy=float(v_y), a_vx=float(a_x), a_vy=float(a_y))
         return _NOTHING_OWN

@@ -8,20 +8,24 @@ import numpy as np
 from scipy.stats import chi2
 from seeded import a_key
 
-from agents.estimation.estimator import SPAN, Estimate, RelativeEstimator
-from agents.estimation.filtering import kalman_refused, kalman_state
+from agents.estimation.batch_filter import estimator_rows, update
+from agents.estimation.estimator import Estimate, RelativeEstimator
 from agents.estimation.motion_model import (
+    SPAN,
+    KalmanParameters,
     acceleration_deviation,
     cut_variance,
+    history_depth,
     kalman_parameters,
     strayed_distance,
     supposed_acceleration,
 )
-from agents.estimation.twin import kalman_step
 from bus.messages import Detection, Detector, Estimator, Limits
 from bus.ticks import Look, looks_of
 from sim.kernels.compile import released
+from sim.kernels.records import records
 from sim.models.randomness import DETECTION_NOISE, cut_normal_vector
+from sim.models.vehicles import Motion
 
 DT = 0.05
 
@@ -63,21 +67,25 @@ class Filtered(NamedTuple):
     covariances: np.ndarray
     """Shape (ticks, 4, 4)."""
     innovations: np.ndarray
-    """Normalized squares of the newest. Shape (ticks,)."""
-    refused: int
+    """NIS of the measurement that arrived at its own tick; NaN where there is none. Shape (ticks,)."""
+    rejected: int
 
 
 @released
-def _filter(parameters, state, own, arrived, looks, states, axes, innovations):
+def _filter(parameters, rows, own, arrived, looks, states, axes, innovations):
+    p, depth = parameters[0], rows.shape[2] - 1
     for k in range(own.shape[0]):
         first, last = arrived[k], arrived[k + 1]
-        kalman_step(parameters, state, k, own[k, 0], own[k, 1], looks[first:last], last - first)
-        b = state.belief[0]
-        if b.known:
-            states[k, 0], states[k, 1], states[k, 2], states[k, 3] = b.x, b.y, b.v_x, b.v_y
-            axes[k, 0, 0], axes[k, 0, 1] = b.p_pp, b.p_pv
-            axes[k, 1, 0], axes[k, 1, 1] = b.p_vp, b.p_vv
-            innovations[k] = state.step[0].innovation
+        here = Motion(own[k, 0], own[k, 1], 0.0, 0.0)
+        update(p, rows, (0, 0), k, here, looks[first:last], last - first)
+        now, prior = rows[0, 0, 0], rows[0, 0, 1 + k % depth]
+        if now.known:
+            states[k, 0], states[k, 1], states[k, 2], states[k, 3] = now.x, now.y, now.v_x, now.v_y
+            axes[k, 0, 0], axes[k, 0, 1] = now.p_pp, now.p_pv
+            axes[k, 1, 0], axes[k, 1, 1] = now.p_pv, now.p_vv
+        if prior.known and prior.measured and p.enabled:
+            nu_x, nu_y = prior.z_x - prior.x, prior.z_y - prior.y
+            innovations[k] = (nu_x * nu_x + nu_y * nu_y) / (prior.p_pp + p.variance)
 
 
 def filtered(own, at, noise=SIGMA, cut=3.0, target=UGV, dt=DT, **chosen) -> Filtered:
@@ -91,30 +99,33 @@ def filtered(own, at, noise=SIGMA, cut=3.0, target=UGV, dt=DT, **chosen) -> Filt
         noise, cut, target, dt, chosen: As of `make`.
     """
     detector, settings = Detector(noise=noise, cut=cut, period=dt), Estimator(**chosen)
-    parameters = kalman_parameters(detector=detector, target=target, dt=dt, settings=settings)
-    state = kalman_state(1 + round(SPAN / dt))
-    rows = [at.get(k, ()) for k in range(len(own))]
-    arrived = np.cumsum([0, *map(len, rows)])
-    looks = np.array([row for some in rows for row in some], dtype=float).reshape(-1, 3)
+    told = kalman_parameters(detector=detector, target=target, dt=dt, settings=settings)
+    parameters = records(KalmanParameters, [told])
+    rows = estimator_rows(history_depth(SPAN, dt))[None, None].copy()
+    given = [at.get(k, ()) for k in range(len(own))]
+    arrived = np.cumsum([0, *map(len, given)])
+    looks = np.array([row for some in given for row in some], dtype=float).reshape(-1, 3)
     states, axes = np.full((len(own), 4), math.nan), np.full((len(own), 2, 2), math.nan)
     innovations = np.full(len(own), math.nan)
     own = np.ascontiguousarray(own, dtype=float)
-    _filter(parameters, state, own, arrived, looks, states, axes, innovations)
-    return Filtered(states, np.kron(axes, np.eye(2)), innovations, kalman_refused(state))
+    _filter(parameters, rows, own, arrived, looks, states, axes, innovations)
+    return Filtered(states, np.kron(axes, np.eye(2)), innovations, rows["rejected"][0, 0, 0])
 
 
 def pilots_filtered(own, at, **chosen) -> Filtered:
     """The same flight by the pilots' filter."""
-    estimator, refused, unknown = make(**chosen), 0, np.full((4, 4), math.nan)
-    rows = [(unknown[0], unknown, None)] * len(own)
+    estimator, rejected, unknown = make(**chosen), 0, np.full((4, 4), math.nan)
+    rows = [(unknown[0], unknown, math.nan)] * len(own)
     for k, place in enumerate(np.asarray(own).tolist()):
         looks = tuple(Look(int(taken), x, y) for taken, x, y in at.get(k, ()))
         estimate = estimator.update(tick=k, own_position=tuple(place), looks=looks)
         if estimate:
-            refused = estimate.refused
-            rows[k] = (estimator.state, estimator.covariance, estimator.innovation_squared)
+            rejected = estimate.refused - estimator.misdated
+            newest = estimator.innovation_squared if any(one.taken == k for one in looks) else None
+            innovation = math.nan if newest is None else newest
+            rows[k] = (estimator.state, estimator.covariance, innovation)
     states, covariances, innovations = map(np.array, zip(*rows, strict=True))
-    return Filtered(states, covariances, innovations.astype(float), refused)
+    return Filtered(states, covariances, innovations, rejected)
 
 
 def by_both(seed, own, at, **chosen) -> Filtered:
@@ -122,7 +133,7 @@ def by_both(seed, own, at, **chosen) -> Filtered:
     found = filtered(own, at, **chosen)
     if seed == 0:
         for ours, theirs in zip(found, pilots_filtered(own, at, **chosen), strict=True):
-            np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
+            np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10)
     return found
 
 
@@ -181,9 +192,10 @@ def squared(errors, covariances):
     return np.einsum("...i,...i", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
 
 
-def within(average, degrees, count):
-    """Whether an average of `count` chi-squares lies in its two-sided 99.9 % interval; prints both."""
-    lower, upper = chi2.ppf([0.0005, 0.9995], degrees * count) / count
+def within(average, degrees, count, sure=0.999):
+    """Return whether an average of `count` chi-squares lies in its two-sided interval; print both."""
+    tail = 0.5 * (1.0 - sure)
+    lower, upper = chi2.ppf([tail, 1.0 - tail], degrees * count) / count
     print(f"average {average:.4f}, interval [{lower:.4f}, {upper:.4f}]")  # noqa: T201
     return lower <= average <= upper
 

@@ -109,7 +109,7 @@ def test_a_world_that_begins_anew_is_as_if_it_had_never_flown() -> None:
     for _ in range(60):
         step(batch, commands)
         step(fresh, commands)
-    for array, other in zip(batch.state.truth, fresh.state.truth, strict=True):
+    for array, other in zip(batch.state[:3], fresh.state[:3], strict=True):
         assert array[[0, 2]].tobytes() == other[[0, 2]].tobytes()
 
 

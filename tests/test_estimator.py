@@ -22,6 +22,7 @@ from filters import (
     look,
     make,
     model,
+    pilots_filtered,
     squared,
     within,
 )
@@ -30,7 +31,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from agents.estimation.motion_model import acceleration_deviation as deviation_of
-from agents.estimation.motion_model import cut_variance, motion
+from agents.estimation.motion_model import cut_variance, process_noise
 from bus.messages import Estimator, Limits
 from bus.ticks import Look
 
@@ -109,26 +110,20 @@ def test_equals_batch_least_squares_over_the_whole_trajectory():
         np.testing.assert_allclose(estimator.covariance, covariance, rtol=1e-6, atol=1e-8)
 
 
-@pytest.mark.parametrize("ticks", [1, 2, 3, 20, 1000])
-def test_motion_over_n_ticks_is_n_motions_over_one(ticks):
-    deviation = deviation_of(target=UGV, manoeuvre=0.7, dt=DT)
-    F, Q = model(UGV, ticks=ticks)
-    ours = [np.kron(one, np.eye(2)) for one in motion(ticks=ticks, dt=DT, deviation=deviation)]
-    np.testing.assert_allclose(ours[0], F, rtol=1e-12)
-    np.testing.assert_allclose(ours[1], Q, rtol=1e-10, atol=1e-18)
-
-
 def test_process_noise_is_filterpys_discrete_white_noise():
     reference = Q_discrete_white_noise(2, dt=DT, var=0.3**2)
-    np.testing.assert_allclose(motion(ticks=1, dt=DT, deviation=0.3)[1], reference, rtol=1e-12)
+    np.testing.assert_allclose(process_noise(dt=DT, deviation=0.3), reference, rtol=1e-12)
 
 
 def test_process_noise_does_not_depend_on_how_finely_time_is_cut():
-    coarse, fine = (
-        motion(ticks=ticks, dt=dt, deviation=deviation_of(manoeuvre=0.7, target=UGV, dt=dt))[1]
-        for ticks, dt in ((20, 0.05), (200, 0.005))
-    )
-    np.testing.assert_allclose(coarse, fine, rtol=2e-3)
+    def after_a_second(dt):
+        F, total = np.array([[1.0, dt], [0.0, 1.0]]), np.zeros((2, 2))
+        Q = process_noise(dt=dt, deviation=deviation_of(manoeuvre=0.7, target=UGV, dt=dt))
+        for _ in range(round(1.0 / dt)):
+            total = F @ total @ F.T + Q
+        return total
+
+    np.testing.assert_allclose(after_a_second(0.05), after_a_second(0.005), rtol=2e-3)
 
 
 def test_process_noise_of_the_default_ugv():
@@ -195,6 +190,17 @@ def test_is_consistent_when_the_ugv_moves_as_the_model_says(cut):
     assert within(np.mean(nis), 2, seeds * (count - 1))
 
 
+def test_nees_of_pilots_is_within_its_95_percent_interval():
+    """300 flights of 80 ticks with cut noise, by filterpy; one average at the last tick."""
+    flights, nees = 300, []
+    for seed in range(1000, 1000 + flights):
+        truth, seen = fly_the_model(seed, 80, 3.0)
+        at = each_tick(np.zeros_like(seen), seen)
+        found = pilots_filtered(np.zeros_like(seen), at, target=FREE, cut=3.0, gate=1e12)
+        nees.append(squared(truth[-1] - found.states[-1], found.covariances[-1]))
+    assert within(np.mean(nees), 4, flights, sure=0.95)
+
+
 @pytest.mark.parametrize("legs", [(1.0, 8.0), (0.2, 0.8)], ids=["waypoints", "restless"])
 def test_is_not_too_sure_of_a_real_ugv_but_nearer_than_its_detections_and_lets_them_in(legs):
     """100 flights of 50 s over a real UGV, seen with cut noise by a UAV that flies a circle."""
@@ -208,7 +214,7 @@ def test_is_not_too_sure_of_a_real_ugv_but_nearer_than_its_detections_and_lets_t
         noises.append(noise)
         nees.append(squared(found.states - truth, found.covariances))
         nis.append(found.innovations[1:])
-        refused += found.refused
+        refused += found.rejected
     ratio = math.sqrt(np.mean(np.square(errors)) / np.mean(np.square(noises)))
     print(f"RMS of the estimate / RMS of the detections: {ratio:.3f}")  # noqa: T201
     assert ratio < 0.8
@@ -287,12 +293,12 @@ def test_speed_is_never_believed_beyond_the_ugvs():
 
 
 @given(
-    gaps=st.lists(st.sampled_from([1, 1, 1, 2, 30, 5_000, 10_000_000]), min_size=1, max_size=12),
+    gaps=st.lists(st.sampled_from([1, 1, 1, 2, 30, 2_000]), min_size=1, max_size=12),
     noise=st.sampled_from([0.0, 0.1, 1.0]),
     speed=st.floats(0.01, 30.0),
     acceleration=st.one_of(st.none(), st.floats(0.01, 10.0)),
 )
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_uncertainty_while_coasting_is_bounded_by_what_the_ugv_can_do(
     gaps, noise, speed, acceleration
 ):
@@ -321,11 +327,8 @@ def test_one_long_gap_and_many_ticks_end_in_the_same_place():
         at_once = look(leap, 399 + 50)
         for k in range(400, 400 + 50):
             step_by_step = look(walk, k)
-        assert at_once.position == pytest.approx(step_by_step.position, abs=1e-9)
-        assert at_once.age == step_by_step.age
-        np.testing.assert_allclose(
-            leap.covariance, walk.covariance, rtol=1e-6 if target is FREE else 0.2, atol=1e-12
-        )
+        assert at_once == step_by_step
+        np.testing.assert_array_equal(leap.covariance, walk.covariance)
 
 
 def test_a_detection_after_a_long_gap_is_let_in_again():
@@ -357,14 +360,12 @@ def test_duplicates_count_once_and_the_same_time_is_predicted_once():
 
     expected = told(once, first)
     told(twice)
-    twice.prepare()  # what it has worked out for the next tick is not for this one
     assert told(twice, first, second) == told(twice, first) == expected
     np.testing.assert_array_equal(once.covariance, twice.covariance)
 
 
 def test_a_copy_of_a_filter_goes_on_like_the_original_and_by_itself():
     original = converged()
-    original.prepare()
     for copied in (copy.deepcopy(original), pickle.loads(pickle.dumps(original))):  # noqa: S301 - our own
         twin = converged()
         for tick, seen in (

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from flights import flown_in_both
 from processes import run_json
-from worlds import LOSSY
+from worlds import LOSSY, raw
 
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.running.assumptions import promise_warnings
@@ -18,9 +18,9 @@ RADIO = msgspec.structs.replace(LOSSY, delay=0.2)
 
 @pytest.mark.parametrize("name", ["minefield", "rubble", "rescue"])
 def test_a_flight_over_hazards_has_one_trajectory(name: str) -> None:
-    """In a run, in the environment, and in a batch of worlds that have other hazards each."""
+    """In a run, in the environment, and in a batch of worlds that have other hazards each; without estimator."""
     scenario = msgspec.structs.replace(
-        load_scenario(name), duration=30.0, links=LinkTable(radio=RADIO)
+        raw(load_scenario(name)), duration=30.0, links=LinkTable(radio=RADIO)
     )
     _, flight, _ = flown_in_both(scenario, 4)
     assert flight.world.position[1].tolist() != list(scenario.ugv[0].position)

@@ -15,6 +15,7 @@ from gymnasium.vector.utils import batch_space
 from processes import loaded_by
 from refusals import refused
 from tabular import words
+from worlds import raw
 
 import outrider
 from outrider.envs.env_pilots import pilots
@@ -57,10 +58,11 @@ def test_the_shipped_file_is_small_and_says_how_it_was_made(evaluation: ModuleTy
 
 def test_it_flies_a_single_environment_as_it_flies_a_batch() -> None:
     policies = {name: LearnedPolicy.load(POLICY) for name in ("batch", "single")}
-    worlds = Worlds(NOISY, len(SEEDS), ["uav_0"], safety_filter=True, **policies["batch"].setup)
+    noisy = raw(NOISY)
+    worlds = Worlds(noisy, len(SEEDS), ["uav_0"], safety_filter=True, **policies["batch"].setup)
     worlds.reset(SEEDS, None)
     k = 1
-    env = alone(NOISY, policies["single"])
+    env = alone(noisy, policies["single"])
     drive = pilots(env)["ugv_0"]
     seen, _ = env.reset(seed=SEEDS[k])
     for _ in range(500):

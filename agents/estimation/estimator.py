@@ -1,91 +1,102 @@
-r"""The UAV's Kalman filter: where the UGV is and how fast, from relative detections alone.
+r"""Pilot's estimator: position and velocity of the UGV from relative detections, by filterpy's `KalmanFilter`.
 
-How detections are taken up is compiled (`agents.estimation.filtering`); the products of matrices are filterpy's
-(`agents.estimation.kalman`).
+The state is $(x, y, v_x, v_y)$ of the UGV in the world frame, at constant velocity but for random accelerations.
+A detection $\tilde p_\Delta$ of $p_\Delta = p_a - p_g$ measures the position, $z = p_a - \tilde p_\Delta$, since the
+UAV knows $p_a$ at every tick for which it was called.
 
-Deviation: the paper's laws see the true $p_\Delta$. Ours see this estimate, never the truth.
+For a late measurement the estimator restores the state saved before it, and repeats predict and update over everything
+that followed. So the estimate depends on which detections have arrived, and not on when.
+
+Deviation: the paper's laws use the true $p_\Delta$. Ours use this estimate.
 """
 
-import math
 from collections.abc import Iterable
-from typing import Any
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
+from filterpy.kalman import KalmanFilter
 
-from agents.estimation.filtering import (
-    DONE,
-    NEVER,
-    PREDICT,
-    KalmanState,
-    kalman_begin,
-    kalman_go_on,
-    kalman_state,
+from agents.control.lookahead import Target
+from agents.estimation.motion_model import (
+    SPAN,
+    KalmanParameters,
+    bounded_scales,
+    history_depth,
+    kalman_parameters,
 )
-from agents.estimation.kalman import AxisFilter
-from agents.estimation.motion_model import KalmanParameters, kalman_parameters, motion
 from bus.messages import Detector, Estimator, Limits, UavBriefing
-from bus.ticks import Look, ticks_within
-from sim.kernels.compile import FloatArray, compiled
-from sim.kernels.records import RecordArray, records
-
-SPAN = 60.0
-"""The largest delay of a detection that is still used, by default [s]."""
-
-_MOST_TICKS = 100_000  # about 16 MB; where ticks are so short that the span has more, it is cut
-
-
-_KEPT = ("arrays", "_numbers", "_tick", "_is_ahead", "_motions")
-"""The attributes that a copy of a filter takes over; it makes views of its own."""
+from bus.ticks import NO_TICK, Look
+from sim.kernels.compile import FloatArray
+from sim.models.vehicles import clip_norm
 
 
 class Estimate(msgspec.Struct, frozen=True, kw_only=True):
-    """The UAV's belief about the UGV, in the world frame."""
+    """Estimate of the UGV in the world frame."""
 
     position: tuple[float, float]  # [m]
-    velocity: tuple[float, float]  # [m/s], never longer than v_g,max
+    velocity: tuple[float, float]  # [m/s], at most v_g,max
     covariance: tuple[float, float, float]  # xx, xy, yy of the position [m²]
-    age: float  # since the newest believed detection [s]
-    refused: int  # detections, by the gate (as if all had come in order) or for the wrong time
+    age: float  # since the newest accepted measurement [s]
+    refused: int  # detections rejected by the gate (as if all had come in order) or of an impossible time
 
 
-def _view(row: RecordArray, first: str, shape: tuple[int, ...]) -> FloatArray:
-    """The numbers of a record from this field on, in this shape: a view."""
-    fields: Any = row.dtype.fields
-    return np.ndarray(shape, np.float64, buffer=row.data, offset=fields[first][1])
+class EstimatorState(NamedTuple):
+    """State before the measurement of a tick: the state that a late measurement restores."""
+
+    x: FloatArray  # position [m] and velocity [m/s]. Shape (4,)
+    P: FloatArray  # Shape (4, 4)
+    known: bool = False
+    age: int = 0  # since the newest accepted measurement [ticks]
+    rejected: int = 0
+    rejected_in_a_row: int = 0
 
 
-@compiled
-def _update(
-    parameters: RecordArray,
-    state: KalmanState,
-    tick: int,
-    p_ax: float,
-    p_ay: float,
-    looks: FloatArray,
-    count: int,
-) -> int:
-    kalman_begin(state, tick, p_ax, p_ay, looks, count)
-    return kalman_go_on(parameters[0], state)
+class _Row(NamedTuple):
+    own_position: tuple[float, float]  # p_a [m]
+    prior: EstimatorState
+    z: tuple[float, float] | None = None  # measured position of the UGV [m]
 
 
-@compiled
-def _go_on(parameters: RecordArray, state: KalmanState) -> int:
-    return kalman_go_on(parameters[0], state)
+def bound_covariance(
+    P: FloatArray, before: EstimatorState, parameters: KalmanParameters
+) -> FloatArray:
+    """Return a predicted covariance with bounded standard deviations and unchanged correlations.
+
+    Args:
+        P: Predicted covariance. Shape (4, 4).
+        before: State before the prediction.
+        parameters: Parameters of the filter.
+    """
+    p = parameters
+    position, velocity = bounded_scales(
+        float(P[0, 0]),
+        float(P[2, 2]),
+        float(before.P[0, 0]),
+        (before.age + 1) * p.dt,
+        p.dt,
+        p.speed,
+        p.acceleration,
+    )
+    if position == velocity == 1.0:
+        return P
+    scales = np.array([position, position, velocity, velocity])
+    return P * np.outer(scales, scales)
+
+
+def bound_velocity(x: FloatArray, max_speed: float) -> FloatArray:
+    """Return a state with its velocity shortened to the UGV's maximum speed [m/s]."""
+    return np.array([x[0], x[1], *clip_norm(float(x[2]), float(x[3]), max_speed)])
 
 
 class RelativeEstimator:
-    """The filter of one UAV on the UGV it escorts.
+    """Kalman filter of one UAV on the UGV that it escorts.
 
-    Detections whose normalized innovation squared is beyond the gate are refused. After `settings.patience` refusals
-    in a row the filter starts anew from the last of them.
+    A measurement whose normalized innovation squared exceeds the gate is rejected. After `settings.patience` rejections
+    in a row the filter reinitializes from the last of them.
 
-    Deviation from the plain filter, where the UGV's largest speed is known: the velocity is never believed longer than
-    v_g,max; its standard deviation per axis never larger than v_g,max; and that of the position never grows faster than
-    at v_g,max. While nothing is believed for long, that of the position is never smaller than 1/√8 of how far the UGV
-    can have strayed from its course: one that turned round comes to a NEES of 8, no more, and is let in again. Without
-    this the covariance forgets the speed that the mean goes on at: NEES 16 after 2 minutes, refused soon after. The
-    deviations are scaled, the correlations stay, so the covariance stays one.
+    Deviation from the plain filter, where the UGV's maximum speed is known: see `bound_velocity` and
+    `agents.estimation.motion_model.bounded_scales`.
     """
 
     def __init__(
@@ -97,154 +108,156 @@ class RelativeEstimator:
         settings: Estimator,
         span: float = SPAN,
     ) -> None:
-        """Prepare the filter; it believes nothing until the first detection.
+        """Set up the filter; nothing is known before the first detection.
 
         Args:
-            detector: The UAV's detector; its noise and cut make R.
-            target: The UGV's bounds.
+            detector: The UAV's detector; its noise and cut give R.
+            target: Limits of the UGV.
             dt: Length of a tick [s].
             settings: Gate, patience, manoeuvre, and whether to filter at all.
-            span: How late a detection may come and still be used [s].
+            span: Greatest delay of a detection that is still used [s].
 
         Raises:
             ValueError: If dt is not positive and finite, or the span is negative.
         """
-        c = kalman_parameters(detector=detector, target=target, dt=dt, settings=settings)
-        if not span >= 0.0:
-            raise ValueError(f"span must not be negative, but is {span}")
-        late = _MOST_TICKS if span / dt > _MOST_TICKS else ticks_within(span, dt)
-        self.arrays = records(KalmanParameters, [c]), kalman_state(late + 1)
-        """Parameters and state, for compiled functions."""
-        self._numbers, self._tick, self._is_ahead = c, NEVER, False
-        self._motions = {1: motion(ticks=1, dt=dt, deviation=c.deviation)}
-        self._bind()
-
-    def _bind(self) -> None:
-        """Name parts of the arrays: views, through which filterpy and the compiled functions write into one memory."""
-        _, state = self.arrays
-        self._belief, self._counts, self._step = state.belief[0], state.counts[0], state.step[0]
-        self._mean = _view(state.belief, "x", (4,))
-        self._filter = AxisFilter(
-            variance=self._numbers.variance,
-            P=_view(state.belief, "p_pp", (2, 2)),
-            P_prior=_view(state.step, "prior_pp", (2, 2)),
-            P_post=_view(state.step, "post_pp", (2, 2)),
-            K=_view(state.step, "k_p", (2, 1)),
-        )
-        self._known = state.belief["known"]
-        flags = (state.step[name] for name in ("ticks", "predicted", "weighed"))
-        self._ticks, self._predicted, self._weighed = flags
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: self.__dict__[name] for name in _KEPT}
-
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        self.__dict__.update(kept)
-        self._bind()
+        p = kalman_parameters(detector=detector, target=target, dt=dt, settings=settings)
+        kalman = KalmanFilter(dim_x=4, dim_z=2)
+        kalman.F, kalman.H = np.eye(4) + p.dt * np.eye(4, k=2), np.eye(2, 4)
+        kalman.Q = np.kron([[p.q_pp, p.q_pv], [p.q_pv, p.q_vv]], np.eye(2))
+        kalman.R = p.variance * np.eye(2)
+        self._parameters, self._kalman = p, kalman
+        self._state = EstimatorState(np.zeros(4), np.zeros((4, 4)))
+        self._depth, self._tick, self._history = history_depth(span, dt), -1, dict[int, _Row]()
+        self.innovation_squared: float | None = None
+        """Normalized innovation squared (NIS) of the newest measurement that met the gate; None before."""
+        self.duplicates = 0
+        """Detections ignored because their tick had the same one."""
+        self.too_old = 0
+        """Detections dropped because they came later than the span allows."""
+        self.misdated = 0
+        """Detections of an impossible time, or contradicting an earlier one."""
 
     @property
     def state(self) -> FloatArray:
         """Position [m] and velocity [m/s] of the UGV, x before y; meaningless before the first detection."""
-        return self._mean.copy()
+        return self._state.x.copy()
 
     @property
     def covariance(self) -> FloatArray:
-        """The 4 x 4 covariance of the state."""
-        return np.asarray(np.kron(self._filter.P, np.eye(2)), dtype=np.float64)
+        """Covariance of the state. Shape (4, 4)."""
+        return self._state.P.copy()
 
     @property
-    def innovation_squared(self) -> float | None:
-        """Normalized innovation squared (NIS) of the newest detection that met the gate; None before."""
-        squared = float(self._step.innovation)
-        return None if math.isnan(squared) else squared
+    def age(self) -> int:
+        """Ticks since the newest accepted measurement."""
+        return self._state.age
 
     @property
-    def duplicates(self) -> int:
-        """Detections ignored so far because that of their tick was there."""
-        return int(self._counts.duplicates)
-
-    @property
-    def too_old(self) -> int:
-        """Detections dropped so far because they came later than the span allows."""
-        return int(self._counts.too_old)
+    def target(self) -> Target:
+        """The estimate as the laws read it."""
+        s = self._state
+        x, y, v_x, v_y = s.x.tolist()
+        return Target(s.known, x, y, v_x, v_y, s.P.item(0, 0), s.P.item(2, 2))
 
     def update(
         self, *, tick: int, own_position: tuple[float, float], looks: Iterable[Look]
     ) -> Estimate | None:
-        """Move on to a tick and take up what has arrived, each detection at its own tick.
+        """Advance to a tick and use the detections that have arrived, each at its own tick.
 
         Args:
             tick: Now, the same as in the last call or later.
             own_position: p_a now [m].
-            looks: What has arrived since the last call, in any order; see `agents.estimation.filtering.kalman_begin`.
+            looks: Detections that have arrived since the last call, in any order. Of several of one tick only the
+                first is used.
 
         Returns:
-            The estimate, or None where nothing was ever detected.
+            The estimate, or None before the first detection.
 
         Raises:
             ValueError: If the tick is before that of the last call.
         """
-        self.get_ready(tick)
-        rows = np.array([*looks], dtype=np.float64).reshape(-1, len(Look._fields))
-        needs = _update(*self.arrays, tick, *own_position, rows, len(rows))
-        while needs != DONE:
-            self.work_out(needs)
-            needs = _go_on(*self.arrays)
-        if not self._known.item(0):
-            return None
-        x, y, v_x, v_y = self._mean.tolist()
-        variance, belief = self._filter.P.item(0), self._belief
-        return Estimate(
-            position=(x, y),
-            velocity=(v_x, v_y),
-            covariance=(variance, 0.0, variance),
-            age=int(belief.age) * self._numbers.dt,
-            refused=int(belief.by_gate + self._counts.misdated),
-        )
-
-    def get_ready(self, tick: int) -> None:
-        """A compiled function is about to step the filter to a tick: what that is likely to need is worked out.
-
-        Raises:
-            ValueError: If the tick is before that of the last step.
-        """
         if tick < self._tick:
             raise ValueError(f"tick = {tick}: is before the last one, {self._tick}")
         if tick > self._tick:
-            self.prepare()
-        self._tick, self._is_ahead = tick, False
+            self._predict(tick - self._tick if self._history else 0)
+            self._tick, self._history[tick] = tick, _Row(own_position, self._state)
+            while (oldest := next(iter(self._history))) <= tick - self._depth:
+                del self._history[oldest]
+        new = [look.taken for look in looks if self._insert(look)]
+        if new:
+            self._repeat(min(new))
+        return self._estimate()
 
-    def prepare(self) -> None:
-        """Work ahead to the next tick, while nobody waits; it changes no estimate, only when it is there.
+    def _estimate(self) -> Estimate | None:
+        s = self._state
+        if not s.known:
+            return None
+        x, y, v_x, v_y = s.x.tolist()
+        return Estimate(
+            position=(x, y),
+            velocity=(v_x, v_y),
+            covariance=(s.P.item(0, 0), s.P.item(0, 1), s.P.item(1, 1)),
+            age=s.age * self._parameters.dt,
+            refused=s.rejected + self.misdated,
+        )
 
-        Neither the prediction nor the gain depends on what will be detected.
-        """
-        if self._is_ahead or not self._numbers.enabled or not self._known.item(0):
-            return
-        self._is_ahead = True
-        kalman, (F, Q) = self._filter, self._motions[1]
-        kalman.predict(F, Q)
-        kalman.weigh(kalman.P_prior)
-        self._ticks[0], self._predicted[0], self._weighed[0] = 1, True, True
+    def _insert(self, look: Look) -> bool:
+        """Store a measurement at its tick; False if it cannot be used."""
+        row = self._history.get(look.taken)
+        if row is None:
+            too_old = look.taken != NO_TICK and look.taken <= self._tick - self._depth
+            self.too_old, self.misdated = self.too_old + too_old, self.misdated + (not too_old)
+            return False
+        z = row.own_position[0] - look.x, row.own_position[1] - look.y
+        if row.z is not None:
+            same = look.taken == self._tick or row.z == z
+            self.duplicates, self.misdated = self.duplicates + same, self.misdated + (not same)
+            return False
+        self._history[look.taken] = row._replace(z=z)
+        return True
 
-    def work_out(self, needs: int) -> None:
-        """Put what a step needs (`agents.estimation.filtering.kalman_go_on`) into `arrays`."""
-        if needs == PREDICT:
-            ticks = self._ticks.item(0)
-            matrices = self._motions.get(ticks)
-            if matrices is None:
-                numbers = self._numbers
-                matrices = motion(ticks=ticks, dt=numbers.dt, deviation=numbers.deviation)
-                self._motions[ticks] = matrices
-            self._filter.predict(*matrices)
-            self._predicted[0] = True
-        else:
-            self._filter.weigh(self._filter.P)
-            self._weighed[0] = True
+    def _repeat(self, first: int) -> None:
+        """Restore the state before a tick, and repeat predict and update over everything that followed."""
+        self._state, at = self._history[first].prior, first
+        for tick in (tick for tick in range(first, self._tick + 1) if tick in self._history):
+            self._predict(tick - at)
+            row, at = self._history[tick], tick
+            self._history[tick] = row._replace(prior=self._state)
+            if row.z is not None:
+                self._correct(row.z)
+
+    def _predict(self, ticks: int) -> None:
+        for _ in range(ticks):
+            s, p, kalman = self._state, self._parameters, self._kalman
+            if s.known and p.enabled:
+                kalman.x, kalman.P = s.x, s.P
+                kalman.predict()
+                s = s._replace(x=kalman.x, P=bound_covariance(kalman.P, s, p))
+            self._state = s._replace(age=s.age + 1)
+
+    def _correct(self, z: tuple[float, float]) -> None:
+        """Update by a measured position [m], reject it by the gate, or reinitialize from it."""
+        s, p, kalman = self._state, self._parameters, self._kalman
+        if s.known and p.enabled:
+            nu = np.array(z) - s.x[:2]
+            self.innovation_squared = float(nu @ nu / (s.P[0, 0] + p.variance))
+            if self.innovation_squared <= p.gate:
+                kalman.x, kalman.P = s.x, s.P
+                kalman.update(np.array(z))
+                x = bound_velocity(kalman.x, p.speed)
+                self._state = s._replace(x=x, P=kalman.P, age=0, rejected_in_a_row=0)
+                return
+            in_a_row = s.rejected_in_a_row + 1
+            s = s._replace(rejected=s.rejected + 1, rejected_in_a_row=in_a_row)
+        if not s.known or not p.enabled or s.rejected_in_a_row >= p.patience:
+            P = np.diag([p.variance, p.variance, p.first_variance, p.first_variance])
+            x = np.array([*z, 0.0, 0.0])
+            s = s._replace(x=x, P=P, known=True, age=0, rejected_in_a_row=0)
+        self._state = s
 
 
 def estimator_of(briefing: UavBriefing) -> RelativeEstimator:
-    """The filter of one UAV on what it is told."""
+    """Return the estimator of a UAV with this briefing."""
     return RelativeEstimator(
         detector=briefing.detector,
         target=briefing.target_limits,

@@ -6,10 +6,14 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.messages import Detector, Estimator, Limits, or_infinite
+from bus.ticks import ticks_within
 from sim.kernels.compile import FloatArray, compiled
 
+SPAN = 60.0
+"""Greatest delay of a detection that is still used, by default [s]."""
 SURE = 1.0 / math.sqrt(8.0)
 """Least deviation of the position per metre that the UGV may have strayed while it was not seen."""
+_MOST_TICKS = 100_000  # about 60 MB; a longer span is cut, where ticks are that short
 _TIRE_LIMIT = 9.81
 """The acceleration that tires on the ground can give [m/s²]; where neither of the UGV's bounds is known."""
 _HOLD = 1.0
@@ -134,24 +138,65 @@ def strayed_distance(elapsed: float, speed: float, acceleration: float) -> float
     return 2.0 * speed * (elapsed - speed / acceleration)
 
 
-def motion(*, ticks: int, dt: float, deviation: float) -> tuple[FloatArray, FloatArray]:
-    r"""F and Q of the motion of one axis over n ticks, with an acceleration of its own held over each of them.
+@compiled
+def bounded_scales(
+    position_variance: float,
+    velocity_variance: float,
+    variance_before: float,
+    elapsed: float,
+    dt: float,
+    max_speed: float,
+    acceleration: float,
+) -> tuple[float, float]:
+    r"""Return the factors that bound the predicted standard deviations of position and velocity per axis.
 
-    $$ Q = \sigma_u^2 \begin{bmatrix} dt^4 (n^3/3 - n/12) & dt^3 n^2/2 \\ dt^3 n^2/2 & dt^2 n \end{bmatrix} $$
-
-    is what n predictions over one tick each add up to.
+    The velocity's is at most v_g,max. The position's grows by at most v_g,max dt in a tick, and is at least 1/√8 of the
+    distance that the UGV can have strayed from its course: one that turned round comes to a NEES of 8 at most, and its
+    detections are accepted again. Without this the covariance forgets the speed of the mean: NEES 16 after 2 minutes.
 
     Args:
-        ticks: n.
+        position_variance: Predicted variance of the position [m²].
+        velocity_variance: Predicted variance of the velocity [m²/s²].
+        variance_before: Variance of the position before the prediction [m²].
+        elapsed: Time since the newest accepted measurement [s].
         dt: Length of a tick [s].
-        deviation: σ_u of one tick's acceleration per axis [m/s²].
-
-    Returns:
-        F and Q, 2 x 2: position before velocity.
+        max_speed: v_g,max [m/s]; infinite where it is not known: nothing is bounded then.
+        acceleration: Assumed acceleration of the UGV [m/s²].
     """
-    n, q = float(ticks), deviation * deviation
-    q_pp, q_pv, q_vv = q * dt**4 * (n**3 / 3.0 - n / 12.0), q * dt**3 * n * n / 2.0, q * dt * dt * n
-    return np.array([[1.0, n * dt], [0.0, 1.0]]), np.array([[q_pp, q_pv], [q_pv, q_vv]])
+    if not max_speed < math.inf:
+        return 1.0, 1.0
+    position, velocity = math.sqrt(position_variance), math.sqrt(velocity_variance)
+    least = SURE * strayed_distance(elapsed, max_speed, acceleration)
+    most = math.sqrt(variance_before) + max_speed * dt
+    return min(max(least, position), most) / position, min(1.0, max_speed / velocity)
+
+
+def process_noise(*, dt: float, deviation: float) -> FloatArray:
+    r"""Return Q of one axis over one tick, with a random acceleration held over it.
+
+    $$ Q = \sigma_u^2 \begin{bmatrix} dt^4/4 & dt^3/2 \\ dt^3/2 & dt^2 \end{bmatrix} $$
+
+    Args:
+        dt: Length of a tick [s].
+        deviation: σ_u of the acceleration per axis [m/s²].
+    """
+    push = np.array([0.5 * dt * dt, dt])
+    return np.asarray(deviation**2 * np.outer(push, push))
+
+
+def history_depth(span: float, dt: float) -> int:
+    """Return the number of past ticks, the present one included, whose measurements are used.
+
+    Args:
+        span: Greatest delay of a measurement [s].
+        dt: Length of a tick [s].
+
+    Raises:
+        ValueError: If the span is negative.
+    """
+    if not span >= 0.0:
+        raise ValueError(f"span must not be negative, but is {span}")
+    return 1 + (_MOST_TICKS if span / dt > _MOST_TICKS else ticks_within(span, dt))
 
 
 def kalman_parameters(
@@ -172,7 +217,7 @@ def kalman_parameters(
         raise ValueError(f"dt must be positive and finite, not {dt}")
     speed, manoeuvre = or_infinite(target.max_speed), settings.manoeuvre
     deviation = acceleration_deviation(target=target, manoeuvre=manoeuvre, dt=dt)
-    _, Q = motion(ticks=1, dt=dt, deviation=deviation)
+    Q = process_noise(dt=dt, deviation=deviation)
     return KalmanParameters(
         dt=float(dt),
         variance=max(cut_variance(sigma=detector.noise, cut=detector.cut), _VARIANCE_FLOOR),

@@ -23,14 +23,18 @@ from agents.control.telling import BLOCK_TILES, telling_memory, telling_ticks
 from agents.control.visibility import promise_of
 from agents.drivers.compiled import driver_memory, driver_parameters, told_ground, told_route
 from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters
-from agents.estimation.estimator import SPAN
-from agents.estimation.filtering import kalman_state
-from agents.estimation.motion_model import KalmanParameters, kalman_parameters
+from agents.estimation.batch_filter import estimator_rows
+from agents.estimation.motion_model import (
+    SPAN,
+    KalmanParameters,
+    history_depth,
+    kalman_parameters,
+)
 from bus.errors import ScenarioError
 from bus.layout import GradientCue
 from bus.messages import LinkKind, LinkStatus, Mission, UavBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
-from bus.ticks import radio_ticks, ticks_within
+from bus.ticks import radio_ticks
 from outrider.envs.closed_loop_state import (
     GUARD_METRICS,
     LoopParameters,
@@ -213,7 +217,7 @@ class ClosedLoop:
             late=numbers.late,
         )
         late = self.batch.links.longest(LinkKind.DETECTIONS)
-        kalman = kalman_state(min(late, ticks_within(SPAN, dt)) + 1)
+        kalman = estimator_rows(min(late + 1, history_depth(SPAN, dt)))
         guard = guard_state(numbers.longest, min(late + 1, numbers.track))
         uavs, ugvs = len(self.uavs), len(self.ugvs)
         room = self.batch.links.packets.shape[3]

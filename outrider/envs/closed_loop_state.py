@@ -6,7 +6,6 @@ from agents.control.guard import GuardState
 from agents.control.lookahead import LookaheadMemory
 from agents.control.telling import TellingMemory
 from agents.drivers.tile_map import GroundMemory
-from agents.estimation.filtering import KalmanState
 from bus.layout import UavRow
 from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rows import UAV_METRICS, RowState, RowTables
@@ -100,7 +99,8 @@ class LoopState(NamedTuple):
     """`LawState`. Shape (worlds, UAVs, 1)."""
     lookaheads: LookaheadMemory
     """Of the law `lookahead`, with axes for worlds and UAVs in front."""
-    kalman: KalmanState
+    kalman: RecordArray
+    """`EstimatorRow` of each UAV. Shape (worlds, UAVs, 1 + depth): see `agents.estimation.batch_filter`."""
     guards: GuardState
     driver_states: RecordArray
     """`DriverMemory`. Shape (worlds, UGVs, 1)."""

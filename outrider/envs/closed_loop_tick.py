@@ -23,8 +23,8 @@ from agents.drivers.navigate import PLAIN, hand_over_stops
 from agents.drivers.parameters import Route
 from agents.drivers.tile_map import GroundMemory, note_block, note_tiles
 from agents.drivers.ugv_tick import ugv_tick
-from agents.estimation.filtering import KalmanState, kalman_estimate
-from agents.estimation.twin import kalman_step
+from agents.estimation.batch_filter import estimate
+from agents.estimation.batch_filter import update as update_estimate
 from outrider.envs.closed_loop_state import (
     GRADIENT_X,
     GRADIENT_Y,
@@ -73,17 +73,6 @@ def _guard_of(tables: LoopTables, state: GuardState, world: int, uav: int) -> Gu
         state.track[world, uav],
         state.flags[world, uav],
         sent,
-    )
-
-
-@inlined
-def _kalman_of(state: KalmanState, world: int, uav: int) -> KalmanState:
-    return KalmanState(
-        state.belief[world, uav],
-        state.counts[world, uav],
-        state.step[world, uav],
-        state.past[world, uav],
-        state.before[world, uav],
     )
 
 
@@ -142,7 +131,7 @@ def _fly(
     one = state.batch.vehicles[world, vehicle]
     here = _reference_of(one)
     guarded = tables.guarded[uav] != 0
-    target = kalman_estimate(_kalman_of(state.kalman, world, uav))
+    target = estimate(state.kalman, world, uav)
     flown = state.batch.flown[world, vehicle, 0].begins
     acts, code, bound = INNER, NOTHING_AGAINST, 0.0
     if tables.hand[vehicle] < 0:
@@ -360,8 +349,8 @@ def _perceive(
                 arrived,
             )
         if tables.thinking[u]:
-            kalman = _kalman_of(state.kalman, world, u)
-            kalman_step(tables.kalman[u], kalman, tick, here.p_x, here.p_y, looks, arrived)
+            numbers, place = tables.kalman[u], (world, u)
+            update_estimate(numbers, state.kalman, place, tick, here, looks, arrived)
     if parameters.radio:
         _radio(tables, state, ground, world)
     if ground is not None and state.grounds.tiles.shape[2] > 0:
@@ -376,14 +365,14 @@ def _add_cues(
     """Put the estimate and the gradient into the row of a UAV, where they are asked for and known."""
     world_parameters, row = tables.batch.world[0], state.rows.uav_rows[world, uav]
     row[GRADIENT_X], row[GRADIENT_Y] = 0.0, 0.0
-    target = kalman_estimate(_kalman_of(state.kalman, world, uav))
+    target = estimate(state.kalman, world, uav)
     if not target.known:
         return
     g_x, g_y = target.p_x, target.p_y
     x, y = row[UAV.x], row[UAV.y]
     if parameters.estimate:
         row[UAV.detected], row[UAV.relative_x], row[UAV.relative_y] = 1.0, x - g_x, y - g_y
-        row[UAV.age] = state.kalman.belief[world, uav, 0].age * world_parameters.dt
+        row[UAV.age] = state.kalman[world, uav, 0].age * world_parameters.dt
     if parameters.gradient:
         u_x, u_y, size = coverage_gradient(
             state.maps[world, uav] if parameters.own_maps else state.batch.coverage[world],

@@ -177,9 +177,7 @@ class VehicleUnit:
         if values["detection.new"]:
             relative = pair(values, "detection")
             looks = (Detection(time=values["detection.time"], relative_position=relative),)
-        command = pilot.act(UavObservation(**own, detections=looks))
-        pilot.prepare()
-        return self._told(command)
+        return self._told(pilot.act(UavObservation(**own, detections=looks)))
 
     def _told(self, command: UavCommand) -> dict[str, float]:
         told = self.start()

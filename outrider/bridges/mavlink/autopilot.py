@@ -341,7 +341,6 @@ class AutopilotPilot:
             if self._link.anchor is None:
                 self._link.set_anchor(wanted.position)
             self._link.wanted = wanted
-        self._pilot.prepare()
 
     def _inner(self, observation: UavObservation) -> Vector | None:
         off = self._link.deviation(observation.position)

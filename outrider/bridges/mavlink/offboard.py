@@ -85,7 +85,6 @@ class OffboardPilot:
         self._pilot = pilot = UavPilot(briefing, inner=self._inner)
         # The law's own pilot does what the process asks besides.
         self.perceive, self.forget_commands = pilot.perceive, pilot.forget_commands
-        self.prepare = pilot.prepare
         return self
 
     def want(self, setpoint: Setpoint) -> None:

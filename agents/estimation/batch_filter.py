@@ -1,0 +1,178 @@
+r"""Compiled estimator of batches: the equations of `agents.estimation.estimator`, for one axis.
+
+F, Q, R and P are $M \otimes I_2$ with M 2 x 2: x and y are alike and independent, so the covariance of one axis stands
+for both. A test holds the two filters together step by step, to 1e-9 relative; they differ by rounding.
+
+The memory of all UAVs is one array of `EstimatorRow`, shape (worlds, UAVs, 1 + depth): row 0 is the state now, the
+others are the ring of the last ticks, tick k in row 1 + k % depth, as they were before the measurement of that tick.
+"""
+
+import numpy as np
+
+from agents.control.lookahead import Target
+from agents.control.uav_tick import LOOK
+from agents.estimation.motion_model import KalmanParameters, bounded_scales
+from sim.kernels.compile import FloatArray, compiled
+from sim.kernels.records import RecordArray, record_type
+from sim.models.vehicles import Motion, clip_norm
+
+
+class EstimatorRow:
+    """State of one UAV's estimator at one tick, and the measurement of that tick."""
+
+    tick: int
+    """Its number; -1: none yet."""
+    own_x: float
+    own_y: float
+    """p_a [m]."""
+    measured: bool
+    z_x: float
+    z_y: float
+    """Measured position of the UGV [m]."""
+    known: bool
+    """False before the first measurement: what follows means nothing then."""
+    x: float
+    y: float
+    """Position of the UGV [m]."""
+    v_x: float
+    v_y: float
+    """Velocity of the UGV [m/s], at most v_g,max."""
+    p_pp: float
+    p_pv: float
+    p_vv: float
+    """Covariance of one axis [m², m²/s, m²/s²]."""
+    age: int
+    """Ticks since the newest accepted measurement."""
+    rejected: int
+    rejected_in_a_row: int
+
+
+def estimator_rows(depth: int) -> RecordArray:
+    """Return the memory of one UAV that knows nothing. Shape (1 + depth,).
+
+    Args:
+        depth: Ticks in the ring: 1 where no detection comes late.
+
+    Raises:
+        ValueError: If the depth is not positive.
+    """
+    if depth < 1:
+        raise ValueError(f"depth must be at least 1, not {depth}")
+    rows = np.zeros(1 + depth, dtype=record_type(EstimatorRow))
+    rows["tick"] = -1
+    return rows
+
+
+@compiled
+def estimate(rows: RecordArray, world: int, uav: int) -> Target:
+    """Return the estimate of one UAV."""
+    now = rows[world, uav, 0]
+    return Target(now.known, now.x, now.y, now.v_x, now.v_y, now.p_pp, now.p_vv)
+
+
+@compiled
+def predict(parameters: KalmanParameters, now: EstimatorRow) -> None:
+    """Predict a state over one tick and bound its covariance."""
+    c = parameters
+    now.age += 1
+    if not now.known or not c.enabled:
+        return
+    before = now.p_pp
+    now.x += c.dt * now.v_x
+    now.y += c.dt * now.v_y
+    now.p_pp = now.p_pp + 2.0 * c.dt * now.p_pv + c.dt * c.dt * now.p_vv + c.q_pp
+    now.p_pv = now.p_pv + c.dt * now.p_vv + c.q_pv
+    now.p_vv = now.p_vv + c.q_vv
+    a, b = bounded_scales(now.p_pp, now.p_vv, before, now.age * c.dt, c.dt, c.speed, c.acceleration)
+    now.p_pp, now.p_pv, now.p_vv = a * a * now.p_pp, a * b * now.p_pv, b * b * now.p_vv
+
+
+@compiled
+def correct(parameters: KalmanParameters, now: EstimatorRow) -> None:
+    """Update by the measurement of this tick, reject it by the gate, or reinitialize from it."""
+    c = parameters
+    if now.known and c.enabled:
+        nu_x, nu_y, s = now.z_x - now.x, now.z_y - now.y, now.p_pp + c.variance
+        if (nu_x * nu_x + nu_y * nu_y) / s <= c.gate:
+            k_p, k_v = now.p_pp / s, now.p_pv / s
+            now.x += k_p * nu_x
+            now.y += k_p * nu_y
+            now.v_x, now.v_y = clip_norm(now.v_x + k_v * nu_x, now.v_y + k_v * nu_y, c.speed)
+            pp, pv, m = now.p_pp, now.p_pv, 1.0 - k_p
+            now.p_pp = m * m * pp + k_p * k_p * c.variance
+            now.p_pv = m * (pv - k_v * pp) + k_p * k_v * c.variance
+            now.p_vv = now.p_vv - 2.0 * k_v * pv + k_v * k_v * (pp + c.variance)
+            now.age = now.rejected_in_a_row = 0
+            return
+        now.rejected += 1
+        now.rejected_in_a_row += 1
+        if now.rejected_in_a_row < c.patience:
+            return
+    now.known = True
+    now.x, now.y, now.v_x, now.v_y = now.z_x, now.z_y, 0.0, 0.0
+    now.p_pp, now.p_pv, now.p_vv = c.variance, 0.0, c.first_variance
+    now.age = now.rejected_in_a_row = 0
+
+
+@compiled
+def insert(rows: RecordArray, place: tuple[int, int], tick: int, look: FloatArray) -> int:
+    """Store a detection at its tick and return that tick, or the next tick if it cannot be used.
+
+    Args:
+        rows: Memory of all UAVs.
+        place: World and UAV.
+        tick: Now.
+        look: Detection, in the columns `LOOK`.
+    """
+    world, uav = place
+    depth, taken = rows.shape[2] - 1, int(look[LOOK.taken])
+    if taken < 0 or taken > tick or tick - taken >= depth:
+        return tick + 1
+    row = rows[world, uav, 1 + taken % depth]
+    if row.tick != taken or row.measured:
+        return tick + 1
+    row.measured = True
+    row.z_x, row.z_y = row.own_x - look[LOOK.x], row.own_y - look[LOOK.y]
+    return taken
+
+
+@compiled
+def update(
+    parameters: KalmanParameters,
+    rows: RecordArray,
+    place: tuple[int, int],
+    tick: int,
+    here: Motion,
+    looks: FloatArray,
+    count: int,
+) -> None:
+    """Advance to the next tick and use the detections that have arrived, each at its own tick.
+
+    Args:
+        parameters: Parameters of the filter.
+        rows: Memory of all UAVs, changed in place.
+        place: World and UAV.
+        tick: Now: called for every tick from 0 on.
+        here: Motion of the UAV now.
+        looks: Detections, in the columns `LOOK`. Shape (rows, 3).
+        count: Number of rows that have arrived.
+    """
+    world, uav = place
+    depth, now = rows.shape[2] - 1, rows[world, uav, 0]
+    predict(parameters, now)
+    now.tick, now.own_x, now.own_y, now.measured = tick, here.p_x, here.p_y, False
+    rows[world, uav, 1 + tick % depth] = now
+    first = tick + 1
+    for k in range(count):
+        first = min(first, insert(rows, place, tick, looks[k]))
+    for k in range(first, tick + 1):
+        row = rows[world, uav, 1 + k % depth]
+        if k == first:
+            rows[world, uav, 0] = row
+        else:  # the state comes from the tick before, the measurement from the ring
+            predict(parameters, now)
+            now.tick, now.own_x, now.own_y = k, row.own_x, row.own_y
+            now.measured, now.z_x, now.z_y = row.measured, row.z_x, row.z_y
+            rows[world, uav, 1 + k % depth] = now
+        if now.measured:
+            correct(parameters, now)
