@@ -8,6 +8,7 @@ import msgspec
 
 from agents.control.guard import guard_state
 from agents.control.laws import (
+    LOOKAHEAD,
     PATH,
     POLICY,
     WATCHED,
@@ -17,7 +18,7 @@ from agents.control.laws import (
     initial_state,
     law_parameters,
 )
-from agents.control.lookahead import Target, lookahead_memory
+from agents.control.lookahead import LookaheadMemory, Target, lookahead_memory
 from agents.control.orbit import Path, check_path
 from agents.control.promise import Promise
 from agents.control.telling import GroundTeller
@@ -80,6 +81,7 @@ def _decide(
     promises: RecordArray,
     guarded: bool,
     memory: UavMemory,
+    lookahead: LookaheadMemory | None,
     own: OwnTerms,
     tick: int,
     here: Motion,
@@ -87,7 +89,9 @@ def _decide(
     flown: int,
 ) -> tuple[float, float, int, int, float]:
     """Return the command; arguments and result are those of `uav_tick`."""
-    return uav_tick(laws[0], promises[0], guarded, memory, own, tick, here, target, flown)
+    return uav_tick(
+        laws[0], promises[0], guarded, memory, lookahead, own, tick, here, target, flown
+    )
 
 
 def _report(estimate: Estimate, verdict: Verdict | None) -> UavReport:
@@ -156,7 +160,7 @@ class UavPilot:
         self.estimator = estimator_of(briefing)
         promise = promise_of(briefing)
         self._promises = records(Promise, [promise])
-        self._law_memory = initial_state(), lookahead_memory()
+        self._law_memory, self._lookahead_memory = initial_state(), lookahead_memory()
         self._no_guard = guard_state(promise.delay_ticks, depth=1)
         self._sent: deque[Vector] = deque(maxlen=promise.delay_ticks)  # that may be under way
         self.filter: SafetyFilter | None = self._make_filter()
@@ -176,11 +180,12 @@ class UavPilot:
         """The law and the filter that there are now, as compiled code takes them."""
         guard = self._no_guard if self.filter is None else self.filter.state
         self._flies_policy = self._parameters.law in _FLIES_POLICY
+        self._lookahead = self._lookahead_memory if self._parameters.law == LOOKAHEAD else None
         self._fixed = (
             records(LawParameters, [self._parameters]),
             self._promises,
             self.filter is not None,
-            UavMemory(self.coverage, *self._law_memory, guard),
+            UavMemory(self.coverage, self._law_memory, guard),
         )
 
     def _make_filter(self) -> SafetyFilter | None:
@@ -229,7 +234,7 @@ class UavPilot:
             here = Motion(*observation.position, *observation.velocity)
             own, target = self._own_terms(observation), self.estimator.target
             u_x, u_y, acts, code, distance = _decide(
-                *self._fixed, own, tick, here, target, flown_in(observation)
+                *self._fixed, self._lookahead, own, tick, here, target, flown_in(observation)
             )
             acceleration = u_x, u_y
             if self.filter is not None:

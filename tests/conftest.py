@@ -51,7 +51,6 @@ def command(
     def call(*arguments: object) -> "CompletedProcess[str]":
         monkeypatch.setattr(sys, "argv", ["outrider", *map(str, arguments)])
         monkeypatch.setenv("PYTHONSAFEPATH", "")  # which it sets
-        monkeypatch.setattr("sim.kernels.compile.interpret", lambda: None)  # other tests compile
         before = signal.getsignal(signal.SIGTERM)
         try:
             code = main.run_command_line()

@@ -75,7 +75,10 @@ print(not controls, flight.world.tick, sorted(late - before), len(compiled()) - 
 
 
 def every_control() -> Iterator[Control]:
-    """Each control that an operator has, once: links, laws, drivers, and the clock."""
+    """Each control that an operator has, once: links, laws, drivers, and the clock.
+
+    But for the law `lookahead`, which is compiled when it is flown first.
+    """
     for kind in LinkKind:
         for settings in (
             LinkSettings(
@@ -93,7 +96,7 @@ def every_control() -> Iterator[Control]:
         ):
             yield Control(action=Action.LINK, link=kind, settings=settings)
     for law in LAWS.values():
-        if not law.own:
+        if not law.own and law.name != "lookahead":
             yield Control(action=Action.LAW, law=Law(name=law.name))
     for driver in DRIVERS.values():
         if not (driver.own or driver.outside or driver.needs):

@@ -33,8 +33,6 @@ class UavMemory(NamedTuple):
     """Its own map C of (3). Shape (rows, columns)."""
     law: RecordArray
     """Of the law, from `agents.control.laws.initial_state`."""
-    lookahead: LookaheadMemory
-    """Of the law `lookahead`."""
     guard: GuardState
     """Of the safety filter."""
 
@@ -81,6 +79,7 @@ def uav_tick(
     promise: Promise,
     guarded: bool,
     memory: UavMemory,
+    lookahead: LookaheadMemory | None,
     own: OwnTerms,
     tick: int,
     here: Motion,
@@ -93,6 +92,7 @@ def uav_tick(
 
     Args:
         law, promise, guarded, memory, tick, here: As in `uav_perceive`.
+        lookahead: Memory of the law `lookahead`; None: another law flies, and nothing of this one is compiled.
         own: What the user's function says at this tick, for the laws `weighted` and `path`.
         target: What is believed of the UGV.
         flown: As in `agents.control.guard.guard`.
@@ -102,8 +102,8 @@ def uav_tick(
     """
     if not target.known:
         u_x, u_y = brake(here.v_x, here.v_y, law.u_max, law.dt)
-    elif law.law == LOOKAHEAD:
-        u_x, u_y = lookahead_control(law, memory.coverage, memory.lookahead, tick, here, target)
+    elif lookahead is not None and law.law == LOOKAHEAD:
+        u_x, u_y = lookahead_control(law, memory.coverage, lookahead, tick, here, target)
     else:
         u_x, u_y = uav_control(
             law, own, memory.coverage, memory.law, tick, here, target.p_x, target.p_y

@@ -12,12 +12,13 @@ import numpy as np
 from agents.control.guard import guard_state, track_ticks
 from agents.control.handover import check_assumptions
 from agents.control.laws import (
+    LOOKAHEAD,
     WATCHED,
     LawParameters,
     initial_state,
     law_parameters,
 )
-from agents.control.lookahead import lookahead_memory
+from agents.control.lookahead import LookaheadMemory, lookahead_memory
 from agents.control.promise import Promise
 from agents.control.telling import BLOCK_TILES, telling_memory, telling_ticks
 from agents.control.visibility import promise_of
@@ -241,7 +242,6 @@ class ClosedLoop:
             laws=np.repeat(numbers.laws[None], worlds, axis=0),
             drivers=np.repeat(numbers.drivers[None], worlds, axis=0),
             law_states=_repeated(initial_state(), worlds, uavs),
-            lookaheads=_repeated(lookahead_memory(), worlds, uavs),
             kalman=_repeated(kalman, worlds, uavs),
             guards=_repeated(guard, worlds, uavs),
             driver_states=_repeated(driver_memory(), worlds, ugvs),
@@ -256,7 +256,11 @@ class ClosedLoop:
             states=np.zeros((worlds, told_room), dtype=np.uint8),
         )
         self.state.outbox["stamp"] = -1.0
-        self._fresh = Fresh(self.state[1:])  # all but the batch, which knows its own
+        self._lookaheads: LookaheadMemory | None = None  # unless a UAV flies by that law
+        if (numbers.laws["law"] == LOOKAHEAD).any():
+            self._lookaheads = _repeated(lookahead_memory(), worlds, uavs)
+        # all but the batch, which knows its own
+        self._fresh = Fresh((*self.state[1:], self._lookaheads))
         self._all = np.arange(worlds)
         self.begin([scenario.seed], [0])
 
@@ -283,7 +287,7 @@ class ClosedLoop:
         ):
             for word, name in enumerate(("key_0", "key_1")):
                 rows[name][which] = keys[:, vehicles, word]
-        self._run(which, _NO_ACTIONS, 0, beginning=True)
+        self._run(which, _NO_ACTIONS, 0)
 
     def step(self, actions: FloatArray, worlds: IntArray | None = None) -> None:
         """Worlds advance by one tick.
@@ -305,15 +309,14 @@ class ClosedLoop:
                 f"the actions of {', '.join(self.external)} come from outside: use step"
             )
         none, most = np.zeros((self.worlds, 0, 2)), self.scenario.ticks if ticks is None else ticks
-        self._run(self._all, none, most)
+        if most > 0:
+            self._run(self._all, none, most)
 
-    def _run(
-        self, worlds: IntArray, actions: FloatArray, ticks: int, *, beginning: bool = False
-    ) -> None:
+    def _run(self, worlds: IntArray, actions: FloatArray, ticks: int) -> None:
         which = np.ascontiguousarray(worlds, dtype=np.int64)
         given = np.ascontiguousarray(actions, dtype=np.float64)
-        loop = self.parameters, self.tables, self.state, self.batch.ground
-        self.batch.workers.share(run_worlds, len(worlds), *loop, which, beginning, given, ticks)
+        loop = self.parameters, self.tables, self.state, self.batch.ground, self._lookaheads
+        self.batch.workers.share(run_worlds, len(worlds), *loop, which, given, ticks)
 
     def metrics(self, uav: str) -> dict[str, FloatArray]:
         """A UAV's true standing in this episode, in each world; arrays of shape (worlds,).

@@ -3,7 +3,6 @@
 from typing import Any, NamedTuple
 
 from agents.control.guard import GuardState
-from agents.control.lookahead import LookaheadMemory
 from agents.control.telling import TellingMemory
 from agents.drivers.tile_map import GroundMemory
 from bus.layout import UavRow
@@ -97,8 +96,6 @@ class LoopState(NamedTuple):
     """`DriverParameters` of each UGV, likewise. Shape (worlds, UGVs)."""
     law_states: RecordArray
     """`LawState`. Shape (worlds, UAVs, 1)."""
-    lookaheads: LookaheadMemory
-    """Of the law `lookahead`, with axes for worlds and UAVs in front."""
     kalman: RecordArray
     """`EstimatorRow` of each UAV. Shape (worlds, UAVs, 1 + depth): see `agents.estimation.batch_filter`."""
     guards: GuardState

@@ -98,15 +98,17 @@ def _memory_of(
     parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int, uav: int
 ) -> UavMemory:
     coverage = state.maps[world, uav] if parameters.own_maps else state.batch.coverage[world]
-    ahead = state.lookaheads
-    lookahead = LookaheadMemory(
-        ahead.state[world, uav], ahead.velocities[world, uav], ahead.kept[world, uav]
-    )
     return UavMemory(
         coverage,
         state.law_states[world, uav],
-        lookahead,
         _guard_of(tables, state.guards, world, uav),
+    )
+
+
+@inlined
+def _lookahead_of(lookaheads: LookaheadMemory, world: int, uav: int) -> LookaheadMemory:
+    return LookaheadMemory(
+        lookaheads.state[world, uav], lookaheads.velocities[world, uav], lookaheads.kept[world, uav]
     )
 
 
@@ -121,6 +123,7 @@ def _fly(
     parameters: LoopParameters,
     tables: LoopTables,
     state: LoopState,
+    lookaheads: LookaheadMemory | None,
     world: int,
     vehicle: int,
     uav: int,
@@ -136,23 +139,23 @@ def _fly(
     acts, code, bound = INNER, NOTHING_AGAINST, 0.0
     if tables.hand[vehicle] < 0:
         own = OwnTerms(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        u_x, u_y, acts, code, bound = uav_tick(
-            state.laws[world, uav],
-            tables.promises[uav],
-            guarded,
-            _memory_of(parameters, tables, state, world, uav),
-            own,
-            tick,
-            here,
-            target,
-            flown,
-        )
+        law, promise = state.laws[world, uav], tables.promises[uav]
+        memory = _memory_of(parameters, tables, state, world, uav)
+        if lookaheads is None:
+            u_x, u_y, acts, code, bound = uav_tick(
+                law, promise, guarded, memory, None, own, tick, here, target, flown
+            )
+        else:
+            ahead = _lookahead_of(lookaheads, world, uav)
+            u_x, u_y, acts, code, bound = uav_tick(
+                law, promise, guarded, memory, ahead, own, tick, here, target, flown
+            )
     else:
         u_x, u_y = actions[tables.hand[vehicle], 0], actions[tables.hand[vehicle], 1]
         if guarded:
-            memory = _guard_of(tables, state.guards, world, uav)
+            held = _guard_of(tables, state.guards, world, uav)
             u_x, u_y, acts, code, bound = guard(
-                tables.promises[uav], memory, tick, here, u_x, u_y, flown
+                tables.promises[uav], held, tick, here, u_x, u_y, flown
             )
     if guarded:
         row[GUARD_METRICS.bound] = bound
@@ -445,18 +448,18 @@ def run_worlds(
     tables: LoopTables,
     state: LoopState,
     ground: Ground | None,
+    lookaheads: LookaheadMemory | None,
     worlds: IntArray,
-    beginning: bool,
     actions: FloatArray,
     ticks: int,
     begin: int,
     end: int,
 ) -> None:
-    """Begin these worlds, or fly each on for so many ticks or to the end of its episode.
+    """Fly each of these worlds for a number of ticks or to the end of its episode; 0 ticks: begin it.
 
     World by world, so that a grid stays near its core for a whole flight.
     """
-    batch = state.batch
+    batch, beginning = state.batch, ticks == 0
     for n in range(begin, end):
         k = worlds[n]
         if beginning:
@@ -467,7 +470,8 @@ def run_worlds(
             if not beginning:
                 for v in range(tables.rows.place.shape[0]):
                     if tables.rows.place[v] >= 0:
-                        _fly(parameters, tables, state, k, v, tables.rows.place[v], actions[k])
+                        uav = tables.rows.place[v]
+                        _fly(parameters, tables, state, lookaheads, k, v, uav, actions[k])
                     else:
                         _drive(tables, state, ground, k, v, -1 - tables.rows.place[v], actions[k])
                 begun = batch.ticks[k]

@@ -37,29 +37,22 @@ from sim.scenario.types import Scenario
 
 
 @released
-def _begin_worlds(
+def _run_worlds(
     tables: BatchTables,
     state: BatchState,
     ground: Ground | None,
     worlds: IntArray,
-    begin: int,
-    end: int,
-) -> None:
-    for n in range(begin, end):
-        begin_world(tables, state, ground, worlds[n])
-
-
-@released
-def _step_worlds(
-    tables: BatchTables,
-    state: BatchState,
-    ground: Ground | None,
+    beginning: bool,
     linked: bool,
     begin: int,
     end: int,
 ) -> None:
-    for k in range(begin, end):
-        world_tick(tables, state, ground, k, linked)
+    """Begin worlds, or advance them by one tick."""
+    for n in range(begin, end):
+        if beginning:
+            begin_world(tables, state, ground, worlds[n])
+        else:
+            world_tick(tables, state, ground, worlds[n], linked)
 
 
 def arrays_of(state: object) -> list[npt.NDArray[Any]]:
@@ -115,6 +108,7 @@ class Batch:
         self.workers = WorkerThreads(threads)
         """The threads that share the worlds."""
         self._shared = self.workers.shares(worlds)
+        self._all = np.arange(worlds)
         self.links = links_of(scenario, (*ENGINE_LINKS, *others), worlds)
         """Of detections, of commands, then the others."""
         self._key_rows = key_rows(scenario, self.links)
@@ -160,7 +154,7 @@ class Batch:
             worlds: Which; all by default.
         """
         which = self.restore(seeds, worlds)
-        self.workers.share(_begin_worlds, len(which), self.tables, self.state, self.ground, which)
+        self._run(which, beginning=True)
 
     def restore(
         self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None
@@ -204,11 +198,14 @@ class Batch:
         Args:
             linked: Whether commands cross their links.
         """
-        given = self.tables, self.state, self.ground, linked
+        self._run(self._all, linked=linked)
+
+    def _run(self, worlds: IntArray, *, beginning: bool = False, linked: bool = True) -> None:
+        given = self.tables, self.state, self.ground, worlds, beginning, linked
         if self._shared:
-            self.workers.share(_step_worlds, self.worlds, *given)
+            self.workers.share(_run_worlds, len(worlds), *given)
         else:
-            _step_worlds(*given, 0, self.worlds)
+            _run_worlds(*given, 0, len(worlds))
 
     def change_links(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> None:
         """Give links other settings in all worlds, between two ticks: packets on their way arrive as they would have.

@@ -272,7 +272,7 @@ class Flight:
         world = self.world
         for k, name in enumerate(world.names):
             command = commands.get(name)
-            if name not in self._uav_row:
+            if world.ground is not None and name not in self._uav_row:
                 report = command.report if isinstance(command, UgvCommand) else None
                 world.note_claim(k, report if command and command.tick == world.tick else None)
             if command is None:
