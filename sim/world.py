@@ -22,7 +22,7 @@ from bus.messages import (
 from sim.channel.link_records import ARRIVED
 from sim.channel.links import Links
 from sim.engine.batch import Batch
-from sim.engine.ground_state import Ground
+from sim.engine.ground_state import GroundState
 from sim.engine.mission import mission_of, note_claim, receive_block
 from sim.engine.world_state import BatchState, BatchTables
 from sim.engine.world_tick import measure
@@ -125,7 +125,7 @@ class World:
         return coverage
 
     @property
-    def ground(self) -> Ground | None:
+    def ground(self) -> GroundState | None:
         """The ground; None if there are no hazards."""
         return self._batch.ground
 

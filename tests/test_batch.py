@@ -102,7 +102,7 @@ def test_a_world_that_begins_anew_is_as_if_it_had_never_flown() -> None:
     kept = [array[1].copy() for array in batch.state]
     batch.begin([9, 8], [2, 0])
     for array, before in zip(batch.state, kept, strict=True):
-        assert array[1].tobytes() == before.tobytes()
+        assert str(array[1].tolist()) == str(before.tolist())  # bytes between fields differ
     fresh = Batch(SCENARIOS["network"], 3, gains=True)
     fresh.begin([8, 2, 9])
     commands = np.full((3, 2, 2), 0.2)
@@ -110,7 +110,7 @@ def test_a_world_that_begins_anew_is_as_if_it_had_never_flown() -> None:
         step(batch, commands)
         step(fresh, commands)
     for array, other in zip(batch.state[:3], fresh.state[:3], strict=True):
-        assert array[[0, 2]].tobytes() == other[[0, 2]].tobytes()
+        assert str(array[[0, 2]].tolist()) == str(other[[0, 2]].tolist())
 
 
 @pytest.mark.parametrize("worlds", [0, -1])

@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from processes import wait_until
+from processes import free_port, wait_until
 from starlette.responses import PlainTextResponse
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from bus.errors import ScenarioError
-from outrider.running.launch import free_port
 from outrider.view.page.address import address_of, choose_token, open_socket
 from outrider.view.page.app import application
 from outrider.view.page.hub import Hub

@@ -44,7 +44,7 @@ from sim.engine.certificate_counts import (
     note_report,
     note_sent,
 )
-from sim.engine.ground_state import Ground
+from sim.engine.ground_state import GroundState
 from sim.engine.mission import goals_of, note_claim, receive_block
 from sim.engine.world_state import Vehicle
 from sim.engine.world_tick import begin_world, measure, world_tick
@@ -209,7 +209,7 @@ def _speak(
 def _drive(
     tables: LoopTables,
     state: LoopState,
-    ground: Ground | None,
+    ground: GroundState | None,
     world: int,
     vehicle: int,
     ugv: int,
@@ -248,7 +248,7 @@ def _drive(
 
 @inlined
 def _receive_block(
-    tables: LoopTables, state: LoopState, ground: Ground, world: int, ugv: int, packet: Packet
+    tables: LoopTables, state: LoopState, ground: GroundState, world: int, ugv: int, packet: Packet
 ) -> None:
     """A UGV is told of a block of tiles by radio."""
     block, across = packet.block, state.telling.news.shape[3]
@@ -261,7 +261,7 @@ def _receive_block(
 
 @inlined
 def _feel_ground(
-    tables: LoopTables, state: LoopState, ground: Ground, world: int, ugv: int
+    tables: LoopTables, state: LoopState, ground: GroundState, world: int, ugv: int
 ) -> None:
     """A UGV takes in the tiles that its bumper tells of."""
     v = ground.ugvs[ugv]
@@ -277,7 +277,7 @@ def _feel_ground(
 
 
 @inlined
-def _radio(tables: LoopTables, state: LoopState, ground: Ground | None, world: int) -> None:
+def _radio(tables: LoopTables, state: LoopState, ground: GroundState | None, world: int) -> None:
     """Send out the radio messages of the tick before, and receive those that arrive."""
     tick, arrived = state.batch.ticks[world], state.arrived[world]
     arrived[:] = 0
@@ -308,7 +308,7 @@ def _radio(tables: LoopTables, state: LoopState, ground: Ground | None, world: i
 
 @inlined
 def _see_ground(
-    parameters: LoopParameters, state: LoopState, ground: Ground, world: int, uav: int, v: int
+    parameters: LoopParameters, state: LoopState, ground: GroundState, world: int, uav: int, v: int
 ) -> None:
     """Keep the tiles that a UAV's sensor has reported, to radio them."""
     if parameters.telling_ticks > 0:
@@ -324,7 +324,7 @@ def _perceive(
     parameters: LoopParameters,
     tables: LoopTables,
     state: LoopState,
-    ground: Ground | None,
+    ground: GroundState | None,
     world: int,
 ) -> None:
     """Every UAV takes what has reached it at this tick into its map and its filters, every UGV its radio."""
@@ -447,7 +447,7 @@ def run_worlds(
     parameters: LoopParameters,
     tables: LoopTables,
     state: LoopState,
-    ground: Ground | None,
+    ground: GroundState | None,
     lookaheads: LookaheadMemory | None,
     worlds: IntArray,
     actions: FloatArray,

@@ -15,7 +15,7 @@ from bus.messages import LinkKind, LinkSettings
 from bus.ticks import first_tick_from
 from sim.channel.description import check_link
 from sim.engine.briefing import declared, ugv_delay
-from sim.engine.ground_state import CONSTANTS, Ground, ground_of
+from sim.engine.ground_state import CONSTANTS, GroundState, ground_of
 from sim.engine.run_keys import derive_keys
 from sim.engine.scenario_links import ENGINE_LINKS, key_rows, links_of, vehicles_with
 from sim.engine.world_state import (
@@ -40,7 +40,7 @@ from sim.scenario.types import Scenario
 def _run_worlds(
     tables: BatchTables,
     state: BatchState,
-    ground: Ground | None,
+    ground: GroundState | None,
     worlds: IntArray,
     beginning: bool,
     linked: bool,

@@ -64,7 +64,7 @@ class MissionRecord(NamedTuple):
     """Its position then [m]."""
 
 
-class Ground(NamedTuple):
+class GroundState(NamedTuple):
     """Ground of all worlds: two constant arrays, then arrays with an axis for worlds in front."""
 
     parameters: RecordArray
@@ -115,10 +115,10 @@ class Ground(NamedTuple):
 
 
 CONSTANTS = ("parameters", "corners", "ugvs", "strides")
-"""Arrays of `Ground` without an axis for worlds."""
+"""Arrays of `GroundState` without an axis for worlds."""
 
 
-def ground_of(scenario: Scenario, worlds: int) -> Ground | None:
+def ground_of(scenario: Scenario, worlds: int) -> GroundState | None:
     """Return the ground before anything has been drawn or seen; None if there are no hazards."""
     if not scenario.has_ground:
         return None
@@ -138,7 +138,7 @@ def ground_of(scenario: Scenario, worlds: int) -> Ground | None:
     size, count = tables.tiles.shape, len(tables.hazards)
     missions = np.zeros((worlds, ugvs), dtype=record_type(MissionRecord))
     missions["arrived"] = missions["listed"] = -1
-    return Ground(
+    return GroundState(
         parameters=records(GroundParameters, [parameters]),
         corners=tables.corners,
         ugvs=np.array([k for k, _ in rows], dtype=np.int64),

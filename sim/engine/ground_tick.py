@@ -7,7 +7,7 @@ arrays are empty, and nothing is done.
 
 import math
 
-from sim.engine.ground_state import Ground, GroundParameters
+from sim.engine.ground_state import GroundParameters, GroundState
 from sim.engine.world_state import BatchState, Vehicle, WorldParameters
 from sim.kernels.compile import FloatArray, IntArray, compiled
 from sim.models.field import accumulate
@@ -38,7 +38,7 @@ def _tile_range(center: float, reach: float, tile: float, count: int) -> tuple[i
 
 
 @compiled
-def _tell(ground: Ground, world: int, vehicle: int, row: int, column: int, state: int) -> None:
+def _tell(ground: GroundState, world: int, vehicle: int, row: int, column: int, state: int) -> None:
     """The sensor of a vehicle tells of a tile."""
     ground.known[world, vehicle, row, column] = state
     n = ground.told[world, vehicle]
@@ -63,7 +63,7 @@ def _told_state(
 
 @compiled
 def _look(
-    numbers: WorldParameters, ground: Ground, one: Vehicle, world: int, uav: int, vehicle: int
+    numbers: WorldParameters, ground: GroundState, one: Vehicle, world: int, uav: int, vehicle: int
 ) -> None:
     """Let a UAV look at the ground from its reference position."""
     settings = ground.parameters[0]
@@ -95,7 +95,7 @@ def _look(
 
 
 @compiled
-def _feel(ground: Ground, one: Vehicle, world: int, vehicle: int) -> None:
+def _feel(ground: GroundState, one: Vehicle, world: int, vehicle: int) -> None:
     """Report, by the bumper of a UGV, the tiles that have a point within its range."""
     parameters = ground.parameters[0]
     x, y = one.reference_position[0], one.reference_position[1]
@@ -113,7 +113,9 @@ def _feel(ground: Ground, one: Vehicle, world: int, vehicle: int) -> None:
 
 
 @compiled
-def _meets_block(ground: Ground, world: int, p: FloatArray, q: FloatArray) -> tuple[int, float]:
+def _meets_block(
+    ground: GroundState, world: int, p: FloatArray, q: FloatArray
+) -> tuple[int, float]:
     """The hazard that blocks the way from p to q [m], and the share of the way to it; -1: none."""
     tile, tiles = ground.parameters[0].tile, ground.tiles[world]
     rows, columns = tiles.shape
@@ -166,7 +168,7 @@ def _enters_unknown(
 
 
 @compiled
-def drive_on(p: WorldParameters, ground: Ground, state: BatchState, world: int) -> None:
+def drive_on(numbers: WorldParameters, ground: GroundState, state: BatchState, world: int) -> None:
     """Let the UGVs touch hazards on their way from `before` to where they are; one that is stuck stops."""
     parameters = ground.parameters[0]
     for n in range(ground.ugvs.shape[0]):
@@ -179,7 +181,7 @@ def drive_on(p: WorldParameters, ground: Ground, state: BatchState, world: int) 
             ground.radioed[world, n],
             start,
             place,
-            (p.dt * velocity[0], p.dt * velocity[1]),
+            (numbers.dt * velocity[0], numbers.dt * velocity[1]),
         ):
             row = ground.missions[world, n]
             row.entered += 1
@@ -202,7 +204,7 @@ def drive_on(p: WorldParameters, ground: Ground, state: BatchState, world: int) 
 
 
 @compiled
-def keep_before(ground: Ground, state: BatchState, world: int) -> None:
+def keep_before(ground: GroundState, state: BatchState, world: int) -> None:
     """Note the UGVs' positions before they move."""
     for n in range(ground.ugvs.shape[0]):
         here = state.vehicles[world, ground.ugvs[n]].reference_position
@@ -211,7 +213,7 @@ def keep_before(ground: Ground, state: BatchState, world: int) -> None:
 
 @compiled
 def perceive_ground(
-    p: WorldParameters, ground: Ground, state: BatchState, escorts: IntArray, world: int
+    numbers: WorldParameters, ground: GroundState, state: BatchState, escorts: IntArray, world: int
 ) -> None:
     """Report the tiles that every vehicle's sensor has seen since the tick before."""
     tick = state.ticks[world]
@@ -220,6 +222,6 @@ def perceive_ground(
     if tick > 0 and tick % ground.parameters[0].period == 0:
         for u in range(escorts.shape[0]):
             v = escorts[u, 0]
-            _look(p, ground, state.vehicles[world, v], world, u, v)
+            _look(numbers, ground, state.vehicles[world, v], world, u, v)
     for n in range(ground.ugvs.shape[0]):
         _feel(ground, state.vehicles[world, ground.ugvs[n]], world, ground.ugvs[n])

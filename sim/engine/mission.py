@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages import BLOCK_SIDE, Mission, UgvGuarantee
-from sim.engine.ground_state import Ground, TickArray
+from sim.engine.ground_state import GroundState, TickArray
 from sim.engine.world_state import BatchState, BatchTables
 from sim.kernels.compile import FloatArray, IntArray, compiled
 from sim.kernels.records import RecordArray
@@ -50,7 +50,9 @@ def goals_of(goals: FloatArray, goal_rows: IntArray, ugv: int) -> FloatArray:
 
 
 @compiled
-def _note(ground: Ground, world: int, row: int, column: int, ticks: TickArray, tick: int) -> None:
+def _note(
+    ground: GroundState, world: int, row: int, column: int, ticks: TickArray, tick: int
+) -> None:
     """Somebody is told that there is a hazard on a tile: note it for those that are."""
     tile = ground.parameters[0].tile
     x, y, half = (column + 0.5) * tile, (row + 0.5) * tile, math.sqrt(0.5) * tile
@@ -81,7 +83,7 @@ def note_claim(ugvs: RecordArray, ugv: int, claim: int) -> None:
 
 @compiled
 def receive_block(
-    ground: Ground,
+    ground: GroundState,
     world: int,
     ugv: int,
     tick: int,
@@ -118,7 +120,7 @@ def receive_block(
 
 
 @compiled
-def _note_sensors(ground: Ground, world: int, tick: int) -> None:
+def _note_sensors(ground: GroundState, world: int, tick: int) -> None:
     """Note the hazards of which the vehicles' own sensors have just told."""
     columns = ground.tiles.shape[2]
     for v in range(ground.told.shape[1]):
@@ -149,7 +151,9 @@ def _list_near(hazards: RecordArray, near: TickArray, x: float, y: float) -> int
 
 
 @compiled
-def _drive(tables: BatchTables, state: BatchState, ground: Ground, world: int, ugv: int) -> None:
+def _drive(
+    tables: BatchTables, state: BatchState, ground: GroundState, world: int, ugv: int
+) -> None:
     """Update the mission of a UGV that has come to where it is."""
     tick, vehicle = state.ticks[world], state.vehicles[world, tables.ugvs[ugv]]
     x, y = vehicle.position[0], vehicle.position[1]
@@ -183,7 +187,7 @@ def _drive(tables: BatchTables, state: BatchState, ground: Ground, world: int, u
 
 
 @compiled
-def note_mission(tables: BatchTables, state: BatchState, ground: Ground, world: int) -> None:
+def note_mission(tables: BatchTables, state: BatchState, ground: GroundState, world: int) -> None:
     """Record a tick of a world: the reports of sensors, and the places that the UGVs have reached."""
     _note_sensors(ground, world, state.ticks[world])
     for n in range(ground.ugvs.shape[0]):
@@ -209,7 +213,7 @@ def _guarantee(row: RecordArray) -> UgvGuarantee:
 
 
 def mission_of(
-    goal_rows: IntArray, ground: Ground, world: int, dt: float, names: Sequence[str]
+    goal_rows: IntArray, ground: GroundState, world: int, dt: float, names: Sequence[str]
 ) -> Mission:
     """The mission of a world so far.
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from sim.channel.link import begin_tick, receive, send
 from sim.channel.link_records import ARRIVED
-from sim.engine.ground_state import Ground
+from sim.engine.ground_state import GroundState
 from sim.engine.ground_tick import drive_on, keep_before, perceive_ground
 from sim.engine.mission import note_mission
 from sim.engine.world_state import BatchState, BatchTables, Vehicle, WorldParameters
@@ -22,7 +22,7 @@ from sim.models.wind import draw_disturbance
 
 
 @compiled
-def _step(p: WorldParameters, vehicle: Vehicle, max_speed: float) -> None:
+def _step(numbers: WorldParameters, vehicle: Vehicle, max_speed: float) -> None:
     """Move the reference state of a vehicle over a tick, (1), and the true state with it."""
     place, velocity = vehicle.reference_position, vehicle.reference_velocity
     p_x, p_y, v_x, v_y, u_x, u_y = step_vehicle(
@@ -34,15 +34,17 @@ def _step(p: WorldParameters, vehicle: Vehicle, max_speed: float) -> None:
         vehicle.command[1],
         max_speed,
         vehicle.max_acceleration,
-        p.dt,
+        numbers.dt,
     )
-    place[0], velocity[0] = within_walls(p_x, v_x, p.width)
-    place[1], velocity[1] = within_walls(p_y, v_y, p.height)
+    place[0], velocity[0] = within_walls(p_x, v_x, numbers.width)
+    place[1], velocity[1] = within_walls(p_y, v_y, numbers.height)
     vehicle.acceleration[0], vehicle.acceleration[1] = u_x, u_y
 
 
 @compiled
-def _move(p: WorldParameters, vehicles: RecordArray, ground: Ground | None, world: int) -> None:
+def _move(
+    numbers: WorldParameters, vehicles: RecordArray, ground: GroundState | None, world: int
+) -> None:
     """Move every vehicle to where its command leads, (1)."""
     for v in range(vehicles.shape[1]):
         vehicle = vehicles[world, v]
@@ -51,7 +53,7 @@ def _move(p: WorldParameters, vehicles: RecordArray, ground: Ground | None, worl
             pace = ground.pace[world, v]
             if pace < 1.0:
                 speed = speed * pace if pace > 0.0 else 0.0  # which may be infinite
-        _step(p, vehicle, speed)
+        _step(numbers, vehicle, speed)
 
 
 @compiled
@@ -73,52 +75,52 @@ def _be_at_reference(vehicle: Vehicle) -> None:
 
 
 @compiled
-def _look(p: WorldParameters, state: BatchState, escorts: IntArray, world: int) -> None:
+def _look(numbers: WorldParameters, state: BatchState, escorts: IntArray, world: int) -> None:
     """Let every UAV's sensor look at the ground, (3)."""
     coverage = state.coverage[world]
     for k in range(escorts.shape[0]):
         uav, ugv = state.vehicles[world, escorts[k, 0]], state.vehicles[world, escorts[k, 1]]
-        if p.gains:
+        if numbers.gains:
             uav.gain = accumulate_with_gain(
                 coverage,
                 uav.position[0],
                 uav.position[1],
                 ugv.position[0],
                 ugv.position[1],
-                p.r_o,
-                p.desired,
-                p.sensor,
-                p.peak,
-                p.reach,
-                p.cell,
-                p.dt,
+                numbers.r_o,
+                numbers.desired,
+                numbers.sensor,
+                numbers.peak,
+                numbers.reach,
+                numbers.cell,
+                numbers.dt,
             )
         else:
             accumulate(
                 coverage,
                 uav.position[0],
                 uav.position[1],
-                p.sensor,
-                p.peak,
-                p.reach,
-                p.cell,
-                p.dt,
+                numbers.sensor,
+                numbers.peak,
+                numbers.reach,
+                numbers.cell,
+                numbers.dt,
             )
 
 
 @compiled
-def _detect(p: WorldParameters, uav: Vehicle, ugv: Vehicle, tick: int) -> None:
+def _detect(numbers: WorldParameters, uav: Vehicle, ugv: Vehicle, tick: int) -> None:
     """Let a UAV's detector look for its UGV, if it is due at this tick."""
     uav.detection[0], uav.detection[1] = np.nan, np.nan
-    if tick % p.period == 0:
+    if tick % numbers.period == 0:
         _, uav.detection[0], uav.detection[1] = detect(
             uav.position[0] - ugv.position[0],
             uav.position[1] - ugv.position[1],
-            p.r_v,
-            p.reach,
-            p.dropout,
-            p.sigma,
-            p.cut,
+            numbers.r_v,
+            numbers.reach,
+            numbers.dropout,
+            numbers.sigma,
+            numbers.cut,
             key_of(uav.keys, DETECTION_NOISE),
             key_of(uav.keys, DETECTION_CHANCE),
             tick,
@@ -143,14 +145,19 @@ def measure(
         world: The world.
         error: False: leave e(t) at 0.
     """
-    p = parameters[0]
+    numbers = parameters[0]
     for k in range(escorts.shape[0]):
         uav, ugv = vehicles[world, escorts[k, 0]], vehicles[world, escorts[k, 1]]
         uav.distance = norm(uav.position[0] - ugv.position[0], uav.position[1] - ugv.position[1])
         uav.coverage_error = 0.0
         if error:
             uav.coverage_error = coverage_error(
-                coverage[world], ugv.position[0], ugv.position[1], p.r_o, p.desired, p.cell
+                coverage[world],
+                ugv.position[0],
+                ugv.position[1],
+                numbers.r_o,
+                numbers.desired,
+                numbers.cell,
             )
 
 
@@ -168,7 +175,7 @@ def _note_arrival(motions: RecordArray, world: int, vehicle: int, last: int, car
 
 
 @compiled
-def _fly_motion(p: WorldParameters, state: BatchState, world: int, v: int) -> bool:
+def _fly_motion(numbers: WorldParameters, state: BatchState, world: int, v: int) -> bool:
     """Fly the motion of this tick if it has come and goes on from the one that is flown, else the rest of that one.
 
     Returns:
@@ -185,7 +192,7 @@ def _fly_motion(p: WorldParameters, state: BatchState, world: int, v: int) -> bo
         vehicle.reference_velocity[0],
         vehicle.reference_velocity[1],
         vehicle.max_acceleration,
-        p.dt,
+        numbers.dt,
     )
     flown.age += 1
     return True
@@ -222,16 +229,16 @@ def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None
     Without one for a while, it brakes. A receiver of motions begins each in its own tick, and goes on with the motion
     that it flies if none begins.
     """
-    p, uavs = tables.world[0], tables.escorts.shape[0]
+    numbers, uavs = tables.world[0], tables.escorts.shape[0]
     for v in range(state.vehicles.shape[1]):
         vehicle = state.vehicles[world, v]
         _exchange_commands(state, tables.traces, world, v, uavs + v)
-        if vehicle.follows_motions and _fly_motion(p, state, world, v):
+        if vehicle.follows_motions and _fly_motion(numbers, state, world, v):
             continue
-        if state.ticks[world] - vehicle.command_tick > p.hold_ticks:
+        if state.ticks[world] - vehicle.command_tick > numbers.hold_ticks:
             velocity = vehicle.reference_velocity
             vehicle.command[0], vehicle.command[1] = brake(
-                velocity[0], velocity[1], vehicle.max_acceleration, p.dt
+                velocity[0], velocity[1], vehicle.max_acceleration, numbers.dt
             )
 
 
@@ -245,39 +252,41 @@ def draw_disturbances(tables: BatchTables, state: BatchState, world: int) -> Non
 
 
 @compiled
-def _perceive(tables: BatchTables, state: BatchState, ground: Ground | None, world: int) -> None:
+def _perceive(
+    tables: BatchTables, state: BatchState, ground: GroundState | None, world: int
+) -> None:
     """Let the vehicles' sensors look at the ground, and the UAVs' detectors at their UGVs.
 
     A sensor of the ground looks from the reference position of its vehicle: the time of a tile's report depends on the
     vehicle's own track alone, so that no UAV can infer the wind from it.
     """
-    p = tables.world[0]
+    numbers = tables.world[0]
     if ground is not None:
-        perceive_ground(p, ground, state, tables.escorts, world)
+        perceive_ground(numbers, ground, state, tables.escorts, world)
         note_mission(tables, state, ground, world)
     for u in range(tables.escorts.shape[0]):
         uav, ugv = tables.escorts[u, 0], tables.escorts[u, 1]
         vehicles = state.vehicles
-        _detect(p, vehicles[world, uav], vehicles[world, ugv], state.ticks[world])
+        _detect(numbers, vehicles[world, uav], vehicles[world, ugv], state.ticks[world])
 
 
 @compiled
-def move(tables: BatchTables, state: BatchState, ground: Ground | None, world: int) -> None:
+def move(tables: BatchTables, state: BatchState, ground: GroundState | None, world: int) -> None:
     """Advance to the next tick: vehicles move (1), UAVs look at the ground (3) and at their UGVs."""
-    p = tables.world[0]
+    numbers = tables.world[0]
     state.ticks[world] += 1
     if ground is not None:
         keep_before(ground, state, world)
-    _move(p, state.vehicles, ground, world)
+    _move(numbers, state.vehicles, ground, world)
     if ground is not None:
-        drive_on(p, ground, state, world)
+        drive_on(numbers, ground, state, world)
     for v in range(state.vehicles.shape[1]):
         _be_at_reference(state.vehicles[world, v])
     for u in range(tables.disturbances.shape[0]):
         uav = state.vehicles[world, tables.escorts[u, 0]]
-        step_error(tables.disturbances[u], uav.disturbance, p.dt)
+        step_error(tables.disturbances[u], uav.disturbance, numbers.dt)
         apply_disturbance(uav)
-    _look(p, state, tables.escorts, world)
+    _look(numbers, state, tables.escorts, world)
     _perceive(tables, state, ground, world)
 
 
@@ -302,7 +311,9 @@ def deliver_detections(tables: BatchTables, state: BatchState, world: int) -> No
 
 
 @compiled
-def begin_world(tables: BatchTables, state: BatchState, ground: Ground | None, world: int) -> None:
+def begin_world(
+    tables: BatchTables, state: BatchState, ground: GroundState | None, world: int
+) -> None:
     """Let a world whose arrays are as they are at the start, but for its keys, have the first look."""
     _perceive(tables, state, ground, world)
     deliver_detections(tables, state, world)
@@ -310,7 +321,7 @@ def begin_world(tables: BatchTables, state: BatchState, ground: Ground | None, w
 
 @compiled
 def world_tick(
-    tables: BatchTables, state: BatchState, ground: Ground | None, world: int, linked: bool
+    tables: BatchTables, state: BatchState, ground: GroundState | None, world: int, linked: bool
 ) -> None:
     """Advance a world by one tick.
 

@@ -1,7 +1,7 @@
 """One world's rows, rewards and metrics by vehicle: a shell around `sim.env.rows` with a batch of one."""
 
 from bus.layout import Row, UavRow, UavState, UgvRow, UgvState
-from sim.engine.ground_state import Ground
+from sim.engine.ground_state import GroundState
 from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rewards import MISSION_TERMS, RewardWeights, UavTerms, UgvTerms
 from sim.env.rows import (
@@ -24,7 +24,7 @@ from sim.world import World
 def _advance(
     bt: BatchTables,
     bs: BatchState,
-    ground: Ground | None,
+    ground: GroundState | None,
     tables: RowTables,
     state: RowState,
     beginning: bool,

@@ -9,7 +9,7 @@ import numpy as np
 
 from bus.layout import UavRow, UgvRow
 from sim.channel.link_records import ARRIVED
-from sim.engine.ground_state import Ground
+from sim.engine.ground_state import GroundState
 from sim.engine.mission import goals_of
 from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rewards import RewardWeights, UavTerms, full_error, uav_terms, ugv_terms
@@ -171,7 +171,7 @@ def _measure_uav(bt: BatchTables, bs: BatchState, state: RowState, world: int, u
 
 
 @compiled
-def _measure_mission(ground: Ground, state: RowState, world: int, ugv: int) -> None:
+def _measure_mission(ground: GroundState, state: RowState, world: int, ugv: int) -> None:
     """Earnings of a UGV in this tick on ground with hazards."""
     row, mission, hits = state.ugvs[world, ugv], ground.missions[world, ugv], 0
     for n in range(ground.hits.shape[2]):
@@ -219,7 +219,7 @@ def _end(bt: BatchTables, tables: RowTables, state: RowState, world: int, left: 
 def _pay(
     bt: BatchTables,
     bs: BatchState,
-    ground: Ground | None,
+    ground: GroundState | None,
     tables: RowTables,
     state: RowState,
     world: int,
@@ -265,7 +265,7 @@ def _pay(
 def advance_rows(
     bt: BatchTables,
     bs: BatchState,
-    ground: Ground | None,
+    ground: GroundState | None,
     tables: RowTables,
     state: RowState,
     world: int,

@@ -3,7 +3,7 @@
 import numpy as np
 
 from sim.engine.batch import Batch
-from sim.engine.ground_state import CONSTANTS, Ground
+from sim.engine.ground_state import CONSTANTS, GroundState
 from sim.engine.world_tick import measure
 from sim.kernels.compile import FloatArray
 
@@ -24,12 +24,12 @@ class SeenWorld:
         self.escorts = batch.tables.escorts
 
     @property
-    def ground(self) -> Ground | None:
+    def ground(self) -> GroundState | None:
         """The ground as that of a batch of one; None if there are no hazards."""
         ground, k = self._batch.ground, self._k
         if ground is None:
             return None
-        changing = (name for name in Ground._fields if name not in CONSTANTS)
+        changing = (name for name in GroundState._fields if name not in CONSTANTS)
         return ground._replace(**{name: getattr(ground, name)[k : k + 1] for name in changing})
 
     @property

@@ -13,7 +13,6 @@ from sim.engine.certificate_counts import (
     count_tick,
     count_tracking,
     note_end,
-    note_sent,
     sent_commands,
 )
 from sim.kernels.compile import FloatArray
@@ -134,7 +133,7 @@ class Assurance:
                 reason = report.uncertified
         if not says and (not watched or self._disregarded[uav]):
             if command is not None:  # the next one may be watched
-                note_sent(self._sent[uav], *sent)
+                self._sent[uav, command.tick % self._sent.shape[1]] = sent
             return
         if self._last[uav] != tick - 1:  # not watched just before: a new filter, without a memory
             count = self._counts[uav]

@@ -436,3 +436,5 @@ def warm_up(scenario: Scenario) -> None:
                 for _ in range(3):
                     links.send_object(row, world.tick + 1, None, world.tick)
             flight.apply({})
+    flight.take_down()
+    flight.answers.end()
