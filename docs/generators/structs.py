@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 from msgspec import inspect as types
-
-from sim.scenario.schema import field_docs
+from scenario_schema import field_docs
 
 
 class Field(NamedTuple):

@@ -83,8 +83,7 @@ def new(
     Example: outrider scenarios new mine.toml, then outrider check mine.toml and outrider run mine.toml
     """
     from outrider.cli.console import OUT
-    from sim.scenario.loading import scenario_names, shipped_text
-    from sim.scenario.schema import schema_text
+    from sim.scenario.loading import scenario_names, schema_text, shipped_text
 
     if file.suffix != ".toml":
         raise typer.BadParameter(f"{file}: a scenario's file ends in .toml: {file.name}.toml")
@@ -109,6 +108,6 @@ def schema() -> None:
 
     Example: outrider scenarios schema > scenario.schema.json
     """
-    from sim.scenario.schema import schema_text
+    from sim.scenario.loading import schema_text
 
     print_text(schema_text())

@@ -38,6 +38,11 @@ def scenario_names() -> tuple[str, ...]:
     return tuple(sorted(_shipped(), key=lambda name: (name != DEFAULT_SCENARIO, name)))
 
 
+def schema_text() -> str:
+    """Return the JSON Schema of a scenario's file, which docs/generators/scenario_schema.py makes."""
+    return (files("sim.scenario") / "scenario.schema.json").read_text("utf-8")
+
+
 def shipped_text(name: str) -> str:
     """The TOML text of a shipped scenario.
 

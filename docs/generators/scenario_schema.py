@@ -1,9 +1,13 @@
-"""The JSON Schema of a scenario's file, made from its types and from the documentation of their fields."""
+"""JSON Schema of a scenario's file, made from its types and the documentation of their fields.
+
+python docs/generators/scenario_schema.py writes sim/scenario/scenario.schema.json, which the package ships.
+"""
 
 import ast
 import functools
 import inspect
 import itertools
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -70,5 +74,10 @@ def scenario_schema() -> dict[str, Any]:
 
 
 def schema_text() -> str:
-    """The schema as a text that ends with a line break."""
+    """Return the schema as a text that ends with a line break."""
     return msgspec.json.format(msgspec.json.encode(scenario_schema()), indent=2).decode() + "\n"
+
+
+if __name__ == "__main__":
+    file = Path(types.__file__).with_name("scenario.schema.json")
+    file.write_text(schema_text(), encoding="utf-8")
