@@ -32,15 +32,6 @@ def _compiled_functions() -> Iterator[tuple[str, Any]]:
 FUNCTIONS = dict(_compiled_functions())
 
 
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_every_function_is_compiled_strictly_and_kept(name: str) -> None:
-    """No fast mathematics, nor arrays' own products summed in another order; `test_closed_loop` compares the bits."""
-    function = FUNCTIONS[name]
-    assert not {"fastmath", "parallel"} & {key for key, on in function.targetoptions.items() if on}
-    assert function.targetoptions["error_model"] == "numpy"
-    assert type(function._cache).__name__ != "NullCache"
-
-
 _TRACK = {"p_x": 20.7, "p_y": 21.3, "duration": 0.43}
 _PAIR = {"p_ax": 20.7, "p_ay": 21.3, "p_gx": 20.0, "p_gy": 20.0, "r_o": 9.75, "desired": 2.0}
 _SENSOR = {"peak": 0.9, "reach": 5.0}

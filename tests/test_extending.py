@@ -32,7 +32,6 @@ if numba.config.DISABLE_JIT:
         function.py_func = function
         return function
 
-    compile._interpreted = True
     compile._compile = plain  # which leaves it as it is, but for what a compiled function has
     rows_type = records.record_type  # Python reads a record's columns by name, not those of a void
     records.record_type = lambda fields: np.dtype((np.record, rows_type(fields)))

@@ -23,7 +23,7 @@ from sim.models.wind import draw_disturbance
 
 @compiled
 def _step(numbers: WorldParameters, vehicle: Vehicle, max_speed: float) -> None:
-    """Move the reference state of a vehicle over a tick, (1), and the true state with it."""
+    """Move the reference state of a vehicle over a tick, (1)."""
     place, velocity = vehicle.reference_position, vehicle.reference_velocity
     p_x, p_y, v_x, v_y, u_x, u_y = step_vehicle(
         place[0],

@@ -1,1 +1,1 @@
-"""Speed of the equations: compiling, lanes, prefetching, threads."""
+"""Compilation, records, lane sums and threads for the compiled functions."""
