@@ -65,8 +65,11 @@ def from_outside(folder: Path, python: Path) -> Iterator[Row]:
 def from_c(folder: Path, python: Path) -> Iterator[Row]:
     """A master in C, which has to load a Python for the unit."""
     what = "a master in C simulates the world: it ends where the run ends"
-    asked = "from sysconfig import *; print(*map(get_config_var, ('LIBDIR', 'LDLIBRARY')), get_path('purelib'))"
-    where, name, packages = called(python, "-c", asked).stdout.split()
+    asked = (
+        "from sysconfig import *; "
+        "print(*map(get_config_var, ('LIBDIR', 'LDLIBRARY')), get_path('purelib'), sep='\\n')"
+    )
+    where, name, packages = called(python, "-c", asked).stdout.splitlines()
     libpython, compiler = Path(where, name), shutil.which("cc")
     if compiler is None or libpython.suffix != ".so" or not libpython.exists():
         yield Row(what, f"not tried: C compiler {compiler}, Python's library {libpython}", True)

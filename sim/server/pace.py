@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Mapping
 from typing import NamedTuple
 
 from bus.errors import PeerLost
-from bus.messages import Command, Observation
+from bus.messages import Command, Observation, UavObservation
 from bus.session import Session
 from sim.server.run_timing import Timing
 from sim.server.sessions import Slots
@@ -25,6 +25,9 @@ A burst of ticks would leave nobody time to answer.
 """
 _FIRST_GRACE = 2.0
 """So long [s] in the first tick: whoever has started a vehicle that fails at once can still end the run unflown."""
+_COMPILING = 6.0
+"""A vehicle may take this many deadlines for its first answer, and for that after a change of its law or driver: the
+first time on a machine it compiles then."""
 _LATE = 0.5
 """A tick that ends later than it should by more than this share of its length is late."""
 
@@ -78,6 +81,7 @@ class Lockstep:
         self._first_grace = min(timing.deadline, _FIRST_GRACE)
         self._observations: Mapping[str, Observation] = {}
         self._awaited: dict[str, _Wait] = {}
+        self._due: set[str] = set()  # vehicles that have answered, or have been late once
         self._given_up: set[str] = set()
         self._flying: set[str] = set()  # vehicles that were there when this tick began
         self._cut_off: dict[str, float] = {}
@@ -94,10 +98,18 @@ class Lockstep:
         given = self._slots.send(observations)
         now = time.monotonic()
         self._given_up -= given
-        self._awaited = dict.fromkeys(given, _Wait(now, self._deadline, patient=False))
+        self._awaited = {
+            name: _Wait(now, self._limit(name, observations[name]), patient=False) for name in given
+        }
         if len(given) < len(observations):
             self._await_absent(observations.keys() - given - self._given_up, now)
         self._flying = set(self._awaited)
+
+    def _limit(self, name: str, observation: Observation) -> float:
+        """Return how long a vehicle may take for its answer [s]."""
+        driven = observation.law if isinstance(observation, UavObservation) else observation.driver
+        compiles = driven is not None or name not in self._due
+        return self._deadline * (_COMPILING if compiles else 1.0)
 
     def _await_absent(self, names: Collection[str], now: float) -> None:
         """Wait for those who could not be given this tick's observation, if they may come back."""
@@ -133,6 +145,7 @@ class Lockstep:
             if envelope is not None:
                 if self._slots.take(envelope, tick, commands, oldest=tick):
                     awaited.pop(envelope.sender, None)
+                    self._due.add(envelope.sender)
                     self._cut_off.pop(envelope.sender, None)
                     if not awaited:
                         break
@@ -200,6 +213,7 @@ class Lockstep:
         absent = set(self._slots.absent)
         for name in late:
             waited = now - self._awaited.pop(name).since
+            self._due.add(name)
             if name in absent:
                 self._given_up.add(name)
                 if self._is_waited_for(name):
