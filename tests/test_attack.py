@@ -73,11 +73,7 @@ def test_where_the_assumptions_hold_nobody_is_lost_and_the_certificate_is_approa
     assert 0.98 * R_V < rows["max_distance"].max() < R_V
     assert rows["max_certified"].max() < R_V  # between ticks too
     assert rows["max_excess"].max() <= 1e-9
-    assert not any(rows[name].any() for name in ("certified_lost", "broken"))
-    at_first = attack(declared(conditions, 0.0), conditions, 11, 0, 200, 0.0)["uncertified"]
-    ticks = DURATION / declared(conditions, 0.0).dt + 1
-    assert rows["uncertified"] * ticks == pytest.approx(at_first)
-    assert at_first.sum() < 60
+    assert not any(rows[name].any() for name in ("uncertified", "certified_lost", "broken"))
     assert rows["max_age"].max() <= promise.age + 1e-9
     assert 0.0 < rows["intervened"].mean() < 0.6
 
