@@ -18,7 +18,7 @@ from agents.control.laws import (
     initial_state,
     law_parameters,
 )
-from agents.control.lookahead import LookaheadMemory, Target, lookahead_memory
+from agents.control.lookahead import lookahead_memory
 from agents.control.orbit import Path, check_path
 from agents.control.promise import Promise
 from agents.control.telling import GroundTeller
@@ -42,8 +42,8 @@ from bus.messages import (
 )
 from bus.registry import LAWS, UAV_POLICY_FORMS
 from bus.ticks import looks_of, radio_ticks
-from sim.kernels.compile import FloatArray, compiled
-from sim.kernels.records import RecordArray, records
+from sim.kernels.compile import FloatArray
+from sim.kernels.records import records
 from sim.models.field import cover, coverage_error, empty_coverage
 from sim.models.vehicles import Motion, norm
 
@@ -57,41 +57,6 @@ _NOTHING_OWN = OwnTerms()
 
 _FLIES_POLICY = frozenset(row.code for row in LAWS.values() if "uav_policy" in (row.own, row.inner))
 """Codes of the laws under which a policy flies."""
-
-
-@compiled
-def _perceive(
-    laws: RecordArray,
-    promises: RecordArray,
-    guarded: bool,
-    memory: UavMemory,
-    looked: int,
-    tick: int,
-    here: Motion,
-    looks: FloatArray,
-    count: int,
-) -> None:
-    """Update map and safety filter; the arguments are those of `uav_perceive`."""
-    uav_perceive(laws[0], promises[0], guarded, memory, looked, tick, here, looks, count)
-
-
-@compiled
-def _decide(
-    laws: RecordArray,
-    promises: RecordArray,
-    guarded: bool,
-    memory: UavMemory,
-    lookahead: LookaheadMemory | None,
-    own: OwnTerms,
-    tick: int,
-    here: Motion,
-    target: Target,
-    flown: int,
-) -> tuple[float, float, int, int, float]:
-    """Return the command; arguments and result are those of `uav_tick`."""
-    return uav_tick(
-        laws[0], promises[0], guarded, memory, lookahead, own, tick, here, target, flown
-    )
 
 
 def _report(estimate: Estimate, verdict: Verdict | None) -> UavReport:
@@ -159,7 +124,7 @@ class UavPilot:
             )
         self.estimator = estimator_of(briefing)
         promise = promise_of(briefing)
-        self._promises = records(Promise, [promise])
+        (self._promise,) = records(Promise, [promise])
         self._law_memory, self._lookahead_memory = initial_state(), lookahead_memory()
         self._no_guard = guard_state(promise.delay_ticks, depth=1)
         self._sent: deque[Vector] = deque(maxlen=promise.delay_ticks)  # that may be under way
@@ -177,13 +142,13 @@ class UavPilot:
         self._take_on()
 
     def _take_on(self) -> None:
-        """The law and the filter that there are now, as compiled code takes them."""
+        """Prepare the arguments of compiled code for the present law and safety filter."""
         guard = self._no_guard if self.filter is None else self.filter.state
         self._flies_policy = self._parameters.law in _FLIES_POLICY
         self._lookahead = self._lookahead_memory if self._parameters.law == LOOKAHEAD else None
         self._fixed = (
-            records(LawParameters, [self._parameters]),
-            self._promises,
+            records(LawParameters, [self._parameters])[0],
+            self._promise,
             self.filter is not None,
             UavMemory(self.coverage, self._law_memory, guard),
         )
@@ -233,7 +198,7 @@ class UavPilot:
         else:
             here = Motion(*observation.position, *observation.velocity)
             own, target = self._own_terms(observation), self.estimator.target
-            u_x, u_y, acts, code, distance = _decide(
+            u_x, u_y, acts, code, distance = uav_tick(
                 *self._fixed, self._lookahead, own, tick, here, target, flown_in(observation)
             )
             acceleration = u_x, u_y
@@ -272,7 +237,7 @@ class UavPilot:
         looked = 0 if before is None else tick - before
         here = Motion(*observation.position, *observation.velocity)
         rows, count = self._looks.take(observation.detections)
-        _perceive(*self._fixed, looked, tick, here, rows, count)
+        uav_perceive(*self._fixed, looked, tick, here, rows, count)
 
     def _fly(self, law: Law) -> None:
         """Take another law; map, filter and the state of the law before stay."""

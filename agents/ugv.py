@@ -85,6 +85,6 @@ class UgvPilot:
         )
 
     def forget_commands(self) -> None:
-        """The commands so far were not sent, or another process has sent them."""
+        """Forget the commands so far: they were not sent, or another process has sent them."""
         if isinstance(self._driver, NavigateDriver):
             self._driver.forget_commands()

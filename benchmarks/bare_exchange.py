@@ -13,7 +13,7 @@ from pathlib import Path
 import zenoh
 
 OBSERVATION, COMMAND = bytes(273), bytes(343)
-"""Payloads as long as those of the UAV in `escort`."""
+"""Payloads of the same length as the UAV's in `escort`."""
 _CLIENTS = ("uav", "ugv")
 _OVER = b"over"
 

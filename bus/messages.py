@@ -671,16 +671,16 @@ class CoverageMap(Message, frozen=True, kw_only=True):
 
 
 class UgvGuarantee(Message, frozen=True, kw_only=True):
-    """The words of a cautious UGV so far, held against the truth (docs/explanation/ground.md)."""
+    """Certificates of a cautious UGV so far, compared with the truth (docs/explanation/ground.md)."""
 
     entered_unknown_tile: Tick
     """Ticks in which it drove over a tile that it did not know to be drivable."""
     ticks: Tick
-    """Ticks in which it has said whether it is certified to stay on tiles that it knows."""
+    """Ticks in which it reported whether it is certified to stay on tiles that it knows."""
     certified: Tick
-    """Those in which it was."""
+    """Ticks in which it was."""
     uncertified: dict[Text, Tick] = {}
-    """Those in which it was not, by reason."""
+    """Ticks in which it was not, by reason."""
     certificate_broken: Tick
     """Certified ticks after which it was not certified, or in which it entered such a tile, although all assumptions
     hold: the guarantee is wrong if there is one."""
@@ -710,7 +710,7 @@ class Mission(Message, frozen=True, kw_only=True):
     ground_certificate_broken: Tick = 0
     """As `UgvGuarantee.certificate_broken`, of all UGVs."""
     guarantees: dict[Name, UgvGuarantee] = {}
-    """Of each UGV."""
+    """Guarantee of each UGV, by name."""
     still_time: NonNegative
     """Time that the UGVs stood still before they had arrived [s]."""
     finds: Tick

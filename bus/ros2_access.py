@@ -76,7 +76,7 @@ CALLS = Input(
 )
 """Calls of services."""
 INPUTS = (VELOCITIES, CALLS)
-"""All inputs of a bridge that shows a run; those of a bridge that flies a vehicle are that vehicle's own."""
+"""Inputs of a bridge that shows a run; a bridge that flies a vehicle has the inputs of that vehicle alone."""
 
 
 def _late(*keys: str) -> tuple[str, ...]:

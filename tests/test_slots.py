@@ -301,6 +301,17 @@ def test_a_flood_of_messages_neither_stops_the_clock_nor_the_end(payload, tmp_pa
     assert late == ["ugv_0 is late: no command for tick 0 after 1.8 s"]  # told once, then counted
 
 
+@pytest.mark.parametrize(("slow_at", "missing"), [(0, 0), (3, 1)])
+def test_only_a_first_answer_may_take_several_deadlines(slow_at, missing, tmp_path) -> None:
+    """A vehicle compiles before its first answer, the first time on a machine."""
+    with stage(tmp_path, 6, deadline=0.3) as run:
+        run.start("uav_0")
+        run.start("ugv_0", on_tick=lambda tick: time.sleep(0.8 if tick == slow_at else 0.0))
+        flight = run.fly()
+    assert flight.answers.missing["uav_0"] == 0
+    assert bool(flight.answers.missing["ugv_0"]) == bool(missing)
+
+
 def test_an_answer_to_another_tick_or_a_second_one_is_counted_and_changes_nothing(tmp_path):
     scenario = load_scenario("escort", overrides=["duration=1.0"])
 

@@ -35,7 +35,6 @@ from bus.messages import (
 )
 from bus.registry import BOLD, DRIVERS
 from bus.ticks import first_tick_from
-from sim.kernels.compile import FloatArray, compiled
 from sim.kernels.records import RecordArray, record_type, records
 from sim.models.ground import (
     CERTIFIED,
@@ -143,22 +142,6 @@ def take_ground(memory: GroundMemory, observation: UgvObservation) -> None:
         note_tiles(memory, rows, columns, states)
 
 
-@compiled
-def _drive(
-    rows: RecordArray,
-    route: Route,
-    own: RecordArray,
-    ground: GroundMemory | None,
-    radio: FloatArray,
-    received: int,
-    tick: int,
-    state: tuple[float, float, float, float],
-    flown: int,
-) -> tuple[float, float]:
-    here = Motion(state[0], state[1], state[2], state[3])
-    return ugv_tick(rows[0], route, own, ground, radio, received, tick, here, flown)
-
-
 class CompiledDriver:
     """Drives as `ugv_tick` says.
 
@@ -178,7 +161,7 @@ class CompiledDriver:
         self.ground = told_ground(briefing)
         """Memory of the ground; without tiles if there are no hazards."""
         self._fixed = (
-            records(DriverParameters, [self.parameters]),
+            records(DriverParameters, [self.parameters])[0],
             told_route(briefing),
             self.own,
             self.ground if self.ground.tiles.size else None,
@@ -187,14 +170,16 @@ class CompiledDriver:
         self._carries = briefing.ground is not None and briefing.ground.carries
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
-        """The acceleration [m/s²] for this observation."""
+        """Return the acceleration [m/s²] for this observation."""
         if observation.ground or observation.blocks:
             take_ground(self.ground, observation)
-        radio, here = self._looks.take(observation.radio), observation.position
-        tick, moving = observation.tick, observation.velocity
+        radio, here = (
+            self._looks.take(observation.radio),
+            Motion(*observation.position, *observation.velocity),
+        )
         flown = NO_MOTION if observation.flown is None else observation.flown
         flown = flown if self._carries else PLAIN
-        return _drive(*self._fixed, *radio, tick, (*here, *moving), flown)
+        return ugv_tick(*self._fixed, *radio, observation.tick, here, flown)
 
     @property
     def goal(self) -> tuple[float, float] | None:
@@ -227,14 +212,14 @@ class NavigateDriver(CompiledDriver):
         )
 
     def report(self) -> UgvReport | None:
-        """Whether the command of this tick leaves the UGV on tiles that it knows to be drivable; None: not promised."""
+        """Return the certificate of this tick's command; None: the UGV promises nothing."""
         claim = int(self.ground.flags[0]["claim"])
         if claim == NO_CLAIM:
             return None
         return UgvReport(certified=claim == CERTIFIED, uncertified=UNCERTIFIED.get(claim, ""))
 
     def forget_commands(self) -> None:
-        """The commands so far were not sent, or another process has sent them."""
+        """Forget the commands so far: they were not sent, or another process has sent them."""
         self.ground.sent["begins"] = NO_MOTION
 
     def new_route(self, position: Vector) -> tuple[Vector, ...] | None:

@@ -40,7 +40,7 @@ class GroundFlags(NamedTuple):
     plans: int = 0
     """Number of searches that have ended."""
     claim: int = NO_CLAIM
-    """Of the newest tick."""
+    """Claim of the newest tick: one of `sim.models.ground`'s."""
     settled: float = np.inf
     """Costs up to this one are final, when the search has ended; infinite: all are."""
 

@@ -32,9 +32,8 @@ def read_start() -> Start:
     """
     line = b""
     while not line.endswith(b"\n"):
-        piece = os.read(
-            0, 65536
-        )  # not sys.stdin: a thread that waits in it aborts the interpreter's exit
+        # Not sys.stdin: a thread that waits in it aborts the interpreter's exit.
+        piece = os.read(0, 65536)
         if not piece:
             raise SystemExit(1)
         line += piece

@@ -130,7 +130,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """Certified ticks after which a cautious UGV was not certified to stay on tiles that it knows, or in which it left
     them, although all assumptions hold: 0, or the guarantee is wrong."""
     guarantees: dict[str, UgvGuarantee] = {}
-    """Of each UGV, the certified ticks and the reasons of the others."""
+    """Certified ticks of each UGV, and the reasons of the other ticks."""
     still_time: float | None = None
     """Time that the UGVs stood still before they had arrived [s]."""
     finds: int | None = None

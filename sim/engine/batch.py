@@ -110,7 +110,7 @@ class Batch:
         self._shared = self.workers.shares(worlds)
         self._all = np.arange(worlds)
         self.links = links_of(scenario, (*ENGINE_LINKS, *others), worlds)
-        """Of detections, of commands, then the others."""
+        """Links of detections, of commands, then of the other kinds."""
         self._key_rows = key_rows(scenario, self.links)
         self.link_table = scenario.links
         """The links' settings now, as a scenario would write them."""
