@@ -5,10 +5,14 @@ import os
 import shutil
 import signal
 import threading
+import time
 
 import msgspec
 
 from bus.access import Credential, CredentialSet
+
+_PATIENCE = 10.0
+"""Time for closing sessions and files after the parent has gone [s]."""
 
 
 class Start(msgspec.Struct, kw_only=True, omit_defaults=True):
@@ -48,3 +52,6 @@ def _await_end() -> None:
     while os.read(0, 65536):
         pass
     os.kill(os.getpid(), signal.SIGTERM)  # its handler closes sessions and files
+    time.sleep(_PATIENCE)
+    # The handler raised in a destructor, for example, and its exception was lost.
+    os.kill(os.getpid(), signal.SIGKILL)
