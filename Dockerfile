@@ -39,6 +39,7 @@ COPY bus bus
 COPY sim sim
 COPY agents agents
 COPY outrider outrider
+COPY extensions extensions
 RUN python -m pip wheel --no-deps --no-build-isolation --wheel-dir /wheels .
 
 FROM ${BASE} AS flight

@@ -91,7 +91,7 @@ $(VENV)-%/.learn: pyproject.toml
 	@touch $@
 
 learn-test-%: $(VENV)-%/.learn
-	$(VENV)-$*/bin/python -m pytest -c tests_learning/pytest.ini tests_learning/test_$*.py $(ARGS)
+	$(VENV)-$*/bin/python -m pytest -c extensions/outrider_learning/tests/libraries/pytest.ini extensions/outrider_learning/tests/libraries/test_$*.py $(ARGS)
 
 .PRECIOUS: $(VENV)-%/.learn
 

@@ -22,8 +22,9 @@ from markdown_tables import head, print_chosen
 from agents.control.handover import certificate, certified_radius, largest_age
 from agents.control.promise import Declared, Promise
 from bus.profiles import PROFILES
-from outrider.experiments.falsify.attack import attack
-from outrider.experiments.falsify.conditions import (
+from outrider.running.flying import InProcess, make_pilots
+from outrider_falsify.attack import attack
+from outrider_falsify.conditions import (
     AREAS,
     BLACKOUTS,
     DISTURBANCES,
@@ -36,7 +37,6 @@ from outrider.experiments.falsify.conditions import (
     declared,
     spec_radius,
 )
-from outrider.running.flying import InProcess, make_pilots
 from sim.kernels.records import RecordArray
 from sim.models.inner_loop import InnerLoop, needed_reserve, tracking_error
 from sim.scenario.loading import load_scenario

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from bus.errors import AccessDenied, BusError
-from bus.extras import from_extra
+from bus.plugins import needs
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -60,7 +60,7 @@ class Authority(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 def _need() -> None:
-    with from_extra("tls", kind=BusError):
+    with needs("tls", kind=BusError):
         import cryptography  # noqa: F401, PLC0415
 
 

@@ -312,15 +312,15 @@ SAVED_POLICIES = _table(
     ),
     SavedPolicyRow(name="torch", form="FILE.pt", load="outrider.running.user_code:load_torch"),
     SavedPolicyRow(name="onnx", form="FILE.onnx", load="outrider.running.user_code:load_onnx"),
-    SavedPolicyRow(name="fmu", form="FILE.fmu", load="outrider.bridges.fmi.driver:FmuPolicy"),
+    SavedPolicyRow(name="fmu", form="FILE.fmu", load="outrider_fmi.driver:FmuPolicy"),
 )
 """The libraries by name."""
 UAV_POLICIES = _table(
     SavedPolicyRow(
-        name="npz", form="FILE.npz", load="outrider.learning.learned:load_learned_policy"
+        name="npz", form="FILE.npz", load="outrider_learning.learned:load_learned_policy"
     ),
     SavedPolicyRow(
-        name="sb3", form="ALGORITHM:FILE.zip", load="outrider.learning.saved:load_sb3_policy"
+        name="sb3", form="ALGORITHM:FILE.zip", load="outrider_learning.saved:load_sb3_policy"
     ),
 )
 """The libraries whose saved policies can fly a UAV, by name."""

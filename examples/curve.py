@@ -6,8 +6,8 @@ from typing import Any
 
 from evaluation import CASES, VALIDATION_SEEDS, fly_law
 
-from outrider.learning.mlp import load_policy
 from outrider.style import INK, law_color, look, new_figure, save
+from outrider_learning.mlp import load_policy
 
 
 def draw_curve(

@@ -12,7 +12,7 @@ from bus.registry import DEFAULT_LAW, LAWS
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.vector import Worlds
 from outrider.experiments.intervals import mean_interval
-from outrider.learning.learned import LearnedPolicy
+from outrider_learning.learned import LearnedPolicy
 from sim.env.rewards import RewardWeights
 from sim.kernels.compile import FloatArray
 from sim.scenario.loading import load_scenario

@@ -8,8 +8,8 @@ import gymnasium
 import numpy as np
 
 import outrider
-from outrider.experiments.suite.scoring import Team
-from outrider.experiments.suite.tasks import suite
+from outrider_learning.suite.scoring import Team
+from outrider_learning.suite.tasks import suite
 
 SIDE, TILE, SPEED, BRAKES = 21, 0.5, 0.3, 0.03  # tiles, m, m/s, m/s²
 HEADINGS = np.linspace(-np.pi, np.pi, 32, endpoint=False)

@@ -18,8 +18,8 @@ import torch
 from torch import nn
 
 import outrider
-from outrider.experiments.suite.scoring import Team
-from outrider.experiments.suite.tasks import SEEDS, suite
+from outrider_learning.suite.scoring import Team
+from outrider_learning.suite.tasks import SEEDS, suite
 from sim.models.ground import BLOCK, UNSEEN
 
 HOLD = 20  # ticks, a second, between two decisions

@@ -19,10 +19,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 import outrider
 from outrider.envs.wrappers import transformed
-from outrider.learning.learned import LearnedPolicy, make_view
-from outrider.learning.mlp import Mlp, save_policy
-from outrider.learning.repeat import ActionRepeat
-from outrider.learning.sb3 import VecEnvAdapter
+from outrider_learning.learned import LearnedPolicy, make_view
+from outrider_learning.mlp import Mlp, save_policy
+from outrider_learning.repeat import ActionRepeat
+from outrider_learning.sb3 import VecEnvAdapter
 
 CASE = CASES["wander"]
 REWARDS = {"uncovered": 1.0, "sight_lost": 10.0, "out_of_sight": 2.0}

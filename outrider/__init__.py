@@ -16,23 +16,23 @@ if TYPE_CHECKING:
     from outrider.envs.single import single_env as single_env
     from outrider.envs.vector import parallel_vector_env as parallel_vector_env
     from outrider.envs.vector import vector_env as vector_env
-    from outrider.experiments.suite.board import leaderboard as leaderboard
-    from outrider.experiments.suite.tasks import suite as suite
     from outrider.running.flying import run as run
+    from outrider_learning.suite.board import leaderboard as leaderboard
+    from outrider_learning.suite.tasks import suite as suite
     from sim.env.rewards import RewardWeights as RewardWeights
     from sim.scenario.loading import load_scenario as load_scenario
     from sim.scenario.loading import scenario_names as scenario_names
 
 _WHERE = {
     "RewardWeights": "sim.env.rewards",
-    "leaderboard": "outrider.experiments.suite.board",
+    "leaderboard": "outrider_learning.suite.board",
     "load_scenario": "sim.scenario.loading",
     "parallel_env": "outrider.envs.escort_env",
     "parallel_vector_env": "outrider.envs.vector",
     "run": "outrider.running.flying",
     "scenario_names": "sim.scenario.loading",
     "single_env": "outrider.envs.single",
-    "suite": "outrider.experiments.suite.tasks",
+    "suite": "outrider_learning.suite.tasks",
     "vector_env": "outrider.envs.vector",
 }
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import gymnasium
 
-from outrider.experiments.suite.tasks import BASE, MISSIONS, TASKS, Suite
+from outrider_learning.suite.tasks import BASE, MISSIONS, TASKS, Suite
 
 if TYPE_CHECKING:
     from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
-from seeded import a_key
 
 from agents.estimation.batch_filter import estimator_rows, update
 from agents.estimation.estimator import Estimate, RelativeEstimator
@@ -22,6 +21,7 @@ from agents.estimation.motion_model import (
 )
 from bus.messages import Detection, Detector, Estimator, Limits
 from bus.ticks import Look, looks_of
+from seeded import a_key
 from sim.kernels.compile import released
 from sim.kernels.records import records
 from sim.models.randomness import DETECTION_NOISE, cut_normal_vector

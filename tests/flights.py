@@ -6,7 +6,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from seeded import a_told_key
 
 from agents.control.laws import LawParameters, law_parameters
 from agents.process import Pilot
@@ -25,6 +24,7 @@ from bus.profiles import PROFILES
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import Summary
+from seeded import a_told_key
 from sim.engine.briefing import uav_briefing
 from sim.env.parallel import parallel_env
 from sim.kernels.compile import FloatArray

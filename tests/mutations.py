@@ -13,9 +13,9 @@ from typing import Any
 
 import msgspec
 from msgspec import inspect as kinds
-from tabular import words
 
 from bus.keys import KEYS, Key
+from tabular import words
 
 REFUSALS = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 """The errors that `Inbox` takes for a refusal; a decoder that raises anything else stops its reader."""

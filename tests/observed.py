@@ -4,14 +4,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from statuses import Box, a_status
-
 from bus.keys import COVERAGE, GROUND, STATUS, TRUTH
 from outrider.recording.observer import RunRecorder
 from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import InProcess, make_pilots
 from sim.scenario.types import Scenario
 from sim.server.flight import Exchange, Flight
+from statuses import Box, a_status
 
 
 def recorded(

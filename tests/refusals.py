@@ -5,10 +5,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from tabular import words
 
 from bus.errors import ScenarioError
 from sim.scenario.loading import load_scenario
+from tabular import words
 
 SHIPPED = tuple(
     words("""

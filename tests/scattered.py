@@ -7,11 +7,10 @@ from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from pathlib import Path
 
-from processes import fly_to, free_port, started, wait_until
-
 from bus.access import new_credentials, read_credential, write_credentials
 from bus.keys import CONTROL
 from bus.session import Session, open_session
+from processes import fly_to, free_port, started, wait_until
 
 SECONDS = 200.0
 """Simulated time of a run that is disturbed while it is flown: 4,000 ticks, about a second."""

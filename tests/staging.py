@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
-from processes import status_in, wait_until
 
 from agents import process
 from agents.uav import UavPilot
@@ -24,6 +23,7 @@ from bus.access import Credential, CredentialSet, client_settings, new_credentia
 from bus.keys import BRIEFING, COMMAND, CONTROL, OBSERVATION, STATUS
 from bus.session import Session, open_session
 from outrider.running.flying import fly
+from processes import status_in, wait_until
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight

@@ -12,8 +12,6 @@ from typing import Any
 
 import pytest
 import zenoh
-from processes import free_port
-from staging import Received, everybody, hosted, listening, raw_session, settled
 
 from bus import access
 from bus.access import (
@@ -41,6 +39,8 @@ from bus.keys import (
 )
 from bus.session import Session, open_session
 from outrider.running.child import child_environment
+from processes import free_port
+from staging import Received, everybody, hosted, listening, raw_session, settled
 
 RUN = "run"
 GIVEN = new_credentials(RUN, ["uav_0", "uav_1"], ["ugv_0", "ugv_1"])

@@ -10,12 +10,12 @@ import msgspec
 import numpy as np
 import pytest
 import typer
-from flights import R_V, Piloted, altered, escort
 from typer.testing import CliRunner
 
 from agents.process import Pilot
 from agents.uav import UavPilot
 from bus.messages import Law, UavCommand, UavObservation, UavReport
+from flights import R_V, Piloted, altered, escort
 from outrider.cli import replay
 from outrider.cli.console import OUT, print_summary
 from outrider.experiments.sweep.columns import row_of

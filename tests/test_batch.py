@@ -4,11 +4,10 @@ import threading
 
 import numpy as np
 import pytest
-from flights import escort
-from worlds import POOR, SEVERAL, SMALL, small, step
 
 from bus.profiles import PROFILES
 from bus.ticks import looks_of
+from flights import escort
 from sim.channel.link_records import ARRIVED
 from sim.engine.batch import Batch
 from sim.kernels.threads import WorkerThreads
@@ -22,6 +21,7 @@ from sim.scenario.types import (
     VehicleLinks,
 )
 from sim.world import World
+from worlds import POOR, SEVERAL, SMALL, small, step
 
 HARSH = Detections(noise=0.3, dropout=0.3, rate=5.0)
 CORNER = Region(lower=(2.0, 2.0), upper=(20.0, 20.0))

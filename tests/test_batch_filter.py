@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from filters import FREE, UGV, straying
 
 from agents.estimation.batch_filter import estimate, estimator_rows, update
 from agents.estimation.estimator import RelativeEstimator
 from agents.estimation.motion_model import KalmanParameters, cut_variance, kalman_parameters
 from bus.messages import Detector, Estimator, Limits
 from bus.ticks import Look
+from filters import FREE, UGV, straying
 from sim.kernels.compile import released
 from sim.kernels.records import records
 from sim.models.vehicles import Motion

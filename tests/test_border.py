@@ -4,14 +4,14 @@ import math
 
 import numpy as np
 import pytest
-from flights import DT, R_V, U_A, V_A, errors, escort, tracks
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from properties import PROPERTY
 
 from agents.control.coverage import border_distance, coverage_control, keep_off_border
 from bus.messages import Area, Law, Sensor
+from flights import DT, R_V, U_A, V_A, errors, escort, tracks
 from outrider.running.flying import fly
+from properties import PROPERTY
 from sim.models.vehicles import Motion, norm, step_vehicle
 from sim.scenario.types import Detections, Uav, Ugv, Visibility
 

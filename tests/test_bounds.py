@@ -9,19 +9,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from processes import python
-from refusals import refused
 
 from bus.access import read_credential
 from bus.errors import AccessDenied, ScenarioError
 from bus.files import read_regular
-from outrider.bridges.fmi.driver import FmuPolicy
 from outrider.cli.console import print_warnings
 from outrider.experiments.sweep.definition import describe_sweep
 from outrider.experiments.sweep.plan import lay_out
-from outrider.learning.mlp import load_policy
 from outrider.running.flying import run
 from outrider.running.user_code import foreign_code
+from outrider_fmi.driver import FmuPolicy
+from outrider_learning.mlp import load_policy
+from processes import python
+from refusals import refused
 from sim.scenario.loading import load_scenario, scenario_names, shipped_text
 
 pytest.importorskip("mcap", reason="the extra [record] is not installed")

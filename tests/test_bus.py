@@ -7,8 +7,6 @@ from contextlib import ExitStack, nullcontext
 import msgspec
 import pytest
 import zenoh
-from mutations import real_messages
-from processes import python
 
 from bus.errors import AccessDenied
 from bus.keys import (
@@ -29,6 +27,8 @@ from bus.keys import (
 )
 from bus.messages import Message, UavCommand, UgvCommand
 from bus.session import Envelope, Session, open_session
+from mutations import real_messages
+from processes import python
 
 NAMES = {role: role.value for role in Role} | {Role.UAV: "uav_0", Role.UGV: "ugv_0"}
 

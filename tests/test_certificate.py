@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flights import DT, PROMISED, R_S, R_V, U_A, V_A, V_G
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from properties import PROPERTY
 
 from agents.control import certificate as c
 from agents.control import discs, handover
 from agents.control.guard import track_ticks
 from agents.control.promise import Declared, Promise
 from bus.ticks import first_tick_from
+from flights import DT, PROMISED, R_S, R_V, U_A, V_A, V_G
+from properties import PROPERTY
 from sim.kernels.compile import FloatArray
 from sim.kernels.records import RecordArray
 from sim.models.vehicles import Motion, norm, step_vehicle

@@ -11,9 +11,6 @@ from typing import Any
 import msgspec
 import pytest
 import zenoh
-from processes import free_port
-from staging import client_of, hosted, raw_session
-from tabular import rows
 
 from bus import session
 from bus.access import (
@@ -38,6 +35,9 @@ from bus.errors import AccessDenied
 from bus.keys import COMMAND, Role
 from bus.messages import UavCommand
 from bus.session import open_session
+from processes import free_port
+from staging import client_of, hosted, raw_session
+from tabular import rows
 
 RUN = "run"
 AUTHORITY, FOREIGN = new_authority(RUN), new_authority(RUN)

@@ -14,21 +14,21 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from one_link import OneLink
-from properties import PROPERTY
 from scipy import stats
-from seeded import a_key
-from tabular import words
 
 from bus.errors import ScenarioError
 from bus.messages import LinkSettings, LinkStatus
 from bus.profiles import PROFILES
+from one_link import OneLink
+from properties import PROPERTY
+from seeded import a_key
 from sim.channel.description import KEEPS, check_link, extra_delays, link_parameters
 from sim.channel.jitter import SHAPES, jitter_quantile, jitter_share, normal_quantile
 from sim.channel.link import begin_tick, receive, send
 from sim.channel.link_records import ARRIVED, CAUSES
 from sim.channel.links import change_links, exchange, link_status, new_links, place_traces
 from sim.kernels.compile import compiled
+from tabular import words
 
 MILLION = 1_000_000
 DT = 0.05

@@ -9,12 +9,11 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import altered
-from worlds import POOR, SCENARIOS, raw, small
 
 from bus.errors import ScenarioError
 from bus.messages import Law, LinkKind
 from bus.profiles import PROFILES
+from flights import altered
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.closed_loop_state import GUARD_METRICS
 from outrider.running.flying import fly, make_pilots
@@ -24,6 +23,7 @@ from sim.env.rows import UAV_METRICS
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate, Detections, LinkTable, Scenario, Uav, Wind
 from sim.server.flight import Flight
+from worlds import POOR, SCENARIOS, raw, small
 
 
 def _same(one: np.ndarray, other: np.ndarray) -> bool:

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from processes import python
-from seeded import a_key
 
 import agents
 import sim
 from bus.registry import SENSORS
+from processes import python
+from seeded import a_key
 from sim.kernels import compile as kernels
 
 

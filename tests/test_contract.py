@@ -6,12 +6,12 @@ from typing import get_args, get_type_hints
 
 import msgspec
 import pytest
-from fields import fields_within
-from processes import loaded_by, ran
-from tabular import words
 
 from bus import keys, messages
 from bus.keys import KEYS, Role
+from fields import fields_within
+from processes import loaded_by, ran
+from tabular import words
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -197,10 +197,10 @@ OF_MESSAGES = {"sim.scene", "sim.scene.colors", "sim.scene.model"}
             "outrider.running.user_code, outrider.running.parent",
             REFUSES_FUNCTIONS,
         ),
-        ("agents.uav, outrider.cli.mavlink, outrider.bridges.mavlink.offboard", set()),
-        ("outrider.cli.ros2, outrider.bridges.ros2.ros_pilot", OF_MESSAGES),
+        ("agents.uav, outrider_mavlink.command, outrider_mavlink.offboard", set()),
+        ("outrider_ros2.command, outrider_ros2.ros_pilot", OF_MESSAGES),
         (
-            "agents.ugv, outrider.cli.pilots, outrider.bridges.fmi.driver, outrider.bridges.fmi.slave",
+            "agents.ugv, outrider.cli.pilots, outrider_fmi.driver, outrider_fmi.slave",
             REFUSES_FUNCTIONS,
         ),
     ],

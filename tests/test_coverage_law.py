@@ -4,10 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from flights import DESIRED, DT, HERE, U_A, V_A, errors, escort, parameters, told, tracks, uav_sees
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from properties import PROPERTY
 
 from agents.control.coverage import (
     approach_control,
@@ -21,7 +19,9 @@ from agents.control.laws import coverage_term, initial_state
 from agents.uav import UavPilot
 from bus.messages import Area, Law, Sensor
 from bus.registry import SENSORS
+from flights import DESIRED, DT, HERE, U_A, V_A, errors, escort, parameters, told, tracks, uav_sees
 from outrider.running.flying import fly
+from properties import PROPERTY
 from sim.models.vehicles import Motion, clip_norm, norm, step_vehicle
 from sim.scenario.types import Scenario, Uav, Ugv, Visibility
 

@@ -5,12 +5,12 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from processes import free_port
-from staging import GIVEN, client_of, hosted, stage
 
 from bus import session
 from bus.errors import AccessDenied
 from bus.keys import PLACES
+from processes import free_port
+from staging import GIVEN, client_of, hosted, stage
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from properties import PROPERTY
 from seeded import a_key
-
 from sim.models.detection import detect, detection_chance
 
 R_V, R = 4.75, 5.0

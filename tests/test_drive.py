@@ -24,9 +24,6 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from processes import await_status, python, wait_until
-from scattered import scattered
-from statuses import PRESENT, a_status, a_truth, a_vehicle
 
 from bus.keys import CONTROL, OPERATOR, SAMPLED_TRUTH, STATUS, Party, Role
 from bus.messages import (
@@ -47,11 +44,14 @@ from outrider.view.terminal.panel import ErrorCurve, banner, numbers
 from outrider.view.terminal.pressed_keys import FIRST, HIGHEST, LOWEST, REPEAT, Heading, PressedKeys
 from outrider.view.terminal.teleoperation import DriveView, Teleoperation
 from outrider.view.terminal.topview import Trails, draw
+from processes import await_status, python, wait_until
+from scattered import scattered
+from statuses import PRESENT, a_status, a_truth, a_vehicle
 
 CHILD = (
     "import fcntl, sys, termios\n"
     "if sys.stdin.isatty(): fcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"
-    "from outrider.cli import drive, main\nmain.COMMANDS['drive'] = drive.command\nmain.main()\n"
+    "from outrider.cli import drive, main\nmain.main()\n"
 )
 
 

@@ -9,11 +9,8 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import DT, R_V, U_G, V_A, V_G, distances, told_ugv
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from properties import PROPERTY
-from seeded import a_told_key
 
 from agents.drivers.compiled import (
     CompiledDriver,
@@ -41,7 +38,10 @@ from bus.messages import (
 )
 from bus.registry import DRIVERS as REGISTERED
 from bus.ticks import tick_of
+from flights import DT, R_V, U_G, V_A, V_G, distances, told_ugv
 from outrider.running.flying import InProcess, make_pilots
+from properties import PROPERTY
+from seeded import a_told_key
 from sim.engine.briefing import briefing
 from sim.models.ground import CLEAR
 from sim.models.vehicles import Motion, step_vehicle

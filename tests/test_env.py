@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from pettingzoo.utils.conversions import aec_to_parallel, parallel_to_aec
-from worlds import FREE, ONE, equal
 
 from bus.errors import ScenarioError
 from bus.messages import Area, UavBriefing, UgvBriefing
@@ -20,6 +19,7 @@ from sim.env.parallel import OutriderEnv, parallel_env
 from sim.env.spaces import FREE_ACCELERATION, extent_of
 from sim.models.vehicles import clip_norm
 from sim.scenario.types import Detections, Scenario, Uav, Ugv
+from worlds import FREE, ONE, equal
 
 with warnings.catch_warnings():
     # PettingZoo 1.27 makes an old environment of its own

@@ -9,13 +9,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from flights import escort, flown_in_both, pairs, record, sha256
 
 from agents.env_wrappers import EstimateWrapper
 from agents.estimation.estimator import RelativeEstimator
 from bus.layout import UavRow, uav_observation
 from bus.messages import Law
 from bus.ticks import looks_of
+from flights import escort, flown_in_both, pairs, record, sha256
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import fly
 from sim.env.parallel import parallel_env

@@ -6,17 +6,17 @@ import gymnasium
 import msgspec
 import numpy as np
 import pytest
-from flights import pairs
 from matplotlib.colors import to_rgb
-from processes import python
-from refusals import refused
 
 from bus.errors import OutriderError
 from bus.messages import Area, Law
+from flights import pairs
 from outrider.envs.env_pilots import pilots
 from outrider.envs.single import single_env
 from outrider.envs.vector import parallel_vector_env, vector_env
 from outrider.registration import ESCORT
+from processes import python
+from refusals import refused
 from sim.env.parallel import parallel_env
 from sim.env.view import Window
 from sim.scenario.types import Scenario, Uav, Ugv

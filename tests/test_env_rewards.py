@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import pytest
-from flights import escort, pairs
 
+from flights import escort, pairs
 from sim.env.parallel import parallel_env
 from sim.env.rewards import RewardWeights, full_error
 from sim.scenario.types import Uav, Ugv

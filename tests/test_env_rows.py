@@ -5,7 +5,6 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from pages import PAGES
 
 from bus.layout import (
     SYMBOLS,
@@ -19,6 +18,7 @@ from bus.layout import (
     ugv_observation,
 )
 from bus.messages import Region
+from pages import PAGES
 from sim.env.parallel import OutriderEnv, parallel_env
 from sim.scenario.types import Coverage, Detections, Scenario, Uav, Ugv
 from sim.server.flight import Flight

@@ -4,14 +4,14 @@ import inspect
 import re
 
 import pytest
-from pages import PAGES, ROOT, blocks, marked, run_shown
 
 import outrider
 from outrider.envs.single import single_env
 from outrider.envs.vector import BATCH_DEFAULTS, vector_env
-from outrider.experiments.suite.board import BASELINES, leaderboard
-from outrider.experiments.suite.tasks import TASKS, Task, suite
 from outrider.registration import env_ids
+from outrider_learning.suite.board import BASELINES, leaderboard
+from outrider_learning.suite.tasks import TASKS, Task, suite
+from pages import PAGES, ROOT, blocks, marked, run_shown
 
 VECTOR, SUITE = "docs/reference/vector-environment.md", "docs/reference/suite.md"
 

@@ -7,6 +7,14 @@ import pickle
 import numpy as np
 import pytest
 from filterpy.common import Q_discrete_white_noise
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from agents.estimation.motion_model import acceleration_deviation as deviation_of
+from agents.estimation.motion_model import cut_variance, process_noise
+from bus.messages import Estimator, Limits
+from bus.ticks import Look
 from filters import (
     DT,
     FREE,
@@ -26,14 +34,6 @@ from filters import (
     squared,
     within,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.stats import chi2
-
-from agents.estimation.motion_model import acceleration_deviation as deviation_of
-from agents.estimation.motion_model import cut_variance, process_noise
-from bus.messages import Estimator, Limits
-from bus.ticks import Look
 
 H = np.eye(2, 4)
 

@@ -5,6 +5,14 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from agents.estimation.estimator import RelativeEstimator
+from agents.estimation.motion_model import SPAN, history_depth
+from bus.messages import Detection, Detector, Estimator, Limits
+from bus.ticks import looks_of
 from filters import (
     DT,
     FREE,
@@ -22,15 +30,7 @@ from filters import (
     straying,
     within,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from properties import PROPERTY
-from scipy.stats import chi2
-
-from agents.estimation.estimator import RelativeEstimator
-from agents.estimation.motion_model import SPAN, history_depth
-from bus.messages import Detection, Detector, Estimator, Limits
-from bus.ticks import looks_of
 
 EVERY = 4  # ticks between two looks: 0.2 s
 AGILE = Limits(max_speed=0.2, max_acceleration=None)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from processes import python
 
 # on one worker: its copy is made and flown once

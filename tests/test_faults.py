@@ -14,6 +14,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+
+from bus.messages import Status
+from outrider import style
+from outrider.cli import scenarios
+from outrider.running import launch
+from outrider.running.flying import fly
+from outrider.view import film
+from outrider_learning.mlp import Mlp, save_policy
 from processes import (
     SHORT,
     alive,
@@ -26,17 +34,9 @@ from processes import (
     python,
 )
 from scattered import SECONDS, SECRET, scattered
-from tabular import words
-
-from bus.messages import Status
-from outrider import style
-from outrider.cli import scenarios
-from outrider.learning.mlp import Mlp, save_policy
-from outrider.running import launch
-from outrider.running.flying import fly
-from outrider.view import film
 from sim.scenario.loading import load_scenario
 from sim.server.run_timing import Timing
+from tabular import words
 
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
 WHOLE = load_scenario("escort", overrides=[f"duration={SECONDS}"])

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-import reference_field as reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from properties import PROPERTY
-from reference_field import FloatGrid
 
+import reference_field as reference
 from agents.control.coverage import is_zero_gradient
 from bus.registry import SENSORS
+from properties import PROPERTY
+from reference_field import FloatGrid
 from sim.models.field import (
     accumulate,
     accumulate_with_gain,

@@ -8,12 +8,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-import reference_field as reference
-from flights import DESIRED, DT, R_S, R_V, R
-from pages import marked
-from tabular import rows, words
 
+import reference_field as reference
 from bus.messages import Law
+from flights import DESIRED, DT, R_S, R_V, R
 from outrider.experiments import paper_figures
 from outrider.experiments.claims import (
     claim_anchor,
@@ -35,8 +33,10 @@ from outrider.experiments.traces import (
     velocity_errors,
 )
 from outrider.running.flying import fly
+from pages import marked
 from sim.models.field import HILL
 from sim.scenario.loading import load_scenario
+from tabular import rows, words
 
 ROOT = Path(__file__).parents[1]
 CELL = 0.25

@@ -10,8 +10,8 @@ from types import ModuleType
 
 import msgspec
 import pytest
-from flights import uav_sees
 
+from flights import uav_sees
 from sim.engine.briefing import briefing
 
 EVADED = {"network": "undegraded", "inner": "outward", "driver": "evade", "seed": 7}

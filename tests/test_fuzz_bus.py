@@ -13,8 +13,6 @@ from typing import Any
 import msgspec
 import pytest
 import zenoh
-from mutations import REFUSALS, mutated
-from staging import stage
 
 from bus import session
 from bus.keys import (
@@ -31,6 +29,8 @@ from bus.keys import (
 )
 from bus.messages import UavCommand, UgvCommand
 from bus.session import Inbox, Session, open_session
+from mutations import REFUSALS, mutated
+from staging import stage
 
 STREAM = 20_000
 TICKS, GARBAGE_PER_TICK = 200, 5

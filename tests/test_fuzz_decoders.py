@@ -15,10 +15,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import inspect as kinds
-from mutations import REFUSALS, allowed, mutated, real_messages, says
-from properties import PROPERTY
 
 from bus.keys import KEYS, Key
+from mutations import REFUSALS, allowed, mutated, real_messages, says
+from properties import PROPERTY
 
 EVERY_ROW = pytest.mark.parametrize("key", KEYS, ids=lambda key: key.message.__name__)
 MUTATIONS_PER_ROW = math.ceil(110_000 / len(KEYS))

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.path import Path
-from processes import python
-from properties import PROPERTY
 
 from bus.registry import HAZARDS
+from processes import python
+from properties import PROPERTY
 from sim.models.ground import (
     BLOCK,
     CLEAR,

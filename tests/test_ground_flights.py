@@ -3,15 +3,15 @@
 import msgspec
 import numpy as np
 import pytest
-from flights import flown_in_both
-from processes import run_json
-from worlds import LOSSY, raw
 
+from flights import flown_in_both
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.running.assumptions import promise_warnings
 from outrider.running.flying import fly
+from processes import run_json
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable
+from worlds import LOSSY, raw
 
 RADIO = msgspec.structs.replace(LOSSY, delay=0.2)
 

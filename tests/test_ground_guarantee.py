@@ -3,7 +3,6 @@
 import msgspec
 import numpy as np
 import pytest
-from test_seen_ground import on
 
 from bus.messages import GroundBlock, Mission, UgvReport
 from outrider.envs.closed_loop import ClosedLoop
@@ -14,6 +13,7 @@ from sim.models.ground import BLOCK, CLEAR, UNCERTIFIED, UNSEEN, block_letters
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Hazard, Scenario
 from sim.world import World
+from test_seen_ground import on
 
 CERTIFIED = UgvReport(certified=True)
 NOT = UgvReport(certified=False, uncertified=next(iter(UNCERTIFIED.values())))

@@ -10,14 +10,14 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from rich.color import Color
+
 from worlds import small
 
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 
-from observed import recorded
-
 from bus.keys import GROUND, Role
 from bus.messages import GroundMap
+from observed import recorded
 from outrider.cli import console
 from outrider.envs.env_pilots import pilots
 from outrider.envs.escort_env import parallel_env
@@ -31,11 +31,11 @@ from outrider.running.flying import InProcess, make_pilots
 from outrider.running.summary import Summary, summarize
 from outrider.view.film import Film, render
 from outrider.view.flight_picture import draw_flight
-from outrider.view.page.hub import Hub
-from outrider.view.page.sources.tape import Tape
 from outrider.view.terminal.palette import UGV
 from outrider.view.terminal.teleoperation import DriveView
 from outrider.view.terminal.topview import Trails, draw
+from outrider_dashboard.hub import Hub
+from outrider_dashboard.sources.tape import Tape
 from sim.scenario.types import Ground, Hazard, Scenario, Ugv
 from sim.scene.colors import HAZARDS, LIMIT
 from sim.scene.drawing import Map

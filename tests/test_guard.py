@@ -5,7 +5,6 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from flights import DT, PROMISED, U_A, V_A, V_G, escort, told, uav_sees
 
 from agents.control.certificate import (
     BEST_EFFORT,
@@ -40,6 +39,7 @@ from agents.control.handover import certificate
 from agents.control.promise import Declared
 from agents.control.visibility import SafetyFilter, promise_of
 from bus.messages import DeclaredBounds, UavBriefing
+from flights import DT, PROMISED, U_A, V_A, V_G, escort, told, uav_sees
 from sim.engine.batch import arrays_of
 from sim.kernels.compile import FloatArray
 from sim.models.vehicles import Motion, step_vehicle

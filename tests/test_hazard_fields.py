@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from properties import PROPERTY
 from scipy.ndimage import label
-from seeded import a_key
 
+from properties import PROPERTY
+from seeded import a_key
 from sim.engine.run_keys import derive_keys
 from sim.kernels.records import records
 from sim.models.ground import (

@@ -6,9 +6,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import degraded, escort
-from staging import stage
-from tabular import words
 
 from bus.messages import (
     Action,
@@ -21,6 +18,7 @@ from bus.messages import (
     UgvCommand,
 )
 from bus.profiles import PROFILES
+from flights import degraded, escort
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import fly
 from sim.env.parallel import parallel_env
@@ -28,6 +26,8 @@ from sim.scenario.loading import load_scenario
 from sim.scenario.types import Detections, LinkTable, Ugv, VehicleLinks
 from sim.server.flight import Flight
 from sim.world import World
+from staging import stage
+from tabular import words
 
 
 def moving(links: LinkTable, **fields: Any) -> Flight:

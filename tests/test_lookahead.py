@@ -5,18 +5,18 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from flights import escort, parameters, told, uav_sees
-from worlds import SCENARIOS
 
 from agents.control.laws import LawParameters
 from agents.control.lookahead import Ahead, Target, look_ahead, worth
 from agents.uav import UavPilot
 from bus.messages import Law, UavObservation
+from flights import escort, parameters, told, uav_sees
 from outrider.envs.closed_loop import ClosedLoop
 from sim.models.field import accumulate, coverage_error, empty_coverage
 from sim.models.vehicles import Motion, step_vehicle
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Area
+from worlds import SCENARIOS
 
 # on one worker: what they compile takes a minute, once
 pytestmark = pytest.mark.xdist_group("many worlds")

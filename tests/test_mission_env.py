@@ -12,21 +12,20 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import Piloted
-from refusals import refused
-from worlds import equal, small
 
 import outrider
 from agents.drivers.policy import PolicyDriver
 from bus.errors import ScenarioError
 from bus.messages import Mission, UgvCommand, UgvObservation
+from flights import Piloted
 from outrider.envs.env_pilots import pilots
 from outrider.experiments.intervals import interquartile_interval
-from outrider.experiments.suite.board import leaderboard
-from outrider.experiments.suite.missions import mission_score, shortest_time
-from outrider.experiments.suite.scoring import Team
-from outrider.experiments.suite.tasks import MISSIONS, SEEDS, TASKS, Task
 from outrider.running.flying import make_pilots
+from outrider_learning.suite.board import leaderboard
+from outrider_learning.suite.missions import mission_score, shortest_time
+from outrider_learning.suite.scoring import Team
+from outrider_learning.suite.tasks import MISSIONS, SEEDS, TASKS, Task
+from refusals import refused
 from sim.engine.briefing import briefing
 from sim.env.observation import one_of_world
 from sim.env.parallel import parallel_env as bare_env
@@ -34,6 +33,7 @@ from sim.models.ground import BLOCK, CLEAR, OUTSIDE, ROUGH, UNSEEN
 from sim.scenario.loading import load_scenario, shipped_text
 from sim.scenario.types import Hazard, Scenario
 from sim.server.flight import Flight
+from worlds import equal, small
 
 pytestmark = pytest.mark.xdist_group("many worlds")
 

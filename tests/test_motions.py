@@ -6,11 +6,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from flights import EVADED, PROMISED, flown_in_both, record, told, uav_sees
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from processes import flown_both_ways
-from worlds import LOSSY, SCENARIOS, small
 
 from agents.control.certificate import OUTAGE, UNCERTIFIED, UNCHECKED_MOTION
 from agents.control.handover import certificate, largest_outage
@@ -18,16 +15,19 @@ from agents.control.promise import Declared
 from agents.control.visibility import SafetyFilter
 from agents.env_wrappers import SafetyFilterWrapper
 from bus.messages import MOST_CARRIED, MotionPlan, UavCommand
+from flights import EVADED, PROMISED, flown_in_both, record, told, uav_sees
 from outrider.envs.env_pilots import pilots
-from outrider.experiments.falsify.attack import attack
-from outrider.experiments.falsify.conditions import DISTURBANCES, Conditions, declared
-from outrider.experiments.falsify.lost_motions import LOSSES
 from outrider.running.flying import fly
+from outrider_falsify.attack import attack
+from outrider_falsify.conditions import DISTURBANCES, Conditions, declared
+from outrider_falsify.lost_motions import LOSSES
+from processes import flown_both_ways
 from sim.env.parallel import parallel_env
 from sim.models.motion import motion_plan, motion_row
 from sim.scenario.types import Certificate, LinkTable, Uav
 from sim.server.flight import Flight
 from sim.world import World
+from worlds import LOSSY, SCENARIOS, small
 
 LOST = SCENARIOS["lost commands"]
 RECORDED = Path(__file__).resolve().parent.parent / "examples" / "networks" / "wifi-far.csv"

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flights import told_ugv
 from scipy.ndimage import binary_dilation
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
@@ -35,6 +34,7 @@ from agents.drivers.planning import (
 )
 from agents.drivers.tile_map import ground_memory, note_block, note_tiles
 from bus.messages import Area, Limits, UgvGround
+from flights import told_ugv
 from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, TOUCH, UNSEEN
 from sim.models.vehicles import Motion, brake, norm, step_vehicle
 

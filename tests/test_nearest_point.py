@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
-import reference_field as reference
-from flights import DESIRED, HERE, R_O, escort, parameters
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from properties import PROPERTY
 from scipy import stats
-from seeded import a_key
 
+import reference_field as reference
 from agents.control.coverage import symmetry_breaker
 from agents.control.laws import initial_state, way_to_uncovered
+from flights import DESIRED, HERE, R_O, escort, parameters
+from properties import PROPERTY
+from seeded import a_key
 from sim.models.field import cover, empty_coverage, is_uncovered, nearest_uncovered
 
 CELL = 0.25

@@ -13,13 +13,11 @@ import jsonschema
 import msgspec
 import pytest
 import typer
-from flights import Piloted
-from processes import outrider, ran
-from tabular import words
 
 from bus.errors import ScenarioError
 from bus.messages import Action, Control, LinkKind, LinkSettings, UavCommand
 from bus.registry import LAWS
+from flights import Piloted
 from outrider.cli.main import make_app
 from outrider.cli.options import scenario_of
 from outrider.recording.reader import flight_of
@@ -28,9 +26,11 @@ from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import fly, make_pilots
 from outrider.running.summary import summarize
 from outrider.view.flight_picture import flight_figure
+from processes import outrider, ran
 from sim.scenario.loading import load_scenario, scenario_names, schema_text, shipped_text
 from sim.scenario.types import Custom
 from sim.server.flight import Flight
+from tabular import words
 
 SCRIPT = Path(sys.executable).with_name("outrider")
 
@@ -140,10 +140,10 @@ def test_debug_shows_the_traceback_of_a_vehicles_process_and_its_log_keeps_it(
     ],
 )
 def test_an_error_of_the_system_is_told_as_what_it_is(raised, told, monkeypatch, command):
-    from outrider.cli import main as module
+    from outrider.cli import doctor
 
-    broken = create_autospec(module.COMMANDS["doctor"], side_effect=raised)
-    monkeypatch.setitem(module.COMMANDS, "doctor", broken)
+    broken = create_autospec(doctor.command, side_effect=raised)
+    monkeypatch.setattr(doctor, "command", broken)
     monkeypatch.setenv("OUTRIDER_DEBUG", "")
     done = command("doctor")
     assert done.returncode == 1
@@ -193,7 +193,7 @@ def test_check_tries_a_function_of_ones_own_as_run_does_and_says_where_it_does_n
 
 def test_an_option_means_the_same_in_every_command():
     kinds = {}
-    waiting = [typer.main.get_command(make_app())]
+    waiting = [typer.main.get_command(make_app(whole=True))]
     while waiting:
         found = waiting.pop()
         waiting += getattr(found, "commands", {}).values()
@@ -277,7 +277,9 @@ def test_a_group_without_a_command_prints_its_help(group, command) -> None:
 def test_the_doctor_finds_what_is_here_and_what_is_not(monkeypatch, command):
     from outrider.cli import doctor
 
-    monkeypatch.setitem(doctor.EXTRAS, "tls", ("no_such_library",))
+    monkeypatch.setattr(
+        doctor, "missing", lambda extra: ("cryptography",) if extra == "tls" else ()
+    )
     done = command("doctor", "--json")
     assert done.returncode == 0
     found = {row["what"]: row for row in json.loads(done.stdout)["findings"]}
@@ -415,12 +417,13 @@ def test_a_pilot_of_ours_that_sees_nothing_is_not_taken_for_one_of_the_users():
 
 
 def test_ctrl_c_is_told_in_one_line_however_early_it_comes(monkeypatch, command):
+    from outrider.cli import doctor
     from outrider.cli import main as module
 
-    def early():
+    def early(**_):
         raise KeyboardInterrupt
 
-    monkeypatch.setitem(module.COMMANDS, "doctor", early)
+    monkeypatch.setattr(doctor, "command", early)
     for name in ("doctor", "scenarios"):
         with monkeypatch.context() as m:
             if name == "scenarios":  # before the command's own code

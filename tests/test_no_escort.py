@@ -7,12 +7,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from flights import record, sha256
-from observed import recorded
-from processes import flown_both_ways
 
 import outrider
 from bus.errors import ScenarioError
+from flights import record, sha256
+from observed import recorded
 from outrider.cli import console
 from outrider.cli.options import scenario_of
 from outrider.envs.closed_loop import ClosedLoop
@@ -27,10 +26,11 @@ from outrider.running.flying import fly
 from outrider.running.summary import Summary, summarize
 from outrider.view.film import Film
 from outrider.view.flight_picture import flight_figure
-from outrider.view.page.hub import Hub
-from outrider.view.page.sources.tape import Tape
 from outrider.view.terminal.teleoperation import DriveView
 from outrider.view.terminal.topview import Trails, draw
+from outrider_dashboard.hub import Hub
+from outrider_dashboard.sources.tape import Tape
+from processes import flown_both_ways
 from sim.scenario.checks import check_scenario
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario, Wind

@@ -15,10 +15,7 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 from gymnasium.wrappers import FrameStackObservation
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pages import PAGES, blocks, run_shown
 from pettingzoo.utils.conversions import parallel_to_aec
-from refusals import refused
-from worlds import FREE, ONE, equal
 
 from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from bus.layout import UavRow, UgvRow, table
@@ -28,9 +25,12 @@ from outrider.envs.observations.image import CoverageImage
 from outrider.envs.observations.normalized import Normalized
 from outrider.envs.observations.stacking import History
 from outrider.envs.wrappers import coverage_image, egocentric, history, normalized, transformed
+from pages import PAGES, blocks, run_shown
+from refusals import refused
 from sim.env.observation import one_of_world
 from sim.env.parallel import parallel_env
 from sim.scenario.types import LinkTable, Uav, Ugv
+from worlds import FREE, ONE, equal
 
 with warnings.catch_warnings():
     # PettingZoo 1.27 makes an old environment of its own

@@ -8,14 +8,14 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from processes import wait_until
-from staging import stage, whole
 
 from bus.keys import OPERATOR
 from bus.messages import Action, Control, Drive, Law, LinkKind, LinkSettings
 from outrider.running.assumptions import promise_warnings
 from outrider.running.flying import fly
+from processes import wait_until
 from sim.scenario.loading import load_scenario
+from staging import stage, whole
 
 
 def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:

@@ -4,11 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from flights import DT, R_S, R_V, U_A, V_A, V_G, distances, escort, tracks
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from properties import PROPERTY
-from reference_field import FloatGrid
 
 from agents.control.orbit import (
     Path,
@@ -22,7 +19,10 @@ from agents.control.orbit import (
 )
 from bus.errors import ScenarioError
 from bus.messages import Area, Law
+from flights import DT, R_S, R_V, U_A, V_A, V_G, distances, escort, tracks
 from outrider.running.flying import fly
+from properties import PROPERTY
+from reference_field import FloatGrid
 from sim.models.vehicles import step_vehicle
 from sim.scenario.checks import largest_circle_rate
 from sim.scenario.types import Scenario, Uav, Ugv

@@ -5,10 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from flights import DT, HERE, R_V, U_A, U_G, V_G, escort, told, told_ugv, tracks, uav_sees
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from properties import PROPERTY
 
 from agents.drivers.compiled import CompiledDriver
 from agents.drivers.waypoints import goal_control
@@ -16,7 +14,9 @@ from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.errors import ScenarioError
 from bus.messages import Limits, Sensor, UavCommand, UgvObservation
+from flights import DT, HERE, R_V, U_A, U_G, V_G, escort, told, told_ugv, tracks, uav_sees
 from outrider.running.flying import InProcess, fly, make_pilots
+from properties import PROPERTY
 from sim.engine.briefing import briefing
 from sim.models.vehicles import Motion, goal_reached, norm, step_vehicle
 from sim.scenario.types import Detections, Uav, Ugv

@@ -19,10 +19,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import DT, U_G, V_G, Piloted, told_ugv
-from processes import loaded_by
-from refusals import refused
-from tabular import rows, words
 
 import outrider
 from agents.drivers.policy import Policy, PolicyDriver, UgvRows
@@ -30,14 +26,18 @@ from bus.errors import ScenarioError
 from bus.layout import UgvRow
 from bus.messages import Command, UgvObservation
 from bus.registry import SAVED_POLICIES
+from flights import DT, U_G, V_G, Piloted, told_ugv
 from outrider.envs.env_pilots import pilots
 from outrider.running import user_modules
 from outrider.running.flying import fly, make_pilots
 from outrider.running.user_code import load_function, load_policy
+from processes import loaded_by
+from refusals import refused
 from sim.models.vehicles import norm
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Custom, Scenario
 from sim.server.flight import Flight
+from tabular import rows, words
 
 LIBRARIES = ("stable_baselines3", "sb3_contrib", "torch", "onnxruntime")
 

@@ -10,6 +10,10 @@ import time
 from pathlib import Path
 
 import pytest
+
+from outrider.recording.reader import statuses
+from outrider.running.flying import fly
+from outrider.running.run_folder import run_folder
 from processes import (
     OUTRIDER,
     alive,
@@ -24,12 +28,8 @@ from processes import (
     started,
     wait_until,
 )
-from tabular import words
-
-from outrider.recording.reader import statuses
-from outrider.running.flying import fly
-from outrider.running.run_folder import run_folder
 from sim.scenario.loading import load_scenario, scenario_names, shipped_text
+from tabular import words
 
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
 

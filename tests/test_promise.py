@@ -4,20 +4,20 @@ import re
 
 import numpy as np
 import pytest
-from one_link import OneLink
-from refusals import refused
-from seeded import a_key
-from tabular import rows
 
 from bus.errors import ScenarioError
 from bus.messages import LinkKind, LinkSettings
+from one_link import OneLink
 from outrider.running.assumptions import How, how_certifiable, odds, promise_warnings, shortfalls
 from outrider.running.flying import run
 from outrider.running.summary import in_flights
+from refusals import refused
+from seeded import a_key
 from sim.channel.description import arrival_share, least_ticks, link_parameters
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.world import World
+from tabular import rows
 
 DT = 0.05
 QUIET = ("detections.dropout=0.0",)

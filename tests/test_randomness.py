@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from properties import PROPERTY
 from scipy import stats
-from seeded import a_key, a_told_key
 
+from properties import PROPERTY
+from seeded import a_key, a_told_key
 from sim.engine.run_keys import check_secret, derive_key, derive_keys, new_secret
 from sim.models import randomness
 from sim.models.randomness import (

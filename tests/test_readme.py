@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 import typer
-from pages import PAGES, ROOT, blocks, run_shown
-from tabular import words
 
 import outrider
 from bus.messages import LinkKind
 from outrider.cli.main import make_app
 from outrider.running.user_code import check_own_functions
+from pages import PAGES, ROOT, blocks, run_shown
 from sim.scenario.loading import load_scenario
+from tabular import words
 
 
 def prose(page: str) -> str:
@@ -95,7 +95,7 @@ def test_the_commands_and_options_shown_exist() -> None:
             for p in command.params
             for opt in (*p.opts, *p.secondary_opts)
         }
-        for name, one in typer.main.get_command(make_app()).commands.items()
+        for name, one in typer.main.get_command(make_app(whole=True)).commands.items()
     }
     shown = set()
     for page in PAGES:

@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import pytest
-from pages import ROOT, marked
 
 import agents.control
+from pages import ROOT, marked
 
 NUMBERED = re.compile(r"\((\d+)\)")
 EQUATIONS = [f"({number})" for number in range(1, 26)]

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flights import DT, HERE, escort
 
 from bus.messages import LinkSettings
 from bus.ticks import looks_of
+from flights import DT, HERE, escort
 from outrider.running.flying import InProcess, fly, make_pilots
 from sim.engine.certificate_counts import NEVER
 from sim.scenario.loading import load_scenario

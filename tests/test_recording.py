@@ -20,6 +20,7 @@ from typing import Any
 
 import msgspec
 import pytest
+
 from flights import HERE, escort
 from processes import loaded_by, wait_until
 from staging import stage
@@ -29,11 +30,11 @@ pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
 
 from mcap.reader import make_reader
-from observed import recorded
 
 from bus.errors import ScenarioError
 from bus.keys import KEYS
 from bus.messages import Law, UavCommand
+from observed import recorded
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.observer import RunRecorder
 from outrider.recording.reader import (

@@ -9,14 +9,13 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import HERE, escort, pairs
 from msgspec.structs import replace
+
+from flights import HERE, escort, pairs
 from refusals import refused
 
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
-
-from observed import Observer
 
 from bus.messages import (
     Action,
@@ -30,6 +29,7 @@ from bus.messages import (
     UavReport,
     UgvObservation,
 )
+from observed import Observer
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.reader import entries, flight_of, load
 from outrider.recording.refly import refly, restore

@@ -9,9 +9,9 @@ import pytest
 
 from bus.keys import KEYS
 from bus.messages import LinkSettings
-from outrider.bridges.fmi import variables
-from outrider.bridges.ros2.topics import PILOT_COMMANDS, PILOT_TOPICS, TOPICS
 from outrider.cli.main import COMMANDS
+from outrider_fmi import variables
+from outrider_ros2.topics import PILOT_COMMANDS, PILOT_TOPICS, TOPICS
 from sim.scenario.loading import scenario_names
 from sim.scenario.types import Scenario
 
@@ -29,7 +29,7 @@ def test_every_command_has_its_section_with_an_example_and_no_option_without_a_w
     sections = dict(
         part.split("\n", 1) for part in ("\n" + generator.page()).split("\n## outrider ")[1:]
     )
-    assert set(sections) >= {*COMMANDS, "scenarios", "scenarios show"}
+    assert set(sections) >= {*COMMANDS, "suite", "scenarios show"}
     for name, text in sections.items():
         assert f"```sh\noutrider {name}" in text
         rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| `")]

@@ -12,14 +12,14 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
-from processes import loaded_by, python
-from refusals import refused
 
 import outrider
 from outrider.envs.single import SingleEnv
 from outrider.envs.vector import OutriderVectorEnv
-from outrider.experiments.suite.tasks import MISSIONS, TASKS
 from outrider.registration import ESCORT, env_ids, register
+from outrider_learning.suite.tasks import MISSIONS, TASKS
+from processes import loaded_by, python
+from refusals import refused
 
 
 def test_there_is_a_name_for_the_escort_and_for_each_task() -> None:

@@ -7,13 +7,13 @@ import matplotlib as mpl
 import msgspec
 import numpy as np
 import pytest
-from flights import escort, pairs
 from matplotlib.text import Text
-from processes import loaded_by
 
 from bus.messages import Area, Law
+from flights import escort, pairs
 from outrider.running.flying import fly
 from outrider.view.flight_picture import SIZE, draw_flight, flight_figure
+from processes import loaded_by
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Detections, Uav, Ugv
 from sim.scene.frames import Frames

@@ -8,12 +8,11 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import distances, told, uav_sees
-from tabular import rows, words
 
 from agents.control.visibility import SafetyFilter, promise_of
 from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from bus.messages import LinkSettings
+from flights import distances, told, uav_sees
 from outrider.envs.single import single_env
 from outrider.envs.vector import vector_env
 from outrider.envs.wrappers import egocentric, history, normalized
@@ -22,6 +21,7 @@ from outrider.running.flying import fly
 from sim.env.parallel import parallel_env
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate, LinkTable, Scenario
+from tabular import rows, words
 
 R_V = 4.75
 

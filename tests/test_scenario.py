@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from properties import PROPERTY
-from refusals import SHIPPED, SMALL, refusal, written
 
 from agents.drivers.compiled import CompiledDriver
 from bus.errors import ScenarioError
 from bus.messages import Law, UgvObservation
+from properties import PROPERTY
+from refusals import SHIPPED, SMALL, refusal, written
 from sim.engine.briefing import briefing
 from sim.models.vehicles import step_vehicle
 from sim.scenario import checks

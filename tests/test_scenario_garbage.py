@@ -6,9 +6,9 @@ from pathlib import Path
 import msgspec
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from refusals import SMALL, written
 
 from bus.errors import ScenarioError
+from refusals import SMALL, written
 from sim.engine.briefing import briefing
 from sim.scenario import checks
 from sim.scenario.checks import check_scenario, scenario_warnings

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from refusals import SHIPPED, SMALL, refusal, written
-from tabular import rows
 
 from bus.messages import Law
 from bus.registry import LAWS
+from refusals import SHIPPED, SMALL, refusal, written
 from sim.scenario import world_checks
 from sim.scenario.checks import CHECKS
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Uav
+from tabular import rows
 
 ESCORT = load_scenario("escort")
 

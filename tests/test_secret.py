@@ -11,24 +11,24 @@ from typing import get_type_hints
 import msgspec
 import numpy as np
 import pytest
-from fields import fields_within
-from flights import degraded, record
-from processes import command_line, family, flying, outrider, started, wait_until
-from refusals import refused
-from staging import stage
 
 from bus.errors import ScenarioError
 from bus.keys import CONTROL, KEYS
 from bus.messages import Action, Control
+from fields import fields_within
+from flights import degraded, record
 from outrider.cli.options import secret_of
 from outrider.envs.env_pilots import pilots
 from outrider.envs.vector import OutriderVectorEnv
 from outrider.recording.reader import flight_of
 from outrider.recording.refly import refly
 from outrider.running.flying import fly, run
+from processes import command_line, family, flying, outrider, started, wait_until
+from refusals import refused
 from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env
 from sim.scenario.loading import load_scenario
+from staging import stage
 
 SECRET = bytes(range(100, 116)).hex()
 SHORT = load_scenario("escort", overrides=["duration=5.0"])

@@ -6,16 +6,16 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import Piloted, altered
-from worlds import small
 
 from bus.messages import BLOCK_SIDE, GroundBlock, RelativeInformation, SeenTile, UavObservation
+from flights import Piloted, altered
 from outrider.running.flying import InProcess, make_pilots
 from sim.models.ground import BLOCK, CLEAR, ROUGH
 from sim.scenario.types import Ground, Hazard, Scenario, Ugv
 from sim.server.flight import Flight
 from sim.server.perception import UgvPerception
 from sim.world import World
+from worlds import small
 
 DISC = Hazard(kind="block", center=(10.0, 6.0), radius=0.5)
 MUD = Hazard(kind="rough", polygon=((5.0, 5.0), (7.0, 5.0), (7.0, 7.0), (5.0, 7.0)), share=0.3)

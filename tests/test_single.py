@@ -8,11 +8,11 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordEpisodeStatistics
-from worlds import CASES, SCENARIOS, equal, random_actions
 
 from outrider.envs.single import single_env
 from outrider.envs.vector import vector_env
 from sim.env.observation import one_of_world
+from worlds import CASES, SCENARIOS, equal, random_actions
 
 SCENARIO = SCENARIOS["certified"]
 SETTINGS: dict[str, dict[str, Any]] = {

@@ -12,20 +12,20 @@ from typing import Any
 import msgspec
 import pytest
 import zenoh
-from flights import Piloted, degraded
-from processes import wait_until
-from staging import GIVEN, PILOT, Vehicle, client_of, hosted, stage, whole
 
 from agents import process
 from agents.uav import UavPilot
 from bus.errors import ScenarioError
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, Party, Role
 from bus.messages import Action, Control, Drive, UavCommand, UgvCommand
+from flights import Piloted, degraded
 from outrider.running.flying import make_pilots
+from processes import wait_until
 from sim.engine.briefing import briefing
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario
 from sim.server.flight import Flight
+from staging import GIVEN, PILOT, Vehicle, client_of, hosted, stage, whole
 
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])

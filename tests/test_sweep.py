@@ -11,9 +11,6 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from processes import OUTRIDER, PIPES, blocks, command_line, outrider, stat_of, wait_until
-from refusals import refused
-from tabular import words
 
 from bus.errors import PeerLost, ScenarioError
 from bus.profiles import PROFILES
@@ -23,7 +20,10 @@ from outrider.experiments.sweep.plan import SweepPlan, lay_out
 from outrider.experiments.sweep.running import fly_sweep, make_tasks, open_cluster
 from outrider.experiments.sweep.worker import fly_runs
 from outrider.running.flying import run
+from processes import OUTRIDER, PIPES, blocks, command_line, outrider, stat_of, wait_until
+from refusals import refused
 from sim.scenario.loading import load_scenario, scenario_names
+from tabular import words
 
 QUICK = ("duration=5.0", "area.cell=0.5")
 CELLS = "area.cell=0.5"

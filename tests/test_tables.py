@@ -6,7 +6,6 @@ from typing import get_args
 import msgspec
 import numpy as np
 import pytest
-from flights import escort, parameters
 
 from agents.control.laws import OwnTerms, weights
 from agents.drivers.parameters import COMPILED_DRIVERS
@@ -26,6 +25,7 @@ from bus.registry import (
     _table,
     resolve,
 )
+from flights import escort, parameters
 from outrider.cli import options
 from outrider.running.flying import fly
 from sim.models.field import sensor_quality, sensor_slope

@@ -8,22 +8,20 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import degraded, flown_in_both
-from one_link import OneLink
-from processes import outrider, run_json
-from refusals import SMALL, refusal
-from seeded import a_key
-from tabular import words
-from worlds import step
 
 from bus.errors import ScenarioError
 from bus.messages import LinkKind, LinkSettings
 from bus.profiles import PROFILES
-from outrider.experiments.network.fitting import fit_link
-from outrider.experiments.network.samples import drawn_sample
+from flights import degraded, flown_in_both
+from one_link import OneLink
 from outrider.running import assumptions
 from outrider.running.assumptions import promise_warnings
 from outrider.running.flying import fly
+from outrider_networks.fitting import fit_link
+from outrider_networks.samples import drawn_sample
+from processes import outrider, run_json
+from refusals import SMALL, refusal
+from seeded import a_key
 from sim.channel.description import check_link, link_parameters
 from sim.channel.links import first_arrivals
 from sim.channel.recorded import MOST_BYTES, RecordedLink, pack
@@ -33,6 +31,8 @@ from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable
 from sim.server.flight import Flight
 from sim.world import World
+from tabular import words
+from worlds import step
 
 DT = 0.05
 AGED = "the newest detection is older than declared (age > A)"
@@ -501,7 +501,7 @@ def written(settings: LinkSettings, interval: float) -> RecordedLink:
     return a_trace("sent,delay\n" + "\n".join(rows))
 
 
-FEW = "outrider.experiments.network.samples._MESSAGES", 500
+FEW = "outrider_networks.samples._MESSAGES", 500
 """For fits of which it is not asked which profile comes nearest."""
 
 
@@ -556,7 +556,7 @@ def test_the_fit_finds_an_outage_between_opportunities() -> None:
 
 def test_a_profile_that_comes_nearer_than_the_fit_is_named(monkeypatch) -> None:
     odd = LinkSettings(delay=0.05, reorder=0.3, reorder_delay=1.0)
-    monkeypatch.setattr("outrider.experiments.network.fitting.PROFILES", {"odd": odd})
+    monkeypatch.setattr("outrider_networks.fitting.PROFILES", {"odd": odd})
     fit, _ = fit_link(written(odd, 0.05))
     assert fit.profiles["odd"] < fit.factor
     assert any("the profile odd comes nearer" in note for note in fit.notes)

@@ -7,11 +7,8 @@ import math
 
 import numpy as np
 import pytest
-from flights import DT, HERE, R_S, U_A, U_G, V_A, V_G, distances, escort, parameters, tracks
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from properties import PROPERTY
-from reference_field import FloatGrid
 from scipy.signal import cont2discrete
 
 from agents.control.laws import OwnTerms, initial_state, uav_control
@@ -23,7 +20,10 @@ from agents.control.tracking import (
     tracking_step,
 )
 from bus.messages import Law
+from flights import DT, HERE, R_S, U_A, U_G, V_A, V_G, distances, escort, parameters, tracks
 from outrider.running.flying import fly
+from properties import PROPERTY
+from reference_field import FloatGrid
 from sim.models.field import cover, empty_coverage
 from sim.models.vehicles import Motion, norm, step_vehicle
 from sim.scenario.types import Uav, Ugv

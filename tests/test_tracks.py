@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusals import refused
 
 from bus.errors import ScenarioError
 from outrider.running.flying import fly
+from refusals import refused
 from sim.scenario.loading import load_scenario
 
 

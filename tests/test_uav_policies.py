@@ -9,32 +9,32 @@ import gymnasium
 import msgspec
 import numpy as np
 import pytest
-from flights import distances
 from gymnasium import spaces
-from processes import outrider as command
-from refusals import refused
-from worlds import SCENARIOS, SEVERAL, raw
 
 import outrider
 from agents.env_wrappers import EstimateWrapper
 from agents.uav import UavPilot
 from bus.errors import ScenarioError
+from flights import distances
 from outrider.envs.env_pilots import pilots
 from outrider.envs.observations.normalized import Normalized
 from outrider.envs.wrappers import egocentric, history, normalized, transformed
-from outrider.experiments.suite.scoring import evaluate
-from outrider.experiments.suite.tasks import TASKS
-from outrider.learning.learned import LearnedPolicy
-from outrider.learning.one_world import alone
-from outrider.learning.recipe import observation_recipe
-from outrider.learning.repeat import ActionRepeat
-from outrider.learning.saved import SavedPolicy
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.user_code import check_own_functions, load_uav_policy
+from outrider_learning.learned import LearnedPolicy
+from outrider_learning.one_world import alone
+from outrider_learning.recipe import observation_recipe
+from outrider_learning.repeat import ActionRepeat
+from outrider_learning.saved import SavedPolicy
+from outrider_learning.suite.scoring import evaluate
+from outrider_learning.suite.tasks import TASKS
+from processes import outrider as command
+from refusals import refused
 from sim.engine.briefing import uav_briefing
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Custom, Scenario
 from sim.server.flight import Flight
+from worlds import SCENARIOS, SEVERAL, raw
 
 SHIPPED = Path(__file__).parents[1] / "examples" / "policies" / "uav_ppo.npz"
 NAME = f"npz:{SHIPPED}"

@@ -10,16 +10,16 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from properties import PROPERTY
-from worlds import CASES, LATE_LOOKS, SCENARIO, SCENARIOS, SEVERAL, equal, random_actions
 
 import outrider
 from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from outrider.envs.env_pilots import pilots
 from outrider.envs.wrappers import normalized
-from outrider.learning.repeat import ActionRepeat
+from outrider_learning.repeat import ActionRepeat
+from properties import PROPERTY
 from sim.env.observation import one_of_world
 from sim.scenario.types import Scenario
+from worlds import CASES, LATE_LOOKS, SCENARIO, SCENARIOS, SEVERAL, equal, random_actions
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from properties import PROPERTY
 from scipy.integrate import solve_ivp
 
+from properties import PROPERTY
 from sim.models.vehicles import (
     brake,
     clip_norm,

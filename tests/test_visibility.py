@@ -3,17 +3,17 @@
 import math
 
 import pytest
-from flights import DT, HERE, R_S, R_V, U_A, V_A, V_G, distances, escort, parameters
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from properties import PROPERTY
 
 from agents.control.tracking import relative_motion
 from agents.control.visibility import is_visible, switching_radius
 from bus.errors import ScenarioError
 from bus.messages import Region
 from bus.registry import LAWS
+from flights import DT, HERE, R_S, R_V, U_A, V_A, V_G, distances, escort, parameters
 from outrider.running.flying import fly
+from properties import PROPERTY
 from sim.models.vehicles import raw_switching_radius
 from sim.scenario.checks import switching_radius_is_positive
 from sim.scenario.types import Coverage, Scenario, Uav, Ugv

@@ -7,6 +7,10 @@ from pathlib import Path
 
 import msgspec
 import pytest
+
+from bus.keys import CONTROL, Role
+from bus.messages import Action, Control, Law, LinkKind, LinkSettings
+from bus.registry import DRIVERS, LAWS
 from processes import (
     await_status,
     child_of,
@@ -18,10 +22,6 @@ from processes import (
     started,
     wait_until,
 )
-
-from bus.keys import CONTROL, Role
-from bus.messages import Action, Control, Law, LinkKind, LinkSettings
-from bus.registry import DRIVERS, LAWS
 
 PREPARE = """
 import sys

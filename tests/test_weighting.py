@@ -7,10 +7,8 @@ import math
 
 import numpy as np
 import pytest
-from flights import HERE, R_S, escort, parameters
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from properties import PROPERTY
 
 from agents.control.laws import OwnTerms, coverage_term, initial_state, uav_control, weights
 from agents.control.tracking import tracking_output
@@ -24,7 +22,9 @@ from agents.control.weighting import (
 )
 from bus.errors import ScenarioError
 from bus.messages import Law
+from flights import HERE, R_S, escort, parameters
 from outrider.running.flying import fly
+from properties import PROPERTY
 from sim.models.vehicles import Motion, norm
 from sim.scenario.types import Ugv
 

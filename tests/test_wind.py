@@ -6,18 +6,17 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from flights import EVADED, PROMISED, flown_in_both, told
-from processes import flown_both_ways
-from worlds import LOSSY, SCENARIOS, small, step
 
 from agents.control.handover import certificate, check_assumptions
 from agents.control.promise import Declared
 from bus.errors import ScenarioError
 from bus.messages import SeenTile, UavObservation
-from outrider.experiments.falsify.attack import attack
-from outrider.experiments.falsify.conditions import ANY, Conditions, declared
+from flights import EVADED, PROMISED, flown_in_both, told
 from outrider.running.assumptions import shortfalls
 from outrider.running.flying import fly
+from outrider_falsify.attack import attack
+from outrider_falsify.conditions import ANY, Conditions, declared
+from processes import flown_both_ways
 from sim.engine.batch import Batch
 from sim.kernels.records import record_type, records
 from sim.models.inner_loop import (
@@ -30,6 +29,7 @@ from sim.models.inner_loop import (
 from sim.scenario.checks import check_scenario
 from sim.scenario.types import Certificate, Hazard, LinkTable, Tracking, Uav, Wind
 from sim.world import World
+from worlds import LOSSY, SCENARIOS, small, step
 
 WINDY = SCENARIOS["wind"]
 DT = 0.05

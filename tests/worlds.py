@@ -5,14 +5,14 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from flights import escort
-from tabular import words
 
 from bus.messages import Estimator, Law, ScriptStep
 from bus.profiles import PROFILES
+from flights import escort
 from sim.engine.batch import Batch
 from sim.env.rewards import RewardWeights
 from sim.scenario.types import Area, Certificate, Detections, LinkTable, Scenario, Uav, Ugv, Wind
+from tabular import words
 
 WIFI_POOR = PROFILES["wifi-poor"]
 

@@ -22,10 +22,10 @@ import zenoh
 from bridge_checks import FOREIGN, Row, environment, free_port, output, outrider, report, started
 
 from bus.access import client_settings, read_credential
-from outrider.bridges.ros2.interfaces import encode, make, type_hash
-from outrider.bridges.ros2.ros_commands import TWISTS
-from outrider.bridges.ros2.topics import TOPICS, wire_topic
 from outrider.running.flying import fly
+from outrider_ros2.interfaces import encode, make, type_hash
+from outrider_ros2.ros_commands import TWISTS
+from outrider_ros2.topics import TOPICS, wire_topic
 from sim.scenario.loading import load_scenario
 from sim.scene.known import scene_of
 

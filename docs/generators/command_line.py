@@ -23,7 +23,7 @@ def page() -> str:
 def commands() -> dict[str, Any]:
     """All commands by name, those within another one behind it."""
     found: dict[str, Any] = {}
-    waiting: list[tuple[str, Any]] = [("", typer.main.get_command(make_app()))]
+    waiting: list[tuple[str, Any]] = [("", typer.main.get_command(make_app(whole=True)))]
     while waiting:
         name, command = waiting.pop(0)
         if name:

@@ -2,7 +2,7 @@
 
 from structs import cell
 
-from outrider.bridges.fmi.variables import (
+from outrider_fmi.variables import (
     ACCELERATION,
     DRIVER_INPUTS,
     OPERATOR,

@@ -39,8 +39,8 @@ MODULES = {
         "outrider/envs/wrappers.py",
         "outrider/envs/env_pilots.py",
         "agents/env_wrappers.py",
-        "outrider/experiments/suite/tasks.py",
-        "outrider/experiments/suite/board.py",
+        "extensions/outrider_learning/suite/tasks.py",
+        "extensions/outrider_learning/suite/board.py",
         "outrider/registration.py",
     ),
     "Runs": (

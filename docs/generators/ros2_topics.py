@@ -2,7 +2,7 @@
 
 from structs import cell
 
-from outrider.bridges.ros2.topics import PILOT_COMMANDS, PILOT_TOPICS, TOPICS, Each, TopicRow
+from outrider_ros2.topics import PILOT_COMMANDS, PILOT_TOPICS, TOPICS, Each, TopicRow
 
 _BEFORE = {Each.RUN: "", Each.VEHICLE: "<vehicle>/", Each.UAV: "<uav>/", Each.UGV: "<ugv>/"}
 

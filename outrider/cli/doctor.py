@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 import typer
 
-from bus.extras import EXTRAS, install_command, missing_of
+from bus.plugins import extras, install_command, missing, packages
 from outrider.cli.options import Json
 
 State = Literal["ok", "missing", "wrong"]
@@ -63,11 +63,11 @@ def _cache() -> Iterator[Finding]:
 
 
 def _extras() -> Iterator[Finding]:
-    for extra, modules in EXTRAS.items():
-        if missing_of(extra):
+    for extra in extras():
+        if missing(extra):
             yield Finding(f"[{extra}]", "missing", f"{install_command(extra)} in the clone")
         else:
-            yield Finding(f"[{extra}]", "ok", ", ".join(modules))
+            yield Finding(f"[{extra}]", "ok", ", ".join(packages(extra)))
 
 
 def _ports() -> Iterator[Finding]:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bus.errors import ScenarioError
-from bus.extras import from_extra
 from bus.keys import Role
 from bus.messages import Status
+from bus.plugins import needs
 from outrider.cli import options
 from outrider.cli.stopping import Stop, stop_on_signals
 from outrider.cli.waiting import await_status
@@ -87,7 +87,7 @@ def _drive(session: "Session", vehicle: str, first: Status, *, speed: float, bac
     from outrider.view.terminal.terminal import ending, know_colours, quiet_logs
 
     know_colours()
-    with from_extra("drive"):
+    with needs("drive"):
         from outrider.view.terminal.screen import DriveApp
     from outrider.cli.console import ERR
     from outrider.view.terminal.teleoperation import Teleoperation

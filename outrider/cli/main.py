@@ -9,11 +9,14 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable
+from importlib import import_module
+from importlib.util import find_spec
 from types import FrameType
 from typing import Any, NoReturn
 
 import typer
 
+from bus import plugins
 from bus.errors import (
     AccessDenied,
     OutriderError,
@@ -21,58 +24,44 @@ from bus.errors import (
     place_in_user_code,
     told_with_place,
 )
-from outrider.cli import (
-    check,
-    credentials,
-    dashboard,
-    doctor,
-    drive,
-    falsify,
-    figures,
-    fmu,
-    mavlink,
-    network,
-    pilots,
-    record,
-    render,
-    replay,
-    report,
-    ros2,
-    router,
-    run,
-    scenarios,
-    simulator,
-    suite,
-    sweep,
-)
 from outrider.cli.options import help_without_command
 from outrider.cli.standard_files import open_standard_files, print_text
 from sim.input.faults import one_line
 
-COMMANDS: dict[str, Callable[..., None]] = {
-    "run": run.command,
-    "simulator": simulator.command,
-    "uav": pilots.uav,
-    "ugv": pilots.ugv,
-    "router": router.command,
-    "credentials": credentials.command,
-    "dashboard": dashboard.command,
-    "drive": drive.command,
-    "ros2": ros2.command,
-    "mavlink": mavlink.command,
-    "record": record.command,
-    "replay": replay.command,
-    "render": render.command,
-    "check": check.command,
-    "falsify": falsify.command,
-    "figures": figures.command,
-    "suite": suite.command,
-    "sweep": sweep.command,
-    "report": report.command,
-    "doctor": doctor.command,
+COMMANDS = {
+    "run": ("outrider.cli.run:command", "Fly a scenario: simulator and vehicles, a process each."),
+    "simulator": (
+        "outrider.cli.simulator:command",
+        "Simulate a scenario for vehicles that join over Zenoh.",
+    ),
+    "uav": ("outrider.cli.pilots:uav", "Fly one UAV of a run, in a process of its own."),
+    "ugv": ("outrider.cli.pilots:ugv", "Drive one UGV of a run, in a process of its own."),
+    "router": ("outrider.cli.router:command", "Route the messages of a run."),
+    "credentials": ("outrider.cli.credentials:command", "Make random credentials for a run."),
+    "scenarios": ("outrider.cli.scenarios:app", "List, show or create scenarios."),
+    "check": ("outrider.cli.check:command", "Validate a scenario without flying it."),
+    "drive": ("outrider.cli.drive:command", "Drive a UGV from this terminal."),
+    "record": ("outrider.cli.record:command", "Record a run in progress into an MCAP file."),
+    "replay": ("outrider.cli.replay:command", "Print a recorded run's numbers, or fly it again."),
+    "render": ("outrider.cli.render:command", "Draw a recorded flight as a picture or a film."),
+    "figures": (
+        "outrider.cli.figures:command",
+        "Draw the paper's figures 1 to 5, and check their claims.",
+    ),
+    "sweep": (
+        "outrider.cli.sweep:command",
+        "Fly each law at each degradation with many seeds.",
+    ),
+    "report": ("outrider.cli.report:command", "Draw the results of sweeps."),
+    "doctor": ("outrider.cli.doctor:command", "List what this machine lacks."),
 }
+"""The core's commands: name, then `module:attribute` (a function or a typer app) and the line in --help."""
 
-
+_FORWARD = {
+    "allow_extra_args": True,
+    "allow_interspersed_args": False,  # else a `--` of the command is lost
+    "ignore_unknown_options": True,
+}
 _DEBUG = "OUTRIDER_DEBUG"
 _INTERRUPTED = 130
 _MORE = "--debug shows the whole traceback"
@@ -86,8 +75,13 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def make_app() -> typer.Typer:
-    """The whole command line: for `main`, and for the pages that tell of it."""
+def make_app(*, whole: bool = False) -> typer.Typer:
+    """Return the command line.
+
+    Args:
+        whole: Import every command, for shell completion and the reference; otherwise a command is imported when it is
+            called. Extensions whose libraries are missing are then left out.
+    """
     app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None)
 
     @app.callback(invoke_without_command=True)
@@ -108,12 +102,48 @@ def make_app() -> typer.Typer:
         """
         help_without_command(context)
 
-    for name, command in COMMANDS.items():
-        app.command(name)(_telling(command))
-    app.add_typer(scenarios.app, name="scenarios")
-    app.add_typer(network.app, name="network")
-    app.add_typer(fmu.app, name="fmu")
+    add = _add_whole if whole else _add
+    for name, (where, line) in COMMANDS.items():
+        add(app, name, functools.partial(_attribute, where), line)
+    for name, entry in sorted(plugins.registered("commands").items()):
+        package = entry.module.partition(".")[0]
+        if name not in COMMANDS and find_spec(package) is not None:
+            # The package's docstring; by contract it imports nothing else.
+            line = (import_module(package).__doc__ or "").partition("\n")[0]
+            add(app, name, functools.partial(plugins.load, entry), line)
     return app
+
+
+def _attribute(where: str) -> Any:  # noqa: ANN401 - a command or an app
+    module, _, name = where.partition(":")
+    return getattr(import_module(module), name)
+
+
+def _add(app: typer.Typer, name: str, load: Callable[[], Any], line: str) -> None:
+    """Add a command that is imported when it is called; arguments, --help and exit code are its own."""
+
+    @app.command(name, help=line, add_help_option=False, context_settings=_FORWARD)
+    @_interruptible
+    def call(context: typer.Context) -> Any:  # noqa: ANN401 - an exit code, if any
+        found = load()
+        if not isinstance(found, typer.Typer):
+            alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+            alone.command(name)(_interruptible(found))
+            found = alone
+        command = typer.main.get_command(found)
+        program = f"{context.find_root().info_name} {name}"
+        return command(args=context.args, prog_name=program, standalone_mode=False)
+
+
+def _add_whole(app: typer.Typer, name: str, load: Callable[[], Any], line: str) -> None:
+    try:
+        found = load()
+    except OutriderError:
+        return
+    if isinstance(found, typer.Typer):
+        app.add_typer(found, name=name, short_help=line)
+    else:
+        app.command(name, short_help=line)(found)
 
 
 def _end(_signal: int, _frame: FrameType | None) -> None:
@@ -124,13 +154,13 @@ class _Interrupted(Exception):
     """Ctrl-C in a command; typer would end it without a word."""
 
 
-def _telling(command: Callable[..., None]) -> Callable[..., None]:
-    """The same command, whose Ctrl-C is told."""
+def _interruptible(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the same command; Ctrl-C raises `_Interrupted`."""
 
     @functools.wraps(command)
-    def call(*arguments: Any, **options: Any) -> None:  # noqa: ANN401 - the command's own
+    def call(*arguments: Any, **options: Any) -> Any:  # noqa: ANN401 - the command's own
         try:
-            command(*arguments, **options)
+            return command(*arguments, **options)
         except KeyboardInterrupt as error:
             raise _Interrupted from error
 
@@ -161,7 +191,7 @@ def _system_fault(error: OSError) -> str:
 
 def _run() -> int:
     try:
-        code = int(make_app()(standalone_mode=False) or 0)
+        code = int(make_app(whole="_OUTRIDER_COMPLETE" in os.environ)(standalone_mode=False) or 0)
         if not code:  # one of its own tells more than that the terminal has gone
             print_text("")  # what waits to be written
         return code

@@ -78,12 +78,12 @@ def command(
     if target is None:
         raise typer.BadParameter("name the file to write, such as: outrider record run.mcap")
     from outrider.cli.console import ERR, print_json
-    from outrider.recording.bag_records import size_of
     from outrider.recording.observer import RunRecorder
+    from outrider_ros2.bag_records import size_of
 
     sink: Callable[[Path], RunSink]
     if ros2 is not None:
-        from outrider.bridges.ros2.ros_bag import RosBag, check_target
+        from outrider_ros2.ros_bag import RosBag, check_target
 
         check_target(ros2)
         sink = RosBag

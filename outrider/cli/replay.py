@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import typer
 
-from bus.extras import check_extra
+from bus.plugins import require
 from outrider.cli.options import FlightNumber, Json, NoPageToken, PagePort, PageToken
 from outrider.cli.stopping import stop_on_signals
 
@@ -84,7 +84,7 @@ def command(
     from outrider.recording.reader import flight_of
 
     if to_ros2 is not None:
-        from outrider.bridges.ros2.ros_bag import check_target
+        from outrider_ros2.ros_bag import check_target
 
         check_target(to_ros2)  # shows before a long recording is read
     recording = flight_of(file, flight)
@@ -137,9 +137,9 @@ def _refly(recording: "Recording", *, json: bool) -> None:
 
 
 def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
-    from outrider.bridges.ros2.ros_bag import RosBag, copy_flight
     from outrider.cli.console import ERR, print_json, share_progress
-    from outrider.recording.bag_records import size_of
+    from outrider_ros2.bag_records import size_of
+    from outrider_ros2.ros_bag import RosBag, copy_flight
 
     with (
         stop_on_signals() as stop,
@@ -170,15 +170,15 @@ def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
 def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted: bool) -> None:
     """Serve the page until somebody ends it."""
     from outrider.cli.console import ERR
-    from outrider.view.page.address import address_of, choose_token, open_socket
+    from outrider_dashboard.address import address_of, choose_token, open_socket
 
     token = choose_token("127.0.0.1", token, wanted=wanted)
-    check_extra("dashboard")
+    require("dashboard")
     with open_socket("127.0.0.1", port) as opened:
-        from outrider.view.page.app import serve
-        from outrider.view.page.controls.player import Player
-        from outrider.view.page.hub import Hub
-        from outrider.view.page.sources.tape import Tape
+        from outrider_dashboard.app import serve
+        from outrider_dashboard.controls.player import Player
+        from outrider_dashboard.hub import Hub
+        from outrider_dashboard.sources.tape import Tape
 
         tape = Tape(recording, speed)
         hub = Hub(tape)

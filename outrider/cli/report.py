@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from bus.extras import check_extra
 from bus.files import writing
+from bus.plugins import require
 from outrider.cli.options import Json
 from outrider.cli.standard_files import print_text
 
@@ -38,7 +38,7 @@ def command(
 
     Example: outrider report sweeps/network --markdown
     """
-    check_extra("sweep", "pyarrow")
+    require("sweep")
     if markdown and json:
         raise typer.BadParameter("--markdown and --json both want stdout; choose one")
     from rich.text import Text

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bus.errors import PeerLost, ScenarioError
-from bus.extras import check_extra
+from bus.plugins import require
 from bus.registry import DRIVERS
 from outrider.cli import options
 from outrider.cli.stopping import Stop, stop_on_signals
@@ -190,9 +190,9 @@ def _page(wanted: bool, port: int) -> AbstractContextManager[socket.socket | Non
     """The socket for the page: what stands in its way shows before the flight."""
     if not wanted:
         return nullcontext()
-    from outrider.view.page.address import open_socket
+    from outrider_dashboard.address import open_socket
 
-    check_extra("dashboard")
+    require("dashboard")
     return open_socket("127.0.0.1", port)
 
 

@@ -14,7 +14,7 @@ Name = Annotated[str, typer.Argument(help="A shipped scenario's name.")]
 SCHEMA_FILE = "scenario.schema.json"
 """Written beside a new scenario, for editors that know JSON Schema."""
 
-app = typer.Typer(invoke_without_command=True)
+app = typer.Typer(invoke_without_command=True, add_completion=False, rich_markup_mode=None)
 
 
 @app.callback()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bus.extras import check_extra
+from bus.plugins import require
 from outrider.cli.options import AllowCode, Duration, Json, Set
 
 if TYPE_CHECKING:
@@ -78,9 +78,9 @@ def command(
     Example: outrider sweep escort --law linear,switching --vary links.detections.delay=0,0.5,1 --seeds 20 --out
     sweeps/delay
     """
-    check_extra("sweep")
+    require("sweep")
     if dask:
-        check_extra("dask")
+        require("dask")
     from outrider.cli.console import print_warnings, runs_bar
     from outrider.experiments.sweep.definition import describe_sweep
     from outrider.experiments.sweep.folder import SweepFolder

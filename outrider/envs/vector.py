@@ -161,7 +161,7 @@ class Worlds:
                 )
             if name not in named and not callable(pilot):
                 raise ValueError(f"others: {name!r}: {pilot!r} is neither a name nor a policy")
-            if hasattr(pilot, "check"):  # as outrider.learning's: it knows what it was made for
+            if hasattr(pilot, "check"):  # as outrider_learning's: it knows what it was made for
                 pilot.check(self.scenario)
 
     def observe(self, name: str) -> AgentObservation:

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import msgspec
 
-from bus.extras import from_extra
 from bus.messages import CoverageMap, Drive, GroundMap, Message, Truth
+from bus.plugins import needs
 from outrider.recording import schemas
 from outrider.recording.tick_rows import Tick
 from outrider.recording.viewers import Place, Viewers
 from sim.scenario.types import Scenario
 
-with from_extra("record"):
+with needs("record"):
     import foxglove
     from foxglove.mcap import MCAPWriteOptions
 

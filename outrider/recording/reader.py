@@ -14,7 +14,6 @@ from typing import Any, BinaryIO, TypeVar
 import msgspec
 
 from bus.errors import ScenarioError
-from bus.extras import from_extra
 from bus.files import open_regular, writing
 from bus.messages import (
     CertificateStatus,
@@ -27,11 +26,12 @@ from bus.messages import (
     Status,
     Truth,
 )
+from bus.plugins import needs
 from outrider.recording import schemas
-from outrider.recording.bag_records import LATEST, RECORDS, bag_files, record_in, size_of
+from outrider_ros2.bag_records import LATEST, RECORDS, bag_files, record_in, size_of
 from sim.scenario.types import Scenario
 
-with from_extra("record"):
+with needs("record"):
     import lz4.frame
     import zstandard
     from mcap import records

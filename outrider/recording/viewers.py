@@ -9,14 +9,14 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bus.extras import from_extra
 from bus.messages import CoverageMap, HazardOutline
+from bus.plugins import needs
 from sim.scenario.types import Scenario
 from sim.scene.colors import HAZARDS, rgb
 from sim.scene.known import scene_of
 from sim.scene.model import Ring, Scene, SceneVehicle, observed_scene
 
-with from_extra("record"):
+with needs("record"):
     import foxglove
     from foxglove import channels, messages
 

@@ -102,8 +102,8 @@ def load_uav_policy(name: str, *, what: str = "uav_policy") -> "UavPolicy":
     file: load only what you trust.
 
     Args:
-        name: `module:function`; `npz:FILE.npz` of `outrider.learning.mlp.save_policy`; `sb3:ALGORITHM:FILE.zip` of
-            `outrider.learning.saved.save_sb3_policy`.
+        name: `module:function`; `npz:FILE.npz` of `outrider_learning.mlp.save_policy`; `sb3:ALGORITHM:FILE.zip` of
+            `outrider_learning.saved.save_sb3_policy`.
         what: What it is for, for the error.
 
     Raises:

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.errors import OutriderError
-from bus.extras import from_extra
 from bus.messages import HazardOutline, Vector
+from bus.plugins import needs
 from sim.engine.batch import Batch
 from sim.kernels.compile import FloatArray, IntArray
 from sim.scene.known import scene_of
@@ -42,7 +42,7 @@ class Window:
     """
 
     def __init__(self, title: str, rate: float) -> None:
-        with from_extra("window", "render_mode 'human', unlike 'rgb_array'"):
+        with needs("window", "render_mode 'human', unlike 'rgb_array'"):
             self._pygame: Any = importlib.import_module("pygame")  # without types
         self._title, self._rate = title, rate
         self._screen: Any = None

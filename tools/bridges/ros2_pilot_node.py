@@ -20,10 +20,10 @@ from agents.ugv import UgvPilot
 from bus.access import client_settings, read_credential
 from bus.keys import Role
 from bus.messages import UavBriefing, UavObservation, UgvBriefing, UgvObservation
-from outrider.bridges.ros2.conversion import header
-from outrider.bridges.ros2.interfaces import decode, encode, make
-from outrider.bridges.ros2.topics import BRIEFING, OBSERVATION, PILOT_COMMANDS, TopicRow, wire_topic
-from outrider.bridges.ros2.wire import Attachment
+from outrider_ros2.conversion import header
+from outrider_ros2.interfaces import decode, encode, make
+from outrider_ros2.topics import BRIEFING, OBSERVATION, PILOT_COMMANDS, TopicRow, wire_topic
+from outrider_ros2.wire import Attachment
 
 endpoint, file, domain, form = sys.argv[1:5]
 known = read_credential(Path(file))

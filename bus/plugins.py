@@ -1,0 +1,130 @@
+"""Entry points through which extensions and other packages add to Outrider, and the extras that they need."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, metadata, requires
+from importlib.metadata import version as version_of
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from bus.errors import OutriderError, ScenarioError
+
+GROUPS = (
+    *("commands", "companions", "drivers", "laws", "pilots"),
+    *("policies", "roles", "sensors", "sinks"),
+)
+"""The groups of entry points, `outrider.<group>`."""
+
+_OURS = "outrider"
+
+
+def registered(group: str) -> dict[str, EntryPoint]:
+    """Return the entry points of `outrider.<group>` by name, Outrider's own first.
+
+    Two packages may use one name. The first then wins, with a warning: a package must not stop every command.
+    """
+    found: dict[str, EntryPoint] = {}
+    entries = entry_points(group=f"{_OURS}.{group}")
+    for entry in sorted(entries, key=lambda one: (_owner(one) != _OURS, _owner(one), one.name)):
+        first = found.setdefault(entry.name, entry)
+        if first.value != entry.value:
+            text = f"{entry.name!r} of {_owner(entry)} is ignored: {_owner(first)} has one"
+            sys.stderr.write(f"{_OURS}: {text}\n")
+    return found
+
+
+def load(entry: EntryPoint) -> Any:  # noqa: ANN401 - a command, a law, a sink, ...
+    """Import the object of an entry point.
+
+    Raises:
+        ScenarioError: If a library of its extra is missing.
+        OutriderError: If it cannot be imported for another reason.
+    """
+    what = f"{entry.group.removeprefix(f'{_OURS}.').removesuffix('s')} {entry.name!r}"
+    package = entry.module.partition(".")[0]
+    extra = package.removeprefix(f"{_OURS}_") if _owner(entry) == _OURS else ""
+    with needs(extra, what):
+        return entry.load()
+
+
+def folders() -> list[Path]:
+    """Return the folders of all packages with an entry point of Outrider, in a fixed order."""
+    entries = [entry for group in GROUPS for entry in entry_points(group=f"{_OURS}.{group}")]
+    names = {entry.module.partition(".")[0] for entry in entries}
+    specs = [find_spec(name) for name in sorted(names)]
+    places = [place for spec in specs if spec for place in spec.submodule_search_locations or ()]
+    return [Path(place) for place in places]
+
+
+@contextmanager
+def needs(extra: str, what: str = "", kind: type[OutriderError] = ScenarioError) -> Iterator[None]:
+    """Explain an import that fails because an extra is not installed.
+
+    Args:
+        extra: Name of the extra; empty: none of Outrider's.
+        what: Text before the error's reason, for example an option.
+        kind: Class of the error.
+
+    Raises:
+        OutriderError: Of this kind, with the missing package and the command that installs it.
+    """
+    try:
+        yield
+    except ImportError as error:
+        prefix = f"{what}: " if what else ""
+        if not extra or (error.name or "").partition(".")[0] in (_OURS, "bus", "sim", "agents"):
+            raise OutriderError(f"{prefix}{error}") from error
+        raise kind(f"{prefix}{error.name} is missing: {install_command(extra)}") from error
+
+
+def require(extra: str, what: str = "") -> None:
+    """Check that all packages of an extra are installed.
+
+    Raises:
+        ScenarioError: If one is missing; with the command that installs it.
+    """
+    for package in missing(extra):
+        prefix = f"{what}: " if what else ""
+        raise ScenarioError(f"{prefix}{package} is missing: {install_command(extra)}")
+
+
+def install_command(extra: str) -> str:
+    """Return the shell command that installs an extra from the clone."""
+    return f"pip install -e '.[{extra}]'"
+
+
+def extras() -> tuple[str, ...]:
+    """Return the names of all extras that a user may install."""
+    names = metadata(_OURS).get_all("Provides-Extra") or []
+    return tuple(name for name in names if name not in ("dev", "docs"))
+
+
+def packages(extra: str) -> tuple[str, ...]:
+    """Return the distributions that an extra adds, by name."""
+    from packaging.requirements import Requirement  # noqa: PLC0415 - 10 ms, seldom needed
+
+    wanted = [Requirement(text) for text in requires(_OURS) or ()]
+    return tuple(
+        one.name
+        for one in wanted
+        if one.marker is not None and one.marker.evaluate({"extra": extra})
+    )
+
+
+def missing(extra: str) -> tuple[str, ...]:
+    """Return the distributions of an extra that are not installed, by name."""
+    return tuple(name for name in packages(extra) if not _is_installed(name))
+
+
+def _is_installed(name: str) -> bool:
+    try:
+        version_of(name)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
+def _owner(entry: EntryPoint) -> str:
+    return entry.dist.name if entry.dist is not None else ""

@@ -1,0 +1,227 @@
+"""The controls of a run that is flown now."""
+
+import math
+import time
+
+import msgspec
+from nicegui import ui
+
+from bus.messages import Action, Control, Law, Status
+from bus.registry import DRIVERS, LAWS
+from outrider_dashboard.controls.links_card import LinkForm
+from outrider_dashboard.controls.widgets import (
+    button,
+    card,
+    html,
+    number,
+    readout,
+    row,
+    select_row,
+    slider,
+    ticks,
+)
+from outrider_dashboard.hub import Hub
+
+_PATIENCE = 2.0
+"""So long a control shows what was chosen before it shows what is [s]."""
+
+HIGHEST_SEED = 2**53 - 1
+_STICK = """<div id="stick" aria-label="joystick" role="slider" aria-valuetext="centred"><i></i></div>
+<div class="hints">
+<div id="who"></div><div><kbd>&larr;</kbd><kbd>&uarr;</kbd><kbd>&darr;</kbd><kbd>&rarr;</kbd> or
+<kbd>W</kbd><kbd>A</kbd><kbd>S</kbd><kbd>D</kbd></div><div><kbd>space</kbd> brakes</div><div id="pad">no
+gamepad</div></div>"""
+
+
+class Controls:
+    """The controls of one browser; what they show follows the simulator."""
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub = hub
+        self._touched = -math.inf
+        self._wanted = ("", "")
+        self._shows = False  # while it shows what is, a control's change is nobody's wish
+        with card("Run"):
+            self._build_run()
+            self._build_laws()
+        with card("The wheel", classes="wheel-card", props="id=wheel-card"):
+            self._build_wheel()
+        self._links = LinkForm(hub)
+
+    def _build_run(self) -> None:
+        with row():
+            self._pause = button("Pause", self._toggle_pause, icon="pause", props="unelevated")
+            self._step = button("Step", self._make_step, icon="skip_next")
+            self._ticks = ticks()
+        with row():
+            self._lockstep = ui.switch("lockstep", value=True, on_change=self._set_speed)
+            self._lockstep.props("dense")
+            self._speed = slider("speed", min=-1.0, max=2.0, step=0.1, value=0.0)
+            self._speed.on("change", self._set_speed)
+            self._factor = readout("Wanted pace: simulated seconds per second of wall time")
+            self._factor.bind_text_from(self._speed, "value", lambda x: f"{factor_of(x):g} ×")
+            self._speed.bind_enabled_from(self._lockstep, "value", lambda lockstep: not lockstep)
+        with row():
+            self._seed = number(
+                "seed",
+                low=0,
+                high=HIGHEST_SEED,
+                whole=True,
+                needed=False,
+                meaning="Seed of the flight that Reset begins; empty: the same again",
+                placeholder="the same",
+                classes="grow",
+            )
+            button("Reset", self._reset, icon="restart_alt", classes="")
+
+    def _build_wheel(self) -> None:
+        with row():
+            html('<select id="wheel-vehicle" aria-label="which UGV"></select>', "vehicle-place")
+            take = "unelevated color=accent id=take"
+            button("Take the wheel", icon="sports_esports", props=take, classes="grow take").on(
+                "click", js_handler="() => window.outrider.take()"
+            )
+            button("Hand back", props="outline color=accent id=back", classes="grow back").on(
+                "click", js_handler="() => window.outrider.back()"
+            )
+        html(_STICK, "stick-row")
+        with row():
+            ui.label("full speed").classes("muted")
+            share = self._hub.wheel.share
+            self._full = slider(
+                "full speed", min=0.05, max=1.0, step=0.05, value=share, props="color=accent"
+            )
+            self._full.on("change", self._set_full)
+            self._top = readout("Speed that full deflection asks for")
+            self._full.on_value_change(self._show_full)
+            self._show_full()
+
+    def _build_laws(self) -> None:
+        laws = [law.name for law in LAWS.values() if not law.own]  # a page brings no function
+        drivers = [
+            driver.name
+            for driver in DRIVERS.values()
+            if not (driver.own or driver.outside or driver.operated)
+        ]
+        with row():
+            self._law = select_row(LAWS, laws, "law", on_change=self._set_law)
+            self._driver = select_row(DRIVERS, drivers, "driver", on_change=self._set_driver)
+
+    # What people want
+
+    def _say(self, control: Control) -> None:
+        self._touched = time.monotonic()
+        if self._hub.status is not None and self._hub.status.over:
+            ui.notify("The run is over: nothing can be steered any more.", type="warning")
+            return
+        if not self._hub.source.control(control):
+            ui.notify("That could not be said: the bus does not take it now.", type="negative")
+
+    def _toggle_pause(self) -> None:
+        status = self._hub.status
+        paused = status is not None and status.paused
+        self._say(Control(action=Action.RESUME if paused else Action.PAUSE))
+
+    def _make_step(self) -> None:
+        if self._ticks.error is None:
+            self._say(Control(action=Action.STEP, ticks=int(self._ticks.value)))
+
+    def _set_speed(self) -> None:
+        if not self._shows:
+            factor = None if self._lockstep.value else factor_of(self._speed.value)
+            self._say(Control(action=Action.SPEED, factor=factor))
+
+    def _reset(self) -> None:
+        if self._seed.error is not None:
+            return
+        self._say(
+            Control(
+                action=Action.RESET,
+                seed=None if self._seed.value is None else int(self._seed.value),
+            )
+        )
+
+    def _set_law(self) -> None:
+        if not self._shows and self._law.value:
+            name, known = self._law.value, self._hub.law
+            law = Law(name=name) if known is None else msgspec.structs.replace(known, name=name)
+            self._say(Control(action=Action.LAW, law=law))
+            self._wanted = ("law", name)
+            if known is None:
+                ui.notify(
+                    f"{name} gets the default gains: those of the law before are not known here.",
+                    type="warning",
+                )
+
+    def _set_driver(self) -> None:
+        if not self._shows and self._driver.value:
+            self._say(Control(action=Action.DRIVER, driver=self._driver.value))
+            self._wanted = ("driver", self._driver.value)
+
+    def _set_full(self) -> None:
+        self._hub.wheel.share = float(self._full.value)
+
+    def _show_full(self) -> None:
+        """The share of the slider as a speed: of the UGV that is driven, or of the fastest."""
+        wheel = self._hub.wheel
+        tops = [
+            wheel.top(name) for name in ([wheel.vehicle] if wheel.holder else self._hub.drivers)
+        ]
+        self._top.set_text(f"{self._full.value * max(tops, default=wheel.top('')):.2f} m/s")
+
+    # What is
+
+    def show(self) -> None:
+        """Let the controls show how the run stands, unless somebody has just touched them."""
+        status = self._hub.status
+        if status is None:
+            return
+        self._links.show()
+        self._show_full()
+        self._pause.set_text("Resume" if status.paused else "Pause")
+        self._pause.set_icon("play_arrow" if status.paused else "pause")
+        if time.monotonic() - self._touched < _PATIENCE:
+            return
+        self._tell_refusal(status)
+        self._shows = True
+        try:
+            self._full.set_value(self._hub.wheel.share)
+            self._lockstep.set_value(status.wanted_factor is None)
+            if status.wanted_factor:
+                self._speed.set_value(position_of(status.wanted_factor))
+            choose(self._law, status.law if self._hub.history.escorts else None)
+            drivers = set(self._hub.drivers.values())
+            choose(self._driver, drivers.pop() if len(drivers) == 1 else None)
+        finally:
+            self._shows = False
+
+    def _tell_refusal(self, status: Status) -> None:
+        """Say so if what was chosen here is not what the simulator does."""
+        (what, wanted), self._wanted = self._wanted, ("", "")
+        done = {
+            "": True,
+            "law": status.law == wanted,
+            "driver": wanted in self._hub.drivers.values(),
+        }
+        if not (done[what] or status.paused):
+            told = [line for line in status.refusals if f"operator's {what} is refused" in line]
+            why = f": {told[-1].partition('is refused: ')[2]}" if told else " so far"
+            ui.notify(f"The {what} {wanted} has not taken effect{why}.", type="negative")
+
+
+def factor_of(position: float) -> float:
+    """The factor at a place of the slider, which is its logarithm, rounded to what one would say."""
+    return float(f"{10.0**position:.2g}")
+
+
+def position_of(factor: float) -> float:
+    """The place of the slider for a factor."""
+    return min(max(math.log10(factor), -1.0), 2.0)
+
+
+def choose(select: ui.select, value: str | None) -> None:
+    """Show a value, also one that cannot be chosen here."""
+    if value and value not in select.options:
+        select.set_options([*select.options, value], value=value)
+    elif select.value != (value or None):
+        select.set_value(value or None)

@@ -1,0 +1,97 @@
+"""The page's knowledge: who is there, the law's gains, the wheel."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from bus.keys import SIMULATOR_NAME, Party, Role
+from bus.messages import Action, Change, Control, Drive, Law, Status
+from bus.registry import TELEOP
+from outrider_dashboard.controls.wheel import SharedWheel
+from outrider_dashboard.hub import running_law
+from outrider_dashboard.sources.live import Live
+from statuses import a_status
+
+FIRST = Law(name="logarithmic", speed_gain=2.0)
+OTHER = Law(name="linear", weight_gain=7.0)
+
+
+def status(law: str, *controls: Control) -> Status:
+    changes = tuple(Change(tick=k, control=control) for k, control in enumerate(controls))
+    return a_status(law=law, changes=changes)
+
+
+@pytest.mark.parametrize(
+    ("router", "simulator", "line"),
+    [
+        (True, True, ""),
+        (True, False, "Waiting for a simulator to join"),
+        (False, True, "The router is away"),
+    ],
+)
+def test_a_router_that_is_away_is_not_taken_for_its_simulator(router, simulator, line):
+    def watch(name: str, see: Any) -> None:
+        see(name, 0, simulator and name == SIMULATOR_NAME)
+
+    party = Party(role=Role.OBSERVER, name="page")
+    session: Any = SimpleNamespace(party=party, connected=router, watch=watch)
+    run = Live(session, read=())
+    state = run.standing
+    run.close()
+    assert (state.router, state.simulator) == (router, simulator)
+    assert state.line.startswith(line)
+
+
+def test_the_first_law_is_flown_until_another_is_chosen() -> None:
+    assert running_law(status("logarithmic"), FIRST) == FIRST
+    assert running_law(status("linear", Control(action=Action.LAW, law=OTHER)), FIRST) == OTHER
+
+
+def test_gains_that_nobody_has_told_are_not_known() -> None:
+    assert running_law(status("logarithmic"), None) is None
+    assert running_law(status("switching"), FIRST) is None  # chosen without our having seen it
+    step = Control(action=Action.STEP)
+    # older changes are no longer told
+    assert running_law(status("logarithmic", *[step] * 20), FIRST) is None
+    assert running_law(status("logarithmic", *[step] * 19), FIRST) == FIRST
+
+
+def test_a_reset_brings_the_first_law_back() -> None:
+    controls = (Control(action=Action.LAW, law=OTHER), Control(action=Action.RESET))
+    assert running_law(status("logarithmic", *controls), FIRST) == FIRST
+    assert running_law(status("logarithmic", *controls), None) is None
+
+
+def test_an_operator_whom_nobody_here_has_put_at_a_wheel_is_a_stranger() -> None:
+    said: list[Control] = []
+    wheel = SharedWheel(lambda control: said.append(control) is None, lambda _name, _drive: True)
+    wheel.follow(a_status(drivers={"ugv_0": "waypoints", "ugv_1": TELEOP}))
+    assert wheel.strangers() == ["ugv_1"]
+    assert wheel.take(1, "browser 1", "ugv_0")
+    operators = {"ugv_0": said[-1].operator}
+    taken = a_status(drivers={"ugv_0": TELEOP, "ugv_1": TELEOP}, operators=operators)
+    wheel.follow(taken)
+    assert wheel.strangers() == ["ugv_1"]
+    wheel.release()
+    assert wheel.strangers() == ["ugv_1"]
+    wheel.hand_back(1)
+    assert said[-1].driver == "waypoints"
+    # until the simulator has assigned the driver from before
+    assert wheel.strangers() == ["ugv_0", "ugv_1"]
+
+
+def test_a_wheel_that_another_operator_has_taken_is_not_handed_back() -> None:
+    said: list[Control] = []
+    driven: list[Drive] = []
+    wheel = SharedWheel(
+        lambda control: said.append(control) is None, lambda _, drive: driven.append(drive) is None
+    )
+    wheel.follow(a_status(drivers={"ugv_0": "waypoints"}))
+    assert wheel.take(1, "browser 1", "ugv_0")
+    wheel.follow(a_status(drivers={"ugv_0": TELEOP}, operators={"ugv_0": "a_terminal"}))
+    assert not wheel.can_be_handed_back()
+    wheel.hand_back(1)
+    assert [control.driver for control in said] == [TELEOP]
+    wheel.follow(a_status(drivers={"ugv_0": TELEOP}, over=True))
+    assert not wheel.take(1, "browser 1", "ugv_0")

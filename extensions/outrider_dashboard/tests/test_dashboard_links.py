@@ -1,0 +1,205 @@
+"""The radio links in the page: their status, their change, and their charts."""
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from bus.messages import (
+    Action,
+    Change,
+    Control,
+    Limits,
+    LinkKind,
+    LinkSettings,
+    LinkStatus,
+    Status,
+    UavReport,
+)
+from bus.profiles import PROFILES
+from observed import recorded
+from outrider.recording.reader import flight_of
+from outrider_dashboard.chart_data import ChartData
+from outrider_dashboard.controls.link_words import (
+    ALL,
+    chosen,
+    controls_for,
+    darkened,
+    said_of_links,
+    with_field,
+    words,
+)
+from outrider_dashboard.controls.wheel import SharedWheel
+from outrider_dashboard.hub import Hub
+from outrider_dashboard.sources.tape import Tape
+from sim.channel.description import check_link
+from sim.scenario.loading import load_scenario
+from sim.scene.known import geometry_of
+from statuses import a_status, a_truth, a_vehicle
+
+NAMES = ("uav_0/detections", "uav_0/commands", "ugv_0/commands", "ugv_0/operator", "uav_0/radio")
+PERFECT, BURSTS = LinkSettings(), LinkSettings(jitter=0.1, burst_length=0.3, burst_interval=4.0)
+
+
+def link(sent: int = 0, **lost: int) -> LinkStatus:
+    return LinkStatus(
+        sent=sent, delivered=sent, duplicated=0, waiting=0, flying=0, lost=lost, settings=PERFECT
+    )
+
+
+def status(time: float, **links: LinkStatus) -> Status:
+    named = {name.replace("__", "/"): told for name, told in links.items()}
+    return a_status(time=time, links=named)
+
+
+# Words
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_a_profile_is_called_by_its_name_whatever_is_planned(name: str) -> None:
+    assert words(PROFILES[name]) == name
+    assert words(darkened(PROFILES[name], 1.0, 2.0)) == name
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        (LinkSettings(delay=0.5, loss=0.2), "delay 0.5 s, loss 20 %"),
+        (BURSTS, "jitter 0.1 s, bursts 0.3 s every 4 s"),
+        (LinkSettings(burst_interval=5.0, burst_loss=0.5), "perfect"),  # there are none of 0 s
+        (msgspec.structs.replace(PROFILES["wifi-poor"], loss=0.5), "wifi-poor, loss 50 %"),
+        (msgspec.structs.replace(PROFILES["wifi-poor"], burst_length=0.0), "wifi-poor, no bursts"),
+        (LinkSettings(bandwidth=2.0), "2 messages/s"),
+    ],
+)
+def test_settings_are_said_in_a_few_words(settings: LinkSettings, said: str) -> None:
+    assert words(settings) == said
+
+
+def test_a_status_is_told_with_the_words_for_its_links_and_for_its_changes() -> None:
+    settings = LinkSettings(loss=0.1)
+    degraded = msgspec.structs.replace(link(), settings=settings)
+    changes = (
+        Change(tick=1, control=Control(action=Action.PAUSE)),
+        Change(tick=2, control=Control(action=Action.LINK, link=LinkKind.RADIO, settings=settings)),
+    )
+    told = msgspec.structs.replace(
+        status(1.0, uav_0__radio=degraded, uav_0__commands=link()), changes=changes
+    )
+    assert said_of_links(told) == {
+        "of": {"uav_0/radio": "loss 10 %", "uav_0/commands": "perfect"},
+        "changes": ["", "loss 10 %"],
+    }
+
+
+# Wishes
+
+
+def test_links_are_chosen_by_kind_and_vehicle() -> None:
+    assert chosen(NAMES, ALL, ALL) == list(NAMES)
+    assert chosen(NAMES, "commands", ALL) == ["uav_0/commands", "ugv_0/commands"]
+    assert chosen(NAMES, ALL, "ugv_0") == ["ugv_0/commands", "ugv_0/operator"]
+    assert chosen(NAMES, "radio", "ugv_0") == []
+
+
+def test_a_kind_that_gets_the_same_everywhere_is_one_word_and_what_differs_is_one_each() -> None:
+    one, other = LinkSettings(loss=0.1), LinkSettings(loss=0.2)
+    everywhere = controls_for(dict.fromkeys(NAMES, one), NAMES)
+    assert [(said.link, said.vehicle) for said in everywhere] == [(kind, None) for kind in LinkKind]
+    each = controls_for({"uav_0/commands": one, "ugv_0/commands": other}, NAMES)
+    assert [(said.vehicle, said.settings) for said in each] == [("uav_0", one), ("ugv_0", other)]
+    (alone,) = controls_for({"ugv_0/commands": one}, NAMES)
+    assert (alone.action, alone.link, alone.vehicle) == (Action.LINK, LinkKind.COMMANDS, "ugv_0")
+
+
+def test_a_blackout_is_added_to_what_the_link_does_already_and_old_ones_are_dropped() -> None:
+    poor = PROFILES["wifi-poor"]
+    dark = darkened(poor, 10.0, 3.0)
+    assert dark == msgspec.structs.replace(poor, blackouts=((10.0, 3.0),))
+    assert darkened(dark, 11.0, 5.0).blackouts == ((10.0, 3.0), (11.0, 5.0))
+    for k in range(3000):
+        dark = darkened(dark, 20.0 + 2.0 * k, 1.0)
+    assert len(dark.blackouts) < 100
+    assert dark.blackouts[-1] == (6018.0, 1.0)
+    ahead = LinkSettings(blackouts=((500.0, 9.0),))
+    assert darkened(ahead, 1.0, 1.0).blackouts == ((500.0, 9.0), (1.0, 1.0))
+    check_link(dark, "link")
+
+
+def test_bursts_that_are_asked_for_come_with_a_time_between_them_that_can_be_flown() -> None:
+    bursts = check_link(with_field(PERFECT, "burst_length", 0.5), "link")
+    assert bursts.burst_length == 0.5
+    assert bursts.burst_interval > 0.0
+    assert with_field(bursts, "burst_interval", 9.0).burst_interval == 9.0
+    assert with_field(LinkSettings(burst_interval=2.0), "burst_length", 1.0).burst_interval == 2.0
+
+
+# Charts
+
+
+def told(history: ChartData, at: float, age: float | None = 0.05) -> tuple[float | None, ...]:
+    of_age = {"estimate": (0.0, 0.0), "covariance": (1.0, 0.0, 1.0), "age": age, "refused": 0}
+    report = None if age is None else UavReport(**of_age)
+    history.add(a_truth(at, a_vehicle(), a_vehicle(), report=report), 1.0, 0.05)
+    return history.newest[-3:]
+
+
+def test_a_row_tells_the_age_the_share_lost_lately_and_a_blackout() -> None:
+    history = ChartData()
+    assert told(history, 0.0) == (0.05, None, 0.0)
+    history.losses.take(status(0.0, uav_0__detections=link(0), ugv_0__commands=link(0)))
+    history.losses.take(status(1.0, uav_0__detections=link(20, loss=5), ugv_0__commands=link(20)))
+    assert told(history, 1.0, 0.2) == (0.2, 0.25, 0.0)
+    history.losses.take(
+        status(2.0, uav_0__detections=link(40, loss=5), ugv_0__commands=link(40, blackout=3))
+    )
+    assert told(history, 2.0) == (0.05, 0.0, 1.0)
+    history.losses.take(
+        status(3.0, uav_0__detections=link(60, loss=5), ugv_0__commands=link(60, blackout=3))
+    )
+    assert told(history, 3.0, None) == (None, 0.0, 0.0)
+
+
+def test_a_new_flight_begins_to_count_anew_and_a_status_that_says_nothing_new_changes_nothing():
+    history = ChartData()
+    for time, sent in ((0.0, 0), (1.0, 100)):
+        history.losses.take(status(time, uav_0__detections=link(sent, blackout=sent)))
+    assert told(history, 1.0)[1:] == (1.0, 1.0)
+    history.losses.take(status(1.5, uav_0__detections=link(100, blackout=100)))
+    assert told(history, 1.5)[1:] == (1.0, 1.0)
+    history.losses.take(status(0.1, uav_0__detections=link(2)))
+    assert told(history, 2.0)[1:] == (None, 0.0)
+
+
+def test_a_recording_that_is_wound_shows_its_blackout_where_it_was(tmp_path: Path) -> None:
+    changes = ["duration=30.0", "links.detections.blackouts=[[10.0, 5.0]]"]
+    recorded(tmp_path / "run.mcap", load_scenario("escort", overrides=changes))
+    tape = Tape(flight_of(tmp_path / "run.mcap"), 1.0)
+    hub = Hub(tape)
+    hub.take_in()
+    tape.wind(tape.end)
+    hub.take_in()
+    dark = [row[0] for row in hub.history.rows if row[-1]]
+    assert dark
+    assert 9.9 <= min(t for t in dark if t is not None) <= 10.6
+    assert 14.4 <= max(t for t in dark if t is not None) <= 15.6
+    ages = {row[0]: row[-3] for row in hub.history.rows}
+    assert max(age for age in ages.values() if age is not None) == pytest.approx(5.0, abs=0.2)
+
+
+# The wheel
+
+
+def test_full_deflection_asks_for_the_largest_speed_of_the_vehicle_that_is_driven() -> None:
+    wheel = SharedWheel(lambda _control: True, lambda _name, _drive: True)
+    limits = {
+        "ugv_0": Limits(max_speed=0.2, max_acceleration=0.1),
+        "ugv_1": Limits(max_speed=None, max_acceleration=None),
+    }
+    geometry = geometry_of(load_scenario("escort"))
+    wheel.follow(a_status(geometry=msgspec.structs.replace(geometry, limits=limits)))
+    assert wheel.take(1, "browser 1", "ugv_0")
+    assert wheel.full == pytest.approx(0.2)
+    wheel.share = 0.5
+    assert wheel.full == pytest.approx(0.1)
+    assert wheel.top("ugv_1") == wheel.top("unknown") == 1.0

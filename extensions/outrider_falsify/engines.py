@@ -1,0 +1,236 @@
+"""Both engines under one budget: whole flights of scenarios, and for the law `certified` the compiled attack."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from bus.files import writing
+from outrider.running.warming import warm_up_flight
+from outrider_falsify.attacks import AttackTally, again, run_attack
+from outrider_falsify.attacks import warm as warm_attack
+from outrider_falsify.candidate import flown
+from outrider_falsify.limits import SearchLimits
+from outrider_falsify.pool import Workers
+from outrider_falsify.saving import as_toml, free_path
+from outrider_falsify.search import Budget, Tally, run_search
+from outrider_falsify.words import in_words
+from sim.scenario.checks import check_scenario
+from sim.scenario.types import Scenario
+
+_SHARE, _LEAST = 100, 32
+"""With both engines, one run in so many is a whole flight, and not fewer than so many are."""
+_SHARE_OF_TIME = 1.0 / 3.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wanted:
+    """The search that is asked for."""
+
+    base: Scenario
+    limits: SearchLimits
+    flies: bool
+    """True if scenarios are searched."""
+    attacks: bool
+    """True if the compiled attack is flown."""
+    runs: int | None = None
+    minutes: float | None = None
+    attack_duration: float = 200.0
+    """[s]"""
+    seed: int = 1
+    jobs: int = 1
+    first: bool = False
+    """True if the first violation is enough."""
+    control: str | None = None
+    """A guard that is to be caught, a row of `CONTROLS`."""
+    eps: float | None = None
+    """For the attack: only this error [m]."""
+    out: Path | None = None
+
+
+@dataclass(slots=True)
+class Found:
+    """The outcome of a search."""
+
+    wanted: Wanted
+    flights: Tally = field(default_factory=Tally)
+    attacks: AttackTally = field(default_factory=AttackTally)
+    seconds: float = 0.0
+    path: Path | None = None
+    """Of the counterexample."""
+    words: list[str] = field(default_factory=list)
+    sha256: str | None = None
+    """Of its trajectory."""
+
+    @property
+    def runs(self) -> int:
+        """Of both engines."""
+        return self.flights.runs + self.attacks.runs
+
+    @property
+    def violations(self) -> int:
+        """Of both engines."""
+        return self.flights.violations + self.attacks.violations
+
+    @property
+    def lost(self) -> int:
+        """Runs in which the UGV was lost at all, of both engines."""
+        return self.flights.lost + self.attacks.lost
+
+    @property
+    def worst(self) -> float:
+        """The largest distance while the promise stood [m], of both engines."""
+        attacked = self.attacks.worst
+        return max(self.flights.worst, 0.0 if attacked is None else attacked.worst_distance)
+
+    @property
+    def attack_again(self) -> str | None:
+        """Python that flies the attack's worst run again, if it is a violation."""
+        attacked, wanted = self.attacks.worst, self.wanted
+        if attacked is None or not self.attacks.violations:
+            return None
+        return again(attacked, wanted.seed)
+
+    def as_plain(self) -> dict[str, Any]:
+        """For JSON."""
+        wanted, attacks = self.wanted, self.attacks
+        return {
+            "law": wanted.base.law.name,
+            "control": wanted.control,
+            "runs": self.runs,
+            "violations": self.violations,
+            "lost": self.lost,
+            "worst_distance": self.worst if self.runs else None,
+            "visibility_radius": wanted.base.visibility.radius,
+            "scenario": None if self.path is None else str(self.path),
+            "trajectory_sha256": self.sha256,
+            "seconds": round(self.seconds, 3),
+            "runs_per_second": round(self.runs / self.seconds, 3) if self.seconds > 0.0 else 0.0,
+            "seed": wanted.seed,
+            "flights": {
+                "runs": self.flights.runs,
+                "violations": self.flights.violations,
+                "lost": self.flights.lost,
+                "uncertified": self.flights.uncertified,
+                "certified_while_lost": self.flights.certified_while_lost,
+                "certificate_broken": self.flights.certificate_broken,
+                "worst_distance": self.flights.worst or None,
+            },
+            "attack": {
+                "runs": attacks.runs,
+                "combinations": attacks.combinations,
+                "violations": attacks.violations,
+                "certificate_broken": attacks.broken,
+                "kinds": {
+                    name: {
+                        "runs": one.runs,
+                        "certified_while_lost": one.violations,
+                        "certificate_broken": one.broken,
+                        "lost": one.lost,
+                        "uncertified_share": one.uncertified / one.runs,
+                    }
+                    for name, one in sorted(attacks.kinds.items())
+                },
+                "lost": attacks.lost,
+                "uncertified": attacks.uncertified,
+                "worst_distance": None if attacks.worst is None else attacks.worst.worst_distance,
+                "again": self.attack_again,
+            },
+        }
+
+
+def search(
+    found: Found, *, asked: Callable[[], bool], on_run: Callable[[str, float], None]
+) -> None:
+    """Search until the budget is used up; what is found is counted as it comes.
+
+    Args:
+        found: Nothing yet.
+        asked: Whether somebody wants the end.
+        on_run: Is told after every few runs which engine runs, and the share of its budget that is used up.
+
+    Raises:
+        PeerLost: If a worker process dies.
+    """
+    wanted, began = found.wanted, time.monotonic()
+
+    def ends() -> bool:
+        return asked() or (wanted.first and found.violations > 0)
+
+    try:
+        if wanted.flies:
+            _fly(found, ends, on_run)
+        if wanted.attacks and not ends():
+            _attack(found, ends, on_run, began)
+    finally:
+        found.seconds = time.monotonic() - began
+
+
+def _fly(found: Found, ends: Callable[[], bool], on_run: Callable[[str, float], None]) -> None:
+    wanted = found.wanted
+    runs, minutes = wanted.runs, wanted.minutes
+    if wanted.attacks:
+        runs = None if runs is None else min(runs, max(_LEAST, runs // _SHARE))
+        minutes = None if minutes is None else minutes * _SHARE_OF_TIME
+    budget = Budget(runs, None if minutes is None else 60.0 * minutes, ends)
+    with Workers(wanted.jobs, warm_up_flight) as workers:
+        run_search(
+            workers,
+            budget,
+            found.flights,
+            base=wanted.base,
+            limits=wanted.limits,
+            seed=wanted.seed,
+            on_run=lambda: on_run("flights", budget.share(found.flights.runs)),
+        )
+
+
+def _attack(
+    found: Found, ends: Callable[[], bool], on_run: Callable[[str, float], None], began: float
+) -> None:
+    wanted, tally = found.wanted, found.attacks
+    runs = None if wanted.runs is None else wanted.runs - found.flights.runs
+    if runs == 0:
+        return
+    budget = Budget(
+        runs,
+        None if wanted.minutes is None else 60.0 * wanted.minutes - (time.monotonic() - began),
+        ends,
+    )
+    with Workers(wanted.jobs, warm_attack) as workers:
+        run_attack(
+            workers,
+            budget,
+            tally,
+            control=wanted.control,
+            eps=wanted.eps,
+            seed=wanted.seed,
+            duration=wanted.attack_duration,
+            on_task=lambda: on_run("attack", budget.share(tally.runs)),
+        )
+
+
+def save(found: Found) -> None:
+    """Fly the worst run with a violation once more, tell it in words, and save it as a scenario.
+
+    Nothing where there is none.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    wanted = found.wanted
+    if not found.flights.violations:
+        return
+    scenario, flight, _ = flown(found.flights.elite[0][0], wanted.base, wanted.limits)
+    found.words, found.sha256 = in_words(scenario, flight), flight.recorder.sha256()
+    path = wanted.out or free_path(scenario.law.name)
+    title = (
+        f"The law {scenario.law.name} loses sight: found by outrider falsify, seed {wanted.seed}"
+    )
+    saved = check_scenario(msgspec.structs.replace(scenario, name=path.stem, title=title))
+    with writing(path):
+        path.write_text(as_toml(saved, found.words), encoding="utf-8")
+    found.path = path

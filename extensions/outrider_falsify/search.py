@@ -1,0 +1,199 @@
+"""The search over scenarios.
+
+What the proofs fear, what chance finds, and from the best of it CMA-ES on the largest distance.
+
+Which candidates are flown depends on the seed and on the results in their order, not on how many processes fly them.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import count, islice
+from typing import Any
+
+import numpy as np
+
+from outrider_falsify.candidate import CandidateResult, fly_candidate
+from outrider_falsify.genome import SIZES, Candidate, proof_cases
+from outrider_falsify.limits import SearchLimits
+from outrider_falsify.pool import Workers
+from sim.scenario.types import Scenario
+
+_EXPLORED = 0.35
+"""Share of the budget after which the best is improved."""
+_ISLANDS, _POPULATION = 2, 16
+_SPREAD, _NEW_SPREAD = 0.15, 0.3
+"""Standard deviation of the first generation, and of the first after a search that has come to its end."""
+_ELITE = 8
+
+
+class Budget:
+    """The amount that may be flown: runs, time, or both, whichever ends first.
+
+    Args:
+        runs: None: no limit.
+        seconds: Of wall time; None: no limit.
+        asked: Whether it is to end all the same.
+    """
+
+    def __init__(
+        self, runs: int | None, seconds: float | None, asked: Callable[[], bool] = lambda: False
+    ) -> None:
+        self.runs, self._seconds, self._asked = runs, seconds, asked
+        self._began = time.monotonic()
+
+    @property
+    def elapsed(self) -> float:
+        """Since it began [s]."""
+        return time.monotonic() - self._began
+
+    def share(self, runs: int) -> float:
+        """The share of it that is used up after so many runs."""
+        of_runs = runs / self.runs if self.runs else 0.0
+        return max(of_runs, self.elapsed / self._seconds if self._seconds else 0.0)
+
+    def ends(self) -> bool:
+        """True if the search is to stop at once: the time is over, or it is asked to."""
+        return self._asked() or (self._seconds is not None and self.elapsed >= self._seconds)
+
+    def left(self, runs: int) -> int | None:
+        """Runs that are left; None: as many as one likes."""
+        return None if self.runs is None else max(0, self.runs - runs)
+
+
+@dataclass(slots=True)
+class Tally:
+    """Counts of a search so far."""
+
+    runs: int = 0
+    violations: int = 0
+    """Runs in which the UGV was lost while the promise stood."""
+    lost: int = 0
+    """Runs in which it was lost at all."""
+    uncertified: int = 0
+    """Runs in which a filter did not certify every tick."""
+    certified_while_lost: int = 0
+    """Ticks of all runs that were certified although the UGV was out of sight."""
+    certificate_broken: int = 0
+    """Ticks of all runs that were not certified although the one before was and all assumptions held."""
+    elite: list[tuple[Candidate, CandidateResult]] = field(default_factory=list)
+    """The best, by the largest distance while the promise stood."""
+
+    @property
+    def worst(self) -> float:
+        """The largest distance while the promise stood [m]; 0 before the first run."""
+        return self.elite[0][1].score if self.elite else 0.0
+
+    def take(self, candidate: Candidate, result: CandidateResult) -> None:
+        """Count a run."""
+        self.runs += 1
+        self.violations += result.violated
+        self.lost += result.lost
+        self.uncertified += result.uncertified
+        self.certified_while_lost += result.certified_while_lost
+        self.certificate_broken += result.certificate_broken
+        self.elite.append((candidate, result))
+        self.elite.sort(key=lambda pair: (-pair[1].score, pair[0].number))
+        del self.elite[_ELITE:]
+
+
+def _chances(seed: int) -> Iterator[tuple[str, tuple[float, ...], int]]:
+    """Kind, vector and seed of what is tried first: the proofs' cases, then at random, one kind after the other."""
+    random = np.random.default_rng((seed, 0))
+    for case in proof_cases():
+        yield "adversary", tuple(case), int(random.integers(2**31))
+    while True:
+        for kind, size in SIZES.items():
+            yield kind, tuple(random.random(size).tolist()), int(random.integers(2**31))
+
+
+class _Island:
+    """CMA-ES from one candidate on; its runs draw the same noise, so that what is compared is comparable."""
+
+    def __init__(self, parent: Candidate, seed: int, number: int, spread: float) -> None:
+        import cma  # noqa: PLC0415 - an extra
+
+        self._random = np.random.default_rng((seed, 1, number))
+        self.kind = parent.kind
+        self.seed = parent.seed if spread == _SPREAD else int(self._random.integers(2**31))
+        options = {
+            "bounds": [0.0, 1.0],
+            "popsize": _POPULATION,
+            "randn": lambda *shape: self._random.standard_normal(shape),
+            "seed": math.nan,  # leaves NumPy's own random numbers alone
+            "verbose": -9,
+            "verb_log": 0,
+        }
+        self._strategy: Any = cma.CMAEvolutionStrategy(list(parent.vector), spread, options)
+
+    @property
+    def over(self) -> bool:
+        """True if it finds nothing better any more."""
+        return bool(self._strategy.stop())
+
+    def ask(self) -> list[tuple[str, tuple[float, ...], int]]:
+        """The next generation."""
+        self._asked = self._strategy.ask()
+        return [
+            (self.kind, tuple(float(min(max(x, 0.0), 1.0)) for x in vector), self.seed)
+            for vector in self._asked
+        ]
+
+    def tell(self, scores: list[float]) -> None:
+        """Tell how far the UGV came in each [m]."""
+        self._strategy.tell(self._asked, [-score for score in scores])
+
+
+def run_search(
+    workers: Workers,
+    budget: Budget,
+    tally: Tally,
+    *,
+    base: Scenario,
+    limits: SearchLimits,
+    seed: int,
+    on_run: Callable[[], None],
+) -> None:
+    """Search until the budget is used up.
+
+    Args:
+        workers: Who fly.
+        budget: How much.
+        tally: What is found, counted as it comes.
+        base: What all candidates have in common.
+        limits: Within what is searched.
+        seed: Of the search.
+        on_run: Is told after every run.
+    """
+    chances, cases, size = _chances(seed), len(proof_cases()), _ISLANDS * _POPULATION
+    numbers, begun = count(), count(1)
+    islands: list[_Island] = []
+
+    def island(rank: int, spread: float) -> _Island:
+        return _Island(tally.elite[rank][0], seed, next(begun), spread)
+
+    while not budget.ends() and budget.left(tally.runs) != 0:
+        explores = tally.runs < cases or budget.share(tally.runs) < _EXPLORED
+        if explores:
+            wanted = list(islice(chances, size))
+        else:  # those that still find something go on, and new ones begin in the place of the others
+            islands = [island(0, _NEW_SPREAD) if one.over else one for one in islands] or [
+                island(min(k, len(tally.elite) - 1), _SPREAD) for k in range(_ISLANDS)
+            ]
+            wanted = [one for every in islands for one in every.ask()]
+        batch = [
+            Candidate(number=next(numbers), kind=kind, vector=vector, seed=own)
+            for kind, vector, own in wanted
+        ][: budget.left(tally.runs)]
+        flown = {candidate.number: candidate for candidate in batch}
+        results: list[CandidateResult] = []
+        calls = ((one, base, limits) for one in batch)
+        for result in workers.stream(fly_candidate, calls, budget.ends):
+            tally.take(flown[result.number], result)
+            results.append(result)
+            on_run()
+        if not explores and len(results) == size:
+            for k, one in enumerate(islands):
+                own_results = results[k * _POPULATION : (k + 1) * _POPULATION]
+                one.tell([result.score for result in own_results])

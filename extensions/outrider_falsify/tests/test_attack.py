@@ -1,0 +1,202 @@
+"""The attack on the certificate.
+
+It finds nothing where the theorem holds, and what is known to be wrong does not survive it.
+"""
+
+import math
+
+import numpy as np
+import pytest
+
+from agents.control.promise import Promise
+from flights import R_S, R_V
+from outrider_falsify.attack import attack
+from outrider_falsify.attack_grid import grid
+from outrider_falsify.conditions import (
+    ANY,
+    AREAS,
+    BLACKOUTS,
+    DISTURBANCES,
+    ERRORS,
+    GUARDS,
+    INNERS,
+    UGVS,
+    Conditions,
+    declared,
+    spec_radius,
+)
+from outrider_falsify.tick_distance import largest_in_tick
+from sim.kernels.records import RecordArray
+
+OUTWARD, SPHERE = INNERS.outward, ERRORS.sphere
+FLEES, STRAIGHT = UGVS.flees, UGVS.straight
+PERIODIC, WHEN_FAR, RANDOM = BLACKOUTS.periodic, BLACKOUTS.when_far, BLACKOUTS.random
+SMALL, CORNER = AREAS.small, AREAS.corner
+CONDITIONS = {
+    "undegraded": (Conditions(), 0.3),
+    "turns on the spot": (Conditions(inner=OUTWARD, ugv=FLEES, u_g=math.inf), 0.0),
+    "errors of 1.5 m": (Conditions(error=SPHERE), 1.5),
+    "alternating errors": (Conditions(error=ERRORS.alternating), 0.9),
+    "blackouts of 15 s": (Conditions(blackout=PERIODIC, blackout_time=15.0), 0.3),
+    "blackouts when it is far": (Conditions(blackout=WHEN_FAR, blackout_time=8.0), 0.9),
+    "overtaking detections": (Conditions(latency=3.0, scattered=True), 0.3),
+    "late commands": (Conditions(delay=1.0), 0.3),
+    "all at once": (
+        Conditions(blackout=RANDOM, blackout_time=5.0, latency=1.0, scattered=True, delay=0.5),
+        0.6,
+    ),
+    "errors of norm eps, straight at v_g": (
+        Conditions(inner=0, ugv=STRAIGHT, error=SPHERE, u_g=math.inf),
+        0.3,
+    ),
+    "a corner": (Conditions(area=CORNER, blackout=3, blackout_time=5.0), 0.3),
+    "a small room": (Conditions(area=SMALL, delay=0.3), 0.3),
+    "commands that come twice": (Conditions(area=SMALL, delay=0.3, duplicates=0.5), 0.0),
+}
+"""Within the assumptions: conditions, and eps [m]."""
+
+
+RUNS, DURATION = 60, 100.0
+
+
+def flown(conditions: Conditions, eps: float, **numbers: float) -> RecordArray:
+    return attack(declared(conditions, eps, **numbers), conditions, 7, 0, RUNS, DURATION)
+
+
+@pytest.mark.parametrize("name", CONDITIONS)
+def test_where_the_assumptions_hold_nobody_is_lost_and_the_certificate_is_approached(name) -> None:
+    """One that nobody comes near would be worth little."""
+    conditions, eps = CONDITIONS[name]
+    promise = declared(conditions, eps)
+    assert not math.isnan(promise.handover)
+    rows = flown(conditions, eps)
+    assert 0.98 * R_V < rows["max_distance"].max() < R_V
+    assert rows["max_certified"].max() < R_V  # between ticks too
+    assert rows["max_excess"].max() <= 1e-9
+    assert not any(rows[name].any() for name in ("uncertified", "certified_lost", "broken"))
+    assert rows["max_age"].max() <= promise.age + 1e-9
+    assert 0.0 < rows["intervened"].mean() < 0.6
+
+
+LOST = {
+    "the paper's switching law": (Conditions(law=GUARDS.paper, radius=R_S), 0.0),
+    "the paper's, late commands": (Conditions(law=GUARDS.paper, radius=R_S, delay=0.5), 0.0),
+    "tracking (15), errors of 0.9 m": (Conditions(law=GUARDS.switch_tracking), 0.9),
+    "to the best detection": (
+        Conditions(law=GUARDS.switch_best, blackout=1, blackout_time=8.0),
+        0.9,
+    ),
+}
+"""Certificates that the specification found to be wrong."""
+
+
+@pytest.mark.parametrize("name", LOST)
+def test_what_is_wrong_loses_sight(name: str) -> None:
+    conditions, eps = LOST[name]
+    if conditions.law != GUARDS.paper:
+        conditions = conditions._replace(radius=spec_radius(declared(conditions, eps)))
+    assert flown(conditions, eps)["max_distance"].max() > R_V + 0.01
+
+
+def test_the_radius_needs_its_term_for_late_commands() -> None:
+    conditions = Conditions(law=GUARDS.switch_servo, delay=1.0)
+    promise = declared(conditions, 0.3)
+    largest = []
+    for with_latency in (True, False):
+        tried = conditions._replace(radius=spec_radius(promise, with_latency=with_latency))
+        largest.append(flown(tried, 0.3)["max_distance"].max())
+    assert largest[0] < R_V < R_V + 0.5 < largest[1]
+
+
+def test_errors_larger_than_declared_break_the_bound_and_are_noticed() -> None:
+    conditions = Conditions(error=ERRORS.hides, error_share=2.0)
+    assert flown(conditions, 0.3)["max_excess"].max() > 0.25
+    conditions = Conditions(error=SPHERE, error_share=2.0)
+    found = flown(conditions, 0.3)
+    assert found["uncertified"].min() > 0.9
+    assert found["broken"].max() == 0.0  # what the errors contradict is no broken certificate
+
+
+DISTURBED = {
+    "jitter": Conditions(delay=0.5, jitter=True),
+    "jitter and duplicates": Conditions(delay=0.3, jitter=True, duplicates=0.5, area=SMALL),
+    **{
+        f"{name}, {delay:g} s late": Conditions(
+            disturbance=k, delay=delay, blackout=3, blackout_time=4.0
+        )
+        for k, name in enumerate(DISTURBANCES._fields)
+        for delay in (0.0, 1.0)
+        if k
+    },
+    "silences in a corner": Conditions(
+        disturbance=2, silence=2.0, hold=4.0, delay=0.3, area=CORNER
+    ),
+}
+"""Conditions that break A5, and the rest within the assumptions."""
+
+
+@pytest.mark.parametrize("name", DISTURBED)
+def test_no_tick_is_certified_while_sight_is_lost_whatever_becomes_of_commands(name: str) -> None:
+    rows = flown(DISTURBED[name], 0.3)
+    assert not any(rows[name].any() for name in ("certified_lost", "broken"))
+    assert rows["max_certified"].max() < R_V
+    assert rows["uncertified"].mean() > 0.0
+    assert rows["uncertified"].min() < 1.0
+
+
+def test_commands_that_do_not_act_lose_sight_without_a_margin() -> None:
+    for conditions in (DISTURBED["jitter"], Conditions(disturbance=DISTURBANCES.silences)):
+        rows = flown(conditions, 0.3)
+        assert rows["max_distance"].max() > R_V
+        assert flown(conditions, 0.3, margin=0.6)["max_distance"].max() < R_V
+
+
+def test_a_filter_that_certifies_what_it_should_not_is_caught() -> None:
+    """The counters count: a filter that believes in too large a radius."""
+    promise = declared(Conditions(), 0.0)
+    assert flown_with(promise._replace(r_v=4.9, handover=4.85))["certified_lost"].sum() > 0
+    assert flown_with(promise._replace(handover=4.74))["broken"].sum() > 0
+
+
+def flown_with(promise: Promise) -> RecordArray:
+    return attack(promise, Conditions(u_g=math.inf), 7, 0, RUNS, DURATION)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_largest_distance_within_a_tick_is_exact(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for _ in range(50):
+        r, v, w = rng.normal(size=(3, 2)) * np.array([[0.05], [1.0], [1.0]])
+        s = np.linspace(0.0, 0.2, 4001)[:, None]
+        far = np.hypot(*(r + v * s + (w - v) / 0.2 * s**2 / 2).T).max()
+        found = largest_in_tick(*r, *v, *w, 0.2)
+        assert far - 1e-12 <= found <= far + 1e-7
+
+
+def test_residual_velocities_at_a_wall_break_no_certificate() -> None:
+    """Starts within nanometres of a wall, where a contact takes velocity from a plan.
+
+    Only the first tick of a UAV that starts on the wall and moves into it may be uncertified.
+    """
+    conditions = Conditions(area=AREAS.wall, inner=INNERS.creeps, outage=1.0, losses=ANY, delay=0.3)
+    rows = attack(declared(conditions, 0.0), conditions, 11, 0, 200, DURATION)
+    assert not any(rows[name].any() for name in ("certified_lost", "broken"))
+    at_first = attack(declared(conditions, 0.0), conditions, 11, 0, 200, 0.0)["uncertified"]
+    ticks = DURATION / declared(conditions, 0.0).dt + 1
+    assert rows["uncertified"] * ticks == pytest.approx(at_first)
+    assert at_first.sum() < 60
+
+
+def test_any_run_can_be_flown_again_alone() -> None:
+    conditions, eps = CONDITIONS["all at once"]
+    promise = declared(conditions, eps)
+    rows = attack(promise, conditions, 7, 0, 4, 30.0)
+    assert attack(promise, conditions, 7, 3, 1, 30.0)[0] == rows[3]
+    assert attack(promise, conditions, 8, 3, 1, 30.0)[0] != rows[3]
+
+
+def test_the_grid_holds_only_what_has_a_certificate_and_every_place_and_disturbance() -> None:
+    combinations = list(grid())
+    assert not any(math.isnan(promise.handover) for promise, _ in combinations)
+    assert {conditions.area for _, conditions in combinations} == set(AREAS)
+    assert {conditions.disturbance for _, conditions in combinations} == set(DISTURBANCES)

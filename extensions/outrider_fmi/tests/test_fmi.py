@@ -1,0 +1,373 @@
+"""Units of FMI 3.0: what is exported flies the same bits, knows no more and drives; what cannot is told in a line."""
+
+import json
+import math
+import sys
+import zipfile
+from collections.abc import Iterator, Mapping
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from pythonfmu3 import FmuBuilder
+
+from agents.uav import UavPilot
+from bus.errors import ScenarioError
+from bus.keys import Role
+from bus.messages import Drive, UavCommand, UavObservation
+from flights import Piloted, record, sha256
+from outrider.envs.env_pilots import pilots
+from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.user_code import foreign_code
+from outrider_fmi.driver import FmuPolicy
+from outrider_fmi.export import export_vehicle, export_world
+from outrider_fmi.vehicle_unit import VehicleUnit
+from outrider_fmi.world_unit import WorldUnit
+from refusals import refused
+from sim.engine.briefing import briefing
+from sim.env.parallel import parallel_env
+from sim.kernels.compile import FloatArray
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
+from sim.server.flight import Flight
+
+OURS = version("outrider")
+DT = 0.05
+SHORT = ["duration=5.0", "ugv.0.goals=[[8.0, 13.0]]"]
+
+THEIRS = """
+from pythonfmu3 import Fmi3Causality, Fmi3Slave, Fmi3Variability, Float64
+
+
+class Wheel(Fmi3Slave):
+    def __init__(self, **given):
+        super().__init__(**given)
+        self.v, self.u, self.t = 0.0, 0.0, 0.0
+        self.register_variable(
+            Float64("time", causality=Fmi3Causality.independent, variability=Fmi3Variability.continuous, getter=float)
+        )
+        for name, causality in (("velocity.x", "input"), ("acceleration.x", "output"), ("acceleration.y", "output")):
+            self.register_variable(
+                Float64(name, causality=Fmi3Causality[causality], getter=lambda: self.u, setter=self.take),
+                nested=False,
+            )
+
+    def take(self, value):
+        self.v = value
+
+    def do_step(self, time, size):
+        if time > 0.09:
+            raise RuntimeError("the wheel is off")
+        self.u = (0.1 - self.v) / size
+        return True
+"""
+
+
+@pytest.fixture(scope="module")
+def units(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with an exported UGV and world, and the unit of somebody else."""
+    folder = tmp_path_factory.mktemp("units")
+    flown = load_scenario("escort", overrides=SHORT)
+    assert export_vehicle(flown, Role.UGV, folder / "ugv.fmu") == "ugv_0"
+    assert export_vehicle(flown, Role.UAV, folder / "uav.fmu") == "uav_0"
+    export_world(flown, folder / "world.fmu")
+    script = folder / "wheel_of_theirs.py"  # Python knows a unit's module by its name
+    script.write_text(THEIRS)
+    FmuBuilder.build_FMU(script, dest=folder)
+    return folder
+
+
+@pytest.fixture
+def _path_as_before() -> Iterator[None]:
+    """A unit's library puts its folder on Python's path."""
+    before = sys.path.copy()
+    yield
+    sys.path[:] = before
+
+
+pytestmark = pytest.mark.usefixtures("_path_as_before")
+
+
+def every_input(unit: VehicleUnit, value: float) -> dict[str, float]:
+    return dict.fromkeys((one.name for one in unit.inputs), value)
+
+
+def states_of(told: Mapping[str, FloatArray], names: tuple[str, ...]) -> FloatArray:
+    """The states that the trajectory's hash is made of, from what the world's unit told; (ticks, vehicles, 6)."""
+    here = [[f"{n}.{of}.{axis}" for of in ("position", "velocity") for axis in "xy"] for n in names]
+    applied = [[f"{n}.acceleration.{axis}" for axis in "xy"] for n in names]
+    before, after = (
+        np.stack([np.stack([told[c] for c in columns], axis=-1) for columns in kind], axis=1)
+        for kind in (here, applied)
+    )
+    return np.concatenate((before[:-1], after[1:]), axis=-1)
+
+
+def test_the_worlds_unit_tells_the_runs_own_bits(units: Path) -> None:
+    flown = load_scenario("escort", overrides=SHORT)
+    flight, summary = fly(flown, flown.seed)
+    told = fmpy.simulate_fmu(str(units / "world.fmu"), stop_time=flown.duration, output_interval=DT)
+    assert sha256(states_of(told, flight.world.names)) == summary.trajectory_sha256
+    escorts = flight.recorder.escorts[:, 0]
+    assert (told["uav_0.distance"] == escorts[:, 0]).all()
+    assert (told["uav_0.coverage_error"] == escorts[:, 1]).all()
+    assert (told["uav_0.certified"][1:] == escorts[:-1, 6]).all()
+    assert told["uav_0.certified"].any()
+    assert not told["uav_0.lost"].any()
+
+
+def test_the_worlds_unit_tells_of_sight_that_is_lost_and_flies_degraded_links() -> None:
+    changes = [
+        "duration=30.0",
+        "law.name=tracking",
+        "visibility.radius=1.3",
+        "links.profile=wifi-poor",
+    ]
+    changes += ["ugv.0.max_speed=0.55", "uav.0.velocity=[-0.4, 0.0]", "law.b_c=-0.1"]
+    flown = load_scenario("escort", overrides=changes)
+    _, summary = fly(flown, 4)
+    unit = WorldUnit(flown, 4)
+    rows = [unit.start(), *(unit.step(tick * DT, DT, {}) for tick in range(flown.ticks))]
+    lost = sum(row["uav_0.lost"] for row in rows)
+    assert lost == summary.visibility_violations > 0
+    told = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    assert sha256(states_of(told, ("uav_0", "ugv_0"))) == summary.trajectory_sha256
+
+
+def test_an_operator_of_the_worlds_unit_is_one_of_the_run() -> None:
+    flown = load_scenario("escort", overrides=["duration=2.0", "ugv.0.driver=teleop"])
+    flight, wish = Flight(flown, 3), (0.0, 0.1)
+    exchange = InProcess(make_pilots(flown, 3))
+    unit = WorldUnit(flown, 3)
+    assert [one.name for one in unit.inputs if not one.unit] == ["ugv_0.operator.new"]
+    for tick in range(flown.ticks):
+        flight.say("ugv_0", Drive(driver="anybody", velocity=wish))
+        flight.fly_tick(exchange)
+        words = {"ugv_0.operator.new": True, "ugv_0.operator.velocity.x": wish[0]}
+        told = unit.step(tick * DT, DT, words | {"ugv_0.operator.velocity.y": wish[1]})
+    k = flight.world.names.index("ugv_0")
+    assert (told["ugv_0.velocity.x"], told["ugv_0.velocity.y"]) == tuple(flight.world.velocity[k])
+    assert told["ugv_0.velocity.y"] > 0.05
+
+
+def test_the_pilots_unit_answers_what_the_runs_pilot_answers() -> None:
+    flown = load_scenario("escort", overrides=["duration=10.0", "links.detections.loss=0.2"])
+    told = briefing(flown, "uav_0", 5)
+    unit = VehicleUnit(told)
+    certified, radioed = 0, 0
+    pilots = make_pilots(flown, 5)
+
+    def both(seen: UavObservation) -> UavCommand:
+        nonlocal certified, radioed
+        command = pilots["uav_0"].act(seen)
+        (look,) = seen.detections or (None,)
+        values = every_input(unit, 0.0)
+        values |= zip(("position.x", "position.y"), seen.position, strict=True)
+        values |= zip(("velocity.x", "velocity.y"), seen.velocity, strict=True)
+        if look is not None:
+            values |= {"detection.new": True, "detection.time": look.time}
+            values |= zip(("detection.x", "detection.y"), look.relative_position, strict=True)
+        got = unit.step(seen.tick * DT, DT, values)
+        assert (got["acceleration.x"], got["acceleration.y"]) == command.acceleration
+        report = command.report
+        assert got["estimate.valid"] == (report is not None)
+        if report is not None and report.certified_distance is not None:
+            assert got["certified"] == report.certified
+            assert got["margin"] == flown.visibility.radius - report.certified_distance
+            assert (got["estimate.x"], got["estimate.y"]) == report.estimate
+            certified += got["certified"]
+        assert got["radio.new"] == bool(command.radio)
+        radioed += bool(command.radio)
+        return command
+
+    Flight(flown, 5).fly(Piloted(pilots, "uav_0", both))
+    assert certified > 100
+    assert radioed > 10
+
+
+def test_a_unit_has_what_its_vehicle_may_know_and_nothing_else(units: Path) -> None:
+    own = {f"{of}.{axis}" for of in ("position", "velocity") for axis in "xy"}
+    allowed = {
+        "uav": own | {f"detection.{part}" for part in ("new", "time", "x", "y")},
+        "ugv": own,
+        "world": set(),
+    }
+    for name, inputs in allowed.items():
+        described = fmpy.read_model_description(str(units / f"{name}.fmu"), validate=True)
+        told = {one.causality: set() for one in described.modelVariables}
+        for one in described.modelVariables:
+            told[one.causality].add(one.name)
+            assert one.description
+            assert one.type == "Boolean" or one.unit
+        assert told.get("input", set()) == inputs
+        assert set(told) <= {"input", "output", "independent"}  # nobody tunes a parameter
+    flown = load_scenario("escort", overrides=SHORT)
+    for role in ("uav", "ugv"):
+        with zipfile.ZipFile(units / f"{role}.fmu") as file:
+            carried = {
+                one
+                for one in file.namelist()
+                if one.startswith("resources/") and one.count("/") == 1
+            }
+            words = json.loads(file.read(f"resources/{role}-briefing.json"))
+        assert carried == {
+            f"resources/{one}"
+            for one in (
+                "slavemodule.txt",
+                "outrider_unit.py",
+                "version.txt",
+                f"{role}-briefing.json",
+            )
+        }
+        assert words["key"] == briefing(flown, f"{role}_0", flown.seed).key
+        assert not {"seed", "secret"} & words.keys()
+        if role == "uav":
+            assert not {"goals", "driver", "script"} & words.keys()
+
+
+@pytest.mark.parametrize("where", ["run", "environment"])
+def test_an_exported_driver_drives_to_the_same_bits(units: Path, where: str) -> None:
+    ugv = f'ugv.0.driver="fmu:{units / "ugv.fmu"}"'
+    own, theirs = (load_scenario("escort", overrides=[*SHORT, *more]) for more in ((), (ugv,)))
+    assert theirs.ugv[0].driver == "policy"
+    _, expected = fly(own, own.seed)
+    if where == "run":
+        assert fly(theirs, theirs.seed)[1].trajectory_sha256 == expected.trajectory_sha256
+        assert len(sys.path) == len(set(sys.path))
+        return
+    env = parallel_env(theirs)
+    rows = record(env, pilots(env), env.reset(seed=theirs.seed)[0])
+    assert sha256(rows) == expected.trajectory_sha256
+
+
+def test_a_driver_that_hears_the_uav_drives_as_a_unit(tmp_path: Path) -> None:
+    own = load_scenario("escort", overrides=["duration=5.0", "ugv.0.driver=evade"])
+    export_vehicle(own, Role.UGV, tmp_path / "evade.fmu")
+    driver = f"ugv.0.driver=fmu:{tmp_path / 'evade.fmu'}"
+    theirs = load_scenario("escort", overrides=["duration=5.0", driver])
+    assert fly(own, own.seed)[1].trajectory_sha256 == fly(theirs, own.seed)[1].trajectory_sha256
+
+
+def test_somebody_elses_unit_drives_and_its_crash_is_one_line(units: Path) -> None:
+    driver = f"ugv.0.driver=fmu:{units / 'Wheel.fmu'}"
+    flown = load_scenario("escort", overrides=[*SHORT, "duration=0.1", driver])
+    flight, _ = fly(flown, 0)
+    assert flight.world.velocity[1, 0] > 0.0
+    flown = load_scenario("escort", overrides=[*SHORT, driver])
+    with refused(ScenarioError, r"Wheel.fmu': tick 2: .*the wheel is off"):
+        fly(flown, 0)
+
+
+@pytest.mark.parametrize(
+    ("unit", "old", "new", "line"),
+    [
+        ("Wheel", 'fmiVersion="3.0"', 'fmiVersion="2.0"', "of FMI 2.0; allowed: FMI 3.0"),
+        (
+            "Wheel",
+            'name="velocity.x"',
+            'name="ugv_velocity"',
+            "has an input 'ugv_velocity'.*allowed: .*goal.x",
+        ),
+        ("Wheel", 'name="acceleration.y"', 'name="brake"', r"has no output 'acceleration\.y'"),
+        ("Wheel", "<CoSimulation", "<ModelExchange", "not for co-simulation"),
+        ("Wheel", "binaries/x86_64-linux", "", r"made for x86_64-windows; this one is \S+-\S+"),
+        ("Wheel", "modelDescription.xml", "", "not an FMU"),
+        ("Wheel", "<fmiModelDescription", "<nonsense", "not an FMU"),
+        ("ugv", OURS, "0.0.1", r"cannot be started: .*a unit of outrider 0\.0\.1"),
+    ],
+)
+def test_a_unit_that_cannot_drive_is_refused_in_one_line(units, tmp_path, unit, old, new, line):
+    """One with another description or version, or without some of its files."""
+    file = tmp_path / "bad.fmu"
+    with zipfile.ZipFile(units / f"{unit}.fmu") as whole, zipfile.ZipFile(file, "w") as changed:
+        for name in whole.namelist():
+            data = whole.read(name)
+            if name.endswith((".xml", "version.txt")):
+                data = data.decode("utf-8").replace(old, new).encode()
+            if not name.startswith(old):
+                changed.writestr(name, data)
+    with refused(ScenarioError, f"^here: ({line})"):
+        FmuPolicy(str(file), "here")
+
+
+def test_a_unit_that_is_none_or_not_there_is_told_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "text.fmu").write_text("hello")
+    for name, line in (("text.fmu", "not an FMU"), ("none.fmu", "no such file"), ("", "no such")):
+        with pytest.raises(ScenarioError, match=f"^here: {line}"):
+            FmuPolicy(str(tmp_path / name), "here")
+
+
+def test_one_unit_drives_a_run_and_a_files_own_is_not_loaded_unasked(units: Path) -> None:
+    named = f"fmu:{units / 'ugv.fmu'}"
+    flown = load_scenario("escort", overrides={"ugv.0.driver": named})
+    assert foreign_code(flown) == foreign_code(flown, ["seed=3"]) != ()
+    assert foreign_code(flown, [f'ugv.0.driver="{named}"']) == ()
+    with pytest.raises(ScenarioError, match=r"ugv\.0\.driver = .*another.*one policy a run"):
+        load_scenario("escort", overrides={"ugv.0.driver": named, "custom.policy": "mine:drive"})
+
+
+@pytest.mark.parametrize(
+    ("time", "size", "line"),
+    [
+        (0.0, 0.1, "a step of 0.1 s from 0 s; allowed: steps of 0.05 s"),
+        (0.02, DT, "from 0.02 s; allowed: steps of 0.05 s"),
+        (math.nan, DT, "from nan s"),
+        (0.0, math.nan, "a step of nan s"),
+        (0.1, DT, r"a step from 0\.1 s; allowed: the next one, from 0 s"),
+    ],
+)
+def test_a_step_that_is_no_tick_is_refused(time: float, size: float, line: str) -> None:
+    unit = WorldUnit(load_scenario("escort", overrides=["duration=0.1"]), 0)
+    with pytest.raises(ValueError, match=line):
+        unit.step(time, size, {})
+
+
+def test_no_unit_steps_beyond_its_flight_or_takes_a_number_that_is_none() -> None:
+    unit = WorldUnit(load_scenario("escort", overrides=["duration=0.1"]), 0)
+    for tick in range(2):
+        unit.step(tick * DT, DT, {})
+    with pytest.raises(ValueError, match=r"the flight is over at 0\.1 s"):
+        unit.step(0.1, DT, {})
+    driver = VehicleUnit(briefing(load_scenario("escort"), "ugv_0", 0))
+    values = every_input(driver, 0.0)
+    for bad in (math.nan, math.inf, -1e7):
+        with pytest.raises(ValueError, match=r"velocity\.x = .*; allowed: numbers up to 1e\+06"):
+            driver.step(0.0, DT, values | {"velocity.x": bad})
+
+
+HAZARD = 'hazard=[{kind="block",center=[30,30],radius=0.2}]'
+
+
+@pytest.mark.parametrize(
+    ("what", "changes", "line"),
+    [
+        ("uav", [HAZARD], "uav_0: perceives hazards"),
+        ("ugv", [HAZARD], "ugv_0: perceives hazards"),
+        ("uav", ["certificate.outage=0.5"], "uav_0: its commands carry motions"),
+        ("uav", ["law.name=path", "custom.path=a:b"], "uav_0: the law 'path'"),
+        ("ugv", ["ugv.0.driver=external"], "ugv_0: the driver 'external'.*allowed: waypoints"),
+        ("ugv", ["ugv.0.driver=fmu:x.fmu"], "ugv_0: the driver 'policy'"),
+        ("world", ["ugv.0.driver=fmu:x.fmu"], "custom.policy = 'fmu:x.fmu': a unit does not carry"),
+        ("world", ["ugv.0.driver=external"], "ugv_0: the driver 'external'"),
+        ("uav", ["name=elsewhere", "uav=[]"], "elsewhere: has no uav to export"),
+    ],
+)
+def test_what_a_unit_cannot_be_is_refused_before_it_is_made(tmp_path, what, changes, line):
+    flown: Scenario = load_scenario("escort", overrides=changes)
+    export = export_world if what == "world" else partial(export_vehicle, role=Role(what))
+    with pytest.raises(ScenarioError, match=f"^{line}"):
+        export(flown, out=tmp_path / "unit.fmu")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_law_of_a_pilots_unit_is_the_scenarios() -> None:
+    told = briefing(load_scenario("escort", overrides=["law.name=logarithmic"]), "uav_0", 0)
+    unit = VehicleUnit(told)
+    assert isinstance(unit._pilot, UavPilot)
+    assert unit._pilot.filter is None
+    values = every_input(unit, 1.0)
+    got = unit.step(0.0, DT, values | {"detection.time": 0.0})
+    assert (got["certified"], got["margin"]) == (False, -math.inf)

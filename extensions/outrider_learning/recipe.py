@@ -1,0 +1,163 @@
+"""The observation of a policy as a record that can be saved: an environment's settings and the wrappers around it."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+import numpy as np
+from gymnasium import spaces
+
+from bus.messages import or_infinite
+from outrider.envs.observations.body import Egocentric
+from outrider.envs.observations.image import CoverageImage
+from outrider.envs.observations.normalized import Normalized
+from outrider.envs.observations.stacking import History
+from outrider.envs.observations.transformation import Transformation
+from outrider.envs.wrappers import VectorObservations
+from outrider_learning.policy_inputs import EscortView
+from outrider_learning.repeat import ActionRepeat
+from outrider_learning.standardized import Standardized
+from sim.env.observation import uav_space
+from sim.env.patch import given_patch
+from sim.env.spaces import extent_of
+from sim.scenario.types import Uav
+
+_KINDS: Mapping[str, type[Transformation]] = {
+    "normalized": Normalized,
+    "egocentric": Egocentric,
+    "coverage_image": CoverageImage,
+    "history": History,
+    "escort_view": EscortView,
+    "standardized": Standardized,
+}
+"""Transformations that can be saved, by their names in the file."""
+_REPEAT = "repeat"
+_OF_GYMNASIUM = (
+    *("Monitor", "OrderEnforcing", "PassiveEnvChecker", "RecordEpisodeStatistics", "RecordVideo"),
+    *("RenderCollection", "HumanRendering", "TimeLimit", "VecEnvAdapter"),
+)
+_OF_SB3 = ("VecCheckNan", "VecMonitor", "VecTransposeImage", "VecVideoRecorder")
+_PASSED = {"env": _OF_GYMNASIUM, "venv": _OF_SB3}
+"""Layers that change neither observations nor actions, by the attribute that has the one inside. (What
+`VecTransposeImage` does, a model does again by itself.)"""
+
+
+class ObservationRecipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The observation of a policy."""
+
+    extent: dict[str, float | None]
+    """Values of `bus.layout.SYMBOLS` in the training environment; None: no bound."""
+    dt: float | None = None
+    """Length of a tick [s]; None: not known."""
+    estimate: bool = False
+    gradient: bool = False
+    coverage_patch: tuple[int, float] | None = None
+    dtype: str = "float64"
+    """As in `outrider.vector_env`."""
+    layers: tuple[dict[str, Any], ...] = ()
+    """From the inside out: the `kind` of a transformation and its settings, or `repeat` and the `ticks` of a step."""
+
+    @property
+    def length(self) -> float:
+        """Of an episode [s]."""
+        return or_infinite(self.extent["T"])
+
+    def space(self) -> spaces.Space[Any]:
+        """The environment's own observation space."""
+        patch = given_patch(self.coverage_patch)
+        return uav_space(
+            {name: or_infinite(value) for name, value in self.extent.items()},
+            estimate=self.estimate,
+            gradient=self.gradient,
+            pixels=0 if patch is None else patch.pixels,
+            dtype=np.dtype(self.dtype).type,
+        )
+
+
+def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of several ecosystems
+    """The observation that an environment gives its UAV, with all wrappers around it.
+
+    Args:
+        env: `outrider.vector_env` or `outrider.single_env`, in wrappers of `outrider.envs.wrappers`, `ActionRepeat`,
+            `VecEnvAdapter`, `VecNormalize` and such as change nothing; or a `VecEnv` of Stable-Baselines3 around them.
+
+    Raises:
+        ValueError: If a wrapper cannot be saved with a policy, or the learner is no UAV.
+    """
+    layers: list[dict[str, Any]] = []
+    while not hasattr(env, "worlds"):
+        layer, inside = _taken_off(env)
+        layers = [*([] if layer is None else [layer]), *layers]
+        env = inside
+    scenario, options = env.worlds.scenario, env.worlds.settings
+    uav = next((one for one in scenario.vehicles if one.name == env.agent), None)
+    if not isinstance(uav, Uav):
+        raise ValueError(f"agent = {env.agent!r}: drives; allowed: a UAV")
+    patch = options["coverage_patch"]
+    return ObservationRecipe(
+        extent={
+            name: value if math.isfinite(value) else None
+            for name, value in extent_of(scenario, uav).items()
+        },
+        dt=scenario.dt,
+        estimate=options["estimate"],
+        gradient=options["gradient"],
+        coverage_patch=None if patch is None else (int(patch[0]), float(patch[1])),
+        dtype=np.dtype(options["dtype"]).name,
+        layers=tuple(layers),
+    )
+
+
+def _taken_off(env: Any) -> tuple[dict[str, Any] | None, Any]:  # noqa: ANN401
+    """The outermost layer as a recipe has it, None where it changes nothing, and the environment inside."""
+    name = type(env).__name__
+    if isinstance(env, VectorObservations):
+        one = env.transformation
+        kind = next((key for key, found in _KINDS.items() if type(one) is found), None)
+        if kind is not None:
+            return {"kind": kind, **one.settings()}, env.env
+        name = type(one).__name__
+    if isinstance(env, ActionRepeat):
+        return {"kind": _REPEAT, "ticks": env.ticks}, env.env
+    if name == "VecNormalize" and not env.norm_obs:
+        return None, env.venv
+    if name == "VecNormalize" and not isinstance(env.obs_rms, dict):
+        mean, variance = env.obs_rms.mean.tolist(), env.obs_rms.var.tolist()
+        given = {"mean": mean, "variance": variance, "epsilon": env.epsilon, "clip": env.clip_obs}
+        return {"kind": "standardized", **given}, env.venv
+    if name == "DummyVecEnv":
+        return None, env.envs[0]
+    for attribute, names in _PASSED.items():
+        if name in names:
+            return None, getattr(env, attribute)
+    raise ValueError(
+        f"{name}: cannot be saved with a policy; allowed: wrappers of outrider.envs.wrappers, ActionRepeat, "
+        f"VecEnvAdapter, DummyVecEnv, VecNormalize of rows, and such as change neither observation nor action"
+    )
+
+
+class HeldAction:
+    """An action that is held for some ticks."""
+
+    def __init__(self, ticks: int) -> None:
+        self.ticks, self.due, self.held = int(ticks), 0, np.zeros((0, 2))
+
+
+def make_layer(layer: Mapping[str, Any]) -> Transformation | HeldAction:
+    """The layer that a recipe describes.
+
+    Raises:
+        ValueError: If it describes none.
+    """
+    given = dict(layer)
+    kind = given.pop("kind", None)
+    if "dtype" in given:
+        given["dtype"] = np.dtype(given["dtype"]).type
+    try:
+        return HeldAction(**given) if kind == _REPEAT else _KINDS[str(kind)](**given)
+    except (KeyError, TypeError, ValueError) as error:
+        allowed = ", ".join((*_KINDS, _REPEAT))
+        raise ValueError(
+            f"layer {kind!r}: {type(error).__name__}: {error}; allowed: {allowed}"
+        ) from error

@@ -1,0 +1,138 @@
+"""The score of a mission: how soon the UGVs are through, what they have run into, and what was found."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import fmean
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from bus.messages import Mission
+from outrider.envs.closed_loop import pilot_names
+from outrider.envs.vector import Worlds
+from outrider_learning.suite.scoring import Entry, Result, Team, begun, check_law, result_of
+from outrider_learning.suite.tasks import NO_ESCORT, Task
+from sim.engine.run_keys import derive_secret
+from sim.env.rewards import RewardWeights
+from sim.scenario.types import Scenario
+
+_MISSION = {
+    "rewards": RewardWeights(uncovered=0.0),  # nobody looks at e(t), which is faster
+    "end_on_sight_lost": False,
+    "end_on_goals_reached": True,
+}
+"""Settings of the worlds that missions are flown in."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissionResult(Result):
+    """The score of one entry in one mission."""
+
+    arrived: int
+    """Episodes in which every UGV has reached all its goals."""
+    mission_time: float
+    """Mean of the time that those took [s]; NaN if there are none."""
+    hazards_hit: int
+    """In all episodes."""
+    found: float
+    """Share of the things to be found that were; NaN where there are none."""
+    warned_before: float
+    """Time between knowing of a hazard on the way and coming near it, in the mean [s]; NaN: of none."""
+    seen_ahead: float
+    """Share of the way that led over ground which had come by radio before."""
+
+
+def shortest_time(scenario: Scenario) -> float:
+    """The time that straight ways at full speed would take the slowest UGV [s], as if there were no hazards."""
+    times = [
+        sum(map(math.dist, (ugv.position, *ugv.goals), ugv.goals)) / ugv.max_speed
+        for ugv in scenario.ugv
+    ]
+    return max(times)
+
+
+def mission_score(mission: Mission, shortest: float) -> float:
+    r"""The score of one flight, 0 to 100.
+
+    $$ S = 100 \, a \, \min\left(1, \frac{T^*}{T}\right) \frac{n}{n^*} \frac{1}{1 + h} $$
+
+    a is 1 if every UGV arrived and 0 else, T the time that it took and T* the shortest, n of n* things were found (the
+    factor is 1 where there are none), and h hazards were run into.
+
+    Args:
+        mission: What happened.
+        shortest: T* [s].
+    """
+    if mission.mission_time is None:
+        return 0.0
+    found = mission.found / mission.finds if mission.finds else 1.0
+    pace = min(1.0, shortest / max(mission.mission_time, 1e-9))
+    return 100.0 * pace * found / (1.0 + mission.hazards_hit)
+
+
+def _fly(worlds: Worlds) -> None:
+    """Fly each world on until its mission is over."""
+    flying = np.arange(worlds.num_envs)
+    while flying.size:
+        ended = worlds.step({}, flying)
+        flying = np.flatnonzero(~ended)
+
+
+def evaluate_mission(
+    task: Task,
+    entry: Entry,
+    seeds: Sequence[int],
+    *,
+    name: str,
+    secret: str,
+    settings: dict[str, Any],
+) -> MissionResult:
+    """Fly a mission with all seeds at once, and score it; arguments as of `scoring.evaluate`.
+
+    Raises:
+        ValueError: If the law is unknown, or a policy answers what is no action.
+    """
+    scenario = task.scenario
+    if isinstance(entry, str):
+        check_law(entry, (NO_ESCORT, *pilot_names(scenario, scenario.uav[0].name)))
+        if entry == NO_ESCORT:
+            scenario = msgspec.structs.replace(scenario, uav=())
+    team = entry if isinstance(entry, Team) else Team(uav=entry)
+    pilots = {uav.name: team.uav for uav in scenario.uav}
+    pilots |= {ugv.name: team.ugv for ugv in scenario.ugv}
+    own = derive_secret(secret, task.name)
+    with begun(scenario, pilots, seeds, own, settings | _MISSION) as worlds:
+        if isinstance(entry, str):
+            worlds.loop.fly()
+        else:
+            _fly(worlds)
+        missions = [worlds.loop.mission(k) for k in range(len(seeds))]
+        flown = worlds.metrics()
+    shortest = shortest_time(scenario)
+    finds = sum(mission.finds for mission in missions)
+    return result_of(
+        MissionResult,
+        task,
+        entry,
+        [mission_score(mission, shortest) for mission in missions],
+        flown,
+        name=name,
+        secret=secret,
+        mean_error=math.nan,
+        lost=int(
+            np.any([one["visibility_violations"] > 0.0 for one in flown.values()], axis=0).sum()
+        ),
+        arrived=sum(mission.arrived for mission in missions),
+        mission_time=_mean([mission.mission_time for mission in missions]),
+        hazards_hit=sum(mission.hazards_hit for mission in missions),
+        found=sum(mission.found for mission in missions) / finds if finds else math.nan,
+        warned_before=_mean([mission.warned_before for mission in missions]),
+        seen_ahead=_mean([mission.seen_ahead for mission in missions]),
+    )
+
+
+def _mean(values: Sequence[float | None]) -> float:
+    known = [value for value in values if value is not None]
+    return fmean(known) if known else math.nan

@@ -1,0 +1,290 @@
+"""The tasks of the suites: each is a shipped scenario with a few fields changed, so that what is hard can be read off.
+
+Nothing heavy is loaded until a task is flown: the names are also read where environments are registered.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, SupportsIndex, overload
+
+if TYPE_CHECKING:
+    from outrider.envs.single import SingleEnv
+    from outrider.envs.vector import OutriderVectorEnv
+    from outrider_learning.suite.scoring import Entry, Result
+    from sim.scenario.types import Scenario
+
+BASE = "escort"
+"""The shipped scenario that every task starts from, but for the missions."""
+
+NO_ESCORT = "none"
+"""The entry of missions without an escort: what a UGV can do with its own sensor."""
+
+SEEDS = tuple(range(9000, 9020))
+"""The seeds of every evaluation. No default leads a training run to them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """One task of the suite: a scenario, the seeds it is flown with, and a score."""
+
+    name: str
+    """Lower-case letters and '-'."""
+    hard: str
+    """The difficulty, in a line."""
+    changes: Mapping[str, object]
+    """Fields of the shipped scenario and their values, as in `load_scenario(overrides=...)`."""
+    base: str = BASE
+    """The shipped scenario."""
+    mission: bool = False
+    """True if it is scored by how the UGVs get through, and not by how much of the ground was seen."""
+
+    @property
+    def scenario(self) -> "Scenario":
+        """The scenario that is flown.
+
+        Raises:
+            ScenarioError: If the changes make it impossible.
+        """
+        from sim.scenario.loading import load_scenario  # noqa: PLC0415 - compiled code stands behind it
+
+        return load_scenario(
+            self.base, overrides={"name": self.name, "title": self.hard, **self.changes}
+        )
+
+    @property
+    def env_id(self) -> str:
+        """The task's name at Gymnasium."""
+        return f"outrider/Suite-{''.join(part.capitalize() for part in self.name.split('-'))}-v0"
+
+    def make(self, num_envs: int, **settings: Any) -> "OutriderVectorEnv":  # noqa: ANN401 - those of the environment
+        """The task as `outrider.vector_env`; the settings are its own."""
+        from outrider.envs.vector import OutriderVectorEnv  # noqa: PLC0415
+
+        return OutriderVectorEnv(self.scenario, num_envs=num_envs, **settings)
+
+    def make_single(self, **settings: Any) -> "SingleEnv":  # noqa: ANN401
+        """The task as `outrider.single_env`; the settings are its own."""
+        from outrider.envs.single import SingleEnv  # noqa: PLC0415
+
+        return SingleEnv(self.scenario, **settings)
+
+    def evaluate(
+        self,
+        entry: "Entry",
+        *,
+        name: str = "",
+        seeds: Sequence[int] = SEEDS,
+        secret: str | None = None,
+        **settings: Any,  # noqa: ANN401 - those of `outrider_learning.suite.scoring.evaluate`
+    ) -> "Result":
+        """Fly the task with all seeds at once, and score it: see `outrider_learning.suite.scoring.evaluate`."""
+        from outrider_learning.suite.scoring import evaluate  # noqa: PLC0415
+
+        return evaluate(self, entry, name=name, seeds=seeds, secret=secret, **settings)
+
+
+_QUIET: dict[str, object] = {"detections.noise": 0.0, "detections.dropout": 0.0}
+"""Every look succeeds and is exact, as in the paper."""
+
+_PAIRS: dict[str, object] = {
+    "uav": [
+        {"name": "uav_0", "escorts": "ugv_0", "position": [10.0, 13.0]},
+        {"name": "uav_1", "escorts": "ugv_1", "position": [30.0, 29.0]},
+    ],
+    "ugv": [
+        {
+            "name": "ugv_0",
+            "position": [10.0, 12.0],
+            "goals": [[20.0, 18.0], [28.0, 12.0], [30.0, 28.0]],
+        },
+        {
+            "name": "ugv_1",
+            "position": [30.0, 28.0],
+            "goals": [[20.0, 20.0], [12.0, 28.0], [10.0, 12.0]],
+        },
+    ],
+}
+
+_LONG_ROUTE = [
+    [14.0, 8.0],
+    [20.0, 13.0],
+    [15.0, 19.0],
+    [22.0, 24.0],
+    [28.0, 21.0],
+    [32.0, 30.0],
+    [22.0, 34.0],
+    [8.0, 30.0],
+]
+"""Far enough for a UGV that drives 0.4 m/s."""
+
+TASKS: tuple[Task, ...] = (
+    Task(
+        name="paper",
+        hard="nothing but the task itself: as in the paper, looks always succeed and are exact",
+        changes=_QUIET,
+    ),
+    Task(
+        name="covered",
+        hard="a part of the ground is covered from the start, and the gradient leads nowhere there",
+        changes={
+            **_QUIET,
+            "coverage.covered": [
+                {"lower": [4.0, 4.0], "upper": [16.0, 14.0]},
+                {"lower": [17.0, 16.0], "upper": [27.0, 26.0]},
+            ],
+        },
+    ),
+    Task(
+        name="noise",
+        hard="looks are 0.5 m off per axis, up to 1.5 m",
+        changes={"detections.noise": 0.5, "detections.dropout": 0.0},
+    ),
+    Task(
+        name="late-looks",
+        hard="what the UAV knows of the UGV is two seconds old, give or take half a second",
+        changes={
+            "links.detections.delay": 2.0,
+            "links.detections.jitter": 0.5,
+            "certificate.age": 3.0,
+        },
+    ),
+    Task(
+        name="long-way",
+        hard="twice the time on nine times the ground, most of it never seen twice",
+        changes={
+            "duration": 400.0,
+            "area.width": 120.0,
+            "area.height": 120.0,
+            "uav.0.position": [20.0, 21.0],
+            "ugv.0.position": [20.0, 20.0],
+            "ugv.0.goals": [[45.0, 20.0], [45.0, 40.0], [70.0, 45.0], [70.0, 70.0]],
+        },
+    ),
+    Task(
+        name="two-pairs",
+        hard="two UAVs and two UGVs whose ways cross; one lost sight ends it for both",
+        changes=_PAIRS,
+    ),
+    Task(
+        name="fast-ugv",
+        hard="the UGV is twice as fast and twice as agile",
+        changes={"ugv.0.max_speed": 0.4, "ugv.0.max_acceleration": 0.2, "ugv.0.goals": _LONG_ROUTE},
+    ),
+    Task(
+        name="short-sight",
+        hard="r_v is 2 m, half of which the UAV needs to brake and to catch up",
+        changes={"visibility.radius": 2.0},
+    ),
+    Task(
+        name="wander",
+        hard="the UGV wanders, and nobody could guess where to",
+        changes={"ugv.0.driver": "wander"},
+    ),
+    Task(
+        name="evade", hard="the UGV tries to shake the UAV off", changes={"ugv.0.driver": "evade"}
+    ),
+    Task(
+        name="dropouts",
+        hard="two looks a second, and four of five fail",
+        changes={"detections.rate": 2.0, "detections.dropout": 0.8, "certificate.age": 6.0},
+    ),
+    Task(
+        name="bursts",
+        hard="every link is jammed, and the looks are now and then dark for five seconds",
+        changes={
+            "links.profile": "jammed",
+            "links.detections.blackout_length": 5.0,
+            "certificate.age": 6.0,
+        },
+    ),
+    Task(
+        name="late-commands",
+        hard="a command acts half a second after it was given",
+        changes={"links.commands.delay": 0.5, "hold": 2.0},
+    ),
+    Task(
+        name="all-at-once",
+        hard="an evading UGV, noise, dropouts, jammed looks and late commands",
+        changes={
+            "detections.noise": 0.2,
+            "detections.dropout": 0.3,
+            "links.detections.profile": "jammed",
+            "links.commands.delay": 0.5,
+            "hold": 2.0,
+            "certificate.age": 6.0,
+            "ugv.0.driver": "evade",
+        },
+    ),
+)
+"""The easier ones first: where no law of the paper loses sight, then where some do."""
+
+
+_BAD: dict[str, object] = {"links.profile": "jammed", "certificate.age": 6.0}
+"""The network of `bursts`: bursts of loss and half a second of delay, on every link."""
+
+
+def _missions() -> Iterator[Task]:
+    for base, hard in (
+        (
+            "minefield",
+            "sixty mines, a UGV that needs 1.5 m to stop and sees half a metre, and the first hit ends it",
+        ),
+        ("rubble", "walls with dead ends, and rough ground that is slower than a way around"),
+        (
+            "rescue",
+            "eight things are to be found beside the way, and what is not seen is not found",
+        ),
+    ):
+        yield Task(name=base, hard=hard, changes={}, base=base, mission=True)
+        jammed = f"{hard}; every link is jammed"
+        yield Task(name=f"{base}-jammed", hard=jammed, changes=_BAD, base=base, mission=True)
+
+
+MISSIONS: tuple[Task, ...] = tuple(_missions())
+"""Ground with hazards, over a perfect network and over a bad one: what the escort is for."""
+
+
+class Suite(tuple[Task, ...]):
+    """All the tasks, by place or by name."""
+
+    __slots__ = ()
+
+    @overload
+    def __getitem__(self, key: SupportsIndex | str) -> Task: ...
+    @overload
+    def __getitem__(self, key: slice) -> "Suite": ...
+    def __getitem__(self, key: SupportsIndex | str | slice) -> "Task | Suite":
+        """A task by its place or its name, or a part of the suite.
+
+        Raises:
+            ValueError: If there is none of this name.
+        """
+        if isinstance(key, slice):
+            return Suite(super().__getitem__(key))
+        if not isinstance(key, str):
+            return super().__getitem__(key)
+        for task in self:
+            if task.name == key:
+                return task
+        raise ValueError(f"task = {key!r}: no such task; allowed: {', '.join(self.names)}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the tasks, in their order."""
+        return tuple(task.name for task in self)
+
+
+SUITE, MISSION_SUITE = "suite-v1", "missions-v1"
+SUITES: Mapping[str, tuple[Task, ...]] = {SUITE: TASKS, MISSION_SUITE: MISSIONS}
+"""By name. A suite that has a number is never changed: what would change it becomes the next one."""
+
+
+def suite(name: str = SUITE) -> Suite:
+    """A benchmark suite: `docs/reference/suite.md` says what its tasks are and how they are scored.
+
+    Raises:
+        ValueError: If there is none of this name.
+    """
+    if name not in SUITES:
+        raise ValueError(f"suite = {name!r}; allowed: {', '.join(SUITES)}")
+    return Suite(SUITES[name])

@@ -1,0 +1,3 @@
+"""Collection: the tests in `libraries` need a learning library each; `make learn-test` names them."""
+
+collect_ignore = ["libraries"]

@@ -1,0 +1,1 @@
+"""Fit link settings to a recorded link."""

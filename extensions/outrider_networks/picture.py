@@ -1,0 +1,118 @@
+"""The fit of drawn links to a recorded one as a picture: delays, bursts of loss, and what a receiver sees of both."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from outrider import style
+from outrider_networks.fitting import Fit
+from outrider_networks.samples import Sample
+from sim.kernels.compile import FloatArray
+
+_LOOKS = {
+    "recorded": (style.INK, "-", 2.6),
+    "fitted": (style.UAV[0], "-", 1.6),
+    "nearest": (style.UGV[0], style.DASHED, 1.6),
+}
+"""Colour, line and width."""
+_LEAST = 1e-4
+"""Times that are shorter are drawn here [s]."""
+_WIDE = 300.0
+"""Ratio of the ends of an axis beyond which only powers of ten are written at it."""
+
+
+def draw_fit(fit: Fit, samples: dict[str, Sample], path: Path) -> None:
+    """Draw the distributions of the recorded link, the fitted one and the nearest profile.
+
+    Args:
+        fit: What was found.
+        samples: `recorded`, `fitted` and `nearest`.
+        path: The PNG.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    names = {
+        "recorded": "recorded",
+        "fitted": "fitted settings",
+        "nearest": f"nearest profile: {fit.nearest}",
+    }
+    with style.look():
+        figure = style.new_figure(1680, 620, header=0.14)
+        delays, bursts, waits = figure.subplots(1, 3)
+        for name, sample in samples.items():
+            color, line, width = _LOOKS[name]
+            look = {"color": color, "linestyle": line, "linewidth": width, "label": names[name]}
+            _shares(delays, sample.arrived, look)
+            _bursts(bursts, sample, look)
+            _beyond(waits, np.sort(sample.waits), look)
+        _times(delays, "delay of a message that arrives")
+        delays.set_ylabel("share of the messages that took no longer")
+        delays.yaxis.set_major_formatter(_PERCENT)
+        delays.set_ylim(0.0, 1.02)
+        _times(bursts, "time in which every message was lost")
+        bursts.set_ylabel("such bursts or longer ones, per hour [1/h]")
+        if not any(sample.bursts.size for sample in samples.values()):
+            bursts.text(0.5, 0.5, "nothing is lost", ha="center", transform=bursts.transAxes)
+        _times(waits, "time until a message or a later one is there")
+        waits.set_ylabel("share of the messages for which it is longer")
+        for axes, letter, title in (
+            (delays, "a", "Delay"),
+            (bursts, "b", "Bursts of loss"),
+            (waits, "c", "Both together"),
+        ):
+            style.panel(axes, letter, title)
+        lost = ", ".join(f"{name} {100.0 * one.lost:.2g} %" for name, one in samples.items())
+        figure.text(
+            0.012,
+            0.975,
+            f"{style.plain(fit.file)}: {fit.messages:,} messages, one every {fit.interval:g} s; lost: {lost}",
+            fontsize=12,
+            fontweight="bold",
+            va="top",
+        )
+        handles, labels = delays.get_legend_handles_labels()
+        figure.legend(handles, labels, loc="upper left", ncols=3, bbox_to_anchor=(0.004, 0.935))
+        style.save(figure, path)
+
+
+_PERCENT = FuncFormatter(lambda value, _: f"{100.0 * value:g} %")
+
+
+def _times(axes: Axes, label: str) -> None:
+    """Dress the axis to the right; called when everything is drawn."""
+    axes.set_xscale("log")
+    axes.set_xlabel(f"{label} [ms]")
+    low, high = axes.get_xlim()
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high / low < _WIDE else (1.0,)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{1000.0 * value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _shares(axes: Axes, values: FloatArray, look: dict[str, object]) -> None:
+    """The share of the values up to each."""
+    shares = np.arange(1, len(values) + 1) / len(values)
+    axes.step(np.maximum(values, _LEAST), shares, where="post", **look)  # type: ignore[arg-type]
+
+
+def _beyond(axes: Axes, values: FloatArray, look: dict[str, object]) -> None:
+    """The share of the values beyond each."""
+    axes.set_yscale("log")
+    shares = 1.0 - np.arange(len(values)) / len(values)
+    axes.step(np.maximum(values, _LEAST), shares, where="pre", **look)  # type: ignore[arg-type]
+    axes.yaxis.set_major_formatter(_PERCENT)
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _bursts(axes: Axes, sample: Sample, look: dict[str, object]) -> None:
+    """The number of bursts per hour of each length or longer."""
+    lengths = np.sort(sample.bursts) * sample.interval
+    if not lengths.size:
+        return
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    hours = len(sample.delay) * sample.interval / 3600.0
+    axes.step(lengths, np.arange(len(lengths), 0, -1) / hours, where="pre", **look)  # type: ignore[arg-type]

@@ -1,0 +1,373 @@
+"""Chances that links exceed declared numbers: against all outcomes of tiny flights, and frequencies over the link
+itself.
+"""
+
+import functools
+import importlib
+import itertools
+import math
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bus.errors import ScenarioError
+from bus.messages import MOST_CARRIED, LinkSettings
+from properties import PROPERTY
+from sim.channel.chances import (
+    Chance,
+    chance_of_age,
+    chance_of_error,
+    chance_of_outage,
+    largest_error,
+    smallest_age,
+    smallest_outage,
+)
+from sim.channel.description import link_parameters
+from sim.channel.recorded import pack
+from sim.engine.briefing import declared
+from sim.scenario.checks import scenario_warnings
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Certificate, LinkTable, Scenario
+
+DT = 0.05
+FLIGHTS = 10_000
+FEW = settings(PROPERTY, max_examples=20)
+BURSTS = {"burst_length": 0.2, "burst_interval": 0.5, "burst_loss": 0.8}
+DARK = {"blackout_interval": 5.0, "blackout_length": 0.52}
+SLOW = LinkSettings(bandwidth=15.0)
+LATE = {"jitter": 0.1, "jitter_shape": "exponential", "jitter_cut": 0.4}
+
+
+LOOKS: dict[str, Any] = {"dt": DT, "period_ticks": 1, "dropout": 0.1, "ticks": 200}
+PACKETS: dict[str, Any] = {"dt": DT, "delay_ticks": 4, "repeats": 6, "ticks": 200}
+
+
+@pytest.fixture
+def flown(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[3] / "benchmarks"))
+    return importlib.import_module("chances_table")
+
+
+@functools.cache
+def outcomes(
+    link: LinkSettings, ticks: int, dropout: float = 0.0
+) -> tuple[tuple[tuple[bool, ...], float], ...]:
+    """Every pattern of messages that get through, one a tick, with its chance: bursts are summed over by hand."""
+    p = link_parameters(link, DT)
+    turn = np.array([[1.0 - p.bad_enter, p.bad_enter], [1.0 - p.bad_stay, p.bad_stay]])
+    through = (1.0 - dropout) * (1.0 - p.loss) * np.array([1.0, 1.0 - p.burst_loss])
+    found = []
+    for pattern in itertools.product((False, True), repeat=ticks):
+        states = np.array([1.0 - p.bad_share, p.bad_share])
+        for tick, got in enumerate(pattern):
+            states = states @ turn if tick else states
+            states = states * (through if got else 1.0 - through)
+        found.append((pattern, float(states.sum())))
+    return tuple(found)
+
+
+def arrivals(got: tuple[bool, ...], flies: int) -> list[float]:
+    """When each message arrives that was sent in its tick; infinite: never."""
+    return [tick + flies if came else math.inf for tick, came in enumerate(got)]
+
+
+def grows_old(arrives: list[float], period: int, age: int) -> bool:
+    """True if the newest detection is ever older than `age`."""
+    for tick in range(len(arrives)):
+        arrived = [k for k in range(0, tick + 1, period) if arrives[k] <= tick]
+        if arrived and tick - arrived[-1] > age:
+            return True
+    return False
+
+
+def is_interrupted(arrives: list[float], delay: int, repeats: int, outage: int) -> bool:
+    """True if some motion is followed too late, by the protocol as a pilot and a receiver play it."""
+    chain, flown, begun = 0, -1, delay - 1
+    packets: list[dict[int, int]] = []  # motion: its parent
+    parents: dict[int, int] = {}
+    for tick in range(len(arrives)):
+        if tick - 1 - delay >= chain and flown != tick - 1 - delay:
+            chain = tick
+        parents[tick] = flown if tick == chain else tick - 1
+        packets.append({j: parents[j] for j in range(max(chain, tick - repeats + 1), tick + 1)})
+        known = [packets[k] for k in range(tick + 1) if arrives[k] <= tick]
+        due = tick - delay
+        if any(packet.get(due, -2) == flown for packet in known):
+            flown, begun = due, tick
+        elif tick - begun >= outage:
+            return True
+    return False
+
+
+@pytest.mark.parametrize("link", [{"loss": 0.3}, {"loss": 0.1, **BURSTS}])
+@pytest.mark.parametrize(
+    ("period", "flies", "age"), [(1, 0, 2), (1, 1, 3), (2, 0, 2), (3, 1, 4), (2, 2, 1), (1, 0, 0)]
+)
+def test_the_chance_of_an_age_is_that_of_all_outcomes(link, period, flies, age) -> None:
+    told = LinkSettings(delay=flies * DT, **link)
+    chance = chance_of_age(told, dt=DT, period_ticks=period, dropout=0.1, ticks=10, age=age * DT)
+    found = sum(
+        p
+        for got, p in outcomes(LinkSettings(**link), 10, 0.1)
+        if grows_old(arrivals(got, flies), period, age)
+    )
+    assert chance.exact
+    assert chance.value == pytest.approx(found, rel=1e-9)
+
+
+@pytest.mark.parametrize("link", [{"loss": 0.3}, {"loss": 0.1, **BURSTS}])
+@pytest.mark.parametrize(
+    ("flies", "delay", "repeats", "outage"),
+    [
+        *((0, 0, 6, 2), (0, 1, 6, 1), (0, 2, 2, 4), (1, 2, 6, 5)),
+        *((1, 3, 2, 4), (2, 2, 1, 3), (0, 3, 6, 2), (2, 1, 6, 4)),
+    ],
+)
+def test_the_chance_of_an_outage_is_that_of_all_outcomes(link, flies, delay, repeats, outage):
+    told = LinkSettings(delay=flies * DT, **link)
+    chance = chance_of_outage(
+        told, dt=DT, delay_ticks=delay, repeats=repeats, ticks=11, outage=outage * DT
+    )
+    numbers = (delay, repeats, outage)
+    found = sum(
+        p
+        for got, p in outcomes(LinkSettings(**link), 11)
+        if is_interrupted(arrivals(got, flies), *numbers)
+    )
+    assert chance.exact
+    assert chance.value == pytest.approx(found, rel=1e-9)
+
+
+AGES: list[tuple[dict[str, Any], int, float]] = [
+    ({"loss": 0.3}, 1, 0.3),
+    ({"loss": 0.02, "delay": 0.1, **BURSTS}, 2, 1.0),
+    ({"loss": 0.1, "blackouts": ((0.0, 1.5), (5.0, 0.3))}, 2, 0.5),
+    ({"loss": 0.1, **DARK}, 2, 1.0),
+    ({"loss": 0.1, **DARK, **BURSTS, "blackouts": ((3.0, 0.5),)}, 1, 1.3),
+    ({"loss": 0.1, "delay": 0.1, **LATE, "duplicates": 0.1}, 2, 0.5),
+    ({"loss": 0.1, "delay": 0.1, "reorder": 0.2, "reorder_delay": 0.3}, 2, 0.8),
+    ({"loss": 0.2, "delay": 0.1, "bandwidth": 3.0, "queue": 2}, 1, 1.6),
+    ({"loss": 0.2, "bandwidth": 2.4, "queue": 1, "keep": "oldest"}, 1, 2.2),
+]
+OUTAGES: list[tuple[dict[str, Any], int, int, float]] = [
+    ({"loss": 0.3}, 2, 6, 0.2),
+    ({"loss": 0.5, "delay": 0.1}, 4, 6, 0.8),
+    ({"loss": 0.5, "delay": 0.1}, 9, 2, 0.8),
+    ({"loss": 0.05, "delay": 0.1, **BURSTS}, 3, 6, 1.2),
+    ({"loss": 0.05, "blackouts": ((0.0, 0.5), (5.0, 0.3))}, 3, 6, 0.6),
+    ({"loss": 0.05, **DARK}, 3, 6, 1.0),
+    ({"loss": 0.05, "delay": 0.1, **LATE}, 6, 6, 0.5),
+    ({"loss": 0.05, "delay": 0.1, **LATE, **DARK, "blackouts": ((6.0, 0.4),)}, 8, 6, 1.0),
+]
+
+
+def counted(
+    flown: ModuleType, chance_of: Callable[..., Chance], link: LinkSettings, **numbers: Any
+) -> tuple[float, float]:
+    """A chance, and the share of flights over the link itself in which it comes true: they agree."""
+    exceeded = getattr(flown, f"{chance_of.__name__.removeprefix('chance_of_')}s_exceeded")
+    chance, count = chance_of(link, **numbers), exceeded(link, **numbers, flights=FLIGHTS)
+    assert 0 < count < FLIGHTS
+    assert flown.agrees(chance, count, FLIGHTS), (chance, count)
+    return chance.value, count / FLIGHTS
+
+
+@pytest.mark.parametrize(("link", "period", "age"), AGES)
+def test_the_chance_of_an_age_agrees_with_its_frequency(flown, link, period, age):
+    numbers = LOOKS | {"period_ticks": period, "age": age}
+    counted(flown, chance_of_age, LinkSettings(**link), **numbers)
+
+
+@pytest.mark.parametrize(("link", "delay", "repeats", "outage"), OUTAGES)
+def test_the_chance_of_an_outage_agrees_with_its_frequency(flown, link, delay, repeats, outage):
+    numbers = PACKETS | {"delay_ticks": delay, "repeats": repeats, "outage": outage}
+    counted(flown, chance_of_outage, LinkSettings(**link), **numbers)
+
+
+# Over a recorded link
+
+FAR = Path(__file__).resolve().parents[3] / "examples" / "networks" / "wifi-far.csv"
+
+
+@pytest.mark.parametrize(("number", "ticks"), [(1, 30), (2, 30), (3, 6)])
+def test_over_a_recorded_table_the_chance_is_the_share_of_all_its_places(number, ticks) -> None:
+    random, places = np.random.default_rng(number), 41
+    took = random.choice([math.inf, 0.0, 1.0, 2.0, 6.0], size=places, p=[0.4, 0.2, 0.2, 0.1, 0.1])
+    rows = [f"{k * DT:.2f},{n * DT if n < math.inf else 'lost'}" for k, n in enumerate(took)]
+    traces = (pack("table", "\n".join(["sent,delay", *rows]).encode()),)
+    link = LinkSettings(trace="table", blackouts=((0.8, 0.2),))
+    flights = [
+        [math.inf if 16 <= k < 20 else k + took[(k + begins) % places] for k in range(ticks)]
+        for begins in range(places)
+    ]
+    common: dict[str, Any] = {"dt": DT, "ticks": ticks, "traces": traces}
+    for period, age in itertools.product((1, 3), (0, 2, 4, 7)):
+        looks = {**common, "period_ticks": period, "age": age * DT}
+        exact = chance_of_age(link, dropout=0.0, **looks)
+        share = np.mean([grows_old(flight, period, age) for flight in flights])
+        assert exact == (pytest.approx(share), "")
+        bound = chance_of_age(link, dropout=1e-9, **looks)
+        assert (bound.exact, share - 1e-6 <= bound.value <= share + 0.15) == (False, True)
+    for delay, repeats, outage in itertools.product((0, 2, 5), (1, 6), (1, 3, 8, 20)):
+        packets = {**common, "delay_ticks": delay, "repeats": repeats, "outage": outage * DT}
+        share = np.mean([is_interrupted(flight, delay, repeats, outage) for flight in flights])
+        assert chance_of_outage(link, **packets) == (pytest.approx(share), "")
+
+
+def test_the_chances_over_a_recorded_link_agree_with_frequencies(flown: ModuleType) -> None:
+    link, traces = LinkSettings(trace="far"), (pack("far", FAR.read_bytes()),)
+    looks, packets = LOOKS | {"traces": traces}, PACKETS | {"delay_ticks": 2, "traces": traces}
+    for dropout, age in ((0.0, 0.1), (0.1, 0.2)):
+        numbers = looks | {"dropout": dropout, "age": age}
+        chance, share = counted(flown, chance_of_age, link, **numbers)
+        assert chance < 1.2 * share
+    counted(flown, chance_of_outage, link, **packets, outage=0.1)
+    for smallest, chance_of, numbers in (
+        (smallest_age, chance_of_age, looks),
+        (smallest_outage, chance_of_outage, packets),
+    ):
+        found, name = smallest(link, **numbers, risk=0.05).value, smallest.__name__[9:]
+        assert chance_of(link, **numbers, **{name: found}).value <= 0.05
+        assert chance_of(link, **numbers, **{name: found - DT}).value > 0.05
+
+
+def test_of_mahimahi_files_and_of_recordings_that_are_too_long_no_chance_is_told() -> None:
+    granted = {"settings": LinkSettings(trace="m"), "traces": (pack("m", b"1\n20\n"),)}
+    assert "Mahimahi" in chance_of_age(**granted, **LOOKS, age=1.0).why
+    link, traces = LinkSettings(trace="far"), (pack("far", FAR.read_bytes()),)
+    long = LOOKS | {"ticks": 100_000, "traces": traces}
+    assert "too long" in chance_of_age(link, **long, age=1.0).why
+
+
+KINDS = st.sampled_from([{}, BURSTS, DARK, LATE, {**BURSTS, **DARK, "blackouts": ((2.0, 0.3),)}])
+
+
+def rises(chance: Callable[..., Any], less: dict[str, Any], **more: Any) -> bool:
+    low, high = chance(**less).value, chance(**{**less, **more}).value
+    return bool(low <= high + 1e-12)
+
+
+@FEW
+@given(KINDS, st.floats(0.0, 0.5), st.integers(4, 30), st.integers(1, 3))
+def test_the_chance_of_an_age_rises_with_all_that_is_worse(kind, loss, age, period) -> None:
+    link = LinkSettings(delay=0.1, loss=loss, **kind)
+    numbers = {"settings": link, "dt": DT, "period_ticks": period, "dropout": 0.1, "ticks": 200}
+    numbers["age"] = age * DT
+    assert rises(chance_of_age, numbers, age=(age - 1) * DT)
+    assert rises(chance_of_age, numbers, ticks=230)
+    assert rises(chance_of_age, numbers, dropout=0.2)
+    assert rises(chance_of_age, numbers, settings=msgspec.structs.replace(link, delay=0.15))
+    assert rises(chance_of_age, numbers, settings=msgspec.structs.replace(link, loss=loss + 0.1))
+
+
+@FEW
+@given(KINDS, st.floats(0.0, 0.5), st.integers(10, 40), st.integers(2, 10), st.integers(1, 6))
+def test_the_chance_of_an_outage_rises_with_all_that_is_worse(kind, loss, outage, delay, repeats):
+    link = LinkSettings(delay=0.1, loss=loss, **kind)
+    numbers: dict[str, Any] = {"settings": link, "dt": DT, "delay_ticks": delay, "ticks": 200}
+    numbers.update(outage=outage * DT, repeats=repeats)
+    assert rises(chance_of_outage, numbers, outage=(outage - 1) * DT)
+    assert rises(chance_of_outage, numbers, ticks=230)
+    assert rises(chance_of_outage, {**numbers, "repeats": repeats + 1}, repeats=repeats)
+    assert rises(chance_of_outage, numbers, settings=msgspec.structs.replace(link, loss=loss + 0.1))
+
+
+@pytest.mark.parametrize("risk", [0.3, 1e-2, 1e-6])
+@pytest.mark.parametrize("kind", [{}, BURSTS, DARK, {"blackouts": ((2.0, 0.4),)}, LATE])
+def test_the_smallest_number_is_the_smallest(kind: dict[str, Any], risk: float) -> None:
+    link = LinkSettings(delay=0.1, loss=0.1, **kind)
+    looks, packets = LOOKS | {"period_ticks": 2, "ticks": 400}, PACKETS | {"ticks": 400}
+    age = smallest_age(link, **looks, risk=risk).value
+    outage = smallest_outage(link, **packets, risk=risk).value
+    kept = (
+        chance_of_age(link, **looks, age=age).value,
+        chance_of_outage(link, **packets, outage=outage).value,
+    )
+    exceeded = (
+        chance_of_age(link, **looks, age=age - DT).value,
+        chance_of_outage(link, **packets, outage=outage - DT).value,
+    )
+    assert max(kept) <= risk < min(exceeded)
+
+
+def test_what_cannot_be_bounded_is_said_and_is_no_number() -> None:
+    for told in (
+        chance_of_age(SLOW, **LOOKS, age=1.0),
+        chance_of_outage(SLOW, **PACKETS, outage=1.0),
+        smallest_age(SLOW, **LOOKS, risk=0.1),
+        smallest_outage(SLOW, **PACKETS, risk=0.1),
+        smallest_outage(LinkSettings(loss=1.0), **PACKETS, risk=0.1),
+    ):
+        assert told.value is None
+        assert told.why
+
+
+def test_packets_that_are_always_too_late_begin_nothing() -> None:
+    late = LinkSettings(delay=0.5)
+    assert chance_of_outage(late, **PACKETS, outage=5.0) == (1.0, "")
+
+
+def test_a_flight_too_long_to_be_gone_through_has_a_bound() -> None:
+    link, numbers = LinkSettings(loss=0.3), {"dt": DT, "period_ticks": 1, "dropout": 0.0}
+    long = chance_of_age(link, **numbers, ticks=2_000_000, age=1.0)
+    short = chance_of_age(link, **numbers, ticks=2_000, age=1.0)
+    assert short.exact
+    assert not long.exact
+    assert long.value == pytest.approx(1000.0 * short.value, rel=0.02)
+    planned = msgspec.structs.replace(link, blackouts=((1.0, 1.0),))
+    assert chance_of_age(planned, **numbers, ticks=2_000_000, age=1.0).value is None
+
+
+def test_the_largest_error_is_exceeded_with_the_chance_of_the_risk() -> None:
+    eps = largest_error(0.1, math.inf, 4000, 1e-3)
+    assert chance_of_error(0.1, math.inf, 4000, eps).value == pytest.approx(1e-3, rel=1e-9)
+    assert largest_error(0.1, 3.0, 4000, 1e-3) == pytest.approx(0.3)
+    assert chance_of_error(0.1, 3.0, 4000, 0.3).value == 0.0
+    errors = np.linalg.norm(np.random.default_rng(3).normal(0.0, 0.1, (2000, 50, 2)), axis=2)
+    share = np.mean(errors.max(axis=1) > 0.33)
+    assert chance_of_error(0.1, math.inf, 50, 0.33).value == pytest.approx(share, abs=0.03)
+
+
+# In a scenario
+
+
+def scenario(*overrides: str, **certificate: Any) -> Scenario:
+    """The default one; of the certificate nothing is given but these fields."""
+    base = load_scenario("escort", overrides=[*overrides, "links.detections.profile=jammed"])
+    return msgspec.structs.replace(base, certificate=Certificate(**certificate))
+
+
+def test_a_risk_gives_the_bounds_that_are_not_given() -> None:
+    one = scenario("links.commands.profile=wifi-poor", "hold=2.0", risk=1e-3)
+    looks = LOOKS | {"ticks": one.ticks}
+    packets = PACKETS | {"delay_ticks": 12, "repeats": MOST_CARRIED, "ticks": one.ticks}
+    seen, commands = one.links.detections, one.links.commands
+    both = declared(one, "uav_0")
+    assert both.age == smallest_age(seen, **looks, risk=5e-4).value
+    assert both.outage == smallest_outage(commands, **packets, risk=5e-4).value
+    assert declared(scenario(risk=1e-3, age=2.0), "uav_0").age == 2.0
+    assert declared(scenario(risk=1e-3, outage=2.0), "uav_0").outage == 2.0
+    assert (declared(scenario(), "uav_0").age, declared(scenario(), "uav_0").outage) == (1.0, None)
+    uncut = declared(scenario("detections.cut=0", risk=1e-3, outage=2.0), "uav_0")
+    assert uncut.age == both.age
+    assert uncut.error == largest_error(0.1, math.inf, one.ticks, 5e-4)
+    assert declared(scenario("detections.cut=0"), "uav_0").error is None
+
+
+def test_a_risk_with_an_age_beside_it_is_told_to_do_nothing() -> None:
+    given = ["certificate.risk=1e-3", "certificate.age=2.0", "certificate.outage=1.0"]
+    (line,) = scenario_warnings(load_scenario("escort", overrides=given))
+    assert line == "certificate.risk = 0.001: nothing follows from it, as age and outage are given"
+    assert scenario_warnings(load_scenario("escort", overrides=given[:1])) == ()
+    assert scenario_warnings(load_scenario("escort", overrides=[*given, "detections.cut=0"])) == ()
+    slow = msgspec.structs.replace(scenario(risk=1e-3), links=LinkTable(detections=SLOW))
+    told = "let the queue run empty: with links.detections nothing can be promised of uav_0"
+    with pytest.raises(ScenarioError, match=told):
+        declared(slow, "uav_0")  # made in Python, and not checked

@@ -1,0 +1,205 @@
+"""`outrider ros2`: a run seen, driven and flown from ROS 2."""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bus.errors import PeerLost, ScenarioError
+from bus.keys import SIMULATOR_NAME, Role
+from outrider.cli import options
+from outrider.cli.stopping import Stop, stop_on_signals
+from outrider.cli.waiting import AWAY, RouterTimer, tell_waiting
+
+if TYPE_CHECKING:
+    from bus.session import Session
+    from outrider_ros2.observing import RosObserver
+
+
+def command(
+    connect: options.Connect = options.DEFAULT_ENDPOINT,
+    run: options.RunName = options.DEFAULT_RUN,
+    credentials: options.CredentialFile = None,
+    domain: Annotated[
+        int, typer.Option(help="ROS 2's domain id, 0 to 232.", envvar="ROS_DOMAIN_ID")
+    ] = 0,
+    namespace: Annotated[
+        str, typer.Option(help="Before the names of all topics, such as /fleet.")
+    ] = "",
+    operator: Annotated[
+        bool,
+        typer.Option(
+            "--operator",
+            help="Take /ugv_0/cmd_vel and the services /pause, /step and /reset too; needs the operator's credentials.",
+        ),
+    ] = False,
+    vehicle: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Join as this vehicle, with its credentials: a ROS 2 node flies it by the topics /NAME/pilot/...",
+        ),
+    ] = "",
+    join_timeout: options.JoinTimeout = 30.0,
+    every_tick: Annotated[
+        bool,
+        typer.Option(
+            "--every-tick",
+            help="Publish the truth of every tick; by default some 40 a second of wall time.",
+        ),
+    ] = False,
+    json: options.Json = False,
+) -> None:
+    """Show a run to ROS 2 nodes, or let them fly its vehicles.
+
+    There is no bridge in between: it speaks the wire format of rmw_zenoh on the run's router. Nodes with
+    RMW_IMPLEMENTATION=rmw_zenoh_cpp connect to the same router, as clients, and find odometry, transforms, maps,
+    markers, diagnostics and simulated time. Only what somebody reads is asked for and converted. Ends with the run, or
+    at Ctrl-C.
+
+    With --operator a node may drive: a Twist or TwistStamped takes the wheel, a second of silence lets another node
+    have it, and in the end it goes back to whoever drove before. What cannot be passed on is counted by cause, and told
+    in /diagnostics.
+
+    With --vehicle it waits for a node that reads /NAME/pilot/observation (all of it, as JSON) or /NAME/pilot/odom, and
+    joins. The node answers each observation on /NAME/pilot/command (JSON) or, with the observation's stamp, on
+    /NAME/pilot/accel. It gets that vehicle's topics and no others.
+
+    Example: outrider ros2 --connect tcp/127.0.0.1:17447 --credentials credentials/ros2.json
+
+    Example: outrider ros2 --operator --credentials credentials/operator.json
+
+    Example: outrider ros2 --vehicle uav_0 --credentials credentials/uav_0.json
+    """
+    from outrider.cli.console import ERR, print_json
+    from outrider_ros2.interfaces import require_extra
+    from outrider_ros2.wire import check_domain, check_namespace
+
+    require_extra()
+    check_domain(domain)
+    space = check_namespace(namespace)
+    if vehicle:
+        alone = {"--operator": operator, "--namespace": space, "--every-tick": every_tick}
+        for option in (option for option, given in alone.items() if given):
+            raise typer.BadParameter(
+                f"{option} and --vehicle: these options do not go together; a vehicle's topics are /NAME/pilot/..."
+            )
+        kind = _role_of(vehicle, credentials)
+        joining = options.joining(kind, vehicle, connect, run, credentials, join_timeout)
+        _fly(joining, domain=domain, json=json)
+        return
+    role = Role.OPERATOR if operator else Role.ROS2
+    with (
+        stop_on_signals() as stop,
+        options.join(role, run, connect, credentials, join_timeout) as session,
+    ):
+        observer, lost = _observe(
+            session, stop, domain=domain, namespace=space, every_tick=every_tick
+        )
+    found = {
+        "domain": domain,
+        "topics": observer.topics,
+        "missing_ticks": observer.missing_ticks,
+        "commands": observer.commands.taken if observer.commands else 0,
+        "refused": dict(observer.refusals.counts),
+        "router_lost": lost,
+    }
+    if json:
+        print_json(found)
+    else:
+        sent = sum(observer.topics.values())
+        missing = f", {observer.missing_ticks} ticks missing" if every_tick else ""
+        ERR.tell(f"{sent} messages on {len(observer.topics)} topics{missing}")
+    if lost:
+        raise PeerLost(f"the router at {connect} has gone")
+
+
+def _observe(
+    session: "Session", stop: Stop, *, domain: int, namespace: str, every_tick: bool
+) -> "tuple[RosObserver, bool]":
+    """Publish until the run is over or somebody wants the end; whether it was the router that went."""
+    from outrider.view.operator import RunClient
+    from outrider_ros2.observing import RosObserver
+    from outrider_ros2.ros_commands import RosCommands
+    from outrider_ros2.ros_node import RosNode
+
+    node = RosNode(session, domain=domain, name="outrider", namespace=namespace)
+    observer = RosObserver(session, node, namespace=namespace, every_tick=every_tick)
+    client = None
+    if session.party.role is Role.OPERATOR:
+        client = RunClient(session, read=())
+        observer.commands = RosCommands(
+            node, client, namespace=namespace, refusals=observer.refusals
+        )
+    try:
+        return observer, _follow(session, observer, stop)
+    finally:
+        if observer.commands is not None and client is not None:
+            observer.commands.hand_back()
+            client.close()
+        observer.close()
+        node.close()
+
+
+def _follow(session: "Session", observer: "RosObserver", stop: Stop) -> bool:
+    from bus.presence import Presence
+
+    simulator, router = Presence(session, SIMULATOR_NAME), RouterTimer(session)
+    told = False
+    while not stop:
+        observer.step(0.2)
+        over = observer.status is not None and observer.status.over
+        if router.has_gone():
+            return not over
+        if over and simulator.absent_for() > AWAY:
+            return False
+        if not told and observer.status is None:
+            told = True
+            tell_waiting(session.run)
+    return False
+
+
+def _role_of(name: str, credentials: Path | None) -> Role:
+    """The kind of vehicle, by its credentials; without them by how its name begins."""
+    from bus.access import read_credential
+
+    kinds = (Role.UAV, Role.UGV)
+    if credentials is not None:
+        role: Role | None = read_credential(credentials).role
+    else:
+        role = next((kind for kind in kinds if name.startswith(kind)), None)
+    if role not in kinds:
+        raise ScenarioError(
+            f"--vehicle {name}: a UAV or a UGV? without its credentials its name must begin with uav or ugv"
+        )
+    return role
+
+
+def _fly(joining: options.Joining, *, domain: int, json: bool) -> None:
+    """Wait for a node that flies the vehicle, and let it."""
+    from outrider.cli.console import ERR, print_json
+    from outrider_ros2.ros_node import RosNode
+    from outrider_ros2.ros_pilot import RosPilot
+
+    name = joining.party.name
+    with joining.session() as session:
+        node = RosNode(session, domain=domain, name="outrider", namespace=f"/{name}")
+        pilot = RosPilot(node, joining.party)
+        with stop_on_signals() as stop:
+            if not pilot.there:
+                ERR.tell(f"waiting for a ROS 2 node that reads /{name}/pilot/observation")
+            while not pilot.there and not stop:
+                time.sleep(0.05)
+        if stop:
+            raise typer.Exit(stop.exit_code)
+        try:
+            sent = joining.fly(pilot.make)
+        finally:
+            pilot.close()
+            node.close()
+    found = {"vehicle": name, "commands": sent, "refused": dict(pilot.refusals.counts)}
+    if json:
+        print_json(found)
+    else:
+        ERR.tell(f"{name}: {sent} commands of a ROS 2 node")

@@ -1,0 +1,230 @@
+"""ROS 2's wire format, and our telemetry as its messages."""
+
+import math
+import struct
+
+import msgspec
+import numpy as np
+import pytest
+
+from bus.errors import ScenarioError
+from bus.messages import CoverageMap, GroundMap, LinkStatus, UavReport, VehicleStatus
+from bus.ros2_access import PILOT
+from outrider.running.refused import Refused
+from outrider_ros2.conversion import PathTrack, RunView
+from outrider_ros2.interfaces import decode, encode, make, type_hash
+from outrider_ros2.topics import PILOT_TOPICS, TOPICS, messages_of, wire_topic
+from outrider_ros2.wire import (
+    LATCHED,
+    SENSOR,
+    Attachment,
+    Endpoint,
+    Node,
+    Qos,
+    check_domain,
+    check_namespace,
+    gid_of,
+)
+from sim.scenario.loading import load_scenario
+from sim.scene.known import scene_of
+from stamps import seconds_of
+from statuses import a_status, a_truth, a_vehicle
+
+NODE = Node(domain=7, zid="8a1f", name="outrider", namespace="/fleet")
+
+
+def truth_at(tick=40):
+    uav, ugv = (a_vehicle(position, (0.25, -0.5)) for position in ((3.0, 4.5), (5.0, 4.0)))
+    report = UavReport(estimate=(6.0, 7.0), covariance=(0.04, 0.01, 0.09), age=0.0, refused=0)
+    return a_truth(tick * 0.05, uav, ugv, detection=(-2.125, 0.5), report=report)
+
+
+def _view():
+    return RunView(scene=scene_of(load_scenario("escort")), dt=0.05)
+
+
+def _by_topic(message, view=None):
+    view = view or _view()
+    rows = {name: row for row in TOPICS for _, name in row.names(view.scene)}
+    told = messages_of(view, message)
+    return {name: decode(rows[name].interface, payload) for name, payload in told}
+
+
+def test_a_key_and_tokens_are_those_that_rmw_zenoh_makes():
+    topic = wire_topic("std_msgs/msg/String", "/chatter")
+    assert topic.key(0) == (
+        "0/chatter/std_msgs::msg::dds_::String_/"
+        "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+    )
+    assert NODE.token() == "@ros2_lv/7/8a1f/0/0/NN/%/%fleet/outrider"
+    assert NODE.endpoint_token(Endpoint.PUBLISHER, 3, topic, Qos(depth=7)) == (
+        "@ros2_lv/7/8a1f/0/3/MP/%/%fleet/outrider/%chatter/std_msgs::msg::dds_::String_/"
+        "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18/::,7:,:,:,,"
+    )
+
+
+def test_qos_leaves_out_what_is_rmw_zenohs_default():
+    assert LATCHED.encoded() == ":1:,1:,:,:,,"
+    assert SENSOR.encoded() == "2::,5:,:,:,,"
+    assert Qos(depth=42).encoded() == "::,:,:,:,,"
+
+
+def test_a_gid_is_the_hash_of_the_token_with_its_low_half_first():
+    low, high = struct.unpack("<QQ", gid_of(""))
+    assert (high << 64) + low == 0x99AA06D3014798D86001C324468D497F  # XXH3-128 of nothing
+
+
+def test_an_attachment_is_read_back_and_another_length_is_none():
+    told = Attachment(sequence=5, time=123456789012345, gid=bytes(range(16)))
+    raw = told.encoded()
+    assert raw[:8] == struct.pack("<q", 5)
+    assert raw[16] == 16
+    assert Attachment.decoded(raw) == told
+    assert Attachment.decoded(raw[:-1]) is None
+    assert Attachment.decoded(raw[:16] + b"\x0f" + raw[17:]) is None
+
+
+@pytest.mark.parametrize("namespace", ["a b", "/9lives", "a__b", "ns/pilot", "pilot", "*", "a/**"])
+def test_a_namespace_that_cannot_be_one_is_refused(namespace):
+    with pytest.raises(ScenarioError, match="--namespace"):
+        check_namespace(namespace)
+
+
+def test_a_namespace_gets_its_slash_and_a_domain_its_bounds():
+    assert check_namespace("") == ""
+    assert check_namespace("fleet/one/") == "/fleet/one"
+    with pytest.raises(ScenarioError, match="0 to 232"):
+        check_domain(233)
+
+
+def test_odometry_and_transforms_tell_the_truth_in_the_map_frame():
+    told = _by_topic(truth_at())
+    odometry = told["/uav_0/odom"]
+    assert (odometry.header.frame_id, odometry.child_frame_id) == ("map", "uav_0/base_link")
+    assert seconds_of(odometry.header.stamp) == pytest.approx(2.0, abs=1e-9)
+    position, velocity = odometry.pose.pose.position, odometry.twist.twist.linear
+    assert (position.x, position.y, position.z) == (3.0, 4.5, 0.0)
+    assert (velocity.x, velocity.y) == (0.25, -0.5)
+    frames = {one.child_frame_id: one.transform for one in told["/tf"].transforms}
+    assert set(frames) == {"uav_0/base_link", "ugv_0/base_link"}
+    assert frames["ugv_0/base_link"].translation.x == 5.0
+    assert frames["ugv_0/base_link"].rotation.w == 1.0
+
+
+def test_a_detection_points_from_the_uav_to_the_ugv():
+    point = _by_topic(truth_at())["/uav_0/detection"]
+    assert point.header.frame_id == "uav_0/base_link"
+    assert (point.point.x, point.point.y) == (2.125, -0.5)
+
+
+def test_an_estimate_carries_its_covariance():
+    pose = _by_topic(truth_at())["/uav_0/estimate"].pose
+    assert pose.pose.position.x == 6.0
+    covariance = np.array(pose.covariance).reshape(6, 6)
+    assert covariance[:2, :2].tolist() == [[0.04, 0.01], [0.01, 0.09]]
+    assert not covariance[2:].any()
+
+
+def test_a_path_stays_short_and_begins_anew_with_another_flight():
+    track = PathTrack()
+    for tick in range(5000):
+        track.add(tick * 0.05, (tick * 0.11, 0.0))
+    assert 250 <= len(track.times) <= 501
+    assert track.positions[0] == (0.0, 0.0)
+    track.add(0.0, (1.0, 1.0))
+    assert track.positions == [(1.0, 1.0)]
+
+
+def test_coverage_is_a_grid_in_percent():
+    cells = bytes([0, 127, 255, 255, 0, 51])
+    told = CoverageMap(tick=100, columns=3, rows=2, cell=0.25, cells=cells)
+    grid = _by_topic(told)["/coverage"]
+    assert (grid.info.width, grid.info.height) == (3, 2)
+    assert grid.info.resolution == 0.25
+    assert grid.data.tolist() == [0, 50, 100, 100, 0, 20]
+    assert seconds_of(grid.header.stamp) == pytest.approx(5.0)
+
+
+def test_hazards_are_markers_that_keep_their_number_and_are_told_once():
+    outlines = [
+        {"kind": "block", "center": [1.0, 2.0], "radius": 0.5},
+        {"kind": "rough", "corners": [[0, 0], [1, 0], [1, 1], [0, 1]]},
+    ]
+    told = msgspec.convert(
+        {
+            "tick": 2,
+            "columns": 2,
+            "rows": 1,
+            "tile": 0.5,
+            "tiles": bytes([0, 3]),
+            "states": bytes([1, 0]),
+            "hazards": outlines,
+        },
+        GroundMap,
+    )
+    view = _view()
+    first = _by_topic(told, view)
+    assert first["/ground"].data.tolist() == [-1, 100]
+    disc, polygon = first["/hazards"].markers
+    assert (disc.id, disc.scale.x, disc.pose.position.y) == (0, 1.0, 2.0)
+    assert len(polygon.points) == 6
+    again = _by_topic(msgspec.structs.replace(told, hazards=()), view)["/hazards"]
+    assert [one.id for one in again.markers] == [0, 1]
+
+
+def test_diagnostics_name_why_nothing_is_certified():
+    none = dict.fromkeys(("duplicated", "waiting", "flying"), 0)
+    link = LinkStatus(sent=9, delivered=4, lost={"chance": 5}, delivery_ratio=4 / 9, **none)
+    status = a_status(
+        certified={"uav_0": False},
+        uncertified={"uav_0": "the newest detection is too old"},
+        links={"uav_0/detections": link},
+        vehicles={"uav_0": VehicleStatus(present=True)},
+    )
+    parts = {one.name: one for one in _by_topic(status)["/diagnostics"].status}
+    assert "too old" in parts["outrider: certificate uav_0"].message
+    assert parts["outrider: certificate uav_0"].level == 1
+    lossy = parts["outrider: link uav_0/detections"]
+    assert lossy.message == "loses messages"
+    told = {one.key: one.value for one in lossy.values}
+    assert (told["sent"], told["delivered"], told["lost: chance"]) == ("9", "4", "5")
+    assert told["delivery_ratio"] == "0.444444"
+
+
+def test_discs_and_sensors_stay_as_they_are():
+    told = _by_topic(None)
+    (sensor,) = told["/tf_static"].transforms
+    assert (sensor.header.frame_id, sensor.child_frame_id) == ("uav_0/base_link", "uav_0/sensor")
+    rotation = sensor.transform.rotation
+    # Its x axis in the base_link: down.
+    assert 2.0 * (rotation.x * rotation.z - rotation.w * rotation.y) == pytest.approx(-1.0)
+    assert all(one.frame_locked for one in told["/discs"].markers)
+
+
+def test_every_topic_has_one_row_and_no_observers_topic_is_a_vehicles_own():
+    scene = _view().scene
+    names = [name for row in (*TOPICS, *PILOT_TOPICS) for _, name in row.names(scene)]
+    assert len(names) == len(set(names))
+    assert not any(PILOT in row.name for row in TOPICS)
+    assert all(row.name.startswith(f"{PILOT}/") for row in PILOT_TOPICS)
+    assert all(type_hash(row.interface).startswith("RIHS01_") for row in (*TOPICS, *PILOT_TOPICS))
+
+
+def test_what_is_no_cdr_of_its_type_is_refused_with_a_reason():
+    zero = make("geometry_msgs/msg/Vector3", x=1.0, y=2.0, z=3.0)
+    twist = make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
+    raw = encode("geometry_msgs/msg/Twist", twist)
+    assert decode("geometry_msgs/msg/Twist", raw).linear.y == 2.0
+    for bad in (b"", raw[:3], raw[:-8], b"\x00\x07" + raw[2:], raw + bytes(64)):
+        with pytest.raises(Refused, match="geometry_msgs/msg/Twist"):
+            decode("geometry_msgs/msg/Twist", bad)
+    huge = raw[:4] + struct.pack("<I", 2**31) + bytes(8)
+    with pytest.raises(Refused):
+        decode("std_msgs/msg/String", huge)
+
+
+def test_a_time_is_split_without_loss():
+    for tick in (0, 1, 19_999, 10_000_001):
+        odometry = _by_topic(truth_at(tick))["/uav_0/odom"]
+        assert math.isclose(seconds_of(odometry.header.stamp), tick * 0.05, abs_tol=1e-9)
+        assert 0 <= odometry.header.stamp.nanosec < 10**9

@@ -1,1 +1,0 @@
-"""Bridges to the buses that robots and tools speak already; each with an extra of its own."""

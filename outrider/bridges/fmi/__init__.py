@@ -1,1 +1,0 @@
-"""Vehicles as FMI 3.0 co-simulation units, and units as drivers."""

@@ -1,1 +1,0 @@
-"""ROS 2 over the run's own Zenoh router, in the wire format of rmw_zenoh."""

@@ -1,4 +1,0 @@
-"""The search for what breaks the promise.
-
-A UGV's motion, start states, noise and network events within declared limits.
-"""

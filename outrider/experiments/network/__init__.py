@@ -1,1 +1,0 @@
-"""A recorded link beside the links that are drawn: which settings come nearest to it, and how near."""
