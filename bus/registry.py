@@ -6,7 +6,7 @@ simulator, which may import no agent, checks scenarios and operators' requests b
 chooses its code and by which command line, page, reports and pictures list and draw. No name is copied and none is
 handed through. Nothing is imported either: what is code, a row names as `module:name`.
 
-`CONTRIBUTING.md` shows how to add a row, and `tests/test_extending.py` does what it says.
+`CONTRIBUTING.md` shows how to add a row.
 """
 
 from collections.abc import Mapping
@@ -22,12 +22,11 @@ def _table(*rows: _Row) -> Mapping[str, _Row]:
     """The rows by name.
 
     Raises:
-        ValueError: If two rows have the same name or code.
+        ValueError: If two rows have the same name.
     """
-    names, codes = [row.name for row in rows], [row.code for row in rows if row.code is not None]
-    for kind, given in (("name", names), ("code", codes)):
-        if len(set(given)) < len(given):
-            raise ValueError(f"{kind}s {given}: two rows have the same {kind}")
+    names = [row.name for row in rows]
+    if len(set(names)) < len(names):
+        raise ValueError(f"names {names}: two rows have the same name")
     return MappingProxyType({row.name: row for row in rows})
 
 
@@ -39,11 +38,11 @@ def resolve(where: str) -> Any:  # noqa: ANN401 - whatever it is
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LawRow:
-    """A law of the UAVs. Its mathematics is the branch with its code in `agents.control.laws`."""
+    """A law of the UAVs."""
 
     name: str
-    code: int
-    """Of its branch in compiled code; never used again for another law."""
+    module: str = ""
+    """Its file, with `Parameters`, `Memory` and `command`; empty where the user's policy flies in its place."""
     about: str
     """One line, for help texts."""
     covers: bool = False
@@ -58,6 +57,8 @@ class LawRow:
     """The field of `[custom]` whose policy flies in its place inside the safety filter, where one is named."""
     watched: bool = False
     """True if the safety filter stands behind it."""
+    separate: bool = False
+    """True if a batch contains it only where it is flown, as it takes long to compile."""
     color: str
     """Of its lines in pictures and tables."""
     mark: str = "o"
@@ -72,7 +73,7 @@ class LawRow:
 LAWS = _table(
     LawRow(
         name="tracking",
-        code=0,
+        module="agents.laws.tracking",
         about="follow the UGV (15), (16)",
         needs_radius=False,
         color="#a0522d",
@@ -80,7 +81,7 @@ LAWS = _table(
     ),
     LawRow(
         name="coverage",
-        code=1,
+        module="agents.laws.coverage",
         about="see ground (6) to (11), and never turn back",
         covers=True,
         needs_radius=False,
@@ -90,14 +91,14 @@ LAWS = _table(
     ),
     LawRow(
         name="linear",
-        code=2,
+        module="agents.laws.linear",
         about="both (17), weighted in proportion to the distance",
         covers=True,
         color="#2a9d8f",
     ),
     LawRow(
         name="switching",
-        code=3,
+        module="agents.laws.switching",
         about="one or the other, switched at r_s",
         covers=True,
         color="#8e5bb5",
@@ -105,18 +106,22 @@ LAWS = _table(
     ),
     LawRow(
         name="logarithmic",
-        code=4,
+        module="agents.laws.logarithmic",
         about="both, tracking unbounded towards r_s (19)",
         covers=True,
         color="#1f5fbf",
         mark="D",
     ),
     LawRow(
-        name="circle", code=5, about="circle round the UGV (22) to (25)", color="#5b616b", mark="^"
+        name="circle",
+        module="agents.laws.circle",
+        about="circle round the UGV (22) to (25)",
+        color="#5b616b",
+        mark="^",
     ),
     LawRow(
         name="weighted",
-        code=6,
+        module="agents.laws.weighted",
         about="both, by a weighting of your own (--weighting)",
         covers=True,
         own="weighting",
@@ -124,14 +129,14 @@ LAWS = _table(
     ),
     LawRow(
         name="path",
-        code=7,
+        module="agents.laws.path",
         about="a path of your own beside the UGV (--path)",
         own="path",
         color="#4bb3c9",
     ),
     LawRow(
         name="certified",
-        code=8,
+        module="agents.laws.logarithmic",
         about="logarithmic, or a policy of your own (--uav-policy), with the safety filter behind it",
         covers=True,
         inner="uav_policy",
@@ -141,16 +146,16 @@ LAWS = _table(
     ),
     LawRow(
         name="lookahead",
-        code=9,
+        module="agents.laws.lookahead",
         about="the best of many motions for the next seconds, with the safety filter behind it",
         covers=True,
         watched=True,
+        separate=True,
         color="#c0392b",
         mark="X",
     ),
     LawRow(
         name="policy",
-        code=10,
         about="a policy of your own (--uav-policy) alone, without the safety filter",
         needs_radius=False,
         own="uav_policy",

@@ -6,9 +6,7 @@ from typing import get_args
 import msgspec
 import numpy as np
 import pytest
-from flights import escort, parameters
 
-from agents.control.laws import OwnTerms, weights
 from agents.drivers.parameters import COMPILED_DRIVERS
 from bus.keys import KEYS, Key
 from bus.messages import LinkKind, ScriptStep
@@ -36,12 +34,10 @@ TRACKS: dict[str, bytes] = {}
 """Track of the UGV by driver."""
 
 
-def test_two_rows_of_one_name_or_code_are_refused() -> None:
-    one, other = LAWS["linear"], LAWS["switching"]
+def test_two_rows_of_one_name_are_refused() -> None:
+    one = LAWS["linear"]
     with pytest.raises(ValueError, match="the same name"):
-        _table(one, LawRow(name=one.name, code=99, about="", color="#000000"))
-    with pytest.raises(ValueError, match="the same code"):
-        _table(one, LawRow(name="new", code=other.code, about="", color="#000000"), other)
+        _table(one, LawRow(name=one.name, about="", color="#000000"))
 
 
 def test_the_defaults_are_rows() -> None:
@@ -49,18 +45,6 @@ def test_the_defaults_are_rows() -> None:
     assert DEFAULT_SENSOR in SENSORS
     assert {DEFAULT_DRIVER, TELEOP} <= set(DRIVERS)
     assert [row.name for row in DRIVERS.values() if row.operated] == [TELEOP]
-
-
-@pytest.mark.parametrize("name", LAWS)
-def test_every_law_has_its_branch(name: str) -> None:
-    alpha, beta = weights(parameters(escort(name)), OwnTerms(), 1.0)
-    assert np.isfinite([alpha, beta]).all()
-    assert LAWS[name].covers or beta == 0.0
-
-
-def test_a_row_without_its_branch_flies_no_other_law() -> None:
-    missing = parameters(escort("linear"))._replace(law=1 + max(row.code for row in LAWS.values()))
-    assert np.isnan(weights(missing, OwnTerms(), 1.0)).all()
 
 
 @pytest.mark.parametrize("name", COMPILED_DRIVERS)
@@ -96,7 +80,8 @@ def test_every_sensor_has_its_branches(name: str) -> None:
 
 @pytest.mark.parametrize(
     "where",
-    [row.make for row in DRIVERS.values() if row.make]
+    [f"{row.module}:command" for row in LAWS.values() if row.module]
+    + [row.make for row in DRIVERS.values() if row.make]
     + [row.load for row in SAVED_POLICIES.values()],
 )
 def test_every_row_names_code_that_is_there(where: str) -> None:
