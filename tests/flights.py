@@ -11,8 +11,8 @@ import numpy as np
 from seeded import a_told_key
 
 from agents.control.uav_parameters import Target, UavParameters, uav_parameters
-from agents.laws.selection import law_parameters
 from agents.process import Pilot
+from bus.law_parameters import law_parameters
 from bus.messages import (
     Area,
     Command,

@@ -113,7 +113,7 @@ def test_the_approach_reaches_its_point_and_stays_near_it(v_max, u_max, k_v):
 
 def _standing(k_v: float, sensor: str, **limits: float) -> Scenario:
     return escort(
-        Law(name="coverage", speed_gain=k_v, reference_speed=V_A),
+        Law(name="coverage", parameters={"speed_gain": k_v, "reference_speed": V_A}),
         uav=Uav(position=(4.0, 4.0), **limits),
         ugv=Ugv(position=(4.0, 4.0)),
         area=Area(width=9.0, height=8.0, cell=0.25),

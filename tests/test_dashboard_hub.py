@@ -13,8 +13,8 @@ from outrider.view.page.controls.wheel import SharedWheel
 from outrider.view.page.hub import running_law
 from outrider.view.page.sources.live import Live
 
-FIRST = Law(name="logarithmic", speed_gain=2.0)
-OTHER = Law(name="linear", weight_gain=7.0)
+FIRST = Law(name="logarithmic", parameters={"speed_gain": 2.0})
+OTHER = Law(name="linear", parameters={"weight_gain": 7.0})
 
 
 def status(law: str, *controls: Control) -> Status:

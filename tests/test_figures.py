@@ -174,7 +174,7 @@ def test_velocity_error_times_k_v_is_what_the_unbounded_uav_flew(flights):
 
 
 def test_velocity_error_knows_the_ground_that_is_covered_from_the_start():
-    free = words("law.name=coverage law.reference_speed=0.6 uav.0.max_speed=inf")
+    free = words("law.name=coverage law.parameters.reference_speed=0.6 uav.0.max_speed=inf")
     free += words("uav.0.max_acceleration=inf duration=20.0")
     flight, _ = fly(load_scenario("scenario-2", overrides=free), 0)
     flown = flight.recorder.states[:-1, flight.world.escorts[0, 0], 4:6]

@@ -30,7 +30,7 @@ TICKS = 1000
 
 def _uav(cell: float, max_distance: float = 100.0) -> Any:
     area = Area(width=36.0, height=36.0, cell=cell)
-    scenario = escort(Law(name="lookahead", horizon=6.0), area=area)
+    scenario = escort(Law(name="lookahead", parameters={"horizon": 6.0}), area=area)
     return flown_law(scenario, max_distance=max_distance).uav
 
 
@@ -136,8 +136,8 @@ def test_it_leaves_less_unseen_than_the_logarithmic_law_and_the_horizon_is_why()
     for name, law in {
         "logarithmic": Law(name="logarithmic"),
         "lookahead": Law(name="lookahead"),
-        "one step": Law(name="lookahead", horizon=0.5),
-        "at random": Law(name="lookahead", candidates=1),
+        "one step": Law(name="lookahead", parameters={"horizon": 0.5}),
+        "at random": Law(name="lookahead", parameters={"candidates": 1}),
     }.items():
         loop = ClosedLoop(msgspec.structs.replace(scenario, law=law), 2, error=True)
         loop.begin([3, 4])

@@ -34,6 +34,7 @@ from agents.control.tracking import (
     tracking_output,
     tracking_step,
 )
+from bus.law_parameters import law_parameters
 from bus.messages import Law
 from outrider.running.flying import fly
 from sim.models.field import cover, empty_coverage
@@ -105,7 +106,7 @@ def test_a_controller_without_a_pole_is_a_plain_integral_and_the_limit_of_slow_o
 
 def _loop() -> FloatGrid:
     """The closed loop of (15) and (16) on one axis, state (p, v, x_c), read off the shipped functions and defaults."""
-    law = Law()
+    law = law_parameters(Law())
     rows = [
         tracking_output(x, 0.0, p, 0.0, law.c_c, law.d_c)[0] for p, x in ((1.0, 0.0), (0.0, 1.0))
     ]

@@ -191,6 +191,8 @@ def test_a_linear_weighting_of_ones_own_flies_the_bits_of_the_linear_law() -> No
 
 
 def test_the_limit_of_the_logarithmic_weight_is_the_scenarios() -> None:
-    c = flown_law(escort(Law(name="logarithmic", weight_gain=3.0, weight_limit=7.0)))
+    c = flown_law(
+        escort(Law(name="logarithmic", parameters={"weight_gain": 3.0, "weight_limit": 7.0}))
+    )
     assert c.weights(0.0) == (1.0, 7.0)
     assert c.weights(R_S / math.e)[1] == pytest.approx(3.0, rel=1e-12)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.control.uav_parameters import Target, UavParameters, uav_parameters
-from agents.laws.selection import law_parameters
+from bus.law_parameters import law_parameters
 from bus.messages import Law, UavBriefing
 from bus.registry import LAWS
 from sim.kernels.compile import FloatArray, IntArray, compiled

@@ -6,19 +6,13 @@ from typing import Any
 from agents.control.uav_parameters import Target, UavParameters
 from agents.control.visibility import switching_radius
 from bus.errors import ScenarioError
+from bus.law_parameters import law_parameters
 from bus.messages import Law, UavBriefing
 from bus.registry import LAWS
 from sim.kernels.compile import FloatArray
 from sim.kernels.records import fresh, records
 from sim.models.randomness import words_of
 from sim.models.vehicles import Motion
-
-
-def law_parameters(law: Law) -> Any:  # noqa: ANN401 - the law's own `Parameters`
-    """Return the parameters of a law as its file declares them."""
-    parameters = import_module(LAWS[law.name].module).Parameters
-    given = {name: getattr(law, name) for name in parameters.__struct_fields__}
-    return parameters(**{name: value for name, value in given.items() if value is not None})
 
 
 class SelectedLaw:
@@ -31,7 +25,7 @@ class SelectedLaw:
         before: The law that flew it before; what both remember is kept.
 
     Raises:
-        ScenarioError: If the law is unknown, or the UAV is too weak for r_s.
+        ScenarioError: If the law is unknown, its parameters are not allowed, or the UAV is too weak for r_s.
     """
 
     def __init__(

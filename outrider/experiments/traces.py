@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from agents.control.uav_parameters import Target, UavParameters, uav_parameters
 from agents.laws.common import CoverageMemory, coverage_velocity_error
-from agents.laws.selection import law_parameters
+from bus.law_parameters import law_parameters
 from bus.registry import LAWS, resolve
 from outrider.running.summary import switching_radius_of
 from sim.engine.briefing import uav_briefing
