@@ -174,10 +174,10 @@ class DriverRow:
     name: str
     about: str
     """One line, for help texts."""
+    module: str = ""
+    """Its file, with `Parameters`, `Memory` and `command`; empty: it is not compiled, and drives in no batch."""
     make: str = ""
-    """The class, made from a `UgvBriefing`, with a code from the name too; empty where it is not ours to make."""
-    code: int | None = None
-    """Of its branch in `agents.drivers.ugv_tick`; None: it flies in no batch of worlds."""
+    """The class that drives, made from a `UgvBriefing`, where that is not the file alone."""
     needs: str = ""
     """The field of `[[ugv]]` without which it cannot drive."""
     wants: str = ""
@@ -188,12 +188,19 @@ class DriverRow:
     """False if it drives where it wants, whatever hazards are there."""
     unbounded: bool = False
     """True if it drives without a bound where the UGV has none; the others assume a large one."""
+    separate: bool = False
+    """True if a batch contains it only where it drives over ground, as it takes long to compile."""
     operated: bool = False
     """True if it does what an operator says."""
     own: str = ""
     """The field of `[custom]` that names what drives."""
     outside: bool = False
     """True if it is a process of the user's own, from start to end."""
+
+    @property
+    def provided(self) -> bool:
+        """True if its code is neither a function nor a process of the user's own."""
+        return bool(self.module or self.make)
 
 
 TELEOP = "teleop"
@@ -202,8 +209,7 @@ DRIVERS = _table(
     DriverRow(
         name="waypoints",
         about="from goal to goal",
-        make="agents.drivers.compiled:CompiledDriver",
-        code=0,
+        module="agents.drivers.waypoints",
         wants="goals",
         avoids=False,
         unbounded=True,
@@ -211,31 +217,29 @@ DRIVERS = _table(
     DriverRow(
         name="wander",
         about="to random points",
-        make="agents.drivers.compiled:CompiledDriver",
-        code=1,
+        module="agents.drivers.wander",
         avoids=False,
     ),
     DriverRow(
         name="script",
         about="timed velocities",
-        make="agents.drivers.compiled:CompiledDriver",
-        code=2,
+        module="agents.drivers.script",
         needs="script",
         avoids=False,
     ),
     DriverRow(
         name="evade",
         about="away from the UAV, by what it radios",
-        make="agents.drivers.compiled:CompiledDriver",
-        code=3,
+        module="agents.drivers.evade",
         listens=True,
         avoids=False,
     ),
     DriverRow(
         name="navigate",
         about="from goal to goal over the ground as it is told and seen",
+        module="agents.drivers.navigate",
         make="agents.drivers.compiled:NavigateDriver",
-        code=4,
+        separate=True,
         wants="goals",
         listens=True,
     ),

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from agents.drivers.parameters import COMPILED_DRIVERS
+from agents.drivers.dispatch import CODES
 from bus.keys import KEYS, Key
 from bus.messages import LinkKind, ScriptStep
 from bus.profiles import PROFILES
@@ -47,7 +47,7 @@ def test_the_defaults_are_rows() -> None:
     assert [row.name for row in DRIVERS.values() if row.operated] == [TELEOP]
 
 
-@pytest.mark.parametrize("name", COMPILED_DRIVERS)
+@pytest.mark.parametrize("name", CODES)
 def test_every_compiled_driver_drives_differently(name: str) -> None:
     """A row without its branch would drive as another one."""
     scenario = load_scenario("escort", overrides=["duration=8.0"])
@@ -81,6 +81,7 @@ def test_every_sensor_has_its_branches(name: str) -> None:
 @pytest.mark.parametrize(
     "where",
     [f"{row.module}:command" for row in LAWS.values() if row.module]
+    + [f"{row.module}:command" for row in DRIVERS.values() if row.module]
     + [row.make for row in DRIVERS.values() if row.make]
     + [row.load for row in SAVED_POLICIES.values()],
 )

@@ -15,8 +15,9 @@ from agents.control.promise import Promise
 from agents.control.telling import BLOCK_TILES, telling_memory, telling_ticks
 from agents.control.uav_parameters import uav_parameters
 from agents.control.visibility import promise_of
-from agents.drivers.compiled import driver_memory, driver_parameters, told_ground, told_route
-from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters
+from agents.drivers.compiled import told_ground, told_route
+from agents.drivers.dispatch import CODES as DRIVER_CODES
+from agents.drivers.dispatch import driver_memories, driver_tables
 from agents.estimation.batch_filter import estimator_rows
 from agents.estimation.motion_model import (
     SPAN,
@@ -82,7 +83,7 @@ def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:
     """The laws or drivers that can fly or drive a vehicle in here, by name."""
     if any(uav.name == vehicle for uav in scenario.uav):
         return tuple(CODES)
-    return tuple(COMPILED_DRIVERS)
+    return tuple(DRIVER_CODES)
 
 
 class LoopSettings(EpisodeSettings, total=False):
@@ -193,6 +194,7 @@ class ClosedLoop:
             batch=self.batch.tables,
             rows=rows,
             laws=numbers.laws,
+            drivers=numbers.drivers,
             hand=np.array(
                 [self.external.index(n) if n in self.external else -1 for n in self.names],
                 dtype=np.int64,
@@ -234,10 +236,9 @@ class ClosedLoop:
             certificates=np.repeat(numbers.certificates[None], worlds, axis=0),
             sent=np.repeat(numbers.sent[None], worlds, axis=0),
             laws=law_memories(numbers.laws, worlds),
-            drivers=np.repeat(numbers.drivers[None], worlds, axis=0),
+            drivers=driver_memories(numbers.drivers, worlds),
             kalman=_repeated(kalman, worlds, uavs),
             guards=_repeated(guard, worlds, uavs),
-            driver_states=_repeated(driver_memory(), worlds, ugvs),
             grounds=_repeated(numbers.ground, worlds, ugvs),
             outbox=no_packets(worlds, uavs, 2),
             looks=np.zeros((worlds, room, 3)),
@@ -270,7 +271,7 @@ class ClosedLoop:
         which = self.batch.restore(seeds, worlds)
         self._fresh.restore(which)
         keys = self.state.batch.vehicles["keys"][which, :, PILOT]
-        keyed: list[Any] = [(self.state.drivers, self.tables.batch.ugvs)]
+        keyed = [(rows, self.tables.batch.ugvs) for rows in self.state.drivers]
         keyed += [(rows, self.tables.batch.escorts[:, 0]) for rows in self.state.laws]
         for rows, vehicles in keyed:
             if rows is not None and "key_0" in rows.dtype.names:
@@ -404,7 +405,7 @@ class _PilotNumbers:
         self.guarded = watched & ~outside | outside & shield
         self.thinking = ~outside
         drivers = [pilots.get(one.vehicle) or one.driver for one in told_ugvs]
-        self.drivers = records(DriverParameters, list(map(driver_parameters, told_ugvs, drivers)))
+        self.drivers = driver_tables(told_ugvs, drivers)
         self.scripts = [told_route(one).script for one in told_ugvs]
         grounds = [told_ground(one) for one in told_ugvs]
         self.late = np.array([len(memory.sent) for memory in grounds], dtype=np.int64)

@@ -18,10 +18,10 @@ from agents.control.telling import (
 from agents.control.uav_parameters import Target
 from agents.control.uav_tick import uav_perceive
 from agents.control.underway import Underway, hand_over
-from agents.drivers.navigate import PLAIN, hand_over_stops
-from agents.drivers.parameters import Route
+from agents.drivers.dispatch import driver_command
+from agents.drivers.parameters import DriverInputs
+from agents.drivers.pending_stops import PLAIN, hand_over_stops
 from agents.drivers.tile_map import GroundMemory, note_block, note_tiles
-from agents.drivers.ugv_tick import ugv_tick
 from agents.estimation.batch_filter import estimate
 from agents.estimation.batch_filter import update as update_estimate
 from agents.laws.dispatch import nominal_command
@@ -200,22 +200,20 @@ def _drive(
         one.outgoing[1] = actions[tables.hand[vehicle], 1]
         return
     script = tables.scripts[tables.script_rows[ugv] : tables.script_rows[ugv + 1]]
-    route = Route(goals_of(tables.batch.goals, tables.batch.goal_rows, ugv), script)
-    driver, own, radio = (
-        state.drivers[world, ugv],
-        state.driver_states[world, ugv],
-        state.inboxes[world, ugv],
-    )
-    arrived, here = state.arrived[world, ugv], _reference_of(one)
+    goals = goals_of(tables.batch.goals, tables.batch.goal_rows, ugv)
+    radio, arrived = state.inboxes[world, ugv], state.arrived[world, ugv]
+    place, here = (world, ugv), _reference_of(one)
     if ground is None:
-        one.outgoing[0], one.outgoing[1] = ugv_tick(
-            driver, route, own, None, radio, arrived, tick, here, PLAIN
+        inputs = DriverInputs(goals, script, radio, arrived, None, PLAIN)
+        one.outgoing[0], one.outgoing[1] = driver_command(
+            tables.drivers, state.drivers, place, inputs, tick, here
         )
     else:
         memory = _ground_of(tables, state, world, ugv)
         flown = state.batch.flown[world, vehicle, 0].begins if one.follows_motions else PLAIN
-        one.outgoing[0], one.outgoing[1] = ugv_tick(
-            driver, route, own, memory, radio, arrived, tick, here, flown
+        inputs = DriverInputs(goals, script, radio, arrived, memory, flown)
+        one.outgoing[0], one.outgoing[1] = driver_command(
+            tables.drivers, state.drivers, place, inputs, tick, here
         )
         note_claim(ground.missions[world], ugv, memory.flags[0].claim)
         if one.follows_motions:

@@ -106,10 +106,10 @@ def check_exportable(briefing: UavBriefing | UgvBriefing) -> None:
                 f"{vehicle}: the law {briefing.law.name!r} needs a function of your own, which a unit does not carry; "
                 "allowed: other laws"
             )
-    elif not DRIVERS[briefing.driver].make:
+    elif not DRIVERS[briefing.driver].provided:
         raise ScenarioError(
             f"{vehicle}: the driver {briefing.driver!r} is code of your own, which a unit does not carry; allowed: "
-            f"{', '.join(row.name for row in DRIVERS.values() if row.make)}"
+            f"{', '.join(row.name for row in DRIVERS.values() if row.provided)}"
         )
 
 
