@@ -10,10 +10,12 @@ handed through. Nothing is imported either: what is code, a row names as `module
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib import import_module
 from types import MappingProxyType
 from typing import Any, TypeVar
+
+from bus.plugins import plugin_rows
+from bus.rows import DriverRow, HazardKindRow, LawRow, SavedPolicyRow, SensorRow
 
 _Row = TypeVar("_Row", bound="LawRow | DriverRow | SensorRow | HazardKindRow | SavedPolicyRow")
 
@@ -34,40 +36,6 @@ def resolve(where: str) -> Any:  # noqa: ANN401 - whatever it is
     """The object that `module:name` names."""
     module, _, name = where.partition(":")
     return getattr(import_module(module), name)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LawRow:
-    """A law of the UAVs."""
-
-    name: str
-    module: str = ""
-    """Its file, with `Parameters`, `Memory` and `command`; empty where the user's policy flies in its place."""
-    about: str
-    """One line, for help texts."""
-    covers: bool = False
-    """True if it steers by the coverage gradient, and so by v_ref of (10)."""
-    needs_radius: bool = True
-    """True if it needs a positive switching radius r_s (18)."""
-    keeps_sight: bool = True
-    """True if it ever turns back to the UGV."""
-    own: str = ""
-    """The field of `[custom]` that names the function of the user's own which it needs."""
-    inner: str = ""
-    """The field of `[custom]` whose policy flies in its place inside the safety filter, where one is named."""
-    watched: bool = False
-    """True if the safety filter stands behind it."""
-    separate: bool = False
-    """True if a batch contains it only where it is flown, as it takes long to compile."""
-    color: str
-    """Of its lines in pictures and tables."""
-    mark: str = "o"
-    """Of its points, as matplotlib names it."""
-
-    @property
-    def compared(self) -> bool:
-        """True if it flies in every comparison: it keeps sight and needs nothing of the user's own."""
-        return self.keeps_sight and not self.own
 
 
 LAWS = _table(
@@ -162,45 +130,10 @@ LAWS = _table(
         color="#6b4a8f",
         mark="*",
     ),
+    *plugin_rows("outrider.laws", LawRow),
 )
 """The laws by name, in the order in which tables and reports list them."""
 DEFAULT_LAW = "logarithmic"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DriverRow:
-    """A driver of the UGVs."""
-
-    name: str
-    about: str
-    """One line, for help texts."""
-    module: str = ""
-    """Its file, with `Parameters`, `Memory` and `command`; empty: it is not compiled, and drives in no batch."""
-    make: str = ""
-    """The class that drives, made from a `UgvBriefing`, where that is not the file alone."""
-    needs: str = ""
-    """The field of `[[ugv]]` without which it cannot drive."""
-    wants: str = ""
-    """The field of `[[ugv]]` without which it stands still."""
-    listens: bool = False
-    """True if it uses what the UAV radios."""
-    avoids: bool = True
-    """False if it drives where it wants, whatever hazards are there."""
-    unbounded: bool = False
-    """True if it drives without a bound where the UGV has none; the others assume a large one."""
-    separate: bool = False
-    """True if a batch contains it only where it drives over ground, as it takes long to compile."""
-    operated: bool = False
-    """True if it does what an operator says."""
-    own: str = ""
-    """The field of `[custom]` that names what drives."""
-    outside: bool = False
-    """True if it is a process of the user's own, from start to end."""
-
-    @property
-    def provided(self) -> bool:
-        """True if its code is neither a function nor a process of the user's own."""
-        return bool(self.module or self.make)
 
 
 TELEOP = "teleop"
@@ -251,43 +184,23 @@ DRIVERS = _table(
     ),
     DriverRow(name="policy", about="a policy of your own (--policy)", own="policy"),
     DriverRow(name="external", about="a process of your own", outside=True),
+    *plugin_rows("outrider.drivers", DriverRow),
 )
 """The drivers by name, in the order in which help texts list them."""
 DEFAULT_DRIVER = "waypoints"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SensorRow:
-    """A sensor of the ground. Its quality and slope are the branches with its code in `sim.models.field`."""
-
-    name: str
-    code: int
-    """Of its branches in compiled code."""
-    about: str
-    """One line, for help texts."""
-
-
 SENSORS = _table(
-    SensorRow(name="hill", code=0, about="the paper's (2)"),
-    SensorRow(name="plateau", code=1, about="sees well over most of its disc"),
+    SensorRow(name="hill", module="sim.models.sensors.hill", about="the paper's (2)"),
+    SensorRow(
+        name="plateau",
+        module="sim.models.sensors.plateau",
+        about="sees well over most of its disc",
+    ),
+    *plugin_rows("outrider.sensors", SensorRow),
 )
 """The sensors by name."""
 DEFAULT_SENSOR = "hill"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HazardKindRow:
-    """A kind of hazards on the ground. What is one to a vehicle is in `sim.models.ground`."""
-
-    name: str
-    code: int
-    """State of a tile that one touches: 0 is a tile that nobody has seen, 1 a clear one."""
-    about: str
-    """One line, for help texts."""
-    drivable: bool = True
-    """False if a vehicle that touches it is stuck or damaged."""
-    slows: bool = False
-    """True if a vehicle keeps only a share of its largest speed on it."""
 
 
 HAZARDS = _table(
@@ -301,18 +214,6 @@ TOUCHES = ("stuck", "damage")
 BOLD = "bold"
 CAUTIONS = ("cautious", BOLD)
 """Cautions of a UGV towards ground that nobody has seen: only as fast as it can stop before it, or on."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SavedPolicyRow:
-    """A library whose saved policies can drive."""
-
-    name: str
-    form: str
-    """Form of its name after the library's and a colon."""
-    load: str
-    """The function that loads one, from what stands after the colon and where it stood, for errors."""
-    code: None = None
 
 
 SAVED_POLICIES = _table(

@@ -45,7 +45,7 @@ KERNELS: dict[str, list[dict[str, Any]]] = {
     ],
     **{
         f"sim.models.field.{name}": [
-            given | _SENSOR | {"sensor": row.code} for row in SENSORS.values()
+            given | _SENSOR | {"sensor": sensor} for sensor in range(len(SENSORS))
         ]
         for name, given in (
             ("accumulate", _TRACK),

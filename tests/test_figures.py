@@ -35,7 +35,6 @@ from outrider.experiments.traces import (
     velocity_errors,
 )
 from outrider.running.flying import fly
-from sim.models.field import HILL
 from sim.scenario.loading import load_scenario
 
 ROOT = Path(__file__).parents[1]
@@ -85,7 +84,7 @@ def brute_errors(flight, ticks):
     for k in range(ticks):
         p_a, p_g = flight.recorder.states[k, a, :2], flight.recorder.states[k, g, :2]
         if k:
-            coverage = reference.accumulate(coverage, *p_a, HILL, 1.0, R, CELL, DT)
+            coverage = reference.accumulate(coverage, *p_a, reference.HILL, 1.0, R, CELL, DT)
         errors.append(reference.coverage_error(coverage, *p_g, R_V + R, DESIRED, CELL))
     return np.array(errors)
 

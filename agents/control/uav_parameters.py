@@ -88,7 +88,7 @@ def uav_parameters(briefing: UavBriefing) -> UavParameters:
         target_max_speed=v_g,
         switching_radius=float(raw_switching_radius(briefing.visibility_radius, v_a, v_g, u_a)),
         density_radius=float(briefing.visibility_radius + briefing.sensor.range),
-        sensor=SENSORS[briefing.sensor.model].code,
+        sensor=tuple(SENSORS).index(briefing.sensor.model),
         sensor_peak=float(briefing.sensor.peak),
         sensing_range=float(briefing.sensor.range),
         desired_coverage=float(briefing.desired_coverage),

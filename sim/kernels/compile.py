@@ -17,29 +17,42 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from bus.plugins import package_files
+from bus.registry import DRIVERS, LAWS, SENSORS
+
 FloatArray = npt.NDArray[np.float64]
 """C-contiguous float64."""
 IntArray = npt.NDArray[np.int64]
 """C-contiguous int64."""
 
 _LOG = logging.getLogger("outrider.compile")
+_PRODUCT = ("bus", "sim", "agents", "outrider")
 _F = TypeVar("_F", bound=Callable[..., Any])
 _KEPT_CACHES, _MIN_AGE = 6, 3600.0
 """The newest caches are kept, and all that were used within this time [s]."""
 
 
 def _source_digest() -> str:
-    """Return a digest of all product sources and of the versions that compile them.
+    """Return a digest of all sources, of the registry's names and of the versions that compile them.
 
     numba compares only the file of a function, not the files of the functions that it calls. Compiled code must never
-    outlive a change of either, so each state of the sources has a cache of its own.
+    outlive a change of either, so each state of the sources has a cache of its own. The sources of other packages'
+    laws, drivers and sensors belong to them; the order of names is the order in which compiled code chooses.
     """
     digest = hashlib.sha256(f"{sys.version}{numba.__version__}{np.__version__}".encode())
     root = Path(__file__).resolve().parents[2]
-    for folder in ("bus", "sim", "agents", "outrider"):
+    for folder in _PRODUCT:
         for path in sorted((root / folder).rglob("*.py")):
             digest.update(path.relative_to(root).as_posix().encode())
             digest.update(path.read_bytes())
+    modules = [(row.name, row.module) for row in LAWS.values()]
+    modules += [(row.name, row.module) for row in DRIVERS.values()]
+    modules += [(row.name, row.module) for row in SENSORS.values()]
+    for name, module in modules:
+        digest.update(f"{name} {module} ".encode())
+        if module and module.partition(".")[0] not in _PRODUCT:
+            for path in package_files(module):
+                digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
 

@@ -19,8 +19,8 @@ from bus.registry import (
     SENSORS,
     UAV_POLICIES,
     UAV_POLICY_FORMS,
-    SavedPolicyRow,
 )
+from bus.rows import SavedPolicyRow
 from sim.input.faults import Fault, near, one_line, unknown_name
 from sim.input.reading import as_raw, type_fault, typed
 from sim.scenario.ground_checks import GROUND_CHECKS, hazard_warnings
