@@ -30,9 +30,9 @@ class LawRow:
     separate: bool = False
     """True if a batch contains it only where it is flown, as it takes long to compile."""
     color: str
-    """Of its lines in pictures and tables."""
+    """Color of its lines in pictures and tables."""
     mark: str = "o"
-    """Of its points, as matplotlib names it."""
+    """Marker of its points, by its name in matplotlib."""
 
     @property
     def compared(self) -> bool:

@@ -29,7 +29,7 @@ NEAREST_TIE = 1e-9
 
 @compiled
 def sensor_quality(sensor: int, rho2: float, peak: float, reach: float) -> float:
-    r"""Return the sensor quality $S_a$ at squared distance $\rho^2$, for the paper's sensor Klodt 2015, eq. (2).
+    r"""Return the sensor quality $S_a$ of a sensor at squared distance $\rho^2$ [1/s].
 
     Args:
         sensor: Place of its row in `SENSORS`.

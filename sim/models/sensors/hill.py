@@ -1,11 +1,13 @@
-r"""Sensor `hill`, Klodt 2015, eq. (2): $S_a = \frac{M_a}{r^4}(\rho^2 - r^2)^2$ inside r, 0 outside."""
+"""Sensor `hill`, that of the paper."""
 
 from sim.kernels.compile import compiled
 
 
 @compiled
 def quality(rho2: float, peak: float, reach: float) -> float:
-    r"""Return the sensor quality $S_a$ [1/s].
+    r"""Return the sensor quality $S_a$ [1/s], Klodt 2015, eq. (2).
+
+    $$ S_a = \frac{M_a}{r^4}(\rho^2 - r^2)^2 \text{ inside r, } 0 \text{ outside} $$
 
     Args:
         rho2: Squared distance from the UAV [m²].
