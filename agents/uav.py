@@ -6,28 +6,14 @@ from collections.abc import Callable
 
 import msgspec
 
-from agents.control.guard import guard_state
-from agents.control.laws import (
-    LOOKAHEAD,
-    PATH,
-    POLICY,
-    WATCHED,
-    WEIGHTED,
-    LawParameters,
-    OwnTerms,
-    initial_state,
-    law_parameters,
-)
-from agents.control.lookahead import lookahead_memory
 from agents.control.orbit import Path, check_path
-from agents.control.promise import Promise
 from agents.control.telling import GroundTeller
+from agents.control.uav_parameters import uav_parameters
 from agents.control.uav_policy import PolicyControl, TargetEstimate, UavPolicy
-from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
-from agents.control.visibility import SafetyFilter, Verdict, flown_in, promise_of
+from agents.control.visibility import SafetyFilter, Verdict, promise_of
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimation.estimator import Estimate, estimator_of
-from agents.looks import LookRows
+from agents.laws.selection import SelectedLaw
 from bus.errors import ScenarioError
 from bus.messages import (
     LONGEST_TEXT,
@@ -40,23 +26,17 @@ from bus.messages import (
     Vector,
     or_infinite,
 )
-from bus.registry import LAWS, UAV_POLICY_FORMS
+from bus.registry import UAV_POLICY_FORMS
 from bus.ticks import looks_of, radio_ticks
 from sim.kernels.compile import FloatArray
-from sim.kernels.records import records
-from sim.models.field import cover, coverage_error, empty_coverage
-from sim.models.vehicles import Motion, norm
+from sim.models.field import accumulate, cover, coverage_error, empty_coverage
+from sim.models.vehicles import Motion, brake, clip_norm, norm
 
 Inner = Callable[[UavObservation], Vector | None]
 """An inner control of one's own: the acceleration [m/s²] that it wants at this tick; None: the law flies."""
 
 _PATH_HORIZON = 600.0
 """The time that a path of one's own is checked ahead [s]: a pilot does not know how long the run will be."""
-
-_NOTHING_OWN = OwnTerms()
-
-_FLIES_POLICY = frozenset(row.code for row in LAWS.values() if "uav_policy" in (row.own, row.inner))
-"""Codes of the laws under which a policy flies."""
 
 
 def _report(estimate: Estimate, verdict: Verdict | None) -> UavReport:
@@ -104,11 +84,12 @@ class UavPilot:
         inner: Inner | None = None,
     ) -> None:
         self._briefing = briefing
-        self._parameters: LawParameters = law_parameters(briefing, briefing.law)
+        self._uav = uav_parameters(briefing)
+        self._law = SelectedLaw(briefing, briefing.law, self._uav)
         self._weighting, self._path, self._inner = weighting, path, inner
         self._policy: PolicyControl | None = None
         if policy is not None:
-            self._policy = PolicyControl(briefing, self._parameters, policy, policy_name)
+            self._policy = PolicyControl(briefing, self._uav, policy, policy_name)
         self._check_own_functions()
         self.coverage: FloatArray = empty_coverage(
             briefing.area.width, briefing.area.height, briefing.area.cell
@@ -123,11 +104,8 @@ class UavPilot:
                 briefing.desired_coverage,
             )
         self.estimator = estimator_of(briefing)
-        promise = promise_of(briefing)
-        (self._promise,) = records(Promise, [promise])
-        self._law_memory, self._lookahead_memory = initial_state(), lookahead_memory()
-        self._no_guard = guard_state(promise.delay_ticks, depth=1)
-        self._sent: deque[Vector] = deque(maxlen=promise.delay_ticks)  # that may be under way
+        delay_ticks = promise_of(briefing).delay_ticks
+        self._sent: deque[Vector] = deque(maxlen=delay_ticks)  # that may be under way
         self.filter: SafetyFilter | None = self._make_filter()
         """The safety filter of the law `certified`, and of an inner control of one's own."""
         self.teller = GroundTeller(briefing)
@@ -135,44 +113,30 @@ class UavPilot:
         self._tick: int | None = None
         self._radio_ticks = radio_ticks(briefing.dt)
         self._dt = briefing.dt
-        c = self._parameters
-        self._fixed_error = c.r_o, c.desired, c.cell
-        self._looks = LookRows(briefing.dt)
+        c = self._uav
+        self._fixed_error = c.density_radius, c.desired_coverage, c.cell
         self._estimate: Estimate | None = None
-        self._take_on()
-
-    def _take_on(self) -> None:
-        """Prepare the arguments of compiled code for the present law and safety filter."""
-        guard = self._no_guard if self.filter is None else self.filter.state
-        self._flies_policy = self._parameters.law in _FLIES_POLICY
-        self._lookahead = self._lookahead_memory if self._parameters.law == LOOKAHEAD else None
-        self._fixed = (
-            records(LawParameters, [self._parameters])[0],
-            self._promise,
-            self.filter is not None,
-            UavMemory(self.coverage, self._law_memory, guard),
-        )
 
     def _make_filter(self) -> SafetyFilter | None:
         return SafetyFilter(self._briefing, sent=self._sent) if self._watched else None
 
     @property
     def _watched(self) -> bool:
-        return self._inner is not None or self._parameters.law in WATCHED
+        return self._inner is not None or self._law.row.watched
 
     def _check_own_functions(self) -> None:
-        law, limits = self._parameters.law, self._briefing.limits
-        if law == POLICY and self._policy is None:
+        own, limits = self._law.row.own, self._briefing.limits
+        if own == "uav_policy" and self._policy is None:
             raise ScenarioError(
                 f"law.name = 'policy': needs a policy, given to the UAV as {UAV_POLICY_FORMS}"
             )
-        if law == WEIGHTED:
+        if own == "weighting":
             if self._weighting is None:
                 raise ScenarioError(
                     "law.name = 'weighted': needs a weighting, given to the UAV as module:function"
                 )
-            check_weighting(self._weighting, self._parameters.r_s)
-        if law == PATH:
+            check_weighting(self._weighting, self._uav.switching_radius)
+        if own == "path":
             if self._path is None:
                 raise ScenarioError(
                     "law.name = 'path': needs a path, given to the UAV as module:function"
@@ -189,21 +153,10 @@ class UavPilot:
         wanted = None if self._inner is None else self._inner(observation)
         self.perceive(observation)
         estimate = self._estimate
-        if wanted is None and self._policy is not None and self._flies_policy:
-            wanted = self._policy.acceleration(observation, self._policy_estimate(), self.coverage)
-        verdict: Verdict | None = None
-        if wanted is not None:
-            verdict = None if self.filter is None else self.filter.filter(observation, wanted)
-            acceleration = wanted if verdict is None else verdict.acceleration
-        else:
-            here = Motion(*observation.position, *observation.velocity)
-            own, target = self._own_terms(observation), self.estimator.target
-            u_x, u_y, acts, code, distance = uav_tick(
-                *self._fixed, self._lookahead, own, tick, here, target, flown_in(observation)
-            )
-            acceleration = u_x, u_y
-            if self.filter is not None:
-                verdict = self.filter.verdict(tick, u_x, u_y, acts, code, distance)
+        if wanted is None:
+            wanted = self._nominal(observation)
+        verdict = None if self.filter is None else self.filter.filter(observation, wanted)
+        acceleration = wanted if verdict is None else verdict.acceleration
         self._sent.append(acceleration)
         motions = () if verdict is None else verdict.motions
         if estimate is None:
@@ -234,37 +187,47 @@ class UavPilot:
             tick=tick, own_position=observation.position, looks=looks_of(observation.detections, dt)
         )
         self._tick = tick
-        looked = 0 if before is None else tick - before
-        here = Motion(*observation.position, *observation.velocity)
-        rows, count = self._looks.take(observation.detections)
-        uav_perceive(*self._fixed, looked, tick, here, rows, count)
+        if before is not None and tick > before:
+            c, (x, y), looked = self._uav, observation.position, (tick - before) * dt
+            sensor = c.sensor, c.sensor_peak, c.sensing_range
+            accumulate(self.coverage, x, y, *sensor, c.cell, looked)
+        if self.filter is not None:
+            self.filter.see(observation)
 
     def _fly(self, law: Law) -> None:
-        """Take another law; map, filter and the state of the law before stay."""
-        self._parameters = law_parameters(self._briefing, law)
+        """Select another law; map and filter stay, and of the memory what both laws have."""
+        self._law = SelectedLaw(self._briefing, law, self._uav, self._law)
         self._check_own_functions()
         if self.filter is None or not self._watched:
             self.filter = self._make_filter()
-        self._take_on()
+
+    def _nominal(self, observation: UavObservation) -> Vector:
+        """Return the acceleration [m/s²] of the law or of the policy in its place, within the bound of (1)."""
+        row, uav, target = self._law.row, self._uav, self.estimator.target
+        if self._policy is not None and "uav_policy" in (row.own, row.inner):
+            return self._policy.acceleration(observation, self._policy_estimate(), self.coverage)
+        own = Motion(*observation.position, *observation.velocity)
+        if not target.known:
+            u_x, u_y = brake(own.v_x, own.v_y, uav.max_acceleration, uav.dt)
+            return u_x, u_y
+        self._ask_user(observation)
+        u_x, u_y = self._law.command(self.coverage, observation.tick, own, target)
+        u_x, u_y = clip_norm(u_x, u_y, uav.max_acceleration)
+        return u_x, u_y
 
     def _policy_estimate(self) -> TargetEstimate:
         s = self.estimator.target
         return TargetEstimate(s.known, s.p_x, s.p_y, self.estimator.age)
 
-    def _own_terms(self, observation: UavObservation) -> OwnTerms:
-        """Return the answer of the user's own function at this tick, if the law asks one."""
-        target = self.estimator.target
-        if not target.known:
-            return _NOTHING_OWN
-        if self._weighting is not None and self._parameters.law == WEIGHTED:
+    def _ask_user(self, observation: UavObservation) -> None:
+        """Write the answer of the user's own function at this tick into the law's memory, if the law needs one."""
+        own, memory, target = self._law.row.own, self._law.memory, self.estimator.target
+        if own == "weighting" and self._weighting is not None:
             p_x, p_y = observation.position
             distance = norm(p_x - target.p_x, p_y - target.p_y)
-            alpha, beta = self._weighting(distance, self._parameters.r_s)
-            return OwnTerms(alpha=float(alpha), beta=float(beta))
-        if self._path is not None and self._parameters.law == PATH:
-            (v_x, v_y), (a_x, a_y) = self._path(observation.time)
-            return OwnTerms(p_vx=float(v_x), p_vy=float(v_y), a_vx=float(a_x), a_vy=float(a_y))
-        return _NOTHING_OWN
+            memory["alpha"], memory["beta"] = self._weighting(distance, self._uav.switching_radius)
+        elif own == "path" and self._path is not None:
+            memory["offset"], memory["acceleration"] = self._path(observation.time)
 
     def _radio(
         self, observation: UavObservation, g_x: float, g_y: float

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Protocol
 
-from agents.drivers.compiled import NavigateDriver
+from agents.drivers.compiled import CompiledDriver, NavigateDriver
 from agents.drivers.policy import Policy, PolicyDriver
 from bus.errors import ScenarioError
 from bus.messages import MotionPlan, UgvBriefing, UgvCommand, UgvObservation, UgvReport
@@ -19,9 +19,9 @@ class Driver(Protocol):
 
 
 _MAKERS: dict[str, Callable[[UgvBriefing], Driver]] = {
-    row.name: resolve(row.make) if row.code is None else partial(resolve(row.make), name=row.name)
+    row.name: resolve(row.make) if row.make else partial(CompiledDriver, name=row.name)
     for row in DRIVERS.values()
-    if row.make
+    if row.provided
 }
 
 

@@ -13,6 +13,7 @@ About three minutes for `attack`, one for each other.
 import dataclasses
 import math
 import time
+from collections import namedtuple
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -28,15 +29,9 @@ from agents.drivers.cautious import (
     open_to,
     way_is_open,
 )
-from agents.drivers.compiled import PLAN_TILES
-from agents.drivers.navigate import (
-    PLAIN,
-    navigate_control,
-    note_claim,
-    note_sent,
-    state_ahead,
-)
-from agents.drivers.parameters import NAVIGATE, DriverParameters
+from agents.drivers.navigate import navigate_control
+from agents.drivers.navigate_parameters import PLAN_TILES, NavigateParameters
+from agents.drivers.pending_stops import PLAIN, note_claim, note_sent, state_ahead
 from agents.drivers.planning import begin_search, search_on
 from agents.drivers.tile_map import GroundMemory, ground_memory, note_block, note_tiles
 from sim.kernels.compile import FloatArray
@@ -61,23 +56,19 @@ _SAMPLES = np.linspace(0.0, 1.0, 17)
 TELLERS = ("bumper", "nothing for long", "all but some", "at rest only", "any order", "all")
 WHEELS = ("plan", "dash", "swerve", "noise")
 
-OF_OTHERS: dict[str, Any] = {
-    "driver": NAVIGATE,
-    "key_0": np.uint64(0),
-    "key_1": np.uint64(0),
-    **dict.fromkeys(("speed", "margin", "lead"), 0.0),
-    **dict.fromkeys(("forgotten", "dash"), 0),
-}
+Ugv = Any
+"""A named tuple of the fields of `NavigateParameters`."""
+Parameters: Any = namedtuple("Parameters", NavigateParameters.__struct_fields__)  # type: ignore[misc]
 """Parameters that the driver does not read."""
 
-Check = Callable[[DriverParameters, bool, TileArray, Open, Motion, float, float], bool]
+Check = Callable[[Ugv, bool, TileArray, Open, Motion, float, float], bool]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Trial:
     """Ground, a UGV on it, and an adversary."""
 
-    parameters: DriverParameters
+    parameters: Ugv
     truth: TileArray
     """Shape (rows, columns)."""
     start: tuple[float, float]
@@ -173,16 +164,15 @@ def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Tr
     cells = rng.integers(0, [rows, columns], size=(int(rng.integers(1, 4)), 2))
     goals = (cells[:, ::-1] + rng.random(cells.shape)) * tile
     believed = slowest if delay else float(rng.uniform(0.05, 1.0))
-    parameters = DriverParameters(
-        **OF_OTHERS,
+    parameters = Parameters(
         dt=dt,
         width=columns * tile,
         height=rows * tile,
-        v_max=v_max,
-        u_max=u_max,
-        tolerance=0.3 * tile,
+        max_speed=v_max,
+        max_acceleration=u_max,
+        goal_tolerance=0.3 * tile,
         tile=tile,
-        share=believed,
+        rough_share=believed,
         bold=0,
         plan_ticks=max(1, round(rng.choice([0.0, 0.2, 1.0]) / dt)),
         plan_tiles=PLAN_TILES,
@@ -255,9 +245,9 @@ def _wanted(
     trial: Trial, rng: np.random.Generator, before: tuple[float, float], here: Motion
 ) -> tuple[float, float]:
     """Wish of an adversary at the wheel [m/s²]: on and on, a sharp turn, or anything."""
-    u = min(trial.parameters.u_max, trial.parameters.v_max / trial.parameters.dt)
+    u = min(trial.parameters.max_acceleration, trial.parameters.max_speed / trial.parameters.dt)
     speed = norm(here.v_x, here.v_y)
-    if trial.wheel == "swerve" and speed > 0.2 * trial.parameters.v_max:
+    if trial.wheel == "swerve" and speed > 0.2 * trial.parameters.max_speed:
         side = rng.choice([-1.0, 1.0])
         return -side * u * here.v_y / speed, side * u * here.v_x / speed
     if trial.wheel != "noise" and rng.random() < 0.97 and before != (0.0, 0.0):
@@ -296,7 +286,7 @@ class Receiver:
         late = int(self._rng.integers(0, self._delay + 3))  # two ticks too late at most
         self._coming.setdefault(tick + late, []).extend(packet)
 
-    def act(self, tick: int, here: Motion, parameters: DriverParameters) -> tuple[float, float]:
+    def act(self, tick: int, here: Motion, parameters: Ugv) -> tuple[float, float]:
         """Return the command of this tick [m/s²]: the due motion's if it has come and its parent is flown."""
         for begins, parent, u_x, u_y in self._coming.pop(tick, []):
             if begins >= tick:
@@ -305,7 +295,7 @@ class Receiver:
         if due is not None and due[0] == self.flown:
             self.flown = tick
             return due[1], due[2]
-        return brake(here.v_x, here.v_y, parameters.u_max, parameters.dt)
+        return brake(here.v_x, here.v_y, parameters.max_acceleration, parameters.dt)
 
 
 def _filtered_by(
@@ -319,7 +309,7 @@ def _filtered_by(
     if check is None:
         ground = open_from(memory.tiles, parameters.tile, parameters.bold, ahead.p_x, ahead.p_y)
     if not (check or is_safe)(parameters, trial.delay > 0, memory.tiles, ground, ahead, *wanted):
-        wanted = brake(ahead.v_x, ahead.v_y, parameters.u_max, parameters.dt)
+        wanted = brake(ahead.v_x, ahead.v_y, parameters.max_acceleration, parameters.dt)
     note_sent(memory, tick, parent, *wanted)
     note_claim(parameters, memory, ahead, *wanted)
     return wanted
@@ -400,7 +390,7 @@ def fly(
         if check is None and trial.wheel == "plan":
             u = navigate_control(parameters, memory, trial.goals, tick, here, flown)
             at_last = memory.flags[0]["goal"] == len(trial.goals) - 1
-            reached = at_last and math.dist(here[:2], last) < parameters.tolerance
+            reached = at_last and math.dist(here[:2], last) < parameters.goal_tolerance
             if reached and trial.ticks > 1000:
                 break
         else:
@@ -414,10 +404,12 @@ def fly(
             receiver.send(tick)
             u_x, u_y = receiver.act(tick, here, parameters)
             flown = receiver.flown
-        v_max = parameters.v_max
+        v_max = parameters.max_speed
         if _is_rough(trial, here.p_x, here.p_y):
             v_max *= rng.uniform(trial.slowest, 1.0)
-        x, y, v_x, v_y, _, _ = step_vehicle(*here, u_x, u_y, v_max, parameters.u_max, parameters.dt)
+        x, y, v_x, v_y, _, _ = step_vehicle(
+            *here, u_x, u_y, v_max, parameters.max_acceleration, parameters.dt
+        )
         (x, v_x), (y, v_y) = (
             within_walls(x, v_x, parameters.width),
             within_walls(y, v_y, parameters.height),
@@ -447,24 +439,26 @@ def is_reachable(trial: Trial) -> bool:
 
 
 def _brakes_short(
-    ugv: DriverParameters, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
+    ugv: Ugv, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
 ) -> bool:
-    kept = clip_norm(*u, ugv.u_max)
-    return is_safe(ugv._replace(u_max=1.25 * ugv.u_max), late, t, ground, here, *kept)
+    kept = clip_norm(*u, ugv.max_acceleration)
+    return is_safe(
+        ugv._replace(max_acceleration=1.25 * ugv.max_acceleration), late, t, ground, here, *kept
+    )
 
 
-def _after(
-    ugv: DriverParameters, here: Motion, u_x: float, u_y: float
-) -> tuple[tuple[float, float], ...]:
+def _after(ugv: Ugv, here: Motion, u_x: float, u_y: float) -> tuple[tuple[float, float], ...]:
     """End of the tick, and the place of rest after it [m]."""
-    x, y, w_x, w_y, _, _ = step_vehicle(*here, u_x, u_y, ugv.v_max, ugv.u_max, ugv.dt)
+    x, y, w_x, w_y, _, _ = step_vehicle(
+        *here, u_x, u_y, ugv.max_speed, ugv.max_acceleration, ugv.dt
+    )
     speed = norm(w_x, w_y)
-    share = braking_way(speed, ugv.u_max, ugv.dt) / speed if speed else 0.0
+    share = braking_way(speed, ugv.max_acceleration, ugv.dt) / speed if speed else 0.0
     return (x, y), (x + share * w_x, y + share * w_y)
 
 
 def _forgets_corners(
-    ugv: DriverParameters, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
+    ugv: Ugv, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
 ) -> bool:
     """Looks at the tiles of some points of the way only."""
     there, end = _after(ugv, here, *u)
@@ -482,7 +476,7 @@ def _forgets_corners(
 
 
 def _takes_the_chord(
-    ugv: DriverParameters, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
+    ugv: Ugv, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
 ) -> bool:
     """Takes the way within a tick to be straight."""
     there, end = _after(ugv, here, *u)
@@ -495,10 +489,12 @@ def _takes_the_chord(
 
 
 def _looks_only_at_now(
-    ugv: DriverParameters, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
+    ugv: Ugv, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
 ) -> bool:
     """Asks whether it can brake from here, not from after the command."""
-    return is_safe(ugv, late, t, ground, here, *brake(here.v_x, here.v_y, ugv.u_max, ugv.dt))
+    return is_safe(
+        ugv, late, t, ground, here, *brake(here.v_x, here.v_y, ugv.max_acceleration, ugv.dt)
+    )
 
 
 BROKEN: dict[str, Check] = {
@@ -591,7 +587,9 @@ def _slowest_tick(most: int, ticks: int = 600) -> str:
         u = navigate_control(parameters, memory, goals, tick, here, PLAIN)
         took.append(1e3 * (time.perf_counter() - began))
         here = Motion(
-            *step_vehicle(*here, *u, parameters.v_max, parameters.u_max, parameters.dt)[:4]
+            *step_vehicle(
+                *here, *u, parameters.max_speed, parameters.max_acceleration, parameters.dt
+            )[:4]
         )
     slowest = ", ".join(f"{one:.1f}" for one in sorted(took)[:-4:-1])
     plans, way = memory.flags[0]["plans"], math.dist(here[:2], (1.0, 1.0))
@@ -617,7 +615,9 @@ def speed() -> Iterator[str]:
     for tick in range(ticks):
         u = navigate_control(parameters, memory, trial.goals, tick, here, PLAIN)
         here = Motion(
-            *step_vehicle(*here, *u, parameters.v_max, parameters.u_max, parameters.dt)[:4]
+            *step_vehicle(
+                *here, *u, parameters.max_speed, parameters.max_acceleration, parameters.dt
+            )[:4]
         )
     yield f"a tick on known ground: {1e6 * (time.perf_counter() - began) / ticks:.1f} µs with the vehicle"
 

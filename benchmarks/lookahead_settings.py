@@ -13,6 +13,7 @@ from markdown_tables import head
 from rich.console import Console
 from rich.progress import track
 
+from bus.law_parameters import law_parameters
 from bus.messages import Law
 from outrider.envs.closed_loop import ClosedLoop
 from sim.scenario.loading import load_scenario
@@ -23,12 +24,18 @@ FIRST_SEED = 501
 LAWS = (
     Law(name="logarithmic"),
     Law(name="certified"),
-    *(Law(name="lookahead", candidates=1, horizon=horizon) for horizon in (15.0,)),
     *(
-        Law(name="lookahead", horizon=horizon)
+        Law(name="lookahead", parameters={"candidates": 1, "horizon": horizon})
+        for horizon in (15.0,)
+    ),
+    *(
+        Law(name="lookahead", parameters={"horizon": horizon})
         for horizon in (0.5, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0)
     ),
-    *(Law(name="lookahead", candidates=candidates) for candidates in (20, 100, 300, 2000)),
+    *(
+        Law(name="lookahead", parameters={"candidates": candidates})
+        for candidates in (20, 100, 300, 2000)
+    ),
 )
 
 
@@ -65,7 +72,8 @@ def main() -> None:
     console = Console(file=sys.stderr)
     for law in track(LAWS, "flying", console=console):
         flown = [fly(law, driver, seeds) for driver in DRIVERS]
-        numbers = (f"{law.horizon:g} | {law.candidates}") if law.name == "lookahead" else "- | -"
+        own = law_parameters(law)
+        numbers = (f"{own.horizon:g} | {own.candidates}") if law.name == "lookahead" else "- | -"
         errors = " | ".join(f"{error:.1f}" for error, _ in flown)
         spent = 1e6 * min(tick for _, tick in flown)
         lines.append(f"| {law.name} | {numbers} | {errors} | {spent:.0f} |")

@@ -87,35 +87,22 @@ class Sensor(Message, frozen=True, kw_only=True):
     """r [m]."""
 
 
+LawNumber = (
+    bool | Annotated[int, Meta(ge=-(2**53), le=2**53)] | Annotated[float, Meta(ge=-1e12, le=1e12)]
+)
+"""A parameter of a law."""
+
+
 class Law(Message, frozen=True, kw_only=True):
-    """The control law that the UAV flies, and its parameters (section VI of the paper)."""
+    """The control law that the UAV flies, and its parameters."""
 
     name: Name = DEFAULT_LAW
     """A row of `bus.registry.LAWS`."""
-    speed_gain: Positive = 10.0
-    """k_v of (11) [1/s]."""
-    reference_speed: Positive | None = None
-    """v_ref of (10) [m/s]; None: the UAV's largest speed."""
-    weight_gain: Positive = 20.0
-    """k_beta of (19)."""
-    weight_limit: Positive = 100.0
-    """Upper limit of beta_3 (footnote 2 of the paper)."""
-    a_c: Coordinate = -3.0
-    """A_c of (15) [1/s]."""
-    b_c: Coordinate = -3.0
-    """B_c of (15) [1/s]."""
-    c_c: Coordinate = -8.0 / 3.0
-    """C_c of (15) [1/s²]."""
-    d_c: Coordinate = -3.0
-    """D_c of (15) [1/s²]."""
-    circle_radius: Positive | None = None
-    """r_pv of (25) [m]; None: the switching radius."""
-    circle_rate: Coordinate = 0.1
-    """omega_pv of (25) [rad/s]; negative is clockwise."""
-    horizon: Annotated[float, Meta(ge=0.5, le=60.0)] = 15.0
-    """Time that the law `lookahead` looks ahead [s]; 0.5: one step."""
-    candidates: Annotated[int, Meta(ge=1, le=10_000)] = 800
-    """Number of motions it compares every half second; 1: it flies motions drawn at random, one after the other."""
+    parameters: Annotated[dict[Text, LawNumber], Meta(max_length=64)] = {}
+    """By name: fields of `Parameters` in the law's file; those of other laws have no effect."""
+
+    def __hash__(self) -> int:
+        return hash((self.name, tuple(sorted(self.parameters.items()))))
 
 
 class LinkKind(StrEnum):

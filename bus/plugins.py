@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, m
 from importlib.metadata import version as version_of
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from bus.errors import OutriderError, ScenarioError
 
@@ -18,6 +18,7 @@ GROUPS = (
 """The groups of entry points, `outrider.<group>`."""
 
 _OURS = "outrider"
+_Row = TypeVar("_Row")
 
 
 def registered(group: str) -> dict[str, EntryPoint]:
@@ -49,13 +50,38 @@ def load(entry: EntryPoint) -> Any:  # noqa: ANN401 - a command, a law, a sink, 
         return entry.load()
 
 
-def folders() -> list[Path]:
-    """Return the folders of all packages with an entry point of Outrider, in a fixed order."""
+def plugin_rows(group: str, kind: type[_Row]) -> tuple[_Row, ...]:
+    """Return the rows that other packages add to a table of the registry, in the order of their names.
+
+    Args:
+        group: `laws`, `drivers` or `sensors`.
+        kind: Class of the rows.
+
+    Raises:
+        OutriderError: If an entry point cannot be loaded, or names something else.
+    """
+    rows = []
+    for _, entry in sorted(registered(group).items()):
+        row = load(entry)
+        if not isinstance(row, kind):
+            what = f"{entry.group}: {entry.name} = {entry.value}"
+            raise OutriderError(f"{what}: no {kind.__name__}; allowed: a row of bus.rows")
+        rows.append(row)
+    return tuple(rows)
+
+
+def source_files() -> list[Path]:
+    """Return the source files of all packages with an entry point of Outrider, in a fixed order."""
     entries = [entry for group in GROUPS for entry in entry_points(group=f"{_OURS}.{group}")]
-    names = {entry.module.partition(".")[0] for entry in entries}
-    specs = [find_spec(name) for name in sorted(names)]
-    places = [place for spec in specs if spec for place in spec.submodule_search_locations or ()]
-    return [Path(place) for place in places]
+    found: list[Path] = []
+    for name in sorted({entry.module.partition(".")[0] for entry in entries}):
+        spec = find_spec(name)
+        if spec is not None and spec.submodule_search_locations is not None:
+            for folder in spec.submodule_search_locations:
+                found += sorted(Path(folder).rglob("*.py"))
+        elif spec is not None and spec.origin:
+            found.append(Path(spec.origin))
+    return found
 
 
 @contextmanager

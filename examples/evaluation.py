@@ -105,8 +105,9 @@ def fly_law(
 ) -> Metrics:
     """A law, with parameters other than its own where they are given, in one flight for each seed."""
     scenario = case.load(duration)
-    chosen = msgspec.structs.replace(scenario.law, **(parameters or {}))
-    scenario = msgspec.structs.replace(scenario, law=chosen)
+    chosen = {**scenario.law.parameters, **(parameters or {})}
+    chosen_law = msgspec.structs.replace(scenario.law, parameters=chosen)
+    scenario = msgspec.structs.replace(scenario, law=chosen_law)
     (uav,), (ugv,) = scenario.uav, scenario.ugv
     pilots = {uav.name: law, ugv.name: case.driver}
     loop = ClosedLoop(scenario, len(seeds), pilots=pilots, error=True, end_on_sight_lost=False)

@@ -2,13 +2,16 @@
 
 import hashlib
 from collections.abc import Callable, Mapping
-from typing import Any
+from importlib import import_module
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
-from agents.control.laws import LawParameters, law_parameters
+from agents.control.uav_parameters import Target, UavParameters, uav_parameters
 from agents.process import Pilot
+from bus.law_parameters import law_parameters
 from bus.messages import (
     Area,
     Command,
@@ -21,6 +24,7 @@ from bus.messages import (
     UgvBriefing,
 )
 from bus.profiles import PROFILES
+from bus.registry import LAWS
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import Summary
@@ -28,6 +32,8 @@ from seeded import a_told_key
 from sim.engine.briefing import uav_briefing
 from sim.env.parallel import parallel_env
 from sim.kernels.compile import FloatArray
+from sim.kernels.records import fresh, records
+from sim.models.vehicles import Motion
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario, Uav, Ugv
 from sim.server.flight import Flight
@@ -87,9 +93,34 @@ def told_ugv(**fields: Any) -> UgvBriefing:
     return UgvBriefing(**usual | fields)
 
 
-def parameters(scenario: Scenario, seed: int = 0) -> LawParameters:
-    """The numbers of the law that the scenario's UAV flies."""
-    return law_parameters(told(scenario, seed), scenario.law)
+class FlownLaw(NamedTuple):
+    """The law that a scenario's UAV flies, as compiled code takes it."""
+
+    module: ModuleType
+    uav: Any
+    law: Any
+    memory: Any
+
+    def command(self, coverage: FloatArray, tick: int, own: Motion, target: Target) -> Any:
+        """The nominal command."""
+        return self.module.command(*self[1:], coverage, tick, own, target)
+
+    def weights(self, distance: float) -> tuple[float, float]:
+        """Alpha and beta."""
+        return self.module.weights(self.uav, self.law, distance)
+
+
+def flown_law(scenario: Scenario, **changes: float) -> FlownLaw:
+    """The law of the scenario's UAV, whose constants are changed."""
+    module = import_module(LAWS[scenario.law.name].module)
+    (uav,) = records(UavParameters, [uav_parameters(told(scenario))._replace(**changes)])
+    (law,) = records(module.Parameters, [law_parameters(scenario.law)])
+    return FlownLaw(module, uav, law, fresh(module.Memory)[0])
+
+
+def target_at(x: float, y: float) -> Target:
+    """An estimate of the UGV at rest in this place."""
+    return Target(True, x, y, 0.0, 0.0, 0.0, 0.0)
 
 
 def tracks(flight: Flight) -> tuple[FloatArray, FloatArray]:

@@ -3,7 +3,9 @@
 import numpy as np
 import numpy.typing as npt
 
-from sim.models.field import HILL, PLATEAU
+from bus.registry import SENSORS
+
+HILL, PLATEAU = (tuple(SENSORS).index(name) for name in ("hill", "plateau"))
 
 FloatGrid = npt.NDArray[np.float64]
 

@@ -407,7 +407,7 @@ def test_a_law_that_is_ordered_in_flight_excuses_the_tick_at_which_it_begins() -
 
         def order() -> None:
             if flight.world.tick == at:
-                flight.order(Law(name="certified", weight_gain=10.0))
+                flight.order(Law(name="certified", parameters={"weight_gain": 10.0}))
 
         flight.fly(losing_the_thread(scenario), on_tick=order)
         return flight.answers.assurance.certificate_broken

@@ -91,7 +91,7 @@ def test_a_uav_that_stops_within_a_tick_never_crosses_the_border(u_max: float) -
 
 def test_a_uav_without_bounds_never_reaches_the_border() -> None:
     scenario = escort(
-        Law(name="coverage", speed_gain=1.0, reference_speed=V_A),
+        Law(name="coverage", parameters={"speed_gain": 1.0, "reference_speed": V_A}),
         uav=Uav(position=(7.0, 1.5), max_speed=math.inf, max_acceleration=math.inf),
         ugv=Ugv(position=(6.9, 0.0)),
         area=Area(width=WIDTH, height=HEIGHT, cell=0.5),
@@ -139,7 +139,7 @@ def test_the_coverage_law_never_reaches_the_border(ugv, share, speed, course, k_
     )
     assert norm(start[0] - ugv[0], start[1] - ugv[1]) < R_V
     scenario = escort(
-        Law(name="coverage", speed_gain=k_v),
+        Law(name="coverage", parameters={"speed_gain": k_v}),
         uav=Uav(position=start, velocity=velocity),
         ugv=Ugv(position=ugv, goals=tuple(goals)),
         area=Area(width=WIDTH, height=HEIGHT, cell=0.5),

@@ -45,7 +45,7 @@ KERNELS: dict[str, list[dict[str, Any]]] = {
     ],
     **{
         f"sim.models.field.{name}": [
-            given | _SENSOR | {"sensor": row.code} for row in SENSORS.values()
+            given | _SENSOR | {"sensor": sensor} for sensor in range(len(SENSORS))
         ]
         for name, given in (
             ("accumulate", _TRACK),
@@ -132,5 +132,5 @@ def test_a_relative_cache_home_is_ignored(tmp_path, monkeypatch) -> None:
 
 def test_all_equations_are_among_the_compiled_functions() -> None:
     found = {name.rpartition(".")[2] for name in FUNCTIONS}
-    assert {"step_vehicle", "sensor_quality", "uav_control", "circle", "philox", "detect"} < found
+    assert {"step_vehicle", "sensor_quality", "coverage_term", "circle", "philox", "detect"} < found
     assert len(FUNCTIONS) > 300

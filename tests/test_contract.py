@@ -128,7 +128,11 @@ ON_BOARD = {
     "sim.models.ground",
     "sim.models.motion",
     "sim.models.randomness",
+    "sim.models.sensors",
+    "sim.models.sensors.hill",
+    "sim.models.sensors.plateau",
     "sim.kernels.compile",
+    "sim.kernels.dispatch",
     "sim.kernels.lanes",
     "sim.kernels.records",
 }

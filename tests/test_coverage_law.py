@@ -15,11 +15,24 @@ from agents.control.coverage import (
     single_integrator_command,
     velocity_error,
 )
-from agents.control.laws import coverage_term, initial_state
+from agents.laws.common import coverage_term
 from agents.uav import UavPilot
 from bus.messages import Area, Law, Sensor
 from bus.registry import SENSORS
-from flights import DESIRED, DT, HERE, U_A, V_A, errors, escort, parameters, told, tracks, uav_sees
+from flights import (
+    DESIRED,
+    DT,
+    HERE,
+    U_A,
+    V_A,
+    errors,
+    escort,
+    flown_law,
+    target_at,
+    told,
+    tracks,
+    uav_sees,
+)
 from outrider.running.flying import fly
 from properties import PROPERTY
 from sim.models.vehicles import Motion, clip_norm, norm, step_vehicle
@@ -100,7 +113,7 @@ def test_the_approach_reaches_its_point_and_stays_near_it(v_max, u_max, k_v):
 
 def _standing(k_v: float, sensor: str, **limits: float) -> Scenario:
     return escort(
-        Law(name="coverage", speed_gain=k_v, reference_speed=V_A),
+        Law(name="coverage", parameters={"speed_gain": k_v, "reference_speed": V_A}),
         uav=Uav(position=(4.0, 4.0), **limits),
         ugv=Ugv(position=(4.0, 4.0)),
         area=Area(width=9.0, height=8.0, cell=0.25),
@@ -123,19 +136,17 @@ def test_coverage_around_a_standing_ugv_ends_with_nothing_uncovered(k_v, sensor,
 
 
 def test_over_covered_ground_the_law_brakes_with_its_gain() -> None:
-    c = parameters(escort("coverage"))
-    coverage = np.full((160, 160), DESIRED)
-    found = coverage_term(c, coverage, initial_state(), 0, Motion(*HERE, 0.3, -0.2), 21.0, 20.0)
-    assert found == pytest.approx((-c.k_v * 0.3, c.k_v * 0.2), rel=1e-15)
+    c, coverage = flown_law(escort("coverage")), np.full((160, 160), DESIRED)
+    found = coverage_term(*c[1:], coverage, 0, Motion(*HERE, 0.3, -0.2), target_at(21.0, 20.0))
+    k_v = c.law["speed_gain"]
+    assert found == pytest.approx((-k_v * 0.3, k_v * 0.2), rel=1e-15)
 
 
 def test_the_gain_of_the_gradient_drops_out() -> None:
     coverage = np.random.default_rng(1).uniform(0.0, 2.0, (160, 160))
-    c = parameters(escort("coverage"))
+    inputs = coverage, 0, Motion(21.0, 22.0, 0.1, 0.0), target_at(*HERE)
     one, ten = (
-        coverage_term(
-            c._replace(peak=peak), coverage, initial_state(), 0, Motion(21.0, 22.0, 0.1, 0.0), *HERE
-        )
+        coverage_term(*flown_law(escort("coverage"), sensor_peak=peak)[1:], *inputs)
         for peak in (1.0, 10.0)
     )
     assert one == pytest.approx(ten, rel=1e-12)

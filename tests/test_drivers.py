@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from agents.drivers.compiled import (
     CompiledDriver,
     NavigateDriver,
-    driver_memory,
     driver_parameters,
     told_route,
 )
+from agents.drivers.dispatch import CODES
 from agents.drivers.evade import away, flee, receive_radio
-from agents.drivers.parameters import COMPILED_DRIVERS, WAYPOINTS
+from agents.drivers.parameters import UgvParameters, ugv_parameters
 from agents.drivers.policy import PolicyDriver
 from agents.drivers.teleop import TeleopDriver
 from agents.ugv import Driver, UgvPilot
@@ -43,6 +43,7 @@ from outrider.running.flying import InProcess, make_pilots
 from properties import PROPERTY
 from seeded import a_told_key
 from sim.engine.briefing import briefing
+from sim.kernels.records import records
 from sim.models.ground import CLEAR
 from sim.models.vehicles import Motion, step_vehicle
 from sim.scenario.loading import load_scenario
@@ -56,6 +57,12 @@ MIDDLE = (10.0, 10.0)
 waypoints, wander, script, evade = (
     partial(CompiledDriver, name=name) for name in ("waypoints", "wander", "script", "evade")
 )
+
+
+def _goal(driver: CompiledDriver) -> Point | None:
+    """The random goal of a wanderer."""
+    memory = driver.memory
+    return tuple(memory["goal"].tolist()) if memory["has_goal"] else None
 
 
 SCRIPT = (ScriptStep(time=1.0, velocity=(1e6, -1e6)), ScriptStep(time=7.0, velocity=(-0.1, 0.05)))
@@ -219,14 +226,15 @@ def test_the_wanderers_goals_keep_its_margin(v_max: float, u_max: float) -> None
     driver = wander(_told(v_max=v_max, u_max=u_max))
     speed, margin = driver.parameters.speed, driver.parameters.margin
     assert margin == pytest.approx(speed**2 / min(u_max, 1e6) + 2.0 * speed * DT, rel=1e-12)
-    assert driver.goal is None
+    assert _goal(driver) is None
     driver.drive(_observe(0, (*MIDDLE, 0.0, 0.0), {}))
-    assert min(*driver.goal, 20.0 - driver.goal[0], 20.0 - driver.goal[1]) >= margin
+    x, y = _goal(driver) or (0.0, 0.0)
+    assert min(x, y, 20.0 - x, 20.0 - y) >= margin
 
 
 def test_every_driver_of_ours_but_the_operators_has_a_compiled_form() -> None:
-    ours = {row.name for row in REGISTERED.values() if row.make and not row.operated}
-    assert COMPILED_DRIVERS.keys() == ours
+    ours = {row.name for row in REGISTERED.values() if row.provided and not row.operated}
+    assert CODES.keys() == ours
 
 
 @pytest.mark.parametrize("name", ["teleop", "policy", "external", "nobody", ""])
@@ -245,10 +253,11 @@ def test_an_area_of_too_many_tiles_is_refused_in_one_line() -> None:
 
 
 def test_only_the_papers_driver_knows_no_bound() -> None:
-    for name, code in COMPILED_DRIVERS.items():
-        parameters = driver_parameters(_told(v_max=math.inf, u_max=math.inf), name)
-        bound = math.inf if code == WAYPOINTS else 1e6
-        assert (parameters.v_max, parameters.u_max) == (bound, bound)
+    for name in CODES:
+        told, unbounded = _told(v_max=math.inf, u_max=math.inf), REGISTERED[name].unbounded
+        bounds = ugv_parameters(told, unbounded=unbounded)
+        bound = math.inf if name == "waypoints" else 1e6
+        assert (bounds.max_speed, bounds.max_acceleration) == (bound, bound)
 
 
 @pytest.mark.parametrize(
@@ -426,7 +435,7 @@ def test_a_wanderer_reaches_one_goal_after_the_other(key: int) -> None:
     goals: list[Point | None] = []
 
     def notes(tick: int, place: Point) -> dict[str, Any]:
-        goals.append(driver.goal)
+        goals.append(_goal(driver))
         return {}
 
     rows, _ = _drive(driver, 6000, receives=notes)
@@ -444,7 +453,7 @@ def test_wanderers_of_other_keys_go_other_ways_and_all_over_the_area() -> None:
     for key in range(400):
         driver = wander(_told(key=key))
         driver.drive(_observe(0, (*MIDDLE, 0.0, 0.0), {}))
-        goals.append(driver.goal)
+        goals.append(_goal(driver))
     places = np.array(goals)
     assert len(set(goals)) == 400
     assert places.min(axis=0) == pytest.approx((0.5, 0.5), abs=0.5)
@@ -473,16 +482,22 @@ class _Straight:
     """The evader without the seeded turns, which would hide what is looked at, and without the wanderer."""
 
     def __init__(self, told: UgvBriefing) -> None:
-        self._p, self._memory = driver_parameters(told, "evade"), driver_memory()
+        ugv = ugv_parameters(told, unbounded=False)
+        self._driver = evade(told)
+        self._p = (
+            records(UgvParameters, [ugv])[0],
+            records(type(self._driver.parameters), [self._driver.parameters])[0],
+            self._driver.memory,
+        )
 
     def drive(self, observation: UgvObservation) -> Point:
-        p, memory, tick = self._p, self._memory, observation.tick
+        p, tick = self._p, observation.tick
         here = Motion(*observation.position, *observation.velocity)
         said = [(tick_of(one.time, DT), *one.relative_position) for one in observation.radio]
         radio = np.array(said, dtype=np.float64)
-        receive_radio(p, memory, radio.reshape(-1, 3), len(radio), tick, here)
-        x, y = away(p, memory, tick, here)
-        return flee(p, memory, x, y, tick, here)
+        receive_radio(*p, radio.reshape(-1, 3), len(radio), tick, here)
+        x, y = away(*p, tick, here)
+        return flee(*p, x, y, tick, here)
 
 
 def test_it_leaves_behind_a_uav_that_flies_off() -> None:

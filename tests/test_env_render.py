@@ -102,7 +102,7 @@ def test_picture_depends_on_the_episode_alone_not_on_earlier_pictures():
 def test_several_and_unbounded_vehicles_are_drawn():
     free = {"max_speed": float("inf"), "max_acceleration": float("inf")}
     uavs, ugvs = ((10.0, 10.0), free | {"position": (20.0, 10.0)}), ((10.0, 11.0), (20.0, 11.0))
-    many = pairs(uavs, ugvs, law=Law(reference_speed=0.5))
+    many = pairs(uavs, ugvs, law=Law(parameters={"reference_speed": 0.5}))
     frame = begun(many).render()
     assert all(len(pixels_of(frame, color)) > 20 for color in (*UAV[:2], *UGV[:2]))
 

@@ -61,7 +61,7 @@ def places(draw: st.DrawFn) -> Place:
         st.sampled_from((0.0, side, 0.5 * side)) | st.floats(-3.0, side + 3.0)
         for side in (columns * cell, rows * cell)
     )
-    reach, sensor = draw(st.floats(0.05, 8.0)), st.sampled_from([s.code for s in SENSORS.values()])
+    reach, sensor = draw(st.floats(0.05, 8.0)), st.sampled_from(range(len(SENSORS)))
     both, r_o = (draw(one) for one in (x, y, x, y)), reach * draw(st.floats(1.01, 2.0))
     return Place(coverage, cell, *both, reach, r_o, draw(sensor))
 
@@ -95,7 +95,7 @@ def test_gradient_is_the_integral_over_the_whole_grid(place: Place) -> None:
     assert (u_x, u_y) == pytest.approx(wanted, rel=1e-12, abs=1e-12 * size)
 
 
-@pytest.mark.parametrize("sensor", [row.code for row in SENSORS.values()], ids=SENSORS.keys())
+@pytest.mark.parametrize("sensor", range(len(SENSORS)), ids=SENSORS.keys())
 def test_gradient_points_where_the_error_falls_fastest(sensor: int) -> None:
     rng = np.random.default_rng(7)
     for _ in range(20):
@@ -113,7 +113,7 @@ def test_gradient_points_where_the_error_falls_fastest(sensor: int) -> None:
         assert (u_x, u_y) == pytest.approx((slope_x, slope_y), abs=1e-7 * size)
 
 
-@pytest.mark.parametrize("sensor", [row.code for row in SENSORS.values()], ids=SENSORS.keys())
+@pytest.mark.parametrize("sensor", range(len(SENSORS)), ids=SENSORS.keys())
 @pytest.mark.parametrize("p", [(20.0, 20.0), (20.125, 20.125), (20.0, 20.125), (6.5, 20.0)])
 def test_gradient_vanishes_in_symmetric_states_and_only_there(sensor, p):
     coverage = empty_coverage(40.0, 40.0, 0.25)
@@ -136,13 +136,13 @@ def error_decrease(coverage, p_ax, p_ay, p_gx, p_gy, r_o, desired, sensor, peak,
 
 def test_gradient_over_even_ground_points_to_the_ugv() -> None:
     coverage = empty_coverage(40.0, 40.0, 0.25)
-    rest = (20.0, 20.0, R_O, DESIRED, SENSORS["hill"].code, 1.0, R, 0.25)
+    rest = (20.0, 20.0, R_O, DESIRED, reference.HILL, 1.0, R, 0.25)
     u_x, u_y, size = coverage_gradient(coverage, 23.0, 20.0, *rest)
     assert u_x < -0.1 * size
     assert abs(u_y) < 1e-12 * size
 
 
-@pytest.mark.parametrize("sensor", [row.code for row in SENSORS.values()], ids=SENSORS.keys())
+@pytest.mark.parametrize("sensor", range(len(SENSORS)), ids=SENSORS.keys())
 def test_sensor_slope_is_the_derivative_of_its_quality(sensor: int) -> None:
     rho2 = np.linspace(0.01, 2.0 * R**2, 4001)
     d = 1e-4
@@ -153,7 +153,7 @@ def test_sensor_slope_is_the_derivative_of_its_quality(sensor: int) -> None:
     np.testing.assert_allclose(slope, (after - before) / (2 * d), atol=1e-6)
 
 
-@pytest.mark.parametrize("sensor", [row.code for row in SENSORS.values()], ids=SENSORS.keys())
+@pytest.mark.parametrize("sensor", range(len(SENSORS)), ids=SENSORS.keys())
 def test_sensor_falls_from_its_peak_to_nothing_at_its_range(sensor: int) -> None:
     quality = np.array([sensor_quality(sensor, rho**2, 1.3, R) for rho in np.linspace(0.0, R, 501)])
     assert quality[0] == 1.3
@@ -168,18 +168,18 @@ def test_sensor_falls_from_its_peak_to_nothing_at_its_range(sensor: int) -> None
 @settings(PROPERTY)
 def test_hill_is_the_printed_sensor(rho: float, peak: float, reach: float) -> None:
     wanted = peak / reach**4 * (rho**2 - reach**2) ** 2 if rho <= reach else 0.0
-    found = sensor_quality(SENSORS["hill"].code, rho**2, peak, reach)
+    found = sensor_quality(reference.HILL, rho**2, peak, reach)
     assert found == pytest.approx(wanted, rel=1e-12, abs=1e-14 * peak)
 
 
 def test_sensors_differ() -> None:
-    qualities = {sensor_quality(row.code, 0.5 * R**2, 1.0, R) for row in SENSORS.values()}
+    qualities = {sensor_quality(sensor, 0.5 * R**2, 1.0, R) for sensor in range(len(SENSORS))}
     assert len(qualities) == len(SENSORS)
 
 
 def test_a_look_of_the_hill_sees_a_third_of_its_cylinder() -> None:
     coverage = empty_coverage(12.0, 12.0, 0.05)
-    accumulate(coverage, 6.0, 6.0, SENSORS["hill"].code, 1.5, R, 0.05, 2.0)
+    accumulate(coverage, 6.0, 6.0, reference.HILL, 1.5, R, 0.05, 2.0)
     assert coverage.sum() * 0.05**2 == pytest.approx(2.0 * 1.5 * math.pi * R**2 / 3.0, rel=1e-6)
 
 
@@ -189,7 +189,7 @@ def test_coverage_after_flying_past_is_the_integral_over_time(offset: float) -> 
     coverage, v, dt = np.zeros((1, 1)), 0.6, 0.005
     for k in range(round(12.0 / (v * dt))):
         x = 0.5 - 6.0 + (k + 0.5) * v * dt
-        accumulate(coverage, x, 0.5 + offset, SENSORS["hill"].code, 1.0, R, 1.0, dt)
+        accumulate(coverage, x, 0.5 + offset, reference.HILL, 1.0, R, 1.0, dt)
     half = math.sqrt(max(0.0, R**2 - offset**2))
     assert coverage[0, 0] == pytest.approx(16.0 / 15.0 * half**5 / (R**4 * v), rel=1e-5, abs=1e-12)
 
@@ -262,7 +262,7 @@ def test_covered_ground_keeps_the_larger_value() -> None:
     np.testing.assert_array_equal(coverage, wanted)
 
 
-@pytest.mark.parametrize("sensor", [row.code for row in SENSORS.values()])
+@pytest.mark.parametrize("sensor", range(len(SENSORS)))
 @pytest.mark.parametrize("place", [(20.0, 20.0), (0.4, 39.7)])
 def test_the_gain_of_a_look_is_the_fall_of_the_error(sensor, place):
     ground = np.random.default_rng(3).uniform(0.0, 2.5, (160, 160))

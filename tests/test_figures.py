@@ -34,7 +34,6 @@ from outrider.experiments.traces import (
 )
 from outrider.running.flying import fly
 from pages import marked
-from sim.models.field import HILL
 from sim.scenario.loading import load_scenario
 from tabular import rows, words
 
@@ -85,7 +84,7 @@ def brute_errors(flight, ticks):
     for k in range(ticks):
         p_a, p_g = flight.recorder.states[k, a, :2], flight.recorder.states[k, g, :2]
         if k:
-            coverage = reference.accumulate(coverage, *p_a, HILL, 1.0, R, CELL, DT)
+            coverage = reference.accumulate(coverage, *p_a, reference.HILL, 1.0, R, CELL, DT)
         errors.append(reference.coverage_error(coverage, *p_g, R_V + R, DESIRED, CELL))
     return np.array(errors)
 
@@ -174,7 +173,7 @@ def test_velocity_error_times_k_v_is_what_the_unbounded_uav_flew(flights):
 
 
 def test_velocity_error_knows_the_ground_that_is_covered_from_the_start():
-    free = words("law.name=coverage law.reference_speed=0.6 uav.0.max_speed=inf")
+    free = words("law.name=coverage law.parameters.reference_speed=0.6 uav.0.max_speed=inf")
     free += words("uav.0.max_acceleration=inf duration=20.0")
     flight, _ = fly(load_scenario("scenario-2", overrides=free), 0)
     flown = flight.recorder.states[:-1, flight.world.escorts[0, 0], 4:6]

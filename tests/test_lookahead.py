@@ -1,16 +1,17 @@
 """The law `lookahead`: what it expects is what the field's own kernels say, and it knows nothing that it may not."""
 
 import math
+from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
-from agents.control.laws import LawParameters
-from agents.control.lookahead import Ahead, Target, look_ahead, worth
+from agents.control.uav_parameters import Target
+from agents.laws.horizon import Ahead, look_ahead, worth
 from agents.uav import UavPilot
 from bus.messages import Law, UavObservation
-from flights import escort, parameters, told, uav_sees
+from flights import DESIRED, escort, flown_law, told, uav_sees
 from outrider.envs.closed_loop import ClosedLoop
 from sim.models.field import accumulate, coverage_error, empty_coverage
 from sim.models.vehicles import Motion, step_vehicle
@@ -27,17 +28,23 @@ FOREVER = 1e7
 TICKS = 1000
 
 
-def _parameters(cell: float) -> LawParameters:
+def _uav(cell: float, max_distance: float = 100.0) -> Any:
     area = Area(width=36.0, height=36.0, cell=cell)
-    scenario = escort(Law(name="lookahead", horizon=6.0), area=area)
-    return parameters(scenario)._replace(room=100.0, margin=-100.0)  # nothing costs anything
+    scenario = escort(Law(name="lookahead", parameters={"horizon": 6.0}), area=area)
+    return flown_law(scenario, max_distance=max_distance).uav
 
 
-def _flown(parameters: LawParameters, ahead: Ahead, motion: np.ndarray, looks: int) -> float:
+def _ahead(uav: Any, coverage: Any, tick: int, target: Target, persistence: float) -> Ahead:
+    """A horizon of 6 s, without a margin at the border: nothing costs anything."""
+    found = look_ahead(uav, 6.0, uav["max_speed"], coverage, tick, target, persistence)
+    return found._replace(margin=-100.0)
+
+
+def _flown(uav: Any, ahead: Ahead, motion: np.ndarray, looks: int) -> float:
     """The result of `worth`, by the world's own step and kernels: so many looks in each step."""
-    seen = empty_coverage(parameters.width, parameters.height, parameters.cell)
+    seen = empty_coverage(uav["width"], uav["height"], uav["cell"])
     seen[:, 12:] = 0.7
-    sensor = parameters.sensor, parameters.peak, parameters.reach, parameters.cell
+    sensor = uav["sensor"], uav["sensor_peak"], uav["sensing_range"], uav["cell"]
     unseen, saved, state = seen.copy(), 0.0, tuple(HERE)
     parts, tick = TICKS, ahead.step / TICKS
     tail = round(5.0 / ahead.step)
@@ -46,7 +53,9 @@ def _flown(parameters: LawParameters, ahead: Ahead, motion: np.ndarray, looks: i
             w, began = motion[ahead.legs[k]], state[:2]
             for part in range(parts):
                 u = (w - np.array(state[2:])) / tick
-                state = step_vehicle(*state, *u.tolist(), math.inf, parameters.u_max, tick)[:4]
+                state = step_vehicle(*state, *u.tolist(), math.inf, uav["max_acceleration"], tick)[
+                    :4
+                ]
                 if looks > 1 and part % (parts // looks) == parts // looks // 2:
                     place, time = state[:2], ahead.step / looks
                     accumulate(seen, *place, *sensor, time)
@@ -56,7 +65,7 @@ def _flown(parameters: LawParameters, ahead: Ahead, motion: np.ndarray, looks: i
         after = (k + 1) * ahead.step
         place = (UGV.p_x + after * UGV.v_x, UGV.p_y + after * UGV.v_y)
         errors = (
-            coverage_error(one, *place, parameters.r_o, parameters.desired, parameters.cell)
+            coverage_error(one, *place, uav["density_radius"], uav["desired_coverage"], uav["cell"])
             for one in (unseen, seen)
         )
         saved -= ahead.step * math.exp(-0.06 * after) * float(np.diff(list(errors))[0])
@@ -66,10 +75,10 @@ def _flown(parameters: LawParameters, ahead: Ahead, motion: np.ndarray, looks: i
 @pytest.mark.parametrize(("cell", "looks", "within"), [(1.5, 1, 1e-3), (0.25, 20, 0.05)])
 def test_a_motion_is_worth_what_the_kernels_of_the_world_say(cell, looks, within) -> None:
     """On the coarse cells themselves, and on cells of the world with a look at every tick."""
-    c, rng = _parameters(cell), np.random.default_rng(3)
-    coverage = empty_coverage(c.width, c.height, c.cell)
+    c, rng = _uav(cell), np.random.default_rng(3)
+    coverage = empty_coverage(36.0, 36.0, cell)
     coverage[:, 12:] = 0.7
-    ahead = look_ahead(c, coverage, 7, UGV, FOREVER)
+    ahead = _ahead(c, coverage, 7, UGV, FOREVER)
     for _ in range(2):
         angle, speed = rng.uniform(0.0, 2.0 * math.pi, 9), rng.uniform(0.3, 0.6, 9)
         motion = np.stack((speed * np.cos(angle), speed * np.sin(angle)), axis=-1)
@@ -79,13 +88,13 @@ def test_a_motion_is_worth_what_the_kernels_of_the_world_say(cell, looks, within
 
 
 def test_what_the_filter_would_not_let_through_and_ground_beyond_the_border_cost() -> None:
-    c, still = _parameters(0.25), np.zeros((9, 2))
-    coverage = np.full_like(empty_coverage(c.width, c.height, c.cell), c.desired)
-    ahead = look_ahead(c, coverage, 0, UGV._replace(v_x=0.0, v_y=0.0), FOREVER)
+    still = np.zeros((9, 2))
+    coverage = np.full_like(empty_coverage(36.0, 36.0, 0.25), DESIRED)
+    ahead = _ahead(_uav(0.25), coverage, 0, UGV._replace(v_x=0.0, v_y=0.0), FOREVER)
 
-    def costs(here: Motion, **changes: float) -> float:
-        room = np.empty_like(ahead.lack)
-        return -worth(c._replace(**changes), ahead, here, still, room, np.empty(8))
+    def costs(here: Motion, *, room: float = 100.0, margin: float = -100.0) -> float:
+        lack, looked = np.empty_like(ahead.lack), ahead._replace(margin=margin)
+        return -worth(_uav(0.25, room), looked, here, still, lack, np.empty(8))
 
     near, far = Motion(17.0, 15.0, 0.0, 0.0), Motion(19.5, 15.0, 0.0, 0.0)
     assert costs(near, room=4.4) == 0.0
@@ -95,10 +104,9 @@ def test_what_the_filter_would_not_let_through_and_ground_beyond_the_border_cost
 
 
 def test_a_ugv_that_turns_about_is_expected_nearer_than_one_that_drives_on() -> None:
-    c = _parameters(1.5)
-    coverage = empty_coverage(c.width, c.height, c.cell)
+    c, coverage = _uav(1.5), empty_coverage(36.0, 36.0, 1.5)
     ends = [
-        look_ahead(c, coverage, 0, UGV._replace(v_variance=variance), persistence).track[-1, 0]
+        _ahead(c, coverage, 0, UGV._replace(v_variance=variance), persistence).track[-1, 0]
         for persistence, variance in ((FOREVER, 0.0), (5.0, 0.0), (5.0, 0.01))
     ]
     assert ends[0] == pytest.approx(UGV.p_x + 6.0 * UGV.v_x)
@@ -128,8 +136,8 @@ def test_it_leaves_less_unseen_than_the_logarithmic_law_and_the_horizon_is_why()
     for name, law in {
         "logarithmic": Law(name="logarithmic"),
         "lookahead": Law(name="lookahead"),
-        "one step": Law(name="lookahead", horizon=0.5),
-        "at random": Law(name="lookahead", candidates=1),
+        "one step": Law(name="lookahead", parameters={"horizon": 0.5}),
+        "at random": Law(name="lookahead", parameters={"candidates": 1}),
     }.items():
         loop = ClosedLoop(msgspec.structs.replace(scenario, law=law), 2, error=True)
         loop.begin([3, 4])

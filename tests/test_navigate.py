@@ -2,12 +2,14 @@
 
 import itertools
 import math
+from collections import namedtuple
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import asdict
 from scipy.ndimage import binary_dilation
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
@@ -22,8 +24,9 @@ from agents.drivers.cautious import (
     triangle_is_open,
 )
 from agents.drivers.compiled import driver_parameters
-from agents.drivers.navigate import PLAIN, navigate_control, state_ahead
-from agents.drivers.parameters import DriverParameters
+from agents.drivers.navigate import navigate_control
+from agents.drivers.navigate_parameters import NavigateParameters
+from agents.drivers.pending_stops import PLAIN, state_ahead
 from agents.drivers.planning import (
     begin_search,
     has_way,
@@ -39,6 +42,7 @@ from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, TOUCH, UNSEEN
 from sim.models.vehicles import Motion, brake, norm, step_vehicle
 
 ROUGH_PRICE = 2.5
+Numbers: Any = namedtuple("Numbers", NavigateParameters.__struct_fields__)  # type: ignore[misc]
 _STEPS = [step for step in itertools.product((-1, 0, 1), repeat=2) if step != (0, 0)]
 
 
@@ -264,15 +268,23 @@ def test_the_braking_way_is_what_braking_takes() -> None:
 # the filter
 
 
-def _on_tiles(**numbers: float) -> DriverParameters:
-    p = _parameters(width=8.0, height=8.0, tile=1.0, v_max=2.0, u_max=1.0, dt=0.1, share=0.2)
+def _on_tiles(**numbers: float) -> Any:
+    p = _parameters(
+        width=8.0,
+        height=8.0,
+        tile=1.0,
+        max_speed=2.0,
+        max_acceleration=1.0,
+        dt=0.1,
+        rough_share=0.2,
+    )
     return p._replace(**numbers)  # type: ignore[arg-type]
 
 
 def test_the_fastest_safe_speed_is_the_one_from_which_it_just_stops() -> None:
     tiles = np.full((8, 8), CLEAR, np.uint8)
     tiles[:, 5:] = UNSEEN
-    p, here = _on_tiles(v_max=3.0), Motion(2.5, 2.5, 1.0, 0.0)
+    p, here = _on_tiles(max_speed=3.0), Motion(2.5, 2.5, 1.0, 0.0)
     room = 5.0 - here.p_x
     fastest = 0.0
     for speed in np.linspace(0.0, 3.0, 3001):
@@ -284,7 +296,7 @@ def test_the_fastest_safe_speed_is_the_one_from_which_it_just_stops() -> None:
 
 def test_braking_is_safe_after_each_safe_command_even_where_the_ground_slows() -> None:
     rng = np.random.default_rng(8)
-    p, used = _on_tiles(u_max=4.0), 0
+    p, used = _on_tiles(max_acceleration=4.0), 0
     for _ in range(4000):
         tiles = rng.choice(
             np.array([CLEAR, ROUGH, UNSEEN], np.uint8), size=(8, 8), p=[0.7, 0.2, 0.1]
@@ -319,7 +331,7 @@ def test_it_leaves_a_blocked_tile_that_it_stands_in_but_enters_none() -> None:
     here = Motion(2.5, 2.5, 0.0, 0.0)
     ground = open_from(tiles, 1.0, 0, here.p_x, here.p_y)
     assert ground == Open(0, 1, 1, 1, 2, 3, 3, TOUCH)
-    fast = _on_tiles(v_max=20.0, u_max=50.0)
+    fast = _on_tiles(max_speed=20.0, max_acceleration=50.0)
     assert is_safe(fast, False, tiles, ground, here, 0.0, 50.0)
     assert not is_safe(fast, False, tiles, ground, here._replace(v_x=4.9), 50.0, 0.0)
     assert open_from(tiles, 1.0, 1, 0.5, 0.5) == open_to(1)
@@ -361,22 +373,25 @@ def test_it_arrives_wherever_there_is_a_way(cautious: ModuleType) -> None:
 # the driver
 
 
-def _parameters(**numbers: Any) -> DriverParameters:
+def _parameters(**numbers: Any) -> Any:
     told = told_ugv(
         area=Area(width=20.0, height=5.0, cell=0.5),
         limits=Limits(max_speed=1.5, max_acceleration=0.5),
         goal_tolerance=0.2,
         ground=UgvGround(tile=0.5, bumper=0.75, caution="cautious", share=0.4),
     )
-    return driver_parameters(told, "navigate")._replace(**numbers)
+    found = asdict(driver_parameters(told, "navigate"))
+    return Numbers(**found | numbers)
 
 
-def _drive(parameters: DriverParameters, memory: Any, goals: Any, ticks: int, start: Any) -> Any:
+def _drive(parameters: Any, memory: Any, goals: Any, ticks: int, start: Any) -> Any:
     here, track = Motion(*start, 0.0, 0.0), []
     for tick in range(ticks):
         u = navigate_control(parameters, memory, np.array(goals), tick, here, PLAIN)
         here = Motion(
-            *step_vehicle(*here, *u, parameters.v_max, parameters.u_max, parameters.dt)[:4]
+            *step_vehicle(
+                *here, *u, parameters.max_speed, parameters.max_acceleration, parameters.dt
+            )[:4]
         )
         track.append(here)
     return np.array(track)
@@ -426,7 +441,7 @@ def test_it_goes_round_a_wall_from_goal_to_goal_and_stops_at_the_last() -> None:
     goals = [[15.0, 1.0], [5.0, 1.0]]
     track = _drive(p, memory, goals, 1600, (5.0, 1.0))
     to_first = np.hypot(*(track[:, :2] - goals[0]).T)
-    assert to_first.min() < p.tolerance
+    assert to_first.min() < p.goal_tolerance
     assert np.hypot(*(track[-1, :2] - goals[1])) < 1e-3
     inside = (track[:, 0] > 10.0) & (track[:, 0] < 10.5)
     assert (track[inside, 1] > 4.0).all()
@@ -439,7 +454,7 @@ def test_it_comes_to_rough_ground_as_slow_as_that_lets_it() -> None:
     track = _drive(p, memory, [[18.0, 2.5]], 600, (1.0, 2.5))
     speed = np.hypot(track[:, 2], track[:, 3])
     rough = (track[:, 0] > 10.0) & (track[:, 0] < 12.0)
-    assert speed[rough].max() < 1.05 * p.share * p.v_max
+    assert speed[rough].max() < 1.05 * p.share * p.max_speed
     assert speed.max() > 1.2
     assert track[-1, 0] == pytest.approx(18.0, abs=1e-3)
 
@@ -454,11 +469,11 @@ def test_news_in_every_tick_keeps_no_search_from_its_end() -> None:
         if tick == 100:  # a wall with a gap
             note_tiles(memory, np.arange(8), np.full(8, 30), np.full(8, BLOCK, np.uint8))
         u = navigate_control(p, memory, goals, tick, here, PLAIN)
-        here = Motion(*step_vehicle(*here, *u, p.v_max, p.u_max, p.dt)[:4])
+        here = Motion(*step_vehicle(*here, *u, p.max_speed, p.max_acceleration, p.dt)[:4])
         plans.add(int(memory.flags[0]["plans"]))
         speeds.append(norm(here.v_x, here.v_y))
     assert len(plans) > 10
-    assert np.hypot(here.p_x - 18.0, here.p_y - 2.5) < p.tolerance
+    assert np.hypot(here.p_x - 18.0, here.p_y - 2.5) < p.goal_tolerance
     assert min(speeds[60:150]) > 0.5  # it drives on the plan before meanwhile
 
 
@@ -470,7 +485,7 @@ def test_while_it_searches_for_a_way_to_the_next_goal_it_goes_to_the_one_before(
     assert memory.flags[0]["goal"] == 1
     assert np.hypot(*(track[-1, :2] - goals[1])) < 1e-3
     near = np.hypot(*(track[:, :2] - goals[0]).T)
-    assert near.min() < p.tolerance
+    assert near.min() < p.goal_tolerance
     assert (np.hypot(*track[20:200, 2:].T) > 0.0).all()
 
 
@@ -491,5 +506,7 @@ def test_the_state_ahead_is_where_the_commands_under_way_lead() -> None:
         foreseen[tick + 3], _ = state_ahead(p, memory, tick, here, PLAIN)
         queue.append(navigate_control(p, memory, goals, tick, here, PLAIN))
         assert foreseen.get(tick, here) == here
-        here = Motion(*step_vehicle(*here, *queue.pop(0), p.v_max, p.u_max, p.dt)[:4])
+        here = Motion(
+            *step_vehicle(*here, *queue.pop(0), p.max_speed, p.max_acceleration, p.dt)[:4]
+        )
     assert here.v_x > 0.5

@@ -8,11 +8,12 @@ from scipy import stats
 
 import reference_field as reference
 from agents.control.coverage import symmetry_breaker
-from agents.control.laws import initial_state, way_to_uncovered
-from flights import DESIRED, HERE, R_O, escort, parameters
+from agents.laws.common import way_to_uncovered
+from flights import DESIRED, HERE, R_O, escort, flown_law, target_at
 from properties import PROPERTY
 from seeded import a_key
 from sim.models.field import cover, empty_coverage, is_uncovered, nearest_uncovered
+from sim.models.vehicles import Motion
 
 CELL = 0.25
 Answer = tuple[bool, float, float]
@@ -73,9 +74,8 @@ class _Search:
     """`way_to_uncovered` with a map and a state of its own; the UAV stands at (20, 20)."""
 
     def __init__(self) -> None:
-        self.c = parameters(escort("coverage"))
+        self.c = flown_law(escort("coverage"))
         self.coverage = np.full((160, 160), DESIRED)
-        self.state = initial_state()
         self.tick = 0
 
     def uncover(self, x: float, y: float, value: float = 0.0) -> None:
@@ -83,7 +83,8 @@ class _Search:
 
     def way(self, ugv: tuple[float, float] = HERE) -> Answer:
         self.tick += 1
-        return way_to_uncovered(self.c, self.coverage, self.state, self.tick, *HERE, *ugv)
+        own, target = Motion(*HERE, 0.0, 0.0), target_at(*ugv)
+        return way_to_uncovered(self.c.uav, self.c.memory, self.coverage, self.tick, own, target)
 
 
 def test_the_point_is_held_until_it_is_covered() -> None:
@@ -131,9 +132,10 @@ def test_right_over_the_point_any_direction_is_drawn_with_the_key() -> None:
     place = (20.125, 20.125)
     angles = []
     for key in range(400):
-        key_0, key_1 = a_key(key)
-        c = parameters(escort("coverage"))._replace(key_0=key_0, key_1=key_1)
-        found, x, y = way_to_uncovered(c, coverage, initial_state(), 0, *place, *place)
+        c = flown_law(escort("coverage"))
+        c.memory["key_0"], c.memory["key_1"] = a_key(key)
+        own = Motion(*place, 0.0, 0.0)
+        found, x, y = way_to_uncovered(c.uav, c.memory, coverage, 0, own, target_at(*place))
         assert found
         assert np.hypot(x, y) == pytest.approx(1.0, rel=1e-12)
         angles.append(np.arctan2(y, x))

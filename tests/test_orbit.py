@@ -111,7 +111,7 @@ def _path_error(flight: Flight, omega: float) -> FloatGrid:
 
 @pytest.mark.parametrize("omega", [0.1, -0.1, 0.108])
 def test_a_circle_that_can_be_flown_is_followed(omega: float) -> None:
-    flight, summary = fly(_round_trip(Law(name="circle", circle_rate=omega)), 0)
+    flight, summary = fly(_round_trip(Law(name="circle", parameters={"circle_rate": omega})), 0)
     error = np.hypot(*_path_error(flight, omega).T)
     assert error[1600:].max() < 1e-3
     assert summary.visibility_violations == 0
@@ -119,17 +119,19 @@ def test_a_circle_that_can_be_flown_is_followed(omega: float) -> None:
 
 
 def test_a_circle_faster_than_the_largest_rate_is_not_followed() -> None:
-    flight, _ = fly(_round_trip(Law(name="circle", circle_rate=0.13)), 0)
+    flight, _ = fly(_round_trip(Law(name="circle", parameters={"circle_rate": 0.13})), 0)
     assert np.hypot(*_path_error(flight, 0.13).T)[1600:].max() > 0.05
 
 
 def test_the_papers_rate_collapses_the_circle() -> None:
-    _, summary = fly(_round_trip(Law(name="circle", circle_rate=1.0)), 0)
+    _, summary = fly(_round_trip(Law(name="circle", parameters={"circle_rate": 1.0})), 0)
     assert summary.mean_distance < 1.0
 
 
 def test_a_radius_of_ones_own_is_flown() -> None:
-    flight, _ = fly(_round_trip(Law(name="circle", circle_rate=0.1, circle_radius=1.5)), 0)
+    flight, _ = fly(
+        _round_trip(Law(name="circle", parameters={"circle_rate": 0.1, "circle_radius": 1.5})), 0
+    )
     assert distances(flight)[1600:] == pytest.approx(1.5, abs=2e-3)
 
 
@@ -144,7 +146,9 @@ def _own_circle(t: float) -> Point:
 
 
 def test_a_path_of_ones_own_that_is_the_circle_flies_its_trajectory() -> None:
-    shipped, by_law = fly(_round_trip(Law(name="circle", circle_rate=0.1), duration=60.0), 0)
+    shipped, by_law = fly(
+        _round_trip(Law(name="circle", parameters={"circle_rate": 0.1}), duration=60.0), 0
+    )
     scenario = _round_trip(Law(name="path"), duration=60.0)
     assert fly(scenario, 0, path=_compiled_circle)[1].trajectory_sha256 == by_law.trajectory_sha256
     own, _ = fly(scenario, 0, path=_own_circle)

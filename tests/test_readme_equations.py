@@ -20,6 +20,7 @@ WEIGHTS = {"α₁, β₁": r"\alpha_1, \beta_1", "α₂, β₂": r"\alpha_2, \be
 WRITTEN_IN = (
     "sim.models.vehicles",
     "sim.models.field",
+    "sim.models.sensors.hill",
     *(f"agents.control.{module.name}" for module in pkgutil.iter_modules(agents.control.__path__)),
 )
 

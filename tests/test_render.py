@@ -229,7 +229,7 @@ def test_whatever_is_odd_is_drawn(odd, tmp_path):
     ids=["paper", "unbounded", "too fast to stop in time"],
 )
 def test_r_s_is_drawn_only_where_it_is_a_circle_of_its_own(uav, drawn):
-    law = Law(name="coverage", reference_speed=0.6)
+    law = Law(name="coverage", parameters={"reference_speed": 0.6})
     figure = flight_figure(
         fly(msgspec.structs.replace(scenario(uav=uav, duration=1.0), law=law), 0)[0]
     )

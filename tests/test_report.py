@@ -282,7 +282,7 @@ def test_fields_have_words_and_units():
     assert label_of("links.commands.burst_length") == "length of bursts of the commands [s]"
     assert label_of("detections.noise") == "noise of the detections per axis [m]"
     assert label_of("uav.0.max_speed") == "largest speed, uav.0 [m/s]"
-    assert label_of("law.a_c") == "law.a_c"
+    assert label_of("law.parameters.a_c") == "law.parameters.a_c"
     assert (tick_of("links.radio.loss", 0.05), value_of("links.radio.loss", 0.05)) == ("5", "5 %")
     assert tick_of("links.radio.trace", "examples/networks/lte-road.csv") == "lte-road"
     ticks = [tick_of("x", value) for value in (None, True, "word")]

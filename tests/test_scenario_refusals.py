@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from bus.law_parameters import law_parameters
 from bus.messages import Law
 from bus.registry import LAWS
 from refusals import SHIPPED, SMALL, refusal, written
@@ -85,10 +86,14 @@ own_functions_are_named | custom.path=mine.path | custom.path = "mine.path" | mo
 own_functions_are_named | custom.path=a..b:c | custom.path = "a..b:c" | module:function
 switching_radius_is_positive | visibility.radius=1.05 | uav.0.max_acceleration = 0.3 | above 0.3048 m/s²
 switching_radius_is_positive | uav.0.max_speed=inf | uav.0.max_speed = inf | finite speeds
-reference_speed_is_possible | law.reference_speed=0.7 | law.reference_speed = 0.7 | up to uav.0.max_speed = 0.6 m/s
-reference_speed_is_possible | uav.0.max_speed=inf & uav.0.max_acceleration=inf | law.reference_speed
+law_parameters_are_possible | law.parameters.speed_gan=2
+| law.parameters.speed_gan = 2 | a_c, b_c, c_c, d_c, speed_gain
+law_parameters_are_possible | law.parameters.speed_gain=-2 | law.parameters.speed_gain = -2 | a number > 0
+reference_speed_is_possible | law.parameters.reference_speed=0.7
+| law.parameters.reference_speed = 0.7 | up to uav.0.max_speed = 0.6 m/s
+reference_speed_is_possible | uav.0.max_speed=inf & uav.0.max_acceleration=inf | law.parameters.reference_speed
 | a number > 0, in m/s
-controller_is_stable | law.b_c=-4.0 | law = {a_c = -3.0, b_c = -4.0 | 0 < D A - B C < A D
+controller_is_stable | law.parameters.b_c=-4.0 | law.parameters = {a_c = -3.0, b_c = -4.0 | 0 < D A - B C < A D
 risk_can_be_met | certificate.risk=1e-3 & links.detections.bandwidth=15.0 | certificate.risk = 0.001
 | a greater risk, or a certificate.age
 looks_fit_ticks | ground.rate=7 & hazard=[{kind="block",center=[1,1],radius=0.2}] | ground.rate = 7.0 | 20, 10, 6.667
@@ -124,15 +129,19 @@ ways_are_open | hazard=[{kind="block",polygon=[[9,0],[9.5,0],[9.5,40],[9,40]]}]
 | ugv.0.goals.0 = [14.0, 8.0] | tiles of 0.5 m
 ways_are_open | ground.tile=2 & hazard=[{kind="block",center=[20.5,13.5],radius=0.1}] | ugv.0.goals.1 = [20.0, 13.0]
 | tiles of 2 m
-fields_are_possible | hazard_field=[{kind="block",count=1,radius=[2,1]}] | hazard_field.0.radius = [2.0, 1.0] | smallest
+fields_are_possible | hazard_field=[{kind="block",count=1,radius=[2,1]}]
+| hazard_field.0.radius = [2.0, 1.0] | smallest
 fields_are_possible | hazard_field=[{kind="find",count=1,radius=[1,2],share=1}] | hazard_field.0.share = 1.0 | rough
-fields_are_possible | hazard_field=[{kind="find",count=9000,radius=[0.1,0.1]},{kind="find",count=9000,radius=[0.1,0.1]}]
+fields_are_possible
+| hazard_field=[{kind="find",count=9000,radius=[0.1,0.1]},{kind="find",count=9000,radius=[0.1,0.1]}]
 | hazard_field.1.count = 9000 | up to 10,000 in all
 fields_are_possible | hazard_field=[{kind="rough",count=9000,radius=[1,1]}] | hazard_field.0.count = 9000 | up to 2037
 fields_have_room | hazard_field=[{kind="block",count=90,radius=[4,5]}] | hazard_field.0.count = 90 | up to
 fields_have_room | hazard_field=[{kind="block",count=9,radius=[1,1],clear=90}] | hazard_field.0.count = 9 | less clear
-circle_is_within_sight | law.name=circle & law.circle_radius=4.75 | law.circle_radius = 4.75 | less than r_v = 4.75 m
-circle_is_within_sight | law.name=circle & uav.0.max_acceleration=inf | law.circle_radius | less than r_v = 4.75 m
+circle_is_within_sight | law.name=circle & law.parameters.circle_radius=4.75
+| law.parameters.circle_radius = 4.75 | less than r_v = 4.75 m
+circle_is_within_sight | law.name=circle & uav.0.max_acceleration=inf
+| law.parameters.circle_radius | less than r_v = 4.75 m
 """)
 ]
 
@@ -155,7 +164,14 @@ def test_every_check_has_a_row_above() -> None:
 
 
 @pytest.mark.parametrize(
-    "path", ["law.circle_rate", "uav.0.max_speed", "uav.0.position.1", "ugv.0.goals.2.0", "hold"]
+    "path",
+    [
+        "law.parameters.circle_rate",
+        "uav.0.max_speed",
+        "uav.0.position.1",
+        "ugv.0.goals.2.0",
+        "hold",
+    ],
 )
 @pytest.mark.parametrize("value", ["nan", "-nan", "-inf"])
 def test_nan_and_minus_infinity_are_refused_everywhere(path: str, value: str) -> None:
@@ -168,7 +184,7 @@ def test_the_check_of_numbers_does_not_rely_on_the_types() -> None:
     for broken in (
         msgspec.structs.replace(ESCORT, dt=math.nan),
         msgspec.structs.replace(ESCORT, uav=(Uav(position=(7.0, math.nan)),)),
-        msgspec.structs.replace(ESCORT, law=Law(circle_rate=math.inf)),
+        msgspec.structs.replace(ESCORT, law=Law(parameters={"circle_rate": math.inf})),
         msgspec.structs.replace(ESCORT, uav=(Uav(position=(7.0, 9.0), max_speed=math.nan),)),
     ):
         assert len(list(world_checks.numbers_are_finite(broken))) == 1
@@ -177,15 +193,19 @@ def test_the_check_of_numbers_does_not_rely_on_the_types() -> None:
 def test_infinite_bounds_are_allowed_for_vehicles() -> None:
     s = load_scenario(
         "escort",
-        overrides=["uav.0.max_speed=inf", "uav.0.max_acceleration=inf", "law.reference_speed=0.6"],
+        overrides=[
+            "uav.0.max_speed=inf",
+            "uav.0.max_acceleration=inf",
+            "law.parameters.reference_speed=0.6",
+        ],
     )
     assert s.uav[0].max_speed == s.uav[0].max_acceleration == math.inf
-    assert (
-        load_scenario(
-            "escort", overrides=["law.name=tracking", "uav.0.max_speed=inf"]
-        ).law.reference_speed
-        is None
-    )
+    assert load_scenario("escort", overrides=["law.name=tracking", "uav.0.max_speed=inf"])
+
+
+def test_a_scenario_may_have_the_parameters_of_several_laws() -> None:
+    s = load_scenario("escort", overrides=["law.name=tracking", "law.parameters.horizon=9"])
+    assert law_parameters(s.law) == law_parameters(Law(name="tracking"))
 
 
 CHANGES = [
@@ -200,13 +220,17 @@ title=5 | title = 5: not text; allowed: text
 title=2020-01-01 | title = 2020-01-01: not text; allowed: text
 detections.cut=inf | detections.cut = inf: out of bounds; allowed: a number <= 1e+12
 detections.dropout=2 | detections.dropout = 2: out of bounds; allowed: a number <= 1
-law.horizon=0.1 | law.horizon = 0.1: out of bounds; allowed: a number >= 0.5
-law.horizon=1e3 | law.horizon = 1000.0: out of bounds; allowed: a number <= 60
-law.horizon=inf | law.horizon = inf: out of bounds; allowed: a number <= 60
-law.candidates=0 | law.candidates = 0: out of bounds; allowed: a whole number >= 1
-law.candidates=10001 | law.candidates = 10001: out of bounds; allowed: a whole number <= 10000
-law.candidates=2.5 | law.candidates = 2.5: not a whole number; allowed: a whole number
-law.reference_speed=x | law.reference_speed = "x": not a number; allowed: a number
+law={name="lookahead",parameters={horizon=0.1}}
+| law.parameters.horizon = 0.1: out of bounds; allowed: a number >= 0.5
+law={name="lookahead",parameters={horizon=1e3}}
+| law.parameters.horizon = 1000.0: out of bounds; allowed: a number <= 60
+law={name="lookahead",parameters={candidates=0}}
+| law.parameters.candidates = 0: out of bounds; allowed: a whole number >= 1
+law={name="lookahead",parameters={candidates=10001}}
+| law.parameters.candidates = 10001: out of bounds; allowed: a whole number <= 10000
+law={name="lookahead",parameters={candidates=2.5}}
+| law.parameters.candidates = 2.5: not a whole number; allowed: a whole number
+law.parameters.reference_speed=x | law.parameters.reference_speed = "x": not a number; allowed: a number
 estimator.enabled=1 | estimator.enabled = 1: not true or false; allowed: true or false
 links.profile=wify | links.profile = "wify": no such profile, did you mean 'wifi'?
 links.detections.delay=31 | links.detections.delay = 31: out of bounds; allowed: a number <= 30
@@ -223,7 +247,8 @@ ugv=[] | ugv = []: out of bounds; allowed: a list of length >= 1
 uav={position=[1, 2]} | uav = {position = [1, 2]}: a single table; allowed: a list, in TOML [[uav]]
 coverage.covered=[{lower=[1, 1]}] | coverage.covered.0.upper: missing; allowed: [x, y] in m
 sead=3 | sead = 3: no such field, did you mean 'seed'?; allowed: name, title, seed, duration, dt
-law.nmae=circle | law.nmae = "circle": no such field, did you mean 'name'?; allowed: name, speed_gain
+law.nmae=circle | law.nmae = "circle": no such field, did you mean 'name'?; allowed: name, parameters
+law.speed_gain=2 | law.speed_gain = 2: no such field, did you mean 'law.parameters.speed_gain'?
 uav.0.max_sped=1 | uav.0.max_sped = 1: no such field, did you mean 'max_speed'?; allowed: name, escorts, position
 area.celll=1 | area.celll = 1: no such field, did you mean 'cell'?; allowed: width, height, cell
 coverage.covered=[{lower=[1, 1], uper=[2, 2]}]

@@ -7,8 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from agents.control.laws import OwnTerms, weights
-from agents.drivers.parameters import COMPILED_DRIVERS
+from agents.drivers.dispatch import CODES
 from bus.keys import KEYS, Key
 from bus.messages import LinkKind, ScriptStep
 from bus.profiles import PROFILES
@@ -21,11 +20,10 @@ from bus.registry import (
     SAVED_POLICIES,
     SENSORS,
     TELEOP,
-    LawRow,
     _table,
     resolve,
 )
-from flights import escort, parameters
+from bus.rows import LawRow
 from outrider.cli import options
 from outrider.running.flying import fly
 from sim.models.field import sensor_quality, sensor_slope
@@ -36,12 +34,10 @@ TRACKS: dict[str, bytes] = {}
 """Track of the UGV by driver."""
 
 
-def test_two_rows_of_one_name_or_code_are_refused() -> None:
-    one, other = LAWS["linear"], LAWS["switching"]
+def test_two_rows_of_one_name_are_refused() -> None:
+    one = LAWS["linear"]
     with pytest.raises(ValueError, match="the same name"):
-        _table(one, LawRow(name=one.name, code=99, about="", color="#000000"))
-    with pytest.raises(ValueError, match="the same code"):
-        _table(one, LawRow(name="new", code=other.code, about="", color="#000000"), other)
+        _table(one, LawRow(name=one.name, about="", color="#000000"))
 
 
 def test_the_defaults_are_rows() -> None:
@@ -51,19 +47,7 @@ def test_the_defaults_are_rows() -> None:
     assert [row.name for row in DRIVERS.values() if row.operated] == [TELEOP]
 
 
-@pytest.mark.parametrize("name", LAWS)
-def test_every_law_has_its_branch(name: str) -> None:
-    alpha, beta = weights(parameters(escort(name)), OwnTerms(), 1.0)
-    assert np.isfinite([alpha, beta]).all()
-    assert LAWS[name].covers or beta == 0.0
-
-
-def test_a_row_without_its_branch_flies_no_other_law() -> None:
-    missing = parameters(escort("linear"))._replace(law=1 + max(row.code for row in LAWS.values()))
-    assert np.isnan(weights(missing, OwnTerms(), 1.0)).all()
-
-
-@pytest.mark.parametrize("name", COMPILED_DRIVERS)
+@pytest.mark.parametrize("name", CODES)
 def test_every_compiled_driver_drives_differently(name: str) -> None:
     """A row without its branch would drive as another one."""
     scenario = load_scenario("escort", overrides=["duration=8.0"])
@@ -82,12 +66,12 @@ def test_every_compiled_driver_drives_differently(name: str) -> None:
 
 @pytest.mark.parametrize("name", SENSORS)
 def test_every_sensor_has_its_branches(name: str) -> None:
-    code, h = SENSORS[name].code, 1e-6
+    code, h = tuple(SENSORS).index(name), 1e-6
     rise = (sensor_quality(code, 4.0 + h, 1.0, 5.0) - sensor_quality(code, 4.0 - h, 1.0, 5.0)) / (
         2.0 * h
     )
     assert rise == pytest.approx(sensor_slope(code, 4.0, 1.0, 5.0), rel=1e-6)
-    others = {row.code for row in SENSORS.values()} - {code}
+    others = set(range(len(SENSORS))) - {code}
     assert all(
         sensor_quality(code, 4.0, 1.0, 5.0) != sensor_quality(other, 4.0, 1.0, 5.0)
         for other in others
@@ -96,7 +80,9 @@ def test_every_sensor_has_its_branches(name: str) -> None:
 
 @pytest.mark.parametrize(
     "where",
-    [row.make for row in DRIVERS.values() if row.make]
+    [f"{row.module}:command" for row in LAWS.values() if row.module]
+    + [f"{row.module}:command" for row in DRIVERS.values() if row.module]
+    + [row.make for row in DRIVERS.values() if row.make]
     + [row.load for row in SAVED_POLICIES.values()],
 )
 def test_every_row_names_code_that_is_there(where: str) -> None:

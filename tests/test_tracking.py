@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
-from agents.control.laws import OwnTerms, initial_state, uav_control
 from agents.control.tracking import (
     relative_acceleration,
     relative_motion,
@@ -19,8 +18,22 @@ from agents.control.tracking import (
     tracking_output,
     tracking_step,
 )
+from bus.law_parameters import law_parameters
 from bus.messages import Law
-from flights import DT, HERE, R_S, U_A, U_G, V_A, V_G, distances, escort, parameters, tracks
+from flights import (
+    DT,
+    HERE,
+    R_S,
+    U_A,
+    U_G,
+    V_A,
+    V_G,
+    distances,
+    escort,
+    flown_law,
+    target_at,
+    tracks,
+)
 from outrider.running.flying import fly
 from properties import PROPERTY
 from reference_field import FloatGrid
@@ -93,7 +106,7 @@ def test_a_controller_without_a_pole_is_a_plain_integral_and_the_limit_of_slow_o
 
 def _loop() -> FloatGrid:
     """The closed loop of (15) and (16) on one axis, state (p, v, x_c), read off the shipped functions and defaults."""
-    law = Law()
+    law = law_parameters(Law())
     rows = [
         tracking_output(x, 0.0, p, 0.0, law.c_c, law.d_c)[0] for p, x in ((1.0, 0.0), (0.0, 1.0))
     ]
@@ -133,12 +146,10 @@ def test_tracking_alone_reaches_a_ugv_of_constant_velocity() -> None:
 
 def _state_after(law: str, positions: FloatGrid, coverage: FloatGrid) -> FloatGrid:
     """The law's x_c after it has seen these relative positions, one a tick."""
-    c, state = parameters(escort(law)), initial_state()
+    c = flown_law(escort(law))
     for tick, (x, y) in enumerate(positions.tolist()):
-        uav_control(
-            c, OwnTerms(), coverage, state, tick, Motion(HERE[0] + x, HERE[1] + y, 0.1, 0.0), *HERE
-        )
-    return np.array([state["x_cx"][0], state["x_cy"][0]])
+        c.command(coverage, tick, Motion(HERE[0] + x, HERE[1] + y, 0.1, 0.0), target_at(*HERE))
+    return c.memory["x_c"]
 
 
 @pytest.mark.parametrize(
@@ -159,18 +170,17 @@ def _farthest(stale: bool) -> float:
     """The UAV has been tracking at (3.7, 0) for long, then is drawn over the UGV, which drives off, to the far side of
     it.
     """
-    c = parameters(escort("switching"))
-    state = initial_state()
+    c = flown_law(escort("switching"))
     coverage = empty_coverage(40.0, 40.0, 0.25)
     cover(coverage, (0.0, 0.0), (40.0, 22.0), 0.25, 2.0)
-    state["x_cx"] = -3.7  # the steady state of x_c
+    c.memory["x_c"][0] = -3.7  # the steady state of x_c
     uav, ugv, farthest = (20.0, 20.0, 0.0, V_A), (20.0, 20.0, 0.0, -V_G), 0.0
     for tick in range(400):
-        before = state["x_cx"].copy(), state["x_cy"].copy()
+        before = c.memory["x_c"].copy()
         distance = norm(uav[0] - ugv[0], uav[1] - ugv[1])
-        u = uav_control(c, OwnTerms(), coverage, state, tick, Motion(*uav), *ugv[:2])
-        if stale and distance < c.r_s:
-            state["x_cx"], state["x_cy"] = before
+        u = c.command(coverage, tick, Motion(*uav), target_at(*ugv[:2]))
+        if stale and distance < R_S:
+            c.memory["x_c"] = before
         *uav, _, _ = step_vehicle(*uav, *u, V_A, U_A, DT)
         *ugv, _, _ = step_vehicle(*ugv, 0.0, 0.0, V_G, U_G, DT)
         farthest = max(farthest, distance)

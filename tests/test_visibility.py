@@ -7,11 +7,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from agents.control.tracking import relative_motion
+from agents.control.uav_parameters import uav_parameters
 from agents.control.visibility import is_visible, switching_radius
+from agents.laws.selection import SelectedLaw
 from bus.errors import ScenarioError
 from bus.messages import Region
 from bus.registry import LAWS
-from flights import DT, HERE, R_S, R_V, U_A, V_A, V_G, distances, escort, parameters
+from flights import DT, HERE, R_S, R_V, U_A, V_A, V_G, distances, escort, told
 from outrider.running.flying import fly
 from properties import PROPERTY
 from sim.models.vehicles import raw_switching_radius
@@ -41,7 +43,9 @@ def test_the_switching_radius_is_the_papers_two_phases(r_v, v_a, v_g, u_a):
 
 def test_the_papers_numbers_give_its_radius() -> None:
     assert switching_radius(R_V, V_A, V_G, U_A) == pytest.approx(3.6833, abs=5e-5)
-    assert parameters(escort("logarithmic")).r_s == switching_radius(R_V, V_A, V_G, U_A)
+    assert uav_parameters(told(escort("logarithmic"))).switching_radius == switching_radius(
+        R_V, V_A, V_G, U_A
+    )
 
 
 @given(st.floats(2.0, 50.0), speeds, speeds, st.floats(0.5, 10.0))
@@ -81,11 +85,13 @@ def test_only_laws_that_use_the_switching_radius_ask_for_it(law: str) -> None:
     weak = escort(law, uav=Uav(position=HERE, max_acceleration=0.05))
     refused = bool(list(switching_radius_is_positive(weak)))
     assert refused is (law not in {"tracking", "coverage", "policy"})
-    if not refused:
-        assert parameters(weak).r_s < 0.0
-    else:
+    uav = uav_parameters(told(weak))
+    assert uav.switching_radius < 0.0
+    if refused:
         with pytest.raises(ScenarioError, match="too weak"):
-            parameters(weak)
+            SelectedLaw(told(weak), weak.law, uav)
+    else:
+        SelectedLaw(told(weak), weak.law, uav)
 
 
 def _worst_case(law: str, **fields: float) -> Scenario:

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.control.laws import OwnTerms, coverage_term, initial_state, uav_control, weights
 from agents.control.tracking import tracking_output
 from agents.control.weighting import (
     Weighting,
@@ -20,9 +19,10 @@ from agents.control.weighting import (
     logarithmic_weights,
     switching_weights,
 )
+from agents.laws.common import coverage_term
 from bus.errors import ScenarioError
 from bus.messages import Law
-from flights import HERE, R_S, escort, parameters
+from flights import HERE, R_S, escort, flown_law, target_at
 from outrider.running.flying import fly
 from properties import PROPERTY
 from sim.models.vehicles import Motion, norm
@@ -78,27 +78,28 @@ def test_the_logarithmic_weight_stays_at_its_limit_down_to_no_distance() -> None
 
 @pytest.mark.parametrize("law", ["linear", "logarithmic"])
 def test_linear_and_logarithmic_weights_are_continuous_at_the_switching_radius(law: str) -> None:
-    c = parameters(escort(law))
+    c = flown_law(escort(law))
     for gap in (1e-3, 1e-6, 1e-9):
-        assert weights(c, OwnTerms(), R_S - gap) == pytest.approx((1.0, 0.0), abs=10.0 * gap)
+        assert c.weights(R_S - gap) == pytest.approx((1.0, 0.0), abs=10.0 * gap)
 
 
 @pytest.mark.parametrize("law", SHIPPED)
 @given(st.floats(1.0, 1e6))
 @settings(PROPERTY)
 def test_shipped_weights_fulfil_the_conditions_of_proposition_2(law: str, share: float) -> None:
-    c = parameters(escort(law))
-    assert weights(c, OwnTerms(), c.r_s) == (1.0, 0.0)
-    assert weights(c, OwnTerms(), share * c.r_s) == (1.0, 0.0)
-    alpha, beta = weights(c, OwnTerms(), c.r_s / share)
+    c = flown_law(escort(law))
+    r_s = c.uav["switching_radius"]
+    assert c.weights(r_s) == (1.0, 0.0)
+    assert c.weights(share * r_s) == (1.0, 0.0)
+    alpha, beta = c.weights(r_s / share)
     assert 0.0 <= alpha <= 1.0
     assert 0.0 <= beta <= LIMIT
 
 
 @pytest.mark.parametrize("law", SHIPPED)
 def test_coverage_counts_no_more_the_farther_the_uav_is(law: str) -> None:
-    c = parameters(escort(law))
-    beta = np.array([weights(c, OwnTerms(), d)[1] for d in np.linspace(0.0, 2.0 * R_S, 400)])
+    c = flown_law(escort(law))
+    beta = np.array([c.weights(d)[1] for d in np.linspace(0.0, 2.0 * R_S, 400)])
     assert (np.diff(beta) <= 0.0).all()
     assert beta[0] > beta[-1] == 0.0
 
@@ -106,17 +107,19 @@ def test_coverage_counts_no_more_the_farther_the_uav_is(law: str) -> None:
 @pytest.mark.parametrize("law", [*SHIPPED, "coverage", "weighted"])
 @pytest.mark.parametrize("place", [(20.5, 21.0), (22.5, 18.0), (24.5, 20.0)])
 def test_every_law_weighs_the_same_two_terms(law: str, place: tuple[float, float]) -> None:
-    c, own = parameters(escort(law)), OwnTerms(alpha=0.3, beta=0.9)
+    c, weights = flown_law(escort(law)), (0.0, 1.0)
     coverage = np.random.default_rng(2).uniform(0.0, 3.0, (160, 160))
-    state = initial_state()
-    state["x_cx"], state["x_cy"] = 0.4, -1.0
+    c.memory["x_c"] = 0.4, -1.0
+    if law == "weighted":
+        weights = c.memory["alpha"], c.memory["beta"] = 0.3, 0.9
+    elif law != "coverage":
+        weights = c.weights(norm(place[0] - HERE[0], place[1] - HERE[1]))
     x, y = place[0] - HERE[0], place[1] - HERE[1]
-    tracking = tracking_output(0.4, -1.0, x, y, c.c_c, c.d_c)
-    covering = coverage_term(c, coverage, state.copy(), 3, Motion(*place, 0.2, 0.1), *HERE)
-    wanted = combine(*weights(c, own, norm(x, y)), *tracking, *covering)
-    assert uav_control(
-        c, own, coverage, state, 3, Motion(*place, 0.2, 0.1), *HERE
-    ) == pytest.approx(wanted, rel=1e-12)
+    inputs = coverage, 3, Motion(*place, 0.2, 0.1), target_at(*HERE)
+    tracking = tracking_output(0.4, -1.0, x, y, c.law["c_c"], c.law["d_c"])
+    covering = coverage_term(c.uav, c.law, c.memory.copy(), *inputs)
+    wanted = combine(*weights, *tracking, *covering)
+    assert c.command(*inputs) == pytest.approx(wanted, rel=1e-12)
 
 
 def _linear(distance: float, r_s: float) -> tuple[float, float]:
@@ -188,6 +191,8 @@ def test_a_linear_weighting_of_ones_own_flies_the_bits_of_the_linear_law() -> No
 
 
 def test_the_limit_of_the_logarithmic_weight_is_the_scenarios() -> None:
-    c = parameters(escort(Law(name="logarithmic", weight_gain=3.0, weight_limit=7.0)))
-    assert weights(c, OwnTerms(), 0.0) == (1.0, 7.0)
-    assert weights(c, OwnTerms(), R_S / math.e)[1] == pytest.approx(3.0, rel=1e-12)
+    c = flown_law(
+        escort(Law(name="logarithmic", parameters={"weight_gain": 3.0, "weight_limit": 7.0}))
+    )
+    assert c.weights(0.0) == (1.0, 7.0)
+    assert c.weights(R_S / math.e)[1] == pytest.approx(3.0, rel=1e-12)

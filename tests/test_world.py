@@ -133,7 +133,7 @@ def test_the_map_is_what_was_seen_along_the_track(sensor: str) -> None:
     flight, _ = fly(scenario, 0)
     wanted = np.zeros((160, 160))
     for x, y in tracks(flight)[0][1:, :2].tolist():
-        wanted = reference.accumulate(wanted, x, y, SENSORS[sensor].code, 1.0, R, 0.25, DT)
+        wanted = reference.accumulate(wanted, x, y, tuple(SENSORS).index(sensor), 1.0, R, 0.25, DT)
     np.testing.assert_allclose(flight.world.coverage, wanted, rtol=1e-11, atol=1e-13)
 
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.asking import LARGEST, AskedPolicy, pair
-from agents.control.laws import LawParameters
+from agents.control.uav_parameters import UavParameters
 from bus.errors import ScenarioError
 from bus.layout import Row, UavRow
 from bus.messages import UavBriefing, UavObservation, Vector
@@ -75,7 +75,7 @@ class PolicyControl:
 
     Args:
         briefing: What the UAV is told when it joins.
-        law: The numbers of its law.
+        uav: Constants of the UAV.
         policy: The policy; it remembers one UAV's flight.
         name: Of the policy, in errors.
 
@@ -84,10 +84,10 @@ class PolicyControl:
     """
 
     def __init__(
-        self, briefing: UavBriefing, law: LawParameters, policy: UavPolicy, name: str
+        self, briefing: UavBriefing, uav: UavParameters, policy: UavPolicy, name: str
     ) -> None:
         check_fit(briefing, policy, name)
-        self._law, self._dt = law, float(briefing.dt)
+        self._uav, self._dt = uav, float(briefing.dt)
         self._asked = AskedPolicy(policy, f"uav_policy = {name!r}", self._dt)
         self._setup = {**SETUP, **getattr(policy, "setup", {})}
         length = self._setup["duration"]
@@ -149,7 +149,7 @@ class PolicyControl:
     def _gradient(
         self, x: float, y: float, target: TargetEstimate, coverage: FloatArray
     ) -> tuple[float, float]:
-        c = self._law
+        c = self._uav
         if not target.known:
             return 0.0, 0.0
         u_x, u_y, size = coverage_gradient(
@@ -158,18 +158,18 @@ class PolicyControl:
             y,
             target.x,
             target.y,
-            c.r_o,
-            c.desired,
+            c.density_radius,
+            c.desired_coverage,
             c.sensor,
-            c.peak,
-            c.reach,
+            c.sensor_peak,
+            c.sensing_range,
             c.cell,
         )
         return (u_x / size, u_y / size) if size > 0.0 else (0.0, 0.0)
 
     def _patch(self, observation: UavObservation, coverage: FloatArray) -> FloatArray:
         picture: FloatArray = np.empty((1, self._pixels, self._pixels))
-        c = self._law
-        sample(coverage, *observation.position, c.desired, c.cell, self._scale, picture[0])
+        c = self._uav
+        sample(coverage, *observation.position, c.desired_coverage, c.cell, self._scale, picture[0])
         shown: FloatArray = picture.astype(self._setup["dtype"])
         return shown

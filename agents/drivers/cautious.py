@@ -8,7 +8,7 @@ m/s².
 import math
 from typing import NamedTuple
 
-from agents.drivers.parameters import DriverParameters
+from agents.drivers.navigate_parameters import NavigateParameters
 from agents.drivers.planning import is_beside_block
 from sim.kernels.compile import compiled
 from sim.models.ground import (
@@ -155,7 +155,7 @@ def slowing_way(speed: float, slow: float, u_max: float, dt: float) -> float:
 
 @compiled
 def is_safe(
-    parameters: DriverParameters,
+    parameters: NavigateParameters,
     late: bool,
     tiles: TileArray,
     ground: Open,
@@ -173,7 +173,12 @@ def is_safe(
         here: Where it is when the command acts.
         u_x, u_y: The command.
     """
-    tile, v_max, u_max, dt = parameters.tile, parameters.v_max, parameters.u_max, parameters.dt
+    tile, v_max, u_max, dt = (
+        parameters.tile,
+        parameters.max_speed,
+        parameters.max_acceleration,
+        parameters.dt,
+    )
     a = here.p_x, here.p_y
     x, y, w_x, w_y, _, _ = step_vehicle(a[0], a[1], here.v_x, here.v_y, u_x, u_y, v_max, u_max, dt)
     turn = a[0] + 0.5 * here.v_x * dt, a[1] + 0.5 * here.v_y * dt
@@ -192,7 +197,7 @@ def is_safe(
         return False
     if not way_is_open(tiles, tile, ground, (x, y), end):
         return False
-    slow = parameters.share * v_max + slack  # no rough ground makes it slower
+    slow = parameters.rough_share * v_max + slack  # no rough ground makes it slower
     if not late or speed <= slow:
         return True
     way = slowing_way(speed, slow, u_max, dt)

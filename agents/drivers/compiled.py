@@ -1,17 +1,16 @@
-"""The drivers that are compiled: a shell around `agents.drivers.ugv_tick.ugv_tick`.
+"""The drivers that are compiled: their files, called for one vehicle.
 
 A driver that listens to a person or to a policy has no compiled form.
 """
 
-import math
+from importlib import import_module
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.drivers.evade import evade_lead, evade_ticks
-from agents.drivers.navigate import PLAIN
-from agents.drivers.parameters import COMPILED_DRIVERS, DriverMemory, DriverParameters, Route
+from agents.drivers.parameters import DriverInputs, UgvParameters, ugv_parameters
+from agents.drivers.pending_stops import PLAIN
 from agents.drivers.planning import way_corners
-from agents.drivers.steering import Steering
 from agents.drivers.tile_map import (
     GroundMemory,
     PlaceArray,
@@ -19,8 +18,6 @@ from agents.drivers.tile_map import (
     note_block,
     note_tiles,
 )
-from agents.drivers.ugv_tick import ugv_tick
-from agents.drivers.wander import wander_pace
 from agents.looks import LookRows
 from bus.errors import ScenarioError
 from bus.messages import (
@@ -31,11 +28,11 @@ from bus.messages import (
     UgvObservation,
     UgvReport,
     Vector,
-    or_infinite,
 )
-from bus.registry import BOLD, DRIVERS
+from bus.registry import DRIVERS
 from bus.ticks import first_tick_from
-from sim.kernels.records import RecordArray, record_type, records
+from sim.kernels.compile import FloatArray
+from sim.kernels.records import fresh, records
 from sim.models.ground import (
     CERTIFIED,
     NO_CLAIM,
@@ -50,50 +47,32 @@ from sim.models.vehicles import Motion
 
 MOST_TILES = 1_000_000
 """More than that no UGV keeps."""
-_PLAN_PERIOD = 0.2
-"""The driver that navigates keeps a plan for so long at least [s]."""
-PLAN_TILES = 8192
-"""So many tiles it settles a tick at most when it plans: as long as that takes, no tick takes much longer."""
 
 
-def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
-    """The numbers of one driver for one UGV.
+def driver_parameters(briefing: UgvBriefing, driver: str) -> Any:  # noqa: ANN401 - the driver's class
+    """Return the parameters of a driver of one UGV, as its file declares them.
 
     Raises:
         ScenarioError: If the driver has no compiled form.
     """
-    if driver not in COMPILED_DRIVERS:
-        raise ScenarioError(
-            f"driver = {driver!r}: has no compiled form; allowed: {', '.join(COMPILED_DRIVERS)}"
-        )
-    wheel, limits, ground = Steering(briefing), briefing.limits, briefing.ground
-    width, height = float(briefing.area.width), float(briefing.area.height)
-    speed, margin = wander_pace(width, height, wheel.v_max, wheel.u_max, wheel.dt)
-    unbounded = DRIVERS[driver].unbounded
-    key_0, key_1 = words_of(briefing.key)
-    lead = float(evade_lead(speed, wheel.u_max))
-    forgotten, dash = evade_ticks(lead, wheel.dt)
-    return DriverParameters(
-        driver=COMPILED_DRIVERS[driver],
-        dt=wheel.dt,
-        width=width,
-        height=height,
-        v_max=or_infinite(limits.max_speed) if unbounded else wheel.v_max,
-        u_max=or_infinite(limits.max_acceleration) if unbounded else wheel.u_max,
-        tolerance=float(briefing.goal_tolerance),
-        speed=float(speed),
-        margin=float(margin),
-        lead=lead,
-        forgotten=forgotten,
-        dash=dash,
-        key_0=key_0,
-        key_1=key_1,
-        tile=0.0 if ground is None else ground.tile,
-        bold=int(ground is not None and ground.caution == BOLD),
-        share=1.0 if ground is None else ground.share,
-        plan_ticks=max(1, round(_PLAN_PERIOD / wheel.dt)),
-        plan_tiles=PLAN_TILES,
-    )
+    row = DRIVERS.get(driver)
+    if row is None or not row.module:
+        allowed = ", ".join(one.name for one in DRIVERS.values() if one.module)
+        raise ScenarioError(f"driver = {driver!r}: has no compiled form; allowed: {allowed}")
+    module = import_module(row.module)
+    make = getattr(module, "parameters", None)
+    if make is None:
+        return module.Parameters()
+    return make(ugv_parameters(briefing, unbounded=row.unbounded), briefing)
+
+
+class Route(NamedTuple):
+    """The goal or velocity that a UGV has been told."""
+
+    goals: FloatArray
+    """Waypoints [m], in order. Shape (goals, 2)."""
+    script: FloatArray
+    """First tick, v_x and v_y [m/s] of each step, in the order of time. Shape (steps, 3)."""
 
 
 def told_route(briefing: UgvBriefing) -> Route:
@@ -104,13 +83,6 @@ def told_route(briefing: UgvBriefing) -> Route:
         goals=np.array(briefing.goals, dtype=np.float64).reshape(-1, 2),
         script=np.array(script, dtype=np.float64).reshape(-1, 3),
     )
-
-
-def driver_memory() -> RecordArray:
-    """The memory of a driver that has not driven yet, whichever it is. Shape (1,)."""
-    memory = np.zeros(1, record_type(DriverMemory))
-    memory["received"] = memory["out_end"] = -math.inf
-    return memory
 
 
 def told_ground(briefing: UgvBriefing) -> GroundMemory:
@@ -143,11 +115,11 @@ def take_ground(memory: GroundMemory, observation: UgvObservation) -> None:
 
 
 class CompiledDriver:
-    """Drives as `ugv_tick` says.
+    """Drives by the command of a driver's file.
 
     Args:
         briefing: What the UGV is told when it joins.
-        name: Of the driver, a row of the registry with a code.
+        name: Of the driver, a row of the registry with a file.
 
     Raises:
         ScenarioError: If the driver has no compiled form, or the ground has too many tiles.
@@ -155,37 +127,35 @@ class CompiledDriver:
 
     def __init__(self, briefing: UgvBriefing, name: str) -> None:
         self.parameters = driver_parameters(briefing, name)
-        """Its numbers."""
-        self.own = driver_memory()
-        """Memory of the drivers without a plan."""
+        """As its file declares them."""
+        row = DRIVERS[name]
+        module = import_module(row.module)
+        self.memory: Any = fresh(module.Memory)[0]
+        """Record of its memory."""
+        if "key_0" in self.memory.dtype.names:
+            self.memory["key_0"], self.memory["key_1"] = words_of(briefing.key)
         self.ground = told_ground(briefing)
         """Memory of the ground; without tiles if there are no hazards."""
-        self._fixed = (
-            records(DriverParameters, [self.parameters])[0],
-            told_route(briefing),
-            self.own,
-            self.ground if self.ground.tiles.size else None,
-        )
-        self._looks = LookRows(briefing.dt)
+        (ugv,) = records(UgvParameters, [ugv_parameters(briefing, unbounded=row.unbounded)])
+        (parameters,) = records(type(self.parameters), [self.parameters])
+        self._command, self._fixed = module.command, (ugv, parameters, self.memory)
+        self._route, self._looks = told_route(briefing), LookRows(briefing.dt)
         self._carries = briefing.ground is not None and briefing.ground.carries
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """Return the acceleration [m/s²] for this observation."""
         if observation.ground or observation.blocks:
             take_ground(self.ground, observation)
-        radio, here = (
-            self._looks.take(observation.radio),
-            Motion(*observation.position, *observation.velocity),
-        )
         flown = NO_MOTION if observation.flown is None else observation.flown
-        flown = flown if self._carries else PLAIN
-        return ugv_tick(*self._fixed, *radio, observation.tick, here, flown)
-
-    @property
-    def goal(self) -> tuple[float, float] | None:
-        """The random goal that it wanders to [m]; None while it has none."""
-        own = self.own[0]
-        return (float(own["goal_x"]), float(own["goal_y"])) if own["chosen"] else None
+        inputs = DriverInputs(
+            *self._route,
+            *self._looks.take(observation.radio),
+            ground=self.ground if self.ground.tiles.size else None,
+            flown=flown if self._carries else PLAIN,
+        )
+        own = Motion(*observation.position, *observation.velocity)
+        u_x, u_y = self._command(*self._fixed, inputs, observation.tick, own)
+        return u_x, u_y
 
 
 class NavigateDriver(CompiledDriver):
@@ -236,7 +206,7 @@ class NavigateDriver(CompiledDriver):
         if flags["plans"] == self._plans:
             return None
         self._plans = int(flags["plans"])
-        (rows, columns), route = memory.tiles.shape, self._fixed[1]
+        (rows, columns), route = memory.tiles.shape, self._route
         goal_x, goal_y = route.goals[flags["goal"]].tolist()
         own, goal = (
             tile_index(y, tile, rows) * columns + tile_index(x, tile, columns)

@@ -11,13 +11,14 @@ import math
 from agents.drivers.cautious import (
     Open,
     is_safe,
-    known_open,
     nearest_open,
     open_from,
     open_way,
     way_is_open,
 )
-from agents.drivers.parameters import DriverParameters
+from agents.drivers.navigate_parameters import NavigateParameters, navigate_parameters
+from agents.drivers.parameters import DriverInputs, UgvParameters
+from agents.drivers.pending_stops import note_claim, note_sent, state_ahead
 from agents.drivers.planning import (
     BESIDE_PRICE,
     UNSEEN_PRICE,
@@ -29,34 +30,24 @@ from agents.drivers.planning import (
     search_on,
     take_plan,
 )
+from agents.drivers.steering import goal_control
 from agents.drivers.tile_map import GroundMemory
-from agents.drivers.waypoints import goal_control
-from bus.messages import MOST_CARRIED
+from agents.drivers.waypoints import Memory, waypoint_command
 from sim.kernels.compile import FloatArray, compiled
-from sim.kernels.records import RecordArray
 from sim.models.ground import (
     BLOCK,
-    CERTIFIED,
-    NO_CLAIM,
-    NO_STOP,
     TOUCH,
-    WAY_UNKNOWN,
     tile_index,
 )
-from sim.models.motion import NO_MOTION, follow_on, keep_motion, motion_command
 from sim.models.vehicles import (
     Motion,
     brake,
     next_goal,
     norm,
     speed_to_stop_within,
-    step_vehicle,
     stopping_distance,
-    within_walls,
 )
 
-PLAIN = -2
-"""In the place of the motion that is flown: the receiver flies none, and commands act as they come."""
 _STEPS = 64
 """So many tiles of the cheapest way it looks along."""
 _SHARES = (1.0, 0.5, 0.2, 0.05)
@@ -66,7 +57,7 @@ _ROUNDING = 1e-9
 
 
 @compiled
-def _tile_of(parameters: DriverParameters, memory: GroundMemory, x: float, y: float) -> int:
+def _tile_of(parameters: NavigateParameters, memory: GroundMemory, x: float, y: float) -> int:
     rows, columns = memory.tiles.shape
     return int(
         tile_index(y, parameters.tile, rows) * columns + tile_index(x, parameters.tile, columns)
@@ -79,118 +70,14 @@ def _centre(n: int, columns: int, tile: float) -> tuple[float, float]:
 
 
 @compiled
-def state_ahead(
-    parameters: DriverParameters, memory: GroundMemory, tick: int, here: Motion, flown: int
-) -> tuple[Motion, int]:
-    """Return the state of the UGV when the command of this tick acts, and the motion that it then goes on from.
-
-    It notes in `memory.flags` whether the way until then, and the one to a stop wherever commands are lost on it, lies
-    on tiles that are known to be drivable.
-
-    Args:
-        parameters: Of the driver.
-        memory: With the commands that were sent.
-        tick: Now.
-        here: Where it is now.
-        flown: The motion that it flew in the tick before; NO_MOTION: none; PLAIN: its receiver flies none, and all
-            commands act.
-    """
-    sent, ahead, rows = memory.sent, memory.flown, memory.sent.shape[0]
-    plain = flown == PLAIN
-    known, late = known_open(), rows > 2
-    stop_x, stop_y = brake(here.v_x, here.v_y, parameters.u_max, parameters.dt)
-    safe = is_safe(parameters, late, memory.tiles, known, here, stop_x, stop_y)
-    own = flown % rows
-    if flown >= 0 and sent[own].begins == flown:
-        ahead[0] = sent[own]
-        ahead[0].age = tick - flown
-    else:
-        ahead[0].begins, ahead[0].age = (NO_MOTION if plain else flown), 1
-        ahead[0].turn, ahead[0].cruise, ahead[0].brake = 0, 0, 0
-    for k in range(rows - 2):
-        due = sent[(tick + k) % rows]
-        if plain:
-            u_x, u_y = 0.0, 0.0
-            if due.begins == tick + k:
-                u_x, u_y = due.first_x, due.first_y
-        else:
-            follow_on(sent, ahead, tick + k)
-            u_x, u_y = motion_command(ahead[0], here.v_x, here.v_y, parameters.u_max, parameters.dt)
-            ahead[0].age += 1
-        safe = safe and is_safe(parameters, late, memory.tiles, known, here, u_x, u_y)
-        p_x, p_y, v_x, v_y, _, _ = step_vehicle(
-            here.p_x,
-            here.p_y,
-            here.v_x,
-            here.v_y,
-            u_x,
-            u_y,
-            parameters.v_max,
-            parameters.u_max,
-            parameters.dt,
-        )
-        p_x, v_x = within_walls(p_x, v_x, parameters.width)
-        p_y, v_y = within_walls(p_y, v_y, parameters.height)
-        here = Motion(p_x, p_y, v_x, v_y)
-    memory.flags[0].claim = NO_STOP if plain else CERTIFIED if safe else WAY_UNKNOWN
-    return here, int(ahead[0].begins)
-
-
-@compiled
-def note_claim(
-    parameters: DriverParameters, memory: GroundMemory, ahead: Motion, u_x: float, u_y: float
-) -> None:
-    """Claim, after `state_ahead`, what the command of this tick [m/s²] leaves to be claimed.
-
-    Args:
-        parameters: Of the driver; a bold one claims nothing.
-        memory: Its flags are changed.
-        ahead: Where the UGV is when the command acts.
-        u_x, u_y: The command.
-    """
-    flags, late = memory.flags[0], memory.sent.shape[0] > 2
-    if parameters.bold != 0:
-        flags.claim = NO_CLAIM
-    elif flags.claim == CERTIFIED and not is_safe(
-        parameters, late, memory.tiles, known_open(), ahead, u_x, u_y
-    ):
-        flags.claim = WAY_UNKNOWN
-
-
-@compiled
-def note_sent(memory: GroundMemory, tick: int, parent: int, u_x: float, u_y: float) -> None:
-    """Keep the command of this tick [m/s²], which goes on from the motion `parent`, until it acts."""
-    rows = memory.sent.shape[0]
-    begins = tick + rows - 2
-    row = memory.sent[begins % rows]
-    row.begins, row.parent, row.first_x, row.first_y = begins, parent, u_x, u_y
-
-
-@compiled
-def hand_over_stops(memory: GroundMemory, tick: int, motions: RecordArray) -> tuple[int, int]:
-    """Put the motions that the command of this tick carries among those that set out.
-
-    Returns:
-        The tick in which the last of them begins (-1: none), and how many they are.
-    """
-    rows = memory.sent.shape[0]
-    last, count = tick + rows - 2, 0
-    for begins in range(max(tick, last - MOST_CARRIED + 1), last + 1):
-        if memory.sent[begins % rows].begins == begins:
-            keep_motion(motions, memory.sent[begins % rows], tick)
-            count += 1
-    return (last if count else -1), count
-
-
-@compiled
-def _rough_price(parameters: DriverParameters) -> float:
+def _rough_price(parameters: NavigateParameters) -> float:
     """Cost of a metre on rough ground: so much longer it takes there."""
-    return 1.0 / parameters.share
+    return 1.0 / parameters.rough_share
 
 
 @compiled
 def _way_costs_at_most(
-    parameters: DriverParameters,
+    parameters: NavigateParameters,
     memory: GroundMemory,
     a: tuple[float, float],
     b: tuple[float, float],
@@ -207,7 +94,7 @@ def _way_costs_at_most(
 
 @compiled
 def look_ahead(
-    parameters: DriverParameters,
+    parameters: NavigateParameters,
     memory: GroundMemory,
     x: float,
     y: float,
@@ -231,8 +118,8 @@ def look_ahead(
         return goal_x, goal_y
     best_x, best_y = _centre(n, columns, parameters.tile)
     reach = (
-        stopping_distance(parameters.v_max, parameters.u_max)
-        + parameters.v_max * parameters.dt
+        stopping_distance(parameters.max_speed, parameters.max_acceleration)
+        + parameters.max_speed * parameters.dt
         + 4.0 * parameters.tile
     )
     rough, way = _rough_price(parameters), memory.way
@@ -255,14 +142,14 @@ def look_ahead(
 
 
 @compiled
-def _slow(parameters: DriverParameters) -> float:
+def _slow(parameters: NavigateParameters) -> float:
     """As fast as it drives on rough ground [m/s]."""
-    return (1.0 - _ROUNDING) * parameters.share * parameters.v_max
+    return (1.0 - _ROUNDING) * parameters.rough_share * parameters.max_speed
 
 
 @compiled
 def _rough_speed(
-    parameters: DriverParameters, memory: GroundMemory, here: Motion, to_x: float, to_y: float
+    parameters: NavigateParameters, memory: GroundMemory, here: Motion, to_x: float, to_y: float
 ) -> float:
     """Largest speed with which it is, at the first rough ground on its way, as slow as that makes it [m/s]."""
     slow = _slow(parameters)
@@ -270,21 +157,22 @@ def _rough_speed(
     a, b = (here.p_x, here.p_y), (to_x, to_y)
     share = open_way(memory.tiles, parameters.tile, even, a, b)
     if share == 1.0:
-        return parameters.v_max
+        return parameters.max_speed
     way = share * norm(b[0] - a[0], b[1] - a[1])
     room = (
         way
         - 0.5 * parameters.dt * norm(here.v_x, here.v_y)
-        + stopping_distance(slow, parameters.u_max)
+        + stopping_distance(slow, parameters.max_acceleration)
     )
     return min(
-        max(speed_to_stop_within(room, parameters.u_max, parameters.dt), slow), parameters.v_max
+        max(speed_to_stop_within(room, parameters.max_acceleration, parameters.dt), slow),
+        parameters.max_speed,
     )
 
 
 @compiled
 def drive_towards(
-    parameters: DriverParameters,
+    parameters: NavigateParameters,
     memory: GroundMemory,
     here: Motion,
     to_x: float,
@@ -302,7 +190,7 @@ def drive_towards(
     ground = open_from(memory.tiles, parameters.tile, parameters.bold, here.p_x, here.p_y)
     speed = _rough_speed(parameters, memory, here, to_x, to_y)
     d_x, d_y = to_x - here.p_x, to_y - here.p_y
-    u_x, u_y = goal_control(here, to_x, to_y, speed, parameters.u_max, parameters.dt)
+    u_x, u_y = goal_control(here, to_x, to_y, speed, parameters.max_acceleration, parameters.dt)
     if is_safe(parameters, late, memory.tiles, ground, here, u_x, u_y):
         return u_x, u_y
     a = here.p_x, here.p_y
@@ -311,15 +199,17 @@ def drive_towards(
         for limit in (speed, min(speed, _slow(parameters))):
             for share in _SHARES:
                 on_x, on_y = here.p_x + share * free * d_x, here.p_y + share * free * d_y
-                u_x, u_y = goal_control(here, on_x, on_y, limit, parameters.u_max, parameters.dt)
+                u_x, u_y = goal_control(
+                    here, on_x, on_y, limit, parameters.max_acceleration, parameters.dt
+                )
                 if is_safe(parameters, late, memory.tiles, ground, here, u_x, u_y):
                     return u_x, u_y
-    return brake(here.v_x, here.v_y, parameters.u_max, parameters.dt)
+    return brake(here.v_x, here.v_y, parameters.max_acceleration, parameters.dt)
 
 
 @compiled
 def _plan_if_due(
-    parameters: DriverParameters, memory: GroundMemory, tick: int, target: int, own: int
+    parameters: NavigateParameters, memory: GroundMemory, tick: int, target: int, own: int
 ) -> None:
     """Begin a search if one is due, and go on with it for a tick; the plan that is followed changes where it ends.
 
@@ -342,7 +232,7 @@ def _plan_if_due(
 
 @compiled
 def navigate_control(
-    parameters: DriverParameters,
+    parameters: NavigateParameters,
     memory: GroundMemory,
     goals: FloatArray,
     tick: int,
@@ -364,9 +254,9 @@ def navigate_control(
     """
     flags, count, now = memory.flags[0], goals.shape[0], here
     here, parent = state_ahead(parameters, memory, tick, here, flown)
-    u_x, u_y = brake(here.v_x, here.v_y, parameters.u_max, parameters.dt)
+    u_x, u_y = brake(here.v_x, here.v_y, parameters.max_acceleration, parameters.dt)
     if count > 0 and memory.tiles.size > 0:
-        reached, _ = next_goal(goals, flags.goal, parameters.tolerance, now.p_x, now.p_y)
+        reached, _ = next_goal(goals, flags.goal, parameters.goal_tolerance, now.p_x, now.p_y)
         flags.goal = min(reached, count - 1)
         goal_x, goal_y = goals[flags.goal, 0], goals[flags.goal, 1]
         own = _tile_of(parameters, memory, here.p_x, here.p_y)
@@ -384,3 +274,44 @@ def navigate_control(
     note_sent(memory, tick, parent, u_x, u_y)
     note_claim(parameters, memory, here, u_x, u_y)
     return u_x, u_y
+
+
+Parameters = NavigateParameters
+parameters = navigate_parameters
+
+
+@compiled
+def _command(
+    driver: Parameters,
+    memory: Memory,
+    inputs: DriverInputs,
+    ground: GroundMemory | None,
+    tick: int,
+    own: Motion,
+) -> tuple[float, float]:
+    """Return the command [m/s²]; without ground nothing is compiled to avoid hazards."""
+    if ground is None:
+        return waypoint_command(driver, memory, inputs.goals, own)
+    return navigate_control(driver, ground, inputs.goals, tick, own, inputs.flown)
+
+
+@compiled
+def command(
+    ugv: UgvParameters,
+    driver: Parameters,
+    memory: Memory,
+    inputs: DriverInputs,
+    tick: int,
+    own: Motion,
+) -> tuple[float, float]:
+    """Return the command [m/s²].
+
+    Args:
+        ugv: Constants of the UGV.
+        driver: Parameters of this driver.
+        memory: Changed in place.
+        inputs: Goals, script, and what reaches the UGV at this tick.
+        tick: Now.
+        own: State of the UGV.
+    """
+    return _command(driver, memory, inputs, inputs.ground, tick, own)

@@ -1,87 +1,55 @@
-"""The numbers of the compiled drivers."""
+"""Inputs of every driver: the constants of one UGV, and what reaches it at a tick."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import numpy as np
+import msgspec
 
-from bus.registry import DRIVERS
+from agents.drivers.steering import Steering
+from bus.messages import UgvBriefing, or_infinite
 from sim.kernels.compile import FloatArray
 
-COMPILED_DRIVERS = {row.name: row.code for row in DRIVERS.values() if row.code is not None}
-"""Codes of the drivers that have a compiled form, by name."""
-WAYPOINTS = COMPILED_DRIVERS["waypoints"]
-WANDER = COMPILED_DRIVERS["wander"]
-SCRIPT = COMPILED_DRIVERS["script"]
-EVADE = COMPILED_DRIVERS["evade"]
-NAVIGATE = COMPILED_DRIVERS["navigate"]
 
+class UgvParameters(msgspec.Struct, frozen=True, kw_only=True):
+    """Constants of one UGV that any driver may need, infinite where there is no bound."""
 
-class DriverParameters(NamedTuple):
-    """The numbers of a driver: SI units, infinite where there is no bound."""
-
-    driver: int
-    """A value of `COMPILED_DRIVERS`."""
     dt: float
+    """[s]"""
     width: float
     height: float
-    v_max: float
-    u_max: float
-    tolerance: float
+    """Q [m]."""
+    max_speed: float
+    """v_g [m/s]."""
+    max_acceleration: float
+    """u_g [m/s²]."""
+    goal_tolerance: float
     """Nearer than this a goal is reached [m]."""
-    speed: float
-    margin: float
-    """Of the wanderer: its largest speed [m/s], and how near to the border its goals may be [m]."""
-    lead: float
-    """Of the evader: how far it looks ahead [s]."""
-    forgotten: int
-    dash: int
-    """Of the evader: `agents.drivers.evade.evade_ticks`."""
-    key_0: np.uint64
-    key_1: np.uint64
-    """The UGV's own random numbers."""
-    tile: float
-    """Side of a tile of the ground [m]; this and what follows is of the driver that navigates."""
-    bold: int
-    """1: it trusts its bumper on ground that nobody has seen; 0: it is cautious."""
-    share: float
-    """Of its largest speed that it has at least on rough ground."""
-    plan_ticks: int
-    """Between two plans pass at least so many ticks, if the goal is the same and the UGV has not left the old one."""
-    plan_tiles: int
-    """Planning settles at most so many tiles a tick."""
 
 
-class DriverMemory(NamedTuple):
-    """The memory of the drivers without a plan, a row of an array of one; all zeros but where it says so."""
-
-    goal: int
-    """Of the driver of waypoints: number of the goal that it drives to."""
-    chosen: int
-    """Of the wanderer: 1 if it has a goal."""
-    goal_x: float
-    goal_y: float
-    """That goal [m]."""
-    received: float
-    """Of the evader: the tick at which the newest message came; at first minus infinity."""
-    at: float
-    """The tick of what that tells."""
-    uav_x: float
-    uav_y: float
-    """Where the UAV was then [m]."""
-    uav_v_x: float
-    uav_v_y: float
-    """Its smoothed velocity [m/s]."""
-    out_x: float
-    out_y: float
-    """Direction out of a corner."""
-    out_end: float
-    """First tick for which that counts no more; at first minus infinity."""
-
-
-class Route(NamedTuple):
-    """The goal or velocity that a UGV has been told."""
+class DriverInputs(NamedTuple):
+    """Goals and script of a UGV, and what reaches it at a tick."""
 
     goals: FloatArray
     """Waypoints [m], in order. Shape (goals, 2)."""
     script: FloatArray
     """First tick, v_x and v_y [m/s] of each step, in the order of time. Shape (steps, 3)."""
+    radio: FloatArray
+    """The tick and p_a - p_g [m] of the messages that have come at this tick. Shape (rows, 3)."""
+    received: int
+    """Number of rows of `radio` that count."""
+    ground: Any
+    """`GroundMemory` of the UGV, changed in place. None: there are no hazards."""
+    flown: int
+    """As in `agents.drivers.pending_stops.state_ahead`."""
+
+
+def ugv_parameters(briefing: UgvBriefing, *, unbounded: bool) -> UgvParameters:
+    """Return the constants of the UGV that is briefed; `unbounded` keeps infinite bounds."""
+    wheel, limits = Steering(briefing), briefing.limits
+    return UgvParameters(
+        dt=wheel.dt,
+        width=float(briefing.area.width),
+        height=float(briefing.area.height),
+        max_speed=or_infinite(limits.max_speed) if unbounded else wheel.v_max,
+        max_acceleration=or_infinite(limits.max_acceleration) if unbounded else wheel.u_max,
+        goal_tolerance=float(briefing.goal_tolerance),
+    )

@@ -5,30 +5,45 @@ than v_max is shortened to it. It does not look where it goes: at the border of 
 nothing, so it may take the wheel at any time.
 """
 
+import msgspec
 import numpy as np
 
-from agents.drivers.parameters import DriverParameters
+from agents.drivers.parameters import DriverInputs, UgvParameters
 from agents.drivers.steering import velocity_control
-from sim.kernels.compile import FloatArray, compiled
+from sim.kernels.compile import compiled
 from sim.models.vehicles import Motion, brake
 
 
+class Parameters(msgspec.Struct, frozen=True, kw_only=True):
+    """Parameters of the driver: none."""
+
+
+class Memory:
+    """Memory of the driver: none."""
+
+
 @compiled
-def script_control(
-    parameters: DriverParameters, script: FloatArray, tick: int, here: Motion
+def command(
+    ugv: UgvParameters,
+    driver: Parameters,
+    memory: Memory,
+    inputs: DriverInputs,
+    tick: int,
+    own: Motion,
 ) -> tuple[float, float]:
-    """The acceleration [m/s²] towards the velocity of the last step whose time has come; before the first it brakes.
+    """Return the command [m/s²].
 
     Args:
-        parameters: Of the driver.
-        script: First tick, v_x and v_y [m/s] of each step, in the order of time; shape (steps, 3).
+        ugv: Constants of the UGV.
+        driver: Parameters of this driver.
+        memory: Changed in place.
+        inputs: Goals, script, and what reaches the UGV at this tick.
         tick: Now.
-        here: Where the UGV is.
+        own: State of the UGV.
     """
+    script = inputs.script
     begun = np.searchsorted(script[:, 0], float(tick), side="right")
     if begun == 0:
-        return brake(here.v_x, here.v_y, parameters.u_max, parameters.dt)
+        return brake(own.v_x, own.v_y, ugv.max_acceleration, ugv.dt)
     w_x, w_y = script[begun - 1, 1], script[begun - 1, 2]
-    return velocity_control(
-        here.v_x, here.v_y, w_x, w_y, parameters.v_max, parameters.u_max, parameters.dt
-    )
+    return velocity_control(own.v_x, own.v_y, w_x, w_y, ugv.max_speed, ugv.max_acceleration, ugv.dt)

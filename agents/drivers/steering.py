@@ -1,10 +1,9 @@
 """The wheel that every driver turns: a velocity, a goal or a halt, always within the UGV's bounds."""
 
 from agents.asking import LARGEST
-from agents.drivers.waypoints import goal_control
 from bus.messages import UgvBriefing, UgvObservation, or_infinite
 from sim.kernels.compile import compiled
-from sim.models.vehicles import Motion, brake, clip_norm, norm
+from sim.models.vehicles import Motion, brake, clip_norm, norm, speed_to_stop_within
 
 
 @compiled
@@ -25,6 +24,30 @@ def velocity_control(
     """
     w_x, w_y = clip_norm(w_x, w_y, v_max)
     return clip_norm((w_x - v_x) / dt, (w_y - v_y) / dt, u_max)
+
+
+@compiled
+def goal_control(
+    here: Motion, goal_x: float, goal_y: float, v_max: float, u_max: float, dt: float
+) -> tuple[float, float]:
+    """The stabilizing controller f(p_g, goal) [m/s²]: straight, as fast as the bounds allow, braking in time.
+
+    Args:
+        here: Where the UGV is.
+        goal_x, goal_y: The goal [m].
+        v_max, u_max: Bounds [m/s], [m/s²].
+        dt: Length of a tick [s].
+    """
+    d_x, d_y = goal_x - here.p_x, goal_y - here.p_y
+    distance = norm(d_x, d_y)
+    w_x, w_y = 0.0, 0.0
+    if distance > 0.0:
+        e_x, e_y = d_x / distance, d_y / distance
+        # half of the coming tick goes at the old speed
+        rest = distance - 0.5 * dt * max(here.v_x * e_x + here.v_y * e_y, 0.0)
+        speed = min(v_max, speed_to_stop_within(rest, u_max, dt))
+        w_x, w_y = e_x * speed, e_y * speed
+    return clip_norm((w_x - here.v_x) / dt, (w_y - here.v_y) / dt, u_max)
 
 
 class Steering:

@@ -6,10 +6,15 @@ goal to the next a UGV drifts outward by no more than v²/u, twice its stopping 
 two ticks' way. It is at most a quarter of Q's shorter side: a UGV that needs more drives slower than it could.
 """
 
-from agents.drivers.parameters import DriverParameters
-from agents.drivers.waypoints import goal_control
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from agents.drivers.parameters import DriverInputs, UgvParameters
+from agents.drivers.steering import goal_control
+from bus.messages import UgvBriefing, Vector
 from sim.kernels.compile import compiled
-from sim.kernels.records import RecordArray
 from sim.models.randomness import FIRST, SECOND, WANDER, uniform
 from sim.models.vehicles import Motion, goal_reached, speed_to_stop_within, stopping_distance
 
@@ -29,22 +34,66 @@ def wander_pace(
     return speed, 2.0 * (stopping_distance(speed, u_max) + speed * dt)
 
 
+class Parameters(msgspec.Struct, frozen=True, kw_only=True):
+    """Parameters of the driver."""
+
+    speed: float
+    """Its maximum speed [m/s]."""
+    margin: float
+    """Least distance of its goals from the border [m]."""
+
+
+class Memory:
+    """Memory of the driver."""
+
+    has_goal: bool
+    goal: Vector
+    """[m]"""
+    key_0: np.uint64
+    key_1: np.uint64
+    """Random number key of the UGV."""
+
+
+def parameters(ugv: UgvParameters, briefing: UgvBriefing) -> Parameters:
+    """Return the parameters of the driver of a UGV."""
+    speed, margin = wander_pace(ugv.width, ugv.height, ugv.max_speed, ugv.max_acceleration, ugv.dt)
+    return Parameters(speed=float(speed), margin=float(margin))
+
+
 @compiled
-def wander_control(
-    parameters: DriverParameters, memory: RecordArray, tick: int, here: Motion
+def wander_command(
+    ugv: UgvParameters, driver: Parameters, memory: Memory, tick: int, own: Motion
 ) -> tuple[float, float]:
-    """The acceleration [m/s²] to a random goal, and when that is reached to another one.
+    """Return the command [m/s²] to a random goal, and when that is reached to another one.
+
+    Arguments as in `command`.
+    """
+    goal: Any = memory.goal
+    if not memory.has_goal or goal_reached(own.p_x, own.p_y, goal[0], goal[1], ugv.goal_tolerance):
+        key, margin = (memory.key_0, memory.key_1), driver.margin
+        goal[0] = margin + (ugv.width - 2.0 * margin) * uniform(key, WANDER, tick, FIRST)
+        goal[1] = margin + (ugv.height - 2.0 * margin) * uniform(key, WANDER, tick, SECOND)
+        memory.has_goal = True
+    return goal_control(own, goal[0], goal[1], driver.speed, ugv.max_acceleration, ugv.dt)
+
+
+@compiled
+def command(
+    ugv: UgvParameters,
+    driver: Parameters,
+    memory: Memory,
+    inputs: DriverInputs,
+    tick: int,
+    own: Motion,
+) -> tuple[float, float]:
+    """Return the command [m/s²].
 
     Args:
-        parameters: Of the driver.
-        memory: `DriverMemory`, changed in place. Shape (1,).
+        ugv: Constants of the UGV.
+        driver: Parameters of this driver.
+        memory: Changed in place.
+        inputs: Goals, script, and what reaches the UGV at this tick.
         tick: Now.
-        here: Where the UGV is.
+        own: State of the UGV.
     """
-    m = memory[0]
-    if m.chosen == 0 or goal_reached(here.p_x, here.p_y, m.goal_x, m.goal_y, parameters.tolerance):
-        key, margin = (parameters.key_0, parameters.key_1), parameters.margin
-        m.goal_x = margin + (parameters.width - 2.0 * margin) * uniform(key, WANDER, tick, FIRST)
-        m.goal_y = margin + (parameters.height - 2.0 * margin) * uniform(key, WANDER, tick, SECOND)
-        m.chosen = 1
-    return goal_control(here, m.goal_x, m.goal_y, parameters.speed, parameters.u_max, parameters.dt)
+    return wander_command(ugv, driver, memory, tick, own)

@@ -1,52 +1,63 @@
 """The paper's driver: straight to one goal after the other (section II)."""
 
-from agents.drivers.parameters import DriverParameters
+import msgspec
+
+from agents.drivers.parameters import DriverInputs, UgvParameters
+from agents.drivers.steering import goal_control
 from sim.kernels.compile import FloatArray, compiled
-from sim.kernels.records import RecordArray
-from sim.models.vehicles import Motion, clip_norm, next_goal, norm, speed_to_stop_within
+from sim.models.vehicles import Motion, next_goal
+
+
+class Parameters(msgspec.Struct, frozen=True, kw_only=True):
+    """Parameters of the driver: none."""
+
+
+class Memory:
+    """Memory of the driver."""
+
+    goal: int
+    """Number of the goal that it drives to."""
 
 
 @compiled
-def goal_control(
-    here: Motion, goal_x: float, goal_y: float, v_max: float, u_max: float, dt: float
+def waypoint_command(
+    ugv: UgvParameters, memory: Memory, goals: FloatArray, own: Motion
 ) -> tuple[float, float]:
-    """The stabilizing controller f(p_g, goal) [m/s²]: straight, as fast as the bounds allow, braking in time.
+    """Return the command [m/s²] to one goal after the other; without goals, to the UGV's own place.
+
+    A goal is kept until it is nearer than the tolerance; the last one stays.
 
     Args:
-        here: Where the UGV is.
-        goal_x, goal_y: The goal [m].
-        v_max, u_max: Bounds [m/s], [m/s²].
-        dt: Length of a tick [s].
+        ugv: Its bounds may be infinite.
+        memory: Changed in place.
+        goals: [m]. Shape (goals, 2).
+        own: State of the UGV.
     """
-    d_x, d_y = goal_x - here.p_x, goal_y - here.p_y
-    distance = norm(d_x, d_y)
-    w_x, w_y = 0.0, 0.0
-    if distance > 0.0:
-        e_x, e_y = d_x / distance, d_y / distance
-        # half of the coming tick goes at the old speed
-        rest = distance - 0.5 * dt * max(here.v_x * e_x + here.v_y * e_y, 0.0)
-        speed = min(v_max, speed_to_stop_within(rest, u_max, dt))
-        w_x, w_y = e_x * speed, e_y * speed
-    return clip_norm((w_x - here.v_x) / dt, (w_y - here.v_y) / dt, u_max)
-
-
-@compiled
-def waypoint_control(
-    parameters: DriverParameters, goals: FloatArray, memory: RecordArray, here: Motion
-) -> tuple[float, float]:
-    """The acceleration [m/s²] to one goal after the other; to the last one, and without any to where the UGV is.
-
-    A goal is kept until it is nearer than the tolerance; then comes the next one, and the last one stays.
-
-    Args:
-        parameters: Of the driver; its bounds may be infinite.
-        goals: [m], shape (goals, 2).
-        memory: `DriverMemory`, changed in place. Shape (1,).
-        here: Where the UGV is.
-    """
-    goal_x, goal_y, own = here.p_x, here.p_y, memory[0]
+    goal_x, goal_y = own.p_x, own.p_y
     if len(goals) > 0:
-        reached, _ = next_goal(goals, own.goal, parameters.tolerance, here.p_x, here.p_y)
-        own.goal = min(reached, len(goals) - 1)
-        goal_x, goal_y = goals[own.goal, 0], goals[own.goal, 1]
-    return goal_control(here, goal_x, goal_y, parameters.v_max, parameters.u_max, parameters.dt)
+        reached, _ = next_goal(goals, memory.goal, ugv.goal_tolerance, own.p_x, own.p_y)
+        memory.goal = min(reached, len(goals) - 1)
+        goal_x, goal_y = goals[memory.goal, 0], goals[memory.goal, 1]
+    return goal_control(own, goal_x, goal_y, ugv.max_speed, ugv.max_acceleration, ugv.dt)
+
+
+@compiled
+def command(
+    ugv: UgvParameters,
+    driver: Parameters,
+    memory: Memory,
+    inputs: DriverInputs,
+    tick: int,
+    own: Motion,
+) -> tuple[float, float]:
+    """Return the command [m/s²].
+
+    Args:
+        ugv: Constants of the UGV.
+        driver: Parameters of this driver.
+        memory: Changed in place.
+        inputs: Goals, script, and what reaches the UGV at this tick.
+        tick: Now.
+        own: State of the UGV.
+    """
+    return waypoint_command(ugv, memory, inputs.goals, own)

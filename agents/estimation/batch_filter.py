@@ -9,7 +9,7 @@ others are the ring of the last ticks, tick k in row 1 + k % depth, as they were
 
 import numpy as np
 
-from agents.control.lookahead import Target
+from agents.control.uav_parameters import Target
 from agents.control.uav_tick import LOOK
 from agents.estimation.motion_model import KalmanParameters, bounded_scales
 from sim.kernels.compile import FloatArray, compiled

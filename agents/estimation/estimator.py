@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from agents.control.lookahead import Target
+from agents.control.uav_parameters import Target
 from agents.estimation.motion_model import (
     SPAN,
     KalmanParameters,

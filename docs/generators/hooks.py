@@ -56,7 +56,7 @@ MODULES = {
         "agents/estimation/estimator.py",
         "agents/drivers",
     ),
-    "The paper's laws": ("sim/models", "agents/control"),
+    "The paper's laws": ("sim/models", "agents/control", "agents/laws"),
     "The bus": ("bus",),
     "Links": ("sim/channel", "sim/engine"),
 }

@@ -4,15 +4,35 @@ from collections.abc import Iterator
 
 import msgspec
 from msgspec import inspect as types
-from structs import cell, fields, structs, text_of, words
+from structs import Field, cell, fields, structs, text_of, words
 
+from bus.law_parameters import parameters_class
+from bus.registry import LAWS
 from sim.scenario.loading import load_scenario, scenario_names
 from sim.scenario.types import Scenario
 
 
 def tables() -> str:
     """A section for each table of the file, the top level first."""
-    return "\n\n".join(_section(name, struct) for name, struct in _walk("", Scenario))
+    sections = [_section(name, struct) for name, struct in _walk("", Scenario)]
+    return "\n\n".join((*sections, _law_parameters()))
+
+
+def _law_parameters() -> str:
+    """The parameters of all laws in one table."""
+    laws: dict[str, list[str]] = {}
+    rows: dict[str, Field] = {}
+    for name in LAWS:
+        parameters = parameters_class(name)
+        for field in () if parameters is None else fields(parameters):
+            laws.setdefault(field.name, []).append(f"`{name}`")
+            rows.setdefault(field.name, field)
+    lines = ["| field | laws | type | default | what |", "|---|---|---|---|---|"]
+    for name, field in rows.items():
+        default = "" if field.default == "null" else f"`{field.default}`"
+        told = cell(words(field.type)), default, cell(field.text)
+        lines.append(f"| `{name}` | {', '.join(laws[name])} | {' | '.join(told)} |")
+    return "### `[law.parameters]`\n\n" + "\n".join(lines)
 
 
 def shipped() -> str:

@@ -7,6 +7,7 @@ import ast
 import functools
 import inspect
 import itertools
+import math
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,9 +15,10 @@ from typing import Any
 import msgspec
 
 from bus import messages
+from bus.law_parameters import parameters_class
 from bus.messages import LinkKind
 from bus.profiles import PROFILES
-from bus.registry import SAVED_POLICIES
+from bus.registry import LAWS, SAVED_POLICIES
 from sim.scenario import types
 from sim.scenario.types import Scenario
 
@@ -55,6 +57,7 @@ def scenario_schema() -> dict[str, Any]:
         docs = field_docs(struct) if "properties" in table else {}
         for field, told in docs.items():
             table["properties"][field]["description"] = told
+    tables["Law"]["properties"]["parameters"]["properties"] = law_parameters_schema()
     driver = tables["Ugv"]["properties"]["driver"]
     driver["pattern"] = f"{driver['pattern']}|^({'|'.join(SAVED_POLICIES)}):."
     profile = {
@@ -71,6 +74,24 @@ def scenario_schema() -> dict[str, Any]:
         "title": "Scenario of Outrider",
         **schema,
     }
+
+
+def law_parameters_schema() -> dict[str, Any]:
+    """The parameters of all laws, by name; a name stands for the same in every law that has it."""
+    found: dict[str, Any] = {}
+    for name in LAWS:
+        parameters = parameters_class(name)
+        if parameters is None:
+            continue
+        (table,) = msgspec.json.schema(parameters)["$defs"].values()
+        docs = field_docs(parameters)
+        for field, told in table["properties"].items():
+            default = (
+                {} if told.get("default") in (None, math.inf) else {"default": told["default"]}
+            )
+            kept = {key: value for key, value in told.items() if key != "default"}
+            found[field] = kept | default | {"description": docs[field]}
+    return found
 
 
 def schema_text() -> str:

@@ -7,8 +7,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from agents.control.laws import law_parameters
+from agents.control.uav_parameters import uav_parameters
 from agents.control.visibility import promise_of
+from agents.laws.selection import SelectedLaw
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.errors import ScenarioError
@@ -94,7 +95,7 @@ def check_exportable(briefing: UavBriefing | UgvBriefing) -> None:
             "[[hazard]] and [[hazard_field]]"
         )
     if isinstance(briefing, UavBriefing):
-        law_parameters(briefing, briefing.law)
+        SelectedLaw(briefing, briefing.law, uav_parameters(briefing))
         if promise_of(briefing).carries:
             raise ScenarioError(
                 f"{vehicle}: its commands carry motions, for which a unit has no variables; allowed: scenarios without "
@@ -105,10 +106,10 @@ def check_exportable(briefing: UavBriefing | UgvBriefing) -> None:
                 f"{vehicle}: the law {briefing.law.name!r} needs a function of your own, which a unit does not carry; "
                 "allowed: other laws"
             )
-    elif not DRIVERS[briefing.driver].make:
+    elif not DRIVERS[briefing.driver].provided:
         raise ScenarioError(
             f"{vehicle}: the driver {briefing.driver!r} is code of your own, which a unit does not carry; allowed: "
-            f"{', '.join(row.name for row in DRIVERS.values() if row.make)}"
+            f"{', '.join(row.name for row in DRIVERS.values() if row.provided)}"
         )
 
 

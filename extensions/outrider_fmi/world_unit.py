@@ -30,10 +30,10 @@ def check_world(scenario: Scenario) -> None:
             f"{field} = {value!r}: a unit does not carry code of your own; allowed: scenarios without it"
         )
     for ugv in scenario.ugv:
-        if not DRIVERS[ugv.driver].make:
+        if not DRIVERS[ugv.driver].provided:
             raise ScenarioError(
                 f"{ugv.name}: the driver {ugv.driver!r} is another process, which a unit does not start; allowed: "
-                f"{', '.join(row.name for row in DRIVERS.values() if row.make)}"
+                f"{', '.join(row.name for row in DRIVERS.values() if row.provided)}"
             )
 
 

@@ -14,16 +14,8 @@ from bus.errors import AccessDenied, ScenarioError
 from bus.keys import OPERATOR_NAME, Party, Role, check_run_name
 from bus.locator import check_endpoint
 from bus.profiles import PROFILES
-from bus.registry import (
-    DRIVERS,
-    LAWS,
-    POLICY_FORMS,
-    SAVED_POLICIES,
-    UAV_POLICY_FORMS,
-    DriverRow,
-    LawRow,
-    described,
-)
+from bus.registry import DRIVERS, LAWS, POLICY_FORMS, SAVED_POLICIES, UAV_POLICY_FORMS, described
+from bus.rows import DriverRow, LawRow
 
 if TYPE_CHECKING:
     from agents.process import MakePilot

@@ -11,19 +11,13 @@ import numpy as np
 
 from agents.control.guard import guard_state, track_ticks
 from agents.control.handover import check_assumptions
-from agents.control.laws import (
-    LOOKAHEAD,
-    WATCHED,
-    LawParameters,
-    initial_state,
-    law_parameters,
-)
-from agents.control.lookahead import LookaheadMemory, lookahead_memory
 from agents.control.promise import Promise
 from agents.control.telling import BLOCK_TILES, telling_memory, telling_ticks
+from agents.control.uav_parameters import uav_parameters
 from agents.control.visibility import promise_of
-from agents.drivers.compiled import driver_memory, driver_parameters, told_ground, told_route
-from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters
+from agents.drivers.compiled import told_ground, told_route
+from agents.drivers.dispatch import CODES as DRIVER_CODES
+from agents.drivers.dispatch import driver_memories, driver_tables
 from agents.estimation.batch_filter import estimator_rows
 from agents.estimation.motion_model import (
     SPAN,
@@ -31,9 +25,11 @@ from agents.estimation.motion_model import (
     history_depth,
     kalman_parameters,
 )
+from agents.laws.dispatch import CODES, law_memories, law_tables
+from agents.laws.selection import SelectedLaw
 from bus.errors import ScenarioError
 from bus.layout import GradientCue
-from bus.messages import LinkKind, LinkStatus, Mission, UavBriefing
+from bus.messages import Law, LinkKind, LinkStatus, Mission, UavBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
 from bus.ticks import radio_ticks
 from outrider.envs.closed_loop_state import (
@@ -64,8 +60,6 @@ from sim.kernels.records import records
 from sim.models.randomness import PILOT
 from sim.scenario.types import Scenario
 
-_INNER = {law.code: law.inner for law in LAWS.values() if law.inner}
-"""By the code of a law, the field of `[custom]` whose policy flies in its place."""
 _NO_ACTIONS = np.zeros((0, 0, 2))
 _Memory = TypeVar("_Memory")
 
@@ -88,8 +82,8 @@ def _repeated(memory: _Memory, worlds: int, of_each: int) -> _Memory:
 def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:
     """The laws or drivers that can fly or drive a vehicle in here, by name."""
     if any(uav.name == vehicle for uav in scenario.uav):
-        return tuple(law.name for law in LAWS.values() if not law.own)
-    return tuple(COMPILED_DRIVERS)
+        return tuple(CODES)
+    return tuple(DRIVER_CODES)
 
 
 class LoopSettings(EpisodeSettings, total=False):
@@ -199,6 +193,8 @@ class ClosedLoop:
         self.tables = LoopTables(
             batch=self.batch.tables,
             rows=rows,
+            laws=numbers.laws,
+            drivers=numbers.drivers,
             hand=np.array(
                 [self.external.index(n) if n in self.external else -1 for n in self.names],
                 dtype=np.int64,
@@ -239,12 +235,10 @@ class ClosedLoop:
             maps=_repeated(coverage[0], worlds, uavs if self.parameters.own_maps else 0),
             certificates=np.repeat(numbers.certificates[None], worlds, axis=0),
             sent=np.repeat(numbers.sent[None], worlds, axis=0),
-            laws=np.repeat(numbers.laws[None], worlds, axis=0),
-            drivers=np.repeat(numbers.drivers[None], worlds, axis=0),
-            law_states=_repeated(initial_state(), worlds, uavs),
+            laws=law_memories(numbers.laws, worlds),
+            drivers=driver_memories(numbers.drivers, worlds),
             kalman=_repeated(kalman, worlds, uavs),
             guards=_repeated(guard, worlds, uavs),
-            driver_states=_repeated(driver_memory(), worlds, ugvs),
             grounds=_repeated(numbers.ground, worlds, ugvs),
             outbox=no_packets(worlds, uavs, 2),
             looks=np.zeros((worlds, room, 3)),
@@ -256,11 +250,7 @@ class ClosedLoop:
             states=np.zeros((worlds, told_room), dtype=np.uint8),
         )
         self.state.outbox["stamp"] = -1.0
-        self._lookaheads: LookaheadMemory | None = None  # unless a UAV flies by that law
-        if (numbers.laws["law"] == LOOKAHEAD).any():
-            self._lookaheads = _repeated(lookahead_memory(), worlds, uavs)
-        # all but the batch, which knows its own
-        self._fresh = Fresh((*self.state[1:], self._lookaheads))
+        self._fresh = Fresh(self.state[1:])  # all but the batch, which knows its own
         self._all = np.arange(worlds)
         self.begin([scenario.seed], [0])
 
@@ -281,12 +271,12 @@ class ClosedLoop:
         which = self.batch.restore(seeds, worlds)
         self._fresh.restore(which)
         keys = self.state.batch.vehicles["keys"][which, :, PILOT]
-        for rows, vehicles in (
-            (self.state.laws, self.tables.batch.escorts[:, 0]),
-            (self.state.drivers, self.tables.batch.ugvs),
-        ):
-            for word, name in enumerate(("key_0", "key_1")):
-                rows[name][which] = keys[:, vehicles, word]
+        keyed = [(rows, self.tables.batch.ugvs) for rows in self.state.drivers]
+        keyed += [(rows, self.tables.batch.escorts[:, 0]) for rows in self.state.laws]
+        for rows, vehicles in keyed:
+            if rows is not None and "key_0" in rows.dtype.names:
+                for word, name in enumerate(("key_0", "key_1")):
+                    rows[name][which] = keys[:, vehicles, word]
         self._run(which, _NO_ACTIONS, 0)
 
     def step(self, actions: FloatArray, worlds: IntArray | None = None) -> None:
@@ -315,7 +305,7 @@ class ClosedLoop:
     def _run(self, worlds: IntArray, actions: FloatArray, ticks: int) -> None:
         which = np.ascontiguousarray(worlds, dtype=np.int64)
         given = np.ascontiguousarray(actions, dtype=np.float64)
-        loop = self.parameters, self.tables, self.state, self.batch.ground, self._lookaheads
+        loop = self.parameters, self.tables, self.state, self.batch.ground
         self.batch.workers.share(run_worlds, len(worlds), *loop, which, given, ticks)
 
     def metrics(self, uav: str) -> dict[str, FloatArray]:
@@ -382,14 +372,14 @@ class _PilotNumbers:
         pilots = {**chosen, **{name: never_asked[name] for name in external}}
         laws = [self._law(one, pilots.get(one.vehicle)) for one in told_uavs]
         for one, law in zip(told_uavs, laws, strict=True):
-            named = getattr(scenario.custom, _INNER.get(law.law, ""), "")
+            named = getattr(scenario.custom, LAWS[law.name].inner, "")
             if named and one.vehicle not in pilots:
                 raise ScenarioError(
                     f"{one.vehicle}: uav_policy = {named!r}: flies in a run, not in many worlds; allowed: no policy, "
                     "or the policy itself as one of the `others`"
                 )
         promises = [promise_of(one) for one in told_uavs]
-        self.laws = records(LawParameters, laws)
+        self.laws = law_tables(told_uavs, laws)
         self.longest = max((promise.delay_ticks for promise in promises), default=0)
         self.track = max((track_ticks(promise) for promise in promises), default=1)
         bounds = [certificate_bounds(one.certificate, one.dt) for one in told_uavs]
@@ -411,11 +401,11 @@ class _PilotNumbers:
             ],
         )
         outside = np.array([name in external for name in uavs], dtype=np.bool_)
-        watched = np.array([law.law in WATCHED for law in laws], dtype=np.bool_)
+        watched = np.array([LAWS[law.name].watched for law in laws], dtype=np.bool_)
         self.guarded = watched & ~outside | outside & shield
         self.thinking = ~outside
         drivers = [pilots.get(one.vehicle) or one.driver for one in told_ugvs]
-        self.drivers = records(DriverParameters, list(map(driver_parameters, told_ugvs, drivers)))
+        self.drivers = driver_tables(told_ugvs, drivers)
         self.scripts = [told_route(one).script for one in told_ugvs]
         grounds = [told_ground(one) for one in told_ugvs]
         self.late = np.array([len(memory.sent) for memory in grounds], dtype=np.int64)
@@ -426,10 +416,11 @@ class _PilotNumbers:
         )
 
     @staticmethod
-    def _law(told: UavBriefing, name: str | None) -> LawParameters:
+    def _law(told: UavBriefing, name: str | None) -> Law:
         law = told.law if name is None else msgspec.structs.replace(told.law, name=name)
         if law.name in LAWS and LAWS[law.name].own:
             raise ScenarioError(
                 f"{told.vehicle}: law.name = {law.name!r} is a function of your own and cannot be compiled"
             )
-        return law_parameters(told, law)
+        SelectedLaw(told, law, uav_parameters(told))  # which checks it
+        return law

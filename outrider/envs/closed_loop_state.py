@@ -4,7 +4,9 @@ from typing import Any, NamedTuple
 
 from agents.control.guard import GuardState
 from agents.control.telling import TellingMemory
+from agents.drivers.dispatch import DriverTables
 from agents.drivers.tile_map import GroundMemory
+from agents.laws.dispatch import LawTables
 from bus.layout import UavRow
 from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rows import UAV_METRICS, RowState, RowTables
@@ -56,6 +58,8 @@ class LoopTables(NamedTuple):
 
     batch: BatchTables
     rows: RowTables
+    laws: LawTables
+    drivers: DriverTables
     hand: IntArray
     """For each vehicle its row in the actions from outside; -1: it is flown in here. Shape (vehicles,)."""
     thinking: IntArray
@@ -90,17 +94,13 @@ class LoopState(NamedTuple):
     """`CertificateCounts` of each UAV. Shape (worlds, UAVs)."""
     sent: FloatArray
     """The UAVs' last commands, as `sent_commands` keeps them. Shape (worlds, UAVs, largest delay + 1, 3)."""
-    laws: RecordArray
-    """`LawParameters` of each UAV, with the key of its pilot in this world. Shape (worlds, UAVs)."""
-    drivers: RecordArray
-    """`DriverParameters` of each UGV, likewise. Shape (worlds, UGVs)."""
-    law_states: RecordArray
-    """`LawState`. Shape (worlds, UAVs, 1)."""
+    laws: Any
+    """`PerLaw`: memories of the laws. Shape (worlds, UAVs) each."""
+    drivers: Any
+    """`PerDriver`: memories of the drivers. Shape (worlds, UGVs) each."""
     kalman: RecordArray
     """`EstimatorRow` of each UAV. Shape (worlds, UAVs, 1 + depth): see `agents.estimation.batch_filter`."""
     guards: GuardState
-    driver_states: RecordArray
-    """`DriverMemory`. Shape (worlds, UGVs, 1)."""
     grounds: GroundMemory
     """The ground as each UGV knows it; without tiles where there are no hazards. Shape (worlds, UGVs, ...)."""
     outbox: RecordArray

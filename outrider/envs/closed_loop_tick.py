@@ -7,8 +7,6 @@ give over the bus. One pass a world, so that its grid stays near the core until 
 from agents.control.certificate import CERTIFIED as NOTHING_AGAINST
 from agents.control.certificate import INNER
 from agents.control.guard import GuardState, guard
-from agents.control.laws import OwnTerms
-from agents.control.lookahead import LookaheadMemory, Target
 from agents.control.telling import (
     BLOCK_TILES,
     block_words,
@@ -17,14 +15,16 @@ from agents.control.telling import (
     telling_of,
     word_state,
 )
-from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
+from agents.control.uav_parameters import Target
+from agents.control.uav_tick import uav_perceive
 from agents.control.underway import Underway, hand_over
-from agents.drivers.navigate import PLAIN, hand_over_stops
-from agents.drivers.parameters import Route
+from agents.drivers.dispatch import driver_command
+from agents.drivers.parameters import DriverInputs
+from agents.drivers.pending_stops import PLAIN, hand_over_stops
 from agents.drivers.tile_map import GroundMemory, note_block, note_tiles
-from agents.drivers.ugv_tick import ugv_tick
 from agents.estimation.batch_filter import estimate
 from agents.estimation.batch_filter import update as update_estimate
+from agents.laws.dispatch import nominal_command
 from outrider.envs.closed_loop_state import (
     GRADIENT_X,
     GRADIENT_Y,
@@ -94,22 +94,11 @@ def _ground_of(tables: LoopTables, state: LoopState, world: int, ugv: int) -> Gr
 
 
 @inlined
-def _memory_of(
-    parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int, uav: int
-) -> UavMemory:
-    coverage = state.maps[world, uav] if parameters.own_maps else state.batch.coverage[world]
-    return UavMemory(
-        coverage,
-        state.law_states[world, uav],
-        _guard_of(tables, state.guards, world, uav),
+def _coverage_of(parameters: LoopParameters, state: LoopState, world: int, uav: int) -> FloatArray:
+    coverage: FloatArray = (
+        state.maps[world, uav] if parameters.own_maps else state.batch.coverage[world]
     )
-
-
-@inlined
-def _lookahead_of(lookaheads: LookaheadMemory, world: int, uav: int) -> LookaheadMemory:
-    return LookaheadMemory(
-        lookaheads.state[world, uav], lookaheads.velocities[world, uav], lookaheads.kept[world, uav]
-    )
+    return coverage
 
 
 @compiled
@@ -123,7 +112,6 @@ def _fly(
     parameters: LoopParameters,
     tables: LoopTables,
     state: LoopState,
-    lookaheads: LookaheadMemory | None,
     world: int,
     vehicle: int,
     uav: int,
@@ -138,26 +126,15 @@ def _fly(
     flown = state.batch.flown[world, vehicle, 0].begins
     acts, code, bound = INNER, NOTHING_AGAINST, 0.0
     if tables.hand[vehicle] < 0:
-        own = OwnTerms(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        law, promise = state.laws[world, uav], tables.promises[uav]
-        memory = _memory_of(parameters, tables, state, world, uav)
-        if lookaheads is None:
-            u_x, u_y, acts, code, bound = uav_tick(
-                law, promise, guarded, memory, None, own, tick, here, target, flown
-            )
-        else:
-            ahead = _lookahead_of(lookaheads, world, uav)
-            u_x, u_y, acts, code, bound = uav_tick(
-                law, promise, guarded, memory, ahead, own, tick, here, target, flown
-            )
+        coverage = _coverage_of(parameters, state, world, uav)
+        u_x, u_y = nominal_command(
+            tables.laws, state.laws, (world, uav), coverage, tick, here, target
+        )
     else:
         u_x, u_y = actions[tables.hand[vehicle], 0], actions[tables.hand[vehicle], 1]
-        if guarded:
-            held = _guard_of(tables, state.guards, world, uav)
-            u_x, u_y, acts, code, bound = guard(
-                tables.promises[uav], held, tick, here, u_x, u_y, flown
-            )
     if guarded:
+        held = _guard_of(tables, state.guards, world, uav)
+        u_x, u_y, acts, code, bound = guard(tables.promises[uav], held, tick, here, u_x, u_y, flown)
         row[GUARD_METRICS.bound] = bound
         row[GUARD_METRICS.acted] = 1.0 if acts != INNER else 0.0
         sure = code == NOTHING_AGAINST and tables.faults[uav] == 0
@@ -223,22 +200,20 @@ def _drive(
         one.outgoing[1] = actions[tables.hand[vehicle], 1]
         return
     script = tables.scripts[tables.script_rows[ugv] : tables.script_rows[ugv + 1]]
-    route = Route(goals_of(tables.batch.goals, tables.batch.goal_rows, ugv), script)
-    driver, own, radio = (
-        state.drivers[world, ugv],
-        state.driver_states[world, ugv],
-        state.inboxes[world, ugv],
-    )
-    arrived, here = state.arrived[world, ugv], _reference_of(one)
+    goals = goals_of(tables.batch.goals, tables.batch.goal_rows, ugv)
+    radio, arrived = state.inboxes[world, ugv], state.arrived[world, ugv]
+    place, here = (world, ugv), _reference_of(one)
     if ground is None:
-        one.outgoing[0], one.outgoing[1] = ugv_tick(
-            driver, route, own, None, radio, arrived, tick, here, PLAIN
+        inputs = DriverInputs(goals, script, radio, arrived, None, PLAIN)
+        one.outgoing[0], one.outgoing[1] = driver_command(
+            tables.drivers, state.drivers, place, inputs, tick, here
         )
     else:
         memory = _ground_of(tables, state, world, ugv)
         flown = state.batch.flown[world, vehicle, 0].begins if one.follows_motions else PLAIN
-        one.outgoing[0], one.outgoing[1] = ugv_tick(
-            driver, route, own, memory, radio, arrived, tick, here, flown
+        inputs = DriverInputs(goals, script, radio, arrived, memory, flown)
+        one.outgoing[0], one.outgoing[1] = driver_command(
+            tables.drivers, state.drivers, place, inputs, tick, here
         )
         note_claim(ground.missions[world], ugv, memory.flags[0].claim)
         if one.follows_motions:
@@ -341,10 +316,11 @@ def _perceive(
             looks[n, 0], looks[n, 1], looks[n, 2] = packet.stamp, packet.vector[0], packet.vector[1]
         if looked > 0 or tables.guarded[u]:
             uav_perceive(
-                state.laws[world, u],
+                tables.laws.uavs[u],
                 tables.promises[u],
                 tables.guarded[u] != 0,
-                _memory_of(parameters, tables, state, world, u),
+                _coverage_of(parameters, state, world, u),
+                _guard_of(tables, state.guards, world, u),
                 looked,
                 tick,
                 here,
@@ -448,7 +424,6 @@ def run_worlds(
     tables: LoopTables,
     state: LoopState,
     ground: GroundState | None,
-    lookaheads: LookaheadMemory | None,
     worlds: IntArray,
     actions: FloatArray,
     ticks: int,
@@ -471,7 +446,7 @@ def run_worlds(
                 for v in range(tables.rows.place.shape[0]):
                     if tables.rows.place[v] >= 0:
                         uav = tables.rows.place[v]
-                        _fly(parameters, tables, state, lookaheads, k, v, uav, actions[k])
+                        _fly(parameters, tables, state, k, v, uav, actions[k])
                     else:
                         _drive(tables, state, ground, k, v, -1 - tables.rows.place[v], actions[k])
                 begun = batch.ticks[k]

@@ -12,6 +12,7 @@ import numpy as np
 
 from agents.control.weighting import check_weighting
 from bus.errors import ScenarioError
+from bus.law_parameters import law_parameters
 from outrider.experiments.traces import (
     PEAK,
     WINDOW,
@@ -81,7 +82,8 @@ def _claims_1b(low: Flight, high: Flight) -> list[Claim]:
     off_low, off_high = n_low[searching(w_low)], n_high[searches]
     rms_low, rms_high = (float(np.sqrt((n**2).mean())) for n in (off_low, off_high))
     mean_low, mean_high = float(off_low.mean()), float(off_high.mean())
-    gains = f"k_v {low.scenario.law.speed_gain:g} and {high.scenario.law.speed_gain:g}"
+    k_low, k_high = (law_parameters(one.scenario.law).speed_gain for one in (low, high))
+    gains = f"k_v {k_low:g} and {k_high:g}"
     v_ref = float(np.linalg.norm(w_high, axis=1).max())
     found = [
         k
@@ -270,7 +272,7 @@ def claim_collapse(too_fast: Flight) -> Claim:
     mean, law = float(distance(too_fast).mean()), too_fast.scenario.law
     return Claim(
         figure="4b",
-        claim=f"a circle at {law.circle_rate:g} rad/s cannot be flown: it collapses (Remark 3)",
+        claim=f"a circle at {law_parameters(law).circle_rate:g} rad/s cannot be flown: it collapses (Remark 3)",
         value=f"mean distance {mean:.2f} m where r_s = {switching_radius_of(too_fast) or math.nan:.2f} m is asked for",
         number=mean,
         holds=mean < 1.0,

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from bus.law_parameters import law_parameters
 from bus.messages import Region
 from outrider import style
 from outrider.experiments.claims import (
@@ -148,7 +149,8 @@ def figure_1(flights: Flights) -> Figure:
     """Coverage alone: tracks, velocity error and e(t) for two gains, and with bounded input."""
     figure = style.new_figure(1400, 760)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.05, 1.0))
-    labels = {name: f"$k_v$ = {flights[name].scenario.law.speed_gain:g}" for name in GAINS}
+    gains = {name: law_parameters(flights[name].scenario.law).speed_gain for name in GAINS}
+    labels = {name: f"$k_v$ = {gain:g}" for name, gain in gains.items()}
     labels["bounded"] += ", bounded"
     _draw_departure(figure.add_subplot(grid[:, 0]), flights, labels)
     speed, rest = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])

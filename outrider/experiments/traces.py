@@ -6,11 +6,16 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from agents.control.laws import OwnTerms, coverage_term, initial_state, law_parameters, weights
+from agents.control.uav_parameters import Target, UavParameters, uav_parameters
+from agents.laws.common import CoverageMemory, coverage_velocity_error
+from bus.law_parameters import law_parameters
+from bus.registry import LAWS, resolve
 from outrider.running.summary import switching_radius_of
 from sim.engine.briefing import uav_briefing
 from sim.kernels.compile import FloatArray
+from sim.kernels.records import fresh, records
 from sim.models.field import accumulate, cover, empty_coverage
+from sim.models.randomness import words_of
 from sim.models.vehicles import Motion
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
@@ -62,22 +67,25 @@ def velocity_errors(flight: Flight) -> tuple[FloatArray, FloatArray]:
 
     Both [m/s], shape (ticks, 2).
 
-    What the UAV flew is gone through once more with its own law: with k_v = 1 and no border, the coverage term
-    (11) is e_vel.
+    The flight is repeated with the memory and the parameters of its law.
     """
     told = uav_briefing(flight.scenario, flight.world.uavs[0].name, flight.seed, flight.secret)
-    c = law_parameters(told, told.law)._replace(k_v=1.0, margin=0.0)
-    coverage, state = empty_coverage(c.width, c.height, c.cell), initial_state()
+    c, parameters = uav_parameters(told), law_parameters(told.law)
+    (uav,), (law,) = records(UavParameters, [c]), records(type(parameters), [parameters])
+    memory, coverage = fresh(CoverageMemory)[0], empty_coverage(c.width, c.height, c.cell)
+    memory["key_0"], memory["key_1"] = words_of(told.key)
+    sensor = c.sensor, c.sensor_peak, c.sensing_range, c.cell
     for region in told.covered:
-        cover(coverage, region.lower, region.upper, c.cell, c.desired)
+        cover(coverage, region.lower, region.upper, c.cell, c.desired_coverage)
     states = flight.recorder.states[:, flight.world.escorts[0, 0]]
     estimates = flight.recorder.escorts[:, 0, 4:6]
     errors = np.empty((flight.recorder.ticks, 2))
     for tick in range(flight.recorder.ticks):
         here = Motion(*states[tick, :4].tolist())
         if tick > 0:
-            accumulate(coverage, here.p_x, here.p_y, c.sensor, c.peak, c.reach, c.cell, c.dt)
-        errors[tick] = coverage_term(c, coverage, state, tick, here, *estimates[tick].tolist())
+            accumulate(coverage, here.p_x, here.p_y, *sensor, c.dt)
+        target = Target(True, estimates[tick, 0], estimates[tick, 1], 0.0, 0.0, 0.0, 0.0)
+        errors[tick] = coverage_velocity_error(uav, law, memory, coverage, tick, here, target)
     return errors, errors + states[: flight.recorder.ticks, 2:4]
 
 
@@ -108,10 +116,13 @@ def peaks(speed_error: FloatArray, v_ref: float) -> npt.NDArray[np.intp]:
 def weighting_of(scenario: Scenario) -> tuple[Callable[[float, float], tuple[float, float]], float]:
     """Alpha and beta over distance and r_s, as the scenario's first UAV weighs them, and its r_s [m]."""
     told = uav_briefing(scenario, min(uav.name for uav in scenario.uav), scenario.seed)
-    c, own = law_parameters(told, told.law), OwnTerms()
+    c, parameters = uav_parameters(told), law_parameters(told.law)
+    (law,) = records(type(parameters), [parameters])
 
     def weighting(distance: float, r_s: float) -> tuple[float, float]:
-        alpha, beta = weights(c._replace(r_s=r_s), own, distance)
+        weights = resolve(f"{LAWS[told.law.name].module}:weights")
+        (uav,) = records(UavParameters, [c._replace(switching_radius=r_s)])
+        alpha, beta = weights(uav, law, distance)
         return float(alpha), float(beta)
 
-    return weighting, c.r_s
+    return weighting, c.switching_radius

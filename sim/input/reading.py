@@ -22,6 +22,7 @@ _TOML_FAULT = re.compile(
 _COMMENT = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
 _BETWEEN_KEYS = re.compile(r"[=,{}\[\]\n]")
 _DEEPEST = 64
+_LARGEST_NUMBER = 1e12
 _WHERE = re.compile(r"(?P<text>.*) - at `\$(?P<path>[^`]*)`", re.DOTALL)
 _EXPECTED = re.compile(
     r"Expected `(?P<kind>\w+)(?: \| null)?`(?: (?P<rule>[^,].*?))?(?:, got (?P<got>\S+))?",
@@ -142,10 +143,13 @@ def unknown_keys(raw: object, kind: inspect.Type, path: str = "") -> Iterator[Fa
         fields = {field.encode_name: field.type for field in kind.fields}
         for key, value in raw.items():
             if key not in fields:
+                meant = near(key, list(fields))
+                if not meant and "parameters" in fields:
+                    meant = f", did you mean '{path}parameters.{key}'?"
                 yield Fault(
                     f"{path}{key}",
                     value,
-                    f"no such field{near(key, list(fields))}",
+                    f"no such field{meant}",
                     ", ".join(fields),
                 )
             else:
@@ -188,12 +192,21 @@ def typed(raw: object, kind: type[Typed], *, file: str) -> Typed:
     Raises:
         ScenarioError: At the first unknown key, else at the first value of a wrong type or out of its bounds.
     """
-    for fault in unknown_keys(raw, _type_info(kind)):
-        raise fault.error(file)
+    for unknown in unknown_keys(raw, _type_info(kind)):
+        raise unknown.error(file)
     try:
         return msgspec.convert(raw, kind)
     except msgspec.ValidationError as error:
         raise _type_fault(str(error), raw).error(file) from error
+
+
+def type_fault(raw: object, kind: type[msgspec.Struct]) -> Fault | None:
+    """Return the first value of a wrong type or out of its bounds; None if all values fit."""
+    try:
+        msgspec.convert(raw, kind)
+    except msgspec.ValidationError as error:
+        return _type_fault(str(error), raw)
+    return None
 
 
 def _type_fault(message: str, raw: object) -> Fault:
@@ -207,11 +220,20 @@ def _type_fault(message: str, raw: object) -> Fault:
         return Fault(".".join([*path, name]), None, "missing", _NEEDED.get(name, "[x, y] in m"))
     for part in path:
         raw = raw[int(part)] if isinstance(raw, list | tuple) else raw[part]  # type: ignore[index]
+    if where.endswith("[...]") and isinstance(raw, dict):
+        name, raw = next((name, value) for name, value in raw.items() if not _is_number(value))
+        path.append(name)
     return Fault(".".join(path), raw, *_expectation(text, path))
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and abs(value) <= _LARGEST_NUMBER
 
 
 def _expectation(text: str, path: list[str]) -> tuple[str, str]:
     """Says what is wrong and what is allowed."""
+    if text.startswith("Expected `bool | int | float`"):
+        return "not a number", "a number, or true or false"
     found = _EXPECTED.fullmatch(text)
     if found is None:
         return text[0].lower() + text[1:], "a number that a float can hold"

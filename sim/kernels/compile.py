@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bus import plugins
+from bus.registry import DRIVERS, LAWS, SENSORS
 
 FloatArray = npt.NDArray[np.float64]
 """C-contiguous float64."""
@@ -31,18 +32,24 @@ _KEPT_CACHES, _MIN_AGE = 6, 3600.0
 
 
 def _source_digest() -> str:
-    """Return a digest of all product sources, of the plug-ins and of the versions that compile them.
+    """Return a digest of all sources, of the registry's names and of the versions that compile them.
 
     numba compares only the file of a function, not the files of the functions that it calls. Compiled code must never
-    outlive a change of either, so each state of the sources has a cache of its own.
+    outlive a change of either, so each state of the sources has a cache of its own. The sources of extensions and of
+    other packages with entry points belong to them; the order of names is the order in which compiled code chooses.
     """
     digest = hashlib.sha256(f"{sys.version}{numba.__version__}{np.__version__}".encode())
     root = Path(__file__).resolve().parents[2]
-    ours = [root / name for name in ("bus", "sim", "agents", "outrider")]
-    for folder in [*ours, *plugins.folders()]:
-        for path in sorted(folder.rglob("*.py")):
-            digest.update(path.relative_to(folder.parent).as_posix().encode())
+    for folder in ("bus", "sim", "agents", "outrider"):
+        for path in sorted((root / folder).rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode())
             digest.update(path.read_bytes())
+    for path in plugins.source_files():
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes())
+    for table in (LAWS, DRIVERS, SENSORS):
+        for row in table.values():
+            digest.update(f"{row.name} {row.module} ".encode())
     return digest.hexdigest()[:16]
 
 

@@ -23,9 +23,14 @@ def record_type(fields: type) -> np.dtype[np.void]:
     """Return the dtype of a class: one column for each number, flag, vector, fixed array or nested class.
 
     A vector is a tuple of two floats; `Annotated[IntArray, (6,)]` holds six numbers. Other fields are left out.
+    The fields that a class adds come before those of its bases: numba would take a record that begins with all fields
+    of another one for that.
     """
-    hints = get_type_hints(fields, include_extras=True).items()
-    columns = [(name, *column) for name, hint in hints if (column := _column(hint))]
+    hints = get_type_hints(fields, include_extras=True)
+    names = dict.fromkeys(
+        name for one in fields.__mro__ for name in vars(one).get("__annotations__", {})
+    )
+    columns = [(name, *column) for name in names if (column := _column(hints[name]))]
     return np.dtype(columns, align=True)
 
 
@@ -64,6 +69,14 @@ def records(fields: type, rows: Sequence[Any]) -> RecordArray:
     table = np.zeros(len(rows), dtype=record_type(fields))
     for row, value in zip(table, rows, strict=True):
         fill(row, value)
+    return table
+
+
+def fresh(fields: type, shape: tuple[int, ...] = (1,)) -> RecordArray:
+    """Return a table of new records: each field has the default that the class gives it, or 0."""
+    table = np.zeros(shape, dtype=record_type(fields))
+    for name in table.dtype.names or ():
+        table[name] = getattr(fields, name, 0)
     return table
 
 

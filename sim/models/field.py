@@ -4,20 +4,24 @@ The grid's cells are squares with their centres at (i + ½)·cell; arrays are [r
 walk the rows that a disc meets and, in each, the chord. Sums go through a row buffer and a fixed number of lanes, so
 the bits do not depend on who calls, nor on how the compiler arranges the loop.
 
-A sensor is a pair, the quality $S(\rho^2)$ and its slope $dS/d\rho^2$, with a range: a new one is one branch in
-each of the two functions and one row in `bus.registry.SENSORS`.
+A sensor is a pair, the quality $S(\rho^2)$ and its slope $dS/d\rho^2$, with a range: a file, and a row of
+`bus.registry.SENSORS`.
 """
 
 import math
+from importlib import import_module
 
 import numpy as np
 
 from bus.registry import SENSORS
 from sim.kernels.compile import FloatArray, IntArray, compiled
+from sim.kernels.dispatch import choice
 from sim.kernels.lanes import LANES, lane_sum, widened
 from sim.models.randomness import NEAREST_POINT, Key, uniform
 
-HILL, PLATEAU = SENSORS["hill"].code, SENSORS["plateau"].code
+_SENSORS = tuple(import_module(row.module) for row in SENSORS.values())
+_quality = choice([sensor.quality for sensor in _SENSORS])
+_slope = choice([sensor.slope for sensor in _SENSORS])
 
 NEAREST_TIE = 1e-9
 """Uncovered points whose squared distances differ by less than this share are equally near."""
@@ -25,36 +29,26 @@ NEAREST_TIE = 1e-9
 
 @compiled
 def sensor_quality(sensor: int, rho2: float, peak: float, reach: float) -> float:
-    r"""Sensor quality $S_a$ at squared distance $\rho^2$, Klodt 2015, eq. (2).
-
-    `HILL`: $S = \frac{M_a}{r^4}(\rho^2 - r^2)^2$ inside r, 0 outside. `PLATEAU` (ours): $S = M_a (1 - \rho^4/r^4)^2$.
+    r"""Return the sensor quality $S_a$ of a sensor at squared distance $\rho^2$ [1/s].
 
     Args:
-        sensor: The code of a row of `SENSORS`.
+        sensor: Place of its row in `SENSORS`.
         rho2: Squared distance from the UAV [m²].
         peak: M_a, the quality right below the UAV [1/s].
         reach: r, the sensor's range [m].
     """
-    s = rho2 / (reach * reach)
-    if sensor == PLATEAU:
-        s = s * s
-    rest = 1.0 - s if s < 1.0 else 0.0
-    return peak * rest * rest
+    quality: float = _quality(sensor, (rho2, peak, reach))
+    return quality
 
 
 @compiled
 def sensor_slope(sensor: int, rho2: float, peak: float, reach: float) -> float:
-    r"""Slope $dS_a/d\rho^2$ [1/(s m²)] of the sensor quality, which makes (6) of any sensor.
+    r"""Return the slope $dS_a/d\rho^2$ [1/(s m²)] of the sensor quality, which makes (6) of any sensor.
 
     Arguments as `sensor_quality`.
     """
-    scale = 1.0 / (reach * reach)
-    s = rho2 * scale
-    if sensor == PLATEAU:
-        rest = 1.0 - s * s if s < 1.0 else 0.0
-        return -4.0 * peak * scale * s * rest
-    rest = 1.0 - s if s < 1.0 else 0.0
-    return -2.0 * peak * scale * rest
+    slope: float = _slope(sensor, (rho2, peak, reach))
+    return slope
 
 
 @compiled

@@ -4,6 +4,13 @@ import math
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
 
+from bus.law_parameters import (
+    law_parameters,
+    own_parameters,
+    parameter_names,
+    parameters_class,
+    unknown_parameters,
+)
 from bus.registry import (
     DRIVERS,
     LAWS,
@@ -12,10 +19,10 @@ from bus.registry import (
     SENSORS,
     UAV_POLICIES,
     UAV_POLICY_FORMS,
-    SavedPolicyRow,
 )
-from sim.input.faults import Fault, one_line, unknown_name
-from sim.input.reading import as_raw, typed
+from bus.rows import SavedPolicyRow
+from sim.input.faults import Fault, near, one_line, unknown_name
+from sim.input.reading import as_raw, type_fault, typed
 from sim.scenario.ground_checks import GROUND_CHECKS, hazard_warnings
 from sim.scenario.risk import risk_fault, risk_warnings
 from sim.scenario.types import Scenario, switching_radius
@@ -27,6 +34,7 @@ _ENTRIES = {
 }
 """Entries of the fields that drivers need."""
 _ROUNDING = 1e-9
+_PARAMETERS = "law.parameters"
 
 
 def names_are_known(scenario: Scenario) -> Iterator[Fault]:
@@ -111,20 +119,38 @@ def switching_radius_is_positive(scenario: Scenario) -> Iterator[Fault]:
             )
 
 
+def law_parameters_are_possible(scenario: Scenario) -> Iterator[Fault]:
+    """Every parameter is one of a law; those of the law that is flown have their types and keep their bounds."""
+    law = scenario.law
+    own = parameter_names(law.name)
+    for name in unknown_parameters(law):
+        wrong = f"no law has it{near(name, own)}"
+        yield Fault(f"{_PARAMETERS}.{name}", law.parameters[name], wrong, ", ".join(own) or "none")
+    parameters = parameters_class(law.name)
+    if parameters is not None:
+        fault = type_fault(dict(own_parameters(law)), parameters)
+        if fault is not None:
+            yield fault._replace(field=f"{_PARAMETERS}.{fault.field}".rstrip("."))
+
+
 def reference_speed_is_possible(scenario: Scenario) -> Iterator[Fault]:
     """There is a v_ref of (10), and every UAV can fly it."""
-    v_ref = scenario.law.reference_speed
+    v_ref = getattr(law_parameters(scenario.law), "reference_speed", None)
+    if v_ref is None:
+        return
     for k, uav in enumerate(scenario.uav):
-        if v_ref is None and math.isinf(uav.max_speed) and LAWS[scenario.law.name].covers:
+        if math.isinf(v_ref) and math.isinf(uav.max_speed):
             yield Fault(
-                "law.reference_speed",
+                f"{_PARAMETERS}.reference_speed",
                 None,
                 f"missing, and uav.{k}.max_speed = inf is none",
                 "a number > 0, in m/s",
             )
-        elif v_ref is not None and v_ref > uav.max_speed:
+        elif math.isfinite(v_ref) and v_ref > uav.max_speed:
             allowed = f"up to uav.{k}.max_speed = {uav.max_speed:g} m/s"
-            yield Fault("law.reference_speed", v_ref, "faster than the UAV can fly", allowed)
+            yield Fault(
+                f"{_PARAMETERS}.reference_speed", v_ref, "faster than the UAV can fly", allowed
+            )
 
 
 def controller_is_stable(scenario: Scenario) -> Iterator[Fault]:
@@ -134,12 +160,15 @@ def controller_is_stable(scenario: Scenario) -> Iterator[Fault]:
 
     By Routh: all coefficients positive, and A_c D_c > D_c A_c - B_c C_c. The default is (s + 1)³.
     """
-    a, b, c, d = scenario.law.a_c, scenario.law.b_c, scenario.law.c_c, scenario.law.d_c
+    parameters = law_parameters(scenario.law)
+    if not hasattr(parameters, "a_c"):
+        return
+    a, b, c, d = parameters.a_c, parameters.b_c, parameters.c_c, parameters.d_c
     last = d * a - b * c
     if not (a < 0.0 and d < 0.0 and last > 0.0 and a * d > last):
         value = {"a_c": a, "b_c": b, "c_c": c, "d_c": d}
         yield Fault(
-            "law",
+            _PARAMETERS,
             value,
             "the tracking loop (15), (16) is unstable",
             "A < 0, D < 0, 0 < D A - B C < A D",
@@ -150,18 +179,18 @@ def circle_is_within_sight(scenario: Scenario) -> Iterator[Fault]:
     """The virtual point of (25) is always nearer than r_v."""
     if scenario.law.name != "circle":
         return
-    r_v, radius = scenario.visibility.radius, scenario.law.circle_radius
+    r_v, radius = scenario.visibility.radius, law_parameters(scenario.law).circle_radius
     for path, uav, ugv in escorts(scenario):
-        if radius is not None and radius >= r_v:
+        if math.isfinite(radius) and radius >= r_v:
             yield Fault(
-                "law.circle_radius",
+                f"{_PARAMETERS}.circle_radius",
                 radius,
                 "the circle lies out of sight",
                 f"less than r_v = {r_v:g} m",
             )
-        elif radius is None and switching_radius(scenario, uav, ugv) >= r_v:
+        elif math.isinf(radius) and switching_radius(scenario, uav, ugv) >= r_v:
             wrong = f"missing, and r_s = r_v since {path}.max_acceleration = inf"
-            yield Fault("law.circle_radius", None, wrong, f"less than r_v = {r_v:g} m")
+            yield Fault(f"{_PARAMETERS}.circle_radius", None, wrong, f"less than r_v = {r_v:g} m")
 
 
 def risk_can_be_met(scenario: Scenario) -> Iterator[Fault]:
@@ -175,6 +204,7 @@ def risk_can_be_met(scenario: Scenario) -> Iterator[Fault]:
 CHECKS: tuple[Check, ...] = (
     *WORLD_CHECKS,
     names_are_known,
+    law_parameters_are_possible,
     own_functions_are_named,
     drivers_have_their_task,
     switching_radius_is_positive,
@@ -254,9 +284,12 @@ def _circle_warnings(scenario: Scenario) -> Iterator[str]:
     """A circle that cannot be flown, see `largest_circle_rate`."""
     if scenario.law.name != "circle":
         return
-    rate = abs(scenario.law.circle_rate)
+    parameters = law_parameters(scenario.law)
+    rate = abs(parameters.circle_rate)
     for _, uav, ugv in escorts(scenario):
-        radius = scenario.law.circle_radius or switching_radius(scenario, uav, ugv)
+        radius = parameters.circle_radius
+        if math.isinf(radius):
+            radius = switching_radius(scenario, uav, ugv)
         spare = uav.max_speed - ugv.max_speed
         bound = largest_circle_rate(radius, uav.max_speed, ugv.max_speed, uav.max_acceleration)
         if rate > bound * (1.0 + _ROUNDING):
@@ -268,7 +301,7 @@ def _circle_warnings(scenario: Scenario) -> Iterator[str]:
                 f"and u_a = {uav.max_acceleration:.3g} m/s²"
             )
             reason = f"the smaller of (v_a - v_g)/r_pv and sqrt(u_a/r_pv), r_pv = {radius:.4g} m"
-            field = f"law.circle_rate = {scenario.law.circle_rate}"
+            field = f"{_PARAMETERS}.circle_rate = {parameters.circle_rate}"
             allowed = f"allowed up to {bound:.4f} rad/s, {reason}"
             yield f"{field}: cannot be flown: {needs}, {has}; {allowed}"
 

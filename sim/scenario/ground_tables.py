@@ -141,5 +141,5 @@ def corner_bounds(polygon: tuple[Vector, ...]) -> tuple[Vector, Vector]:
 def stops(ugv: Ugv) -> tuple[Vector, ...]:
     """Start of a UGV, and the goals of its driver if it has any [m]."""
     driver = DRIVERS[ugv.driver]
-    roams = driver.make and driver.wants != "goals"
+    roams = driver.provided and driver.wants != "goals"
     return (ugv.position, *(() if roams else ugv.goals))

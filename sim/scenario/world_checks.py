@@ -47,6 +47,9 @@ def _floats(value: object, path: str) -> Iterator[tuple[str, float]]:
     elif isinstance(value, tuple):
         for index, part in enumerate(value):
             yield from _floats(part, f"{path}.{index}")
+    elif isinstance(value, dict):
+        for name, part in value.items():
+            yield from _floats(part, f"{path}.{name}")
     elif isinstance(value, msgspec.Struct):
         for field in value.__struct_fields__:
             yield from _floats(getattr(value, field), f"{path}.{field}" if path else field)

@@ -42,7 +42,7 @@ def geometry_of(scenario: Scenario) -> Geometry:
 def _goals(ugv: Ugv) -> tuple[Vector, ...]:
     """The goals that a UGV may drive to [m]: none where its driver goes elsewhere by itself."""
     driver = DRIVERS[ugv.driver]
-    return ugv.goals if driver.wants == "goals" or driver.code is None else ()
+    return ugv.goals if driver.wants == "goals" or not driver.module else ()
 
 
 def scene_of(scenario: Scenario) -> Scene:

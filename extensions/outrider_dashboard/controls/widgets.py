@@ -6,7 +6,7 @@ from typing import Any
 
 from nicegui import ui
 
-from bus.registry import DriverRow, LawRow
+from bus.rows import DriverRow, LawRow
 
 _Action = Callable[..., object]
 

@@ -13,8 +13,8 @@ from outrider_dashboard.hub import running_law
 from outrider_dashboard.sources.live import Live
 from statuses import a_status
 
-FIRST = Law(name="logarithmic", speed_gain=2.0)
-OTHER = Law(name="linear", weight_gain=7.0)
+FIRST = Law(name="logarithmic", parameters={"speed_gain": 2.0})
+OTHER = Law(name="linear", parameters={"weight_gain": 7.0})
 
 
 def status(law: str, *controls: Control) -> Status:

@@ -126,7 +126,7 @@ def test_the_worlds_unit_tells_of_sight_that_is_lost_and_flies_degraded_links() 
         "visibility.radius=1.3",
         "links.profile=wifi-poor",
     ]
-    changes += ["ugv.0.max_speed=0.55", "uav.0.velocity=[-0.4, 0.0]", "law.b_c=-0.1"]
+    changes += ["ugv.0.max_speed=0.55", "uav.0.velocity=[-0.4, 0.0]", "law.parameters.b_c=-0.1"]
     flown = load_scenario("escort", overrides=changes)
     _, summary = fly(flown, 4)
     unit = WorldUnit(flown, 4)

@@ -33,11 +33,11 @@ _FIELDS = {
     "area.cell": ("cell of the grid", "m"),
     "links.profile": ("profile", ""),
     "wind.gust": ("gusts of the wind per axis", "m/s²"),
-    "law.speed_gain": ("speed gain k_v", ""),
-    "law.weight_gain": ("weight gain k_β", ""),
-    "law.circle_rate": ("rate of the circle", "rad/s"),
-    "law.circle_radius": ("radius of the circle", "m"),
-    "law.reference_speed": ("reference speed v_ref", "m/s"),
+    "law.parameters.speed_gain": ("speed gain k_v", ""),
+    "law.parameters.weight_gain": ("weight gain k_β", ""),
+    "law.parameters.circle_rate": ("rate of the circle", "rad/s"),
+    "law.parameters.circle_radius": ("radius of the circle", "m"),
+    "law.parameters.reference_speed": ("reference speed v_ref", "m/s"),
 }
 _ENDINGS = {
     "max_speed": ("largest speed", "m/s"),

@@ -1,0 +1,96 @@
+"""Inputs of every law: the constants of one UAV, and the estimate of the UGV."""
+
+import math
+from typing import NamedTuple
+
+from agents.control.visibility import promise_of
+from bus.errors import ScenarioError
+from bus.messages import UavBriefing, or_infinite
+from bus.registry import SENSORS
+from sim.models.vehicles import raw_switching_radius
+
+
+class UavParameters(NamedTuple):
+    """Constants of one UAV that any law may need, infinite where there is no bound."""
+
+    dt: float
+    """[s]"""
+    width: float
+    height: float
+    """Q [m]."""
+    cell: float
+    """Of the coverage grid [m]."""
+    max_speed: float
+    """v_a [m/s]."""
+    max_acceleration: float
+    """u_a [m/s²]."""
+    target_max_speed: float
+    """v_g [m/s]."""
+    switching_radius: float
+    """r_s of (18) [m]; not positive where the UAV is too weak."""
+    density_radius: float
+    """r_o of (9) [m]."""
+    sensor: int
+    """Place of its model among the sensors."""
+    sensor_peak: float
+    """M_a of (2) [1/s]."""
+    sensing_range: float
+    """r of (2) [m]."""
+    desired_coverage: float
+    """C* of (4)."""
+    max_distance: float
+    """Distance that the UGV may have where a detection has the largest declared error [m]."""
+
+
+class Target(NamedTuple):
+    """Estimate of the UGV's state."""
+
+    known: bool
+    """False before the first detection; the other fields are meaningless then."""
+    p_x: float
+    p_y: float
+    """[m]"""
+    v_x: float
+    v_y: float
+    """[m/s]"""
+    p_variance: float
+    """Per axis [m²]."""
+    v_variance: float
+    """Per axis [m²/s²]."""
+
+
+def _max_distance(briefing: UavBriefing) -> float:
+    """Return r_v of the safety filter less the largest declared error of a detection [m]."""
+    promise = promise_of(briefing)
+    distance = promise.r_v - promise.eps
+    return float(distance if math.isfinite(distance) else briefing.visibility_radius)
+
+
+def uav_parameters(briefing: UavBriefing) -> UavParameters:
+    """Return the constants of the UAV that is briefed.
+
+    Raises:
+        ScenarioError: If its sensor is unknown.
+    """
+    if briefing.sensor.model not in SENSORS:
+        raise ScenarioError(
+            f"sensor.model = {briefing.sensor.model!r}: unknown; allowed: {', '.join(SENSORS)}"
+        )
+    own, v_g = briefing.limits, or_infinite(briefing.target_limits.max_speed)
+    v_a, u_a = or_infinite(own.max_speed), or_infinite(own.max_acceleration)
+    return UavParameters(
+        dt=float(briefing.dt),
+        width=float(briefing.area.width),
+        height=float(briefing.area.height),
+        cell=float(briefing.area.cell),
+        max_speed=v_a,
+        max_acceleration=u_a,
+        target_max_speed=v_g,
+        switching_radius=float(raw_switching_radius(briefing.visibility_radius, v_a, v_g, u_a)),
+        density_radius=float(briefing.visibility_radius + briefing.sensor.range),
+        sensor=tuple(SENSORS).index(briefing.sensor.model),
+        sensor_peak=float(briefing.sensor.peak),
+        sensing_range=float(briefing.sensor.range),
+        desired_coverage=float(briefing.desired_coverage),
+        max_distance=_max_distance(briefing),
+    )

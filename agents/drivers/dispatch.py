@@ -1,0 +1,106 @@
+"""Driver of each UGV in a batch: chosen by its row, compiled with the batch.
+
+As `agents.laws.dispatch`: a batch contains all drivers that compile quickly, and of the others those that drive.
+"""
+
+from collections import namedtuple
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from agents.drivers.compiled import driver_parameters
+from agents.drivers.parameters import DriverInputs, UgvParameters, ugv_parameters
+from bus.messages import UgvBriefing
+from bus.registry import DEFAULT_DRIVER, DRIVERS
+from sim.kernels.compile import IntArray, compiled
+from sim.kernels.dispatch import commands
+from sim.kernels.records import RecordArray, fresh, record_type, records
+from sim.models.vehicles import Motion
+
+_ROWS = {row.name: row for row in DRIVERS.values() if row.module}
+CODES = {name: code for code, name in enumerate(_ROWS)}
+"""For each driver that drives in batches, the place of its file."""
+_MODULES = tuple(import_module(row.module) for row in _ROWS.values())
+PerDriver: Any = namedtuple("PerDriver", tuple(_ROWS))  # type: ignore[misc] # of the table
+"""A structured array for each driver, or None where the batch does not contain it."""
+_driver_command = commands([module.command for module in _MODULES])
+
+
+class DriverTables(NamedTuple):
+    """Drivers of a batch's UGVs, and their constants."""
+
+    codes: IntArray
+    """A value of `CODES`. Shape (UGVs,)."""
+    ugvs: RecordArray
+    """`UgvParameters`. Shape (UGVs,)."""
+    parameters: Any
+    """`PerDriver`: the drivers' `Parameters`. Shape (UGVs,)."""
+
+
+def driver_tables(briefings: Sequence[UgvBriefing], drivers: Sequence[str]) -> DriverTables:
+    """Return the tables of the UGVs that are briefed, each with its driver.
+
+    Raises:
+        ScenarioError: If a driver has no compiled form.
+    """
+    chosen = list(zip(briefings, drivers, strict=True))
+    given = [driver_parameters(one, name) for one, name in chosen]
+    ugvs = [ugv_parameters(one, unbounded=DRIVERS[name].unbounded) for one, name in chosen]
+    # Without ground the driver that navigates is the default one, which needs no other code.
+    codes = [
+        CODES[DEFAULT_DRIVER if DRIVERS[name].separate and one.ground is None else name]
+        for one, name in chosen
+    ]
+    tables = []
+    for code, (row, module) in enumerate(zip(_ROWS.values(), _MODULES, strict=True)):
+        table = np.zeros(len(chosen), record_type(module.Parameters))
+        own = [k for k, other in enumerate(codes) if other == code and drivers[k] == row.name]
+        if own:
+            table[own] = records(module.Parameters, [given[k] for k in own])
+        tables.append(table if own or not row.separate else None)
+    table = records(UgvParameters, ugvs)
+    return DriverTables(np.array(codes, dtype=np.int64), table, PerDriver(*tables))
+
+
+def driver_memories(tables: DriverTables, worlds: int) -> Any:  # noqa: ANN401 - `PerDriver`
+    """Return the drivers' memories in all worlds. Shape (worlds, UGVs) each."""
+    shape = worlds, len(tables.codes)
+    return PerDriver(
+        *(
+            None if table is None else fresh(module.Memory, shape)
+            for module, table in zip(_MODULES, tables.parameters, strict=True)
+        )
+    )
+
+
+@compiled
+def driver_command(
+    tables: DriverTables,
+    memories: Any,  # noqa: ANN401 - `PerDriver`
+    place: tuple[int, int],
+    inputs: DriverInputs,
+    tick: int,
+    own: Motion,
+) -> tuple[float, float]:
+    """Return a UGV's command by its driver [m/s²].
+
+    Args:
+        tables: Of the batch.
+        memories: Changed in place.
+        place: World and UGV.
+        inputs: Goals, script, and what reaches the UGV at this tick.
+        tick: Now.
+        own: State of the UGV.
+    """
+    row = place[1]
+    u_x, u_y = _driver_command(
+        tables.codes[row],
+        tables.ugvs[row],
+        tables.parameters,
+        memories,
+        place,
+        (inputs, tick, own),
+    )
+    return u_x, u_y

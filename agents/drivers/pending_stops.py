@@ -1,0 +1,120 @@
+"""Commands of the driver `navigate` that do not act yet, and what can be claimed of the stops after them."""
+
+from agents.drivers.cautious import is_safe, known_open
+from agents.drivers.navigate_parameters import NavigateParameters
+from agents.drivers.tile_map import GroundMemory
+from bus.messages import MOST_CARRIED
+from sim.kernels.compile import compiled
+from sim.kernels.records import RecordArray
+from sim.models.ground import CERTIFIED, NO_CLAIM, NO_STOP, WAY_UNKNOWN
+from sim.models.motion import NO_MOTION, follow_on, keep_motion, motion_command
+from sim.models.vehicles import Motion, brake, step_vehicle, within_walls
+
+PLAIN = -2
+"""In the place of the motion that is flown: the receiver flies none, and commands act as they come."""
+
+
+@compiled
+def state_ahead(
+    parameters: NavigateParameters, memory: GroundMemory, tick: int, here: Motion, flown: int
+) -> tuple[Motion, int]:
+    """Return the state of the UGV when the command of this tick acts, and the motion that it then goes on from.
+
+    It notes in `memory.flags` whether the way until then, and the one to a stop wherever commands are lost on it, lies
+    on tiles that are known to be drivable.
+
+    Args:
+        parameters: Of the driver.
+        memory: With the commands that were sent.
+        tick: Now.
+        here: Where it is now.
+        flown: The motion that it flew in the tick before; NO_MOTION: none; PLAIN: its receiver flies none, and all
+            commands act.
+    """
+    sent, ahead, rows = memory.sent, memory.flown, memory.sent.shape[0]
+    plain = flown == PLAIN
+    known, late = known_open(), rows > 2
+    stop_x, stop_y = brake(here.v_x, here.v_y, parameters.max_acceleration, parameters.dt)
+    safe = is_safe(parameters, late, memory.tiles, known, here, stop_x, stop_y)
+    own = flown % rows
+    if flown >= 0 and sent[own].begins == flown:
+        ahead[0] = sent[own]
+        ahead[0].age = tick - flown
+    else:
+        ahead[0].begins, ahead[0].age = (NO_MOTION if plain else flown), 1
+        ahead[0].turn, ahead[0].cruise, ahead[0].brake = 0, 0, 0
+    for k in range(rows - 2):
+        due = sent[(tick + k) % rows]
+        if plain:
+            u_x, u_y = 0.0, 0.0
+            if due.begins == tick + k:
+                u_x, u_y = due.first_x, due.first_y
+        else:
+            follow_on(sent, ahead, tick + k)
+            u_x, u_y = motion_command(
+                ahead[0], here.v_x, here.v_y, parameters.max_acceleration, parameters.dt
+            )
+            ahead[0].age += 1
+        safe = safe and is_safe(parameters, late, memory.tiles, known, here, u_x, u_y)
+        p_x, p_y, v_x, v_y, _, _ = step_vehicle(
+            here.p_x,
+            here.p_y,
+            here.v_x,
+            here.v_y,
+            u_x,
+            u_y,
+            parameters.max_speed,
+            parameters.max_acceleration,
+            parameters.dt,
+        )
+        p_x, v_x = within_walls(p_x, v_x, parameters.width)
+        p_y, v_y = within_walls(p_y, v_y, parameters.height)
+        here = Motion(p_x, p_y, v_x, v_y)
+    memory.flags[0].claim = NO_STOP if plain else CERTIFIED if safe else WAY_UNKNOWN
+    return here, int(ahead[0].begins)
+
+
+@compiled
+def note_claim(
+    parameters: NavigateParameters, memory: GroundMemory, ahead: Motion, u_x: float, u_y: float
+) -> None:
+    """Claim, after `state_ahead`, what the command of this tick [m/s²] leaves to be claimed.
+
+    Args:
+        parameters: Of the driver; a bold one claims nothing.
+        memory: Its flags are changed.
+        ahead: Where the UGV is when the command acts.
+        u_x, u_y: The command.
+    """
+    flags, late = memory.flags[0], memory.sent.shape[0] > 2
+    if parameters.bold != 0:
+        flags.claim = NO_CLAIM
+    elif flags.claim == CERTIFIED and not is_safe(
+        parameters, late, memory.tiles, known_open(), ahead, u_x, u_y
+    ):
+        flags.claim = WAY_UNKNOWN
+
+
+@compiled
+def note_sent(memory: GroundMemory, tick: int, parent: int, u_x: float, u_y: float) -> None:
+    """Keep the command of this tick [m/s²], which goes on from the motion `parent`, until it acts."""
+    rows = memory.sent.shape[0]
+    begins = tick + rows - 2
+    row = memory.sent[begins % rows]
+    row.begins, row.parent, row.first_x, row.first_y = begins, parent, u_x, u_y
+
+
+@compiled
+def hand_over_stops(memory: GroundMemory, tick: int, motions: RecordArray) -> tuple[int, int]:
+    """Put the motions that the command of this tick carries among those that set out.
+
+    Returns:
+        The tick in which the last of them begins (-1: none), and how many they are.
+    """
+    rows = memory.sent.shape[0]
+    last, count = tick + rows - 2, 0
+    for begins in range(max(tick, last - MOST_CARRIED + 1), last + 1):
+        if memory.sent[begins % rows].begins == begins:
+            keep_motion(motions, memory.sent[begins % rows], tick)
+            count += 1
+    return (last if count else -1), count

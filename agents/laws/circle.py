@@ -1,0 +1,50 @@
+r"""Law `circle`: circles round the UGV, Klodt 2015, eq. (22) to (25)."""
+
+import math
+
+from agents.control.orbit import circle, orbit_control
+from agents.control.uav_parameters import Target, UavParameters
+from agents.laws.common import TrackingMemory, TrackingParameters, tracking_term
+from bus.messages import Coordinate, Positive
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.vehicles import Motion
+
+
+class Parameters(TrackingParameters, frozen=True, kw_only=True):
+    """`[law.parameters]` of this law."""
+
+    circle_radius: Positive = math.inf
+    """r_pv of (25) [m]; by default the switching radius."""
+    circle_rate: Coordinate = 0.1
+    """omega_pv of (25) [rad/s]; negative is clockwise."""
+
+
+Memory = TrackingMemory
+
+
+@compiled
+def command(
+    uav: UavParameters,
+    law: Parameters,
+    memory: Memory,
+    coverage: FloatArray,
+    tick: int,
+    own: Motion,
+    target: Target,
+) -> tuple[float, float]:
+    """Return the nominal command [m/s²], before the bound of (1).
+
+    Args:
+        uav: Constants of the UAV.
+        law: Parameters of this law.
+        memory: Changed in place.
+        coverage: The UAV's coverage grid C. Shape (rows, columns).
+        tick: Now.
+        own: Position [m] and velocity [m/s] of the UAV.
+        target: Estimate of the UGV, which is known.
+    """
+    r_pv = law.circle_radius if law.circle_radius < math.inf else uav.switching_radius
+    p_vx, p_vy, a_vx, a_vy = circle(tick * uav.dt, r_pv, law.circle_rate)
+    x, y = own.p_x - target.p_x, own.p_y - target.p_y
+    u_tr_x, u_tr_y = tracking_term(law, memory, uav.dt, x - p_vx, y - p_vy)
+    return orbit_control(u_tr_x, u_tr_y, a_vx, a_vy)

@@ -1,0 +1,206 @@
+"""Shared parts of the laws: parameters, memories, and the two terms of (17)."""
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from agents.control.coverage import (
+    border_distance,
+    coverage_control,
+    is_zero_gradient,
+    keep_off_border,
+    single_integrator_command,
+    symmetry_breaker,
+    velocity_error,
+)
+from agents.control.tracking import tracking_output, tracking_step
+from agents.control.uav_parameters import Target, UavParameters
+from agents.control.weighting import combine
+from bus.messages import Coordinate, Positive, Vector
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.field import coverage_gradient, is_uncovered, nearest_uncovered
+from sim.models.randomness import FIRST, START_DIRECTION, uniform
+from sim.models.vehicles import Motion, norm
+
+_ON_THE_SPOT = 1e-9
+"""Nearer than this [m] a point gives no direction."""
+
+
+class LawParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Base of every law's `[law.parameters]`."""
+
+
+class TrackingParameters(LawParameters, frozen=True, kw_only=True):
+    """Gains of the tracking law (15)."""
+
+    a_c: Coordinate = -3.0
+    """A_c [1/s]."""
+    b_c: Coordinate = -3.0
+    """B_c [1/s]."""
+    c_c: Coordinate = -8.0 / 3.0
+    """C_c [1/s²]."""
+    d_c: Coordinate = -3.0
+    """D_c [1/s²]."""
+
+
+class CoverageParameters(TrackingParameters, frozen=True, kw_only=True):
+    """Gains of tracking and of the coverage law (6) to (11)."""
+
+    speed_gain: Positive = 10.0
+    """k_v of (11) [1/s]."""
+    reference_speed: Positive = math.inf
+    """v_ref of (10) [m/s]; by default the UAV's maximum speed."""
+
+
+class TrackingMemory:
+    """Memory of the tracking law."""
+
+    x_c: Vector
+    """State of (15) [m]."""
+
+
+class CoverageMemory(TrackingMemory):
+    """Memory of a law that covers ground."""
+
+    key_0: np.uint64
+    key_1: np.uint64
+    """Random number key of the UAV."""
+    has_goal: bool
+    """True while it keeps a point of (7)."""
+    goal: Vector
+    """That point [m]."""
+
+
+@compiled
+def tracking_term(
+    law: TrackingParameters, memory: TrackingMemory, dt: float, x: float, y: float
+) -> tuple[float, float]:
+    """Return u_a,tr of (15) [m/s²] and advance its state by one tick.
+
+    Args:
+        law: Its gains.
+        memory: Changed in place.
+        dt: Length of the tick [s].
+        x, y: Position error to be controlled [m].
+    """
+    state: Any = memory.x_c
+    x_c, y_c = state[0], state[1]
+    state[0], state[1] = tracking_step(x_c, y_c, x, y, law.a_c, law.b_c, dt)
+    return tracking_output(x_c, y_c, x, y, law.c_c, law.d_c)
+
+
+@compiled
+def way_to_uncovered(
+    uav: UavParameters,
+    memory: CoverageMemory,
+    coverage: FloatArray,
+    tick: int,
+    own: Motion,
+    target: Target,
+) -> tuple[bool, float, float]:
+    """Apply the symmetry breaker (7); its point is kept until it is covered or leaves the density's support.
+
+    Returns:
+        True if anything is uncovered at all, and the direction.
+    """
+    goal: Any = memory.goal
+    r_o, desired, cell = uav.density_radius, uav.desired_coverage, uav.cell
+    kept = memory.has_goal and is_uncovered(
+        coverage, goal[0], goal[1], target.p_x, target.p_y, r_o, desired, cell
+    )
+    key = memory.key_0, memory.key_1
+    if not kept:
+        kept, goal[0], goal[1] = nearest_uncovered(
+            coverage, own.p_x, own.p_y, target.p_x, target.p_y, r_o, desired, cell, key, tick
+        )
+        memory.has_goal = kept
+    if not kept:
+        return False, 0.0, 0.0
+    u_x, u_y = symmetry_breaker(goal[0], goal[1], own.p_x, own.p_y, 1.0)
+    if norm(u_x, u_y) < _ON_THE_SPOT:
+        # Deviation: (10) would divide by zero right over the point. Any direction is as good: draw one.
+        angle = 2.0 * math.pi * uniform(key, START_DIRECTION, tick, FIRST)
+        u_x, u_y = math.cos(angle), math.sin(angle)
+    return True, u_x, u_y
+
+
+@compiled
+def coverage_velocity_error(
+    uav: UavParameters,
+    law: CoverageParameters,
+    memory: CoverageMemory,
+    coverage: FloatArray,
+    tick: int,
+    own: Motion,
+    target: Target,
+) -> tuple[float, float]:
+    """Return e_vel of (10) [m/s]: along (6), or along (7) where that is zero."""
+    u_cov_x, u_cov_y, size = coverage_gradient(
+        coverage,
+        own.p_x,
+        own.p_y,
+        target.p_x,
+        target.p_y,
+        uav.density_radius,
+        uav.desired_coverage,
+        uav.sensor,
+        uav.sensor_peak,
+        uav.sensing_range,
+        uav.cell,
+    )
+    uncovered, other_x, other_y = True, 0.0, 0.0
+    if is_zero_gradient(u_cov_x, u_cov_y, size):
+        uncovered, other_x, other_y = way_to_uncovered(uav, memory, coverage, tick, own, target)
+    u_si_x, u_si_y = single_integrator_command(u_cov_x, u_cov_y, size, other_x, other_y)
+    v_ref = min(law.reference_speed, uav.max_speed)
+    return velocity_error(u_si_x, u_si_y, v_ref, own.v_x, own.v_y, uncovered)
+
+
+@compiled
+def border_margin(uav: UavParameters, v_ref: float) -> float:
+    """Return the safety distance to the border of Q [m]; v_ref [m/s] bounds a UAV without a bound of its own."""
+    fastest = uav.max_speed if uav.max_speed < math.inf else v_ref
+    return border_distance(fastest, uav.max_acceleration, uav.dt)
+
+
+@compiled
+def coverage_term(
+    uav: UavParameters,
+    law: CoverageParameters,
+    memory: CoverageMemory,
+    coverage: FloatArray,
+    tick: int,
+    own: Motion,
+    target: Target,
+) -> tuple[float, float]:
+    """Return u_a,cov [m/s²] of (6) to (11), kept inside Q. Arguments as in a law's `command`."""
+    e_x, e_y = coverage_velocity_error(uav, law, memory, coverage, tick, own, target)
+    u_x, u_y = coverage_control(e_x, e_y, law.speed_gain)
+    margin = border_margin(uav, law.reference_speed)
+    return keep_off_border(u_x, u_y, own, law.speed_gain, uav.width, uav.height, margin, uav.dt)
+
+
+@compiled
+def weighted_command(
+    uav: UavParameters,
+    law: CoverageParameters,
+    memory: CoverageMemory,
+    coverage: FloatArray,
+    tick: int,
+    own: Motion,
+    target: Target,
+    weights: tuple[float, float],
+) -> tuple[float, float]:
+    """Return the combined command (17) [m/s²]. Arguments as in a law's `command`, and alpha and beta."""
+    x, y = own.p_x - target.p_x, own.p_y - target.p_y
+    u_tr_x, u_tr_y = tracking_term(law, memory, uav.dt, x, y)
+    u_cov_x, u_cov_y = coverage_term(uav, law, memory, coverage, tick, own, target)
+    return combine(weights[0], weights[1], u_tr_x, u_tr_y, u_cov_x, u_cov_y)
+
+
+@compiled
+def distance_to(target: Target, own: Motion) -> float:
+    """Return the distance to the estimated position of the UGV [m]."""
+    return norm(own.p_x - target.p_x, own.p_y - target.p_y)

@@ -1,0 +1,37 @@
+r"""Law `coverage`: sees ground by (6) to (11), and never turns back to the UGV."""
+
+from agents.control.uav_parameters import Target, UavParameters
+from agents.laws.common import CoverageMemory, CoverageParameters, weighted_command
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.vehicles import Motion
+
+
+class Parameters(CoverageParameters, frozen=True, kw_only=True):
+    """`[law.parameters]` of this law; it integrates the tracking law for the law that may follow it."""
+
+
+Memory = CoverageMemory
+
+
+@compiled
+def command(
+    uav: UavParameters,
+    law: Parameters,
+    memory: Memory,
+    coverage: FloatArray,
+    tick: int,
+    own: Motion,
+    target: Target,
+) -> tuple[float, float]:
+    """Return the nominal command [m/s²], before the bound of (1).
+
+    Args:
+        uav: Constants of the UAV.
+        law: Parameters of this law.
+        memory: Changed in place.
+        coverage: The UAV's coverage grid C. Shape (rows, columns).
+        tick: Now.
+        own: Position [m] and velocity [m/s] of the UAV.
+        target: Estimate of the UGV, which is known.
+    """
+    return weighted_command(uav, law, memory, coverage, tick, own, target, (0.0, 1.0))

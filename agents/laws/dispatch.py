@@ -1,0 +1,98 @@
+"""Law of each UAV in a batch: chosen by its row, compiled with the batch.
+
+A batch is compiled again for each set of laws, which takes 15 s. So it contains all laws that compile quickly, and of
+the others those that are flown.
+"""
+
+from collections import namedtuple
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from agents.control.uav_parameters import Target, UavParameters, uav_parameters
+from bus.law_parameters import law_parameters
+from bus.messages import Law, UavBriefing
+from bus.registry import LAWS
+from sim.kernels.compile import FloatArray, IntArray, compiled
+from sim.kernels.dispatch import commands
+from sim.kernels.records import RecordArray, fresh, record_type, records
+from sim.models.vehicles import Motion, brake, clip_norm
+
+_ROWS = {row.name: row for row in LAWS.values() if row.module and not row.own}
+_FILES = tuple(dict.fromkeys(row.module for row in _ROWS.values()))
+CODES = {name: _FILES.index(row.module) for name, row in _ROWS.items()}
+"""For each law that flies in batches, the place of its file."""
+_FIELDS = tuple(file.replace(".", "_") for file in _FILES)
+_MODULES = tuple(map(import_module, _FILES))
+_SEPARATE = {CODES[name] for name, row in _ROWS.items() if row.separate}
+PerLaw: Any = namedtuple("PerLaw", _FIELDS)  # type: ignore[misc] # of the table
+"""A structured array for each file, or None where the batch does not contain the law."""
+_law_command = commands([module.command for module in _MODULES])
+
+
+class LawTables(NamedTuple):
+    """Laws of a batch's UAVs, and their constants."""
+
+    codes: IntArray
+    """A value of `CODES`. Shape (UAVs,)."""
+    uavs: RecordArray
+    """`UavParameters`. Shape (UAVs,)."""
+    parameters: Any
+    """`PerLaw`: the laws' `Parameters`. Shape (UAVs,)."""
+
+
+def law_tables(briefings: Sequence[UavBriefing], laws: Sequence[Law]) -> LawTables:
+    """Return the tables of the UAVs that are briefed, each with its law, a key of `CODES`."""
+    codes = np.array([CODES[law.name] for law in laws], dtype=np.int64)
+    tables = []
+    for code, module in enumerate(_MODULES):
+        table = np.zeros(len(laws), record_type(module.Parameters))
+        own = [k for k, law in enumerate(laws) if CODES[law.name] == code]
+        if own:
+            table[own] = records(module.Parameters, [law_parameters(laws[k]) for k in own])
+        tables.append(table if own or code not in _SEPARATE else None)
+    uavs = records(UavParameters, list(map(uav_parameters, briefings)))
+    return LawTables(codes, uavs, PerLaw(*tables))
+
+
+def law_memories(tables: LawTables, worlds: int) -> Any:  # noqa: ANN401 - `PerLaw`
+    """Return the laws' memories in all worlds. Shape (worlds, UAVs) each."""
+    shape = worlds, len(tables.codes)
+    return PerLaw(
+        *(
+            None if table is None else fresh(module.Memory, shape)
+            for module, table in zip(_MODULES, tables.parameters, strict=True)
+        )
+    )
+
+
+@compiled
+def nominal_command(
+    tables: LawTables,
+    memories: Any,  # noqa: ANN401 - `PerLaw`
+    place: tuple[int, int],
+    coverage: FloatArray,
+    tick: int,
+    own: Motion,
+    target: Target,
+) -> tuple[float, float]:
+    """Return a UAV's command by its law, within the bound of (1) [m/s²]; without a detection it brakes.
+
+    Args:
+        tables: Of the batch.
+        memories: Changed in place.
+        place: World and UAV.
+        coverage: The UAV's coverage grid C. Shape (rows, columns).
+        tick: Now.
+        own: State of the UAV.
+        target: Estimate of the UGV.
+    """
+    row = place[1]
+    uav = tables.uavs[row]
+    if not target.known:
+        return brake(own.v_x, own.v_y, uav.max_acceleration, uav.dt)
+    inputs = coverage, tick, own, target
+    u_x, u_y = _law_command(tables.codes[row], uav, tables.parameters, memories, place, inputs)
+    return clip_norm(u_x, u_y, uav.max_acceleration)

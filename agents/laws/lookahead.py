@@ -1,0 +1,237 @@
+r"""A law that looks ahead: it goes on with the motion after which least ground lacks coverage. Beyond Klodt 2015.
+
+Every half second it compares motions of the next seconds on a coarse copy of the UAV's own map, around where its filter
+expects the UGV; the equations are in docs/explanation/lookahead.md. It knows what every law knows: its own position and
+velocity, its own map, and what its filter believes of the UGV. It is flown inside the safety filter.
+
+Positions in the world's frame [m], velocities [m/s], times [s] but for ticks.
+"""
+
+import math
+from typing import Annotated, Any
+
+import numpy as np
+from msgspec import Meta
+
+from agents.control.uav_parameters import Target, UavParameters
+from agents.laws.common import LawParameters
+from agents.laws.horizon import (
+    LEGS,
+    PERIOD,
+    WINDOW,
+    Ahead,
+    copy,
+    leg_ticks,
+    look_ahead,
+    worth,
+)
+from bus.messages import Positive
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.randomness import LOOKAHEAD_MOTION, Key, draw, to_uniform
+from sim.models.vehicles import Motion, clip_norm, norm
+
+_SLOTS = LEGS + 1  # of a motion in memory: a decision may be taken amid its first leg
+
+# What a UGV does is learnt from two velocities so many decisions apart, the older the less.
+_LAG = 10
+_FORGET = 0.98
+_FIRST_PERSISTENCE, _FIRST_WEIGHT = 20.0, 5.0  # [s], and worth how many pairs
+_LEAST_ALIKE, _MOST_ALIKE = 0.05, 0.92  # 1.7 s and 60 s
+
+
+class Parameters(LawParameters, frozen=True, kw_only=True):
+    """`[law.parameters]` of this law."""
+
+    reference_speed: Positive = math.inf
+    """v_ref: largest speed that it plans with [m/s]; by default the UAV's maximum speed."""
+    horizon: Annotated[float, Meta(ge=0.5, le=60.0)] = 15.0
+    """Time that it looks ahead [s]; 0.5: one step."""
+    candidates: Annotated[int, Meta(ge=1, le=10_000)] = 800
+    """Number of motions it compares every half second; 1: it flies motions drawn at random, one after the other."""
+
+
+class Memory:
+    """Memory of the law."""
+
+    key_0: np.uint64
+    key_1: np.uint64
+    """Random number key of the UAV."""
+    due: int
+    """The tick of the next decision."""
+    first: int
+    """The leg that the first velocity of the motion is for."""
+    noted: int
+    """Number of velocities of the UGV that have been kept."""
+    products: float
+    squares: float
+    """Sums of their products and squares [m²/s²]."""
+    velocities: Annotated[FloatArray, (_SLOTS, 2)]
+    """The motion that is flown, leg by leg [m/s]."""
+    kept: Annotated[FloatArray, (_LAG, 2)]
+    """The last velocities of the UGV [m/s], the n-th in row n % rows."""
+
+
+@compiled
+def learn_persistence(memory: Memory, target: Target) -> float:
+    """For how long the UGV keeps a velocity, by what the filter has believed of it so far [s].
+
+    From how alike velocities were that lie some seconds apart; called once a decision.
+    """
+    kept_velocities: Any = memory.kept
+    v_x, v_y = target.v_x, target.v_y
+    squared, kept = v_x * v_x + v_y * v_y, kept_velocities[memory.noted % _LAG]
+    if memory.noted >= _LAG:
+        u_x, u_y = kept[0], kept[1]
+        power = 0.5 * (u_x * u_x + u_y * u_y + squared) - 2.0 * target.v_variance
+        memory.products = _FORGET * memory.products + u_x * v_x + u_y * v_y
+        memory.squares = _FORGET * memory.squares + power
+    kept[0], kept[1] = v_x, v_y
+    memory.noted += 1
+    lag, first = _LAG * PERIOD, _FIRST_WEIGHT * (squared + target.v_variance)
+    if first == 0.0:
+        return _FIRST_PERSISTENCE
+    alike = memory.products + first * math.exp(-lag / _FIRST_PERSISTENCE)
+    alike /= first + max(0.0, memory.squares)
+    return -lag / math.log(min(max(alike, _LEAST_ALIKE), _MOST_ALIKE))
+
+
+@compiled
+def aim(
+    ahead: Ahead,
+    own: Motion,
+    motion: FloatArray,
+    first: int,
+    places: tuple[float, float, float, float],
+) -> None:
+    """Let a motion from its leg `first` on lead to a place beside the UGV, and from there to another.
+
+    Args:
+        ahead: From `look_ahead`.
+        own: State of the UAV.
+        motion: Changed in place. Shape (any, 2).
+        first: The leg.
+        places: From the UGV [m]: x and y of the one and of the other.
+    """
+    steps = ahead.legs.size
+    leg = ahead.leg
+    p_x, p_y, arrived = own.p_x, own.p_y, False
+    for n in range(motion.shape[0]):
+        if n >= first:
+            k = min(int((n + 0.5) * leg / ahead.step), steps - 1)
+            a_x, a_y = (places[2], places[3]) if arrived else (places[0], places[1])
+            w_x = (ahead.track[k, 0] + a_x - p_x) / leg
+            w_y = (ahead.track[k, 1] + a_y - p_y) / leg
+            arrived = arrived or norm(w_x, w_y) < ahead.v_ref
+            motion[n, 0], motion[n, 1] = clip_norm(w_x, w_y, ahead.v_ref)
+        p_x += motion[n, 0] * leg
+        p_y += motion[n, 1] * leg
+
+
+@compiled
+def draw_motion(
+    uav: UavParameters,
+    ahead: Ahead,
+    own: Motion,
+    motion: FloatArray,
+    key: Key,
+    tick: int,
+    n: int,
+) -> None:
+    """Make another motion of one, the n-th of this tick.
+
+    By turns: it leads to two places beside the UGV; it keeps another velocity in one leg; its velocities in one or two
+    legs are a little different; from some leg on it leads to two places.
+    """
+    words = draw(key, LOOKAHEAD_MOTION, tick, n)
+    a, b = to_uniform(words[0]), to_uniform(words[1])
+    d, e = to_uniform(words[2]), to_uniform(words[3])
+    used = ahead.legs[ahead.legs.size - 1] + 1
+    leg, turn = int(b * used), 2.0 * math.pi * a
+    if n % 4 == 0 or n % 4 == 3:
+        near, far = max(0.0, uav.max_distance) * math.sqrt(d), max(0.0, uav.max_distance) * e
+        other = 2.0 * math.pi * (16.0 * b - math.floor(16.0 * b))
+        places = (
+            near * math.cos(turn),
+            near * math.sin(turn),
+            far * math.cos(other),
+            far * math.sin(other),
+        )
+        aim(ahead, own, motion, 0 if n % 4 == 0 else leg, places)
+    elif n % 4 == 1:
+        speed = ahead.v_ref * min(1.0, 1.5 * d)
+        motion[leg, 0], motion[leg, 1] = speed * math.cos(turn), speed * math.sin(turn)
+    else:
+        d_x, d_y = ahead.v_ref * (a - 0.5), ahead.v_ref * (e - 0.5)
+        for m in range(leg, min(leg + 1 + int(2.0 * d), used)):
+            motion[m, 0], motion[m, 1] = clip_norm(
+                motion[m, 0] + d_x, motion[m, 1] + d_y, ahead.v_ref
+            )
+
+
+@compiled
+def recall(memory: Memory, now: int, motion: FloatArray) -> None:
+    """The motion that is flown, from the leg of now on; after its last one it keeps the velocity."""
+    velocities: Any = memory.velocities
+    passed = max(0, now - memory.first)
+    for n in range(motion.shape[0]):
+        velocity = velocities[min(n + passed, _SLOTS - 1)]
+        motion[n, 0], motion[n, 1] = velocity[0], velocity[1]
+
+
+@compiled
+def decide(
+    uav: UavParameters,
+    law: Parameters,
+    memory: Memory,
+    coverage: FloatArray,
+    tick: int,
+    own: Motion,
+    target: Target,
+) -> None:
+    """Put the motion to go on with into the memory: the one that is flown, or the best of those made of it.
+
+    Where there is but one candidate nothing is compared: it is flown to its end, and then one is drawn.
+    """
+    v_ref, persistence = min(law.reference_speed, uav.max_speed), learn_persistence(memory, target)
+    ahead = look_ahead(uav, law.horizon, v_ref, coverage, tick, target, persistence)
+    key = memory.key_0, memory.key_1
+    now = tick // leg_ticks(law.horizon, uav.dt)
+    best, tried = np.empty((_SLOTS, 2)), np.empty((_SLOTS, 2))
+    recall(memory, now, best)
+    if law.candidates > 1:
+        lack, gains = np.empty_like(ahead.lack), np.empty(WINDOW)
+        most = worth(uav, ahead, own, best, lack, gains)
+        for n in range(1, law.candidates):
+            copy(best, tried)
+            draw_motion(uav, ahead, own, tried, key, tick, n)
+            value = worth(uav, ahead, own, tried, lack, gains)
+            if value > most:
+                most = value
+                copy(tried, best)
+    elif memory.noted == 1 or now - memory.first >= LEGS:
+        draw_motion(uav, ahead, own, best, key, tick, 0)
+    else:
+        return
+    memory.first = now
+    copy(best, memory.velocities)
+
+
+@compiled
+def command(
+    uav: UavParameters,
+    law: Parameters,
+    memory: Memory,
+    coverage: FloatArray,
+    tick: int,
+    own: Motion,
+    target: Target,
+) -> tuple[float, float]:
+    """Return the nominal command [m/s²], before the bound of (1). Arguments as in every law's `command`."""
+    if tick >= memory.due:
+        decide(uav, law, memory, coverage, tick, own, target)
+        period = max(1, round(PERIOD / uav.dt))
+        memory.due = (tick // period + 1) * period
+    velocities: Any = memory.velocities
+    leg = tick // leg_ticks(law.horizon, uav.dt) - memory.first
+    velocity = velocities[min(max(leg, 0), _SLOTS - 1)]
+    return (velocity[0] - own.v_x) / uav.dt, (velocity[1] - own.v_y) / uav.dt

@@ -1,0 +1,48 @@
+r"""Law `path`: a path of the user's own beside the UGV, Klodt 2015, eq. (20) to (24)."""
+
+from agents.control.orbit import orbit_control
+from agents.control.uav_parameters import Target, UavParameters
+from agents.laws.common import TrackingMemory, TrackingParameters, tracking_term
+from bus.messages import Vector
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.vehicles import Motion
+
+
+class Parameters(TrackingParameters, frozen=True, kw_only=True):
+    """`[law.parameters]` of this law."""
+
+
+class Memory(TrackingMemory):
+    """Memory of the law; the pilot writes the function's answer into it before each command."""
+
+    offset: Vector
+    """p_v [m]."""
+    acceleration: Vector
+    """Its second derivative [m/s²]."""
+
+
+@compiled
+def command(
+    uav: UavParameters,
+    law: Parameters,
+    memory: Memory,
+    coverage: FloatArray,
+    tick: int,
+    own: Motion,
+    target: Target,
+) -> tuple[float, float]:
+    """Return the nominal command [m/s²], before the bound of (1).
+
+    Args:
+        uav: Constants of the UAV.
+        law: Parameters of this law.
+        memory: Changed in place.
+        coverage: The UAV's coverage grid C. Shape (rows, columns).
+        tick: Now.
+        own: Position [m] and velocity [m/s] of the UAV.
+        target: Estimate of the UGV, which is known.
+    """
+    x, y = own.p_x - target.p_x, own.p_y - target.p_y
+    p_v, a_v = memory.offset, memory.acceleration
+    u_tr_x, u_tr_y = tracking_term(law, memory, uav.dt, x - p_v[0], y - p_v[1])
+    return orbit_control(u_tr_x, u_tr_y, a_v[0], a_v[1])

@@ -1,0 +1,65 @@
+"""The law that a pilot flies, by its name: file, parameters and memory."""
+
+from importlib import import_module
+from typing import Any
+
+from agents.control.uav_parameters import Target, UavParameters
+from agents.control.visibility import switching_radius
+from bus.errors import ScenarioError
+from bus.law_parameters import law_parameters
+from bus.messages import Law, UavBriefing
+from bus.registry import LAWS
+from sim.kernels.compile import FloatArray
+from sim.kernels.records import fresh, records
+from sim.models.randomness import words_of
+from sim.models.vehicles import Motion
+
+
+class SelectedLaw:
+    """A law that flies one UAV.
+
+    Args:
+        briefing: The UAV's.
+        law: Name and parameters.
+        uav: Constants of the UAV.
+        before: The law that flew it before; what both remember is kept.
+
+    Raises:
+        ScenarioError: If the law is unknown, its parameters are not allowed, or the UAV is too weak for r_s.
+    """
+
+    def __init__(
+        self,
+        briefing: UavBriefing,
+        law: Law,
+        uav: UavParameters,
+        before: "SelectedLaw | None" = None,
+    ) -> None:
+        if law.name not in LAWS:
+            raise ScenarioError(f"law.name = {law.name!r}: unknown; allowed: {', '.join(LAWS)}")
+        self.row = LAWS[law.name]
+        """Its row."""
+        if self.row.needs_radius:
+            r_v, v_g = briefing.visibility_radius, uav.target_max_speed
+            switching_radius(r_v, uav.max_speed, v_g, uav.max_acceleration)
+        self.memory: Any = None if before is None else before.memory
+        """Record of its memory; None before the first law that has one."""
+        if not self.row.module:
+            return
+        module, kept = import_module(self.row.module), self.memory
+        memory = self.memory = fresh(module.Memory)[0]
+        if "key_0" in memory.dtype.names:
+            memory["key_0"], memory["key_1"] = words_of(briefing.key)
+        if kept is not None:
+            for name in set(kept.dtype.names) & set(memory.dtype.names):
+                memory[name] = kept[name]
+        (own,) = records(UavParameters, [uav])
+        (parameters,) = records(module.Parameters, [law_parameters(law)])
+        self._command, self._fixed = module.command, (own, parameters, memory)
+
+    def command(
+        self, coverage: FloatArray, tick: int, own: Motion, target: Target
+    ) -> tuple[float, float]:
+        """Return the nominal command [m/s²], before the bound of (1)."""
+        u_x, u_y = self._command(*self._fixed, coverage, tick, own, target)
+        return u_x, u_y

@@ -1,0 +1,45 @@
+r"""Law `switching`: one term or the other, switched at r_s, Klodt 2015, eq. (17)."""
+
+from agents.control.uav_parameters import Target, UavParameters
+from agents.control.weighting import switching_weights
+from agents.laws.common import CoverageMemory, CoverageParameters, distance_to, weighted_command
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.vehicles import Motion
+
+
+class Parameters(CoverageParameters, frozen=True, kw_only=True):
+    """`[law.parameters]` of this law."""
+
+
+Memory = CoverageMemory
+
+
+@compiled
+def weights(uav: UavParameters, law: Parameters, distance: float) -> tuple[float, float]:
+    """Return alpha and beta at this distance [m]."""
+    return switching_weights(distance, uav.switching_radius)
+
+
+@compiled
+def command(
+    uav: UavParameters,
+    law: Parameters,
+    memory: Memory,
+    coverage: FloatArray,
+    tick: int,
+    own: Motion,
+    target: Target,
+) -> tuple[float, float]:
+    """Return the nominal command [m/s²], before the bound of (1).
+
+    Args:
+        uav: Constants of the UAV.
+        law: Parameters of this law.
+        memory: Changed in place.
+        coverage: The UAV's coverage grid C. Shape (rows, columns).
+        tick: Now.
+        own: Position [m] and velocity [m/s] of the UAV.
+        target: Estimate of the UGV, which is known.
+    """
+    shares = weights(uav, law, distance_to(target, own))
+    return weighted_command(uav, law, memory, coverage, tick, own, target, shares)

@@ -1,0 +1,38 @@
+r"""Law `tracking`: follows the UGV, Klodt 2015, eq. (15) and (16)."""
+
+from agents.control.uav_parameters import Target, UavParameters
+from agents.laws.common import TrackingMemory, TrackingParameters, tracking_term
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.vehicles import Motion
+
+
+class Parameters(TrackingParameters, frozen=True, kw_only=True):
+    """`[law.parameters]` of this law."""
+
+
+Memory = TrackingMemory
+
+
+@compiled
+def command(
+    uav: UavParameters,
+    law: Parameters,
+    memory: Memory,
+    coverage: FloatArray,
+    tick: int,
+    own: Motion,
+    target: Target,
+) -> tuple[float, float]:
+    """Return the nominal command [m/s²], before the bound of (1).
+
+    Args:
+        uav: Constants of the UAV.
+        law: Parameters of this law.
+        memory: Changed in place.
+        coverage: The UAV's coverage grid C. Shape (rows, columns).
+        tick: Now.
+        own: Position [m] and velocity [m/s] of the UAV.
+        target: Estimate of the UGV, which is known.
+    """
+    x, y = own.p_x - target.p_x, own.p_y - target.p_y
+    return tracking_term(law, memory, uav.dt, x, y)

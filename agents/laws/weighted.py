@@ -1,0 +1,42 @@
+r"""Law `weighted`: both terms of (17), weighted by a function of the user's own."""
+
+from agents.control.uav_parameters import Target, UavParameters
+from agents.laws.common import CoverageMemory, CoverageParameters, weighted_command
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.vehicles import Motion
+
+
+class Parameters(CoverageParameters, frozen=True, kw_only=True):
+    """`[law.parameters]` of this law."""
+
+
+class Memory(CoverageMemory):
+    """Memory of the law; the pilot writes the function's answer into it before each command."""
+
+    alpha: float
+    beta: float
+
+
+@compiled
+def command(
+    uav: UavParameters,
+    law: Parameters,
+    memory: Memory,
+    coverage: FloatArray,
+    tick: int,
+    own: Motion,
+    target: Target,
+) -> tuple[float, float]:
+    """Return the nominal command [m/s²], before the bound of (1).
+
+    Args:
+        uav: Constants of the UAV.
+        law: Parameters of this law.
+        memory: Changed in place.
+        coverage: The UAV's coverage grid C. Shape (rows, columns).
+        tick: Now.
+        own: Position [m] and velocity [m/s] of the UAV.
+        target: Estimate of the UGV, which is known.
+    """
+    shares = memory.alpha, memory.beta
+    return weighted_command(uav, law, memory, coverage, tick, own, target, shares)

@@ -1,0 +1,54 @@
+"""Parameters of a law: from the numbers of a message to the class that the law's file declares."""
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any
+
+import msgspec
+
+from bus.errors import ScenarioError
+from bus.messages import Law, LawNumber
+from bus.registry import LAWS
+
+
+def parameters_class(name: str) -> type[msgspec.Struct] | None:
+    """Return the class of a law's parameters; None for a law without a file."""
+    module = LAWS[name].module
+    return import_module(module).Parameters if module else None
+
+
+def parameter_names(name: str) -> tuple[str, ...]:
+    """Return the names of a law's parameters."""
+    parameters = parameters_class(name)
+    return () if parameters is None else parameters.__struct_fields__
+
+
+def own_parameters(law: Law) -> Mapping[str, LawNumber]:
+    """Return the given parameters that are the law's own: a scenario may have those of several laws."""
+    own = parameter_names(law.name)
+    return {name: value for name, value in law.parameters.items() if name in own}
+
+
+def unknown_parameters(law: Law) -> tuple[str, ...]:
+    """Return the given parameters that no law has."""
+    others = [name for name in law.parameters if name not in parameter_names(law.name)]
+    known = {name for row in LAWS for name in parameter_names(row)} if others else set()
+    return tuple(name for name in others if name not in known)
+
+
+def law_parameters(law: Law) -> Any:  # noqa: ANN401 - the law's own class
+    """Return the parameters of a law as its file declares them; None for a law without a file.
+
+    Raises:
+        ScenarioError: If one is of a wrong type or out of its bounds, or no law has it.
+    """
+    for name in unknown_parameters(law):
+        allowed = ", ".join(parameter_names(law.name)) or "none"
+        raise ScenarioError(f"law.parameters.{name}: no law has it; allowed: {allowed}")
+    parameters = parameters_class(law.name)
+    if parameters is None:
+        return None
+    try:
+        return msgspec.convert(own_parameters(law), parameters)
+    except msgspec.ValidationError as error:
+        raise ScenarioError(f"law.parameters of {law.name}: {error}") from error

@@ -1,0 +1,28 @@
+"""Sensor `hill`, that of the paper."""
+
+from sim.kernels.compile import compiled
+
+
+@compiled
+def quality(rho2: float, peak: float, reach: float) -> float:
+    r"""Return the sensor quality $S_a$ [1/s], Klodt 2015, eq. (2).
+
+    $$ S_a = \frac{M_a}{r^4}(\rho^2 - r^2)^2 \text{ inside r, } 0 \text{ outside} $$
+
+    Args:
+        rho2: Squared distance from the UAV [m²].
+        peak: M_a, the quality right below the UAV [1/s].
+        reach: r, the sensor's range [m].
+    """
+    s = rho2 / (reach * reach)
+    rest = 1.0 - s if s < 1.0 else 0.0
+    return peak * rest * rest
+
+
+@compiled
+def slope(rho2: float, peak: float, reach: float) -> float:
+    r"""Return $dS_a/d\rho^2$ [1/(s m²)]; arguments as in `quality`."""
+    scale = 1.0 / (reach * reach)
+    s = rho2 * scale
+    rest = 1.0 - s if s < 1.0 else 0.0
+    return -2.0 * peak * scale * rest
