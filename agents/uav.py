@@ -1,7 +1,6 @@
 """The UAV's pilot: observation in, command out."""
 
 import math
-from collections import deque
 from collections.abc import Callable
 
 import msgspec
@@ -127,7 +126,6 @@ class UavPilot:
         (self._promise,) = records(Promise, [promise])
         self._law_memory, self._lookahead_memory = initial_state(), lookahead_memory()
         self._no_guard = guard_state(promise.delay_ticks, depth=1)
-        self._sent: deque[Vector] = deque(maxlen=promise.delay_ticks)  # that may be under way
         self.filter: SafetyFilter | None = self._make_filter()
         """The safety filter of the law `certified`, and of an inner control of one's own."""
         self.teller = GroundTeller(briefing)
@@ -154,7 +152,7 @@ class UavPilot:
         )
 
     def _make_filter(self) -> SafetyFilter | None:
-        return SafetyFilter(self._briefing, sent=self._sent) if self._watched else None
+        return SafetyFilter(self._briefing) if self._watched else None
 
     @property
     def _watched(self) -> bool:
@@ -204,7 +202,6 @@ class UavPilot:
             acceleration = u_x, u_y
             if self.filter is not None:
                 verdict = self.filter.verdict(tick, u_x, u_y, acts, code, distance)
-        self._sent.append(acceleration)
         motions = () if verdict is None else verdict.motions
         if estimate is None:
             return UavCommand(tick=tick, acceleration=acceleration, motions=motions)

@@ -323,10 +323,8 @@ class DeclaredBounds(Message, frozen=True, kw_only=True):
     """From the tick that a command answers to the one in which it acts [s]."""
     margin: NonNegative = 0.0
     """Taken off r_v [m], for what the theorem does not cover."""
-    hold: NonNegative | None = None
-    """For how long the vehicle goes on with its last command when none comes [s]; None: not told."""
-    outage: NonNegative | None = None
-    """From the beginning of a motion to that of the next at most, B [s]; None: commands carry no motions."""
+    outage: NonNegative = 0.0
+    """Longest time from the start of a motion to the start of the next, B [s]; a tick at least."""
     tracking: NonNegative | None = 0.0
     """Largest true distance of the UAV from where it is told that it is, w [m]; None: it has no bound."""
 
@@ -368,6 +366,8 @@ class UavBriefing(Message, frozen=True, kw_only=True):
     detector: Detector
     estimator: Estimator
     certificate: DeclaredBounds = DeclaredBounds(error=None, age=1.0)
+    hold: NonNegative = 0.5
+    """Time for which a command without a motion stays in effect when no new one arrives [s]; then the UAV brakes."""
     ground: UavGround | None = None
     """None: there are no hazards, and nothing is told of the ground."""
     origin: Origin = Origin()

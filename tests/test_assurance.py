@@ -23,6 +23,7 @@ from outrider.running.flying import make_pilots
 from outrider.running.summary import Summary, summarize
 from sim.engine.briefing import briefing
 from sim.engine.certificate_counts import NEVER, ArrivalRecord
+from sim.engine.world_state import Vehicle
 from sim.kernels.records import record_type
 from sim.models.motion import NO_MOTION, no_motions
 from sim.scenario.loading import load_scenario
@@ -40,11 +41,6 @@ DELAYED = load_scenario(
     },
 )
 """Commands act two ticks late, and the newest detection is never older than ten ticks."""
-
-
-def command(tick: int) -> tuple[float, float]:
-    """Each tick's is another [m/s²]."""
-    return (0.1 + tick, -0.2) if tick >= 0 else (0.0, 0.0)
 
 
 def said(certified: bool | None, *, distance: float = 1.0, reason: str = "") -> UavReport:
@@ -75,8 +71,8 @@ def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) 
     truth = {
         "distance": 1.0,
         "arrivals": [(tick, 0.3)],
-        "acts": command(tick - 2),
-        "flown": NO_MOTION,
+        "flown": tick,
+        "bare": False,
         "current": True,
         "answers": True,
         "off": 0.0,
@@ -91,14 +87,16 @@ def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) 
     arrivals, flown = np.zeros(1, record_type(ArrivalRecord)), no_motions(2)
     arrivals["newest"] = max((taken for taken, _ in truth["arrivals"]), default=NEVER)
     arrivals["error"] = max((error for _, error in truth["arrivals"]), default=0.0)
-    flown["begins"] = truth["flown"]
+    vehicles = np.zeros(2, record_type(Vehicle))
+    flown["begins"], flown["plain"] = truth["flown"], truth["bare"]
+    vehicles["command_tick"] = tick
     assurance.take(
         0,
         tick,
-        UavCommand(tick=answered, acceleration=command(answered), report=report)
+        UavCommand(tick=answered, acceleration=(0.0, 0.0), report=report)
         if truth["answers"]
         else None,
-        evidence=(arrivals, np.array([truth["acts"]] * 2), flown),
+        evidence=(arrivals, vehicles, flown),
         distance=truth["distance"],
     )
 
@@ -125,8 +123,9 @@ def every(until: int = AT, **truth: Any) -> Truths:
 
 
 EXCUSES: dict[str, tuple[Truths, dict[str, Any]]] = {
-    "the command that acted just before was another": ({AT - 1: {"acts": (0.0, 0.0)}}, {}),
-    "the command of the tick before acted": ({AT - 1: {"acts": command(AT - 4)}}, {}),
+    "a motion of before was still flown": ({AT - 1: {"flown": AT - 2}}, {}),
+    "the motion goes on after the certificate has ended": ({AT: {"flown": AT - 1}}, {}),
+    "a bare acceleration acts, which is late": (every(bare=True), {}),
     "no detection for longer than declared": (every(arrivals=[]), {}),
     "a detection arrives that is older than declared": (
         {tick: {"arrivals": [(tick - 11, 0.0)]} for tick in range(AT + 1)},
@@ -155,8 +154,8 @@ NO_EXCUSES: dict[str, tuple[Truths, dict[str, Any]]] = {
         {AT: {"arrivals": [(AT - 10, 0.0), (AT - 30, 0.0)]}},
         {},
     ),
-    "another command acts in the tick itself": ({AT: {"acts": (0.0, 0.0)}}, {}),
-    "a command was late long before": ({1: {"acts": (5.0, 5.0)}}, {}),
+    "a motion went on long before": ({1: {"flown": NO_MOTION}}, {}),
+    "a bare acceleration acts at once": (every(bare=True), {"delay": 0.0}),
     "a detection that was new enough, and that it has seen": (
         every(12, arrivals=[]) | {0: {}, 3: {"arrivals": [(3, 0.0)]}},
         {"ends": 12},

@@ -420,10 +420,11 @@ def test_a_detection_is_of_use_for_as_long_as_is_declared() -> None:
     assert track_ticks(promise(age=200.0, v_g=0.001)) == 4001
 
 
-def test_a_hold_that_is_shorter_than_the_delay_is_named() -> None:
-    (reason,) = handover.check_assumptions(promise(age=1.0, delay=0.5, hold=0.4))
-    assert "hold = 0.4 s: shorter than tau_c = 0.5 s" in reason
-    assert handover.check_assumptions(promise(age=1.0, delay=0.5, hold=0.5)) == ()
+def test_what_lost_commands_cost_is_the_longest_time_between_motions_less_a_tick() -> None:
+    perfect, tick, lossy = (promise(age=1.0, outage=b) for b in (0.0, 0.05, 2.0))
+    assert perfect == tick
+    assert lossy.handover == pytest.approx(perfect.handover)
+    assert lossy.reach == pytest.approx(perfect.reach - perfect.v_a * (2.0 - perfect.dt))
 
 
 ROOM = {"age": 1.0, "width": 10.0, "height": 10.0}

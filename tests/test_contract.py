@@ -31,7 +31,7 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
         limits target_limits max_speed max_acceleration
         area width height cell sensor model peak range desired_coverage covered lower upper
         detector noise cut period estimator enabled gate patience manoeuvre
-        certificate error age delay margin hold outage tracking
+        certificate error age delay margin outage tracking hold
         ground tile telling column row state
         origin latitude longitude altitude
         vehicle dt visibility_radius law key past more"""

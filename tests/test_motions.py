@@ -88,12 +88,20 @@ def test_a_motion_is_flown_to_its_end_and_then_the_vehicle_rests() -> None:
     assert np.all(world.velocity[0] == 0.0)
 
 
-def test_where_no_outage_is_declared_the_acceleration_acts_and_no_motion_is_flown() -> None:
-    world = still(outage=None)
-    world.send(0, 0, (0.1, 0.0), (MotionPlan(0, -1, (0.2, 0.0)),))
-    world.advance()
+@pytest.mark.parametrize(("outage", "begun"), [(0.05, True), (1.0, False)])
+def test_a_late_motion_acts_as_an_acceleration_once_the_vehicle_has_waited_too_long(outage, begun):
+    """Before that it is void."""
+    world = still(outage, 0.0)
+    for tick in range(1, 4):
+        world.move_to(tick)
+        world.send(0, tick - 1, (0.1, 0.0), (MotionPlan(tick - 1, tick - 2, (0.2, 0.0)),))
+        world.advance()
     assert world.flown(0) is None
-    assert world.commands[0].tolist() == [0.1, 0.0]
+    assert world.commands[0].tolist() == ([0.1, 0.0] if begun else [0.0, 0.0])
+    tick = world.tick  # one that is in time takes over again
+    world.send(0, tick, (0.0, 0.0), (MotionPlan(tick, -1, (0.3, 0.0)),))
+    world.advance()
+    assert (world.flown(0), world.commands[0].tolist()) == (tick, [0.3, 0.0])
 
 
 def test_a_command_without_a_motion_takes_over_and_one_with_takes_over_again() -> None:
@@ -215,9 +223,9 @@ def test_motions_that_were_checked_for_less_than_the_outage_are_caught_by_the_at
     """The numbers of a short outage with the claim of a long one: what the certificate would be without its wait."""
     conditions = Conditions(outage=8.0, losses=LOSSES.whenever_it_may, inner=0, ugv=0, u_g=math.inf)
     short = declared(conditions._replace(outage=0.05), 0.3)
-    wait = 8.0 * short.v_g  # which the checks take off again
+    wait = 7.95 * short.v_g  # which the checks take off again
     wrong = short._replace(
-        handover=short.handover + wait, reach=short.reach + wait, outage_ticks=160
+        handover=short.handover + wait, reach=short.reach + wait, interval_ticks=160
     )
     rows = attack(wrong, conditions, 5, 0, 20, 200.0)
     assert rows["max_distance"].max() > conditions.r_v

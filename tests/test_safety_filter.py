@@ -78,7 +78,7 @@ def test_undegraded_the_filter_leaves_the_law_alone() -> None:
     ("changes", "reason"),
     rows("""
 links.detections.blackouts=[[20.0,6.0]] | older than declared
-links.commands.delay=0.5 certificate.delay=0.0 | not where its commands
+links.commands.delay=0.5 certificate.delay=0.0 | no motion can begin within
 detections.noise=0.5 certificate.error=0.2 | contradict
 """),
 )

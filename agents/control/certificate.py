@@ -63,19 +63,15 @@ INNER, PLAN, BEST_EFFORT = 0, 1, 2
     CONTRADICTED,
     OFF_COURSE,
     NO_PLAN,
-    UNKNOWN_COMMANDS,
-    UNSAFE_COURSE,
     OUTAGE,
     UNCHECKED_MOTION,
-) = range(10)
+) = range(8)
 UNCERTIFIED = {
     NO_DETECTION: "no detection has arrived yet",
     TOO_OLD: "the newest detection is older than declared (age > A)",
     CONTRADICTED: "detections contradict each other: their errors are larger than eps, or the UGV is faster than v_g",
-    OFF_COURSE: "the UAV is not where its commands should have brought it: one was late or lost (delay > tau_c)",
+    OFF_COURSE: "the UAV is not where the motion that it reports should have brought it",
     NO_PLAN: "outside the certified set: no plan keeps the UGV within r_v from here",
-    UNKNOWN_COMMANDS: "commands are under way of which it is not known that they will act",
-    UNSAFE_COURSE: "commands under way may take the UGV out of sight before the next one acts",
     OUTAGE: "no motion can begin within what is declared of the one that is flown: commands are lost (outage > B)",
     UNCHECKED_MOTION: "the UAV flies, or may begin, a motion that was not checked from where it is",
 }
@@ -308,9 +304,9 @@ def _stays_in_area(promise: Promise, here: Motion, a_x: float, a_y: float, durat
 def _end_radius(promise: Promise, known: Known, tick: int, x: float, y: float, ticks: int) -> float:
     """A bound on the UGV's distance now from a plan's end [m], if a plan of so many ticks may end there; else infinite.
 
-    It may have to rest there until the next motion begins, for the declared outage.
+    It may have to rest there for B - dt longer, until the next motion begins.
     """
-    n, growth = known.newest, drift(promise, ticks + promise.outage_ticks)
+    n, growth = known.newest, drift(promise, ticks + promise.interval_ticks - 1)
     single = norm(x - n.x, y - n.y) + radius_at(promise, n, tick)
     if not single + growth <= promise.reach:
         return math.inf
@@ -319,8 +315,10 @@ def _end_radius(promise: Promise, known: Known, tick: int, x: float, y: float, t
 
 
 @compiled
-def stop_from(promise: Promise, known: Known, tick: int, here: Motion) -> Plan:
+def stop_from(promise: Promise, known: Known, tick: int, here: Motion, least: int = 0) -> Plan:
     """The plan to brake to a stop from this state at a tick; its disc is infinite if the UAV may not.
+
+    One that begins in this tick lasts for a tick at `least`: no other plan begins before.
 
     Along a straight line on which it only slows down, the bound is largest at one of the ends: the distance to a
     fixed point is convex in the way, and the way concave in time.
@@ -337,7 +335,7 @@ def stop_from(promise: Promise, known: Known, tick: int, here: Motion) -> Plan:
         return _nothing()
     if ticks and not _stays_in_area(promise, here, a_x, a_y, duration):
         return _nothing()
-    radius = _end_radius(promise, known, tick, x, y, ticks)
+    radius = _end_radius(promise, known, tick, x, y, max(ticks, least))
     if radius == math.inf:
         return _nothing()
     if not farthest(promise, known, tick, here.p_x, here.p_y, promise.r_v) <= promise.r_v:
@@ -494,7 +492,7 @@ def safe_control(
     """The command that acts in a tick: the inner control's if a plan still exists after it, else the plan's.
 
     With delayed commands the tick and the state are those in which this command will act. The plan that is held
-    begins in this state; where the vehicle has come to another one, `drop_plan` is to be called first.
+    begins in this state.
 
     Args:
         promise: The declared numbers.
@@ -525,7 +523,7 @@ def safe_control(
             return w_x, w_y, INNER
     now = return_from(promise, known, tick, here)
     if not exists(now) and not going:
-        now = stop_from(promise, known, tick, here)
+        now = stop_from(promise, known, tick, here, 1)
     if exists(now):
         _hold(plan, now)
     if exists(now) or going:
@@ -559,24 +557,6 @@ def rest_radius(
         return math.inf
     known = known_from(promise, detections, plan, newest, tick, here.p_x, here.p_y)
     return _end_radius(promise, known, tick, here.p_x, here.p_y, ticks)
-
-
-@compiled
-def is_within(
-    promise: Promise,
-    detections: RecordArray,
-    plan: RecordArray,
-    tick: int,
-    p_x: float,
-    p_y: float,
-    over: float,
-) -> bool:
-    """True if the UGV is surely within r_v of this point, and of all within `over` [m] of it, at a tick."""
-    new = newest_detection(detections)
-    if new < 0:
-        return False
-    known, room = known_from(promise, detections, plan, new, tick, p_x, p_y), promise.r_v - over
-    return bool(farthest(promise, known, tick, p_x, p_y, room) <= room)
 
 
 @compiled

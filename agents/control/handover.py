@@ -104,14 +104,14 @@ class HandoverBounds(NamedTuple):
     dt: float
     """Length of a tick [s]."""
     wait: float
-    """For how long the UAV may have to rest at a plan's end, B [s]; 0 where no command is lost."""
+    """Longest time for which the UAV rests at a plan's end, B - dt [s]; 0 where no command is lost."""
 
 
 @compiled
 def handover_reach(bounds: HandoverBounds, radius: float) -> float:
     r"""E [m]: if the newest detection's own bound is at most this, the plan to any later one ends within `radius`, R_h.
 
-    $$ E = \frac{v_a}{v_g}\left(R_h - \rho_A (1 - v_g/v_a) - v_g (v_a/u_a + 2 dt + B)\right) - 2 \epsilon $$
+    $$ E = \frac{v_a}{v_g}\left(R_h - \rho_A (1 - v_g/v_a) - v_g (v_a/u_a + 2 dt + B - dt)\right) - 2 \epsilon $$
 
     R_h is taken `MARGIN` smaller here: a return ends off the walls, and starts with a residual velocity.
     """
@@ -204,11 +204,11 @@ def certificate(declared: Declared) -> Promise:
     eps = float(declared.eps) + tracking
     delay_ticks = first_tick_from(declared.delay, dt)
     r_v = float(declared.r_v - declared.margin) - tracking - tick_sagitta(v_a, u_a, dt)
-    outage_ticks = 0 if declared.outage is None else ticks_within(declared.outage, dt)
+    interval_ticks = max(1, ticks_within(declared.outage, dt))
     radius = reach = math.nan
     if all(math.isfinite(x) for x in (r_v, v_a, v_g, eps, age)) and 0.0 <= v_g < v_a and u_a > 0.0:
         rho = eps + v_g * (age + delay_ticks * dt)
-        bounds = HandoverBounds(r_v, eps, rho, v_a, u_a, v_g, dt, outage_ticks * dt)
+        bounds = HandoverBounds(r_v, eps, rho, v_a, u_a, v_g, dt, (interval_ticks - 1) * dt)
         radius = float(handover_radius(bounds))
         reach = float(handover_reach(bounds, radius))
     return Promise(
@@ -227,9 +227,7 @@ def certificate(declared: Declared) -> Promise:
         height=float(declared.height),
         handover=radius,
         reach=reach,
-        hold=float(declared.hold),
-        carries=declared.outage is not None,
-        outage_ticks=outage_ticks,
+        interval_ticks=interval_ticks,
     )
 
 
@@ -241,13 +239,13 @@ def certified_radius(
     v_g: float,
     dt: float,
     delay: float,
-    outage: float = 0.0,
+    wait: float = 0.0,
     tracking: float = 0.0,
 ) -> float:
     r"""r_cert [m]: while d_cert is less, every inner control acts, whatever the velocity.
 
     $$ r_{cert} = R_h + w - \frac{v_a^2}{2 u_a} - \frac{v_a v_g}{u_a}
-       - (\tfrac32 v_a + 2 v_g) dt - (v_a + v_g) \tau_c - v_g B $$
+       - (\tfrac32 v_a + 2 v_g) dt - (v_a + v_g) \tau_c - v_g (B - dt) $$
 
     With $R_h \to r_v - v_g^2 / (2 u_a)$ this is (18) as dt and tau_c go to 0. Beyond it the filter decides by the
     velocity that the UAV really has: r_cert is for display, for tuning and for tests.
@@ -257,17 +255,12 @@ def certified_radius(
         v_a, u_a, v_g: Bounds [m/s], [m/s²], [m/s].
         dt: Length of a tick [s].
         delay: tau_c [s].
-        outage: B [s]; 0 where commands carry no motions.
+        wait: B - dt [s].
         tracking: w [m], which d_cert holds, but R_h, around where the UAV is told that it is, does not.
     """
     stop = 0.5 * v_a * v_a / u_a + v_a * v_g / u_a
     return (
-        handover
-        - stop
-        - (1.5 * v_a + 2.0 * v_g) * dt
-        - (v_a + v_g) * delay
-        - v_g * outage
-        + tracking
+        handover - stop - (1.5 * v_a + 2.0 * v_g) * dt - (v_a + v_g) * delay - v_g * wait + tracking
     )
 
 
@@ -282,8 +275,8 @@ def _largest(promise: Promise, fits: Callable[[float], bool]) -> float:
     return low
 
 
-def _hands_over(promise: Promise, age: float, outage: float) -> bool:
-    """True if the hand-over holds with these A and B [s], other numbers as they are."""
+def _hands_over(promise: Promise, age: float, wait: float) -> bool:
+    """True if the hand-over holds with these A and B - dt [s], other numbers as they are."""
     rho = promise.eps + promise.v_g * (age + promise.delay_ticks * promise.dt)
     bounds = HandoverBounds(
         promise.r_v + MARGIN,
@@ -293,7 +286,7 @@ def _hands_over(promise: Promise, age: float, outage: float) -> bool:
         promise.u_a,
         promise.v_g,
         promise.dt,
-        outage,
+        wait,
     )
     return not math.isnan(handover_radius(bounds))
 
@@ -303,8 +296,8 @@ def largest_age(promise: Promise) -> float:
 
     To a hundredth.
     """
-    outage = promise.outage_ticks * promise.dt
-    return _largest(promise, lambda age: _hands_over(promise, age, outage))
+    wait = (promise.interval_ticks - 1) * promise.dt
+    return _largest(promise, lambda age: _hands_over(promise, age, wait))
 
 
 def largest_outage(promise: Promise) -> float:
@@ -312,7 +305,7 @@ def largest_outage(promise: Promise) -> float:
 
     To a hundredth.
     """
-    return _largest(promise, lambda outage: _hands_over(promise, promise.age, outage))
+    return promise.dt + _largest(promise, lambda wait: _hands_over(promise, promise.age, wait))
 
 
 def _largest_place(promise: Promise) -> float:
@@ -370,20 +363,12 @@ def check_assumptions(promise: Promise) -> tuple[str, ...]:
         if promise.tracking > 0.0:
             terms, sizes = "eps + w", f"eps {promise.error:g} m, w {promise.tracking:g} m"
         limit = "for no A" if math.isnan(most) else f"for A up to {most:.2f} s"
-        if promise.carries:
+        if promise.interval_ticks > 1:
             most = largest_outage(promise)
             limit += ", or for no B" if math.isnan(most) else f", or for B up to {most:.2f} s"
-            limit += f", not {promise.outage_ticks * promise.dt:g} s"
+            limit += f", not {promise.interval_ticks * promise.dt:g} s"
         faults.append(
             f"{terms} + v_g (A + tau_c) = {rho:.4g} m ({sizes}, A {promise.age:g} s, tau_c {delay:g} s): "
             f"too much for r_v = {promise.r_v:.4g} m; with these numbers the hand-over holds {limit}"
-        )
-    if promise.carries and promise.outage_ticks < 1:
-        faults.append(
-            f"B: must be at least a tick, {promise.dt:g} s, as the next motion begins in the next tick"
-        )
-    if not promise.carries and promise.hold < delay - 0.5 * promise.dt:
-        faults.append(
-            f"hold = {promise.hold:g} s: shorter than tau_c = {delay:g} s, so that the UAV brakes before a command acts"
         )
     return tuple(faults)

@@ -33,10 +33,8 @@ class Declared(NamedTuple):
     detected is clipped to it."""
     height: float = math.inf
     """Likewise."""
-    hold: float = math.inf
-    """For how long the vehicle goes on with its last command when none comes [s]; then it brakes."""
-    outage: float | None = None
-    """From the beginning of a motion to that of the next at most, B [s]; None: commands carry no motions."""
+    outage: float = 0.0
+    """Longest time from the start of a motion to the start of the next, B [s]; a tick at least."""
     tracking: float = 0.0
     """A bound on the UAV's distance from where it is told that it is, w [m]; infinite: there is none."""
 
@@ -76,9 +74,5 @@ class Promise(NamedTuple):
     """R_h: a plan may end where the UGV is surely within this [m]; NaN if there is none."""
     reach: float
     """E: and where the newest detection's own bound is at most this [m]; NaN if there is none."""
-    hold: float
-    """For how long the vehicle goes on with its last command when none comes, as it was declared [s]."""
-    carries: bool
-    """True where commands carry motions."""
-    outage_ticks: int
-    """From the beginning of a motion to that of the next at most, B; 0 where commands carry none."""
+    interval_ticks: int
+    """Longest time from the start of a motion to the start of the next, B; 1 where no command is lost."""

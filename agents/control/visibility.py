@@ -1,17 +1,14 @@
 """The visibility constraint (5), the radius from which only tracking acts (18), and the filter that keeps sight."""
 
 from collections import Counter
-from collections.abc import Collection
 
 import msgspec
-import numpy as np
 
 from agents.control.certificate import CERTIFIED, INNER, UNCERTIFIED
 from agents.control.guard import (
     forget_commands,
     guard,
     guard_state,
-    note_commands,
     note_detection,
     note_position,
     track_ticks,
@@ -75,7 +72,6 @@ def promise_of(briefing: UavBriefing) -> Promise:
             margin=declared.margin,
             width=briefing.area.width,
             height=briefing.area.height,
-            hold=or_infinite(declared.hold),
             outage=declared.outage,
             tracking=or_infinite(declared.tracking),
         )
@@ -100,8 +96,8 @@ class Verdict(msgspec.Struct, frozen=True):
     """Why not."""
     distance: float
     """The UGV is surely no farther than this [m]; infinite before the first detection."""
-    motions: tuple[MotionPlan, ...] = ()
-    """The motions that the command is to carry, where the vehicle flies motions."""
+    motions: tuple[MotionPlan, ...]
+    """The motions that the command is to carry; a receiver of bare accelerations ignores them."""
 
 
 class SafetyFilter:
@@ -111,11 +107,9 @@ class SafetyFilter:
 
     Args:
         briefing: What the UAV is told when it joins: bounds, r_v, and what is declared of detections and commands.
-        sent: Where the filter begins in the middle of a flight: the commands of the last ticks, the oldest first
-            [m/s²].
     """
 
-    def __init__(self, briefing: UavBriefing, *, sent: Collection[Vector] = ()) -> None:
+    def __init__(self, briefing: UavBriefing) -> None:
         self.promise = promise_of(briefing)
         """The declared numbers, and what follows from them."""
         self.faults = check_assumptions(self.promise)
@@ -128,13 +122,11 @@ class SafetyFilter:
         """Ticks that were not certified, by reason."""
         self.state = guard_state(self.promise.delay_ticks, depth=track_ticks(self.promise))
         """The memory that the compiled functions of `agents.control.guard` work on."""
-        if sent:
-            note_commands(self.state, np.array(list(sent), dtype=np.float64))
 
     def forget_commands(self) -> None:
         """It is not known whether the last commands were sent.
 
-        Until those under way are known again, nothing is certified.
+        Until the vehicle flies one that is sent after this, nothing is certified.
         """
         forget_commands(self.state)
 
@@ -175,5 +167,4 @@ class SafetyFilter:
         self.interventions += intervened
         if reason:
             self.uncertified[reason] += 1
-        motions = self._motions(tick) if self.promise.carries else ()
-        return Verdict((u_x, u_y), intervened, not reason, reason, distance, motions)
+        return Verdict((u_x, u_y), intervened, not reason, reason, distance, self._motions(tick))

@@ -50,7 +50,6 @@ from sim.engine.certificate_counts import (
     CertificateBounds,
     certificate_bounds,
     certificate_counts,
-    sent_commands,
 )
 from sim.engine.mission import mission_of
 from sim.engine.run_keys import check_secret
@@ -238,7 +237,6 @@ class ClosedLoop:
             ),
             maps=_repeated(coverage[0], worlds, uavs if self.parameters.own_maps else 0),
             certificates=np.repeat(numbers.certificates[None], worlds, axis=0),
-            sent=np.repeat(numbers.sent[None], worlds, axis=0),
             laws=np.repeat(numbers.laws[None], worlds, axis=0),
             drivers=np.repeat(numbers.drivers[None], worlds, axis=0),
             law_states=_repeated(initial_state(), worlds, uavs),
@@ -395,7 +393,6 @@ class _PilotNumbers:
         bounds = [certificate_bounds(one.certificate, one.dt) for one in told_uavs]
         self.bounds = records(CertificateBounds, bounds)
         self.certificates = certificate_counts(len(uavs))
-        self.sent = sent_commands(bounds)
         self.promises = records(Promise, promises)
         self.faults = np.array([bool(check_assumptions(one)) for one in promises], dtype=np.bool_)
         self.kalman = records(

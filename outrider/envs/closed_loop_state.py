@@ -88,8 +88,6 @@ class LoopState(NamedTuple):
     """The UAVs' own maps, where they differ from the world's. Shape (worlds, UAVs or 0, rows, columns)."""
     certificates: RecordArray
     """`CertificateCounts` of each UAV. Shape (worlds, UAVs)."""
-    sent: FloatArray
-    """The UAVs' last commands, as `sent_commands` keeps them. Shape (worlds, UAVs, largest delay + 1, 3)."""
     laws: RecordArray
     """`LawParameters` of each UAV, with the key of its pilot in this world. Shape (worlds, UAVs)."""
     drivers: RecordArray

@@ -36,13 +36,13 @@ from outrider.envs.closed_loop_state import (
 from sim.channel.link import begin_tick, receive, send
 from sim.channel.link_records import ARRIVED, Packet
 from sim.engine.certificate_counts import (
+    NEVER,
     CertificateClaim,
     count_tracking,
     note_action,
     note_arrival,
     note_end,
     note_report,
-    note_sent,
 )
 from sim.engine.ground_state import GroundState
 from sim.engine.mission import goals_of, note_claim, receive_block
@@ -60,7 +60,6 @@ _RELATIVE, _GROUND = range(2)
 @inlined
 def _guard_of(tables: LoopTables, state: GuardState, world: int, uav: int) -> GuardState:
     delay, underway = tables.promises[uav].delay_ticks, state.underway
-    course = state.course[world, uav, : delay + 1]
     sent = Underway(
         underway.sent[world, uav, : delay + 2],
         underway.flown[world, uav],
@@ -69,7 +68,6 @@ def _guard_of(tables: LoopTables, state: GuardState, world: int, uav: int) -> Gu
     return GuardState(
         state.detections[world, uav],
         state.plan[world, uav],
-        course,
         state.track[world, uav],
         state.flags[world, uav],
         sent,
@@ -168,7 +166,7 @@ def _fly(
         note_report(tables.bounds[uav], state.certificates[world, uav], tick, said)
     one.outgoing_tick, one.outgoing[0], one.outgoing[1] = tick, u_x, u_y
     one.outgoing_motion, one.outgoing_motions = -1, 0
-    if guarded and tables.promises[uav].carries:
+    if guarded:
         one.outgoing_motion, one.outgoing_motions = hand_over(
             tables.promises[uav],
             _guard_of(tables, state.guards, world, uav).underway,
@@ -421,10 +419,9 @@ def _observe(parameters: LoopParameters, tables: LoopTables, state: LoopState, w
 def _note_action(tables: LoopTables, state: LoopState, world: int, uav: int, tick: int) -> None:
     """Count the action of a UAV in this tick, which has just been flown."""
     v, bounds = tables.batch.escorts[uav, 0], tables.bounds[uav]
-    sent, one = state.sent[world, uav], state.batch.vehicles[world, v]
-    note_sent(sent, tick, one.outgoing[0], one.outgoing[1])
-    begins, acts = state.batch.flown[world, v, 0].begins, one.command
-    note_action(bounds, state.certificates[world, uav], sent, tick, acts[0], acts[1], begins)
+    flown = state.batch.flown[world, v, 0]
+    bare = state.batch.vehicles[world, v].command_tick if flown.plain == 1 else NEVER
+    note_action(bounds, state.certificates[world, uav], tick, flown.begins, bare)
 
 
 @inlined

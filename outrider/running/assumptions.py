@@ -1,8 +1,8 @@
 """Tests before a flight, and when links change in it, whether a scenario's UAVs can certify that they keep sight.
 
 The declared assumptions are those of docs/explanation/certificate.md: A1 the error of a detection, A2 the age of the
-newest one, A5 a command that acts exactly tau_c after its tick, A6' where the UAV is. Wind, links and detector say
-which of them they cannot keep, and how often.
+newest one, A5' the time from the start of one motion to the start of the next, A6' where the UAV is. Wind, links and
+detector say which of them they cannot keep, and how often.
 """
 
 import functools
@@ -135,10 +135,9 @@ def odds(scenario: Scenario, links: LinkTable | None = None) -> Odds | None:
         bounds = declared_bounds(scenario, uav.name)
         link = _Link(scenario, table, uav.name, LinkKind.DETECTIONS)
         exceeded[f"{uav.name}/age"] = link.chance_of_age(bounds.age).value
-        if bounds.outage is not None:
-            link = _Link(scenario, table, uav.name, LinkKind.COMMANDS)
-            delay = first_tick_from(bounds.delay, scenario.dt)
-            exceeded[f"{uav.name}/outage"] = link.chance_of_outage(delay, bounds.outage).value
+        link = _Link(scenario, table, uav.name, LinkKind.COMMANDS)
+        delay = first_tick_from(bounds.delay, scenario.dt)
+        exceeded[f"{uav.name}/outage"] = link.chance_of_outage(delay, bounds.outage).value
         if bounds.error is not None:
             sigma, cut = scenario.detections.noise, scenario.noise_cut
             error = chance_of_error(sigma, cut, looks, bounds.error)
@@ -189,12 +188,11 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
             ]
         for kind, name, check in (
             (LinkKind.DETECTIONS, "A2", _ages),
-            (LinkKind.COMMANDS, "A5", _outages if promise.carries else _delays),
+            (LinkKind.COMMANDS, "A5'", _outages),
         ):
             link = _Link(scenario, table, uav.name, kind)
-            reckoned = kind is LinkKind.DETECTIONS or promise.carries
             found += [
-                Shortfall(uav.name, name, how, what, reckoned and how is not How.CERTAIN)
+                Shortfall(uav.name, name, how, what, how is not How.CERTAIN)
                 for how, what in check(link, promise)
             ]
     return tuple(found)
@@ -472,56 +470,12 @@ def _dark_ages(link: _Link, age: int, limit: str) -> Iterator[tuple[How, str]]:
             )
 
 
-# A5: a command acts exactly tau_c after its tick
-
-
-def _delays(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
-    """The newest command that has arrived acts: that of tick k has to act at k + tau_c, and no later one before.
-
-    A copy of a command changes nothing: of two, the first acts, which is no earlier than `least`, and no more is lost.
-    """
-    scenario, parameters = link.scenario, link.parameters
-    exact = promise.delay_ticks
-    source = (
-        "the longest of its link" if scenario.certificate.delay is None else "certificate.delay"
-    )
-    tau = f"tau_c = {link.seconds(exact)} ({source})"
-    if link.settings.trace:
-        ages, whole = link.played(1)
-        share = float(np.mean(ages != exact))
-        if share == 0.0 and not whole:
-            told = f"a command acts {tau} after its tick in {link.inspected(ages, whole)}; the rest was not inspected"
-            yield How.SOMETIMES, f"{link.path}.trace: {told}"
-        if share > 0.0:
-            what = (
-                f"another command than that of {tau} before acts in {_percent(share)} of the ticks of "
-                f"{link.inspected(ages, whole)}"
-            )
-            yield _often(share, whole=whole), f"{link.path}.trace: {what}"
-        yield from _lost_commands(link)
-        return
-    if parameters.spacing > 1.0 + DUST:
-        fewer = f"fewer than one message a tick, {1.0 / scenario.dt:g} /s, so that commands wait and are dropped"
-        yield How.THROUGHOUT, f"{link.named('bandwidth', 'queue')}: {fewer}"
-    elif not link.least <= exact <= link.most:
-        delays = link.named("delay", "jitter", "reorder_delay") or f"{link.path}.delay = 0"
-        acts = link.seconds(link.least) + (
-            "" if link.least == link.most else f" to {link.seconds(link.most)}"
-        )
-        yield How.THROUGHOUT, f"{delays}: a command acts {acts} after its tick, {tau}"
-    else:
-        kept = arrival_share(parameters, exact) * math.prod(
-            1.0 - arrival_share(parameters, ticks) for ticks in range(exact)
-        )
-        if (1.0 - kept) * scenario.ticks > _RARE:
-            what = f"{link.named('jitter', 'reorder')}: commands overtake each other or take other times than {tau}"
-            yield _often(1.0 - kept), f"{what}, in {_percent(1.0 - kept)} of the ticks"
-    yield from _lost_commands(link)
+# A5: from the start of one motion to the start of the next
 
 
 def _outages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     """Motions begin at most `outage` after one another: the packets of one link are lost or late for longer."""
-    outage = promise.outage_ticks * promise.dt
+    outage, parameters = promise.interval_ticks * promise.dt, link.parameters
     chance = link.chance_of_outage(promise.delay_ticks, outage)
     if chance.value is not None and chance.value <= _RARE:
         return
@@ -533,35 +487,21 @@ def _outages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
         f"tau_c = {link.seconds(promise.delay_ticks)}",
     )
     told, late = ", ".join(filter(None, fields)), f"later than certificate.outage = {outage:g} s"
-    if chance.value is None:
-        yield (
-            How.SOMETIMES,
-            f"{told}: how seldom the next motion begins {late} is unknown, as {chance.why}",
+    if link.least > promise.delay_ticks:
+        first = (
+            f"no motion arrives before {link.seconds(link.least)} after its tick, so all are late"
         )
-        return
-    how = How.CERTAIN if chance == (1.0, "") else How.SOMETIMES
-    yield how, f"{told}: the next motion begins {late} {in_flights(chance.value)}"
-
-
-def _lost_commands(link: _Link) -> Iterator[tuple[How, str]]:
-    parameters, instead = link.parameters, "the command before goes on instead"
-    if parameters.loss > 0.0:
+        yield How.THROUGHOUT, f"{told}: {first}"
+    elif parameters.spacing > promise.interval_ticks + DUST:
+        rate = 1.0 / outage
         yield (
-            _often(parameters.loss),
-            f"{link.named('loss')}: for {_percent(parameters.loss)} of the commands {instead}",
+            How.THROUGHOUT,
+            f"{told}: fewer messages than {rate:g} /s, so that the next motion begins {late}",
         )
-    if parameters.bursts and parameters.burst_loss > 0.0:
-        share = parameters.bad_share * parameters.burst_loss
-        fields = link.named("burst_length", "burst_interval", "burst_loss")
-        yield _often(share), f"{fields}: for {_percent(share)} of the commands {instead}"
-    if parameters.up > 0.0:
-        share = parameters.down / (parameters.up + parameters.down)
-        yield (
-            _often(share),
-            f"{link.named('blackout_length', 'blackout_interval')}: for {_percent(share)} of the commands {instead}",
-        )
-    for first, after in link.dark():
-        yield (
-            How.CERTAIN,
-            f"{link.path}.blackouts, {link.seconds(first)} to {link.seconds(after)}: no command gets through",
-        )
+    elif chance.value is None:
+        unknown = f"how seldom the next motion begins {late} is unknown, as {chance.why}"
+        yield How.SOMETIMES, f"{told}: {unknown}"
+    else:
+        planned = any(link.dark()) or link.settings.trace
+        how = How.CERTAIN if planned and chance == (1.0, "") else How.SOMETIMES
+        yield how, f"{told}: the next motion begins {late} {in_flights(chance.value)}"

@@ -32,7 +32,7 @@ from sim.kernels.threads import WorkerThreads
 from sim.models.motion import no_motions
 from sim.models.randomness import HAZARD_FIELDS
 from sim.scenario.ground_tables import ground_tables, place_fields
-from sim.scenario.risk import carries_motions, ugv_carries
+from sim.scenario.risk import ugv_carries
 from sim.scenario.types import Scenario
 
 
@@ -136,9 +136,8 @@ class Batch:
 
     def _motion_rows(self) -> int:
         """Motions that each receiver has room for: those that may be under way at once; one where there are none."""
-        scenario, delays = self.scenario, list[float]()
-        if carries_motions(scenario):
-            delays += [declared(scenario, uav.name).delay for uav in scenario.uav]
+        scenario = self.scenario
+        delays = [declared(scenario, uav.name).delay for uav in scenario.uav]
         delays += [
             ugv_delay(scenario, ugv.name) for ugv in scenario.ugv if ugv_carries(scenario, ugv)
         ]

@@ -61,6 +61,8 @@ def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
     outage = given.outage
     if outage is None and from_risk.outage is not None:
         outage = from_risk.outage.value
+    if outage is None:
+        outage = scenario.dt
     tracking = given.tracking
     if tracking is None:
         (vehicle,) = (one for one in scenario.uav if one.name == uav)
@@ -70,7 +72,6 @@ def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
         age=age,
         delay=command_delay(scenario, uav),
         margin=given.margin,
-        hold=scenario.hold,
         outage=outage,
         tracking=tracking,
     )
@@ -103,6 +104,7 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         ),
         estimator=scenario.estimator,
         certificate=declared(scenario, name),
+        hold=scenario.hold,
         ground=UavGround(tile=scenario.ground.tile, telling=scenario.ground.telling)
         if scenario.has_ground
         else None,

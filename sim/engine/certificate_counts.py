@@ -6,14 +6,13 @@ of a run, and the closed loop for each of many worlds.
 """
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from bus.messages import DeclaredBounds
 from bus.ticks import first_tick_from, ticks_within
-from sim.kernels.compile import FloatArray, compiled
+from sim.kernels.compile import compiled
 from sim.kernels.records import RecordArray, record_type
 from sim.models.motion import waited
 
@@ -21,7 +20,6 @@ _ROUNDING = 1e-9
 """A measured error that is larger than declared by no more than this [m] is as declared."""
 NEVER = -(2**41)
 """The tick of a detection, where none has arrived."""
-_NO_OUTAGE = -1
 
 
 class CertificateBounds(NamedTuple):
@@ -35,8 +33,8 @@ class CertificateBounds(NamedTuple):
     """Largest age of the newest detection that has arrived [ticks]."""
     delay: int
     """From the tick that a command answers to the one in which it acts [ticks]."""
-    outage: int
-    """From the beginning of a motion to that of the next at most [ticks]; -1: commands carry no motions."""
+    interval: int
+    """Longest time from the start of a motion to the start of the next [ticks]."""
 
 
 class CertificateCounts:
@@ -49,7 +47,7 @@ class CertificateCounts:
     tracked: bool
     """True while the UAV was as near as declared to where it was told that it is."""
     obeyed: bool
-    """True if in the last tick that command acted, or such a motion was flown, as should have been."""
+    """True if the motion that the UAV flies began no longer ago than declared."""
     promised: bool
     """True if the tick before was certified, and nothing excuses that this one is not."""
     suspected: int
@@ -97,34 +95,36 @@ def certificate_bounds(declared: DeclaredBounds, dt: float) -> CertificateBounds
     def within(bound: float | None) -> float:
         return math.inf if bound is None else bound + _ROUNDING
 
-    outage = declared.outage
     return CertificateBounds(
         error=within(declared.error),
         tracking=within(declared.tracking),
         age=ticks_within(declared.age, dt),
         delay=first_tick_from(declared.delay, dt),
-        outage=_NO_OUTAGE if outage is None else ticks_within(outage, dt),
+        interval=max(1, ticks_within(declared.outage, dt)),
     )
 
 
 def certificate_counts(uavs: int) -> RecordArray:
     """Nothing has been counted. Shape (uavs,)."""
     counts: RecordArray = np.zeros(uavs, record_type(CertificateCounts))
-    counts["newest"] = NEVER
-    for name in ("exact", "tracked", "obeyed"):
-        counts[name] = True
+    for one in counts:
+        begin_counts(one)
     return counts
 
 
-def sent_commands(bounds: Sequence[CertificateBounds]) -> FloatArray:
-    """Room for each UAV's last commands: the tick that each answers, and the acceleration [m/s²].
+@compiled
+def begin_counts(counts: CertificateCounts) -> None:
+    """Nothing has been counted: a flight begins."""
+    counts.tracked, counts.obeyed = True, True
+    counts.suspected, counts.since, counts.longest_outage = 0, 0, 0
+    counts.ticks, counts.certified, counts.intervened, counts.lost, counts.broken = 0, 0, 0, 0, 0
+    begin_filter(counts)
 
-    Before the first there is none, and nothing acts. Shape (UAVs, largest delay + 1, 3).
-    """
-    rows = max((one.delay for one in bounds), default=0) + 1
-    sent = np.zeros((len(bounds), rows, 3))
-    sent[:, :, 0] = np.arange(rows) - rows
-    return sent
+
+@compiled
+def begin_filter(counts: CertificateCounts) -> None:
+    """A filter without a memory begins: it answers for no detection of before, and need not certify."""
+    counts.newest, counts.exact, counts.promised = NEVER, True, False
 
 
 @compiled
@@ -137,20 +137,13 @@ def note_arrival(
 
 
 @compiled
-def note_sent(sent: FloatArray, answered: int, u_x: float, u_y: float) -> None:
-    """The UAV's command [m/s²] for the tick `answered` has set out."""
-    row = answered % sent.shape[0]
-    sent[row, 0], sent[row, 1], sent[row, 2] = answered, u_x, u_y
-
-
-@compiled
 def _confirm(bounds: CertificateBounds, counts: CertificateCounts, tick: int) -> None:
     """Count what was suspected, if everything has held for long enough at this tick.
 
-    Where commands carry motions that is until the motion of the suspected tick's command may begin: a pilot knows of an
-    outage as soon as nothing that is under way can end it in time.
+    That is until the motion of the suspected tick's command may begin: a pilot knows of an outage as soon as nothing
+    that is under way can end it in time.
     """
-    if bounds.outage == _NO_OUTAGE or tick >= counts.since + bounds.delay - 1:
+    if tick >= counts.since + bounds.delay - 1:
         counts.broken += counts.suspected
         counts.suspected = 0
 
@@ -177,26 +170,25 @@ def note_report(
 
 @compiled
 def note_action(
-    bounds: CertificateBounds,
-    counts: CertificateCounts,
-    sent: FloatArray,
-    tick: int,
-    u_x: float,
-    u_y: float,
-    begins: int,
+    bounds: CertificateBounds, counts: CertificateCounts, tick: int, begins: int, bare: int
 ) -> None:
-    """A command [m/s²] acts in this tick, or a motion that began in the tick `begins`; NO_MOTION: none is flown."""
-    if bounds.outage != _NO_OUTAGE:
+    """Hold what a UAV flies in this tick against the longest time between two motions.
+
+    Args:
+        bounds, counts: Of the UAV.
+        tick: Which.
+        begins: Tick in which the motion began that it flies; NO_MOTION: none.
+        bare: Tick that the bare acceleration answers that acts instead; NEVER: a motion is flown.
+    """
+    if bare != NEVER:
+        counts.obeyed = bare == tick and bounds.delay == 0 and bounds.interval == 1
+    else:
         wait = waited(tick, begins, bounds.delay) + 1  # so long at least
         counts.longest_outage = max(counts.longest_outage, wait)
-        counts.obeyed = wait <= bounds.outage
-        if not counts.obeyed:
-            counts.suspected = 0
-        _confirm(bounds, counts, tick)
-        return
-    due = tick - bounds.delay
-    row = due % sent.shape[0]
-    counts.obeyed = sent[row, 0] == due and sent[row, 1] == u_x and sent[row, 2] == u_y
+        counts.obeyed = wait <= bounds.interval
+    if not counts.obeyed:
+        counts.suspected = 0
+    _confirm(bounds, counts, tick)
 
 
 @compiled
@@ -224,28 +216,26 @@ def count_tracking(bounds: RecordArray, counts: RecordArray, uav: int, off: floa
 
 @compiled
 def count_tick(
-    tables: tuple[RecordArray, RecordArray, FloatArray],
-    evidence: tuple[RecordArray, FloatArray, RecordArray],
+    tables: tuple[RecordArray, RecordArray],
+    evidence: tuple[RecordArray, RecordArray, RecordArray],
     place: tuple[int, int, int],
-    command: tuple[int, float, float],
+    answers: bool,
     said: tuple[bool, bool, bool, bool],
 ) -> None:
-    """`note_sent`, `note_arrival`, `note_report` and `note_action` of one UAV, for Python.
+    """`note_arrival`, `note_report` and `note_action` of one UAV, for Python.
 
     Args:
-        tables: `CertificateBounds`, `CertificateCounts` and `sent_commands` of all UAVs.
-        evidence: What is true of this tick: `ArrivalRecord` of each UAV, the commands that acted [m/s²] in the shape
-            (vehicles, 2), and `MotionRecord` of the motion that each vehicle flew.
+        tables: `CertificateBounds` and `CertificateCounts` of all UAVs.
+        evidence: The truth of this tick: `ArrivalRecord` of each UAV, `Vehicle` of each vehicle, and `MotionRecord` of
+            the motion that each flew.
         place: Its row among the UAVs, its row among all vehicles, and the tick.
-        command: The tick that its new command answers, and the acceleration [m/s²]; NEVER: it has none, and so it has
-            seen nothing either.
+        answers: Whether it has a new command; else it has seen nothing either.
         said: A `CertificateClaim`.
     """
-    (bounds, counts, sent), (arrivals, acted, flown), (uav, vehicle, tick) = tables, evidence, place
+    (bounds, counts), (arrivals, vehicles, flown), (uav, vehicle, tick) = tables, evidence, place
     b, c = bounds[uav], counts[uav]
-    if command[0] != NEVER:
-        note_sent(sent[uav], command[0], command[1], command[2])
+    if answers:
         note_arrival(b, c, arrivals[uav].newest, arrivals[uav].error)
     note_report(b, c, tick, CertificateClaim(said[0], said[1], said[2], said[3]))
-    u_x, u_y = acted[vehicle, 0], acted[vehicle, 1]
-    note_action(b, c, sent[uav], tick, u_x, u_y, flown[vehicle].begins)
+    bare = vehicles[vehicle].command_tick if flown[vehicle].plain == 1 else NEVER
+    note_action(b, c, tick, flown[vehicle].begins, bare)

@@ -6,27 +6,24 @@ from collections import Counter
 from bus.messages import CertificateStatus, UavCommand
 from sim.engine.briefing import declared
 from sim.engine.certificate_counts import (
-    NEVER,
     CertificateBounds,
+    begin_filter,
     certificate_bounds,
     certificate_counts,
     count_tick,
     count_tracking,
     note_end,
-    sent_commands,
 )
-from sim.kernels.compile import FloatArray
 from sim.kernels.records import RecordArray, records
 from sim.scenario.types import Scenario, Uav
 
 _SILENT = "the UAV has no estimate yet, or its command did not come"
 """Why a tick is not certified of which no filter has said anything."""
-_NOTHING_SENT = (NEVER, 0.0, 0.0)
 _NOBODY = -2
 """The last tick that was watched, before the first: the one before tick 0 is -1."""
 
 
-Evidence = tuple[RecordArray, FloatArray, RecordArray]
+Evidence = tuple[RecordArray, RecordArray, RecordArray]
 """The truth of a tick, as `count_tick` takes it; arrays that change with the flight."""
 
 
@@ -47,14 +44,13 @@ class Assurance:
         self._radius, self._dt = scenario.visibility.radius, scenario.dt
         self._disturbed = scenario.disturbed
         told = [declared(scenario, uav) for uav in uavs]
-        self._outage = max((one.outage for one in told if one.outage is not None), default=None)
+        self._outage = max((one.outage for one in told), default=None)
         tracking = (math.inf if one.tracking is None else one.tracking for one in told)
         self._tracking = max(tracking, default=math.inf)
         bounds = [certificate_bounds(one, scenario.dt) for one in told]
         self._bounds = records(CertificateBounds, bounds)
         self._counts = certificate_counts(len(uavs))
-        self._sent = sent_commands(bounds)
-        self._tables = self._bounds, self._counts, self._sent
+        self._tables = self._bounds, self._counts
         self._last = [_NOBODY] * len(uavs)
         self._silent = [0] * len(uavs)  # ticks of which nothing was said
         self._disregarded = [False] * len(uavs)
@@ -124,27 +120,25 @@ class Assurance:
             watched: Whether a filter watches over its law.
         """
         certified = intervened = says = False
-        sent, reason = _NOTHING_SENT, _SILENT
+        reason = _SILENT
         if command is not None:
-            (u_x, u_y), report = command.acceleration, command.report
-            sent = command.tick, u_x, u_y
+            report = command.report
             if report is not None and report.certified is not None:
                 says, certified, intervened = True, report.certified, report.intervened
                 reason = report.uncertified
         if not says and (not watched or self._disregarded[uav]):
-            if command is not None:  # the next one may be watched
-                self._sent[uav, command.tick % self._sent.shape[1]] = sent
             return
         if self._last[uav] != tick - 1:  # not watched just before: a new filter, without a memory
-            count = self._counts[uav]
-            count["newest"], count["exact"], count["promised"] = NEVER, True, False
+            begin_filter(self._counts[uav])
         self._last[uav] = tick
         if not certified:
             self.reasons[reason] += 1
         if not says:
             self._silent[uav] += 1
-        claim = certified, intervened, distance >= self._radius, says and sent[0] == tick
-        count_tick(self._tables, evidence, (uav, self._rows[uav], tick), sent, claim)
+        current = says and command is not None and command.tick == tick
+        claim = certified, intervened, distance >= self._radius, current
+        place = uav, self._rows[uav], tick
+        count_tick(self._tables, evidence, place, command is not None, claim)
 
     def end(self, uav: int, distance: float) -> None:
         """The flight is over with this UAV so far from its UGV [m]: the last tick's certificate is held against it."""

@@ -95,10 +95,12 @@ def check_exportable(briefing: UavBriefing | UgvBriefing) -> None:
         )
     if isinstance(briefing, UavBriefing):
         law_parameters(briefing, briefing.law)
-        if promise_of(briefing).carries:
+        promise = promise_of(briefing)
+        needed = promise.delay_ticks > 0 or promise.interval_ticks > 1
+        if LAWS[briefing.law.name].watched and needed:
             raise ScenarioError(
-                f"{vehicle}: its commands carry motions, for which a unit has no variables; allowed: scenarios without "
-                "certificate.outage and certificate.risk"
+                f"{vehicle}: law.name = {briefing.law.name!r}: its commands carry motions, for which a unit has no "
+                "variables; allowed: certificate.delay = 0 and certificate.outage = dt"
             )
         if LAWS[briefing.law.name].own:
             raise ScenarioError(

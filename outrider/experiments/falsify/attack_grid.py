@@ -70,7 +70,7 @@ def _places() -> Iterator[Conditions]:
 
 
 def _disturbed() -> Iterator[Conditions]:
-    """Commands and processes that now and then break A5."""
+    """Commands and processes that now and then break A5', and commands that come early or twice."""
     for delay, area, dark, kind in itertools.product(
         (0.0, 0.3, 1.0), AREAS, (0.0, 5.0), DISTURBANCES
     ):
@@ -87,7 +87,7 @@ def _disturbed() -> Iterator[Conditions]:
             yield conditions._replace(jitter=True)
             yield conditions._replace(jitter=True, duplicates=0.5)
             yield conditions._replace(duplicates=0.5)
-            yield conditions._replace(disturbance=DISTURBANCES.silences, silence=2.0, hold=5.0)
+            yield conditions._replace(disturbance=DISTURBANCES.silences, silence=2.0)
 
 
 def _lossy() -> Iterator[Conditions]:
@@ -119,6 +119,33 @@ def _lossy() -> Iterator[Conditions]:
             yield Conditions(outage=outage, delay=delay, losses=ANY, disturbance=kind, silence=2.0)
 
 
+def _bare() -> Iterator[Conditions]:
+    """Receivers that know accelerations only."""
+    for area, dark, kind in itertools.product(AREAS, (0.0, 5.0), DISTURBANCES):
+        yield Conditions(
+            bare=True,
+            blackout=BLACKOUTS.when_far if dark else BLACKOUTS.none,
+            blackout_time=dark,
+            area=area,
+            disturbance=kind,
+            u_g=math.inf,
+        )
+
+
+def _moving() -> Iterator[Conditions]:
+    """UAVs that move when the run begins."""
+    for speed, delay, outage, area in itertools.product(
+        (0.3, 1.0), (0.0, 0.3, 1.0), (0.0, 2.0), AREAS
+    ):
+        yield Conditions(
+            start_speed=speed,
+            delay=delay,
+            outage=outage,
+            losses=ANY if outage else LOSSES.none,
+            area=area,
+        )
+
+
 def _windy() -> Iterator[Conditions]:
     """Wind, a wrong own position and jumps, with darkness, walls, delays and lost motions."""
     pushes = [
@@ -144,9 +171,12 @@ def _windy() -> Iterator[Conditions]:
 
 def grid() -> Iterator[tuple[Promise, Conditions]]:
     """All combinations of network, place, error, vehicles and broken assumptions for which there is a certificate."""
-    for conditions in itertools.chain(_networks(), _places(), _disturbed(), _lossy(), _windy()):
+    kinds = _networks(), _places(), _disturbed(), _lossy(), _bare(), _moving(), _windy()
+    for conditions in itertools.chain(*kinds):
         pushed = conditions.wind or conditions.own_error or conditions.jumps
-        plain = not (conditions.area or conditions.disturbance or conditions.outage or pushed)
+        started = conditions.bare or conditions.start_speed
+        lossy = conditions.disturbance or conditions.outage
+        plain = not (conditions.area or lossy or started or pushed)
         for eps in EPS if plain else EPS[::2]:
             promise = declared(conditions, eps)
             if not math.isnan(promise.handover):

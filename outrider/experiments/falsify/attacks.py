@@ -72,20 +72,21 @@ class Attacked:
 
 
 def kind(conditions: Conditions) -> str:
-    """Names the place and the disturbance that breaks A5, or A5' where commands carry motions."""
-    breaks = DISTURBANCES._fields[conditions.disturbance].replace("_", " ")
-    area = AREAS._fields[conditions.area]
-    if conditions.wind or conditions.own_error or conditions.jumps:
-        lost = ", motions lost" if conditions.outage else ""
-        return f"{area}, wind and own position{lost}"
-    if conditions.outage:
-        what = "A5' kept" if breaks == "none" else breaks
-        return f"{area}, motions lost, {what}"
-    if conditions.jitter:
-        breaks = "jitter and duplicates" if conditions.duplicates else "jitter"
-    elif conditions.duplicates:
-        breaks = "duplicates"
-    return f"{area}, {'A5 kept' if breaks == 'none' else breaks}"
+    """Names the place, and what is special about the run or breaks A5'."""
+    c, words = conditions, [AREAS._fields[conditions.area]]
+    if c.wind or c.own_error or c.jumps:
+        words.append("wind and own position")
+    for given, word in (
+        (c.bare, "bare accelerations"),
+        (c.start_speed, "starts moving"),
+        (c.outage, "motions lost"),
+        (c.jitter, "jitter"),
+        (c.duplicates, "duplicates"),
+        (c.disturbance, DISTURBANCES._fields[c.disturbance].replace("_", " ")),
+    ):
+        if given:
+            words.append(word)
+    return ", ".join(words)
 
 
 @dataclass(slots=True)

@@ -131,7 +131,7 @@ class Winds(NamedTuple):
 
 
 class Disturbances(NamedTuple):
-    """The disturbances that break A5 now and then."""
+    """The disturbances that break A5' now and then."""
 
     none: int = 0
     single_losses: int = 1
@@ -139,7 +139,7 @@ class Disturbances(NamedTuple):
     silences: int = 2
     """None comes for up to `silence`."""
     late: int = 3
-    """All come later than declared for a while."""
+    """All set out later than they should for a while, so that their motions arrive too late to begin."""
     law_changes: int = 4
     """The filter is switched off for a while and begun anew."""
     rejoins: int = 5
@@ -171,7 +171,7 @@ class Conditions(NamedTuple):
     duplicates: float = 0.0
     """Share of commands that come twice."""
     disturbance: int = DISTURBANCES.none
-    """The disturbance that breaks A5 now and then, of `DISTURBANCES`."""
+    """The disturbance that breaks A5' now and then, of `DISTURBANCES`."""
     silence: float = 0.5
     """Longest time without a command, where that is the disturbance."""
     hold: float = 2.0
@@ -181,7 +181,11 @@ class Conditions(NamedTuple):
     error_share: float = 1.0
     """The errors' norm as a share of eps; above 1 breaks an assumption."""
     outage: float = 0.0
-    """Longest time from the beginning of a motion to that of the next, B; 0: commands carry no motions."""
+    """Longest time from the start of a motion to the start of the next, B; a tick at least."""
+    bare: bool = False
+    """Commands carry no motions, as of a receiver that knows accelerations only."""
+    start_speed: float = 0.0
+    """Speed with which the UAV starts, as a share of its bound."""
     losses: int = LOSSES.none
     """The motions that are lost, of `LOSSES`; never more than B allows."""
     wind: float = 0.0
@@ -316,8 +320,7 @@ def declared(
             margin=margin,
             width=width,
             height=height,
-            hold=conditions.hold,
-            outage=conditions.outage or None,
+            outage=conditions.outage,
             tracking=farthest_off(conditions, numbers["dt"]),
         )
     )
