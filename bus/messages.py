@@ -524,7 +524,8 @@ class UavCommand(Message, frozen=True, kw_only=True):
     acceleration: Vector
     motions: Annotated[tuple[MotionPlan, ...], Meta(max_length=MOST_CARRIED)] = ()
     """The motions to be flown from the tick on in which the last of them begins, and before it those that it may
-    have missed, one a tick, the oldest first; none: it holds the acceleration, and brakes when no command comes.
+    have missed, one a tick, the oldest first. Without one the vehicle holds the acceleration, and brakes when no
+    command comes.
     """
     radio: tuple[RelativeInformation, ...] = ()
     blocks: Annotated[tuple[GroundBlock, ...], Meta(max_length=MOST_BLOCKS)] = ()
@@ -809,10 +810,9 @@ class CertificateStatus(Message, frozen=True, kw_only=True):
     certificate_broken: Tick = 0
     """Those that were not certified although the one before was and all assumptions hold: likewise."""
     outage: NonNegative | None = None
-    """From the beginning of a motion to that of the next at most, as it is declared, B [s]; None: commands carry none.
-    """
+    """Longest time from the start of a motion to the start of the next, as it is declared, B [s]."""
     longest_outage: NonNegative | None = None
-    """And the longest so far [s]."""
+    """The longest so far [s]."""
     tracking: NonNegative | None = None
     """Largest true distance of a UAV from where it is told that it is, as it is declared, w [m]; None: nothing takes it
     from there, or w has no bound.

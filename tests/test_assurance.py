@@ -109,7 +109,7 @@ def test_a_tick_that_is_certified_out_of_sight_is_counted() -> None:
 
 
 def test_a_certificate_that_ends_while_all_assumptions_hold_is_counted_once() -> None:
-    assert taken(*[True] * 5, *[False] * 5, True, False).certificate_broken == 2
+    assert taken(*[True] * 5, *[False] * 5, True, False, False).certificate_broken == 2
     assert taken(False, False, True, True).certificate_broken == 0
 
 
@@ -183,7 +183,7 @@ def test_a_certificate_may_end_where_an_assumption_fails_and_only_there(broken, 
     declared = {name: value for name, value in told.items() if name != "ends"}
     certificate = msgspec.structs.replace(DELAYED.certificate, **declared)
     assurance = Assurance(msgspec.structs.replace(DELAYED, certificate=certificate))
-    for tick in range(ends + 1):
+    for tick in range(ends + 2):  # in the tick after it the motion of its command may begin
         take(assurance, tick, tick < ends, **truths.get(tick, {}))
     assert assurance.certificate_broken == broken
 
