@@ -19,11 +19,10 @@ from agents.control.laws import (
 )
 from agents.control.lookahead import lookahead_memory
 from agents.control.orbit import Path, check_path
-from agents.control.promise import Promise
 from agents.control.telling import GroundTeller
 from agents.control.uav_policy import PolicyControl, TargetEstimate, UavPolicy
 from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
-from agents.control.visibility import SafetyFilter, Verdict, flown_in, promise_of
+from agents.control.visibility import SafetyFilter, Verdict, bounds_of, flown_in
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimation.estimator import Estimate, estimator_of
 from agents.looks import LookRows
@@ -44,6 +43,7 @@ from bus.ticks import looks_of, radio_ticks
 from sim.kernels.compile import FloatArray
 from sim.kernels.records import records
 from sim.models.field import cover, coverage_error, empty_coverage
+from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion, norm
 
 Inner = Callable[[UavObservation], Vector | None]
@@ -122,8 +122,8 @@ class UavPilot:
                 briefing.desired_coverage,
             )
         self.estimator = estimator_of(briefing)
-        promise = promise_of(briefing)
-        (self._promise,) = records(Promise, [promise])
+        promise = bounds_of(briefing)
+        (self._promise,) = records(SafetyBounds, [promise])
         self._law_memory, self._lookahead_memory = initial_state(), lookahead_memory()
         self._no_guard = guard_state(promise.delay_ticks, depth=1)
         self.filter: SafetyFilter | None = self._make_filter()

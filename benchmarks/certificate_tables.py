@@ -18,7 +18,7 @@ from multiprocessing import get_context
 from markdown_tables import head, print_chosen
 
 from agents.control.handover import certificate, certified_radius, largest_age
-from agents.control.promise import Declared, Promise
+from bus.messages import SafetyParameters
 from bus.profiles import PROFILES
 from outrider.experiments.falsify.attack import attack
 from outrider.experiments.falsify.conditions import (
@@ -37,17 +37,26 @@ from outrider.experiments.falsify.conditions import (
 from outrider.running.flying import InProcess, make_pilots
 from sim.kernels.records import RecordArray
 from sim.models.inner_loop import InnerLoop, needed_reserve, tracking_error
+from sim.models.safety import SafetyBounds, safety_bounds
 from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
 RUNS, DURATION = 1000, 200.0
 SEEDS = 10
-NUMBERS = {name: PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
+NUMBERS = {name: PAPER_BOUNDS[name] for name in ("v_a", "u_a", "v_g", "dt")}
 
 
-def _certificate(**declared: float) -> Promise:
+def _certificate(**declared: float) -> SafetyBounds:
     """The promise of these numbers and the paper's bounds."""
-    return certificate(Declared(**NUMBERS, **declared))
+    n = {"delay": 0.0, "outage": 0.0, "tracking": 0.0} | declared
+    safety = SafetyParameters(
+        max_measurement_error=n["eps"],
+        max_measurement_age=n["age"],
+        max_command_delay=n["delay"],
+        max_command_interval=n["outage"],
+        max_tracking_error=n["tracking"],
+    )
+    return certificate(safety_bounds(safety, visibility_radius=PAPER_BOUNDS["r_v"], **NUMBERS))
 
 
 def radius() -> Iterator[str]:
@@ -58,7 +67,7 @@ def radius() -> Iterator[str]:
     rows += [(0.3, 0.05, 0.5), (0.3, 0.05, 1.0), (0.3, 15.0, 1.0)]
     for eps, age, delay in rows:
         c = _certificate(eps=eps, age=age, delay=delay)
-        cells = f"{c.handover:.3f} | {c.reach:.2f} | {_r_cert(c):.2f}"
+        cells = f"{c.handover_radius:.3f} | {c.handover_bound:.2f} | {_r_cert(c):.2f}"
         yield f"| {eps:g} | {age:g} | {delay:g} | {cells} |"
     yield ""
     errors = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5)
@@ -176,27 +185,29 @@ def wind() -> Iterator[str]:
         yield f"| {gains[0]:g}, {gains[1]:g} | {' | '.join(cells)} |"
 
 
-def _bounds(told: str, found: list[Promise]) -> Iterator[str]:
+def _bounds(told: str, found: list[SafetyBounds]) -> Iterator[str]:
     """Rows of R_h, E and r_cert."""
     for name, row in (
-        ("R_h [m]", [f"{c.handover:.3f}" for c in found]),
-        ("E [m]", [f"{c.reach:.2f}" for c in found]),
+        ("R_h [m]", [f"{c.handover_radius:.3f}" for c in found]),
+        ("E [m]", [f"{c.handover_bound:.2f}" for c in found]),
         ("r_cert [m]", [f"{_r_cert(c):.2f}" for c in found]),
     ):
         yield f"| {name} at {told} | {' | '.join(row).replace('nan', '–')} |"
 
 
-def _oldest(told: str, found: list[Promise]) -> str:
+def _oldest(told: str, found: list[SafetyBounds]) -> str:
     """A row of the largest A."""
     ages = [largest_age(c) for c in found]
     row = " | ".join("–" if math.isnan(age) else f"{age:.1f}" for age in ages)
     return f"| largest A [s] at {told} | {row} |"
 
 
-def _r_cert(promise: Promise) -> float:
+def _r_cert(promise: SafetyBounds) -> float:
     c = promise
     delay, wait = c.delay_ticks * c.dt, (c.interval_ticks - 1) * c.dt
-    return certified_radius(c.handover, c.v_a, c.u_a, c.v_g, c.dt, delay, wait, c.tracking)
+    return certified_radius(
+        c.handover_radius, c.v_a, c.u_a, c.v_g, c.dt, delay, wait, c.max_tracking_error
+    )
 
 
 def _unreliable() -> dict[str, tuple[Conditions, float]]:

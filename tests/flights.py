@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 from seeded import a_told_key
 
+from agents.control.handover import certificate
 from agents.control.laws import LawParameters, law_parameters
 from agents.process import Pilot
 from bus.messages import (
@@ -17,6 +18,7 @@ from bus.messages import (
     Law,
     Limits,
     Observation,
+    SafetyParameters,
     UavBriefing,
     UavObservation,
     UgvBriefing,
@@ -28,6 +30,7 @@ from outrider.running.summary import Summary
 from sim.engine.briefing import uav_briefing
 from sim.env.parallel import parallel_env
 from sim.kernels.compile import FloatArray
+from sim.models.safety import SafetyBounds, safety_bounds
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario, Uav, Ugv
 from sim.server.flight import Flight
@@ -39,6 +42,22 @@ R_S = R_V - (V_A + V_G) ** 2 / (2.0 * U_A)
 DT = 0.05
 PROMISED = {"r_v": R_V, "v_a": V_A, "u_a": U_A, "v_g": V_G, "dt": DT}
 """The declared numbers of a certificate for these vehicles, but for the detections."""
+
+
+def certified(**numbers: float) -> SafetyBounds:
+    """Return the bounds for these vehicles; the numbers by the letters of docs/explanation/certificate.md."""
+    n = PROMISED | {"eps": 0.0, "age": 1.0} | numbers
+    safety = SafetyParameters(
+        max_measurement_error=n["eps"],
+        max_measurement_age=n["age"],
+        max_command_delay=n.get("delay", 0.0),
+        max_command_interval=n.get("outage", 0.0),
+        max_tracking_error=n.get("tracking", 0.0),
+    )
+    area = {side: n[side] for side in ("width", "height") if side in n}
+    bounds = {name: n[name] for name in ("v_a", "u_a", "v_g", "dt")}
+    return certificate(safety_bounds(safety, visibility_radius=n["r_v"], **bounds, **area))
+
 
 HERE = (20.0, 20.0)
 UAV, UGV = Uav(position=HERE), Ugv(position=HERE)

@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import DT, PROMISED, U_A, escort, told, uav_sees
+from flights import DT, PROMISED, U_A, certified, escort, told, uav_sees
 
 from agents.control.certificate import (
     BEST_EFFORT,
@@ -23,10 +23,8 @@ from agents.control.guard import (
     note_detection,
     note_position,
 )
-from agents.control.handover import certificate
-from agents.control.promise import Declared
-from agents.control.visibility import SafetyFilter, promise_of
-from bus.messages import MOST_CARRIED, Area, DeclaredBounds, LinkSettings, UavBriefing
+from agents.control.visibility import SafetyFilter, bounds_of
+from bus.messages import MOST_CARRIED, Area, LinkSettings, SafetyParameters, UavBriefing
 from sim.engine.batch import arrays_of
 from sim.models.vehicles import Motion
 from sim.scenario.types import Certificate, LinkTable, Uav
@@ -36,7 +34,10 @@ from sim.world import World
 def declared(delay: float = 0.0, error: float | None = 0.3) -> UavBriefing:
     """The briefing of the paper's UAV, with this delay of its commands [s] and this error of its detections [m]."""
     return msgspec.structs.replace(
-        told(escort("certified")), certificate=DeclaredBounds(error=error, age=1.0, delay=delay)
+        told(escort("certified")),
+        safety=SafetyParameters(
+            max_measurement_error=error, max_measurement_age=1.0, max_command_delay=delay
+        ),
     )
 
 
@@ -54,7 +55,7 @@ def kept_by(state: GuardState) -> list[tuple[float, float, int]]:
 
 @pytest.mark.parametrize("delay", [0.0, 3 * DT])
 def test_a_memory_that_begins_again_is_as_fresh_as_a_new_one(delay: float) -> None:
-    promise = promise_of(declared(delay))
+    promise = bounds_of(declared(delay))
     fresh, used = guard_state(promise.delay_ticks, 8), guard_state(promise.delay_ticks, 8)
     verdict = guard(promise, used, 0, Motion(20.0, 20.0, 0.1, 0.0), 0.1, 0.0)
     assert verdict[2:] == (BEST_EFFORT, NO_DETECTION, math.inf)
@@ -74,7 +75,7 @@ def test_a_track_has_room_for_a_tick() -> None:
 @pytest.mark.parametrize("taken", [-1, -8, 0, 3, 4, 10, 12, 19])
 def test_a_detection_of_a_tick_that_was_not_noted_is_ignored(taken: int) -> None:
     """Before the start, missed, later than now, or so long ago that another tick has its place in the track of 8."""
-    promise = promise_of(declared())
+    promise = bounds_of(declared())
     state = guard_state(promise.delay_ticks, 8)
     for tick in (0, 1, 2, 3, 5, 6, 7, 8, 11):  # 8 and 11 take the places of 0 and 3
         note_position(state, tick, 20.0 + tick, 20.0)
@@ -106,7 +107,7 @@ def test_a_detection_of_no_tick_or_of_the_future_is_not_used() -> None:
 
 
 def test_where_the_ugv_was_detected_is_clipped_into_the_area() -> None:
-    promise = promise_of(declared())
+    promise = bounds_of(declared())
     state = guard_state(promise.delay_ticks, 8)
     note_position(state, 0, 0.2, promise.height - 0.1)
     note_detection(promise, state, 0, 0, 0.3, -0.3, 0.2, promise.height - 0.1)
@@ -114,7 +115,7 @@ def test_where_the_ugv_was_detected_is_clipped_into_the_area() -> None:
 
 
 def test_a_contradiction_is_remembered_until_the_filter_begins_again() -> None:
-    promise = promise_of(declared())
+    promise = bounds_of(declared())
     state = guard_state(promise.delay_ticks, 8)
     for tick in range(2):
         note_position(state, tick, 20.0, 20.0)
@@ -127,7 +128,7 @@ def test_a_contradiction_is_remembered_until_the_filter_begins_again() -> None:
 
 
 def test_where_there_are_no_walls_a_detection_stays_where_it_is() -> None:
-    promise = certificate(Declared(**PROMISED, eps=0.3, age=1.0))
+    promise = certified(**PROMISED, eps=0.3, age=1.0)
     state = guard_state(promise.delay_ticks, 8)
     note_position(state, 0, -7.0, 3.0)
     note_detection(promise, state, 0, 0, 1.0, 5.0, -7.0, 3.0)

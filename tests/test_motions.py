@@ -6,15 +6,14 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from flights import EVADED, PROMISED, flown_in_both, record, told, uav_sees
+from flights import EVADED, PROMISED, certified, flown_in_both, record, told, uav_sees
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from processes import flown_both_ways
 from worlds import LOSSY, SCENARIOS, small
 
 from agents.control.certificate import OUTAGE, UNCERTIFIED, UNCHECKED_MOTION
-from agents.control.handover import certificate, largest_outage
-from agents.control.promise import Declared
+from agents.control.handover import largest_interval
 from agents.control.visibility import SafetyFilter
 from agents.env_wrappers import SafetyFilterWrapper
 from bus.messages import MOST_CARRIED, MotionPlan, UavCommand
@@ -225,7 +224,9 @@ def test_motions_that_were_checked_for_less_than_the_outage_are_caught_by_the_at
     short = declared(conditions._replace(outage=0.05), 0.3)
     wait = 7.95 * short.v_g  # which the checks take off again
     wrong = short._replace(
-        handover=short.handover + wait, reach=short.reach + wait, interval_ticks=160
+        handover_radius=short.handover_radius + wait,
+        handover_bound=short.handover_bound + wait,
+        interval_ticks=160,
     )
     rows = attack(wrong, conditions, 5, 0, 20, 200.0)
     assert rows["max_distance"].max() > conditions.r_v
@@ -234,12 +235,14 @@ def test_motions_that_were_checked_for_less_than_the_outage_are_caught_by_the_at
 
 def test_an_outage_costs_radius_and_age() -> None:
     paper = PROMISED | {"eps": 0.3, "age": 5.0}
-    numbers = [certificate(Declared(**paper, outage=b)) for b in (0.05, 1.0, 4.0)]
-    assert [c.reach for c in numbers] == sorted((c.reach for c in numbers), reverse=True)
-    assert all(c.handover <= numbers[0].handover for c in numbers)
-    most = largest_outage(numbers[0])
-    assert math.isnan(certificate(Declared(**paper, outage=most + 0.1)).handover)
-    assert not math.isnan(certificate(Declared(**paper, outage=most - 0.1)).handover)
+    numbers = [certified(**paper, outage=b) for b in (0.05, 1.0, 4.0)]
+    assert [c.handover_bound for c in numbers] == sorted(
+        (c.handover_bound for c in numbers), reverse=True
+    )
+    assert all(c.handover_radius <= numbers[0].handover_radius for c in numbers)
+    most = largest_interval(numbers[0])
+    assert math.isnan(certified(**paper, outage=most + 0.1).handover_radius)
+    assert not math.isnan(certified(**paper, outage=most - 0.1).handover_radius)
 
 
 def test_a_policy_keeps_sight_through_the_filter_while_its_commands_are_lost() -> None:

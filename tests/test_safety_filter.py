@@ -11,7 +11,7 @@ import pytest
 from flights import distances, told, uav_sees
 from tabular import rows, words
 
-from agents.control.visibility import SafetyFilter, promise_of
+from agents.control.visibility import SafetyFilter, bounds_of
 from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from bus.messages import LinkSettings
 from outrider.envs.single import single_env
@@ -108,11 +108,11 @@ def test_what_cannot_be_certified_is_told_before_it_is_flown_and_at_every_tick(c
 def test_what_is_declared_follows_from_the_scenario() -> None:
     commands = LinkSettings(delay=0.2, jitter=0.1, reorder=0.1, reorder_delay=0.05)
     scenario = msgspec.structs.replace(watched(), links=LinkTable(commands=commands))
-    declared = told(scenario).certificate
-    assert declared.error == pytest.approx(0.3)
-    assert declared.delay == pytest.approx(0.35)
+    declared = told(scenario).safety
+    assert declared.max_measurement_error == pytest.approx(0.3)
+    assert declared.max_command_delay == pytest.approx(0.35)
     own = msgspec.structs.replace(scenario, certificate=Certificate(delay=0.1, error=0.5))
-    assert told(own).certificate.error == 0.5
+    assert told(own).safety.max_measurement_error == 0.5
 
 
 def test_a_detection_counts_for_where_the_uav_was_when_it_was_taken() -> None:
@@ -219,4 +219,4 @@ def test_a_filter_may_be_taken_up_in_the_middle_of_a_flight() -> None:
     command = pilot.act(uav_sees(2, (0.1, (0.0, 1.0)), **there))
     assert command.report.certified is True
     assert command.report.certified_distance == pytest.approx(1.3)
-    assert promise_of(told(scenario)).eps == pytest.approx(0.3)
+    assert bounds_of(told(scenario)).placed_error == pytest.approx(0.3)

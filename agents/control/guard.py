@@ -37,7 +37,6 @@ from agents.control.discs import (
     newest_detection,
     no_detections,
 )
-from agents.control.promise import Promise
 from agents.control.underway import (
     Underway,
     begin_underway,
@@ -53,6 +52,7 @@ from agents.control.underway import (
 from sim.kernels.compile import compiled
 from sim.kernels.records import RecordArray, record_type
 from sim.models.motion import NO_MOTION
+from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion, within_walls
 
 
@@ -99,9 +99,9 @@ _TRACK = 120.0
 """The UAV's own positions are kept for so long [s], or for the declared age of detections if that is longer."""
 
 
-def track_ticks(promise: Promise) -> int:
+def track_ticks(promise: SafetyBounds) -> int:
     """Ticks for which a filter keeps the UAV's own positions; memory for all is taken at once, 24 bytes a tick."""
-    return max(1, min(MOST_KEPT, max(math.ceil(_TRACK / promise.dt), promise.age_ticks + 1)))
+    return max(1, min(MOST_KEPT, max(math.ceil(_TRACK / promise.dt), promise.max_age_ticks + 1)))
 
 
 def guard_state(delay_ticks: int, depth: int) -> GuardState:
@@ -149,7 +149,7 @@ def note_position(state: GuardState, tick: int, p_x: float, p_y: float) -> None:
 
 @compiled
 def note_detection(
-    promise: Promise,
+    promise: SafetyBounds,
     state: GuardState,
     taken: int,
     tick: int,
@@ -188,7 +188,7 @@ def forget_commands(state: GuardState) -> None:
 
 
 @compiled
-def _begun(promise: Promise, state: GuardState, tick: int, here: Motion, flown: int) -> int:
+def _begun(promise: SafetyBounds, state: GuardState, tick: int, here: Motion, flown: int) -> int:
     """Return the motion that the vehicle flew in the tick before; NO_MOTION: it flew none.
 
     A receiver of bare accelerations reports none. Where each command acts in its own tick, the state of the UAV tells
@@ -204,7 +204,7 @@ def _begun(promise: Promise, state: GuardState, tick: int, here: Motion, flown: 
 
 @compiled
 def _reason(
-    promise: Promise,
+    promise: SafetyBounds,
     state: GuardState,
     tick: int,
     acts: int,
@@ -216,7 +216,7 @@ def _reason(
     new = newest_detection(state.detections)
     if new < 0:
         return NO_DETECTION
-    if tick - state.detections[new].taken > promise.age_ticks:
+    if tick - state.detections[new].taken > promise.max_age_ticks:
         return TOO_OLD
     if state.flags[0].contradicted != 0:
         return CONTRADICTED
@@ -232,7 +232,7 @@ def _reason(
 
 @compiled
 def guard(
-    promise: Promise,
+    promise: SafetyBounds,
     state: GuardState,
     tick: int,
     here: Motion,

@@ -22,7 +22,7 @@ from agents.control.coverage import (
 )
 from agents.control.orbit import circle, orbit_control
 from agents.control.tracking import tracking_output, tracking_step
-from agents.control.visibility import promise_of, switching_radius
+from agents.control.visibility import bounds_of, switching_radius
 from agents.control.weighting import combine, linear_weights, logarithmic_weights, switching_weights
 from bus.errors import ScenarioError
 from bus.messages import Law, UavBriefing, or_infinite
@@ -126,8 +126,8 @@ def _row(table: Mapping[str, _Row], name: str, field: str) -> _Row:
 
 def _room(briefing: UavBriefing) -> float:
     """r_v of the safety filter less the largest error of a detection, as far as one is declared [m]."""
-    promise = promise_of(briefing)
-    room = promise.r_v - promise.eps
+    promise = bounds_of(briefing)
+    room = promise.radius - promise.placed_error
     return float(room) if math.isfinite(room) else float(briefing.visibility_radius)
 
 

@@ -15,11 +15,11 @@ from agents.control.laws import (
     uav_control,
 )
 from agents.control.lookahead import LookaheadMemory, Target, lookahead_control
-from agents.control.promise import Promise
 from bus.ticks import Look
 from sim.kernels.compile import FloatArray, compiled
 from sim.kernels.records import RecordArray, columns
 from sim.models.field import accumulate
+from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion, brake, clip_norm
 
 LOOK = columns(Look)
@@ -40,7 +40,7 @@ class UavMemory(NamedTuple):
 @compiled
 def uav_perceive(
     law: LawParameters,
-    promise: Promise,
+    promise: SafetyBounds,
     guarded: bool,
     memory: UavMemory,
     looked: int,
@@ -76,7 +76,7 @@ def uav_perceive(
 @compiled
 def uav_tick(
     law: LawParameters,
-    promise: Promise,
+    promise: SafetyBounds,
     guarded: bool,
     memory: UavMemory,
     lookahead: LookaheadMemory | None,

@@ -14,13 +14,13 @@ from agents.control.guard import (
     track_ticks,
 )
 from agents.control.handover import certificate, check_assumptions
-from agents.control.promise import Declared, Promise
 from agents.control.underway import carried
 from bus.errors import ScenarioError
 from bus.messages import MotionPlan, UavBriefing, UavObservation, Vector, or_infinite
 from bus.ticks import looks_of
 from sim.kernels.compile import compiled
 from sim.models.motion import NO_MOTION, motion_plan
+from sim.models.safety import SafetyBounds, safety_bounds
 from sim.models.vehicles import Motion, norm, raw_switching_radius
 
 
@@ -56,24 +56,19 @@ def switching_radius(r_v: float, v_a: float, v_g: float, u_a: float) -> float:
     return r_s
 
 
-def promise_of(briefing: UavBriefing) -> Promise:
-    """The certificate that a UAV can give on what it is told."""
-    own, target, declared = briefing.limits, briefing.target_limits, briefing.certificate
+def bounds_of(briefing: UavBriefing) -> SafetyBounds:
+    """Return the bounds of a UAV's safety filter, hand-over included."""
+    own, target = briefing.limits, briefing.target_limits
     return certificate(
-        Declared(
-            r_v=briefing.visibility_radius,
+        safety_bounds(
+            briefing.safety,
+            visibility_radius=briefing.visibility_radius,
             v_a=or_infinite(own.max_speed),
             u_a=or_infinite(own.max_acceleration),
             v_g=or_infinite(target.max_speed),
             dt=briefing.dt,
-            eps=or_infinite(declared.error),
-            age=declared.age,
-            delay=declared.delay,
-            margin=declared.margin,
             width=briefing.area.width,
             height=briefing.area.height,
-            outage=declared.outage,
-            tracking=or_infinite(declared.tracking),
         )
     )
 
@@ -110,7 +105,7 @@ class SafetyFilter:
     """
 
     def __init__(self, briefing: UavBriefing) -> None:
-        self.promise = promise_of(briefing)
+        self.promise = bounds_of(briefing)
         """The declared numbers, and what follows from them."""
         self.faults = check_assumptions(self.promise)
         """Why nothing can be certified with these numbers, a line each."""

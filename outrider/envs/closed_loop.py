@@ -19,9 +19,8 @@ from agents.control.laws import (
     law_parameters,
 )
 from agents.control.lookahead import LookaheadMemory, lookahead_memory
-from agents.control.promise import Promise
 from agents.control.telling import BLOCK_TILES, telling_memory, telling_ticks
-from agents.control.visibility import promise_of
+from agents.control.visibility import bounds_of
 from agents.drivers.compiled import driver_memory, driver_parameters, told_ground, told_route
 from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters
 from agents.estimation.batch_filter import estimator_rows
@@ -46,12 +45,10 @@ from outrider.envs.closed_loop_tick import run_worlds
 from sim.channel.link_records import no_packets
 from sim.engine.batch import Batch, Fresh, arrays_of
 from sim.engine.briefing import uav_briefing, ugv_briefing
-from sim.engine.certificate_counts import (
-    CertificateBounds,
-    certificate_bounds,
-    certificate_counts,
-)
 from sim.engine.mission import mission_of
+from sim.engine.monitor import (
+    certificate_counters,
+)
 from sim.engine.run_keys import check_secret
 from sim.engine.world_state import joined
 from sim.env.patch import given_patch
@@ -61,6 +58,7 @@ from sim.env.settings import EPISODE_DEFAULTS, EpisodeSettings, completed
 from sim.kernels.compile import FloatArray, IntArray
 from sim.kernels.records import records
 from sim.models.randomness import PILOT
+from sim.models.safety import SafetyBounds
 from sim.scenario.types import Scenario
 
 _INNER = {law.code: law.inner for law in LAWS.values() if law.inner}
@@ -205,13 +203,13 @@ class ClosedLoop:
             thinking=thinking.astype(np.int64),
             guarded=numbers.guarded.astype(np.int64),
             faults=numbers.faults.astype(np.int64),
-            bounds=numbers.bounds,
             receivers=np.array(
                 [self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]],
                 dtype=np.int64,
             ),
             kalman=numbers.kalman,
-            promises=numbers.promises,
+            safety=numbers.safety,
+            monitored=numbers.safety.copy(),
             scripts=scripts,
             script_rows=script_rows,
             late=numbers.late,
@@ -386,15 +384,13 @@ class _PilotNumbers:
                     f"{one.vehicle}: uav_policy = {named!r}: flies in a run, not in many worlds; allowed: no policy, "
                     "or the policy itself as one of the `others`"
                 )
-        promises = [promise_of(one) for one in told_uavs]
+        safety = [bounds_of(one) for one in told_uavs]
         self.laws = records(LawParameters, laws)
-        self.longest = max((promise.delay_ticks for promise in promises), default=0)
-        self.track = max((track_ticks(promise) for promise in promises), default=1)
-        bounds = [certificate_bounds(one.certificate, one.dt) for one in told_uavs]
-        self.bounds = records(CertificateBounds, bounds)
-        self.certificates = certificate_counts(len(uavs))
-        self.promises = records(Promise, promises)
-        self.faults = np.array([bool(check_assumptions(one)) for one in promises], dtype=np.bool_)
+        self.longest = max((promise.delay_ticks for promise in safety), default=0)
+        self.track = max((track_ticks(promise) for promise in safety), default=1)
+        self.certificates = certificate_counters(len(uavs))
+        self.safety = records(SafetyBounds, safety)
+        self.faults = np.array([bool(check_assumptions(one)) for one in safety], dtype=np.bool_)
         self.kalman = records(
             KalmanParameters,
             [

@@ -15,8 +15,7 @@ import msgspec
 import numpy as np
 
 from agents.control.handover import check_assumptions
-from agents.control.promise import Promise
-from agents.control.visibility import promise_of
+from agents.control.visibility import bounds_of
 from bus.messages import MOST_CARRIED, LinkKind
 from bus.registry import LAWS
 from bus.ticks import DUST, first_tick_from
@@ -34,9 +33,9 @@ from sim.channel.links import first_arrivals
 from sim.channel.places import delays_at
 from sim.channel.recorded import Opportunities, recording_of
 from sim.channel.recorded import found as trace_named
-from sim.engine.briefing import declared as declared_bounds
-from sim.engine.briefing import largest_tracking_error, uav_briefing
+from sim.engine.briefing import largest_tracking_error, safety_parameters, uav_briefing
 from sim.kernels.compile import IntArray
+from sim.models.safety import SafetyBounds
 from sim.scenario.types import LinkTable, Scenario, Uav
 
 _RARE = 1e-6
@@ -92,7 +91,7 @@ def _perfect_detectors(scenario: Scenario) -> Iterator[str]:
     if not LAWS[scenario.law.name].watched:
         return
     for uav in scenario.uav:
-        if declared_bounds(scenario, uav.name).error == 0.0:
+        if safety_parameters(scenario, uav.name).max_measurement_error == 0.0:
             source = (
                 "certificate.error" if scenario.certificate.error == 0.0 else "detections.noise"
             )
@@ -132,15 +131,17 @@ def odds(scenario: Scenario, links: LinkTable | None = None) -> Odds | None:
     table, exceeded = links or scenario.links, dict[str, float | None]()
     looks = -(-scenario.ticks // scenario.detection_period)
     for uav in scenario.uav:
-        bounds = declared_bounds(scenario, uav.name)
+        bounds = safety_parameters(scenario, uav.name)
         link = _Link(scenario, table, uav.name, LinkKind.DETECTIONS)
-        exceeded[f"{uav.name}/age"] = link.chance_of_age(bounds.age).value
+        exceeded[f"{uav.name}/age"] = link.chance_of_age(bounds.max_measurement_age).value
         link = _Link(scenario, table, uav.name, LinkKind.COMMANDS)
-        delay = first_tick_from(bounds.delay, scenario.dt)
-        exceeded[f"{uav.name}/outage"] = link.chance_of_outage(delay, bounds.outage).value
-        if bounds.error is not None:
+        delay = first_tick_from(bounds.max_command_delay, scenario.dt)
+        exceeded[f"{uav.name}/outage"] = link.chance_of_outage(
+            delay, bounds.max_command_interval
+        ).value
+        if bounds.max_measurement_error is not None:
             sigma, cut = scenario.detections.noise, scenario.noise_cut
-            error = chance_of_error(sigma, cut, looks, bounds.error)
+            error = chance_of_error(sigma, cut, looks, bounds.max_measurement_error)
             exceeded[f"{uav.name}/error"] = error.value
     known = [value for value in exceeded.values() if value is not None]
     kept = all(found.by_chance for found in shortfalls(scenario, links))
@@ -174,14 +175,14 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
         return ()
     table, found = links or scenario.links, list[Shortfall]()
     for uav in scenario.uav:
-        promise = promise_of(uav_briefing(scenario, uav.name, scenario.seed))
+        promise = bounds_of(uav_briefing(scenario, uav.name, scenario.seed))
         found += [
             Shortfall(uav.name, "", How.THROUGHOUT, fault) for fault in check_assumptions(promise)
         ]
-        if math.isfinite(promise.eps):
+        if math.isfinite(promise.placed_error):
             found += [
                 Shortfall(uav.name, "A1", how, what, by_chance=True)
-                for how, what in _errors(scenario, promise.error)
+                for how, what in _errors(scenario, promise.max_measurement_error)
             ]
             found += [
                 Shortfall(uav.name, "A6'", how, what) for how, what in _off(scenario, uav, promise)
@@ -334,22 +335,22 @@ def _errors(scenario: Scenario, eps: float) -> Iterator[tuple[How, str]]:
 # A6': where the UAV is
 
 
-def _off(scenario: Scenario, uav: Uav, promise: Promise) -> Iterator[tuple[How, str]]:
+def _off(scenario: Scenario, uav: Uav, promise: SafetyBounds) -> Iterator[tuple[How, str]]:
     """Wind and own position may take it farther from where it is told that it is than is declared, but need not."""
-    most = largest_tracking_error(scenario, uav)
-    if most > promise.tracking * (1.0 + DUST):
-        what = f"certificate.tracking = {promise.tracking:g} m, but wind and own_error may take it {most:.3g} m off"
+    most, declared = largest_tracking_error(scenario, uav), promise.max_tracking_error
+    if most > declared * (1.0 + DUST):
+        what = f"certificate.tracking = {declared:g} m, but wind and own_error may take it {most:.3g} m off"
         yield How.SOMETIMES, what
 
 
 # A2: the age of the newest detection
 
 
-def _ages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
+def _ages(link: _Link, promise: SafetyBounds) -> Iterator[tuple[How, str]]:
     """Looks are at multiples of the detector's period; each that gets through arrives after `least` to `most` ticks."""
     scenario, p = link.scenario, link.parameters
-    period, age = scenario.detection_period, promise.age_ticks
-    limit = f"certificate.age = {promise.age:g} s"
+    period, age = scenario.detection_period, promise.max_age_ticks
+    limit = f"certificate.age = {promise.max_measurement_age:g} s"
     if link.settings.trace:
         yield from _recorded_ages(link, promise, limit)
         yield from _dark_ages(link, age, limit)
@@ -372,12 +373,12 @@ def _ages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     yield from dark
 
 
-def _recorded_ages(link: _Link, promise: Promise, limit: str) -> Iterator[tuple[How, str]]:
+def _recorded_ages(link: _Link, promise: SafetyBounds, limit: str) -> Iterator[tuple[How, str]]:
     """Ages that a recording causes by itself in every round, or together with looks that find nothing."""
     scenario, every = link.scenario, link.scenario.detection_period
     ages, whole = link.played(every)
-    share = float(np.mean(ages > promise.age_ticks))
-    chance = link.chance_of_age(promise.age, planned=False)
+    share = float(np.mean(ages > promise.max_age_ticks))
+    chance = link.chance_of_age(promise.max_measurement_age, planned=False)
     if chance.value is not None and chance.value <= _RARE:
         return
     often = in_flights(chance.value) if chance.value is not None else ""
@@ -393,7 +394,7 @@ def _recorded_ages(link: _Link, promise: Promise, limit: str) -> Iterator[tuple[
     elif often:
         told = f"the newest detection becomes older than {limit} {often}"
         yield How.SOMETIMES, f"{link.path}.trace{dropout}: {told}"
-    elif gap > promise.age + scenario.dt:
+    elif gap > promise.max_measurement_age + scenario.dt:
         told = f"no detection arrives for {gap:g} s from {at:g} s on, longer than {limit}"
         yield How.SOMETIMES, f"{link.path}.trace: {told}"
     elif not whole:
@@ -401,7 +402,7 @@ def _recorded_ages(link: _Link, promise: Promise, limit: str) -> Iterator[tuple[
             f"not older than {limit} in {link.inspected(ages, whole)}; the rest was not inspected"
         )
         yield How.SOMETIMES, f"{link.path}.trace: the newest detection is {told}"
-    elif ages.max() + every + 1 > promise.age_ticks:
+    elif ages.max() + every + 1 > promise.max_age_ticks:
         told = f"the newest detection becomes {link.seconds(ages.max())} old, so near to {limit} that it may be older"
         yield How.SOMETIMES, f"{link.path}.trace: {told} where a run begins at another place of it"
 
@@ -418,14 +419,16 @@ def _queue_ticks(parameters: LinkParameters, period: int) -> int | None:
     return waits + math.floor(parameters.spacing) - 1
 
 
-def _unlucky_ages(link: _Link, promise: Promise, *, planned: bool) -> Iterator[tuple[How, str]]:
+def _unlucky_ages(
+    link: _Link, promise: SafetyBounds, *, planned: bool
+) -> Iterator[tuple[How, str]]:
     """Ages that chance causes now and then; `planned`: with planned blackouts, which alone do not."""
     scenario, parameters = link.scenario, link.parameters
-    chance = link.chance_of_age(promise.age, planned=planned)
+    chance = link.chance_of_age(promise.max_measurement_age, planned=planned)
     if chance.value is not None and chance.value <= _RARE:
         return
     missed = 1.0 - (1.0 - parameters.loss) * (1.0 - scenario.detections.dropout)
-    period, age = scenario.detection_period, promise.age_ticks
+    period, age = scenario.detection_period, promise.max_age_ticks
     shares = np.array(
         [1.0 - (1.0 - missed) * arrival_share(parameters, ticks) for ticks in range(age + 1)]
     )
@@ -436,7 +439,7 @@ def _unlucky_ages(link: _Link, promise: Promise, *, planned: bool) -> Iterator[t
         link.named("burst_length", "burst_interval", "blackout_length", "blackout_interval"),
         f"detections.dropout = {dropout:g}" if dropout else "",
     )
-    limit = f"certificate.age = {promise.age:g} s"
+    limit = f"certificate.age = {promise.max_measurement_age:g} s"
     often = in_flights(chance.value) if chance.value is not None else chance.why
     yield (
         _often(old),
@@ -473,7 +476,7 @@ def _dark_ages(link: _Link, age: int, limit: str) -> Iterator[tuple[How, str]]:
 # A5: from the start of one motion to the start of the next
 
 
-def _outages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
+def _outages(link: _Link, promise: SafetyBounds) -> Iterator[tuple[How, str]]:
     """Motions begin at most `outage` after one another: the packets of one link are lost or late for longer."""
     outage, parameters = promise.interval_ticks * promise.dt, link.parameters
     chance = link.chance_of_outage(promise.delay_ticks, outage)

@@ -10,8 +10,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from bus.registry import SENSORS
-from bus.ticks import MOST_TICKS, first_tick_from, ticks_within
-from sim.engine.briefing import declared
+from bus.ticks import MOST_TICKS
+from sim.engine.briefing import monitored_bounds
 from sim.kernels.compile import FloatArray, IntArray
 from sim.kernels.records import RecordArray, record_type, records
 from sim.models.field import cover, empty_coverage
@@ -181,9 +181,8 @@ def first_vehicles(scenario: Scenario) -> RecordArray:
         row["interval_ticks"] = MOST_TICKS  # the stop of a UGV's motions is safe for any time
         row["follows_motions"] = isinstance(one, Uav) or ugv_carries(scenario, one)
         if isinstance(one, Uav):
-            bounds = declared(scenario, one.name)
-            row["delay_ticks"] = first_tick_from(bounds.delay, scenario.dt)
-            row["interval_ticks"] = max(1, ticks_within(bounds.outage, scenario.dt))
+            bounds = monitored_bounds(scenario, one.name)
+            row["delay_ticks"], row["interval_ticks"] = bounds.delay_ticks, bounds.interval_ticks
         row["position"] = row["reference_position"] = one.position
         row["velocity"] = row["reference_velocity"] = one.velocity
     vehicles["command_tick"] = vehicles["outgoing_tick"] = vehicles["outgoing_motion"] = -1

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from agents.control.laws import law_parameters
-from agents.control.visibility import promise_of
+from agents.control.visibility import bounds_of
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.errors import ScenarioError
@@ -95,7 +95,7 @@ def check_exportable(briefing: UavBriefing | UgvBriefing) -> None:
         )
     if isinstance(briefing, UavBriefing):
         law_parameters(briefing, briefing.law)
-        promise = promise_of(briefing)
+        promise = bounds_of(briefing)
         needed = promise.delay_ticks > 0 or promise.interval_ticks > 1
         if LAWS[briefing.law.name].watched and needed:
             raise ScenarioError(

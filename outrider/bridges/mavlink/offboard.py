@@ -215,8 +215,8 @@ def _told(briefing: UavBriefing) -> Iterator[tuple[str, float]]:
     names = list(LAWS)
     yield "AREA_HEIGHT", briefing.area.height
     yield "AREA_WIDTH", briefing.area.width
-    yield "CERT_AGE", briefing.certificate.age
-    yield "CERT_DELAY", briefing.certificate.delay
+    yield "CERT_AGE", briefing.safety.max_measurement_age
+    yield "CERT_DELAY", briefing.safety.max_command_delay
     yield "DT", briefing.dt
     yield "HOLD", briefing.hold
     yield "LAW", float(names.index(briefing.law.name)) if briefing.law.name in names else -1.0

@@ -23,7 +23,6 @@ from agents.control.guard import (
     note_detection,
     note_position,
 )
-from agents.control.promise import Promise
 from agents.control.tracking import tracking_output, tracking_step
 from bus.messages import LinkKind
 from bus.ticks import DUST
@@ -60,17 +59,16 @@ from outrider.experiments.falsify.opponents import (
 from outrider.experiments.falsify.tick_distance import largest_between
 from sim.channel.link_records import ARRIVED
 from sim.engine.batch import Batch
-from sim.engine.certificate_counts import NEVER as NEVER_SEEN
-from sim.engine.certificate_counts import (
-    CertificateBounds,
-    CertificateClaim,
-    begin_counts,
-    begin_filter,
-    certificate_counts,
-    note_action,
-    note_arrival,
-    note_end,
-    note_report,
+from sim.engine.monitor import NEVER as NEVER_SEEN
+from sim.engine.monitor import (
+    Claim,
+    certificate_counters,
+    record_arrival,
+    record_decision,
+    record_end,
+    record_interval,
+    reset_counters,
+    reset_filter,
 )
 from sim.engine.world_state import (
     BatchState,
@@ -83,9 +81,10 @@ from sim.engine.world_tick import (
     receive_commands,
 )
 from sim.kernels.compile import FloatArray, compiled, released
-from sim.kernels.records import RecordArray, record_type, records
+from sim.kernels.records import RecordArray, record_type
 from sim.models.motion import keep_motion
 from sim.models.randomness import FIRST, draw
+from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion, clip_norm, norm
 
 _ATTACK = 1001  # purpose of the draws
@@ -144,29 +143,19 @@ class Room(NamedTuple):
     """`Motion` of UAV and UGV as they truly are, at the last tick and now. (2,)"""
     ring: FloatArray
     """The commands of the last ticks [m/s²], and 1 for each that carries a motion. (_RING, 3)"""
-    bounds: RecordArray
-    """`CertificateBounds`. (1,)"""
     counts: RecordArray
-    """`CertificateCounts`. (1,)"""
+    """`CertificateCounters`. (1,)"""
 
 
-def empty_room(promise: Promise) -> Room:
+def empty_room() -> Room:
     """Room for runs, one after the other."""
-    bounds = CertificateBounds(
-        promise.error,
-        promise.tracking,
-        promise.age_ticks,
-        promise.delay_ticks,
-        promise.interval_ticks,
-    )
     return Room(
         plots=np.zeros(2, record_type(Plot)),
         trouble=np.zeros(1, record_type(Trouble)),
         before=np.zeros(2, record_type(Motion)),
         now=np.zeros(2, record_type(Motion)),
         ring=np.zeros((_RING, 3)),
-        bounds=records(CertificateBounds, [bounds]),
-        counts=certificate_counts(1),
+        counts=certificate_counters(1),
     )
 
 
@@ -252,7 +241,7 @@ def _begin_plots(room: Room, random: Words, u_a: float, u_g: float) -> None:
 @compiled
 def _switch_command(
     conditions: Conditions,
-    promise: Promise,
+    promise: SafetyBounds,
     detections: RecordArray,
     plots: RecordArray,
     tick: int,
@@ -300,7 +289,9 @@ def _delay_command(conditions: Conditions, room: Room, random: Words, tick: int,
 
 
 @compiled
-def _darken(conditions: Conditions, promise: Promise, room: Room, random: Words, tick: int) -> None:
+def _darken(
+    conditions: Conditions, promise: SafetyBounds, room: Room, random: Words, tick: int
+) -> None:
     """Begin a blackout now and then, with a detection at least since the last one."""
     trouble, now, longest = room.trouble[0], room.now, round(conditions.blackout_time / promise.dt)
     if trouble.dark > 0 or trouble.seen == 0 or tick <= 20 or longest == 0:
@@ -321,7 +312,7 @@ def fly_one(
     state: BatchState,
     memory: GuardState,
     room: Room,
-    promise: Promise,
+    promise: SafetyBounds,
     conditions: Conditions,
     random: Words,
     ticks: int,
@@ -341,7 +332,7 @@ def fly_one(
     """
     uav_row, ugv_row, result = state.vehicles[0, UAV], state.vehicles[0, UGV], results[0]
     plots, trouble, before, now = room.plots, room.trouble[0], room.before, room.now
-    bounds, counts = room.bounds[0], room.counts[0]
+    counts = room.counts[0]
     dt, u_a, d_ticks = promise.dt, promise.u_a, promise.delay_ticks
     u_g = conditions.u_g if math.isfinite(conditions.u_g) else 2.0 * promise.v_g / dt
     inner = choose(random, conditions.inner, len(INNERS))
@@ -367,7 +358,7 @@ def fly_one(
     begin_world(tables, state, None, 0)
     filtering, first_seen, seen_ticks = True, -1, 0
     total, intervened, uncertified = 0.0, 0, 0
-    begin_counts(counts)
+    reset_counters(counts)
     acts, code = INNER, NO_DETECTION
     result.max_distance, result.max_excess, result.max_age = 0.0, -math.inf, 0.0
     result.certified_lost, result.broken, result.max_certified = 0.0, 0.0, 0.0
@@ -386,7 +377,7 @@ def fly_one(
             for n in range(state.links[0, 0].arrived):
                 packet = state.packets[0, 0, ARRIVED, n]
                 taken, (d_x, d_y) = int(packet.stamp), packet.vector
-                note_arrival(bounds, counts, taken, packet.error)
+                record_arrival(promise, counts, taken, packet.error)
                 note_detection(promise, memory, taken, tick, d_x, d_y, here.p_x, here.p_y)
         detections = memory.detections
         new = newest_detection(detections)
@@ -418,14 +409,14 @@ def fly_one(
                 filtering = not filtering
                 if filtering:
                     begin_guard(memory)
-                    begin_filter(counts)
+                    reset_filter(counts)
                     note_position(memory, tick, here.p_x, here.p_y)
             leaves = conditions.disturbance == DISTURBANCES.rejoins and trouble.away == 0
             if leaves and next_share(random) < 0.005:
                 trouble.away = 1 + int(next_share(random) * 20)
             if trouble.away > 0:
                 trouble.away -= 1
-                counts.promised = False
+                counts.certified_before = False
                 if trouble.away == 0:
                     forget_commands(memory)
             elif filtering:
@@ -434,8 +425,8 @@ def fly_one(
                 carrying = not conditions.bare
                 certified = code == CERTIFIED
                 intervened += acts != INNER
-                said = CertificateClaim(certified, acts != INNER, d >= conditions.r_v, True)
-                note_report(bounds, counts, tick, said)
+                said = Claim(certified, acts != INNER, d >= conditions.r_v, True)
+                record_decision(promise, counts, tick, said)
         elif (
             new >= 0
             and (norm(z_x, z_y) if conditions.law == GUARDS.paper else bound) >= conditions.radius
@@ -486,7 +477,7 @@ def fly_one(
         x, y = now[UAV].p_x - now[UGV].p_x, now[UAV].p_y - now[UGV].p_y
         _darken(conditions, promise, room, random, tick)
         n_x, n_y = detection_error(
-            error, random, tick, promise.error * conditions.error_share, x, y, plots
+            error, random, tick, promise.max_measurement_error * conditions.error_share, x, y, plots
         )
         trouble.seen = 1 if trouble.dark == 0 else 0
         if trouble.dark > 0:
@@ -498,20 +489,20 @@ def fly_one(
         deliver_detections(tables, state, 0)
         flown = state.flown[0, UAV, 0]
         bare = uav_row.command_tick if flown.plain == 1 else NEVER_SEEN
-        note_action(bounds, counts, tick, flown.begins, bare)
-        if counts.obeyed and certified:
+        record_interval(promise, counts, tick, flown.begins, bare)
+        if counts.interval_kept and certified:
             most = largest_between(before, now, dt)
             result.max_certified = max(result.max_certified, most)
             result.certified_lost += most >= conditions.r_v
-    note_end(counts, d >= conditions.r_v)
-    result.certified_lost += counts.lost
+    record_end(counts, d >= conditions.r_v)
+    result.certified_lost += counts.certified_while_lost
     result.broken = counts.broken
     result.intervened, result.mean_distance = intervened / (ticks + 1), total / (ticks + 1)
     result.uncertified = uncertified / seen_ticks if seen_ticks else 1.0
 
 
 def attack(
-    promise: Promise, conditions: Conditions, seed: int, first: int, runs: int, duration: float
+    promise: SafetyBounds, conditions: Conditions, seed: int, first: int, runs: int, duration: float
 ) -> RecordArray:
     """Runs of an attack from `first` on.
 
@@ -528,7 +519,7 @@ def attack(
     """
     batch = Batch(scenario_of(promise, conditions), 1, threads=1)
     late = batch.links.longest(LinkKind.DETECTIONS) + 1
-    memory, rest = guard_state(promise.delay_ticks, max(1, late)), empty_room(promise)
+    memory, rest = guard_state(promise.delay_ticks, max(1, late)), empty_room()
     results, random = np.zeros(runs, record_type(AttackResult)), np.empty(1, np.uint64)
     world, ticks = (batch.tables, batch.state), round(duration / promise.dt)
     for k in range(runs):

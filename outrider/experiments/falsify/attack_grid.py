@@ -4,7 +4,6 @@ import itertools
 import math
 from collections.abc import Iterator
 
-from agents.control.promise import Promise
 from outrider.experiments.falsify.conditions import (
     ANY,
     AREAS,
@@ -17,6 +16,7 @@ from outrider.experiments.falsify.conditions import (
     declared,
 )
 from outrider.experiments.falsify.lost_motions import LOSSES
+from sim.models.safety import SafetyBounds
 
 EPS = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5)
 """Largest errors of a detection in the grid [m]."""
@@ -169,7 +169,7 @@ def _windy() -> Iterator[Conditions]:
         )
 
 
-def grid() -> Iterator[tuple[Promise, Conditions]]:
+def grid() -> Iterator[tuple[SafetyBounds, Conditions]]:
     """All combinations of network, place, error, vehicles and broken assumptions for which there is a certificate."""
     kinds = _networks(), _places(), _disturbed(), _lossy(), _bare(), _moving(), _windy()
     for conditions in itertools.chain(*kinds):
@@ -179,7 +179,7 @@ def grid() -> Iterator[tuple[Promise, Conditions]]:
         plain = not (conditions.area or lossy or started or pushed)
         for eps in EPS if plain else EPS[::2]:
             promise = declared(conditions, eps)
-            if not math.isnan(promise.handover):
+            if not math.isnan(promise.handover_radius):
                 yield promise, conditions
     for bounds, area, delay, dark in itertools.product(
         _OTHER_BOUNDS, AREAS, (0.0, 0.4), (0.0, 4.0)
@@ -195,5 +195,5 @@ def grid() -> Iterator[tuple[Promise, Conditions]]:
         )
         for eps in (0.0, 0.3):
             promise = declared(conditions, eps, **bounds)
-            if not math.isnan(promise.handover):
+            if not math.isnan(promise.handover_radius):
                 yield promise, conditions

@@ -8,10 +8,10 @@ import math
 from typing import NamedTuple
 
 from agents.control.handover import certificate
-from agents.control.promise import Declared, Promise
-from bus.messages import Area, LinkSettings, Sensor
+from bus.messages import Area, LinkSettings, SafetyParameters, Sensor
 from outrider.experiments.falsify.lost_motions import LOSSES
 from sim.models.inner_loop import InnerLoop, needed_reserve, tracking_error
+from sim.models.safety import SafetyBounds, safety_bounds
 from sim.models.vehicles import raw_switching_radius
 from sim.scenario.types import (
     Certificate,
@@ -244,7 +244,7 @@ def farthest_off(conditions: Conditions, dt: float) -> float:
     )
 
 
-def scenario_of(promise: Promise, conditions: Conditions) -> Scenario:
+def scenario_of(promise: SafetyBounds, conditions: Conditions) -> Scenario:
     """The world that is flown: no noise and no dropouts, as the adversary makes them.
 
     A coarse grid, as nobody looks at it.
@@ -289,14 +289,16 @@ def scenario_of(promise: Promise, conditions: Conditions) -> Scenario:
     )
 
 
-def spec_radius(promise: Promise, *, with_latency: bool = True) -> float:
+def spec_radius(promise: SafetyBounds, *, with_latency: bool = True) -> float:
     """The radius of the specification without its angle, r_v - (v_a + v_g)(dt + tau_c) - (v_a + v_g)²/(2 u_a) [m]."""
     late = (
         (promise.v_a + promise.v_g) * (1 + promise.delay_ticks) * promise.dt
         if with_latency
         else 0.0
     )
-    radius: float = raw_switching_radius(promise.r_v, promise.v_a, promise.v_g, promise.u_a) - late
+    radius: float = (
+        raw_switching_radius(promise.radius, promise.v_a, promise.v_g, promise.u_a) - late
+    )
     return radius
 
 
@@ -306,21 +308,19 @@ PAPER_BOUNDS = {"r_v": 4.75, "v_a": 0.6, "u_a": 0.3, "v_g": 0.2, "dt": 0.05}
 
 def declared(
     conditions: Conditions, eps: float, *, margin: float = 0.0, **bounds: float
-) -> Promise:
+) -> SafetyBounds:
     """The certificate that just covers these conditions; eps and margin [m], bounds other than the paper's by name."""
     numbers = {**PAPER_BOUNDS, "r_v": conditions.r_v, **bounds}
-    age = conditions.latency + conditions.blackout_time + numbers["dt"]
     width, height = area_of(conditions)
+    safety = SafetyParameters(
+        max_measurement_error=eps,
+        max_measurement_age=conditions.latency + conditions.blackout_time + numbers["dt"],
+        max_command_delay=conditions.delay,
+        max_command_interval=conditions.outage,
+        max_tracking_error=farthest_off(conditions, numbers["dt"]),
+        margin=margin,
+    )
+    radius = numbers.pop("r_v")
     return certificate(
-        Declared(
-            **numbers,
-            eps=eps,
-            age=age,
-            delay=conditions.delay,
-            margin=margin,
-            width=width,
-            height=height,
-            outage=conditions.outage,
-            tracking=farthest_off(conditions, numbers["dt"]),
-        )
+        safety_bounds(safety, visibility_radius=radius, **numbers, width=width, height=height)
     )

@@ -5,16 +5,14 @@ sight, and certificates that end although everything holds that is declared. The
 of a run, and the closed loop for each of many worlds.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
-from bus.messages import DeclaredBounds
-from bus.ticks import first_tick_from, ticks_within
 from sim.kernels.compile import compiled
 from sim.kernels.records import RecordArray, record_type
 from sim.models.motion import waited
+from sim.models.safety import SafetyBounds
 
 _ROUNDING = 1e-9
 """A measured error that is larger than declared by no more than this [m] is as declared."""
@@ -22,44 +20,29 @@ NEVER = -(2**41)
 """The tick of a detection, where none has arrived."""
 
 
-class CertificateBounds(NamedTuple):
-    """The declared bounds of one UAV's detections and commands."""
-
-    error: float
-    """Largest error of a detection, as a vector's norm [m]; infinite: it has no bound."""
-    tracking: float
-    """Largest true distance of the UAV from where it is told that it is [m]; likewise."""
-    age: int
-    """Largest age of the newest detection that has arrived [ticks]."""
-    delay: int
-    """From the tick that a command answers to the one in which it acts [ticks]."""
-    interval: int
-    """Longest time from the start of a motion to the start of the next [ticks]."""
-
-
-class CertificateCounts:
+class CertificateCounters:
     """One UAV's counts and what they are made of, a row of a table."""
 
     newest: int
     """Tick of the newest detection that has arrived."""
-    exact: bool
+    errors_kept: bool
     """True while no detection had a larger error than declared."""
-    tracked: bool
+    tracking_kept: bool
     """True while the UAV was as near as declared to where it was told that it is."""
-    obeyed: bool
+    interval_kept: bool
     """True if the motion that the UAV flies began no longer ago than declared."""
-    promised: bool
+    certified_before: bool
     """True if the tick before was certified, and nothing excuses that this one is not."""
     suspected: int
     since: int
     """Certificates that have ended while everything held, but where an outage may yet be seen; the last one's tick."""
-    longest_outage: int
+    longest_interval: int
     """The longest time from the beginning of a motion to that of the next [ticks]."""
     ticks: int
     certified: int
-    intervened: int
+    overridden: int
     """Ticks that are watched; those of them that were certified; those in which the filter acted."""
-    lost: int
+    certified_while_lost: int
     """Ticks that were certified although the UGV was out of sight, then or where the flight ended with the tick."""
     broken: int
     """Ticks that were not certified although the one before was and everything held."""
@@ -74,12 +57,12 @@ class ArrivalRecord:
     """The largest norm of an error, by the true relative position then [m]."""
 
 
-class CertificateClaim(NamedTuple):
+class Claim(NamedTuple):
     """The claim of a safety filter at one tick, and what is true of it."""
 
     certified: bool
     """True if it says that sight is kept."""
-    intervened: bool
+    overridden: bool
     """True if it acted."""
     lost: bool
     """True if the UGV is out of sight, in the tick that is reported of."""
@@ -89,88 +72,84 @@ class CertificateClaim(NamedTuple):
     """
 
 
-def certificate_bounds(declared: DeclaredBounds, dt: float) -> CertificateBounds:
-    """The bounds as they are counted with; dt [s] is the length of a tick."""
-
-    def within(bound: float | None) -> float:
-        return math.inf if bound is None else bound + _ROUNDING
-
-    return CertificateBounds(
-        error=within(declared.error),
-        tracking=within(declared.tracking),
-        age=ticks_within(declared.age, dt),
-        delay=first_tick_from(declared.delay, dt),
-        interval=max(1, ticks_within(declared.outage, dt)),
-    )
-
-
-def certificate_counts(uavs: int) -> RecordArray:
+def certificate_counters(uavs: int) -> RecordArray:
     """Nothing has been counted. Shape (uavs,)."""
-    counts: RecordArray = np.zeros(uavs, record_type(CertificateCounts))
+    counts: RecordArray = np.zeros(uavs, record_type(CertificateCounters))
     for one in counts:
-        begin_counts(one)
+        reset_counters(one)
     return counts
 
 
 @compiled
-def begin_counts(counts: CertificateCounts) -> None:
+def reset_counters(counts: CertificateCounters) -> None:
     """Nothing has been counted: a flight begins."""
-    counts.tracked, counts.obeyed = True, True
-    counts.suspected, counts.since, counts.longest_outage = 0, 0, 0
-    counts.ticks, counts.certified, counts.intervened, counts.lost, counts.broken = 0, 0, 0, 0, 0
-    begin_filter(counts)
+    counts.tracking_kept, counts.interval_kept = True, True
+    counts.suspected, counts.since, counts.longest_interval = 0, 0, 0
+    (
+        counts.ticks,
+        counts.certified,
+        counts.overridden,
+        counts.certified_while_lost,
+        counts.broken,
+    ) = 0, 0, 0, 0, 0
+    reset_filter(counts)
 
 
 @compiled
-def begin_filter(counts: CertificateCounts) -> None:
+def reset_filter(counts: CertificateCounters) -> None:
     """A filter without a memory begins: it answers for no detection of before, and need not certify."""
-    counts.newest, counts.exact, counts.promised = NEVER, True, False
+    counts.newest, counts.errors_kept, counts.certified_before = NEVER, True, False
 
 
 @compiled
-def note_arrival(
-    bounds: CertificateBounds, counts: CertificateCounts, taken: int, error: float
+def record_arrival(
+    bounds: SafetyBounds, counts: CertificateCounters, taken: int, error: float
 ) -> None:
     """A detection of the tick `taken` has reached the UAV; its error is so large [m]."""
     counts.newest = max(counts.newest, taken)
-    counts.exact = counts.exact and error <= bounds.error
+    counts.errors_kept = counts.errors_kept and error <= bounds.max_measurement_error + _ROUNDING
 
 
 @compiled
-def _confirm(bounds: CertificateBounds, counts: CertificateCounts, tick: int) -> None:
+def _confirm(bounds: SafetyBounds, counts: CertificateCounters, tick: int) -> None:
     """Count what was suspected, if everything has held for long enough at this tick.
 
     That is until the motion of the suspected tick's command may begin: a pilot knows of an outage as soon as nothing
     that is under way can end it in time.
     """
-    if tick >= counts.since + bounds.delay - 1:
+    if tick >= counts.since + bounds.delay_ticks - 1:
         counts.broken += counts.suspected
         counts.suspected = 0
 
 
 @compiled
-def note_report(
-    bounds: CertificateBounds, counts: CertificateCounts, tick: int, said: CertificateClaim
+def record_decision(
+    bounds: SafetyBounds, counts: CertificateCounters, tick: int, said: Claim
 ) -> None:
     """Count a tick in which a safety filter watches over the UAV, after what has arrived at it."""
-    held = counts.exact and counts.tracked and counts.obeyed and tick - counts.newest <= bounds.age
+    held = (
+        counts.errors_kept
+        and counts.tracking_kept
+        and counts.interval_kept
+        and tick - counts.newest <= bounds.max_age_ticks
+    )
     counts.ticks += 1
-    if said.intervened:
-        counts.intervened += 1
+    if said.overridden:
+        counts.overridden += 1
     if said.certified:
         counts.certified += 1
         if said.lost:
-            counts.lost += 1
-    elif said.current and counts.promised and held:
+            counts.certified_while_lost += 1
+    elif said.current and counts.certified_before and held:
         counts.suspected += 1
         counts.since = tick
         _confirm(bounds, counts, tick - 1)
-    counts.promised = said.certified and said.current
+    counts.certified_before = said.certified and said.current
 
 
 @compiled
-def note_action(
-    bounds: CertificateBounds, counts: CertificateCounts, tick: int, begins: int, bare: int
+def record_interval(
+    bounds: SafetyBounds, counts: CertificateCounters, tick: int, begins: int, bare: int
 ) -> None:
     """Hold what a UAV flies in this tick against the longest time between two motions.
 
@@ -181,18 +160,20 @@ def note_action(
         bare: Tick that the bare acceleration answers that acts instead; NEVER: a motion is flown.
     """
     if bare != NEVER:
-        counts.obeyed = bare == tick and bounds.delay == 0 and bounds.interval == 1
+        counts.interval_kept = (
+            bare == tick and bounds.delay_ticks == 0 and bounds.interval_ticks == 1
+        )
     else:
-        wait = waited(tick, begins, bounds.delay) + 1  # so long at least
-        counts.longest_outage = max(counts.longest_outage, wait)
-        counts.obeyed = wait <= bounds.interval
-    if not counts.obeyed:
+        wait = waited(tick, begins, bounds.delay_ticks) + 1  # so long at least
+        counts.longest_interval = max(counts.longest_interval, wait)
+        counts.interval_kept = wait <= bounds.interval_ticks
+    if not counts.interval_kept:
         counts.suspected = 0
     _confirm(bounds, counts, tick)
 
 
 @compiled
-def note_end(counts: CertificateCounts, lost: bool) -> None:
+def record_end(counts: CertificateCounters, lost: bool) -> None:
     """The flight ends, and nobody is asked at its last state any more.
 
     Args:
@@ -200,42 +181,48 @@ def note_end(counts: CertificateCounts, lost: bool) -> None:
         lost: Whether the UGV is out of sight there. If the tick before was certified, and everything held, that counts
             as certified out of sight.
     """
-    if counts.promised and counts.exact and counts.tracked and counts.obeyed and lost:
-        counts.lost += 1
-    counts.promised = False
+    if (
+        counts.certified_before
+        and counts.errors_kept
+        and counts.tracking_kept
+        and counts.interval_kept
+        and lost
+    ):
+        counts.certified_while_lost += 1
+    counts.certified_before = False
 
 
 @compiled
-def count_tracking(bounds: RecordArray, counts: RecordArray, uav: int, off: float) -> None:
+def record_tracking_error(bounds: RecordArray, counts: RecordArray, uav: int, off: float) -> None:
     """One UAV truly is so far from where it is told that it is [m].
 
     Once that is farther than declared, what is seen from there may be wrong for as long as it is remembered.
     """
-    counts[uav].tracked = counts[uav].tracked and off <= bounds[uav].tracking
+    counts[uav].tracked = counts[uav].tracked and off <= bounds[uav].max_tracking_error + _ROUNDING
 
 
 @compiled
-def count_tick(
+def record_tick(
     tables: tuple[RecordArray, RecordArray],
     evidence: tuple[RecordArray, RecordArray, RecordArray],
     place: tuple[int, int, int],
     answers: bool,
     said: tuple[bool, bool, bool, bool],
 ) -> None:
-    """`note_arrival`, `note_report` and `note_action` of one UAV, for Python.
+    """`record_arrival`, `record_decision` and `record_interval` of one UAV, for Python.
 
     Args:
-        tables: `CertificateBounds` and `CertificateCounts` of all UAVs.
+        tables: `SafetyBounds` and `CertificateCounters` of all UAVs.
         evidence: The truth of this tick: `ArrivalRecord` of each UAV, `Vehicle` of each vehicle, and `MotionRecord` of
             the motion that each flew.
         place: Its row among the UAVs, its row among all vehicles, and the tick.
         answers: Whether it has a new command; else it has seen nothing either.
-        said: A `CertificateClaim`.
+        said: A `Claim`.
     """
     (bounds, counts), (arrivals, vehicles, flown), (uav, vehicle, tick) = tables, evidence, place
     b, c = bounds[uav], counts[uav]
     if answers:
-        note_arrival(b, c, arrivals[uav].newest, arrivals[uav].error)
-    note_report(b, c, tick, CertificateClaim(said[0], said[1], said[2], said[3]))
+        record_arrival(b, c, arrivals[uav].newest, arrivals[uav].error)
+    record_decision(b, c, tick, Claim(said[0], said[1], said[2], said[3]))
     bare = vehicles[vehicle].command_tick if flown[vehicle].plain == 1 else NEVER
-    note_action(b, c, tick, flown[vehicle].begins, bare)
+    record_interval(b, c, tick, flown[vehicle].begins, bare)
