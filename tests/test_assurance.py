@@ -77,6 +77,7 @@ def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) 
         "answers": True,
         "off": 0.0,
         "excused": False,
+        "watched": True,
     } | given
     if truth["off"]:
         assurance.track(0, truth["off"])
@@ -98,6 +99,7 @@ def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) 
         else None,
         evidence=(arrivals, vehicles, flown),
         distance=truth["distance"],
+        watched=truth["watched"],
     )
 
 
@@ -217,6 +219,13 @@ def test_an_outage_that_follows_at_once_excuses_a_certificate_that_ends(flown_on
         take(assurance, tick, tick < 26, flown=flown)
         assert assurance.certificate_broken in (0, broken)
     assert assurance.certificate_broken == broken
+
+
+def test_a_certificate_ends_with_the_filter_and_vouches_for_no_tick_after_it() -> None:
+    assurance = taken(True, True)
+    take(assurance, 2, None, watched=False)
+    assurance.end(0, R_V)
+    assert assurance.certified_while_lost == 0
 
 
 def lying(pilots: Mapping[str, Pilot]) -> Piloted:

@@ -11,6 +11,7 @@ import pytest
 from flights import distances, told, uav_sees
 from tabular import rows, words
 
+from agents.control.certificate import UNCERTIFIED, UNCHECKED_MOTION
 from agents.control.visibility import SafetyFilter, bounds_of
 from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from bus.messages import LinkSettings
@@ -187,11 +188,10 @@ def test_the_filter_keeps_sight_whatever_the_observations_are_rounded_to() -> No
         assert infos["uav_0"]["certified"], infos
 
 
-def test_commands_on_their_way_before_the_first_detection_are_known_to_the_filter() -> None:
-    """A UAV that starts moving brakes while it sees nothing.
-
-    With a delay those commands still act after the first detection.
-    """
+def test_a_uav_that_starts_moving_is_certified_once_a_plan_after_the_first_detection_begins() -> (
+    None
+):
+    """It brakes while it sees nothing, by plans that are not checked."""
     scenario = watched(
         "links.commands.delay=0.5",
         "links.detections.delay=0.3",
@@ -200,7 +200,9 @@ def test_commands_on_their_way_before_the_first_detection_are_known_to_the_filte
         duration=10.0,
     )
     _, summary = fly(scenario, 7)
-    assert set(summary.uncertified) == {"the UAV has no estimate yet, or its command did not come"}
+    silent = "the UAV has no estimate yet, or its command did not come"
+    assert set(summary.uncertified) == {silent, UNCERTIFIED[UNCHECKED_MOTION]}
+    assert summary.uncertified[UNCERTIFIED[UNCHECKED_MOTION]] <= 0.5 / 0.05 + 1
 
 
 def test_a_filter_may_be_taken_up_in_the_middle_of_a_flight() -> None:
@@ -217,6 +219,7 @@ def test_a_filter_may_be_taken_up_in_the_middle_of_a_flight() -> None:
     assert command.report.certified is False
     assert "no detection" in command.report.uncertified
     command = pilot.act(uav_sees(2, (0.1, (0.0, 1.0)), **there))
-    assert command.report.certified is True
     assert command.report.certified_distance == pytest.approx(1.3)
+    command = pilot.act(uav_sees(3, **there))  # it flies a plan that was checked
+    assert command.report.certified is True
     assert bounds_of(told(scenario)).placed_error == pytest.approx(0.3)

@@ -198,7 +198,8 @@ def record_tracking_error(bounds: RecordArray, counts: RecordArray, uav: int, of
 
     Once that is farther than declared, what is seen from there may be wrong for as long as it is remembered.
     """
-    counts[uav].tracked = counts[uav].tracked and off <= bounds[uav].max_tracking_error + _ROUNDING
+    kept = off <= bounds[uav].max_tracking_error + _ROUNDING
+    counts[uav].tracking_kept = counts[uav].tracking_kept and kept
 
 
 @compiled

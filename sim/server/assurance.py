@@ -124,6 +124,7 @@ class Assurance:
                 says, certified, intervened = True, report.certified, report.intervened
                 reason = report.uncertified
         if not says and (not watched or self._disregarded[uav]):
+            self.excuse(uav)  # nothing vouches for this tick
             return
         if self._last[uav] != tick - 1:  # not watched just before: a new filter, without a memory
             reset_filter(self._counts[uav])

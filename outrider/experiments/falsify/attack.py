@@ -403,7 +403,7 @@ def fly_one(
             xc_x, xc_y = tracking_step(xc_x, xc_y, z_x, z_y, _A_C, _B_C, dt)
         u_x, u_y = inner_command(inner, x, y, here, z_x, z_y, rate * (tick * dt), plots, u_a)
         u_x, u_y = clip_norm(u_x, u_y, u_a)
-        certified = carrying = False
+        certified = carrying = reported = False
         if conditions.law == GUARDS.filter:
             if conditions.disturbance == DISTURBANCES.law_changes and next_share(random) < 0.01:
                 filtering = not filtering
@@ -416,7 +416,6 @@ def fly_one(
                 trouble.away = 1 + int(next_share(random) * 20)
             if trouble.away > 0:
                 trouble.away -= 1
-                counts.certified_before = False
                 if trouble.away == 0:
                     forget_commands(memory)
             elif filtering:
@@ -427,12 +426,14 @@ def fly_one(
                 intervened += acts != INNER
                 said = Claim(certified, acts != INNER, d >= conditions.r_v, True)
                 record_decision(promise, counts, tick, said)
+                reported = True
         elif (
             new >= 0
             and (norm(z_x, z_y) if conditions.law == GUARDS.paper else bound) >= conditions.radius
         ):
             intervened += 1
             u_x, u_y = _switch_command(conditions, promise, detections, plots, tick, here, z_x, z_y)
+        counts.certified_before = counts.certified_before and reported
         if first_seen >= 0:
             seen_ticks += 1
             uncertified += not certified
