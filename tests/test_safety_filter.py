@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import distances, told, uav_sees
+from flights import DT, U_A, V_A, distances, told, uav_sees
 from tabular import rows, words
 
 from agents.control.certificate import UNCERTIFIED, UNCHECKED_MOTION
@@ -21,6 +21,7 @@ from outrider.envs.wrappers import egocentric, history, normalized
 from outrider.running.assumptions import promise_warnings
 from outrider.running.flying import fly
 from sim.env.parallel import parallel_env
+from sim.models.vehicles import step_vehicle
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate, LinkTable, Scenario
 
@@ -220,6 +221,8 @@ def test_a_filter_may_be_taken_up_in_the_middle_of_a_flight() -> None:
     assert "no detection" in command.report.uncertified
     command = pilot.act(uav_sees(2, (0.1, (0.0, 1.0)), **there))
     assert command.report.certified_distance == pytest.approx(1.3)
+    moved = step_vehicle(7.0, 9.0, 0.0, 0.0, *command.acceleration, V_A, U_A, DT)
+    there = {"position": moved[:2], "velocity": moved[2:4]}
     command = pilot.act(uav_sees(3, **there))  # it flies a plan that was checked
     assert command.report.certified is True
     assert bounds_of(told(scenario)).placed_error == pytest.approx(0.3)
