@@ -106,7 +106,10 @@ _UAV = _SOMEBODY | {
     "detector": {"noise": 0.1, "period": 0.05},
     "estimator": {},
 }
-_WATCHED = {"law": {"name": "certified"}, "certificate": {"error": 0.3, "age": 1.0}}
+_WATCHED = {
+    "law": {"name": "certified"},
+    "safety": {"max_measurement_error": 0.3, "max_measurement_age": 1.0},
+}
 _UGV = _SOMEBODY | {
     "driver": "waypoints",
     "goals": [[1.0, 1.0], [9.0, 9.0]],

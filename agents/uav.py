@@ -1,7 +1,6 @@
 """The UAV's pilot: observation in, command out."""
 
 import math
-from collections import deque
 from collections.abc import Callable
 
 import msgspec
@@ -10,7 +9,7 @@ from agents.control.orbit import Path, check_path
 from agents.control.telling import GroundTeller
 from agents.control.uav_parameters import uav_parameters
 from agents.control.uav_policy import PolicyControl, TargetEstimate, UavPolicy
-from agents.control.visibility import SafetyFilter, Verdict, promise_of
+from agents.control.visibility import SafetyFilter, Verdict
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimation.estimator import Estimate, estimator_of
 from agents.laws.selection import SelectedLaw
@@ -104,8 +103,6 @@ class UavPilot:
                 briefing.desired_coverage,
             )
         self.estimator = estimator_of(briefing)
-        delay_ticks = promise_of(briefing).delay_ticks
-        self._sent: deque[Vector] = deque(maxlen=delay_ticks)  # that may be under way
         self.filter: SafetyFilter | None = self._make_filter()
         """The safety filter of the law `certified`, and of an inner control of one's own."""
         self.teller = GroundTeller(briefing)
@@ -118,7 +115,7 @@ class UavPilot:
         self._estimate: Estimate | None = None
 
     def _make_filter(self) -> SafetyFilter | None:
-        return SafetyFilter(self._briefing, sent=self._sent) if self._watched else None
+        return SafetyFilter(self._briefing) if self._watched else None
 
     @property
     def _watched(self) -> bool:
@@ -157,7 +154,6 @@ class UavPilot:
             wanted = self._nominal(observation)
         verdict = None if self.filter is None else self.filter.filter(observation, wanted)
         acceleration = wanted if verdict is None else verdict.acceleration
-        self._sent.append(acceleration)
         motions = () if verdict is None else verdict.motions
         if estimate is None:
             return UavCommand(tick=tick, acceleration=acceleration, motions=motions)

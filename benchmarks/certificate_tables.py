@@ -4,14 +4,12 @@ python benchmarks/certificate_tables.py NAME, with a NAME of `TABLES`.
 
 radius: R_h, E and r_cert over eps, A and tau_c; and the largest A.
 guards: how often guards that are known to be wrong lose sight, and the filter beside them.
-outage: what a longest time B without a motion costs: R_h, E, r_cert and the largest A.
+outage: what a longest time B between two motions costs: R_h, E, r_cert and the largest A.
 wind: what w costs, how far the UAV may truly be from where it is told that it is: likewise; and w of some inner loops.
-motions: the same commands as in `commands`, where they carry motions and B is declared.
 commands: what becomes of sight and certificate where commands are early, late or lost.
 profiles: whole flights over each shipped network profile: share of ticks certified, mean e(t), what must be zero.
 """
 
-import itertools
 import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -20,7 +18,7 @@ from multiprocessing import get_context
 from markdown_tables import head, print_chosen
 
 from agents.control.handover import certificate, certified_radius, largest_age
-from agents.control.promise import Declared, Promise
+from bus.messages import SafetyParameters
 from bus.profiles import PROFILES
 from outrider.running.flying import InProcess, make_pilots
 from outrider_falsify.attack import attack
@@ -39,17 +37,26 @@ from outrider_falsify.conditions import (
 )
 from sim.kernels.records import RecordArray
 from sim.models.inner_loop import InnerLoop, needed_reserve, tracking_error
+from sim.models.safety import SafetyBounds, safety_bounds
 from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
 RUNS, DURATION = 1000, 200.0
 SEEDS = 10
-NUMBERS = {name: PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
+NUMBERS = {name: PAPER_BOUNDS[name] for name in ("v_a", "u_a", "v_g", "dt")}
 
 
-def _certificate(**declared: float | None) -> Promise:
+def _certificate(**declared: float) -> SafetyBounds:
     """The promise of these numbers and the paper's bounds."""
-    return certificate(Declared(**NUMBERS, **declared))
+    n = {"delay": 0.0, "outage": 0.0, "tracking": 0.0} | declared
+    safety = SafetyParameters(
+        max_measurement_error=n["eps"],
+        max_measurement_age=n["age"],
+        max_command_delay=n["delay"],
+        max_command_interval=n["outage"],
+        max_tracking_error=n["tracking"],
+    )
+    return certificate(safety_bounds(safety, visibility_radius=PAPER_BOUNDS["r_v"], **NUMBERS))
 
 
 def radius() -> Iterator[str]:
@@ -60,7 +67,7 @@ def radius() -> Iterator[str]:
     rows += [(0.3, 0.05, 0.5), (0.3, 0.05, 1.0), (0.3, 15.0, 1.0)]
     for eps, age, delay in rows:
         c = _certificate(eps=eps, age=age, delay=delay)
-        cells = f"{c.handover:.3f} | {c.reach:.2f} | {_r_cert(c):.2f}"
+        cells = f"{c.handover_radius:.3f} | {c.handover_bound:.2f} | {_r_cert(c):.2f}"
         yield f"| {eps:g} | {age:g} | {delay:g} | {cells} |"
     yield ""
     errors = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5)
@@ -159,13 +166,13 @@ def wind() -> Iterator[str]:
     """The cost of w, and its size."""
     offs = (0.0, 0.1, 0.2, 0.3, 0.5, 0.8, 1.2)
     yield head(f"w [m] | {' | '.join(f'{off:g}' for off in offs)}")
-    for eps, age, outage in ((0.3, 1.0, None), (0.3, 5.0, None), (0.3, 1.0, 2.0)):
+    for eps, age, outage in ((0.3, 1.0, 0.0), (0.3, 5.0, 0.0), (0.3, 1.0, 2.0)):
         found = [_certificate(eps=eps, age=age, outage=outage, tracking=off) for off in offs]
-        told = f"ε {eps:g} m, A {age:g} s" + ("" if outage is None else f", B {outage:g} s")
+        told = f"ε {eps:g} m, A {age:g} s" + (f", B {outage:g} s" if outage else "")
         yield from _bounds(told, found)
-    for eps, outage in ((0.0, None), (0.3, None), (0.9, None), (0.3, 2.0)):
+    for eps, outage in ((0.0, 0.0), (0.3, 0.0), (0.9, 0.0), (0.3, 2.0)):
         found = [_certificate(eps=eps, age=0.05, outage=outage, tracking=off) for off in offs]
-        yield _oldest(f"ε {eps:g} m" + ("" if outage is None else f", B {outage:g} s"), found)
+        yield _oldest(f"ε {eps:g} m" + (f", B {outage:g} s" if outage else ""), found)
     yield ""
     pushes = ((0.1, 0.0), (0.2, 0.0), (0.0, 0.2), (0.1, 0.2))
     heads = " | ".join(f"W {most:g} m/s², ε_a {own:g} m" for most, own in pushes)
@@ -178,27 +185,29 @@ def wind() -> Iterator[str]:
         yield f"| {gains[0]:g}, {gains[1]:g} | {' | '.join(cells)} |"
 
 
-def _bounds(told: str, found: list[Promise]) -> Iterator[str]:
+def _bounds(told: str, found: list[SafetyBounds]) -> Iterator[str]:
     """Rows of R_h, E and r_cert."""
     for name, row in (
-        ("R_h [m]", [f"{c.handover:.3f}" for c in found]),
-        ("E [m]", [f"{c.reach:.2f}" for c in found]),
+        ("R_h [m]", [f"{c.handover_radius:.3f}" for c in found]),
+        ("E [m]", [f"{c.handover_bound:.2f}" for c in found]),
         ("r_cert [m]", [f"{_r_cert(c):.2f}" for c in found]),
     ):
         yield f"| {name} at {told} | {' | '.join(row).replace('nan', '–')} |"
 
 
-def _oldest(told: str, found: list[Promise]) -> str:
+def _oldest(told: str, found: list[SafetyBounds]) -> str:
     """A row of the largest A."""
     ages = [largest_age(c) for c in found]
     row = " | ".join("–" if math.isnan(age) else f"{age:.1f}" for age in ages)
     return f"| largest A [s] at {told} | {row} |"
 
 
-def _r_cert(promise: Promise) -> float:
+def _r_cert(promise: SafetyBounds) -> float:
     c = promise
-    delay, outage = c.delay_ticks * c.dt, c.outage_ticks * c.dt
-    return certified_radius(c.handover, c.v_a, c.u_a, c.v_g, c.dt, delay, outage, c.tracking)
+    delay, wait = c.delay_ticks * c.dt, (c.interval_ticks - 1) * c.dt
+    return certified_radius(
+        c.handover_radius, c.v_a, c.u_a, c.v_g, c.dt, delay, wait, c.max_tracking_error
+    )
 
 
 def _unreliable() -> dict[str, tuple[Conditions, float]]:
@@ -223,8 +232,8 @@ def _unreliable() -> dict[str, tuple[Conditions, float]]:
     return cases
 
 
-def motions() -> Iterator[str]:
-    """The same, with commands that carry motions: an outage of n ticks needs B of n + 1, late ones a delay."""
+def commands() -> Iterator[str]:
+    """Commands that are early, late or lost: an outage of n ticks needs B of n + 1, late ones a delay."""
     tasks = []
     for name, (conditions, longest) in _unreliable().items():
         late = conditions.delay if conditions.jitter else 0.0
@@ -233,7 +242,7 @@ def motions() -> Iterator[str]:
             kept = kept._replace(outage=1.0)
         tasks.append((name, kept, 0.3, 0.0))
     columns = "B [s] | lose sight | certified while lost | certificate broken | ticks not certified | mean d [m]"
-    yield head(f"commands that carry motions, {RUNS:,} runs | {columns}")
+    yield head(f"commands, {RUNS:,} runs | {columns}")
     for (name, rows), (_, conditions, _, _) in zip(_fly(tasks), tasks, strict=True):
         counts = [int((rows[k] > 0).sum()) for k in ("certified_lost", "broken")]
         lost = int((rows["max_distance"] >= 4.75).sum())
@@ -241,33 +250,12 @@ def motions() -> Iterator[str]:
         yield f"| {name} | {conditions.outage:g} | {lost} | {counts[0]} | {counts[1]} | {share:.1%} | {mean:.2f} |"
 
 
-def commands() -> Iterator[str]:
-    """Commands that are early, late or lost: with margins in units of (v_a + v_g) times the longest such time."""
-    cases = _unreliable()
-    margins = (0.0, 1.0, 1.5, 2.0)
-    tasks = [
-        (name, conditions, 0.3, share * 0.8 * longest)
-        for name, (conditions, longest) in cases.items()
-        for share in margins
-    ]
-    columns = "0 | 1 | 1.5 | 2 | certified while lost | certificate broken | ticks not certified"
-    yield head(f"commands; runs of {RUNS:,} that lose sight with a margin of | {columns}")
-    for name, group in itertools.groupby(_fly(tasks), key=lambda one: one[0]):
-        rows = [one[1] for one in group]
-        lost = " | ".join(str(int((one["max_distance"] >= 4.75).sum())) for one in rows)
-        false, broken = (
-            sum(int((one[column] > 0).sum()) for one in rows)
-            for column in ("certified_lost", "broken")
-        )
-        yield f"| {name} | {lost} | {false} | {broken} | {rows[0]['uncertified'].mean():.0%} |"
-
-
-_MOTIONS = {"narrowband": ["certificate.delay=1.0", "certificate.outage=5.0"]}
+_DECLARED = {"narrowband": ["certificate.delay=1.0", "certificate.outage=5.0"]}
 """Declarations about the commands on a profile, where not B = 4 s and the longest delay of its link."""
 
 
-def _flown(task: tuple[str, str, bool, int]) -> tuple[float, float, int, float]:
-    profile, links, carries, seed = task
+def _flown(task: tuple[str, str, int]) -> tuple[float, float, int, float]:
+    profile, links, seed = task
     changes = [
         "law.name=certified",
         "ugv.0.driver=evade",
@@ -276,8 +264,8 @@ def _flown(task: tuple[str, str, bool, int]) -> tuple[float, float, int, float]:
         "hold=2.0",
         "certificate.age=6.0",
     ]
-    if carries:
-        changes += _MOTIONS.get(profile, ["certificate.outage=4.0"])
+    if links != "detections":
+        changes += _DECLARED.get(profile, ["certificate.outage=4.0"])
     names = ("detections", "commands") if links == "both" else (links,)
     scenario = load_scenario(
         "escort",
@@ -297,12 +285,11 @@ def _flown(task: tuple[str, str, bool, int]) -> tuple[float, float, int, float]:
 def profiles() -> Iterator[str]:
     """Whole flights against a UGV that evades, over each shipped profile."""
     columns = "ticks certified | certified while lost | mean e(t) [m²] | largest d [m]"
-    yield head(f"profile, {SEEDS} flights of 160 s | on | commands carry | {columns}")
-    cases = [("detections", False), *itertools.product(("commands", "both"), (False, True))]
+    yield head(f"profile, {SEEDS} flights of 160 s | on | {columns}")
     tasks = [
-        (profile, links, carries, seed)
+        (profile, links, seed)
         for profile in PROFILES
-        for links, carries in cases
+        for links in ("detections", "commands", "both")
         for seed in range(SEEDS)
     ]
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
@@ -310,14 +297,12 @@ def profiles() -> Iterator[str]:
     for k in range(0, len(tasks), SEEDS):
         share, error, false, far = zip(*found[k : k + SEEDS], strict=True)
         cells = f"{math.fsum(share) / SEEDS:.1%} | {sum(false)} | {math.fsum(error) / SEEDS:.1f} | {max(far):.3f}"
-        carried = "motions" if tasks[k][2] else "an acceleration"
-        yield f"| {tasks[k][0]} | {tasks[k][1]} | {carried} | {cells} |"
+        yield f"| {tasks[k][0]} | {tasks[k][1]} | {cells} |"
 
 
 TABLES: dict[str, Callable[[], Iterator[str]]] = {
     "outage": outage,
     "wind": wind,
-    "motions": motions,
     "radius": radius,
     "guards": guards,
     "commands": commands,

@@ -299,23 +299,21 @@ class UgvGround(Message, frozen=True, kw_only=True):
     vehicle brakes where none does."""
 
 
-class DeclaredBounds(Message, frozen=True, kw_only=True):
-    """The bounds by which a UAV certifies that it keeps sight (docs/explanation/certificate.md)."""
+class SafetyParameters(Message, frozen=True, kw_only=True):
+    """Parameters of a UAV's safety filter and of its certificate (docs/explanation/certificate.md)."""
 
-    error: NonNegative | None
-    """Largest error of a detection, as a vector's norm [m]; None: it has no bound, and nothing can be certified."""
-    age: Positive
+    max_measurement_error: NonNegative | None
+    """Largest error of a detection, as a vector's norm [m]; None: no bound, and nothing can be certified."""
+    max_measurement_age: Positive
     """Largest age of the newest detection that has arrived [s]."""
-    delay: NonNegative = 0.0
-    """From the tick that a command answers to the one in which it acts [s]."""
+    max_command_delay: NonNegative = 0.0
+    """Time from the tick that a command answers to the start of its plan [s]."""
+    max_command_interval: NonNegative = 0.0
+    """Longest time from the start of one plan to the start of the next [s]; one tick at least."""
+    max_tracking_error: NonNegative | None = 0.0
+    """Largest distance of the UAV from its reference position [m]; None: no bound."""
     margin: NonNegative = 0.0
     """Taken off r_v [m], for what the theorem does not cover."""
-    hold: NonNegative | None = None
-    """For how long the vehicle goes on with its last command when none comes [s]; None: not told."""
-    outage: NonNegative | None = None
-    """From the beginning of a motion to that of the next at most, B [s]; None: commands carry no motions."""
-    tracking: NonNegative | None = 0.0
-    """Largest true distance of the UAV from where it is told that it is, w [m]; None: it has no bound."""
 
 
 class Estimator(Message, frozen=True, kw_only=True):
@@ -354,7 +352,9 @@ class UavBriefing(Message, frozen=True, kw_only=True):
     law: Law
     detector: Detector
     estimator: Estimator
-    certificate: DeclaredBounds = DeclaredBounds(error=None, age=1.0)
+    safety: SafetyParameters = SafetyParameters(max_measurement_error=None, max_measurement_age=1.0)
+    hold: NonNegative = 0.5
+    """Time for which a command without a motion stays in effect when no new one arrives [s]; then the UAV brakes."""
     ground: UavGround | None = None
     """None: there are no hazards, and nothing is told of the ground."""
     origin: Origin = Origin()
@@ -511,7 +511,8 @@ class UavCommand(Message, frozen=True, kw_only=True):
     acceleration: Vector
     motions: Annotated[tuple[MotionPlan, ...], Meta(max_length=MOST_CARRIED)] = ()
     """The motions to be flown from the tick on in which the last of them begins, and before it those that it may
-    have missed, one a tick, the oldest first; none: it holds the acceleration, and brakes when no command comes.
+    have missed, one a tick, the oldest first. Without one the vehicle holds the acceleration, and brakes when no
+    command comes.
     """
     radio: tuple[RelativeInformation, ...] = ()
     blocks: Annotated[tuple[GroundBlock, ...], Meta(max_length=MOST_BLOCKS)] = ()
@@ -796,10 +797,9 @@ class CertificateStatus(Message, frozen=True, kw_only=True):
     certificate_broken: Tick = 0
     """Those that were not certified although the one before was and all assumptions hold: likewise."""
     outage: NonNegative | None = None
-    """From the beginning of a motion to that of the next at most, as it is declared, B [s]; None: commands carry none.
-    """
+    """Longest time from the start of a motion to the start of the next, as it is declared, B [s]."""
     longest_outage: NonNegative | None = None
-    """And the longest so far [s]."""
+    """The longest so far [s]."""
     tracking: NonNegative | None = None
     """Largest true distance of a UAV from where it is told that it is, as it is declared, w [m]; None: nothing takes it
     from there, or w has no bound.

@@ -69,8 +69,6 @@ class World:
         self.parameters = self._batch.parameters
         self.tick = 0
         """The tick that it is at; `move_to` changes it."""
-        self.carries = bool(self.vehicles["follows_motions"].any())
-        """True if a vehicle flies the motions that its commands carry."""
 
     @property
     def vehicles(self) -> RecordArray:
@@ -185,12 +183,11 @@ class World:
         """
         row = self.vehicles[vehicle]
         row["outgoing_tick"], row["outgoing"] = answered, acceleration
-        if self.carries:
-            row["outgoing_motion"] = motions[-1].begins if motions else -1
-            row["outgoing_motions"] = len(motions)
-            kept = self._batch.state.motions[0, vehicle]
-            for motion in motions:
-                keep_motion(kept, motion_row(motion)[0], self.tick)
+        row["outgoing_motion"] = motions[-1].begins if motions else -1
+        row["outgoing_motions"] = len(motions)
+        kept = self._batch.state.motions[0, vehicle]
+        for motion in motions:
+            keep_motion(kept, motion_row(motion)[0], self.tick)
 
     def seen_ground(self, vehicle: int) -> tuple[SeenTile, ...]:
         """The tiles of which a vehicle's own sensor has told since the tick before."""
@@ -243,8 +240,6 @@ class World:
 
     def flown(self, vehicle: int) -> int | None:
         """The motion that a vehicle flies, by the tick in which it began; None: none."""
-        if not self.carries:
-            return None
         begins = int(self._batch.state.flown[0, vehicle, 0]["begins"])
         return None if begins == NO_MOTION else begins
 

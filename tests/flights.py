@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from agents.control.handover import certificate
 from agents.control.uav_parameters import Target, UavParameters, uav_parameters
 from agents.process import Pilot
 from bus.law_parameters import law_parameters
@@ -19,6 +20,7 @@ from bus.messages import (
     Law,
     Limits,
     Observation,
+    SafetyParameters,
     UavBriefing,
     UavObservation,
     UgvBriefing,
@@ -33,6 +35,7 @@ from sim.engine.briefing import uav_briefing
 from sim.env.parallel import parallel_env
 from sim.kernels.compile import FloatArray
 from sim.kernels.records import fresh, records
+from sim.models.safety import SafetyBounds, safety_bounds
 from sim.models.vehicles import Motion
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario, Uav, Ugv
@@ -45,6 +48,22 @@ R_S = R_V - (V_A + V_G) ** 2 / (2.0 * U_A)
 DT = 0.05
 PROMISED = {"r_v": R_V, "v_a": V_A, "u_a": U_A, "v_g": V_G, "dt": DT}
 """The declared numbers of a certificate for these vehicles, but for the detections."""
+
+
+def certified(**numbers: float) -> SafetyBounds:
+    """Return the bounds for these vehicles; the numbers by the letters of docs/explanation/certificate.md."""
+    n = PROMISED | {"eps": 0.0, "age": 1.0} | numbers
+    safety = SafetyParameters(
+        max_measurement_error=n["eps"],
+        max_measurement_age=n["age"],
+        max_command_delay=n.get("delay", 0.0),
+        max_command_interval=n.get("outage", 0.0),
+        max_tracking_error=n.get("tracking", 0.0),
+    )
+    area = {side: n[side] for side in ("width", "height") if side in n}
+    bounds = {name: n[name] for name in ("v_a", "u_a", "v_g", "dt")}
+    return certificate(safety_bounds(safety, visibility_radius=n["r_v"], **bounds, **area))
+
 
 HERE = (20.0, 20.0)
 UAV, UGV = Uav(position=HERE), Ugv(position=HERE)

@@ -22,7 +22,8 @@ from outrider.experiments.sweep.columns import row_of
 from outrider.running.flying import make_pilots
 from outrider.running.summary import Summary, summarize
 from sim.engine.briefing import briefing
-from sim.engine.certificate_counts import NEVER, ArrivalRecord
+from sim.engine.monitor import NEVER, ArrivalRecord
+from sim.engine.world_state import Vehicle
 from sim.kernels.records import record_type
 from sim.models.motion import NO_MOTION, no_motions
 from sim.scenario.loading import load_scenario
@@ -40,11 +41,6 @@ DELAYED = load_scenario(
     },
 )
 """Commands act two ticks late, and the newest detection is never older than ten ticks."""
-
-
-def command(tick: int) -> tuple[float, float]:
-    """Each tick's is another [m/s²]."""
-    return (0.1 + tick, -0.2) if tick >= 0 else (0.0, 0.0)
 
 
 def said(certified: bool | None, *, distance: float = 1.0, reason: str = "") -> UavReport:
@@ -75,12 +71,13 @@ def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) 
     truth = {
         "distance": 1.0,
         "arrivals": [(tick, 0.3)],
-        "acts": command(tick - 2),
-        "flown": NO_MOTION,
+        "flown": tick,
+        "bare": False,
         "current": True,
         "answers": True,
         "off": 0.0,
         "excused": False,
+        "watched": True,
     } | given
     if truth["off"]:
         assurance.track(0, truth["off"])
@@ -91,15 +88,18 @@ def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) 
     arrivals, flown = np.zeros(1, record_type(ArrivalRecord)), no_motions(2)
     arrivals["newest"] = max((taken for taken, _ in truth["arrivals"]), default=NEVER)
     arrivals["error"] = max((error for _, error in truth["arrivals"]), default=0.0)
-    flown["begins"] = truth["flown"]
+    vehicles = np.zeros(2, record_type(Vehicle))
+    flown["begins"], flown["plain"] = truth["flown"], truth["bare"]
+    vehicles["command_tick"] = tick
     assurance.take(
         0,
         tick,
-        UavCommand(tick=answered, acceleration=command(answered), report=report)
+        UavCommand(tick=answered, acceleration=(0.0, 0.0), report=report)
         if truth["answers"]
         else None,
-        evidence=(arrivals, np.array([truth["acts"]] * 2), flown),
+        evidence=(arrivals, vehicles, flown),
         distance=truth["distance"],
+        watched=truth["watched"],
     )
 
 
@@ -111,7 +111,7 @@ def test_a_tick_that_is_certified_out_of_sight_is_counted() -> None:
 
 
 def test_a_certificate_that_ends_while_all_assumptions_hold_is_counted_once() -> None:
-    assert taken(*[True] * 5, *[False] * 5, True, False).certificate_broken == 2
+    assert taken(*[True] * 5, *[False] * 5, True, False, False).certificate_broken == 2
     assert taken(False, False, True, True).certificate_broken == 0
 
 
@@ -125,8 +125,9 @@ def every(until: int = AT, **truth: Any) -> Truths:
 
 
 EXCUSES: dict[str, tuple[Truths, dict[str, Any]]] = {
-    "the command that acted just before was another": ({AT - 1: {"acts": (0.0, 0.0)}}, {}),
-    "the command of the tick before acted": ({AT - 1: {"acts": command(AT - 4)}}, {}),
+    "a motion of before was still flown": ({AT - 1: {"flown": AT - 2}}, {}),
+    "the motion goes on after the certificate has ended": ({AT: {"flown": AT - 1}}, {}),
+    "a bare acceleration acts, which is late": (every(bare=True), {}),
     "no detection for longer than declared": (every(arrivals=[]), {}),
     "a detection arrives that is older than declared": (
         {tick: {"arrivals": [(tick - 11, 0.0)]} for tick in range(AT + 1)},
@@ -155,8 +156,8 @@ NO_EXCUSES: dict[str, tuple[Truths, dict[str, Any]]] = {
         {AT: {"arrivals": [(AT - 10, 0.0), (AT - 30, 0.0)]}},
         {},
     ),
-    "another command acts in the tick itself": ({AT: {"acts": (0.0, 0.0)}}, {}),
-    "a command was late long before": ({1: {"acts": (5.0, 5.0)}}, {}),
+    "a motion went on long before": ({1: {"flown": NO_MOTION}}, {}),
+    "a bare acceleration acts at once": (every(bare=True), {"delay": 0.0}),
     "a detection that was new enough, and that it has seen": (
         every(12, arrivals=[]) | {0: {}, 3: {"arrivals": [(3, 0.0)]}},
         {"ends": 12},
@@ -184,7 +185,7 @@ def test_a_certificate_may_end_where_an_assumption_fails_and_only_there(broken, 
     declared = {name: value for name, value in told.items() if name != "ends"}
     certificate = msgspec.structs.replace(DELAYED.certificate, **declared)
     assurance = Assurance(msgspec.structs.replace(DELAYED, certificate=certificate))
-    for tick in range(ends + 1):
+    for tick in range(ends + 2):  # in the tick after it the motion of its command may begin
         take(assurance, tick, tick < ends, **truths.get(tick, {}))
     assert assurance.certificate_broken == broken
 
@@ -218,6 +219,13 @@ def test_an_outage_that_follows_at_once_excuses_a_certificate_that_ends(flown_on
         take(assurance, tick, tick < 26, flown=flown)
         assert assurance.certificate_broken in (0, broken)
     assert assurance.certificate_broken == broken
+
+
+def test_a_certificate_ends_with_the_filter_and_vouches_for_no_tick_after_it() -> None:
+    assurance = taken(True, True)
+    take(assurance, 2, None, watched=False)
+    assurance.end(0, R_V)
+    assert assurance.certified_while_lost == 0
 
 
 def lying(pilots: Mapping[str, Pilot]) -> Piloted:
@@ -372,11 +380,11 @@ def losing_the_thread(scenario: Scenario) -> Piloted:
     ("changes", "broken"),
     [
         ({}, 4),
-        ({"links.commands.delay": 0.5, "hold": 2.0}, 4),
+        ({"links.commands.delay": 0.5}, 3),  # the last one may be an outage yet to come
         ({"detections.noise": 0.5, "certificate.error": 0.1}, 0),
         ({"links.detections.delay": 1.0, "certificate.age": 0.9}, 0),
         ({"links.detections.delay": 1.0, "certificate.age": 1.0}, 4),
-        ({"links.commands.delay": 0.5, "certificate.delay": 0.45, "hold": 2.0}, 0),
+        ({"links.commands.delay": 0.5, "certificate.delay": 0.45}, 0),
     ],
     ids=str,
 )

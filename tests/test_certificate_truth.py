@@ -21,7 +21,7 @@ LATER, DECLARED = ("hold=2.0", "certificate.age=3.0"), "certificate.delay=0.5"
 
 BROKEN = {
     "regained with commands under way": ((*PERFECT, *LATE, DARK), 7),
-    "late and early by 0.1 s": ((*PERFECT, *LATE, "links.commands.jitter=0.1"), 7),
+    "later than declared": ((*PERFECT, *LATE, "certificate.delay=0.45"), 7),
     "narrowband": ((NARROW, *SLOW), 8),
     "jammed": ((JAMMED, *SLOW), 9),
     "commands lost": ((*LATE, "links.commands.loss=0.05"), 7),

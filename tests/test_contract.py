@@ -31,7 +31,8 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
         limits target_limits max_speed max_acceleration
         area width height cell sensor model peak range desired_coverage covered lower upper
         detector noise cut period estimator enabled gate patience manoeuvre
-        certificate error age delay margin hold outage tracking
+        safety max_measurement_error max_measurement_age max_command_delay margin
+        max_command_interval max_tracking_error hold
         ground tile telling column row state
         origin latitude longitude altitude
         vehicle dt visibility_radius law key past more"""

@@ -10,12 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.control.certificate import OUTAGE, UNCERTIFIED, UNCHECKED_MOTION
-from agents.control.handover import certificate, largest_outage
-from agents.control.promise import Declared
+from agents.control.handover import largest_interval
 from agents.control.visibility import SafetyFilter
 from agents.env_wrappers import SafetyFilterWrapper
 from bus.messages import MOST_CARRIED, MotionPlan, UavCommand
-from flights import EVADED, PROMISED, flown_in_both, record, told, uav_sees
+from flights import EVADED, PROMISED, certified, flown_in_both, record, told, uav_sees
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import fly
 from outrider_falsify.attack import attack
@@ -88,12 +87,20 @@ def test_a_motion_is_flown_to_its_end_and_then_the_vehicle_rests() -> None:
     assert np.all(world.velocity[0] == 0.0)
 
 
-def test_where_no_outage_is_declared_the_acceleration_acts_and_no_motion_is_flown() -> None:
-    world = still(outage=None)
-    world.send(0, 0, (0.1, 0.0), (MotionPlan(0, -1, (0.2, 0.0)),))
-    world.advance()
+@pytest.mark.parametrize(("outage", "begun"), [(0.05, True), (1.0, False)])
+def test_a_late_motion_acts_as_an_acceleration_once_the_vehicle_has_waited_too_long(outage, begun):
+    """Before that it is void."""
+    world = still(outage, 0.0)
+    for tick in range(1, 4):
+        world.move_to(tick)
+        world.send(0, tick - 1, (0.1, 0.0), (MotionPlan(tick - 1, tick - 2, (0.2, 0.0)),))
+        world.advance()
     assert world.flown(0) is None
-    assert world.commands[0].tolist() == [0.1, 0.0]
+    assert world.commands[0].tolist() == ([0.1, 0.0] if begun else [0.0, 0.0])
+    tick = world.tick  # one that is in time takes over again
+    world.send(0, tick, (0.0, 0.0), (MotionPlan(tick, -1, (0.3, 0.0)),))
+    world.advance()
+    assert (world.flown(0), world.commands[0].tolist()) == (tick, [0.3, 0.0])
 
 
 def test_a_command_without_a_motion_takes_over_and_one_with_takes_over_again() -> None:
@@ -215,9 +222,11 @@ def test_motions_that_were_checked_for_less_than_the_outage_are_caught_by_the_at
     """The numbers of a short outage with the claim of a long one: what the certificate would be without its wait."""
     conditions = Conditions(outage=8.0, losses=LOSSES.whenever_it_may, inner=0, ugv=0, u_g=math.inf)
     short = declared(conditions._replace(outage=0.05), 0.3)
-    wait = 8.0 * short.v_g  # which the checks take off again
+    wait = 7.95 * short.v_g  # which the checks take off again
     wrong = short._replace(
-        handover=short.handover + wait, reach=short.reach + wait, outage_ticks=160
+        handover_radius=short.handover_radius + wait,
+        handover_bound=short.handover_bound + wait,
+        interval_ticks=160,
     )
     rows = attack(wrong, conditions, 5, 0, 20, 200.0)
     assert rows["max_distance"].max() > conditions.r_v
@@ -226,12 +235,14 @@ def test_motions_that_were_checked_for_less_than_the_outage_are_caught_by_the_at
 
 def test_an_outage_costs_radius_and_age() -> None:
     paper = PROMISED | {"eps": 0.3, "age": 5.0}
-    numbers = [certificate(Declared(**paper, outage=b)) for b in (0.05, 1.0, 4.0)]
-    assert [c.reach for c in numbers] == sorted((c.reach for c in numbers), reverse=True)
-    assert all(c.handover <= numbers[0].handover for c in numbers)
-    most = largest_outage(numbers[0])
-    assert math.isnan(certificate(Declared(**paper, outage=most + 0.1)).handover)
-    assert not math.isnan(certificate(Declared(**paper, outage=most - 0.1)).handover)
+    numbers = [certified(**paper, outage=b) for b in (0.05, 1.0, 4.0)]
+    assert [c.handover_bound for c in numbers] == sorted(
+        (c.handover_bound for c in numbers), reverse=True
+    )
+    assert all(c.handover_radius <= numbers[0].handover_radius for c in numbers)
+    most = largest_interval(numbers[0])
+    assert math.isnan(certified(**paper, outage=most + 0.1).handover_radius)
+    assert not math.isnan(certified(**paper, outage=most - 0.1).handover_radius)
 
 
 def test_a_policy_keeps_sight_through_the_filter_while_its_commands_are_lost() -> None:

@@ -14,7 +14,7 @@ from bus.messages import LinkSettings
 from bus.ticks import looks_of
 from flights import DT, HERE, escort
 from outrider.running.flying import InProcess, fly, make_pilots
-from sim.engine.certificate_counts import NEVER
+from sim.engine.monitor import NEVER
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Detections, LinkTable, Scenario, Uav, Ugv
 from sim.server import recorder

@@ -9,16 +9,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from agents.control.visibility import SafetyFilter, promise_of
+from agents.control.certificate import UNCERTIFIED, UNCHECKED_MOTION
+from agents.control.visibility import SafetyFilter, bounds_of
 from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from bus.messages import LinkSettings
-from flights import distances, told, uav_sees
+from flights import DT, U_A, V_A, distances, told, uav_sees
 from outrider.envs.single import single_env
 from outrider.envs.vector import vector_env
 from outrider.envs.wrappers import egocentric, history, normalized
 from outrider.running.assumptions import promise_warnings
 from outrider.running.flying import fly
 from sim.env.parallel import parallel_env
+from sim.models.vehicles import step_vehicle
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate, LinkTable, Scenario
 from tabular import rows, words
@@ -78,7 +80,7 @@ def test_undegraded_the_filter_leaves_the_law_alone() -> None:
     ("changes", "reason"),
     rows("""
 links.detections.blackouts=[[20.0,6.0]] | older than declared
-links.commands.delay=0.5 certificate.delay=0.0 | not where its commands
+links.commands.delay=0.5 certificate.delay=0.0 | no motion can begin within
 detections.noise=0.5 certificate.error=0.2 | contradict
 """),
 )
@@ -108,11 +110,11 @@ def test_what_cannot_be_certified_is_told_before_it_is_flown_and_at_every_tick(c
 def test_what_is_declared_follows_from_the_scenario() -> None:
     commands = LinkSettings(delay=0.2, jitter=0.1, reorder=0.1, reorder_delay=0.05)
     scenario = msgspec.structs.replace(watched(), links=LinkTable(commands=commands))
-    declared = told(scenario).certificate
-    assert declared.error == pytest.approx(0.3)
-    assert declared.delay == pytest.approx(0.35)
+    declared = told(scenario).safety
+    assert declared.max_measurement_error == pytest.approx(0.3)
+    assert declared.max_command_delay == pytest.approx(0.35)
     own = msgspec.structs.replace(scenario, certificate=Certificate(delay=0.1, error=0.5))
-    assert told(own).certificate.error == 0.5
+    assert told(own).safety.max_measurement_error == 0.5
 
 
 def test_a_detection_counts_for_where_the_uav_was_when_it_was_taken() -> None:
@@ -187,11 +189,10 @@ def test_the_filter_keeps_sight_whatever_the_observations_are_rounded_to() -> No
         assert infos["uav_0"]["certified"], infos
 
 
-def test_commands_on_their_way_before_the_first_detection_are_known_to_the_filter() -> None:
-    """A UAV that starts moving brakes while it sees nothing.
-
-    With a delay those commands still act after the first detection.
-    """
+def test_a_uav_that_starts_moving_is_certified_once_a_plan_after_the_first_detection_begins() -> (
+    None
+):
+    """It brakes while it sees nothing, by plans that are not checked."""
     scenario = watched(
         "links.commands.delay=0.5",
         "links.detections.delay=0.3",
@@ -200,7 +201,9 @@ def test_commands_on_their_way_before_the_first_detection_are_known_to_the_filte
         duration=10.0,
     )
     _, summary = fly(scenario, 7)
-    assert set(summary.uncertified) == {"the UAV has no estimate yet, or its command did not come"}
+    silent = "the UAV has no estimate yet, or its command did not come"
+    assert set(summary.uncertified) == {silent, UNCERTIFIED[UNCHECKED_MOTION]}
+    assert summary.uncertified[UNCERTIFIED[UNCHECKED_MOTION]] <= 0.5 / 0.05 + 1
 
 
 def test_a_filter_may_be_taken_up_in_the_middle_of_a_flight() -> None:
@@ -217,6 +220,9 @@ def test_a_filter_may_be_taken_up_in_the_middle_of_a_flight() -> None:
     assert command.report.certified is False
     assert "no detection" in command.report.uncertified
     command = pilot.act(uav_sees(2, (0.1, (0.0, 1.0)), **there))
-    assert command.report.certified is True
     assert command.report.certified_distance == pytest.approx(1.3)
-    assert promise_of(told(scenario)).eps == pytest.approx(0.3)
+    moved = step_vehicle(7.0, 9.0, 0.0, 0.0, *command.acceleration, V_A, U_A, DT)
+    there = {"position": moved[:2], "velocity": moved[2:4]}
+    command = pilot.act(uav_sees(3, **there))  # it flies a plan that was checked
+    assert command.report.certified is True
+    assert bounds_of(told(scenario)).placed_error == pytest.approx(0.3)

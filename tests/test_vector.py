@@ -219,8 +219,8 @@ def test_what_is_true_of_an_ended_episode_can_be_had_after_the_next_has_begun() 
     env = outrider.parallel_vector_env("escort", num_envs=4, duration=60.0, safety_filter=True)
     with pytest.raises(ResetNeeded, match="metrics"):
         env.metrics()
-    for field in ("r_v", "handover", "reach"):
-        env.worlds.loop.tables.promises[field] += 0.5
+    for field in ("radius", "handover_radius", "handover_bound"):
+        env.worlds.loop.tables.safety[field] += 0.5
     env.reset(seed=1)
     position = env.worlds.loop.batch.state.vehicles["position"]
     lengths, lost = np.zeros(4), 0

@@ -7,11 +7,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from agents.control.handover import certificate, check_assumptions
-from agents.control.promise import Declared
+from agents.control.handover import check_assumptions
 from bus.errors import ScenarioError
 from bus.messages import SeenTile, UavObservation
-from flights import EVADED, PROMISED, flown_in_both, told
+from flights import EVADED, PROMISED, certified, flown_in_both, told
 from outrider.running.assumptions import shortfalls
 from outrider.running.flying import fly
 from outrider_falsify.attack import attack
@@ -103,12 +102,12 @@ def test_an_unstable_loop_has_no_bound(gains) -> None:
 
 def test_w_is_taken_off_the_radius_and_added_to_the_error() -> None:
     numbers = PROMISED | {"age": 5.0}
-    with_w = certificate(Declared(**numbers, eps=0.3, tracking=0.4))
-    without = certificate(Declared(**numbers | {"r_v": 4.35}, eps=0.7))
-    assert with_w.handover == pytest.approx(without.handover, abs=1e-9)
-    assert with_w.reach == pytest.approx(without.reach, abs=1e-9)
+    with_w = certified(**numbers, eps=0.3, tracking=0.4)
+    without = certified(**numbers | {"r_v": 4.35}, eps=0.7)
+    assert with_w.handover_radius == pytest.approx(without.handover_radius, abs=1e-9)
+    assert with_w.handover_bound == pytest.approx(without.handover_bound, abs=1e-9)
     for tracking, told_of in ((math.inf, "w = inf m"), (2.5, "eps 0.3 m, w 2.5 m")):
-        wrong = certificate(Declared(**numbers, eps=0.3, tracking=tracking))
+        wrong = certified(**numbers, eps=0.3, tracking=tracking)
         (fault,) = check_assumptions(wrong)
         assert told_of in fault
 
@@ -156,7 +155,7 @@ def test_without_wind_the_true_state_is_the_reference_state() -> None:
 def test_wind_takes_the_uav_from_what_it_is_told_and_nothing_else(tmp_path) -> None:
     flight, summary = fly(WINDY, 1)
     off = flight.recorder.states[:, :, :4] - flight.recorder.told
-    declared = told(WINDY).certificate.tracking
+    declared = told(WINDY).safety.max_tracking_error
     assert 0.05 < np.hypot(off[:, 0, 0], off[:, 0, 1]).max() == summary.tracking_error
     assert summary.tracking_error <= summary.declared_tracking == declared
     assert not off[:, 1].any()

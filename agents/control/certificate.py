@@ -25,9 +25,9 @@ from agents.control.discs import (
     radius_at,
 )
 from agents.control.handover import REST, ROUNDING, rest_to_rest
-from agents.control.promise import Promise
 from sim.kernels.compile import compiled
 from sim.kernels.records import RecordArray, record_type
+from sim.models.safety import SafetyBounds
 from sim.models.vehicles import (
     Motion,
     brake,
@@ -63,19 +63,15 @@ INNER, PLAN, BEST_EFFORT = 0, 1, 2
     CONTRADICTED,
     OFF_COURSE,
     NO_PLAN,
-    UNKNOWN_COMMANDS,
-    UNSAFE_COURSE,
     OUTAGE,
     UNCHECKED_MOTION,
-) = range(10)
+) = range(8)
 UNCERTIFIED = {
     NO_DETECTION: "no detection has arrived yet",
     TOO_OLD: "the newest detection is older than declared (age > A)",
     CONTRADICTED: "detections contradict each other: their errors are larger than eps, or the UGV is faster than v_g",
-    OFF_COURSE: "the UAV is not where its commands should have brought it: one was late or lost (delay > tau_c)",
+    OFF_COURSE: "the UAV is not where the motion that it reports should have brought it",
     NO_PLAN: "outside the certified set: no plan keeps the UGV within r_v from here",
-    UNKNOWN_COMMANDS: "commands are under way of which it is not known that they will act",
-    UNSAFE_COURSE: "commands under way may take the UGV out of sight before the next one acts",
     OUTAGE: "no motion can begin within what is declared of the one that is flown: commands are lost (outage > B)",
     UNCHECKED_MOTION: "the UAV flies, or may begin, a motion that was not checked from where it is",
 }
@@ -146,7 +142,9 @@ def servo(
 
 
 @compiled
-def step_in_area(promise: Promise, here: Motion, u_x: float, u_y: float) -> tuple[Motion, float]:
+def step_in_area(
+    promise: SafetyBounds, here: Motion, u_x: float, u_y: float
+) -> tuple[Motion, float]:
     """The UAV one tick on, as the world moves it: (1), and the walls.
 
     Returns:
@@ -183,7 +181,7 @@ def end_disc(plan: RecordArray) -> Disc:
 
 @compiled
 def known_from(
-    promise: Promise,
+    promise: SafetyBounds,
     detections: RecordArray,
     plan: RecordArray,
     newest: int,
@@ -202,7 +200,9 @@ def known_from(
 
 
 @compiled
-def farthest(promise: Promise, known: Known, tick: int, x: float, y: float, enough: float) -> float:
+def farthest(
+    promise: SafetyBounds, known: Known, tick: int, x: float, y: float, enough: float
+) -> float:
     """Upper bound of the distance from (x, y) to the UGV at a tick [m], from all that is known.
 
     Args:
@@ -287,14 +287,16 @@ def _off_walls(p: float, size: float) -> float:
 
 
 @compiled
-def _is_in_area(promise: Promise, x: float, y: float) -> bool:
+def _is_in_area(promise: SafetyBounds, x: float, y: float) -> bool:
     return (math.isinf(promise.width) or 0.0 <= x <= promise.width) and (
         math.isinf(promise.height) or 0.0 <= y <= promise.height
     )
 
 
 @compiled
-def _stays_in_area(promise: Promise, here: Motion, a_x: float, a_y: float, duration: float) -> bool:
+def _stays_in_area(
+    promise: SafetyBounds, here: Motion, a_x: float, a_y: float, duration: float
+) -> bool:
     """Return whether a motion with constant acceleration keeps off the walls.
 
     A wall that it touched would take the UAV off its plan.
@@ -305,22 +307,26 @@ def _stays_in_area(promise: Promise, here: Motion, a_x: float, a_y: float, durat
 
 
 @compiled
-def _end_radius(promise: Promise, known: Known, tick: int, x: float, y: float, ticks: int) -> float:
+def _end_radius(
+    promise: SafetyBounds, known: Known, tick: int, x: float, y: float, ticks: int
+) -> float:
     """A bound on the UGV's distance now from a plan's end [m], if a plan of so many ticks may end there; else infinite.
 
-    It may have to rest there until the next motion begins, for the declared outage.
+    It may have to rest there for B - dt longer, until the next motion begins.
     """
-    n, growth = known.newest, drift(promise, ticks + promise.outage_ticks)
+    n, growth = known.newest, drift(promise, ticks + promise.interval_ticks - 1)
     single = norm(x - n.x, y - n.y) + radius_at(promise, n, tick)
-    if not single + growth <= promise.reach:
+    if not single + growth <= promise.handover_bound:
         return math.inf
-    bound = farthest(promise, known, tick, x, y, promise.handover - growth)
-    return bound if bound + growth <= promise.handover else math.inf
+    bound = farthest(promise, known, tick, x, y, promise.handover_radius - growth)
+    return bound if bound + growth <= promise.handover_radius else math.inf
 
 
 @compiled
-def stop_from(promise: Promise, known: Known, tick: int, here: Motion) -> Plan:
+def stop_from(promise: SafetyBounds, known: Known, tick: int, here: Motion, least: int = 0) -> Plan:
     """The plan to brake to a stop from this state at a tick; its disc is infinite if the UAV may not.
+
+    One that begins in this tick lasts for a tick at `least`: no other plan begins before.
 
     Along a straight line on which it only slows down, the bound is largest at one of the ends: the distance to a
     fixed point is convex in the way, and the way concave in time.
@@ -337,17 +343,17 @@ def stop_from(promise: Promise, known: Known, tick: int, here: Motion) -> Plan:
         return _nothing()
     if ticks and not _stays_in_area(promise, here, a_x, a_y, duration):
         return _nothing()
-    radius = _end_radius(promise, known, tick, x, y, ticks)
+    radius = _end_radius(promise, known, tick, x, y, max(ticks, least))
     if radius == math.inf:
         return _nothing()
-    if not farthest(promise, known, tick, here.p_x, here.p_y, promise.r_v) <= promise.r_v:
+    if not farthest(promise, known, tick, here.p_x, here.p_y, promise.radius) <= promise.radius:
         return _nothing()
     return Plan(0, 0, ticks, 0.0, 0.0, a_x, a_y, Disc(x, y, radius, tick))
 
 
 @compiled
 def _turn_is_safe(
-    promise: Promise, known: Known, tick: int, here: Motion, a_x: float, a_y: float, ticks: int
+    promise: SafetyBounds, known: Known, tick: int, here: Motion, a_x: float, a_y: float, ticks: int
 ) -> bool:
     """True if the bound stays within r_v in a turn with constant acceleration.
 
@@ -358,7 +364,7 @@ def _turn_is_safe(
         s = k * promise.dt
         x = here.p_x + (here.v_x + 0.5 * a_x * s) * s
         y = here.p_y + (here.v_y + 0.5 * a_y * s) * s
-        most = promise.r_v - promise.v_g * s
+        most = promise.radius - promise.v_g * s
         room = most - farthest(promise, known, tick, x, y, most)
         if not room >= 0.0:
             return False
@@ -367,7 +373,7 @@ def _turn_is_safe(
 
 
 @compiled
-def _return_at(promise: Promise, known: Known, tick: int, here: Motion, speed: float) -> Plan:
+def _return_at(promise: SafetyBounds, known: Known, tick: int, here: Motion, speed: float) -> Plan:
     """Return the plan of `return_from` at one speed [m/s]."""
     if not _is_in_area(promise, here.p_x, here.p_y):
         return _nothing()
@@ -420,7 +426,7 @@ def _return_at(promise: Promise, known: Known, tick: int, here: Motion, speed: f
 
 
 @compiled
-def return_from(promise: Promise, known: Known, tick: int, here: Motion) -> Plan:
+def return_from(promise: SafetyBounds, known: Known, tick: int, here: Motion) -> Plan:
     """The plan to turn to the newest detection, fly there and stop, from this state at a tick.
 
     Its disc is infinite if the UAV may not. The turn takes the velocity along a straight line to the one that leads
@@ -435,7 +441,7 @@ def return_from(promise: Promise, known: Known, tick: int, here: Motion) -> Plan
 
 
 @compiled
-def follow(promise: Promise, plan: RecordArray, v_x: float, v_y: float) -> tuple[float, float]:
+def follow(promise: SafetyBounds, plan: RecordArray, v_x: float, v_y: float) -> tuple[float, float]:
     """The command of the plan that is held for this tick, which it then has behind it.
 
     At its end the UAV stays where it is.
@@ -461,7 +467,7 @@ def drop_plan(plan: RecordArray) -> None:
 
 @compiled
 def _may_go_on(
-    promise: Promise,
+    promise: SafetyBounds,
     known: Known,
     plan: RecordArray,
     tick: int,
@@ -472,18 +478,18 @@ def _may_go_on(
     """True if the UGV is surely within r_v now, and until the next tick where a wall keeps the UAV `over` [m] back."""
     within = (
         plan[0].valid != 0
-        or farthest(promise, known, tick, here.p_x, here.p_y, promise.r_v) <= promise.r_v
+        or farthest(promise, known, tick, here.p_x, here.p_y, promise.radius) <= promise.radius
     )
     if within and over > 0.0:
         # within the tick the bound is at most that of the point beyond the wall
-        room = promise.r_v - over
+        room = promise.radius - over
         within = farthest(promise, known, tick + 1, then.p_x, then.p_y, room) <= room
     return within
 
 
 @compiled
 def safe_control(
-    promise: Promise,
+    promise: SafetyBounds,
     detections: RecordArray,
     plan: RecordArray,
     tick: int,
@@ -494,7 +500,7 @@ def safe_control(
     """The command that acts in a tick: the inner control's if a plan still exists after it, else the plan's.
 
     With delayed commands the tick and the state are those in which this command will act. The plan that is held
-    begins in this state; where the vehicle has come to another one, `drop_plan` is to be called first.
+    begins in this state.
 
     Args:
         promise: The declared numbers.
@@ -525,7 +531,7 @@ def safe_control(
             return w_x, w_y, INNER
     now = return_from(promise, known, tick, here)
     if not exists(now) and not going:
-        now = stop_from(promise, known, tick, here)
+        now = stop_from(promise, known, tick, here, 1)
     if exists(now):
         _hold(plan, now)
     if exists(now) or going:
@@ -539,7 +545,7 @@ def safe_control(
 
 @compiled
 def rest_radius(
-    promise: Promise,
+    promise: SafetyBounds,
     detections: RecordArray,
     plan: RecordArray,
     tick: int,
@@ -562,25 +568,7 @@ def rest_radius(
 
 
 @compiled
-def is_within(
-    promise: Promise,
-    detections: RecordArray,
-    plan: RecordArray,
-    tick: int,
-    p_x: float,
-    p_y: float,
-    over: float,
-) -> bool:
-    """True if the UGV is surely within r_v of this point, and of all within `over` [m] of it, at a tick."""
-    new = newest_detection(detections)
-    if new < 0:
-        return False
-    known, room = known_from(promise, detections, plan, new, tick, p_x, p_y), promise.r_v - over
-    return bool(farthest(promise, known, tick, p_x, p_y, room) <= room)
-
-
-@compiled
-def contradicts_plan(promise: Promise, detections: RecordArray, plan: RecordArray) -> bool:
+def contradicts_plan(promise: SafetyBounds, detections: RecordArray, plan: RecordArray) -> bool:
     """True if the newest detection cannot be true if the UGV was where the last plan's check has it.
 
     An assumption is broken.
@@ -590,4 +578,4 @@ def contradicts_plan(promise: Promise, detections: RecordArray, plan: RecordArra
         return False
     z = detections[new]
     apart = norm(z.x - end.x, z.y - end.y)
-    return bool(apart > radius_at(promise, end, z.taken) + promise.eps + MARGIN)
+    return bool(apart > radius_at(promise, end, z.taken) + promise.placed_error + MARGIN)

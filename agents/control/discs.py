@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.control.promise import Promise
 from sim.kernels.compile import compiled
 from sim.kernels.records import RecordArray, record_type
+from sim.models.safety import SafetyBounds
 from sim.models.vehicles import norm
 
 KEPT = 16
@@ -62,27 +62,27 @@ def no_detections() -> RecordArray:
 
 
 @compiled
-def drift(promise: Promise, ticks: int) -> float:
+def drift(promise: SafetyBounds, ticks: int) -> float:
     """The longest way of the UGV in so many ticks [m]."""
     return promise.v_g * (ticks * promise.dt)
 
 
 @compiled
-def disc_of(promise: Promise, detections: RecordArray, row: int) -> Disc:
+def disc_of(promise: SafetyBounds, detections: RecordArray, row: int) -> Disc:
     """The disc that a detection puts the UGV into."""
     found = detections[row]
-    return Disc(found.x, found.y, promise.eps, found.taken)
+    return Disc(found.x, found.y, promise.placed_error, found.taken)
 
 
 @compiled
-def radius_at(promise: Promise, disc: Disc, tick: int) -> float:
+def radius_at(promise: SafetyBounds, disc: Disc, tick: int) -> float:
     """Radius of a disc that holds the UGV at this tick [m]; also at one before the disc's own."""
     return disc.radius + drift(promise, abs(tick - disc.tick))
 
 
 @compiled
 def bound_of(
-    promise: Promise, detections: RecordArray, row: int, tick: int, x: float, y: float
+    promise: SafetyBounds, detections: RecordArray, row: int, tick: int, x: float, y: float
 ) -> float:
     """Upper bound of the distance from (x, y) to the UGV at a tick [m], by one detection."""
     disc = disc_of(promise, detections, row)
@@ -91,7 +91,7 @@ def bound_of(
 
 @compiled
 def certified_distance(
-    promise: Promise, detections: RecordArray, tick: int, x: float, y: float
+    promise: SafetyBounds, detections: RecordArray, tick: int, x: float, y: float
 ) -> float:
     r"""Upper bound of the true distance [m], $d_{cert} = \min_i \|p_a - z_i\| + \epsilon + 2 w + v_g (t - t_i)$.
 
@@ -106,11 +106,11 @@ def certified_distance(
     k = nearest(promise, detections, tick, x, y)
     if k < 0:
         return math.inf
-    return promise.tracking + bound_of(promise, detections, k, tick, x, y)
+    return promise.max_tracking_error + bound_of(promise, detections, k, tick, x, y)
 
 
 @compiled
-def nearest(promise: Promise, detections: RecordArray, tick: int, x: float, y: float) -> int:
+def nearest(promise: SafetyBounds, detections: RecordArray, tick: int, x: float, y: float) -> int:
     """The row whose bound is least; -1 if there is no detection."""
     least, found = math.inf, -1
     for k in range(detections.shape[0]):
@@ -133,7 +133,7 @@ def newest_detection(detections: RecordArray) -> int:
 
 @compiled
 def keep_detection(
-    promise: Promise,
+    promise: SafetyBounds,
     detections: RecordArray,
     z_x: float,
     z_y: float,
@@ -170,7 +170,7 @@ def keep_detection(
             place = k
             continue
         apart, driven = norm(kept.x - z_x, kept.y - z_y), drift(promise, taken - kept.taken)
-        if apart > 2.0 * promise.eps + abs(driven) + MARGIN:
+        if apart > 2.0 * promise.placed_error + abs(driven) + MARGIN:
             agrees = False
         if apart <= driven and taken > kept.taken:  # its disc holds the new one
             detections[k].taken = NEVER
@@ -184,7 +184,7 @@ def keep_detection(
     if dominated:
         return agrees
     if place < 0:
-        own = norm(p_x - z_x, p_y - z_y) + promise.eps + drift(promise, tick - taken)
+        own = norm(p_x - z_x, p_y - z_y) + promise.placed_error + drift(promise, tick - taken)
         if worst < 0 or (own >= largest and taken <= detections[newest].taken):
             return agrees
         place = worst

@@ -3,8 +3,8 @@
 `SafetyFilter` calls these functions for one UAV, compiled loops call them for many worlds. In a tick: `note_position`,
 then `note_detection` for each detection that has arrived, then `guard` with the command that is wanted.
 
-The filter keeps a **course**: the states in which the ticks until the next command acts will begin, and the
-commands under way that lead there. The UAV is on course if its state is the one that the course has for this tick.
+Each command carries a motion: its acceleration, and the plan that follows it while later commands are lost. The
+vehicle reports which motion it flies, so the filter knows the states until the motion of this tick's command begins.
 
 All positions in the world's frame [m], speeds [m/s], accelerations [m/s²], times in ticks.
 """
@@ -24,18 +24,12 @@ from agents.control.certificate import (
     OUTAGE,
     TOO_OLD,
     UNCHECKED_MOTION,
-    UNKNOWN_COMMANDS,
-    UNSAFE_COURSE,
     clear_plan,
     contradicts_plan,
-    drop_plan,
-    is_within,
     no_plan,
     safe_control,
-    step_in_area,
 )
 from agents.control.discs import (
-    AS_EXPECTED,
     MOST_KEPT,
     NEVER,
     certified_distance,
@@ -43,38 +37,23 @@ from agents.control.discs import (
     newest_detection,
     no_detections,
 )
-from agents.control.promise import Promise
 from agents.control.underway import (
     Underway,
     begin_underway,
     check_rest,
     doubt,
     due_end,
-    motion_in,
-    off_by,
+    is_expected,
     send_motion,
-    set_motion,
     take_observation,
     take_rest,
     underway,
 )
-from sim.kernels.compile import FloatArray, compiled
+from sim.kernels.compile import compiled
 from sim.kernels.records import RecordArray, record_type
 from sim.models.motion import NO_MOTION
+from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion, within_walls
-
-
-class CourseTick(NamedTuple):
-    """A row of the course: the state in which a tick will begin, and the command under way that acts in it."""
-
-    p_x: float
-    p_y: float
-    v_x: float
-    v_y: float
-    """[m], [m/s]."""
-    u_x: float
-    u_y: float
-    """[m/s²]; in the last row the command is yet to be chosen."""
 
 
 class TrackTick(NamedTuple):
@@ -94,11 +73,8 @@ class GuardFlags(NamedTuple):
     """1 once detections have contradicted each other."""
     tick: int
     """Of the last call; NEVER before the first."""
-    known: int
-    """The number of last commands that are known to be under way: sent since the UAV was last found off its
-    course. Where commands carry motions: 1 if all since tick 0 are this filter's."""
-    safe: int
-    """1 if the course is safe up to the plan."""
+    from_start: int
+    """1 if all commands since tick 0 are this filter's."""
 
 
 class GuardState(NamedTuple):
@@ -111,23 +87,21 @@ class GuardState(NamedTuple):
     """Places and times of detections: `KeptDetection`, as `keep_detection` keeps them. (KEPT,)"""
     plan: RecordArray
     """The memory of `safe_control`: `HeldPlan`. (1,)"""
-    course: RecordArray
-    """`CourseTick` of each tick from this one on until the next command acts. (tau_c + 1,)"""
     track: RecordArray
     """`TrackTick` of the UAV's own ticks: k in row k % depth, until a later tick needs the row. (depth,)"""
     flags: RecordArray
     """`GuardFlags`. (1,)"""
     underway: Underway
-    """The motions that were sent, where commands carry them."""
+    """The motions that were sent, and the one that the vehicle flies."""
 
 
 _TRACK = 120.0
 """The UAV's own positions are kept for so long [s], or for the declared age of detections if that is longer."""
 
 
-def track_ticks(promise: Promise) -> int:
+def track_ticks(promise: SafetyBounds) -> int:
     """Ticks for which a filter keeps the UAV's own positions; memory for all is taken at once, 24 bytes a tick."""
-    return max(1, min(MOST_KEPT, max(math.ceil(_TRACK / promise.dt), promise.age_ticks + 1)))
+    return max(1, min(MOST_KEPT, max(math.ceil(_TRACK / promise.dt), promise.max_age_ticks + 1)))
 
 
 def guard_state(delay_ticks: int, depth: int) -> GuardState:
@@ -143,7 +117,6 @@ def guard_state(delay_ticks: int, depth: int) -> GuardState:
     state = GuardState(
         detections=no_detections(),
         plan=no_plan(),
-        course=np.zeros(delay_ticks + 1, dtype=record_type(CourseTick)),
         track=np.zeros(depth, dtype=record_type(TrackTick)),
         flags=np.zeros(1, dtype=record_type(GuardFlags)),
         underway=underway(delay_ticks),
@@ -159,14 +132,11 @@ def begin_guard(state: GuardState) -> None:
         found = state.detections[k]
         found.x, found.y, found.taken = 0.0, 0.0, NEVER
     clear_plan(state.plan)
-    for k in range(state.course.shape[0]):
-        row = state.course[k]
-        row.p_x, row.p_y, row.v_x, row.v_y, row.u_x, row.u_y = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(state.track.shape[0]):
         place = state.track[k]
         place.x, place.y, place.tick = 0.0, 0.0, NEVER
     flags = state.flags[0]
-    flags.contradicted, flags.tick, flags.known, flags.safe = 0, NEVER, 0, 0
+    flags.contradicted, flags.tick, flags.from_start = 0, NEVER, 0
     begin_underway(state.underway)
 
 
@@ -179,7 +149,7 @@ def note_position(state: GuardState, tick: int, p_x: float, p_y: float) -> None:
 
 @compiled
 def note_detection(
-    promise: Promise,
+    promise: SafetyBounds,
     state: GuardState,
     taken: int,
     tick: int,
@@ -211,149 +181,58 @@ def note_detection(
 def forget_commands(state: GuardState) -> None:
     """It is not known whether the last commands were sent.
 
-    Until those under way are known again, nothing is certified.
+    Until the vehicle flies one that is sent after this, nothing is certified.
     """
-    state.flags[0].known = 0
+    state.flags[0].from_start = 0
     doubt(state.underway)
 
 
 @compiled
-def note_commands(state: GuardState, commands: FloatArray) -> None:
-    """Tell a filter that begins in the middle of a flight which commands are likely to be under way.
+def _begun(promise: SafetyBounds, state: GuardState, tick: int, here: Motion, flown: int) -> int:
+    """Return the motion that the vehicle flew in the tick before; NO_MOTION: it flew none.
 
-    Args:
-        state: The filter's memory, changed in place.
-        commands: Those of the ticks before the one that it will be asked for first, the oldest first [m/s²]. Shape
-            (any, 2).
+    A receiver of bare accelerations reports none. Where each command acts in its own tick, the state of the UAV tells
+    that the last one did.
     """
-    last, given = state.course.shape[0] - 1, commands.shape[0]
-    for k in range(min(last, given)):
-        row = state.course[last - 1 - k]
-        row.u_x, row.u_y = commands[given - 1 - k, 0], commands[given - 1 - k, 1]
-
-
-@compiled
-def _begin_course(promise: Promise, course: RecordArray, here: Motion) -> None:
-    """Work the course out from this state on, under the commands in it."""
-    for k in range(course.shape[0]):
-        set_motion(course, k, here)
-        here, _ = step_in_area(promise, here, course[k].u_x, course[k].u_y)
-
-
-@compiled
-def _set_out(promise: Promise, state: GuardState, tick: int, here: Motion) -> bool:
-    """Bring the course to this tick; true if the UAV is on it, as far as there was one.
-
-    If not, it begins anew from here.
-    """
-    course, flags, on_course = state.course, state.flags[0], True
-    last = course.shape[0] - 1
-    if flags.tick == NEVER and tick == 0:
-        flags.known = last + 1  # a vehicle that has had no command yet does nothing: that is known
-    elif flags.tick != tick - 1:
-        for _ in range(min(last, tick - 1 - flags.tick) if flags.tick != NEVER else 0):
-            for k in range(last - 1):  # nothing was sent meanwhile: the last command is held
-                course[k].u_x, course[k].u_y = course[k + 1].u_x, course[k + 1].u_y
-        flags.known = 0
-    else:
-        off = off_by(here, motion_in(course, 0))
-        if off == 0.0:
-            return True
-        if off <= AS_EXPECTED:
-            _begin_course(promise, course, here)
-            return True
-        flags.known, on_course = 0, False
-    _begin_course(promise, course, here)
-    drop_plan(state.plan)
-    flags.safe = 0
-    return on_course
-
-
-@compiled
-def _course_is_safe(promise: Promise, state: GuardState, tick: int) -> bool:
-    """True if the UGV is surely in sight from now until the next command acts, if the commands under way act."""
-    course, over = state.course, 0.0
-    for k in range(course.shape[0]):
-        here = motion_in(course, k)
-        if not is_within(promise, state.detections, state.plan, tick + k, here.p_x, here.p_y, over):
-            return False
-        if k + 1 < course.shape[0]:
-            _, over = step_in_area(promise, here, course[k].u_x, course[k].u_y)
-    return True
-
-
-@compiled
-def _send(promise: Promise, state: GuardState, tick: int, u_x: float, u_y: float) -> None:
-    """Take a command among those under way; the course moves on by a tick."""
-    course, flags = state.course, state.flags[0]
-    last = course.shape[0] - 1
-    after, _ = step_in_area(promise, motion_in(course, last), u_x, u_y)
-    course[last].u_x, course[last].u_y = u_x, u_y
-    for k in range(last):
-        set_motion(course, k, motion_in(course, k + 1))
-        course[k].u_x, course[k].u_y = course[k + 1].u_x, course[k + 1].u_y
-    set_motion(course, last, after)
-    flags.tick, flags.known = tick, min(flags.known + 1, last + 1)
+    if flown != NO_MOTION or promise.delay_ticks > 0 or promise.interval_ticks > 1:
+        return flown
+    sent, last = state.underway, tick - 1
+    begins = sent.sent[last % sent.sent.shape[0]].begins
+    answered = last >= 0 and state.flags[0].tick == last and begins == last
+    return last if answered and is_expected(sent, tick, here, last) else flown
 
 
 @compiled
 def _reason(
-    promise: Promise, state: GuardState, tick: int, acts: int, on_course: bool, known: bool
-) -> int:
-    """Why this tick is not certified, a code of `UNCERTIFIED`; CERTIFIED if it is."""
-    new, flags = newest_detection(state.detections), state.flags[0]
-    if new < 0:
-        return NO_DETECTION
-    if tick - state.detections[new].taken > promise.age_ticks:
-        return TOO_OLD
-    if flags.contradicted != 0:
-        return CONTRADICTED
-    if acts == BEST_EFFORT:
-        return NO_PLAN
-    if not on_course:
-        return OFF_COURSE
-    if not known:
-        return UNKNOWN_COMMANDS
-    return CERTIFIED if flags.safe != 0 else UNSAFE_COURSE
-
-
-@compiled
-def _guard_motions(
-    promise: Promise,
+    promise: SafetyBounds,
     state: GuardState,
     tick: int,
-    here: Motion,
-    u_x: float,
-    u_y: float,
-    flown: int,
-) -> tuple[float, float, int, int]:
-    """`guard` for a UAV whose commands carry motions."""
-    flags, sent, plan = state.flags[0], state.underway, state.plan
-    expected = take_observation(sent, tick, here, flown, flags.tick)
-    flags.known = 1 if tick == 0 else flags.known
-    if flags.known == 1:
-        check_rest(promise, sent, state.detections, plan, tick, here)
-    ahead, checked, wait = due_end(promise, sent, tick, here)
-    take_rest(sent, plan)
-    if contradicts_plan(promise, state.detections, plan):
-        flags.contradicted = 1
-    u_x, u_y, acts = safe_control(
-        promise, state.detections, plan, tick + promise.delay_ticks, ahead, u_x, u_y
-    )
-    send_motion(promise, sent, plan, tick, here, u_x, u_y, acts)
-    flags.tick, flags.safe = tick, 1 if checked else 0
-    code = _reason(promise, state, tick, acts, expected, True)
-    if code == UNSAFE_COURSE:
-        code = UNCHECKED_MOTION
-    if code in (CERTIFIED, NO_PLAN, UNCHECKED_MOTION) and wait > promise.outage_ticks:
-        # Also if it is yet to come, but no motion that is under way can begin any more.
-        code = OUTAGE
-    return u_x, u_y, acts, code
+    acts: int,
+    expected: bool,
+    checked: bool,
+    wait: int,
+) -> int:
+    """Return a code of `UNCERTIFIED` that says why this tick is not certified; CERTIFIED if it is."""
+    new = newest_detection(state.detections)
+    if new < 0:
+        return NO_DETECTION
+    if tick - state.detections[new].taken > promise.max_age_ticks:
+        return TOO_OLD
+    if state.flags[0].contradicted != 0:
+        return CONTRADICTED
+    late = wait > promise.interval_ticks  # also if it is yet to come, but nothing can prevent it
+    if acts == BEST_EFFORT:
+        return OUTAGE if late else NO_PLAN
+    if not expected:
+        return OFF_COURSE
+    if late:
+        return OUTAGE
+    return CERTIFIED if checked else UNCHECKED_MOTION
 
 
 @compiled
 def guard(
-    promise: Promise,
+    promise: SafetyBounds,
     state: GuardState,
     tick: int,
     here: Motion,
@@ -378,23 +257,21 @@ def guard(
         `UNCERTIFIED`, or CERTIFIED, which holds only if `check_assumptions` finds nothing in the promise; and the
         certified distance now [m]. The motion that the command carries is in `state.underway`.
     """
-    flags = state.flags[0]
+    flags, sent, plan = state.flags[0], state.underway, state.plan
     bound = certified_distance(promise, state.detections, tick, here.p_x, here.p_y)
-    if promise.carries:
-        u_x, u_y, acts, code = _guard_motions(promise, state, tick, here, u_x, u_y, flown)
-        return u_x, u_y, acts, code, bound
-    on_course = _set_out(promise, state, tick, here)
-    if contradicts_plan(promise, state.detections, state.plan):
+    flown = _begun(promise, state, tick, here, flown)
+    expected = take_observation(sent, tick, here, flown, flags.tick)
+    flags.from_start = 1 if tick == 0 else flags.from_start
+    if flags.from_start == 1:
+        check_rest(promise, sent, state.detections, plan, tick, here)
+    ahead, checked, wait = due_end(promise, sent, tick, here)
+    take_rest(sent, plan)
+    if contradicts_plan(promise, state.detections, plan):
         flags.contradicted = 1
-    last = state.course.shape[0] - 1
-    ahead = motion_in(state.course, last)
     u_x, u_y, acts = safe_control(
-        promise, state.detections, state.plan, tick + last, ahead, u_x, u_y
+        promise, state.detections, plan, tick + promise.delay_ticks, ahead, u_x, u_y
     )
-    if acts == BEST_EFFORT:
-        flags.safe = 0
-    elif flags.safe == 0 and _course_is_safe(promise, state, tick):
-        flags.safe = 1
-    code = _reason(promise, state, tick, acts, on_course, flags.known >= last)
-    _send(promise, state, tick, u_x, u_y)
+    send_motion(promise, sent, plan, tick, here, u_x, u_y, acts)
+    flags.tick = tick
+    code = _reason(promise, state, tick, acts, expected, checked, wait)
     return u_x, u_y, acts, code, bound

@@ -8,12 +8,11 @@ The proof is in docs/explanation/certificate.md. SI units.
 import functools
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 from agents.control.discs import AS_EXPECTED, MARGIN, MOST_KEPT, lens_distance
-from agents.control.promise import Declared, Promise
-from bus.ticks import first_tick_from, ticks_within
+from bus.ticks import ticks_within
 from sim.kernels.compile import compiled
+from sim.models.safety import SafetyBounds
 
 ROUNDING = 1e-12
 """Ticks by which a quotient may exceed a whole number and still be that number."""
@@ -88,59 +87,52 @@ def motion_stays_within(
     return True
 
 
-class HandoverBounds(NamedTuple):
-    """The bounds that the hand-over from one plan to the next depends on."""
-
-    r_v: float
-    """Visibility radius [m]."""
-    eps: float
-    """Largest error of a detection [m]."""
-    rho: float
-    """Largest radius of the newest detection's disc, eps + v_g (A + tau_c) [m]."""
-    v_a: float
-    u_a: float
-    v_g: float
-    """[m/s], [m/s²], [m/s]."""
-    dt: float
-    """Length of a tick [s]."""
-    wait: float
-    """For how long the UAV may have to rest at a plan's end, B [s]; 0 where no command is lost."""
+@compiled
+def largest_disc(bounds: SafetyBounds) -> float:
+    """Return rho_A = eps + v_g (A + tau_c) [m], the largest radius of the newest measurement's disc."""
+    b = bounds
+    return b.placed_error + b.v_g * (b.max_measurement_age + b.delay_ticks * b.dt)
 
 
 @compiled
-def handover_reach(bounds: HandoverBounds, radius: float) -> float:
+def handover_bound(bounds: SafetyBounds, radius: float) -> float:
     r"""E [m]: if the newest detection's own bound is at most this, the plan to any later one ends within `radius`, R_h.
 
-    $$ E = \frac{v_a}{v_g}\left(R_h - \rho_A (1 - v_g/v_a) - v_g (v_a/u_a + 2 dt + B)\right) - 2 \epsilon $$
+    $$ E = \frac{v_a}{v_g}\left(R_h - \rho_A (1 - v_g/v_a) - v_g (v_a/u_a + 2 dt + B - dt)\right) - 2 \epsilon $$
 
     R_h is taken `MARGIN` smaller here: a return ends off the walls, and starts with a residual velocity.
     """
     b, v_a, v_g = bounds, bounds.v_a, bounds.v_g
     if v_g == 0.0:
         return math.inf
-    rest = radius - MARGIN - b.rho * (1.0 - v_g / v_a)
-    return v_a / v_g * (rest - v_g * (v_a / b.u_a + 2.0 * b.dt + b.wait)) - 2.0 * b.eps
+    rest = radius - MARGIN - largest_disc(b) * (1.0 - v_g / v_a)
+    return (
+        v_a / v_g * (rest - v_g * (v_a / b.u_a + 2.0 * b.dt + (b.interval_ticks - 1) * b.dt))
+        - 2.0 * b.placed_error
+    )
 
 
 @compiled
-def _way_fits(bounds: HandoverBounds, k: int, radius: float) -> bool:
+def _way_fits(bounds: SafetyBounds, k: int, radius: float) -> bool:
     """True if every motion of a way of k steps stays within r_v, or no detection is so far; see `unfit_way`."""
-    b, step = bounds, max(_GRID, bounds.r_v / _STEPS)
-    way, reach = k * step, handover_reach(bounds, radius)
-    rest = min(b.rho, reach + 2.0 * b.eps - way + step)
+    b, step = bounds, max(_GRID, bounds.radius / _STEPS)
+    way, reach = k * step, handover_bound(bounds, radius)
+    rest = min(largest_disc(b), reach + 2.0 * b.placed_error - way + step)
     if rest < 0.0 or radius + rest < way - step:
         return True
     last_turn, last_cruise, _ = rest_to_rest((k - 1) * step, b.v_a, b.u_a, b.dt)
     turn, cruise, _ = rest_to_rest(way, b.v_a, b.u_a, b.dt)
     for i in range(max(1, last_turn), turn + 1):
         for j in range(last_cruise, cruise + 1):
-            if not motion_stays_within(b.r_v - step, radius, rest + step, way, i, j, b.v_g * b.dt):
+            if not motion_stays_within(
+                b.radius - step, radius, rest + step, way, i, j, b.v_g * b.dt
+            ):
                 return False
     return True
 
 
 @compiled
-def unfit_way(bounds: HandoverBounds, likely: int, radius: float) -> int:
+def unfit_way(bounds: SafetyBounds, likely: int, radius: float) -> int:
     """Steps of a way to a newer detection on which a motion from rest leaves r_v, the UGV within `radius` at its start.
 
     Over all ways in steps of half a centimetre, more where r_v is large: between two of them the motion with the same
@@ -157,14 +149,16 @@ def unfit_way(bounds: HandoverBounds, likely: int, radius: float) -> int:
     """
     if likely > 0 and not _way_fits(bounds, likely, radius):
         return likely
-    for k in range(1, int((radius + bounds.rho) / max(_GRID, bounds.r_v / _STEPS)) + 2):
+    for k in range(
+        1, int((radius + largest_disc(bounds)) / max(_GRID, bounds.radius / _STEPS)) + 2
+    ):
         if not _way_fits(bounds, k, radius):
             return k
     return 0
 
 
 @compiled
-def handover_radius(bounds: HandoverBounds) -> float:
+def handover_radius(bounds: SafetyBounds) -> float:
     """R_h [m]: from rest, with the UGV surely within it, every plan to a newer detection stays within r_v.
 
     NaN if there is none.
@@ -172,10 +166,10 @@ def handover_radius(bounds: HandoverBounds) -> float:
     Downwards in the same steps, as long as R_h <= E: the plan to a later detection ends where the next may begin. E
     falls faster than R_h, so where that fails no smaller radius helps.
     """
-    radius, step, unfit = bounds.r_v, max(_GRID, bounds.r_v / _STEPS), 0
-    while radius > bounds.rho:
+    radius, step, unfit = bounds.radius, max(_GRID, bounds.radius / _STEPS), 0
+    while radius > largest_disc(bounds):
         radius -= step
-        if not handover_reach(bounds, radius) >= radius:
+        if not handover_bound(bounds, radius) >= radius:
             return math.nan
         unfit = unfit_way(bounds, unfit, radius)
         if unfit == 0:
@@ -183,54 +177,17 @@ def handover_radius(bounds: HandoverBounds) -> float:
     return math.nan
 
 
-@compiled
-def tick_sagitta(v_a: float, u_a: float, dt: float) -> float:
-    r"""The largest distance of a vehicle from the chord of its way within a tick of constant acceleration a [m].
-
-    $a\,dt^2/8$.
-
-    The acceleration that acts is at most u_a [m/s²], and within the speed v_a [m/s] at most 2 v_a / dt. So between
-    two ticks the distance exceeds neither end's bound by more than this.
-    """
-    return min(0.125 * u_a * dt * dt, 0.25 * v_a * dt)
-
-
 @functools.lru_cache(maxsize=1024)
-def certificate(declared: Declared) -> Promise:
-    """The certificate of one UAV. What fails is NaN in it and named by `check_assumptions`."""
-    dt, v_g = float(declared.dt), float(declared.v_g)
-    v_a, u_a = float(declared.v_a), float(declared.u_a)
-    tracking, age = float(declared.tracking), float(declared.age)
-    eps = float(declared.eps) + tracking
-    delay_ticks = first_tick_from(declared.delay, dt)
-    r_v = float(declared.r_v - declared.margin) - tracking - tick_sagitta(v_a, u_a, dt)
-    outage_ticks = 0 if declared.outage is None else ticks_within(declared.outage, dt)
-    radius = reach = math.nan
-    if all(math.isfinite(x) for x in (r_v, v_a, v_g, eps, age)) and 0.0 <= v_g < v_a and u_a > 0.0:
-        rho = eps + v_g * (age + delay_ticks * dt)
-        bounds = HandoverBounds(r_v, eps, rho, v_a, u_a, v_g, dt, outage_ticks * dt)
-        radius = float(handover_radius(bounds))
-        reach = float(handover_reach(bounds, radius))
-    return Promise(
-        dt=dt,
-        error=float(declared.eps),
-        eps=eps,
-        tracking=tracking,
-        age=age,
-        age_ticks=ticks_within(age, dt),
-        delay_ticks=delay_ticks,
-        r_v=r_v - MARGIN,
-        v_a=v_a,
-        u_a=u_a,
-        v_g=v_g,
-        width=float(declared.width),
-        height=float(declared.height),
-        handover=radius,
-        reach=reach,
-        hold=float(declared.hold),
-        carries=declared.outage is not None,
-        outage_ticks=outage_ticks,
+def certificate(bounds: SafetyBounds) -> SafetyBounds:
+    """Add the hand-over to declared bounds: R_h and E stay NaN where `check_assumptions` names a fault."""
+    b, radius, reach = bounds, math.nan, math.nan
+    finite = all(
+        math.isfinite(x) for x in (b.radius, b.v_a, b.v_g, b.placed_error, b.max_measurement_age)
     )
+    if finite and 0.0 <= b.v_g < b.v_a and b.u_a > 0.0:
+        radius = float(handover_radius(b))
+        reach = float(handover_bound(b, radius))
+    return b._replace(radius=b.radius - MARGIN, handover_radius=radius, handover_bound=reach)
 
 
 @compiled
@@ -241,13 +198,13 @@ def certified_radius(
     v_g: float,
     dt: float,
     delay: float,
-    outage: float = 0.0,
+    wait: float = 0.0,
     tracking: float = 0.0,
 ) -> float:
     r"""r_cert [m]: while d_cert is less, every inner control acts, whatever the velocity.
 
     $$ r_{cert} = R_h + w - \frac{v_a^2}{2 u_a} - \frac{v_a v_g}{u_a}
-       - (\tfrac32 v_a + 2 v_g) dt - (v_a + v_g) \tau_c - v_g B $$
+       - (\tfrac32 v_a + 2 v_g) dt - (v_a + v_g) \tau_c - v_g (B - dt) $$
 
     With $R_h \to r_v - v_g^2 / (2 u_a)$ this is (18) as dt and tau_c go to 0. Beyond it the filter decides by the
     velocity that the UAV really has: r_cert is for display, for tuning and for tests.
@@ -257,23 +214,18 @@ def certified_radius(
         v_a, u_a, v_g: Bounds [m/s], [m/s²], [m/s].
         dt: Length of a tick [s].
         delay: tau_c [s].
-        outage: B [s]; 0 where commands carry no motions.
+        wait: B - dt [s].
         tracking: w [m], which d_cert holds, but R_h, around where the UAV is told that it is, does not.
     """
     stop = 0.5 * v_a * v_a / u_a + v_a * v_g / u_a
     return (
-        handover
-        - stop
-        - (1.5 * v_a + 2.0 * v_g) * dt
-        - (v_a + v_g) * delay
-        - v_g * outage
-        + tracking
+        handover - stop - (1.5 * v_a + 2.0 * v_g) * dt - (v_a + v_g) * delay - v_g * wait + tracking
     )
 
 
-def _largest(promise: Promise, fits: Callable[[float], bool]) -> float:
+def _largest(promise: SafetyBounds, fits: Callable[[float], bool]) -> float:
     """The largest time [s] that fits, to a hundredth; NaN if there is none."""
-    low, high = 0.0, promise.r_v / max(promise.v_g, 1e-9)
+    low, high = 0.0, promise.radius / max(promise.v_g, 1e-9)
     if not fits(low):
         return math.nan
     while high - low > 0.01:
@@ -282,60 +234,52 @@ def _largest(promise: Promise, fits: Callable[[float], bool]) -> float:
     return low
 
 
-def _hands_over(promise: Promise, age: float, outage: float) -> bool:
-    """True if the hand-over holds with these A and B [s], other numbers as they are."""
-    rho = promise.eps + promise.v_g * (age + promise.delay_ticks * promise.dt)
-    bounds = HandoverBounds(
-        promise.r_v + MARGIN,
-        promise.eps,
-        rho,
-        promise.v_a,
-        promise.u_a,
-        promise.v_g,
-        promise.dt,
-        outage,
+def _hands_over(bounds: SafetyBounds, age: float, interval_ticks: int) -> bool:
+    """Return whether the hand-over holds with these A [s] and B, other numbers as they are."""
+    tried = bounds._replace(
+        radius=bounds.radius + MARGIN, max_measurement_age=age, interval_ticks=interval_ticks
     )
-    return not math.isnan(handover_radius(bounds))
+    return not math.isnan(handover_radius(tried))
 
 
-def largest_age(promise: Promise) -> float:
-    """The largest A [s] for which the hand-over holds, other numbers as they are; NaN if there is none.
-
-    To a hundredth.
-    """
-    outage = promise.outage_ticks * promise.dt
-    return _largest(promise, lambda age: _hands_over(promise, age, outage))
+def largest_age(bounds: SafetyBounds) -> float:
+    """Return the largest A [s] for which the hand-over holds, to a hundredth; NaN if there is none."""
+    return _largest(bounds, lambda age: _hands_over(bounds, age, bounds.interval_ticks))
 
 
-def largest_outage(promise: Promise) -> float:
-    """The largest B [s] for which the hand-over holds, other numbers as they are; NaN if there is none.
+def largest_interval(bounds: SafetyBounds) -> float:
+    """Return the largest B [s] for which the hand-over holds, in whole ticks; NaN if there is none."""
 
-    To a hundredth.
-    """
-    return _largest(promise, lambda outage: _hands_over(promise, promise.age, outage))
+    def fits(time: float) -> bool:
+        return _hands_over(bounds, bounds.max_measurement_age, 1 + ticks_within(time, bounds.dt))
+
+    return (
+        bounds.dt * (1 + ticks_within(_largest(bounds, fits), bounds.dt)) if fits(0.0) else math.nan
+    )
 
 
-def _largest_place(promise: Promise) -> float:
+def _largest_place(promise: SafetyBounds) -> float:
     """The largest coordinate in an area with walls [m]; 0 without."""
     return max(size if math.isfinite(size) else 0.0 for size in (promise.width, promise.height))
 
 
-def check_assumptions(promise: Promise) -> tuple[str, ...]:
+def check_assumptions(promise: SafetyBounds) -> tuple[str, ...]:
     """The assumptions that do not hold, one line each with its numbers.
 
     Empty if all hold that are known when a run is loaded.
     """
+    age, placed = promise.max_measurement_age, promise.placed_error
     delay, faults = promise.delay_ticks * promise.dt, list[str]()
-    if not math.isfinite(promise.tracking):
+    if not math.isfinite(promise.max_tracking_error):
         faults.append(
-            f"w = {promise.tracking:g} m: how far the UAV is from where it is told that it is has no bound"
+            f"w = {promise.max_tracking_error:g} m: how far the UAV is from where it is told that it is has no bound"
         )
-    elif not math.isfinite(promise.eps):
+    elif not math.isfinite(placed):
         faults.append(
-            f"eps = {promise.eps:g} m: the noise of the detections is not cut, so none of them bounds the distance"
+            f"eps = {placed:g} m: the noise of the detections is not cut, so none of them bounds the distance"
         )
-    if not math.isfinite(promise.age):
-        faults.append(f"A = {promise.age:g} s: the age of the newest detection has no bound")
+    if not math.isfinite(age):
+        faults.append(f"A = {age:g} s: the age of the newest detection has no bound")
     if not math.isfinite(promise.v_a) or not math.isfinite(promise.v_g):
         faults.append(
             f"v_a = {promise.v_a:g} m/s, v_g = {promise.v_g:g} m/s: both speeds must be bounded"
@@ -351,39 +295,37 @@ def check_assumptions(promise: Promise) -> tuple[str, ...]:
             f"u_a = {promise.u_a:g} m/s²: changes the speed by {promise.u_a * promise.dt:g} m/s in a tick, "
             f"too little for a lost command to be noticed; {_LEAST_STEP:g} m/s at least"
         )
-    if math.isfinite(promise.age) and promise.age_ticks >= MOST_KEPT:
+    if math.isfinite(age) and promise.max_age_ticks >= MOST_KEPT:
         faults.append(
-            f"A = {promise.age:g} s: {promise.age_ticks:,} ticks; no detection is used that is older than {MOST_KEPT:,}"
+            f"A = {age:g} s: {promise.max_age_ticks:,} ticks; no detection is used that is older than {MOST_KEPT:,}"
         )
-    elif math.isfinite(promise.age):
+    elif math.isfinite(age):
         strayed = (
-            0.5 * math.ulp(_largest_place(promise)) * (promise.age_ticks + promise.delay_ticks)
+            0.5 * math.ulp(_largest_place(promise)) * (promise.max_age_ticks + promise.delay_ticks)
         )
         if strayed > 0.5 * MARGIN:
             faults.append(
                 f"area = {promise.width:g} m x {promise.height:g} m: far from its corner rounding alone moves the "
-                f"UGV by up to {strayed:.2g} m in A = {promise.age:g} s, which no margin covers"
+                f"UGV by up to {strayed:.2g} m in A = {age:g} s, which no margin covers"
             )
-    if not faults and math.isnan(promise.handover):
-        rho, most = promise.eps + promise.v_g * (promise.age + delay), largest_age(promise)
-        terms, sizes = "eps", f"eps {promise.eps:g} m"
-        if promise.tracking > 0.0:
-            terms, sizes = "eps + w", f"eps {promise.error:g} m, w {promise.tracking:g} m"
+    if not faults and math.isnan(promise.handover_radius):
+        rho, most = (
+            placed + promise.v_g * (age + delay),
+            largest_age(promise),
+        )
+        terms, sizes = "eps", f"eps {placed:g} m"
+        if promise.max_tracking_error > 0.0:
+            terms, sizes = (
+                "eps + w",
+                f"eps {promise.max_measurement_error:g} m, w {promise.max_tracking_error:g} m",
+            )
         limit = "for no A" if math.isnan(most) else f"for A up to {most:.2f} s"
-        if promise.carries:
-            most = largest_outage(promise)
+        if promise.interval_ticks > 1:
+            most = largest_interval(promise)
             limit += ", or for no B" if math.isnan(most) else f", or for B up to {most:.2f} s"
-            limit += f", not {promise.outage_ticks * promise.dt:g} s"
+            limit += f", not {promise.interval_ticks * promise.dt:g} s"
         faults.append(
-            f"{terms} + v_g (A + tau_c) = {rho:.4g} m ({sizes}, A {promise.age:g} s, tau_c {delay:g} s): "
-            f"too much for r_v = {promise.r_v:.4g} m; with these numbers the hand-over holds {limit}"
-        )
-    if promise.carries and promise.outage_ticks < 1:
-        faults.append(
-            f"B: must be at least a tick, {promise.dt:g} s, as the next motion begins in the next tick"
-        )
-    if not promise.carries and promise.hold < delay - 0.5 * promise.dt:
-        faults.append(
-            f"hold = {promise.hold:g} s: shorter than tau_c = {delay:g} s, so that the UAV brakes before a command acts"
+            f"{terms} + v_g (A + tau_c) = {rho:.4g} m ({sizes}, A {age:g} s, tau_c {delay:g} s): "
+            f"too much for r_v = {promise.radius:.4g} m; with these numbers the hand-over holds {limit}"
         )
     return tuple(faults)

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from agents.control.visibility import promise_of
+from agents.control.visibility import bounds_of
 from bus.errors import ScenarioError
 from bus.messages import UavBriefing, or_infinite
 from bus.registry import SENSORS
@@ -61,8 +61,8 @@ class Target(NamedTuple):
 
 def _max_distance(briefing: UavBriefing) -> float:
     """Return r_v of the safety filter less the largest declared error of a detection [m]."""
-    promise = promise_of(briefing)
-    distance = promise.r_v - promise.eps
+    promise = bounds_of(briefing)
+    distance = promise.radius - promise.placed_error
     return float(distance if math.isfinite(distance) else briefing.visibility_radius)
 
 

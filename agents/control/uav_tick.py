@@ -1,12 +1,12 @@
 """Perception of the UAVs of a batch, compiled."""
 
 from agents.control.guard import GuardState, note_detection, note_position
-from agents.control.promise import Promise
 from agents.control.uav_parameters import UavParameters
 from bus.ticks import Look
 from sim.kernels.compile import FloatArray, compiled
 from sim.kernels.records import columns
 from sim.models.field import accumulate
+from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion
 
 LOOK = columns(Look)
@@ -16,7 +16,7 @@ LOOK = columns(Look)
 @compiled
 def uav_perceive(
     uav: UavParameters,
-    promise: Promise,
+    promise: SafetyBounds,
     guarded: bool,
     coverage: FloatArray,
     guard: GuardState,

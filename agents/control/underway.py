@@ -15,7 +15,6 @@ import numpy as np
 
 from agents.control.certificate import BEST_EFFORT, rest_radius, step_in_area
 from agents.control.discs import AS_EXPECTED
-from agents.control.promise import Promise
 from bus.messages import MOST_CARRIED
 from sim.kernels.compile import compiled
 from sim.kernels.records import RecordArray, record_type
@@ -27,6 +26,7 @@ from sim.models.motion import (
     no_motions,
     waited,
 )
+from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion
 
 _NOW, _END = 0, 1
@@ -148,7 +148,9 @@ def take_observation(state: Underway, tick: int, here: Motion, flown: int, last_
 
 
 @compiled
-def due_end(promise: Promise, state: Underway, tick: int, here: Motion) -> tuple[Motion, bool, int]:
+def due_end(
+    promise: SafetyBounds, state: Underway, tick: int, here: Motion
+) -> tuple[Motion, bool, int]:
     """Predicts the UAV's state when the motion of this tick's command begins.
 
     `state.flown` then has what it flies there. What is under way is in a chain from what is flown now, or void.
@@ -205,7 +207,7 @@ def _check_rest(rows: RecordArray, k: int, tick: int, here: Motion, radius: floa
 
 @compiled
 def check_rest(
-    promise: Promise,
+    promise: SafetyBounds,
     state: Underway,
     detections: RecordArray,
     plan: RecordArray,
@@ -238,7 +240,7 @@ def check_rest(
 
 @compiled
 def send_motion(
-    promise: Promise,
+    promise: SafetyBounds,
     state: Underway,
     plan: RecordArray,
     tick: int,
@@ -283,7 +285,7 @@ def send_motion(
 
 
 @compiled
-def carried(promise: Promise, state: Underway, tick: int) -> int:
+def carried(promise: SafetyBounds, state: Underway, tick: int) -> int:
     """The number of motions that this tick's command carries: its own, and those just before it that have not begun."""
     last, n = tick + promise.delay_ticks, 0
     while n < MOST_CARRIED and last - n >= tick:
@@ -295,7 +297,7 @@ def carried(promise: Promise, state: Underway, tick: int) -> int:
 
 @compiled
 def hand_over(
-    promise: Promise, state: Underway, tick: int, motions: RecordArray
+    promise: SafetyBounds, state: Underway, tick: int, motions: RecordArray
 ) -> tuple[int, int]:
     """Put the motions that the command of this tick carries among those that set out.
 

@@ -1,29 +1,26 @@
 """The visibility constraint (5), the radius from which only tracking acts (18), and the filter that keeps sight."""
 
 from collections import Counter
-from collections.abc import Collection
 
 import msgspec
-import numpy as np
 
 from agents.control.certificate import CERTIFIED, INNER, UNCERTIFIED
 from agents.control.guard import (
     forget_commands,
     guard,
     guard_state,
-    note_commands,
     note_detection,
     note_position,
     track_ticks,
 )
 from agents.control.handover import certificate, check_assumptions
-from agents.control.promise import Declared, Promise
 from agents.control.underway import carried
 from bus.errors import ScenarioError
 from bus.messages import MotionPlan, UavBriefing, UavObservation, Vector, or_infinite
 from bus.ticks import looks_of
 from sim.kernels.compile import compiled
 from sim.models.motion import NO_MOTION, motion_plan
+from sim.models.safety import SafetyBounds, safety_bounds
 from sim.models.vehicles import Motion, norm, raw_switching_radius
 
 
@@ -59,25 +56,19 @@ def switching_radius(r_v: float, v_a: float, v_g: float, u_a: float) -> float:
     return r_s
 
 
-def promise_of(briefing: UavBriefing) -> Promise:
-    """The certificate that a UAV can give on what it is told."""
-    own, target, declared = briefing.limits, briefing.target_limits, briefing.certificate
+def bounds_of(briefing: UavBriefing) -> SafetyBounds:
+    """Return the bounds of a UAV's safety filter, hand-over included."""
+    own, target = briefing.limits, briefing.target_limits
     return certificate(
-        Declared(
-            r_v=briefing.visibility_radius,
+        safety_bounds(
+            briefing.safety,
+            visibility_radius=briefing.visibility_radius,
             v_a=or_infinite(own.max_speed),
             u_a=or_infinite(own.max_acceleration),
             v_g=or_infinite(target.max_speed),
             dt=briefing.dt,
-            eps=or_infinite(declared.error),
-            age=declared.age,
-            delay=declared.delay,
-            margin=declared.margin,
             width=briefing.area.width,
             height=briefing.area.height,
-            hold=or_infinite(declared.hold),
-            outage=declared.outage,
-            tracking=or_infinite(declared.tracking),
         )
     )
 
@@ -100,8 +91,8 @@ class Verdict(msgspec.Struct, frozen=True):
     """Why not."""
     distance: float
     """The UGV is surely no farther than this [m]; infinite before the first detection."""
-    motions: tuple[MotionPlan, ...] = ()
-    """The motions that the command is to carry, where the vehicle flies motions."""
+    motions: tuple[MotionPlan, ...]
+    """The motions that the command is to carry; a receiver of bare accelerations ignores them."""
 
 
 class SafetyFilter:
@@ -111,12 +102,10 @@ class SafetyFilter:
 
     Args:
         briefing: What the UAV is told when it joins: bounds, r_v, and what is declared of detections and commands.
-        sent: Where the filter begins in the middle of a flight: the commands of the last ticks, the oldest first
-            [m/s²].
     """
 
-    def __init__(self, briefing: UavBriefing, *, sent: Collection[Vector] = ()) -> None:
-        self.promise = promise_of(briefing)
+    def __init__(self, briefing: UavBriefing) -> None:
+        self.promise = bounds_of(briefing)
         """The declared numbers, and what follows from them."""
         self.faults = check_assumptions(self.promise)
         """Why nothing can be certified with these numbers, a line each."""
@@ -128,13 +117,11 @@ class SafetyFilter:
         """Ticks that were not certified, by reason."""
         self.state = guard_state(self.promise.delay_ticks, depth=track_ticks(self.promise))
         """The memory that the compiled functions of `agents.control.guard` work on."""
-        if sent:
-            note_commands(self.state, np.array(list(sent), dtype=np.float64))
 
     def forget_commands(self) -> None:
         """It is not known whether the last commands were sent.
 
-        Until those under way are known again, nothing is certified.
+        Until the vehicle flies one that is sent after this, nothing is certified.
         """
         forget_commands(self.state)
 
@@ -175,5 +162,4 @@ class SafetyFilter:
         self.interventions += intervened
         if reason:
             self.uncertified[reason] += 1
-        motions = self._motions(tick) if self.promise.carries else ()
-        return Verdict((u_x, u_y), intervened, not reason, reason, distance, motions)
+        return Verdict((u_x, u_y), intervened, not reason, reason, distance, self._motions(tick))

@@ -35,12 +35,12 @@ from agents.control.discs import (
     no_detections,
     radius_at,
 )
-from agents.control.promise import Promise
-from agents.control.visibility import Verdict, promise_of
+from agents.control.visibility import Verdict, bounds_of
 from bus.messages import UavBriefing, UavObservation, Vector
 from bus.ticks import tick_of
 from sim.kernels.compile import compiled
 from sim.kernels.records import RecordArray
+from sim.models.safety import SafetyBounds
 from sim.models.vehicles import (
     Motion,
     clip_norm,
@@ -84,7 +84,7 @@ def backup_policy(
 
 
 @compiled
-def worst_distance(promise: Promise, known: Known, tick: int, x: float, y: float) -> float:
+def worst_distance(promise: SafetyBounds, known: Known, tick: int, x: float, y: float) -> float:
     """The largest distance of the UGV from (x, y) [m] at a tick, by the newest disc and the one of least bound."""
     a, b = known.newest, known.nearest
     a_r, b_r = radius_at(promise, a, tick), radius_at(promise, b, tick)
@@ -96,7 +96,7 @@ def worst_distance(promise: Promise, known: Known, tick: int, x: float, y: float
 
 @compiled
 def flow_value(
-    promise: Promise, known: Known, tick: int, spent: int, here: Motion, enough: float
+    promise: SafetyBounds, known: Known, tick: int, spent: int, here: Motion, enough: float
 ) -> float:
     """h_I [m] of the state in which the UAV is `spent` ticks after this one.
 
@@ -118,7 +118,7 @@ def flow_value(
             return -math.inf
         arrived = norm(v_x, v_y) < _REST and norm(p_x - z_x, p_y - z_y) < _NEAR
         if wait <= 0.0 or arrived:
-            room = c.r_v - worst_distance(c, known, tick, p_x, p_y) - driven
+            room = c.radius - worst_distance(c, known, tick, p_x, p_y) - driven
             value = min(value, room)
             if value < enough:
                 return value
@@ -127,7 +127,7 @@ def flow_value(
         if arrived:
             end = worst_distance(c, known, tick, p_x, p_y) + driven + _NEAR
             reach = norm(p_x - z_x, p_y - z_y) + radius_at(c, known.newest, tick) + driven + _NEAR
-            return min(value, c.handover - end, c.reach - reach)
+            return min(value, c.handover_radius - end, c.handover_bound - reach)
         u_x, u_y = backup_policy(p_x, p_y, v_x, v_y, z_x, z_y, c.v_a, c.u_a, c.dt)
         p_x, p_y, v_x, v_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, c.v_a, c.u_a, c.dt)
         wait -= (c.v_a + c.v_g) * c.dt
@@ -136,7 +136,7 @@ def flow_value(
 
 @compiled
 def value_after(
-    promise: Promise,
+    promise: SafetyBounds,
     known: Known,
     tick: int,
     here: Motion,
@@ -155,7 +155,7 @@ def value_after(
 
 @compiled
 def filtered(
-    promise: Promise,
+    promise: SafetyBounds,
     discs: RecordArray,
     tick: int,
     here: Motion,
@@ -234,7 +234,7 @@ class BackupFilter:
     """
 
     def __init__(self, briefing: UavBriefing, *, gamma: float = 1.0) -> None:
-        self.promise = promise_of(briefing)
+        self.promise = bounds_of(briefing)
         self.gamma = gamma
         self._discs = no_detections()
         self._track: dict[int, Vector] = {}
@@ -269,7 +269,7 @@ class BackupFilter:
             u_x, u_y = clip_norm(-v_x / c.dt, -v_y / c.dt, c.u_a)
             acts, feasible, fresh = True, False, False
         else:
-            fresh = tick - int(self._discs[new]["taken"]) <= c.age_ticks
+            fresh = tick - int(self._discs[new]["taken"]) <= c.max_age_ticks
             wanted = (float(acceleration[0]), float(acceleration[1]))
             u_x, u_y, acts, feasible = filtered(
                 c, self._discs, tick, Motion(p_x, p_y, v_x, v_y), *wanted, self.gamma

@@ -1,6 +1,6 @@
 """An attack on the certificate.
 
-The project's own world and links, the UAV's filter, and adversaries in everything else.
+The project's own world, links and counting, the UAV's filter, and adversaries in everything else.
 
 The adversary knows the truth and the code. It is the inner control, the UGV, the errors of the detections, which of
 them are made at all, and what becomes of commands. Everything is drawn from the seed and the run's number, so any run
@@ -23,7 +23,6 @@ from agents.control.guard import (
     note_detection,
     note_position,
 )
-from agents.control.promise import Promise
 from agents.control.tracking import tracking_output, tracking_step
 from bus.messages import LinkKind
 from bus.ticks import DUST
@@ -60,6 +59,17 @@ from outrider_falsify.opponents import (
 from outrider_falsify.tick_distance import largest_between
 from sim.channel.link_records import ARRIVED
 from sim.engine.batch import Batch
+from sim.engine.monitor import NEVER as NEVER_SEEN
+from sim.engine.monitor import (
+    Claim,
+    certificate_counters,
+    record_arrival,
+    record_decision,
+    record_end,
+    record_interval,
+    reset_counters,
+    reset_filter,
+)
 from sim.engine.world_state import (
     BatchState,
     BatchTables,
@@ -72,15 +82,14 @@ from sim.engine.world_tick import (
 )
 from sim.kernels.compile import FloatArray, compiled, released
 from sim.kernels.records import RecordArray, record_type
-from sim.models.motion import keep_motion, waited
+from sim.models.motion import keep_motion
 from sim.models.randomness import FIRST, draw
+from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion, clip_norm, norm
 
 _ATTACK = 1001  # purpose of the draws
-_RING = 256
-"""Commands that are remembered, to see whether they act when they should."""
-_ROUNDING = 1e-9
-"""An error that is larger than declared by no more than this [m] is as declared."""
+_RING = 8
+"""Commands that are remembered: so many ticks at most are they late."""
 _A_C, _B_C, _C_C, _D_C = -3.0, -3.0, -8.0 / 3.0, -3.0  # (15) with the paper's closed loop (s + 1)^3
 
 
@@ -100,9 +109,9 @@ class AttackResult(NamedTuple):
     max_age: float
     """Largest age of the newest detection [s]."""
     certified_lost: float
-    """Ticks certified with a distance of r_v or more at them or, if the right command acted, until the next."""
+    """Ticks certified with a distance of r_v or more at them or, if A5' holds, until the next."""
     broken: float
-    """Ticks at which the certificate is lost although its assumptions hold."""
+    """Ticks at which the certificate is lost although its assumptions hold, as the simulator counts them."""
     max_certified: float
     """Largest distance while certified [m]."""
 
@@ -117,11 +126,9 @@ class Trouble(NamedTuple):
     silent: int
     """For so long no command comes yet."""
     late: int
-    """So much later than declared commands act."""
+    """Commands set out so much later than they should."""
     away: int
     """For so long the UAV's process is away yet."""
-    last_break: int
-    """The last tick with which A5 is broken."""
 
 
 class Room(NamedTuple):
@@ -135,7 +142,9 @@ class Room(NamedTuple):
     now: RecordArray
     """`Motion` of UAV and UGV as they truly are, at the last tick and now. (2,)"""
     ring: FloatArray
-    """The commands of the last ticks [m/s²]. (_RING, 2)"""
+    """The commands of the last ticks [m/s²], and 1 for each that carries a motion. (_RING, 3)"""
+    counts: RecordArray
+    """`CertificateCounters`. (1,)"""
 
 
 def empty_room() -> Room:
@@ -145,7 +154,8 @@ def empty_room() -> Room:
         trouble=np.zeros(1, record_type(Trouble)),
         before=np.zeros(2, record_type(Motion)),
         now=np.zeros(2, record_type(Motion)),
-        ring=np.zeros((_RING, 2)),
+        ring=np.zeros((_RING, 3)),
+        counts=certificate_counters(1),
     )
 
 
@@ -159,8 +169,12 @@ def _keep_states(state: BatchState, states: RecordArray) -> None:
 
 @compiled
 def _place(conditions: Conditions, tables: BatchTables, state: BatchState, random: Words) -> None:
-    """Put UGV and UAV where the run begins."""
+    """Put UGV and UAV where the run begins, and let the UAV move where the conditions ask for it."""
     parameters, vehicles = tables.world[0], state.vehicles
+    if conditions.start_speed > 0.0:
+        speed = conditions.start_speed * vehicles[0, UAV].max_speed
+        e_x, e_y = draw_direction(random)
+        vehicles[0, UAV].velocity[0], vehicles[0, UAV].velocity[1] = speed * e_x, speed * e_y
     if conditions.area == AREAS.open:
         vehicles[0, UGV].position[0], vehicles[0, UGV].position[1] = (
             0.5 * parameters.width,
@@ -219,16 +233,15 @@ def _begin_plots(room: Room, random: Words, u_a: float, u_g: float) -> None:
     plots[UGV].heading_x, plots[UGV].heading_y = draw_direction(random)
     plots[UGV].error_x, plots[UGV].error_y = draw_direction(random)
     plots[UAV].losing = ALIVE
-    trouble.dark, trouble.seen, trouble.last_break = 0, 1, -1_000_000
+    trouble.dark, trouble.seen = 0, 1
     trouble.silent, trouble.late, trouble.away = 0, 0, 0
-    for k in range(ring.shape[0]):
-        ring[k, 0], ring[k, 1] = 0.0, 0.0
+    ring[:] = 0.0
 
 
 @compiled
 def _switch_command(
     conditions: Conditions,
-    promise: Promise,
+    promise: SafetyBounds,
     detections: RecordArray,
     plots: RecordArray,
     tick: int,
@@ -257,37 +270,28 @@ def _switch_command(
 
 
 @compiled
-def _disturb_command(
-    conditions: Conditions, promise: Promise, room: Room, random: Words, tick: int, carrying: bool
-) -> tuple[float, float]:
-    """The command of this tick as disturbed [m/s²]: NaN if it is lost, another one if it comes late."""
-    trouble, ring = room.trouble[0], room.ring
-    u_x, u_y = ring[tick % _RING, 0], ring[tick % _RING, 1]
+def _delay_command(conditions: Conditions, room: Room, random: Words, tick: int, dt: float) -> int:
+    """Return the tick whose command sets out in this one; -1: none does."""
+    trouble = room.trouble[0]
     if conditions.disturbance == DISTURBANCES.single_losses and next_share(random) < 0.02:
-        u_x = math.nan
+        return -1
     if conditions.disturbance == DISTURBANCES.silences:
         if trouble.silent == 0 and next_share(random) < 0.02:
-            trouble.silent = 1 + int(
-                next_share(random) * max(1, round(conditions.silence / promise.dt))
-            )
+            trouble.silent = 1 + int(next_share(random) * max(1, round(conditions.silence / dt)))
         if trouble.silent > 0:
             trouble.silent -= 1
-            u_x = math.nan
+            return -1
     if conditions.disturbance == DISTURBANCES.late:
         if next_share(random) < 0.01:
             trouble.late = int(next_share(random) * 6)
-        if trouble.late > 0 and carrying:
-            u_x = math.nan
-        elif trouble.late > 0 and tick >= trouble.late:
-            then = (tick - trouble.late) % _RING
-            u_x, u_y = ring[then, 0], ring[then, 1]
-    if (math.isnan(u_x) or trouble.late > 0) and not promise.carries:
-        trouble.last_break = tick + promise.delay_ticks
-    return u_x, u_y
+        return int(max(-1, tick - trouble.late))
+    return tick
 
 
 @compiled
-def _darken(conditions: Conditions, promise: Promise, room: Room, random: Words, tick: int) -> None:
+def _darken(
+    conditions: Conditions, promise: SafetyBounds, room: Room, random: Words, tick: int
+) -> None:
     """Begin a blackout now and then, with a detection at least since the last one."""
     trouble, now, longest = room.trouble[0], room.now, round(conditions.blackout_time / promise.dt)
     if trouble.dark > 0 or trouble.seen == 0 or tick <= 20 or longest == 0:
@@ -302,34 +306,13 @@ def _darken(conditions: Conditions, promise: Promise, room: Room, random: Words,
             trouble.dark = longest
 
 
-@compiled
-def _acted(promise: Promise, state: BatchState, room: Room, tick: int) -> bool:
-    """True if the command acted in this tick that should have; else A5 is broken."""
-    trouble, ring = room.trouble[0], room.ring
-    if promise.carries:
-        acted = (
-            waited(tick, state.flown[0, UAV, 0].begins, promise.delay_ticks) < promise.outage_ticks
-        )
-        trouble.last_break = trouble.last_break if acted else tick
-        return acted
-    u_x, u_y = 0.0, 0.0
-    if tick >= promise.delay_ticks:
-        should = (tick - promise.delay_ticks) % _RING
-        u_x, u_y = ring[should, 0], ring[should, 1]
-    acting = state.vehicles[0, UAV].command
-    acted = acting[0] == u_x and acting[1] == u_y
-    if not acted:
-        trouble.last_break = max(trouble.last_break, tick + promise.delay_ticks)
-    return bool(acted)
-
-
 @released
 def fly_one(
     tables: BatchTables,
     state: BatchState,
     memory: GuardState,
     room: Room,
-    promise: Promise,
+    promise: SafetyBounds,
     conditions: Conditions,
     random: Words,
     ticks: int,
@@ -349,6 +332,7 @@ def fly_one(
     """
     uav_row, ugv_row, result = state.vehicles[0, UAV], state.vehicles[0, UGV], results[0]
     plots, trouble, before, now = room.plots, room.trouble[0], room.before, room.now
+    counts = room.counts[0]
     dt, u_a, d_ticks = promise.dt, promise.u_a, promise.delay_ticks
     u_g = conditions.u_g if math.isfinite(conditions.u_g) else 2.0 * promise.v_g / dt
     inner = choose(random, conditions.inner, len(INNERS))
@@ -372,9 +356,9 @@ def fly_one(
         blows = choose(random, conditions.blows, len(WINDS))
     begin_guard(memory)
     begin_world(tables, state, None, 0)
-    certified_before, filtering, first_seen, seen_ticks = False, True, -1, 0
-    exact = True  # no detection that has arrived had a larger error than declared
-    suspected, since, total, intervened, uncertified = 0, 0, 0.0, 0, 0
+    filtering, first_seen, seen_ticks = True, -1, 0
+    total, intervened, uncertified = 0.0, 0, 0
+    reset_counters(counts)
     acts, code = INNER, NO_DETECTION
     result.max_distance, result.max_excess, result.max_age = 0.0, -math.inf, 0.0
     result.certified_lost, result.broken, result.max_certified = 0.0, 0.0, 0.0
@@ -393,7 +377,7 @@ def fly_one(
             for n in range(state.links[0, 0].arrived):
                 packet = state.packets[0, 0, ARRIVED, n]
                 taken, (d_x, d_y) = int(packet.stamp), packet.vector
-                exact = exact and packet.error <= promise.error + _ROUNDING
+                record_arrival(promise, counts, taken, packet.error)
                 note_detection(promise, memory, taken, tick, d_x, d_y, here.p_x, here.p_y)
         detections = memory.detections
         new = newest_detection(detections)
@@ -419,74 +403,59 @@ def fly_one(
             xc_x, xc_y = tracking_step(xc_x, xc_y, z_x, z_y, _A_C, _B_C, dt)
         u_x, u_y = inner_command(inner, x, y, here, z_x, z_y, rate * (tick * dt), plots, u_a)
         u_x, u_y = clip_norm(u_x, u_y, u_a)
-        certified = carrying = False
+        certified = carrying = reported = False
         if conditions.law == GUARDS.filter:
             if conditions.disturbance == DISTURBANCES.law_changes and next_share(random) < 0.01:
                 filtering = not filtering
                 if filtering:
                     begin_guard(memory)
-                    exact = True
+                    reset_filter(counts)
                     note_position(memory, tick, here.p_x, here.p_y)
-                trouble.last_break = tick
             leaves = conditions.disturbance == DISTURBANCES.rejoins and trouble.away == 0
             if leaves and next_share(random) < 0.005:
                 trouble.away = 1 + int(next_share(random) * 20)
             if trouble.away > 0:
                 trouble.away -= 1
-                u_x, u_y, trouble.last_break = math.nan, math.nan, tick
                 if trouble.away == 0:
                     forget_commands(memory)
             elif filtering:
-                flown = state.flown[0, UAV, 0].begins
-                u_x, u_y, acts, code, _ = guard(promise, memory, tick, here, u_x, u_y, flown)
-                carrying = promise.carries
+                begun = state.flown[0, UAV, 0].begins
+                u_x, u_y, acts, code, _ = guard(promise, memory, tick, here, u_x, u_y, begun)
+                carrying = not conditions.bare
                 certified = code == CERTIFIED
                 intervened += acts != INNER
+                said = Claim(certified, acts != INNER, d >= conditions.r_v, True)
+                record_decision(promise, counts, tick, said)
+                reported = True
         elif (
             new >= 0
             and (norm(z_x, z_y) if conditions.law == GUARDS.paper else bound) >= conditions.radius
         ):
             intervened += 1
             u_x, u_y = _switch_command(conditions, promise, detections, plots, tick, here, z_x, z_y)
+        counts.certified_before = counts.certified_before and reported
         if first_seen >= 0:
             seen_ticks += 1
             uncertified += not certified
-        quiet = tick - trouble.last_break
         if certified:
             result.max_certified = max(result.max_certified, d)
-            result.certified_lost += d >= conditions.r_v
-        elif (
-            exact
-            and certified_before
-            and quiet > d_ticks + 1
-            and new >= 0
-            and age <= promise.age_ticks
-        ):
-            suspected, since = suspected + 1, tick
-        if quiet <= 1:
-            suspected = 0
-        # an outage is known as soon as nothing that is under way can end it in time
-        if not promise.carries or tick > since + d_ticks - 1:
-            result.broken += suspected
-            suspected = 0
-        certified_before = certified
         if tick == ticks:
             break
         # what becomes of the command
-        room.ring[tick % _RING, 0], room.ring[tick % _RING, 1] = u_x, u_y
-        u_x, u_y = _disturb_command(conditions, promise, room, random, tick, carrying)
-        uav_row.outgoing_motion, uav_row.outgoing_motions = -1, 0
+        sent = room.ring[tick % _RING]
+        sent[0], sent[1], sent[2] = u_x, u_y, 1.0 if carrying else 0.0
+        then = -1 if trouble.away > 0 else _delay_command(conditions, room, random, tick, dt)
         if carrying:
             held, under = memory.plan[0], memory.underway.sent
             left = held.turn + held.cruise + held.brake
             pending = Pending(tick, d_ticks, allowed, d / conditions.r_v, left)
             lost, plots[UAV].losing = loses(losses, random, plots[UAV].losing, pending)
             keep_motion(state.motions[0, UAV], under[(tick + d_ticks) % under.shape[0]], tick)
-            uav_row.outgoing_motion, uav_row.outgoing_motions = tick + d_ticks, 1
-            if lost:
-                u_x = math.nan
-        uav_row.outgoing_tick = -1 if math.isnan(u_x) else tick
-        uav_row.outgoing[0], uav_row.outgoing[1] = u_x, u_y
+            then = -1 if lost else then
+        sent, uav_row.outgoing_tick = room.ring[then % _RING], then
+        uav_row.outgoing[0], uav_row.outgoing[1] = sent[0], sent[1]
+        uav_row.outgoing_motion = then + d_ticks if sent[2] > 0.0 else -1
+        uav_row.outgoing_motions = 1 if sent[2] > 0.0 else 0
         # the UGV
         if next_share(random) < 0.01:
             redraw(random, plots, UGV, u_g)
@@ -509,7 +478,7 @@ def fly_one(
         x, y = now[UAV].p_x - now[UGV].p_x, now[UAV].p_y - now[UGV].p_y
         _darken(conditions, promise, room, random, tick)
         n_x, n_y = detection_error(
-            error, random, tick, promise.error * conditions.error_share, x, y, plots
+            error, random, tick, promise.max_measurement_error * conditions.error_share, x, y, plots
         )
         trouble.seen = 1 if trouble.dark == 0 else 0
         if trouble.dark > 0:
@@ -519,16 +488,22 @@ def fly_one(
         if not math.isnan(found[0]):
             found[0], found[1] = x - n_x, y - n_y
         deliver_detections(tables, state, 0)
-        if _acted(promise, state, room, tick) and certified:
+        flown = state.flown[0, UAV, 0]
+        bare = uav_row.command_tick if flown.plain == 1 else NEVER_SEEN
+        record_interval(promise, counts, tick, flown.begins, bare)
+        if counts.interval_kept and certified:
             most = largest_between(before, now, dt)
             result.max_certified = max(result.max_certified, most)
             result.certified_lost += most >= conditions.r_v
+    record_end(counts, d >= conditions.r_v)
+    result.certified_lost += counts.certified_while_lost
+    result.broken = counts.broken
     result.intervened, result.mean_distance = intervened / (ticks + 1), total / (ticks + 1)
     result.uncertified = uncertified / seen_ticks if seen_ticks else 1.0
 
 
 def attack(
-    promise: Promise, conditions: Conditions, seed: int, first: int, runs: int, duration: float
+    promise: SafetyBounds, conditions: Conditions, seed: int, first: int, runs: int, duration: float
 ) -> RecordArray:
     """Runs of an attack from `first` on.
 

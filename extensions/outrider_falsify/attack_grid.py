@@ -4,7 +4,6 @@ import itertools
 import math
 from collections.abc import Iterator
 
-from agents.control.promise import Promise
 from outrider_falsify.conditions import (
     ANY,
     AREAS,
@@ -17,6 +16,7 @@ from outrider_falsify.conditions import (
     declared,
 )
 from outrider_falsify.lost_motions import LOSSES
+from sim.models.safety import SafetyBounds
 
 EPS = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5)
 """Largest errors of a detection in the grid [m]."""
@@ -70,7 +70,7 @@ def _places() -> Iterator[Conditions]:
 
 
 def _disturbed() -> Iterator[Conditions]:
-    """Commands and processes that now and then break A5."""
+    """Commands and processes that now and then break A5', and commands that come early or twice."""
     for delay, area, dark, kind in itertools.product(
         (0.0, 0.3, 1.0), AREAS, (0.0, 5.0), DISTURBANCES
     ):
@@ -87,7 +87,7 @@ def _disturbed() -> Iterator[Conditions]:
             yield conditions._replace(jitter=True)
             yield conditions._replace(jitter=True, duplicates=0.5)
             yield conditions._replace(duplicates=0.5)
-            yield conditions._replace(disturbance=DISTURBANCES.silences, silence=2.0, hold=5.0)
+            yield conditions._replace(disturbance=DISTURBANCES.silences, silence=2.0)
 
 
 def _lossy() -> Iterator[Conditions]:
@@ -119,6 +119,33 @@ def _lossy() -> Iterator[Conditions]:
             yield Conditions(outage=outage, delay=delay, losses=ANY, disturbance=kind, silence=2.0)
 
 
+def _bare() -> Iterator[Conditions]:
+    """Receivers that know accelerations only."""
+    for area, dark, kind in itertools.product(AREAS, (0.0, 5.0), DISTURBANCES):
+        yield Conditions(
+            bare=True,
+            blackout=BLACKOUTS.when_far if dark else BLACKOUTS.none,
+            blackout_time=dark,
+            area=area,
+            disturbance=kind,
+            u_g=math.inf,
+        )
+
+
+def _moving() -> Iterator[Conditions]:
+    """UAVs that move when the run begins."""
+    for speed, delay, outage, area in itertools.product(
+        (0.3, 1.0), (0.0, 0.3, 1.0), (0.0, 2.0), AREAS
+    ):
+        yield Conditions(
+            start_speed=speed,
+            delay=delay,
+            outage=outage,
+            losses=ANY if outage else LOSSES.none,
+            area=area,
+        )
+
+
 def _windy() -> Iterator[Conditions]:
     """Wind, a wrong own position and jumps, with darkness, walls, delays and lost motions."""
     pushes = [
@@ -142,14 +169,17 @@ def _windy() -> Iterator[Conditions]:
         )
 
 
-def grid() -> Iterator[tuple[Promise, Conditions]]:
+def grid() -> Iterator[tuple[SafetyBounds, Conditions]]:
     """All combinations of network, place, error, vehicles and broken assumptions for which there is a certificate."""
-    for conditions in itertools.chain(_networks(), _places(), _disturbed(), _lossy(), _windy()):
+    kinds = _networks(), _places(), _disturbed(), _lossy(), _bare(), _moving(), _windy()
+    for conditions in itertools.chain(*kinds):
         pushed = conditions.wind or conditions.own_error or conditions.jumps
-        plain = not (conditions.area or conditions.disturbance or conditions.outage or pushed)
+        started = conditions.bare or conditions.start_speed
+        lossy = conditions.disturbance or conditions.outage
+        plain = not (conditions.area or lossy or started or pushed)
         for eps in EPS if plain else EPS[::2]:
             promise = declared(conditions, eps)
-            if not math.isnan(promise.handover):
+            if not math.isnan(promise.handover_radius):
                 yield promise, conditions
     for bounds, area, delay, dark in itertools.product(
         _OTHER_BOUNDS, AREAS, (0.0, 0.4), (0.0, 4.0)
@@ -165,5 +195,5 @@ def grid() -> Iterator[tuple[Promise, Conditions]]:
         )
         for eps in (0.0, 0.3):
             promise = declared(conditions, eps, **bounds)
-            if not math.isnan(promise.handover):
+            if not math.isnan(promise.handover_radius):
                 yield promise, conditions

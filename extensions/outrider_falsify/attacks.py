@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from agents.control.promise import Promise
 from outrider_falsify.attack import attack
 from outrider_falsify.attack_grid import grid
 from outrider_falsify.conditions import (
@@ -20,6 +19,7 @@ from outrider_falsify.conditions import (
 )
 from outrider_falsify.pool import Workers
 from outrider_falsify.search import Budget
+from sim.models.safety import SafetyBounds
 from sim.models.vehicles import raw_switching_radius
 
 CONTROLS = {
@@ -72,20 +72,21 @@ class Attacked:
 
 
 def kind(conditions: Conditions) -> str:
-    """Names the place and the disturbance that breaks A5, or A5' where commands carry motions."""
-    breaks = DISTURBANCES._fields[conditions.disturbance].replace("_", " ")
-    area = AREAS._fields[conditions.area]
-    if conditions.wind or conditions.own_error or conditions.jumps:
-        lost = ", motions lost" if conditions.outage else ""
-        return f"{area}, wind and own position{lost}"
-    if conditions.outage:
-        what = "A5' kept" if breaks == "none" else breaks
-        return f"{area}, motions lost, {what}"
-    if conditions.jitter:
-        breaks = "jitter and duplicates" if conditions.duplicates else "jitter"
-    elif conditions.duplicates:
-        breaks = "duplicates"
-    return f"{area}, {'A5 kept' if breaks == 'none' else breaks}"
+    """Names the place, and what is special about the run or breaks A5'."""
+    c, words = conditions, [AREAS._fields[conditions.area]]
+    if c.wind or c.own_error or c.jumps:
+        words.append("wind and own position")
+    for given, word in (
+        (c.bare, "bare accelerations"),
+        (c.start_speed, "starts moving"),
+        (c.outage, "motions lost"),
+        (c.jitter, "jitter"),
+        (c.duplicates, "duplicates"),
+        (c.disturbance, DISTURBANCES._fields[c.disturbance].replace("_", " ")),
+    ):
+        if given:
+            words.append(word)
+    return ", ".join(words)
 
 
 @dataclass(slots=True)
@@ -138,7 +139,7 @@ def warm() -> None:
     attack(declared(conditions, 0.0), conditions, 0, 0, 1, 1.0)
 
 
-def _guarded(control: str | None, promise: Promise, conditions: Conditions) -> Conditions:
+def _guarded(control: str | None, promise: SafetyBounds, conditions: Conditions) -> Conditions:
     """The same conditions with the guard that is to be caught."""
     if control is None:
         return conditions
@@ -152,7 +153,7 @@ def _guarded(control: str | None, promise: Promise, conditions: Conditions) -> C
 
 
 def fly_attack(
-    promise: Promise, conditions: Conditions, seed: int, first: int, runs: int, duration: float
+    promise: SafetyBounds, conditions: Conditions, seed: int, first: int, runs: int, duration: float
 ) -> Attacked:
     """A few runs of one combination; for a worker. Arguments as in `outrider_falsify.attack.attack`."""
     found = attack(promise, conditions, seed, first, runs, duration)
@@ -162,7 +163,7 @@ def fly_attack(
     violated = found["certified_lost"] > 0.0 if certifies else lost
     worst = int(np.argmax(distance / conditions.r_v))
     return Attacked(
-        eps=promise.error,
+        eps=promise.max_measurement_error,
         bounds={
             name: getattr(promise, name)
             for name in ("v_a", "u_a", "v_g", "dt")
@@ -184,18 +185,18 @@ def fly_attack(
 
 def _calls(
     control: str | None, eps: float | None, seed: int, runs: int | None, duration: float
-) -> Iterator[tuple[Promise, Conditions, int, int, int, float]]:
+) -> Iterator[tuple[SafetyBounds, Conditions, int, int, int, float]]:
     """Every combination once, then again and again with more runs, as many as are asked for."""
     left = math.inf if runs is None else runs
-    flown: list[tuple[Promise, Conditions]] = []
+    flown: list[tuple[SafetyBounds, Conditions]] = []
 
-    def length(promise: Promise) -> float:
+    def length(promise: SafetyBounds) -> float:
         return duration * max(1.0, promise.dt / PAPER_BOUNDS["dt"])
 
     for promise, conditions in grid():
         if left <= 0:
             return
-        if eps is None or promise.error == eps:
+        if eps is None or promise.max_measurement_error == eps:
             flown.append((promise, _guarded(control, promise, conditions)))
             left -= 1
             yield *flown[-1], seed, 0, 1, length(promise)

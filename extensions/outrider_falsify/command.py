@@ -296,6 +296,9 @@ def _progress(found: "Found") -> Iterator[Callable[[str, float], None]]:
         yield show
 
 
+_KINDS = "place, what breaks A5'"
+
+
 def _lines(found: "Found") -> Iterator[str]:
     from outrider.running.user_code import foreign_code
 
@@ -330,12 +333,12 @@ def _lines(found: "Found") -> Iterator[str]:
             yield f"    the certificate is lost although its assumptions hold in {attacks.broken:,}"
             yield f"    not every tick was certified in {attacks.uncertified:,}; sight was lost in {attacks.lost:,}"
             yield (
-                f"    {'place, what breaks A5':32}{'runs':>8}{'lost':>8}{'certified, lost':>17}"
+                f"    {_KINDS:46}{'runs':>8}{'lost':>8}{'certified, lost':>17}"
                 f"{'broken':>8}{'uncertified':>13}"
             )
             for name, one in sorted(attacks.kinds.items()):
                 counts = f"{one.runs:8,}{one.lost:8,}{one.violations:17,}{one.broken:8,}"
-                yield f"    {name:32}{counts}{one.uncertified / one.runs:13.1%}"
+                yield f"    {name:46}{counts}{one.uncertified / one.runs:13.1%}"
         else:
             yield "    nothing certifies here"
     if found.attack_again is not None and attacks.worst is not None:

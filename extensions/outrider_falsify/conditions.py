@@ -8,10 +8,10 @@ import math
 from typing import NamedTuple
 
 from agents.control.handover import certificate
-from agents.control.promise import Declared, Promise
-from bus.messages import Area, LinkSettings, Sensor
+from bus.messages import Area, LinkSettings, SafetyParameters, Sensor
 from outrider_falsify.lost_motions import LOSSES
 from sim.models.inner_loop import InnerLoop, needed_reserve, tracking_error
+from sim.models.safety import SafetyBounds, safety_bounds
 from sim.models.vehicles import raw_switching_radius
 from sim.scenario.types import (
     Certificate,
@@ -131,7 +131,7 @@ class Winds(NamedTuple):
 
 
 class Disturbances(NamedTuple):
-    """The disturbances that break A5 now and then."""
+    """The disturbances that break A5' now and then."""
 
     none: int = 0
     single_losses: int = 1
@@ -139,7 +139,7 @@ class Disturbances(NamedTuple):
     silences: int = 2
     """None comes for up to `silence`."""
     late: int = 3
-    """All come later than declared for a while."""
+    """All set out later than they should for a while, so that their motions arrive too late to begin."""
     law_changes: int = 4
     """The filter is switched off for a while and begun anew."""
     rejoins: int = 5
@@ -171,7 +171,7 @@ class Conditions(NamedTuple):
     duplicates: float = 0.0
     """Share of commands that come twice."""
     disturbance: int = DISTURBANCES.none
-    """The disturbance that breaks A5 now and then, of `DISTURBANCES`."""
+    """The disturbance that breaks A5' now and then, of `DISTURBANCES`."""
     silence: float = 0.5
     """Longest time without a command, where that is the disturbance."""
     hold: float = 2.0
@@ -181,7 +181,11 @@ class Conditions(NamedTuple):
     error_share: float = 1.0
     """The errors' norm as a share of eps; above 1 breaks an assumption."""
     outage: float = 0.0
-    """Longest time from the beginning of a motion to that of the next, B; 0: commands carry no motions."""
+    """Longest time from the start of a motion to the start of the next, B; a tick at least."""
+    bare: bool = False
+    """Commands carry no motions, as of a receiver that knows accelerations only."""
+    start_speed: float = 0.0
+    """Speed with which the UAV starts, as a share of its bound."""
     losses: int = LOSSES.none
     """The motions that are lost, of `LOSSES`; never more than B allows."""
     wind: float = 0.0
@@ -240,7 +244,7 @@ def farthest_off(conditions: Conditions, dt: float) -> float:
     )
 
 
-def scenario_of(promise: Promise, conditions: Conditions) -> Scenario:
+def scenario_of(promise: SafetyBounds, conditions: Conditions) -> Scenario:
     """The world that is flown: no noise and no dropouts, as the adversary makes them.
 
     A coarse grid, as nobody looks at it.
@@ -285,14 +289,16 @@ def scenario_of(promise: Promise, conditions: Conditions) -> Scenario:
     )
 
 
-def spec_radius(promise: Promise, *, with_latency: bool = True) -> float:
+def spec_radius(promise: SafetyBounds, *, with_latency: bool = True) -> float:
     """The radius of the specification without its angle, r_v - (v_a + v_g)(dt + tau_c) - (v_a + v_g)²/(2 u_a) [m]."""
     late = (
         (promise.v_a + promise.v_g) * (1 + promise.delay_ticks) * promise.dt
         if with_latency
         else 0.0
     )
-    radius: float = raw_switching_radius(promise.r_v, promise.v_a, promise.v_g, promise.u_a) - late
+    radius: float = (
+        raw_switching_radius(promise.radius, promise.v_a, promise.v_g, promise.u_a) - late
+    )
     return radius
 
 
@@ -302,22 +308,19 @@ PAPER_BOUNDS = {"r_v": 4.75, "v_a": 0.6, "u_a": 0.3, "v_g": 0.2, "dt": 0.05}
 
 def declared(
     conditions: Conditions, eps: float, *, margin: float = 0.0, **bounds: float
-) -> Promise:
+) -> SafetyBounds:
     """The certificate that just covers these conditions; eps and margin [m], bounds other than the paper's by name."""
     numbers = {**PAPER_BOUNDS, "r_v": conditions.r_v, **bounds}
-    age = conditions.latency + conditions.blackout_time + numbers["dt"]
     width, height = area_of(conditions)
+    safety = SafetyParameters(
+        max_measurement_error=eps,
+        max_measurement_age=conditions.latency + conditions.blackout_time + numbers["dt"],
+        max_command_delay=conditions.delay,
+        max_command_interval=conditions.outage,
+        max_tracking_error=farthest_off(conditions, numbers["dt"]),
+        margin=margin,
+    )
+    radius = numbers.pop("r_v")
     return certificate(
-        Declared(
-            **numbers,
-            eps=eps,
-            age=age,
-            delay=conditions.delay,
-            margin=margin,
-            width=width,
-            height=height,
-            hold=conditions.hold,
-            outage=conditions.outage or None,
-            tracking=farthest_off(conditions, numbers["dt"]),
-        )
+        safety_bounds(safety, visibility_radius=radius, **numbers, width=width, height=height)
     )

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import msgspec
 
 from agents.control.handover import check_assumptions
-from agents.control.visibility import promise_of
+from agents.control.visibility import bounds_of
 from bus.errors import ScenarioError
 from bus.messages import LinkSettings
 from bus.registry import LAWS
-from sim.engine.briefing import declared, uav_briefing
+from sim.engine.briefing import safety_parameters, uav_briefing
 from sim.scenario.types import DEFAULT_AGE, Certificate, LinkTable, Scenario, Uav, Ugv
 
 _NEVER = 1e-9
@@ -93,12 +93,14 @@ def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
     detections = msgspec.structs.replace(scenario.detections, noise=limits.noise, dropout=0.0)
     given = scenario.certificate
     worst = limits.noise * scenario.noise_cut if limits.noise else 0.0
-    told = declared(scenario, scenario.uav[0].name)
+    told = safety_parameters(scenario, scenario.uav[0].name)
     as_usual = given in (Certificate(), Certificate(age=DEFAULT_AGE))
     certificate = msgspec.structs.replace(
         given,
         error=given.error if given.error is not None or math.isinf(worst) else worst,
-        age=max(told.age, needed_age(limits, scenario)) if as_usual else told.age,
+        age=max(told.max_measurement_age, needed_age(limits, scenario))
+        if as_usual
+        else told.max_measurement_age,
         risk=None,  # of the scenario's own links, which are not searched
     )
     base = msgspec.structs.replace(
@@ -118,7 +120,7 @@ def _check_promise(base: Scenario, limits: SearchLimits) -> None:
     latest = msgspec.structs.replace(
         base, links=msgspec.structs.replace(base.links, commands=delay)
     )
-    faults = check_assumptions(promise_of(uav_briefing(latest, base.uav[0].name, 0)))
+    faults = check_assumptions(bounds_of(uav_briefing(latest, base.uav[0].name, 0)))
     if faults:
         allowed = "narrower limits (--max-delay, --max-blackout, --max-loss, --noise), or a certificate in the scenario"
         raise ScenarioError(
@@ -133,7 +135,12 @@ def beyond_declared(base: Scenario, limits: SearchLimits) -> tuple[str, ...]:
     given = base.certificate
     error = limits.noise * base.noise_cut if limits.noise else 0.0
     rows = (
-        ("age", needed_age(limits, base), declared(base, base.uav[0].name).age, "s"),
+        (
+            "age",
+            needed_age(limits, base),
+            safety_parameters(base, base.uav[0].name).max_measurement_age,
+            "s",
+        ),
         ("error", error, math.inf if given.error is None else given.error, "m"),
         ("delay", limits.command_delay, math.inf if given.delay is None else given.delay, "s"),
     )

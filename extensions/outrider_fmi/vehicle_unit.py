@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from agents.control.uav_parameters import uav_parameters
-from agents.control.visibility import promise_of
+from agents.control.visibility import bounds_of
 from agents.laws.selection import SelectedLaw
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
@@ -96,10 +96,12 @@ def check_exportable(briefing: UavBriefing | UgvBriefing) -> None:
         )
     if isinstance(briefing, UavBriefing):
         SelectedLaw(briefing, briefing.law, uav_parameters(briefing))
-        if promise_of(briefing).carries:
+        promise = bounds_of(briefing)
+        needed = promise.delay_ticks > 0 or promise.interval_ticks > 1
+        if LAWS[briefing.law.name].watched and needed:
             raise ScenarioError(
-                f"{vehicle}: its commands carry motions, for which a unit has no variables; allowed: scenarios without "
-                "certificate.outage and certificate.risk"
+                f"{vehicle}: law.name = {briefing.law.name!r}: its commands carry motions, for which a unit has no "
+                "variables; allowed: certificate.delay = 0 and certificate.outage = dt"
             )
         if LAWS[briefing.law.name].own:
             raise ScenarioError(

@@ -301,7 +301,7 @@ class AutopilotPilot:
         Raises:
             ScenarioError: If the run declares that a UAV is always exactly where it should be.
         """
-        tracking = briefing.certificate.tracking
+        tracking = briefing.safety.max_tracking_error
         if tracking is not None and tracking <= 0.0:
             raise ScenarioError(
                 "certificate.tracking = 0: no autopilot is always exactly where it should be; declare how far off "

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from outrider_mavlink.autopilot import AutopilotLink
 
 TOO_EARLY = "comes before the UAV has joined"
-_HOLD = 0.5
-"""For so long a setpoint counts where the scenario does not say it [s]."""
 _LATELY = 1.0
 """The time for which the filter is said to act after it did so last [s]: it does so every few ticks."""
 _TURN = 0.02
@@ -78,8 +76,7 @@ class OffboardPilot:
 
     def make(self, briefing: UavBriefing) -> "OffboardPilot":
         """Join: all that was wanted before counts no more."""
-        hold = briefing.certificate.hold
-        self._hold = ticks_within(_HOLD if hold is None else hold, briefing.dt)
+        self._hold = ticks_within(briefing.hold, briefing.dt)
         self._setpoint = self._met = None
         self.briefing = briefing
         self._pilot = pilot = UavPilot(briefing, inner=self._inner)
@@ -215,14 +212,13 @@ class OffboardGateway(Gateway):
 def _told(briefing: UavBriefing) -> Iterator[tuple[str, float]]:
     v_max, u_max = bounds(briefing.limits)
     target_v_max, _ = bounds(briefing.target_limits)
-    hold = briefing.certificate.hold
     names = list(LAWS)
     yield "AREA_HEIGHT", briefing.area.height
     yield "AREA_WIDTH", briefing.area.width
-    yield "CERT_AGE", briefing.certificate.age
-    yield "CERT_DELAY", briefing.certificate.delay
+    yield "CERT_AGE", briefing.safety.max_measurement_age
+    yield "CERT_DELAY", briefing.safety.max_command_delay
     yield "DT", briefing.dt
-    yield "HOLD", _HOLD if hold is None else hold
+    yield "HOLD", briefing.hold
     yield "LAW", float(names.index(briefing.law.name)) if briefing.law.name in names else -1.0
     yield "MAX_ACCEL", u_max
     yield "MAX_SPEED", v_max

@@ -105,7 +105,7 @@ def setpoint_control(
     """
     u_x, u_y = (0.0, 0.0) if setpoint.acceleration is None else setpoint.acceleration
     if setpoint.velocity is not None:
-        gain = 1.0 / (briefing.dt + math.e * briefing.certificate.delay)
+        gain = 1.0 / (briefing.dt + math.e * briefing.safety.max_command_delay)
         (w_x, w_y), (v_x, v_y) = setpoint.velocity, observation.velocity
         u_x, u_y = u_x + gain * (w_x - v_x), u_y + gain * (w_y - v_y)
     _, u_max = bounds(briefing.limits)

@@ -11,10 +11,9 @@ import numpy as np
 
 from agents.control.guard import guard_state, track_ticks
 from agents.control.handover import check_assumptions
-from agents.control.promise import Promise
 from agents.control.telling import BLOCK_TILES, telling_memory, telling_ticks
 from agents.control.uav_parameters import uav_parameters
-from agents.control.visibility import promise_of
+from agents.control.visibility import bounds_of
 from agents.drivers.compiled import told_ground, told_route
 from agents.drivers.dispatch import CODES as DRIVER_CODES
 from agents.drivers.dispatch import driver_memories, driver_tables
@@ -42,13 +41,10 @@ from outrider.envs.closed_loop_tick import run_worlds
 from sim.channel.link_records import no_packets
 from sim.engine.batch import Batch, Fresh, arrays_of
 from sim.engine.briefing import uav_briefing, ugv_briefing
-from sim.engine.certificate_counts import (
-    CertificateBounds,
-    certificate_bounds,
-    certificate_counts,
-    sent_commands,
-)
 from sim.engine.mission import mission_of
+from sim.engine.monitor import (
+    certificate_counters,
+)
 from sim.engine.run_keys import check_secret
 from sim.engine.world_state import joined
 from sim.env.patch import given_patch
@@ -58,6 +54,7 @@ from sim.env.settings import EPISODE_DEFAULTS, EpisodeSettings, completed
 from sim.kernels.compile import FloatArray, IntArray
 from sim.kernels.records import records
 from sim.models.randomness import PILOT
+from sim.models.safety import SafetyBounds
 from sim.scenario.types import Scenario
 
 _NO_ACTIONS = np.zeros((0, 0, 2))
@@ -202,13 +199,13 @@ class ClosedLoop:
             thinking=thinking.astype(np.int64),
             guarded=numbers.guarded.astype(np.int64),
             faults=numbers.faults.astype(np.int64),
-            bounds=numbers.bounds,
             receivers=np.array(
                 [self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]],
                 dtype=np.int64,
             ),
             kalman=numbers.kalman,
-            promises=numbers.promises,
+            safety=numbers.safety,
+            monitored=numbers.safety.copy(),
             scripts=scripts,
             script_rows=script_rows,
             late=numbers.late,
@@ -234,7 +231,6 @@ class ClosedLoop:
             ),
             maps=_repeated(coverage[0], worlds, uavs if self.parameters.own_maps else 0),
             certificates=np.repeat(numbers.certificates[None], worlds, axis=0),
-            sent=np.repeat(numbers.sent[None], worlds, axis=0),
             laws=law_memories(numbers.laws, worlds),
             drivers=driver_memories(numbers.drivers, worlds),
             kalman=_repeated(kalman, worlds, uavs),
@@ -378,16 +374,13 @@ class _PilotNumbers:
                     f"{one.vehicle}: uav_policy = {named!r}: flies in a run, not in many worlds; allowed: no policy, "
                     "or the policy itself as one of the `others`"
                 )
-        promises = [promise_of(one) for one in told_uavs]
+        safety = [bounds_of(one) for one in told_uavs]
         self.laws = law_tables(told_uavs, laws)
-        self.longest = max((promise.delay_ticks for promise in promises), default=0)
-        self.track = max((track_ticks(promise) for promise in promises), default=1)
-        bounds = [certificate_bounds(one.certificate, one.dt) for one in told_uavs]
-        self.bounds = records(CertificateBounds, bounds)
-        self.certificates = certificate_counts(len(uavs))
-        self.sent = sent_commands(bounds)
-        self.promises = records(Promise, promises)
-        self.faults = np.array([bool(check_assumptions(one)) for one in promises], dtype=np.bool_)
+        self.longest = max((promise.delay_ticks for promise in safety), default=0)
+        self.track = max((track_ticks(promise) for promise in safety), default=1)
+        self.certificates = certificate_counters(len(uavs))
+        self.safety = records(SafetyBounds, safety)
+        self.faults = np.array([bool(check_assumptions(one)) for one in safety], dtype=np.bool_)
         self.kalman = records(
             KalmanParameters,
             [

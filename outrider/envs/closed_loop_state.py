@@ -68,14 +68,14 @@ class LoopTables(NamedTuple):
     """For each UAV whether the safety filter watches over it. Shape (UAVs,)."""
     faults: IntArray
     """For each UAV whether its certificate's assumptions fail. Shape (UAVs,)."""
-    bounds: RecordArray
-    """`CertificateBounds` of each UAV. Shape (UAVs,)."""
     receivers: IntArray
     """For each UAV the row among the UGVs of the one that receives its radio. Shape (UAVs,)."""
     kalman: RecordArray
     """`KalmanParameters` of each UAV. Shape (UAVs,)."""
-    promises: RecordArray
-    """`Promise` of each UAV. Shape (UAVs,)."""
+    safety: RecordArray
+    """`SafetyBounds` of each UAV's filter. Shape (UAVs,)."""
+    monitored: RecordArray
+    """`SafetyBounds` of each UAV, with which its certificates are counted. Shape (UAVs,)."""
     scripts: FloatArray
     script_rows: IntArray
     late: IntArray
@@ -91,9 +91,7 @@ class LoopState(NamedTuple):
     maps: FloatArray
     """The UAVs' own maps, where they differ from the world's. Shape (worlds, UAVs or 0, rows, columns)."""
     certificates: RecordArray
-    """`CertificateCounts` of each UAV. Shape (worlds, UAVs)."""
-    sent: FloatArray
-    """The UAVs' last commands, as `sent_commands` keeps them. Shape (worlds, UAVs, largest delay + 1, 3)."""
+    """`CertificateCounters` of each UAV. Shape (worlds, UAVs)."""
     laws: Any
     """`PerLaw`: memories of the laws. Shape (worlds, UAVs) each."""
     drivers: Any

@@ -35,17 +35,17 @@ from outrider.envs.closed_loop_state import (
 )
 from sim.channel.link import begin_tick, receive, send
 from sim.channel.link_records import ARRIVED, Packet
-from sim.engine.certificate_counts import (
-    CertificateClaim,
-    count_tracking,
-    note_action,
-    note_arrival,
-    note_end,
-    note_report,
-    note_sent,
-)
 from sim.engine.ground_state import GroundState
 from sim.engine.mission import goals_of, note_claim, receive_block
+from sim.engine.monitor import (
+    NEVER,
+    Claim,
+    record_arrival,
+    record_decision,
+    record_end,
+    record_interval,
+    record_tracking_error,
+)
 from sim.engine.world_state import Vehicle
 from sim.engine.world_tick import begin_world, measure, world_tick
 from sim.env.rows import UAV, UAV_METRICS, advance_rows, observe_rows
@@ -59,8 +59,7 @@ _RELATIVE, _GROUND = range(2)
 
 @inlined
 def _guard_of(tables: LoopTables, state: GuardState, world: int, uav: int) -> GuardState:
-    delay, underway = tables.promises[uav].delay_ticks, state.underway
-    course = state.course[world, uav, : delay + 1]
+    delay, underway = tables.safety[uav].delay_ticks, state.underway
     sent = Underway(
         underway.sent[world, uav, : delay + 2],
         underway.flown[world, uav],
@@ -69,7 +68,6 @@ def _guard_of(tables: LoopTables, state: GuardState, world: int, uav: int) -> Gu
     return GuardState(
         state.detections[world, uav],
         state.plan[world, uav],
-        course,
         state.track[world, uav],
         state.flags[world, uav],
         sent,
@@ -134,20 +132,20 @@ def _fly(
         u_x, u_y = actions[tables.hand[vehicle], 0], actions[tables.hand[vehicle], 1]
     if guarded:
         held = _guard_of(tables, state.guards, world, uav)
-        u_x, u_y, acts, code, bound = guard(tables.promises[uav], held, tick, here, u_x, u_y, flown)
+        u_x, u_y, acts, code, bound = guard(tables.safety[uav], held, tick, here, u_x, u_y, flown)
         row[GUARD_METRICS.bound] = bound
         row[GUARD_METRICS.acted] = 1.0 if acts != INNER else 0.0
         sure = code == NOTHING_AGAINST and tables.faults[uav] == 0
         row[GUARD_METRICS.sure] = 1.0 if sure else 0.0
         # a pilot that has seen nothing reports nothing
         reports = target.known or tables.hand[vehicle] >= 0
-        said = CertificateClaim(sure, reports and acts != INNER, row[UAV_METRICS.lost] != 0.0, True)
-        note_report(tables.bounds[uav], state.certificates[world, uav], tick, said)
+        said = Claim(sure, reports and acts != INNER, row[UAV_METRICS.lost] != 0.0, True)
+        record_decision(tables.monitored[uav], state.certificates[world, uav], tick, said)
     one.outgoing_tick, one.outgoing[0], one.outgoing[1] = tick, u_x, u_y
     one.outgoing_motion, one.outgoing_motions = -1, 0
-    if guarded and tables.promises[uav].carries:
+    if guarded:
         one.outgoing_motion, one.outgoing_motions = hand_over(
-            tables.promises[uav],
+            tables.safety[uav],
             _guard_of(tables, state.guards, world, uav).underway,
             tick,
             state.batch.motions[world, vehicle],
@@ -317,7 +315,7 @@ def _perceive(
         if looked > 0 or tables.guarded[u]:
             uav_perceive(
                 tables.laws.uavs[u],
-                tables.promises[u],
+                tables.safety[u],
                 tables.guarded[u] != 0,
                 _coverage_of(parameters, state, world, u),
                 _guard_of(tables, state.guards, world, u),
@@ -396,26 +394,25 @@ def _observe(parameters: LoopParameters, tables: LoopTables, state: LoopState, w
 @inlined
 def _note_action(tables: LoopTables, state: LoopState, world: int, uav: int, tick: int) -> None:
     """Count the action of a UAV in this tick, which has just been flown."""
-    v, bounds = tables.batch.escorts[uav, 0], tables.bounds[uav]
-    sent, one = state.sent[world, uav], state.batch.vehicles[world, v]
-    note_sent(sent, tick, one.outgoing[0], one.outgoing[1])
-    begins, acts = state.batch.flown[world, v, 0].begins, one.command
-    note_action(bounds, state.certificates[world, uav], sent, tick, acts[0], acts[1], begins)
+    v, bounds = tables.batch.escorts[uav, 0], tables.monitored[uav]
+    flown = state.batch.flown[world, v, 0]
+    bare = state.batch.vehicles[world, v].command_tick if flown.plain == 1 else NEVER
+    record_interval(bounds, state.certificates[world, uav], tick, flown.begins, bare)
 
 
 @inlined
 def _note_evidence(tables: LoopTables, state: LoopState, world: int, uav: int) -> None:
     """Count how wrong the detections are that have reached a UAV at this tick, and how far it is off its reference."""
-    bounds, counts, batch = tables.bounds[uav], state.certificates[world, uav], state.batch
+    bounds, counts, batch = tables.monitored[uav], state.certificates[world, uav], state.batch
     for n in range(batch.links[world, uav].arrived):
         packet = batch.packets[world, uav, ARRIVED, n]
-        note_arrival(bounds, counts, int(packet.stamp), packet.error)
+        record_arrival(bounds, counts, int(packet.stamp), packet.error)
     if tables.batch.disturbances.shape[0] > 0:
         v = tables.batch.escorts[uav, 0]
         true = batch.vehicles[world, v].position
         reference = batch.vehicles[world, v].reference_position
         off = norm(true[0] - reference[0], true[1] - reference[1])
-        count_tracking(tables.bounds, state.certificates[world], uav, off)
+        record_tracking_error(tables.monitored, state.certificates[world], uav, off)
 
 
 @released
@@ -468,7 +465,7 @@ def run_worlds(
             for u in range(tables.batch.escorts.shape[0]):
                 if over:
                     lost = state.rows.uavs[k, u, UAV_METRICS.lost] != 0.0
-                    note_end(state.certificates[k, u], lost)
+                    record_end(state.certificates[k, u], lost)
                 elif tables.guarded[u]:
                     _note_evidence(tables, state, k, u)
             if tick == ticks - 1 or over or beginning:

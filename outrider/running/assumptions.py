@@ -1,8 +1,8 @@
 """Tests before a flight, and when links change in it, whether a scenario's UAVs can certify that they keep sight.
 
 The declared assumptions are those of docs/explanation/certificate.md: A1 the error of a detection, A2 the age of the
-newest one, A5 a command that acts exactly tau_c after its tick, A6' where the UAV is. Wind, links and detector say
-which of them they cannot keep, and how often.
+newest one, A5' the time from the start of one motion to the start of the next, A6' where the UAV is. Wind, links and
+detector say which of them they cannot keep, and how often.
 """
 
 import functools
@@ -15,8 +15,7 @@ import msgspec
 import numpy as np
 
 from agents.control.handover import check_assumptions
-from agents.control.promise import Promise
-from agents.control.visibility import promise_of
+from agents.control.visibility import bounds_of
 from bus.messages import MOST_CARRIED, LinkKind
 from bus.registry import LAWS
 from bus.ticks import DUST, first_tick_from
@@ -34,9 +33,9 @@ from sim.channel.links import first_arrivals
 from sim.channel.places import delays_at
 from sim.channel.recorded import Opportunities, recording_of
 from sim.channel.recorded import found as trace_named
-from sim.engine.briefing import declared as declared_bounds
-from sim.engine.briefing import largest_tracking_error, uav_briefing
+from sim.engine.briefing import largest_tracking_error, safety_parameters, uav_briefing
 from sim.kernels.compile import IntArray
+from sim.models.safety import SafetyBounds
 from sim.scenario.types import LinkTable, Scenario, Uav
 
 _RARE = 1e-6
@@ -92,7 +91,7 @@ def _perfect_detectors(scenario: Scenario) -> Iterator[str]:
     if not LAWS[scenario.law.name].watched:
         return
     for uav in scenario.uav:
-        if declared_bounds(scenario, uav.name).error == 0.0:
+        if safety_parameters(scenario, uav.name).max_measurement_error == 0.0:
             source = (
                 "certificate.error" if scenario.certificate.error == 0.0 else "detections.noise"
             )
@@ -132,16 +131,17 @@ def odds(scenario: Scenario, links: LinkTable | None = None) -> Odds | None:
     table, exceeded = links or scenario.links, dict[str, float | None]()
     looks = -(-scenario.ticks // scenario.detection_period)
     for uav in scenario.uav:
-        bounds = declared_bounds(scenario, uav.name)
+        bounds = safety_parameters(scenario, uav.name)
         link = _Link(scenario, table, uav.name, LinkKind.DETECTIONS)
-        exceeded[f"{uav.name}/age"] = link.chance_of_age(bounds.age).value
-        if bounds.outage is not None:
-            link = _Link(scenario, table, uav.name, LinkKind.COMMANDS)
-            delay = first_tick_from(bounds.delay, scenario.dt)
-            exceeded[f"{uav.name}/outage"] = link.chance_of_outage(delay, bounds.outage).value
-        if bounds.error is not None:
+        exceeded[f"{uav.name}/age"] = link.chance_of_age(bounds.max_measurement_age).value
+        link = _Link(scenario, table, uav.name, LinkKind.COMMANDS)
+        delay = first_tick_from(bounds.max_command_delay, scenario.dt)
+        exceeded[f"{uav.name}/outage"] = link.chance_of_outage(
+            delay, bounds.max_command_interval
+        ).value
+        if bounds.max_measurement_error is not None:
             sigma, cut = scenario.detections.noise, scenario.noise_cut
-            error = chance_of_error(sigma, cut, looks, bounds.error)
+            error = chance_of_error(sigma, cut, looks, bounds.max_measurement_error)
             exceeded[f"{uav.name}/error"] = error.value
     known = [value for value in exceeded.values() if value is not None]
     kept = all(found.by_chance for found in shortfalls(scenario, links))
@@ -175,26 +175,25 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
         return ()
     table, found = links or scenario.links, list[Shortfall]()
     for uav in scenario.uav:
-        promise = promise_of(uav_briefing(scenario, uav.name, scenario.seed))
+        promise = bounds_of(uav_briefing(scenario, uav.name, scenario.seed))
         found += [
             Shortfall(uav.name, "", How.THROUGHOUT, fault) for fault in check_assumptions(promise)
         ]
-        if math.isfinite(promise.eps):
+        if math.isfinite(promise.placed_error):
             found += [
                 Shortfall(uav.name, "A1", how, what, by_chance=True)
-                for how, what in _errors(scenario, promise.error)
+                for how, what in _errors(scenario, promise.max_measurement_error)
             ]
             found += [
                 Shortfall(uav.name, "A6'", how, what) for how, what in _off(scenario, uav, promise)
             ]
         for kind, name, check in (
             (LinkKind.DETECTIONS, "A2", _ages),
-            (LinkKind.COMMANDS, "A5", _outages if promise.carries else _delays),
+            (LinkKind.COMMANDS, "A5'", _outages),
         ):
             link = _Link(scenario, table, uav.name, kind)
-            reckoned = kind is LinkKind.DETECTIONS or promise.carries
             found += [
-                Shortfall(uav.name, name, how, what, reckoned and how is not How.CERTAIN)
+                Shortfall(uav.name, name, how, what, how is not How.CERTAIN)
                 for how, what in check(link, promise)
             ]
     return tuple(found)
@@ -336,22 +335,22 @@ def _errors(scenario: Scenario, eps: float) -> Iterator[tuple[How, str]]:
 # A6': where the UAV is
 
 
-def _off(scenario: Scenario, uav: Uav, promise: Promise) -> Iterator[tuple[How, str]]:
+def _off(scenario: Scenario, uav: Uav, promise: SafetyBounds) -> Iterator[tuple[How, str]]:
     """Wind and own position may take it farther from where it is told that it is than is declared, but need not."""
-    most = largest_tracking_error(scenario, uav)
-    if most > promise.tracking * (1.0 + DUST):
-        what = f"certificate.tracking = {promise.tracking:g} m, but wind and own_error may take it {most:.3g} m off"
+    most, declared = largest_tracking_error(scenario, uav), promise.max_tracking_error
+    if most > declared * (1.0 + DUST):
+        what = f"certificate.tracking = {declared:g} m, but wind and own_error may take it {most:.3g} m off"
         yield How.SOMETIMES, what
 
 
 # A2: the age of the newest detection
 
 
-def _ages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
+def _ages(link: _Link, promise: SafetyBounds) -> Iterator[tuple[How, str]]:
     """Looks are at multiples of the detector's period; each that gets through arrives after `least` to `most` ticks."""
     scenario, p = link.scenario, link.parameters
-    period, age = scenario.detection_period, promise.age_ticks
-    limit = f"certificate.age = {promise.age:g} s"
+    period, age = scenario.detection_period, promise.max_age_ticks
+    limit = f"certificate.age = {promise.max_measurement_age:g} s"
     if link.settings.trace:
         yield from _recorded_ages(link, promise, limit)
         yield from _dark_ages(link, age, limit)
@@ -374,12 +373,12 @@ def _ages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     yield from dark
 
 
-def _recorded_ages(link: _Link, promise: Promise, limit: str) -> Iterator[tuple[How, str]]:
+def _recorded_ages(link: _Link, promise: SafetyBounds, limit: str) -> Iterator[tuple[How, str]]:
     """Ages that a recording causes by itself in every round, or together with looks that find nothing."""
     scenario, every = link.scenario, link.scenario.detection_period
     ages, whole = link.played(every)
-    share = float(np.mean(ages > promise.age_ticks))
-    chance = link.chance_of_age(promise.age, planned=False)
+    share = float(np.mean(ages > promise.max_age_ticks))
+    chance = link.chance_of_age(promise.max_measurement_age, planned=False)
     if chance.value is not None and chance.value <= _RARE:
         return
     often = in_flights(chance.value) if chance.value is not None else ""
@@ -395,7 +394,7 @@ def _recorded_ages(link: _Link, promise: Promise, limit: str) -> Iterator[tuple[
     elif often:
         told = f"the newest detection becomes older than {limit} {often}"
         yield How.SOMETIMES, f"{link.path}.trace{dropout}: {told}"
-    elif gap > promise.age + scenario.dt:
+    elif gap > promise.max_measurement_age + scenario.dt:
         told = f"no detection arrives for {gap:g} s from {at:g} s on, longer than {limit}"
         yield How.SOMETIMES, f"{link.path}.trace: {told}"
     elif not whole:
@@ -403,7 +402,7 @@ def _recorded_ages(link: _Link, promise: Promise, limit: str) -> Iterator[tuple[
             f"not older than {limit} in {link.inspected(ages, whole)}; the rest was not inspected"
         )
         yield How.SOMETIMES, f"{link.path}.trace: the newest detection is {told}"
-    elif ages.max() + every + 1 > promise.age_ticks:
+    elif ages.max() + every + 1 > promise.max_age_ticks:
         told = f"the newest detection becomes {link.seconds(ages.max())} old, so near to {limit} that it may be older"
         yield How.SOMETIMES, f"{link.path}.trace: {told} where a run begins at another place of it"
 
@@ -420,14 +419,16 @@ def _queue_ticks(parameters: LinkParameters, period: int) -> int | None:
     return waits + math.floor(parameters.spacing) - 1
 
 
-def _unlucky_ages(link: _Link, promise: Promise, *, planned: bool) -> Iterator[tuple[How, str]]:
+def _unlucky_ages(
+    link: _Link, promise: SafetyBounds, *, planned: bool
+) -> Iterator[tuple[How, str]]:
     """Ages that chance causes now and then; `planned`: with planned blackouts, which alone do not."""
     scenario, parameters = link.scenario, link.parameters
-    chance = link.chance_of_age(promise.age, planned=planned)
+    chance = link.chance_of_age(promise.max_measurement_age, planned=planned)
     if chance.value is not None and chance.value <= _RARE:
         return
     missed = 1.0 - (1.0 - parameters.loss) * (1.0 - scenario.detections.dropout)
-    period, age = scenario.detection_period, promise.age_ticks
+    period, age = scenario.detection_period, promise.max_age_ticks
     shares = np.array(
         [1.0 - (1.0 - missed) * arrival_share(parameters, ticks) for ticks in range(age + 1)]
     )
@@ -438,7 +439,7 @@ def _unlucky_ages(link: _Link, promise: Promise, *, planned: bool) -> Iterator[t
         link.named("burst_length", "burst_interval", "blackout_length", "blackout_interval"),
         f"detections.dropout = {dropout:g}" if dropout else "",
     )
-    limit = f"certificate.age = {promise.age:g} s"
+    limit = f"certificate.age = {promise.max_measurement_age:g} s"
     often = in_flights(chance.value) if chance.value is not None else chance.why
     yield (
         _often(old),
@@ -472,56 +473,12 @@ def _dark_ages(link: _Link, age: int, limit: str) -> Iterator[tuple[How, str]]:
             )
 
 
-# A5: a command acts exactly tau_c after its tick
+# A5: from the start of one motion to the start of the next
 
 
-def _delays(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
-    """The newest command that has arrived acts: that of tick k has to act at k + tau_c, and no later one before.
-
-    A copy of a command changes nothing: of two, the first acts, which is no earlier than `least`, and no more is lost.
-    """
-    scenario, parameters = link.scenario, link.parameters
-    exact = promise.delay_ticks
-    source = (
-        "the longest of its link" if scenario.certificate.delay is None else "certificate.delay"
-    )
-    tau = f"tau_c = {link.seconds(exact)} ({source})"
-    if link.settings.trace:
-        ages, whole = link.played(1)
-        share = float(np.mean(ages != exact))
-        if share == 0.0 and not whole:
-            told = f"a command acts {tau} after its tick in {link.inspected(ages, whole)}; the rest was not inspected"
-            yield How.SOMETIMES, f"{link.path}.trace: {told}"
-        if share > 0.0:
-            what = (
-                f"another command than that of {tau} before acts in {_percent(share)} of the ticks of "
-                f"{link.inspected(ages, whole)}"
-            )
-            yield _often(share, whole=whole), f"{link.path}.trace: {what}"
-        yield from _lost_commands(link)
-        return
-    if parameters.spacing > 1.0 + DUST:
-        fewer = f"fewer than one message a tick, {1.0 / scenario.dt:g} /s, so that commands wait and are dropped"
-        yield How.THROUGHOUT, f"{link.named('bandwidth', 'queue')}: {fewer}"
-    elif not link.least <= exact <= link.most:
-        delays = link.named("delay", "jitter", "reorder_delay") or f"{link.path}.delay = 0"
-        acts = link.seconds(link.least) + (
-            "" if link.least == link.most else f" to {link.seconds(link.most)}"
-        )
-        yield How.THROUGHOUT, f"{delays}: a command acts {acts} after its tick, {tau}"
-    else:
-        kept = arrival_share(parameters, exact) * math.prod(
-            1.0 - arrival_share(parameters, ticks) for ticks in range(exact)
-        )
-        if (1.0 - kept) * scenario.ticks > _RARE:
-            what = f"{link.named('jitter', 'reorder')}: commands overtake each other or take other times than {tau}"
-            yield _often(1.0 - kept), f"{what}, in {_percent(1.0 - kept)} of the ticks"
-    yield from _lost_commands(link)
-
-
-def _outages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
+def _outages(link: _Link, promise: SafetyBounds) -> Iterator[tuple[How, str]]:
     """Motions begin at most `outage` after one another: the packets of one link are lost or late for longer."""
-    outage = promise.outage_ticks * promise.dt
+    outage, parameters = promise.interval_ticks * promise.dt, link.parameters
     chance = link.chance_of_outage(promise.delay_ticks, outage)
     if chance.value is not None and chance.value <= _RARE:
         return
@@ -533,35 +490,21 @@ def _outages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
         f"tau_c = {link.seconds(promise.delay_ticks)}",
     )
     told, late = ", ".join(filter(None, fields)), f"later than certificate.outage = {outage:g} s"
-    if chance.value is None:
-        yield (
-            How.SOMETIMES,
-            f"{told}: how seldom the next motion begins {late} is unknown, as {chance.why}",
+    if link.least > promise.delay_ticks:
+        first = (
+            f"no motion arrives before {link.seconds(link.least)} after its tick, so all are late"
         )
-        return
-    how = How.CERTAIN if chance == (1.0, "") else How.SOMETIMES
-    yield how, f"{told}: the next motion begins {late} {in_flights(chance.value)}"
-
-
-def _lost_commands(link: _Link) -> Iterator[tuple[How, str]]:
-    parameters, instead = link.parameters, "the command before goes on instead"
-    if parameters.loss > 0.0:
+        yield How.THROUGHOUT, f"{told}: {first}"
+    elif parameters.spacing > promise.interval_ticks + DUST:
+        rate = 1.0 / outage
         yield (
-            _often(parameters.loss),
-            f"{link.named('loss')}: for {_percent(parameters.loss)} of the commands {instead}",
+            How.THROUGHOUT,
+            f"{told}: fewer messages than {rate:g} /s, so that the next motion begins {late}",
         )
-    if parameters.bursts and parameters.burst_loss > 0.0:
-        share = parameters.bad_share * parameters.burst_loss
-        fields = link.named("burst_length", "burst_interval", "burst_loss")
-        yield _often(share), f"{fields}: for {_percent(share)} of the commands {instead}"
-    if parameters.up > 0.0:
-        share = parameters.down / (parameters.up + parameters.down)
-        yield (
-            _often(share),
-            f"{link.named('blackout_length', 'blackout_interval')}: for {_percent(share)} of the commands {instead}",
-        )
-    for first, after in link.dark():
-        yield (
-            How.CERTAIN,
-            f"{link.path}.blackouts, {link.seconds(first)} to {link.seconds(after)}: no command gets through",
-        )
+    elif chance.value is None:
+        unknown = f"how seldom the next motion begins {late} is unknown, as {chance.why}"
+        yield How.SOMETIMES, f"{told}: {unknown}"
+    else:
+        planned = any(link.dark()) or link.settings.trace
+        how = How.CERTAIN if planned and chance == (1.0, "") else How.SOMETIMES
+        yield how, f"{told}: the next motion begins {late} {in_flights(chance.value)}"

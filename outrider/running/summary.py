@@ -91,7 +91,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     certificate_broken: int = 0
     """Ticks that were not certified although the one before was and all assumptions held; likewise."""
     declared_outage: float | None = None
-    """From the beginning of a motion to that of the next at most, B [s]; None where commands carry none."""
+    """Longest time from the start of a motion to the start of the next, as it is declared, B [s]."""
     longest_outage: float | None = None
     """And the longest in this flight [s]."""
     exceeded_chance: dict[str, float | None] = {}

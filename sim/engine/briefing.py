@@ -4,10 +4,10 @@ import math
 
 from bus.messages import (
     Briefing,
-    DeclaredBounds,
     Detector,
     Limits,
     LinkKind,
+    SafetyParameters,
     UavBriefing,
     UavGround,
     UgvBriefing,
@@ -17,6 +17,7 @@ from sim.channel.description import longest_delay
 from sim.engine.run_keys import derive_key
 from sim.models.inner_loop import tracking_error
 from sim.models.randomness import PILOT
+from sim.models.safety import SafetyBounds, safety_bounds
 from sim.scenario.risk import command_delay, risk_bounds, risk_fault, ugv_carries
 from sim.scenario.types import DEFAULT_AGE, Scenario, Uav, Ugv
 
@@ -44,8 +45,8 @@ def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:
     return tracking_error(loop, wind, uav.own_error, scenario.dt)
 
 
-def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
-    """The certificate's numbers that a UAV may rely on.
+def safety_parameters(scenario: Scenario, uav: str) -> SafetyParameters:
+    """Return the parameters of a UAV's safety filter.
 
     Raises:
         ScenarioError: If no bound meets the scenario's risk.
@@ -61,18 +62,33 @@ def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
     outage = given.outage
     if outage is None and from_risk.outage is not None:
         outage = from_risk.outage.value
+    if outage is None:
+        outage = scenario.dt
     tracking = given.tracking
     if tracking is None:
         (vehicle,) = (one for one in scenario.uav if one.name == uav)
         tracking = _bound(largest_tracking_error(scenario, vehicle))
-    return DeclaredBounds(
-        error=error,
-        age=age,
-        delay=command_delay(scenario, uav),
+    return SafetyParameters(
+        max_measurement_error=error,
+        max_measurement_age=age,
+        max_command_delay=command_delay(scenario, uav),
+        max_command_interval=outage,
+        max_tracking_error=tracking,
         margin=given.margin,
-        hold=scenario.hold,
-        outage=outage,
-        tracking=tracking,
+    )
+
+
+def monitored_bounds(scenario: Scenario, uav: str) -> SafetyBounds:
+    """Return the bounds with which the simulator counts a UAV's certificates."""
+    vehicle = next(one for one in scenario.uav if one.name == uav)
+    target = next(one for one in scenario.ugv if one.name == vehicle.escorts)
+    return safety_bounds(
+        safety_parameters(scenario, uav),
+        visibility_radius=scenario.visibility.radius,
+        v_a=vehicle.max_speed,
+        u_a=vehicle.max_acceleration,
+        v_g=target.max_speed,
+        dt=scenario.dt,
     )
 
 
@@ -102,7 +118,8 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
             period=scenario.detection_period * scenario.dt,
         ),
         estimator=scenario.estimator,
-        certificate=declared(scenario, name),
+        safety=safety_parameters(scenario, name),
+        hold=scenario.hold,
         ground=UavGround(tile=scenario.ground.tile, telling=scenario.ground.telling)
         if scenario.has_ground
         else None,

@@ -10,13 +10,15 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from bus.registry import SENSORS
+from bus.ticks import MOST_TICKS
+from sim.engine.briefing import monitored_bounds
 from sim.kernels.compile import FloatArray, IntArray
 from sim.kernels.records import RecordArray, record_type, records
 from sim.models.field import cover, empty_coverage
 from sim.models.inner_loop import TrackingRecord
 from sim.models.randomness import RUN_PURPOSES, WordArray
 from sim.models.wind import DisturbanceRow
-from sim.scenario.risk import carries_motions, ugv_carries
+from sim.scenario.risk import ugv_carries
 from sim.scenario.types import Scenario, Uav, Ugv
 
 
@@ -79,6 +81,12 @@ class Vehicle:
     max_acceleration: float
     follows_motions: bool
     """True if its receiver flies the motions that its commands carry."""
+    delay_ticks: int
+    interval_ticks: int
+    """Declared delay of its commands; longest time from the start of a motion to the start of the next [ticks].
+
+    Beyond it a motion that arrives late acts as a bare acceleration.
+    """
     position: Pair
     velocity: Pair
     """True state [m], [m/s]."""
@@ -170,9 +178,11 @@ def first_vehicles(scenario: Scenario) -> RecordArray:
     vehicles = np.zeros(len(scenario.vehicles), record_type(Vehicle))
     for row, one in zip(vehicles, scenario.vehicles, strict=True):
         row["max_speed"], row["max_acceleration"] = one.max_speed, one.max_acceleration
-        row["follows_motions"] = (
-            carries_motions(scenario) if isinstance(one, Uav) else ugv_carries(scenario, one)
-        )
+        row["interval_ticks"] = MOST_TICKS  # the stop of a UGV's motions is safe for any time
+        row["follows_motions"] = isinstance(one, Uav) or ugv_carries(scenario, one)
+        if isinstance(one, Uav):
+            bounds = monitored_bounds(scenario, one.name)
+            row["delay_ticks"], row["interval_ticks"] = bounds.delay_ticks, bounds.interval_ticks
         row["position"] = row["reference_position"] = one.position
         row["velocity"] = row["reference_velocity"] = one.velocity
     vehicles["command_tick"] = vehicles["outgoing_tick"] = vehicles["outgoing_motion"] = -1

@@ -15,7 +15,7 @@ from sim.kernels.records import RecordArray
 from sim.models.detection import detect
 from sim.models.field import accumulate, accumulate_with_gain, coverage_error
 from sim.models.inner_loop import step_error
-from sim.models.motion import NO_MOTION, follow_on, motion_command
+from sim.models.motion import NO_MOTION, follow_on, motion_command, waited
 from sim.models.randomness import DETECTION_CHANCE, DETECTION_NOISE, DISTURBANCE, key_of
 from sim.models.vehicles import brake, norm, step_vehicle, within_walls
 from sim.models.wind import draw_disturbance
@@ -199,6 +199,21 @@ def _fly_motion(numbers: WorldParameters, state: BatchState, world: int, v: int)
 
 
 @compiled
+def _acts_bare(state: BatchState, world: int, v: int, begins: int) -> bool:
+    """Return whether the newest command acts as a bare acceleration when it arrives.
+
+    One without a motion does. So does one whose motion is late, once the vehicle has waited for longer than declared;
+    before that the motion is void.
+    """
+    if begins < 0:
+        return True
+    vehicle, tick = state.vehicles[world, v], state.ticks[world]
+    flown = state.flown[world, v, 0].begins
+    wait = waited(tick, flown, vehicle.delay_ticks)
+    return bool(begins < tick and wait > vehicle.interval_ticks)
+
+
+@compiled
 def _exchange_commands(state: BatchState, traces: IntArray, world: int, v: int, row: int) -> None:
     """Send the command of a vehicle over its link, and take the newest one that has arrived."""
     vehicle, link = state.vehicles[world, v], state.links[world, row]
@@ -217,7 +232,7 @@ def _exchange_commands(state: BatchState, traces: IntArray, world: int, v: int, 
         if packet.stamp > vehicle.command_tick:
             vehicle.command_tick = int(packet.stamp)
             vehicle.command[0], vehicle.command[1] = packet.vector[0], packet.vector[1]
-            if vehicle.follows_motions and packet.plan < 0:
+            if vehicle.follows_motions and _acts_bare(state, world, v, int(packet.plan)):
                 flown = state.flown[world, v, 0]
                 flown.begins, flown.plain = NO_MOTION, 1
 
@@ -226,8 +241,8 @@ def _exchange_commands(state: BatchState, traces: IntArray, world: int, v: int, 
 def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None:
     """Send the commands out; each vehicle acts on its newest one that has arrived.
 
-    Without one for a while, it brakes. A receiver of motions begins each in its own tick, and goes on with the motion
-    that it flies if none begins.
+    Without one for a while, it brakes. A receiver of motions begins each in its own tick if its parent is flown then.
+    Otherwise it goes on with the motion that it flies, and brakes at its end.
     """
     numbers, uavs = tables.world[0], tables.escorts.shape[0]
     for v in range(state.vehicles.shape[1]):

@@ -22,12 +22,6 @@ class RiskBounds(NamedTuple):
     """[m]"""
 
 
-def carries_motions(scenario: Scenario) -> bool:
-    """True if the UAVs' commands carry motions: an outage is given, or follows from a risk."""
-    wanted = scenario.certificate.outage is not None or scenario.certificate.risk is not None
-    return wanted and bool(scenario.uav)
-
-
 def ugv_carries(scenario: Scenario, ugv: Ugv) -> bool:
     """Return whether a UGV's commands carry the stop that follows them: the driver that navigates does this."""
     return scenario.has_ground and ugv.driver == "navigate"

@@ -251,11 +251,10 @@ class Certificate(_Table, frozen=True, kw_only=True):
     delay: NonNegative | None = None
     """From the tick that a command answers to the one in which it acts [s]; by default the longest of its link."""
     margin: NonNegative = 0.0
-    """Taken off r_v [m], for what the theorem does not cover: jitter and loss of commands that carry no motions."""
+    """Taken off r_v [m], for what the theorem does not cover."""
     outage: NonNegative | None = None
-    """From the beginning of a motion to that of the next at most, B [s]. Where it is given, the UAVs' commands carry
-    motions, which their receivers fly on while commands are lost; by default they carry none, but where a `risk` is
-    given.
+    """Longest time from the start of a UAV's motion to the start of the next, B [s]: commands carry motions, which
+    receivers fly on while commands are lost. By default what `risk` allows, or one tick: no command is lost.
     """
     tracking: NonNegative | None = None
     """Largest true distance of a UAV from where it is told that it is, w [m]; by default what wind, own_error and

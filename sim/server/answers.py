@@ -69,7 +69,7 @@ class Answers:
         self._limits = dict(zip(world.names, limits, strict=True))  # of a command's square [m²/s⁴]
         self._uavs = [uav.name for uav in world.uavs]
         flown = world.arrays[1].flown[0, :, 0]
-        self._evidence = recorder.arrivals, world.commands, flown
+        self._evidence = recorder.arrivals, world.vehicles, flown
         self._unsettled: _Tick | None = None
 
     def counted(self, name: str) -> VehicleStatus:

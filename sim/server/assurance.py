@@ -4,30 +4,26 @@ import math
 from collections import Counter
 
 from bus.messages import CertificateStatus, UavCommand
-from sim.engine.briefing import declared
-from sim.engine.certificate_counts import (
-    NEVER,
-    CertificateBounds,
-    certificate_bounds,
-    certificate_counts,
-    count_tick,
-    count_tracking,
-    note_end,
-    sent_commands,
+from sim.engine.briefing import monitored_bounds
+from sim.engine.monitor import (
+    certificate_counters,
+    record_end,
+    record_tick,
+    record_tracking_error,
+    reset_filter,
 )
-from sim.kernels.compile import FloatArray
 from sim.kernels.records import RecordArray, records
+from sim.models.safety import SafetyBounds
 from sim.scenario.types import Scenario, Uav
 
 _SILENT = "the UAV has no estimate yet, or its command did not come"
 """Why a tick is not certified of which no filter has said anything."""
-_NOTHING_SENT = (NEVER, 0.0, 0.0)
 _NOBODY = -2
 """The last tick that was watched, before the first: the one before tick 0 is -1."""
 
 
-Evidence = tuple[RecordArray, FloatArray, RecordArray]
-"""The truth of a tick, as `count_tick` takes it; arrays that change with the flight."""
+Evidence = tuple[RecordArray, RecordArray, RecordArray]
+"""The truth of a tick, as `record_tick` takes it; arrays that change with the flight."""
 
 
 class Assurance:
@@ -46,15 +42,12 @@ class Assurance:
         uavs, self._rows = [scenario.vehicles[k].name for k in rows], rows  # as the world's
         self._radius, self._dt = scenario.visibility.radius, scenario.dt
         self._disturbed = scenario.disturbed
-        told = [declared(scenario, uav) for uav in uavs]
-        self._outage = max((one.outage for one in told if one.outage is not None), default=None)
-        tracking = (math.inf if one.tracking is None else one.tracking for one in told)
-        self._tracking = max(tracking, default=math.inf)
-        bounds = [certificate_bounds(one, scenario.dt) for one in told]
-        self._bounds = records(CertificateBounds, bounds)
-        self._counts = certificate_counts(len(uavs))
-        self._sent = sent_commands(bounds)
-        self._tables = self._bounds, self._counts, self._sent
+        bounds = [monitored_bounds(scenario, uav) for uav in uavs]
+        self._interval = max((one.interval_ticks for one in bounds), default=1)
+        self._tracking = max((one.max_tracking_error for one in bounds), default=math.inf)
+        self._bounds = records(SafetyBounds, bounds)
+        self._counts = certificate_counters(len(uavs))
+        self._tables = self._bounds, self._counts
         self._last = [_NOBODY] * len(uavs)
         self._silent = [0] * len(uavs)  # ticks of which nothing was said
         self._disregarded = [False] * len(uavs)
@@ -78,7 +71,7 @@ class Assurance:
 
         The certificate is wrong if there is one.
         """
-        return self._sum("lost")
+        return self._sum("certified_while_lost")
 
     @property
     def certificate_broken(self) -> int:
@@ -88,11 +81,11 @@ class Assurance:
     def track(self, uav: int, off: float) -> None:
         """A UAV truly is so far from where it is told that it is at the tick that is taken next [m]."""
         self.tracking_error = max(self.tracking_error, off)
-        count_tracking(self._bounds, self._counts, uav, off)
+        record_tracking_error(self._bounds, self._counts, uav, off)
 
     def excuse(self, uav: int) -> None:
         """This UAV's certificate may end at the coming tick: its law has changed, or its process has joined again."""
-        self._counts["promised"][uav] = False
+        self._counts["certified_before"][uav] = False
 
     def disregard(self, uav: int) -> None:
         """A program that knows no certificate flies this UAV: what it does not say is no fault of a filter."""
@@ -124,46 +117,45 @@ class Assurance:
             watched: Whether a filter watches over its law.
         """
         certified = intervened = says = False
-        sent, reason = _NOTHING_SENT, _SILENT
+        reason = _SILENT
         if command is not None:
-            (u_x, u_y), report = command.acceleration, command.report
-            sent = command.tick, u_x, u_y
+            report = command.report
             if report is not None and report.certified is not None:
                 says, certified, intervened = True, report.certified, report.intervened
                 reason = report.uncertified
         if not says and (not watched or self._disregarded[uav]):
-            if command is not None:  # the next one may be watched
-                self._sent[uav, command.tick % self._sent.shape[1]] = sent
+            self.excuse(uav)  # nothing vouches for this tick
             return
         if self._last[uav] != tick - 1:  # not watched just before: a new filter, without a memory
-            count = self._counts[uav]
-            count["newest"], count["exact"], count["promised"] = NEVER, True, False
+            reset_filter(self._counts[uav])
         self._last[uav] = tick
         if not certified:
             self.reasons[reason] += 1
         if not says:
             self._silent[uav] += 1
-        claim = certified, intervened, distance >= self._radius, says and sent[0] == tick
-        count_tick(self._tables, evidence, (uav, self._rows[uav], tick), sent, claim)
+        current = says and command is not None and command.tick == tick
+        claim = certified, intervened, distance >= self._radius, current
+        place = uav, self._rows[uav], tick
+        record_tick(self._tables, evidence, place, command is not None, claim)
 
     def end(self, uav: int, distance: float) -> None:
         """The flight is over with this UAV so far from its UGV [m]: the last tick's certificate is held against it."""
-        note_end(self._counts[uav], distance >= self._radius)
+        record_end(self._counts[uav], distance >= self._radius)
 
     def status(self) -> CertificateStatus | None:
         """All of it as a message; None where no filter has watched over anything."""
         if not self.ticks:
             return None
-        longest = int(self._counts["longest_outage"].max())
+        longest = int(self._counts["longest_interval"].max())
         return CertificateStatus(
             ticks=self.ticks,
             certified=self.certified,
-            intervened=self._sum("intervened"),
+            intervened=self._sum("overridden"),
             uncertified=dict(self.reasons),
             certified_while_lost=self.certified_while_lost,
             certificate_broken=self.certificate_broken,
-            outage=self._outage,
-            longest_outage=None if self._outage is None else longest * self._dt,
+            outage=self._interval * self._dt,
+            longest_outage=longest * self._dt,
             tracking=self._tracking if self._disturbed and math.isfinite(self._tracking) else None,
             tracking_error=self.tracking_error if self._disturbed else None,
         )

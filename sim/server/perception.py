@@ -122,7 +122,6 @@ class UavPerception(Perception):
     def __init__(self, world: World, name: str, episode: int) -> None:
         super().__init__(world, name, episode)
         self._uav = [uav.name for uav in world.uavs].index(name)
-        self._carries = world.carries
 
     def receive(self, tick: int) -> None:
         """Take in what has crossed the links for this tick, and what the sensors say; once for every tick."""
@@ -149,9 +148,7 @@ class UavPerception(Perception):
             velocity=motion[1],
             detections=arrived,
             ground=self._ground.get(tick, ()) if known else (),
-            flown=self._world.flown(self.row)
-            if self._carries and tick == self._world.tick
-            else None,
+            flown=self._world.flown(self.row) if tick == self._world.tick else None,
             law=news.law,
             over=over,
             episode=self._episode,

@@ -12,7 +12,7 @@ import numpy as np
 
 from bus.messages import UavReport
 from sim.channel.link_records import ARRIVED
-from sim.engine.certificate_counts import NEVER, ArrivalRecord
+from sim.engine.monitor import NEVER, ArrivalRecord
 from sim.engine.world_state import BatchState, BatchTables
 from sim.engine.world_tick import measure
 from sim.kernels.compile import FloatArray, compiled

@@ -8,7 +8,6 @@ import math
 import numpy as np
 import pytest
 
-from agents.control.promise import Promise
 from flights import R_S, R_V
 from outrider_falsify.attack import attack
 from outrider_falsify.attack_grid import grid
@@ -27,6 +26,7 @@ from outrider_falsify.conditions import (
 )
 from outrider_falsify.tick_distance import largest_in_tick
 from sim.kernels.records import RecordArray
+from sim.models.safety import SafetyBounds
 
 OUTWARD, SPHERE = INNERS.outward, ERRORS.sphere
 FLEES, STRAIGHT = UGVS.flees, UGVS.straight
@@ -52,6 +52,8 @@ CONDITIONS = {
     "a corner": (Conditions(area=CORNER, blackout=3, blackout_time=5.0), 0.3),
     "a small room": (Conditions(area=SMALL, delay=0.3), 0.3),
     "commands that come twice": (Conditions(area=SMALL, delay=0.3, duplicates=0.5), 0.0),
+    "commands that come early": (Conditions(delay=0.5, jitter=True), 0.3),
+    "bare accelerations": (Conditions(bare=True), 0.3),
 }
 """Within the assumptions: conditions, and eps [m]."""
 
@@ -68,13 +70,13 @@ def test_where_the_assumptions_hold_nobody_is_lost_and_the_certificate_is_approa
     """One that nobody comes near would be worth little."""
     conditions, eps = CONDITIONS[name]
     promise = declared(conditions, eps)
-    assert not math.isnan(promise.handover)
+    assert not math.isnan(promise.handover_radius)
     rows = flown(conditions, eps)
     assert 0.98 * R_V < rows["max_distance"].max() < R_V
     assert rows["max_certified"].max() < R_V  # between ticks too
     assert rows["max_excess"].max() <= 1e-9
     assert not any(rows[name].any() for name in ("uncertified", "certified_lost", "broken"))
-    assert rows["max_age"].max() <= promise.age + 1e-9
+    assert rows["max_age"].max() <= promise.max_measurement_age + 1e-9
     assert 0.0 < rows["intervened"].mean() < 0.6
 
 
@@ -118,8 +120,6 @@ def test_errors_larger_than_declared_break_the_bound_and_are_noticed() -> None:
 
 
 DISTURBED = {
-    "jitter": Conditions(delay=0.5, jitter=True),
-    "jitter and duplicates": Conditions(delay=0.3, jitter=True, duplicates=0.5, area=SMALL),
     **{
         f"{name}, {delay:g} s late": Conditions(
             disturbance=k, delay=delay, blackout=3, blackout_time=4.0
@@ -132,7 +132,7 @@ DISTURBED = {
         disturbance=2, silence=2.0, hold=4.0, delay=0.3, area=CORNER
     ),
 }
-"""Conditions that break A5, and the rest within the assumptions."""
+"""Conditions that break A5', and the rest within the assumptions."""
 
 
 @pytest.mark.parametrize("name", DISTURBED)
@@ -144,21 +144,29 @@ def test_no_tick_is_certified_while_sight_is_lost_whatever_becomes_of_commands(n
     assert rows["uncertified"].min() < 1.0
 
 
-def test_commands_that_do_not_act_lose_sight_without_a_margin() -> None:
-    for conditions in (DISTURBED["jitter"], Conditions(disturbance=DISTURBANCES.silences)):
-        rows = flown(conditions, 0.3)
-        assert rows["max_distance"].max() > R_V
-        assert flown(conditions, 0.3, margin=0.6)["max_distance"].max() < R_V
+def test_motions_that_arrive_too_late_lose_sight() -> None:
+    rows = flown(Conditions(disturbance=DISTURBANCES.late), 0.3)
+    assert rows["max_distance"].max() > R_V
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0])
+def test_a_uav_that_starts_moving_keeps_its_certificate_once_it_has_one(delay: float) -> None:
+    rows = flown(Conditions(start_speed=1.0, delay=delay), 0.3)
+    assert not any(rows[name].any() for name in ("certified_lost", "broken"))
+    assert rows["max_certified"].max() < R_V
+    assert rows["uncertified"].max() < 3.0 * (delay + 0.05) / DURATION
 
 
 def test_a_filter_that_certifies_what_it_should_not_is_caught() -> None:
     """The counters count: a filter that believes in too large a radius."""
     promise = declared(Conditions(), 0.0)
-    assert flown_with(promise._replace(r_v=4.9, handover=4.85))["certified_lost"].sum() > 0
-    assert flown_with(promise._replace(handover=4.74))["broken"].sum() > 0
+    assert (
+        flown_with(promise._replace(radius=4.9, handover_radius=4.85))["certified_lost"].sum() > 0
+    )
+    assert flown_with(promise._replace(handover_radius=4.74))["broken"].sum() > 0
 
 
-def flown_with(promise: Promise) -> RecordArray:
+def flown_with(promise: SafetyBounds) -> RecordArray:
     return attack(promise, Conditions(u_g=math.inf), 7, 0, RUNS, DURATION)
 
 
@@ -197,6 +205,6 @@ def test_any_run_can_be_flown_again_alone() -> None:
 
 def test_the_grid_holds_only_what_has_a_certificate_and_every_place_and_disturbance() -> None:
     combinations = list(grid())
-    assert not any(math.isnan(promise.handover) for promise, _ in combinations)
+    assert not any(math.isnan(promise.handover_radius) for promise, _ in combinations)
     assert {conditions.area for _, conditions in combinations} == set(AREAS)
     assert {conditions.disturbance for _, conditions in combinations} == set(DISTURBANCES)

@@ -51,7 +51,7 @@ def test_each_task_can_be_flown_by_every_law_that_is_on_the_board(task: Task) ->
     assert scenario.title == task.hard
     for uav in scenario.uav:
         assert set(BASELINES) <= set(pilot_names(scenario, uav.name))
-        assert briefing(scenario, uav.name, 0).certificate.error is not None
+        assert briefing(scenario, uav.name, 0).safety.max_measurement_error is not None
     env = task.make(2)
     assert isinstance(env, OutriderVectorEnv)
     env.reset(seed=1)
@@ -174,7 +174,7 @@ def test_a_certificate_that_ends_for_no_reason_is_told_with_the_score(monkeypatc
         """The filter takes for too old what is not as old as was declared."""
 
         def begin(self, seeds: Any, worlds: Any = None) -> None:
-            self.tables.promises["age_ticks"] = 0
+            self.tables.safety["max_age_ticks"] = 0
             super().begin(seeds, worlds)
 
     monkeypatch.setattr(vector, "ClosedLoop", Impatient)

@@ -251,7 +251,7 @@ def test_the_clock_of_an_autopilot_may_roll_over(along):
 def test_a_run_that_declares_no_deviation_is_refused():
     pilot = AutopilotPilot(AutopilotLink(Network()))
     told = make_pilots(load_scenario("escort"), 0)["uav_0"]._briefing
-    assert msgspec.to_builtins(told)["certificate"]["tracking"] == 0.0
+    assert msgspec.to_builtins(told)["safety"]["max_tracking_error"] == 0.0
     with pytest.raises(ScenarioError, match=r"--set certificate\.tracking=0\.3"):
         pilot.make(told)
 

@@ -31,7 +31,7 @@ from sim.channel.chances import (
 )
 from sim.channel.description import link_parameters
 from sim.channel.recorded import pack
-from sim.engine.briefing import declared
+from sim.engine.briefing import safety_parameters
 from sim.scenario.checks import scenario_warnings
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate, LinkTable, Scenario
@@ -349,16 +349,17 @@ def test_a_risk_gives_the_bounds_that_are_not_given() -> None:
     looks = LOOKS | {"ticks": one.ticks}
     packets = PACKETS | {"delay_ticks": 12, "repeats": MOST_CARRIED, "ticks": one.ticks}
     seen, commands = one.links.detections, one.links.commands
-    both = declared(one, "uav_0")
-    assert both.age == smallest_age(seen, **looks, risk=5e-4).value
-    assert both.outage == smallest_outage(commands, **packets, risk=5e-4).value
-    assert declared(scenario(risk=1e-3, age=2.0), "uav_0").age == 2.0
-    assert declared(scenario(risk=1e-3, outage=2.0), "uav_0").outage == 2.0
-    assert (declared(scenario(), "uav_0").age, declared(scenario(), "uav_0").outage) == (1.0, None)
-    uncut = declared(scenario("detections.cut=0", risk=1e-3, outage=2.0), "uav_0")
-    assert uncut.age == both.age
-    assert uncut.error == largest_error(0.1, math.inf, one.ticks, 5e-4)
-    assert declared(scenario("detections.cut=0"), "uav_0").error is None
+    both = safety_parameters(one, "uav_0")
+    assert both.max_measurement_age == smallest_age(seen, **looks, risk=5e-4).value
+    assert both.max_command_interval == smallest_outage(commands, **packets, risk=5e-4).value
+    assert safety_parameters(scenario(risk=1e-3, age=2.0), "uav_0").max_measurement_age == 2.0
+    assert safety_parameters(scenario(risk=1e-3, outage=2.0), "uav_0").max_command_interval == 2.0
+    given = safety_parameters(scenario(), "uav_0")
+    assert (given.max_measurement_age, given.max_command_interval) == (1.0, DT)
+    uncut = safety_parameters(scenario("detections.cut=0", risk=1e-3, outage=2.0), "uav_0")
+    assert uncut.max_measurement_age == both.max_measurement_age
+    assert uncut.max_measurement_error == largest_error(0.1, math.inf, one.ticks, 5e-4)
+    assert safety_parameters(scenario("detections.cut=0"), "uav_0").max_measurement_error is None
 
 
 def test_a_risk_with_an_age_beside_it_is_told_to_do_nothing() -> None:
@@ -370,4 +371,4 @@ def test_a_risk_with_an_age_beside_it_is_told_to_do_nothing() -> None:
     slow = msgspec.structs.replace(scenario(risk=1e-3), links=LinkTable(detections=SLOW))
     told = "let the queue run empty: with links.detections nothing can be promised of uav_0"
     with pytest.raises(ScenarioError, match=told):
-        declared(slow, "uav_0")  # made in Python, and not checked
+        safety_parameters(slow, "uav_0")  # made in Python, and not checked

@@ -1,0 +1,99 @@
+"""Bounds of one UAV's safety filter in compiled code: what is declared, in metres and ticks, and what follows from it.
+
+The simulator counts with the same record (`sim.engine.monitor`). The proof is in docs/explanation/certificate.md.
+"""
+
+import math
+from typing import NamedTuple
+
+from bus.messages import SafetyParameters
+from bus.ticks import first_tick_from, ticks_within
+from sim.kernels.compile import compiled
+
+
+class SafetyBounds(NamedTuple):
+    """The numbers that the checks of one UAV read."""
+
+    dt: float
+    """Length of a tick [s]."""
+    v_a: float
+    u_a: float
+    """Largest speed [m/s] and acceleration [m/s²] of the UAV."""
+    v_g: float
+    """Largest speed of the UGV [m/s]."""
+    width: float
+    height: float
+    """Of the area with its walls, from 0 [m]; infinite: there are none on this axis."""
+    max_measurement_error: float
+    """eps: largest error of a detection, as a vector's norm [m]."""
+    placed_error: float
+    """Largest error of a measurement, eps + w [m]: a detection is placed from the reference position."""
+    max_tracking_error: float
+    """w: largest distance of the UAV from its reference position [m]."""
+    radius: float
+    """r_v [m], less margin, w and the sagitta of a tick; `agents.control.handover.certificate` takes 10 µm off."""
+    max_measurement_age: float
+    """A: largest age of the newest measurement [s]."""
+    max_age_ticks: int
+    delay_ticks: int
+    """tau_c: ticks from a command to the start of its plan."""
+    interval_ticks: int
+    """B: longest time from the start of one plan to the start of the next; at least 1."""
+    handover_radius: float
+    """R_h: a plan may end where the UGV is surely within this [m]; NaN if there is none."""
+    handover_bound: float
+    """E: and where the newest measurement's own bound is at most this [m]; NaN if there is none."""
+
+
+@compiled
+def tick_sagitta(v_a: float, u_a: float, dt: float) -> float:
+    r"""Return the largest distance of a vehicle from the chord of its way within a tick [m], $a\,dt^2/8$.
+
+    The acceleration that acts is at most u_a [m/s²], and within the speed v_a [m/s] at most 2 v_a / dt. So between
+    two ticks the distance exceeds neither end's bound by more than this.
+    """
+    return min(0.125 * u_a * dt * dt, 0.25 * v_a * dt)
+
+
+def safety_bounds(
+    safety: SafetyParameters,
+    *,
+    visibility_radius: float,
+    v_a: float,
+    u_a: float,
+    v_g: float,
+    dt: float,
+    width: float = math.inf,
+    height: float = math.inf,
+) -> SafetyBounds:
+    """Convert declared parameters, without the hand-over: R_h and E are NaN.
+
+    Args:
+        safety: The declared parameters.
+        visibility_radius: r_v [m].
+        v_a, u_a: Bounds of the UAV [m/s], [m/s²].
+        v_g: Bound of the UGV [m/s].
+        dt: Length of a tick [s].
+        width, height: Of the area [m].
+    """
+    declared = safety.max_tracking_error, safety.max_measurement_error
+    tracking, error = (math.inf if bound is None else float(bound) for bound in declared)
+    radius = float(visibility_radius - safety.margin) - tracking
+    return SafetyBounds(
+        dt=float(dt),
+        v_a=float(v_a),
+        u_a=float(u_a),
+        v_g=float(v_g),
+        width=float(width),
+        height=float(height),
+        max_measurement_error=error,
+        placed_error=error + tracking,
+        max_tracking_error=tracking,
+        radius=radius - tick_sagitta(float(v_a), float(u_a), float(dt)),
+        max_measurement_age=float(safety.max_measurement_age),
+        max_age_ticks=ticks_within(safety.max_measurement_age, dt),
+        delay_ticks=first_tick_from(safety.max_command_delay, dt),
+        interval_ticks=max(1, ticks_within(safety.max_command_interval, dt)),
+        handover_radius=math.nan,
+        handover_bound=math.nan,
+    )
