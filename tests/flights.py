@@ -23,10 +23,10 @@ from bus.messages import (
 )
 from bus.profiles import PROFILES
 from outrider.envs.env_pilots import pilots
+from outrider.envs.parallel import parallel_env
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import Summary
 from sim.engine.briefing import uav_briefing
-from sim.env.parallel import parallel_env
 from sim.kernels.compile import FloatArray
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario, Uav, Ugv

@@ -15,8 +15,8 @@ from worlds import FREE, ONE, equal
 
 from bus.errors import ScenarioError
 from bus.messages import Area, UavBriefing, UgvBriefing
+from outrider.envs.parallel import OutriderEnv, parallel_env
 from sim.engine.briefing import briefing
-from sim.env.parallel import OutriderEnv, parallel_env
 from sim.env.spaces import FREE_ACCELERATION, extent_of
 from sim.models.vehicles import clip_norm
 from sim.scenario.types import Detections, Scenario, Uav, Ugv

@@ -9,16 +9,16 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from agents.env_wrappers import EstimateWrapper
 from flights import escort, flown_in_both, pairs, record, sha256
 
-from agents.env_wrappers import EstimateWrapper
 from agents.estimation.estimator import RelativeEstimator
 from bus.layout import UavRow, uav_observation
 from bus.messages import Law
 from bus.ticks import looks_of
 from outrider.envs.env_pilots import pilots
+from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
-from sim.env.parallel import parallel_env
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Custom, Detections, Uav, Ugv
 

@@ -19,7 +19,7 @@ from bus.layout import (
     ugv_observation,
 )
 from bus.messages import Region
-from sim.env.parallel import OutriderEnv, parallel_env
+from outrider.envs.parallel import OutriderEnv, parallel_env
 from sim.scenario.types import Coverage, Detections, Scenario, Uav, Ugv
 from sim.server.flight import Flight
 from sim.world import World

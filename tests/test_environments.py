@@ -9,17 +9,17 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from agents.env_wrappers import SafetyFilterWrapper
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import VectorEnv
 from refusals import refused
 from worlds import SCENARIO, equal, random_actions
 
-from agents.env_wrappers import SafetyFilterWrapper
 from bus.errors import ScenarioError
+from outrider.envs.parallel import parallel_env
 from outrider.envs.single import single_env
 from outrider.envs.vector import parallel_vector_env, vector_env
 from outrider.envs.wrappers import egocentric
-from sim.env.parallel import parallel_env
 
 MAKERS: dict[str, Callable[..., Any]] = {
     "parallel": parallel_env,

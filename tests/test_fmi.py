@@ -25,10 +25,10 @@ from outrider.bridges.fmi.export import export_vehicle, export_world
 from outrider.bridges.fmi.vehicle_unit import VehicleUnit
 from outrider.bridges.fmi.world_unit import WorldUnit
 from outrider.envs.env_pilots import pilots
+from outrider.envs.parallel import parallel_env
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.user_code import foreign_code
 from sim.engine.briefing import briefing
-from sim.env.parallel import parallel_env
 from sim.kernels.compile import FloatArray
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario

@@ -20,7 +20,7 @@ from bus.keys import GROUND, Role
 from bus.messages import GroundMap
 from outrider.cli import console
 from outrider.envs.env_pilots import pilots
-from outrider.envs.escort_env import parallel_env
+from outrider.envs.parallel import parallel_env
 from outrider.experiments.report.document import COLUMNS, columns_of, mission_cells
 from outrider.experiments.report.results import Cell, Panel
 from outrider.experiments.sweep.columns import RESULTS, row_of

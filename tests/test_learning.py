@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import SyncVectorEnv
 from gymnasium.vector.utils import batch_space
+from outrider.learning.one_world import alone
 from processes import loaded_by
 from refusals import refused
 from tabular import words
@@ -19,11 +20,10 @@ from worlds import raw
 
 import outrider
 from outrider.envs.env_pilots import pilots
-from outrider.envs.vector import Worlds
+from outrider.envs.worlds import Worlds
 from outrider.envs.wrappers import transformed
 from outrider.learning.learned import LearnedPolicy, make_view
 from outrider.learning.mlp import Mlp, load_policy, save_policy
-from outrider.learning.one_world import alone
 from outrider.learning.repeat import ActionRepeat
 from sim.models.ground import CLEAR
 from sim.scenario.loading import load_scenario

@@ -22,8 +22,8 @@ from bus.messages import (
 )
 from bus.profiles import PROFILES
 from outrider.envs.env_pilots import pilots
+from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
-from sim.env.parallel import parallel_env
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Detections, LinkTable, Ugv, VehicleLinks
 from sim.server.flight import Flight

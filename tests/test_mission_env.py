@@ -21,6 +21,7 @@ from agents.drivers.policy import PolicyDriver
 from bus.errors import ScenarioError
 from bus.messages import Mission, UgvCommand, UgvObservation
 from outrider.envs.env_pilots import pilots
+from outrider.envs.parallel import parallel_env as bare_env
 from outrider.experiments.intervals import interquartile_interval
 from outrider.experiments.suite.board import leaderboard
 from outrider.experiments.suite.missions import mission_score, shortest_time
@@ -29,7 +30,6 @@ from outrider.experiments.suite.tasks import MISSIONS, SEEDS, TASKS, Task
 from outrider.running.flying import make_pilots
 from sim.engine.briefing import briefing
 from sim.env.observation import one_of_world
-from sim.env.parallel import parallel_env as bare_env
 from sim.models.ground import BLOCK, CLEAR, OUTSIDE, ROUGH, UNSEEN
 from sim.scenario.loading import load_scenario, shipped_text
 from sim.scenario.types import Hazard, Scenario

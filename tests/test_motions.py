@@ -6,6 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from agents.env_wrappers import SafetyFilterWrapper
 from flights import EVADED, PROMISED, flown_in_both, record, told, uav_sees
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,14 +17,13 @@ from agents.control.certificate import OUTAGE, UNCERTIFIED, UNCHECKED_MOTION
 from agents.control.handover import certificate, largest_outage
 from agents.control.promise import Declared
 from agents.control.visibility import SafetyFilter
-from agents.env_wrappers import SafetyFilterWrapper
 from bus.messages import MOST_CARRIED, MotionPlan, UavCommand
 from outrider.envs.env_pilots import pilots
+from outrider.envs.parallel import parallel_env
 from outrider.experiments.falsify.attack import attack
 from outrider.experiments.falsify.conditions import DISTURBANCES, Conditions, declared
 from outrider.experiments.falsify.lost_motions import LOSSES
 from outrider.running.flying import fly
-from sim.env.parallel import parallel_env
 from sim.models.motion import motion_plan, motion_row
 from sim.scenario.types import Certificate, LinkTable, Uav
 from sim.server.flight import Flight

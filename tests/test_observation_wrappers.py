@@ -10,6 +10,7 @@ import gymnasium
 import msgspec
 import numpy as np
 import pytest
+from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 from gymnasium.wrappers import FrameStackObservation
@@ -20,16 +21,15 @@ from pettingzoo.utils.conversions import parallel_to_aec
 from refusals import refused
 from worlds import FREE, ONE, equal
 
-from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from bus.layout import UavRow, UgvRow, table
 from bus.profiles import PROFILES
 from outrider.envs.observations.body import BODY_SYMBOLS, Egocentric, UavBodyRow, UgvBodyRow
 from outrider.envs.observations.image import CoverageImage
 from outrider.envs.observations.normalized import Normalized
 from outrider.envs.observations.stacking import History
+from outrider.envs.parallel import parallel_env
 from outrider.envs.wrappers import coverage_image, egocentric, history, normalized, transformed
 from sim.env.observation import one_of_world
-from sim.env.parallel import parallel_env
 from sim.scenario.types import LinkTable, Uav, Ugv
 
 with warnings.catch_warnings():

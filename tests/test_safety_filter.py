@@ -8,18 +8,18 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from flights import distances, told, uav_sees
 from tabular import rows, words
 
 from agents.control.visibility import SafetyFilter, promise_of
-from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from bus.messages import LinkSettings
+from outrider.envs.parallel import parallel_env
 from outrider.envs.single import single_env
 from outrider.envs.vector import vector_env
 from outrider.envs.wrappers import egocentric, history, normalized
 from outrider.running.assumptions import promise_warnings
 from outrider.running.flying import fly
-from sim.env.parallel import parallel_env
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate, LinkTable, Scenario
 

@@ -22,12 +22,12 @@ from bus.keys import CONTROL, KEYS
 from bus.messages import Action, Control
 from outrider.cli.options import secret_of
 from outrider.envs.env_pilots import pilots
+from outrider.envs.parallel import parallel_env
 from outrider.envs.vector import OutriderVectorEnv
 from outrider.recording.reader import flight_of
 from outrider.recording.refly import refly
 from outrider.running.flying import fly, run
 from sim.engine.briefing import briefing
-from sim.env.parallel import parallel_env
 from sim.scenario.loading import load_scenario
 
 SECRET = bytes(range(100, 116)).hex()

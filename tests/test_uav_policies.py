@@ -9,14 +9,15 @@ import gymnasium
 import msgspec
 import numpy as np
 import pytest
+from agents.env_wrappers import EstimateWrapper
 from flights import distances
 from gymnasium import spaces
+from outrider.learning.one_world import alone
 from processes import outrider as command
 from refusals import refused
 from worlds import SCENARIOS, SEVERAL, raw
 
 import outrider
-from agents.env_wrappers import EstimateWrapper
 from agents.uav import UavPilot
 from bus.errors import ScenarioError
 from outrider.envs.env_pilots import pilots
@@ -25,7 +26,6 @@ from outrider.envs.wrappers import egocentric, history, normalized, transformed
 from outrider.experiments.suite.scoring import evaluate
 from outrider.experiments.suite.tasks import TASKS
 from outrider.learning.learned import LearnedPolicy
-from outrider.learning.one_world import alone
 from outrider.learning.recipe import observation_recipe
 from outrider.learning.repeat import ActionRepeat
 from outrider.learning.saved import SavedPolicy

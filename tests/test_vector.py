@@ -5,6 +5,7 @@ The parallel environment many times over, to the bit, with Gymnasium's ways to b
 
 import numpy as np
 import pytest
+from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
@@ -14,7 +15,6 @@ from properties import PROPERTY
 from worlds import CASES, LATE_LOOKS, SCENARIO, SCENARIOS, SEVERAL, equal, random_actions
 
 import outrider
-from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from outrider.envs.env_pilots import pilots
 from outrider.envs.wrappers import normalized
 from outrider.learning.repeat import ActionRepeat

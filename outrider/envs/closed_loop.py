@@ -4,7 +4,7 @@ World, links, filters, laws, drivers and rewards of a tick in one compiled pass.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, TypeVar, Unpack, cast
+from typing import Any, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -38,6 +38,8 @@ from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
 from bus.ticks import radio_ticks
 from outrider.envs.closed_loop_state import (
     GUARD_METRICS,
+    CommandedState,
+    CommandedTables,
     LoopParameters,
     LoopState,
     LoopTables,
@@ -56,17 +58,16 @@ from sim.engine.mission import mission_of
 from sim.engine.run_keys import check_secret
 from sim.engine.world_state import joined
 from sim.env.patch import given_patch
-from sim.env.rewards import RewardWeights
 from sim.env.rows import UAV_METRICS, row_state, row_tables
-from sim.env.settings import EPISODE_DEFAULTS, EpisodeSettings, completed
+from sim.env.settings import Settings, settings_of
 from sim.kernels.compile import FloatArray, IntArray
 from sim.kernels.records import records
+from sim.models.ground import TileArray
 from sim.models.randomness import PILOT
 from sim.scenario.types import Scenario
 
 _INNER = {law.code: law.inner for law in LAWS.values() if law.inner}
 """By the code of a law, the field of `[custom]` whose policy flies in its place."""
-_NO_ACTIONS = np.zeros((0, 0, 2))
 _Memory = TypeVar("_Memory")
 
 
@@ -92,26 +93,15 @@ def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:
     return tuple(COMPILED_DRIVERS)
 
 
-class LoopSettings(EpisodeSettings, total=False):
-    """Settings of many worlds at once; by default `LOOP_DEFAULTS`."""
+def uses_radio(scenario: Scenario, drivers: Sequence[str] = ()) -> bool:
+    """True if any UGV uses the radio of the UAVs: whoever drives is told of the ground, some drivers of the UAV.
 
-    estimate: bool
-    """True: the UAVs' rows have the Kalman filter's estimate in the place of the raw detection."""
-    gradient: bool
-    """True: the UAVs' rows end with `bus.layout.GradientCue`."""
-    safety_filter: bool
-    """True: actions from outside go through the safety filter, as those of the law `certified` do."""
-    threads: int | None
-    """Processor cores that share the worlds; None: all that this process may use."""
-
-
-LOOP_DEFAULTS = LoopSettings(
-    **EPISODE_DEFAULTS,
-    estimate=False,
-    gradient=False,
-    safety_filter=False,
-    threads=None,
-)
+    Args:
+        scenario: The scenario.
+        drivers: Who drives beside the scenario's drivers, by name.
+    """
+    own = [ugv.driver for ugv in scenario.ugv]
+    return scenario.has_ground or any(DRIVERS[driver].listens for driver in (*own, *drivers))
 
 
 class ClosedLoop:
@@ -123,7 +113,7 @@ class ClosedLoop:
         external: Vehicles whose actions come from outside, in the order of the actions.
         pilots: Who flies or drives the others, by name, instead of the scenario's law and drivers.
         error: Whether e(t) is computed at every tick; if `uncovered` is paid, it is in any case.
-        settings: Options by keyword: `LoopSettings` says what each is.
+        settings: By keyword: `sim.env.settings.Settings` says what each is.
 
     Raises:
         ScenarioError: If a vehicle has a law or a driver that cannot be flown in here.
@@ -139,11 +129,9 @@ class ClosedLoop:
         external: Collection[str] = (),
         pilots: Mapping[str, str] | None = None,
         error: bool = False,
-        **settings: Unpack[LoopSettings],
+        **settings: Any,  # noqa: ANN401 - fields of `Settings`
     ) -> None:
-        options = completed(LoopSettings, settings, LOOP_DEFAULTS)
-        estimate, gradient = options["estimate"], options["gradient"]
-        patch = given_patch(options["coverage_patch"])
+        options = settings_of(settings)
         self.scenario = scenario
         self.worlds = worlds
         self.names = tuple(vehicle.name for vehicle in scenario.vehicles)
@@ -154,32 +142,66 @@ class ClosedLoop:
         """UGVs in the order of theirs."""
         self.external = tuple(external)
         """The vehicles whose actions come from outside."""
-        weights = options["rewards"] or RewardWeights()
         chosen = dict(pilots or {})
         for name in (*self.external, *chosen):
             if name not in self.names:
                 raise ValueError(f"vehicle = {name!r}; allowed: {', '.join(self.names)}")
-        numbers = _PilotNumbers(
-            scenario,
-            self.uavs,
-            self.ugvs,
-            set(self.external),
-            chosen,
-            shield=options["safety_filter"],
-        )
         self.batch = Batch(
             scenario,
             worlds,
-            gains=weights.seen > 0.0,
-            threads=options["threads"],
-            secret=check_secret(options["secret"]),
+            gains=options.rewards.seen > 0.0,
+            threads=options.threads,
+            secret=check_secret(options.secret),
             others=(LinkKind.RADIO,),
         )
-        receiving = numbers.radio
+        rows = row_tables(scenario, options, error=error)
+        self.has_error = bool(rows.episode["error"][0])
+        """True if e(t) is computed at every tick."""
+        self.parameters: LoopParameters | None = None
+        """Of the pilots; None if every action comes from outside and nothing else is asked for."""
+        self.tables: LoopTables | CommandedTables = CommandedTables(
+            batch=self.batch.tables,
+            rows=rows,
+            hand=np.array(
+                [self.external.index(n) if n in self.external else -1 for n in self.names],
+                dtype=np.int64,
+            ),
+        )
+        uav_columns, guard_columns = len(GradientCue._fields), len(GUARD_METRICS)
+        self.state: LoopState | CommandedState = CommandedState(
+            batch=self.batch.state,
+            rows=row_state(rows, worlds, uav_metrics=guard_columns, uav_columns=uav_columns),
+            certificates=np.repeat(certificate_counts(len(self.uavs))[None], worlds, axis=0),
+        )
+        self.faults = dict.fromkeys(self.uavs, "")
+        """Why nothing of each UAV's flight can be certified; empty: it can."""
+        self._lookaheads: LookaheadMemory | None = None  # unless a UAV flies by that law
+        if self._needs_pilots(options):
+            self._add_pilots(chosen, options)
+        # all but the batch, which knows its own
+        self._fresh = Fresh((*self.state[1:], self._lookaheads))
+        self._all = np.arange(worlds)
+        self._none = np.zeros((worlds, 0, 2))
+        self.begin([scenario.seed], [0])
+
+    def _needs_pilots(self, settings: Settings) -> bool:
+        asked = settings.estimate or settings.gradient or settings.safety_filter
+        pictured = settings.coverage_patch is not None
+        commanded = len(self.external) == len(self.names)
+        return asked or pictured or not commanded or uses_radio(self.scenario)
+
+    def _add_pilots(self, chosen: Mapping[str, str], settings: Settings) -> None:
+        """Add the tables and the state of pilots, estimates and pictures."""
+        scenario, worlds, batch = self.scenario, self.worlds, self.batch
+        numbers = _PilotNumbers(
+            scenario, self.uavs, self.ugvs, set(self.external), chosen, settings.safety_filter
+        )
+        self.faults = dict(zip(self.uavs, numbers.faults, strict=True))
+        estimate, gradient = settings.estimate, settings.gradient
+        receiving, patch = numbers.radio, given_patch(settings.coverage_patch)
         thinking = numbers.thinking | (estimate or gradient or receiving)
         dt, ground, grounded = scenario.dt, scenario.ground, scenario.has_ground and receiving
         self.parameters = LoopParameters(
-            error=error or weights.uncovered > 0.0,
             estimate=estimate,
             gradient=gradient,
             own_maps=len(self.uavs) > 1 or scenario.disturbed,
@@ -190,25 +212,14 @@ class ClosedLoop:
             meters_per_pixel=float(patch.meters_per_pixel) if patch else 1.0,
         )
         scripts, script_rows = joined(numbers.scripts, 3)
-        rows = row_tables(
-            scenario,
-            weights,
-            end_on_sight_lost=options["end_on_sight_lost"],
-            end_on_goals=options["end_on_goals_reached"],
-        )
         self.tables = LoopTables(
-            batch=self.batch.tables,
-            rows=rows,
-            hand=np.array(
-                [self.external.index(n) if n in self.external else -1 for n in self.names],
-                dtype=np.int64,
-            ),
+            **self.tables._asdict(),
             thinking=thinking.astype(np.int64),
             guarded=numbers.guarded.astype(np.int64),
-            faults=numbers.faults.astype(np.int64),
+            faults=np.array([bool(fault) for fault in numbers.faults], dtype=np.int64),
             bounds=numbers.bounds,
             receivers=np.array(
-                [self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]],
+                [self.ugvs.index(self.names[g]) for g in batch.tables.escorts[:, 1]],
                 dtype=np.int64,
             ),
             kalman=numbers.kalman,
@@ -217,27 +228,20 @@ class ClosedLoop:
             script_rows=script_rows,
             late=numbers.late,
         )
-        late = self.batch.links.longest(LinkKind.DETECTIONS)
+        late = batch.links.longest(LinkKind.DETECTIONS)
         kalman = estimator_rows(min(late + 1, history_depth(SPAN, dt)))
         guard = guard_state(numbers.longest, min(late + 1, numbers.track))
         uavs, ugvs = len(self.uavs), len(self.ugvs)
-        room = self.batch.links.packets.shape[3]
-        coverage = self.batch.state.coverage
+        room = batch.links.packets.shape[3]
         told_room = 0
-        if grounded and self.batch.ground is not None:
-            told_room = max(BLOCK_TILES, self.batch.ground.seen.shape[2])
+        if grounded and batch.ground is not None:
+            told_room = max(BLOCK_TILES, batch.ground.seen.shape[2])
         telling = telling_memory(scenario.area.width, scenario.area.height, self.parameters.tile)
         pixels = patch.pixels if patch else 1
+        own_maps = uavs if self.parameters.own_maps else 0
         self.state = LoopState(
-            batch=self.batch.state,
-            rows=row_state(
-                rows,
-                worlds,
-                uav_metrics=len(GUARD_METRICS),
-                uav_columns=len(GradientCue._fields),
-            ),
-            maps=_repeated(coverage[0], worlds, uavs if self.parameters.own_maps else 0),
-            certificates=np.repeat(numbers.certificates[None], worlds, axis=0),
+            **self.state._asdict(),
+            maps=_repeated(batch.state.coverage[0], worlds, own_maps),
             sent=np.repeat(numbers.sent[None], worlds, axis=0),
             laws=np.repeat(numbers.laws[None], worlds, axis=0),
             drivers=np.repeat(numbers.drivers[None], worlds, axis=0),
@@ -256,13 +260,8 @@ class ClosedLoop:
             states=np.zeros((worlds, told_room), dtype=np.uint8),
         )
         self.state.outbox["stamp"] = -1.0
-        self._lookaheads: LookaheadMemory | None = None  # unless a UAV flies by that law
         if (numbers.laws["law"] == LOOKAHEAD).any():
             self._lookaheads = _repeated(lookahead_memory(), worlds, uavs)
-        # all but the batch, which knows its own
-        self._fresh = Fresh((*self.state[1:], self._lookaheads))
-        self._all = np.arange(worlds)
-        self.begin([scenario.seed], [0])
 
     @property
     def degraded(self) -> bool:
@@ -280,14 +279,15 @@ class ClosedLoop:
         """
         which = self.batch.restore(seeds, worlds)
         self._fresh.restore(which)
-        keys = self.state.batch.vehicles["keys"][which, :, PILOT]
-        for rows, vehicles in (
-            (self.state.laws, self.tables.batch.escorts[:, 0]),
-            (self.state.drivers, self.tables.batch.ugvs),
-        ):
-            for word, name in enumerate(("key_0", "key_1")):
-                rows[name][which] = keys[:, vehicles, word]
-        self._run(which, _NO_ACTIONS, 0)
+        if isinstance(self.state, LoopState):
+            keys = self.state.batch.vehicles["keys"][which, :, PILOT]
+            for rows, vehicles in (
+                (self.state.laws, self.tables.batch.escorts[:, 0]),
+                (self.state.drivers, self.tables.batch.ugvs),
+            ):
+                for word, name in enumerate(("key_0", "key_1")):
+                    rows[name][which] = keys[:, vehicles, word]
+        self._run(which, self._none, 0)
 
     def step(self, actions: FloatArray, worlds: IntArray | None = None) -> None:
         """Worlds advance by one tick.
@@ -308,9 +308,9 @@ class ClosedLoop:
             raise ValueError(
                 f"the actions of {', '.join(self.external)} come from outside: use step"
             )
-        none, most = np.zeros((self.worlds, 0, 2)), self.scenario.ticks if ticks is None else ticks
+        most = self.scenario.ticks if ticks is None else ticks
         if most > 0:
-            self._run(self._all, none, most)
+            self._run(self._all, self._none, most)
 
     def _run(self, worlds: IntArray, actions: FloatArray, ticks: int) -> None:
         which = np.ascontiguousarray(worlds, dtype=np.int64)
@@ -329,7 +329,7 @@ class ClosedLoop:
         row, ticks = self.uavs.index(uav), self.state.batch.ticks
         rows, counts = self.state.rows.uavs[:, row], self.state.certificates[:, row]
         watched = np.maximum(counts["ticks"], 1.0)
-        counted = np.where(self.parameters.error, 1.0, np.nan)
+        counted = np.where(self.has_error, 1.0, np.nan)
         return {
             "ticks": ticks.astype(np.float64),
             "distance": rows[:, UAV_METRICS.distance].copy(),
@@ -349,6 +349,22 @@ class ClosedLoop:
             raise ValueError("there are no hazards, so there is no mission")
         goal_rows, dt = self.tables.batch.goal_rows, self.scenario.dt
         return mission_of(goal_rows, self.batch.ground, world, dt, self.ugvs)
+
+    def patch(self, uav: str) -> FloatArray:
+        """The picture of a UAV's own map, in each world. Shape (worlds, pixels, pixels)."""
+        pictures: FloatArray = self._pilots.patches[:, self.uavs.index(uav)]
+        return pictures
+
+    def known_tiles(self, ugv: str) -> TileArray:
+        """The ground as a UGV knows it, from its bumper and by radio, in each world. Shape (worlds, rows, columns)."""
+        tiles: TileArray = self._pilots.grounds.tiles[:, self.ugvs.index(ugv)]
+        return tiles
+
+    @property
+    def _pilots(self) -> LoopState:
+        if not isinstance(self.state, LoopState):
+            raise ValueError("there are no hazards and no pictures")
+        return self.state
 
     def links(self, world: int) -> dict[str, LinkStatus]:
         """The counters of each link of one world so far, by `vehicle/kind`."""
@@ -373,7 +389,6 @@ class _PilotNumbers:
         ugvs: Sequence[str],
         external: set[str],
         chosen: Mapping[str, str],
-        *,
         shield: bool,
     ) -> None:
         told_uavs = [uav_briefing(scenario, name, 0) for name in uavs]
@@ -394,10 +409,9 @@ class _PilotNumbers:
         self.track = max((track_ticks(promise) for promise in promises), default=1)
         bounds = [certificate_bounds(one.certificate, one.dt) for one in told_uavs]
         self.bounds = records(CertificateBounds, bounds)
-        self.certificates = certificate_counts(len(uavs))
         self.sent = sent_commands(bounds)
         self.promises = records(Promise, promises)
-        self.faults = np.array([bool(check_assumptions(one)) for one in promises], dtype=np.bool_)
+        self.faults = [next(iter(check_assumptions(one)), "") for one in promises]
         self.kalman = records(
             KalmanParameters,
             [
@@ -420,10 +434,7 @@ class _PilotNumbers:
         grounds = [told_ground(one) for one in told_ugvs]
         self.late = np.array([len(memory.sent) for memory in grounds], dtype=np.int64)
         self.ground = max(grounds, key=lambda memory: len(memory.sent))  # all have one area
-        self.radio = scenario.has_ground or any(  # whoever drives is told of the ground
-            DRIVERS[driver].listens and name not in external
-            for name, driver in zip(ugvs, drivers, strict=True)
-        )
+        self.radio = uses_radio(scenario, drivers)
 
     @staticmethod
     def _law(told: UavBriefing, name: str | None) -> LawParameters:
