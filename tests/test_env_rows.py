@@ -256,15 +256,6 @@ def test_state_is_the_whole_truth_under_its_names(dtype):
     np.testing.assert_allclose(found, list(truth.values()), rtol=rtol)
 
 
-def test_state_ends_with_the_map_where_it_is_asked_for():
-    env = parallel_env(scenario(), coverage_in_state=True)
-    drive(env, [0.1, 0.2], [0.1, 0.0], 33)
-    cells = env.state()[len(env.state_names) :]
-    np.testing.assert_array_equal(
-        cells.reshape(160, 160), np.minimum(env.world.coverage / 2.0, 1.0)
-    )
-
-
 def test_state_of_several_vehicles_is_in_name_order():
     names = parallel_env(TWO).state_names
     assert [name for name in names if name.endswith(".x")] == ["uav_0.x", "uav_1.x", "ugv_0.x"]

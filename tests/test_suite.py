@@ -13,7 +13,8 @@ from worlds import SCENARIOS
 
 from bus.messages import Command
 from outrider.envs import vector
-from outrider.envs.closed_loop import ClosedLoop, pilot_names
+from outrider.envs.closed_loop import ClosedLoop
+from outrider.envs.pilot_numbers import pilot_names
 from outrider.envs.vector import OutriderVectorEnv
 from outrider.experiments.suite.board import BASELINES, leaderboard, middle_cell
 from outrider.experiments.suite.scoring import Team, evaluate

@@ -4,38 +4,25 @@ World, links, filters, laws, drivers and rewards of a tick in one compiled pass.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, TypeVar, cast
+from typing import Any
 
-import msgspec
 import numpy as np
 
-from agents.control.guard import guard_state, track_ticks
-from agents.control.handover import check_assumptions
+from agents.control.guard import guard_state
 from agents.control.laws import (
     LOOKAHEAD,
-    WATCHED,
-    LawParameters,
     initial_state,
-    law_parameters,
 )
 from agents.control.lookahead import LookaheadMemory, lookahead_memory
-from agents.control.promise import Promise
-from agents.control.telling import BLOCK_TILES, telling_memory, telling_ticks
-from agents.control.visibility import promise_of
-from agents.drivers.compiled import driver_memory, driver_parameters, told_ground, told_route
-from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters
+from agents.control.telling import BLOCK_TILES, telling_memory
+from agents.drivers.compiled import driver_memory
 from agents.estimation.batch_filter import estimator_rows
 from agents.estimation.motion_model import (
     SPAN,
-    KalmanParameters,
     history_depth,
-    kalman_parameters,
 )
-from bus.errors import ScenarioError
 from bus.layout import GradientCue
-from bus.messages import LinkKind, LinkStatus, Mission, UavBriefing
-from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
-from bus.ticks import radio_ticks
+from bus.messages import LinkKind, LinkStatus, Mission
 from outrider.envs.closed_loop_state import (
     GUARD_METRICS,
     CommandedState,
@@ -45,63 +32,22 @@ from outrider.envs.closed_loop_state import (
     LoopTables,
 )
 from outrider.envs.closed_loop_tick import run_worlds
+from outrider.envs.pilot_numbers import PilotNumbers, loop_parameters, repeated, uses_radio
 from sim.channel.link_records import no_packets
 from sim.engine.batch import Batch, Fresh, arrays_of
-from sim.engine.briefing import uav_briefing, ugv_briefing
 from sim.engine.certificate_counts import (
-    CertificateBounds,
-    certificate_bounds,
     certificate_counts,
-    sent_commands,
 )
 from sim.engine.mission import mission_of
 from sim.engine.run_keys import check_secret
 from sim.engine.world_state import joined
-from sim.env.patch import given_patch
+from sim.env.patch import CoveragePatch, given_patch
 from sim.env.rows import UAV_METRICS, row_state, row_tables
 from sim.env.settings import Settings, settings_of
 from sim.kernels.compile import FloatArray, IntArray
-from sim.kernels.records import records
 from sim.models.ground import TileArray
 from sim.models.randomness import PILOT
 from sim.scenario.types import Scenario
-
-_INNER = {law.code: law.inner for law in LAWS.values() if law.inner}
-"""By the code of a law, the field of `[custom]` whose policy flies in its place."""
-_Memory = TypeVar("_Memory")
-
-
-def _repeated(memory: _Memory, worlds: int, of_each: int) -> _Memory:
-    """The memory of one vehicle for each of `of_each` in each world.
-
-    Args:
-        memory: An array, or a named tuple of such memories.
-        worlds, of_each: Sizes of the axes that come in front of each array.
-    """
-    one: Any = memory
-    if hasattr(one, "_make"):
-        many = one._make(_repeated(part, worlds, of_each) for part in one)
-    else:
-        many = np.broadcast_to(one, (worlds, of_each, *one.shape)).copy()
-    return cast("_Memory", many)
-
-
-def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:
-    """The laws or drivers that can fly or drive a vehicle in here, by name."""
-    if any(uav.name == vehicle for uav in scenario.uav):
-        return tuple(law.name for law in LAWS.values() if not law.own)
-    return tuple(COMPILED_DRIVERS)
-
-
-def uses_radio(scenario: Scenario, drivers: Sequence[str] = ()) -> bool:
-    """True if any UGV uses the radio of the UAVs: whoever drives is told of the ground, some drivers of the UAV.
-
-    Args:
-        scenario: The scenario.
-        drivers: Who drives beside the scenario's drivers, by name.
-    """
-    own = [ugv.driver for ugv in scenario.ugv]
-    return scenario.has_ground or any(DRIVERS[driver].listens for driver in (*own, *drivers))
 
 
 class ClosedLoop:
@@ -192,34 +138,28 @@ class ClosedLoop:
 
     def _add_pilots(self, chosen: Mapping[str, str], settings: Settings) -> None:
         """Add the tables and the state of pilots, estimates and pictures."""
-        scenario, worlds, batch = self.scenario, self.worlds, self.batch
-        numbers = _PilotNumbers(
-            scenario, self.uavs, self.ugvs, set(self.external), chosen, settings.safety_filter
+        numbers = PilotNumbers(
+            self.scenario, self.uavs, self.ugvs, set(self.external), chosen, settings.safety_filter
         )
         self.faults = dict(zip(self.uavs, numbers.faults, strict=True))
-        estimate, gradient = settings.estimate, settings.gradient
-        receiving, patch = numbers.radio, given_patch(settings.coverage_patch)
-        thinking = numbers.thinking | (estimate or gradient or receiving)
-        dt, ground, grounded = scenario.dt, scenario.ground, scenario.has_ground and receiving
-        self.parameters = LoopParameters(
-            estimate=estimate,
-            gradient=gradient,
-            own_maps=len(self.uavs) > 1 or scenario.disturbed,
-            radio=receiving,
-            radio_ticks=radio_ticks(dt),
-            telling_ticks=telling_ticks(ground.telling, dt) if grounded else 0,
-            tile=float(ground.tile) if grounded else 0.0,
-            meters_per_pixel=float(patch.meters_per_pixel) if patch else 1.0,
-        )
+        parameters = loop_parameters(self.scenario, settings, radio=numbers.radio)
+        self.parameters = parameters
+        self.tables = self._pilot_tables(numbers, parameters)
+        self.state = self._pilot_state(numbers, parameters, given_patch(settings.coverage_patch))
+        if (numbers.laws["law"] == LOOKAHEAD).any():
+            self._lookaheads = repeated(lookahead_memory(), self.worlds, len(self.uavs))
+
+    def _pilot_tables(self, numbers: PilotNumbers, parameters: LoopParameters) -> LoopTables:
+        needed = parameters.estimate or parameters.gradient or parameters.radio
         scripts, script_rows = joined(numbers.scripts, 3)
-        self.tables = LoopTables(
+        return LoopTables(
             **self.tables._asdict(),
-            thinking=thinking.astype(np.int64),
+            thinking=(numbers.thinking | needed).astype(np.int64),
             guarded=numbers.guarded.astype(np.int64),
             faults=np.array([bool(fault) for fault in numbers.faults], dtype=np.int64),
             bounds=numbers.bounds,
             receivers=np.array(
-                [self.ugvs.index(self.names[g]) for g in batch.tables.escorts[:, 1]],
+                [self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]],
                 dtype=np.int64,
             ),
             kalman=numbers.kalman,
@@ -228,40 +168,43 @@ class ClosedLoop:
             script_rows=script_rows,
             late=numbers.late,
         )
+
+    def _pilot_state(
+        self, numbers: PilotNumbers, parameters: LoopParameters, patch: CoveragePatch | None
+    ) -> LoopState:
+        worlds, batch, area = self.worlds, self.batch, self.scenario.area
         late = batch.links.longest(LinkKind.DETECTIONS)
-        kalman = estimator_rows(min(late + 1, history_depth(SPAN, dt)))
+        depth = min(late + 1, history_depth(SPAN, self.scenario.dt))
         guard = guard_state(numbers.longest, min(late + 1, numbers.track))
         uavs, ugvs = len(self.uavs), len(self.ugvs)
         room = batch.links.packets.shape[3]
         told_room = 0
-        if grounded and batch.ground is not None:
+        if batch.ground is not None:
             told_room = max(BLOCK_TILES, batch.ground.seen.shape[2])
-        telling = telling_memory(scenario.area.width, scenario.area.height, self.parameters.tile)
+        telling = telling_memory(area.width, area.height, parameters.tile)
         pixels = patch.pixels if patch else 1
-        own_maps = uavs if self.parameters.own_maps else 0
-        self.state = LoopState(
+        state = LoopState(
             **self.state._asdict(),
-            maps=_repeated(batch.state.coverage[0], worlds, own_maps),
+            maps=repeated(batch.state.coverage[0], worlds, uavs if parameters.own_maps else 0),
             sent=np.repeat(numbers.sent[None], worlds, axis=0),
             laws=np.repeat(numbers.laws[None], worlds, axis=0),
             drivers=np.repeat(numbers.drivers[None], worlds, axis=0),
-            law_states=_repeated(initial_state(), worlds, uavs),
-            kalman=_repeated(kalman, worlds, uavs),
-            guards=_repeated(guard, worlds, uavs),
-            driver_states=_repeated(driver_memory(), worlds, ugvs),
-            grounds=_repeated(numbers.ground, worlds, ugvs),
+            law_states=repeated(initial_state(), worlds, uavs),
+            kalman=repeated(estimator_rows(depth), worlds, uavs),
+            guards=repeated(guard, worlds, uavs),
+            driver_states=repeated(driver_memory(), worlds, ugvs),
+            grounds=repeated(numbers.ground, worlds, ugvs),
             outbox=no_packets(worlds, uavs, 2),
             looks=np.zeros((worlds, room, 3)),
-            inboxes=np.zeros((worlds, ugvs, room * uavs if receiving else 1, 3)),
+            inboxes=np.zeros((worlds, ugvs, room * uavs if parameters.radio else 1, 3)),
             arrived=np.zeros((worlds, ugvs), dtype=np.int64),
             patches=np.zeros((worlds, uavs if patch else 0, pixels, pixels)),
-            telling=_repeated(telling, worlds, uavs),
+            telling=repeated(telling, worlds, uavs),
             places=np.zeros((worlds, 2, told_room), dtype=np.int64),
             states=np.zeros((worlds, told_room), dtype=np.uint8),
         )
-        self.state.outbox["stamp"] = -1.0
-        if (numbers.laws["law"] == LOOKAHEAD).any():
-            self._lookaheads = _repeated(lookahead_memory(), worlds, uavs)
+        state.outbox["stamp"] = -1.0
+        return state
 
     @property
     def degraded(self) -> bool:
@@ -377,70 +320,3 @@ class ClosedLoop:
     def close(self) -> None:
         """End the threads."""
         self.batch.workers.close()
-
-
-class _PilotNumbers:
-    """The parameters of all pilots, in tables."""
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        uavs: Sequence[str],
-        ugvs: Sequence[str],
-        external: set[str],
-        chosen: Mapping[str, str],
-        shield: bool,
-    ) -> None:
-        told_uavs = [uav_briefing(scenario, name, 0) for name in uavs]
-        told_ugvs = [ugv_briefing(scenario, name, 0) for name in ugvs]
-        never_asked = dict.fromkeys(uavs, "tracking") | dict.fromkeys(ugvs, DEFAULT_DRIVER)
-        pilots = {**chosen, **{name: never_asked[name] for name in external}}
-        laws = [self._law(one, pilots.get(one.vehicle)) for one in told_uavs]
-        for one, law in zip(told_uavs, laws, strict=True):
-            named = getattr(scenario.custom, _INNER.get(law.law, ""), "")
-            if named and one.vehicle not in pilots:
-                raise ScenarioError(
-                    f"{one.vehicle}: uav_policy = {named!r}: flies in a run, not in many worlds; allowed: no policy, "
-                    "or the policy itself as one of the `others`"
-                )
-        promises = [promise_of(one) for one in told_uavs]
-        self.laws = records(LawParameters, laws)
-        self.longest = max((promise.delay_ticks for promise in promises), default=0)
-        self.track = max((track_ticks(promise) for promise in promises), default=1)
-        bounds = [certificate_bounds(one.certificate, one.dt) for one in told_uavs]
-        self.bounds = records(CertificateBounds, bounds)
-        self.sent = sent_commands(bounds)
-        self.promises = records(Promise, promises)
-        self.faults = [next(iter(check_assumptions(one)), "") for one in promises]
-        self.kalman = records(
-            KalmanParameters,
-            [
-                kalman_parameters(
-                    detector=one.detector,
-                    target=one.target_limits,
-                    dt=one.dt,
-                    settings=one.estimator,
-                )
-                for one in told_uavs
-            ],
-        )
-        outside = np.array([name in external for name in uavs], dtype=np.bool_)
-        watched = np.array([law.law in WATCHED for law in laws], dtype=np.bool_)
-        self.guarded = watched & ~outside | outside & shield
-        self.thinking = ~outside
-        drivers = [pilots.get(one.vehicle) or one.driver for one in told_ugvs]
-        self.drivers = records(DriverParameters, list(map(driver_parameters, told_ugvs, drivers)))
-        self.scripts = [told_route(one).script for one in told_ugvs]
-        grounds = [told_ground(one) for one in told_ugvs]
-        self.late = np.array([len(memory.sent) for memory in grounds], dtype=np.int64)
-        self.ground = max(grounds, key=lambda memory: len(memory.sent))  # all have one area
-        self.radio = uses_radio(scenario, drivers)
-
-    @staticmethod
-    def _law(told: UavBriefing, name: str | None) -> LawParameters:
-        law = told.law if name is None else msgspec.structs.replace(told.law, name=name)
-        if law.name in LAWS and LAWS[law.name].own:
-            raise ScenarioError(
-                f"{told.vehicle}: law.name = {law.name!r} is a function of your own and cannot be compiled"
-            )
-        return law_parameters(told, law)

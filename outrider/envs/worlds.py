@@ -17,8 +17,9 @@ from gymnasium.vector import AutoresetMode
 from agents.control.certificate import UNCERTIFIED
 from bus.layout import GradientCue, UavRow
 from bus.messages import LinkStatus, Mission
-from outrider.envs.closed_loop import ClosedLoop, pilot_names
+from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.closed_loop_state import GUARD_METRICS, GuardMetrics
+from outrider.envs.pilot_numbers import pilot_names
 from sim.engine.mission import mission_numbers
 from sim.env.actions import take_batch
 from sim.env.observation import AgentObservation, ObservationFormat, one_of_world

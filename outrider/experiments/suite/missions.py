@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from bus.messages import Mission
-from outrider.envs.closed_loop import pilot_names
+from outrider.envs.pilot_numbers import pilot_names
 from outrider.envs.worlds import Worlds
 from outrider.experiments.suite.scoring import Entry, Result, Team, begun, check_law, result_of
 from outrider.experiments.suite.tasks import NO_ESCORT, Task

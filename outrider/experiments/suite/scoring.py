@@ -10,7 +10,8 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from outrider.envs.closed_loop import ClosedLoop, pilot_names
+from outrider.envs.closed_loop import ClosedLoop
+from outrider.envs.pilot_numbers import pilot_names
 from outrider.envs.worlds import Worlds
 from outrider.experiments.intervals import mean_interval
 from outrider.experiments.suite.tasks import SEEDS, Task
