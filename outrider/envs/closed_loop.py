@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from agents.control.certificate import UNCERTIFIED
 from agents.control.guard import guard_state
 from agents.control.laws import (
     LOOKAHEAD,
@@ -27,6 +28,7 @@ from outrider.envs.closed_loop_state import (
     GUARD_METRICS,
     CommandedState,
     CommandedTables,
+    GuardMetrics,
     LoopParameters,
     LoopState,
     LoopTables,
@@ -284,6 +286,18 @@ class ClosedLoop:
             "certified": counts["certified"] / watched,
             "certified_while_lost": counts["lost"].astype(np.float64),
             "certificate_broken": counts["broken"].astype(np.float64),
+        }
+
+    def verdict(self, uav: str) -> dict[str, Any]:
+        """What the safety filter has made of a UAV's action in the last tick, in the first world, as plain numbers."""
+        row = self.state.rows.uavs[0, self.uavs.index(uav), list(GUARD_METRICS)]
+        guard = GuardMetrics._make(row.tolist())
+        reason = self.faults[uav] or UNCERTIFIED.get(int(guard.code), "")
+        return {
+            "intervened": guard.acted != 0.0,
+            "certified": guard.sure != 0.0,
+            "uncertified": "" if guard.sure else reason,
+            "certified_distance": guard.bound,
         }
 
     def mission(self, world: int) -> Mission:

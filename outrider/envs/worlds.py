@@ -14,11 +14,10 @@ from gymnasium import logger
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
-from agents.control.certificate import UNCERTIFIED
 from bus.layout import GradientCue, UavRow
 from bus.messages import LinkStatus, Mission
 from outrider.envs.closed_loop import ClosedLoop
-from outrider.envs.closed_loop_state import GUARD_METRICS, GuardMetrics
+from outrider.envs.closed_loop_state import GUARD_METRICS
 from outrider.envs.pilot_numbers import pilot_names
 from sim.engine.mission import mission_numbers
 from sim.env.actions import take_batch
@@ -101,9 +100,7 @@ class Worlds:
             )
         self.autoreset_mode = _checked_mode(autoreset_mode)
         """When an episode follows on one that has ended."""
-        options = settings_of(settings)
-        self.settings = options
-        """All of them, as they are in force."""
+        self.settings = options = settings_of(settings)
         self.num_envs = _checked_count(num_envs)
         self.scenario = given_scenario(scenario, options.duration)
         names = [vehicle.name for vehicle in self.scenario.vehicles]
@@ -200,20 +197,7 @@ class Worlds:
         if name in self.loop.ugvs:
             row = self.loop.ugvs.index(name)
             return {"goals_reached": int(state.ugvs.item(0, row, UGV_METRICS.reached))}
-        if not self.is_filtered(name):
-            return {}
-        guard = GuardMetrics._make(
-            state.uavs[0, self.loop.uavs.index(name)][list(GUARD_METRICS)].tolist()
-        )
-        reason = (
-            "" if guard.sure else self.loop.faults[name] or UNCERTIFIED.get(int(guard.code), "")
-        )
-        return {
-            "intervened": guard.acted != 0.0,
-            "certified": guard.sure != 0.0,
-            "uncertified": reason,
-            "certified_distance": guard.bound,
-        }
+        return self.loop.verdict(name) if self.is_filtered(name) else {}
 
     def reset(
         self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None
