@@ -10,7 +10,7 @@ import numpy as np
 
 from bus.registry import DEFAULT_LAW, LAWS
 from outrider.envs.closed_loop import ClosedLoop
-from outrider.envs.vector import Worlds
+from outrider.envs.worlds import Worlds
 from outrider.experiments.intervals import mean_interval
 from outrider_learning.learned import LearnedPolicy
 from sim.env.rewards import RewardWeights

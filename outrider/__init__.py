@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from outrider.envs.escort_env import parallel_env as parallel_env
+    from outrider.envs.parallel import parallel_env as parallel_env
     from outrider.envs.single import single_env as single_env
     from outrider.envs.vector import parallel_vector_env as parallel_vector_env
     from outrider.envs.vector import vector_env as vector_env
@@ -27,7 +27,7 @@ _WHERE = {
     "RewardWeights": "sim.env.rewards",
     "leaderboard": "outrider_learning.suite.board",
     "load_scenario": "sim.scenario.loading",
-    "parallel_env": "outrider.envs.escort_env",
+    "parallel_env": "outrider.envs.parallel",
     "parallel_vector_env": "outrider.envs.vector",
     "run": "outrider.running.flying",
     "scenario_names": "sim.scenario.loading",

@@ -65,7 +65,7 @@ def parallel(*, task: str = "", **settings: Any) -> "ParallelEnv[str, Any, Any]"
     Raises:
         ValueError: If it is given a limit of cycles: episodes end by themselves.
     """
-    from outrider.envs.escort_env import parallel_env  # noqa: PLC0415
+    from outrider.envs.parallel import parallel_env  # noqa: PLC0415
 
     if "max_cycles" in settings:
         limit = settings["max_cycles"]

@@ -4,6 +4,7 @@ Arrays have an axis for vehicles, in name order. One seed, one secret and the sa
 """
 
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from bus.messages import (
 from sim.channel.link_records import ARRIVED
 from sim.channel.links import Links
 from sim.engine.batch import Batch
-from sim.engine.ground_state import GroundState
+from sim.engine.ground_state import CONSTANTS, GroundState
 from sim.engine.mission import mission_of, note_claim, receive_block
 from sim.engine.world_state import BatchState, BatchTables
 from sim.engine.world_tick import measure
@@ -56,24 +57,44 @@ class World:
     def __init__(
         self, scenario: Scenario, seed: int, *, secret: str = "", gains: bool = False
     ) -> None:
-        self.scenario = scenario
-        self.seed = seed
         carried = (LinkKind.OPERATOR, LinkKind.RADIO)
-        self._batch = Batch(scenario, 1, gains=gains, threads=1, secret=secret, others=carried)
-        self._batch.begin((seed,))
+        batch = Batch(scenario, 1, gains=gains, threads=1, secret=secret, others=carried)
+        batch.begin((seed,))
+        self._show(batch, 0, seed)
+
+    @classmethod
+    def of_batch(cls, batch: Batch, number: int, seed: int) -> Self:
+        """View one world of a batch, as it is at any time; the batch's owner advances it.
+
+        Args:
+            batch: The batch.
+            number: Of the world.
+            seed: Of the world's random numbers.
+        """
+        world = cls.__new__(cls)
+        world._show(batch, number, seed)
+        return world
+
+    def _show(self, batch: Batch, number: int, seed: int) -> None:
+        scenario = batch.scenario
+        self.scenario, self.seed = scenario, seed
+        self._batch, self._number = batch, number
         self.names: tuple[str, ...] = tuple(vehicle.name for vehicle in scenario.vehicles)
         """Vehicles in the order of every array."""
         self.uavs: tuple[Uav, ...] = tuple(
             vehicle for vehicle in scenario.vehicles if isinstance(vehicle, Uav)
         )
         self.parameters = self._batch.parameters
-        self.tick = 0
-        """The tick that it is at; `move_to` changes it."""
+
+    @property
+    def tick(self) -> int:
+        """The tick that it is at."""
+        return self._batch.state.ticks.item(self._number)
 
     @property
     def vehicles(self) -> RecordArray:
         """`sim.engine.world_state.Vehicle` of each vehicle. Shape (vehicles,)."""
-        vehicles: RecordArray = self._batch.state.vehicles[0]
+        vehicles: RecordArray = self._batch.state.vehicles[self._number]
         return vehicles
 
     @property
@@ -119,17 +140,21 @@ class World:
     @property
     def coverage(self) -> FloatArray:
         """C of (3) on the grid, all UAVs together. Shape (rows, columns)."""
-        coverage: FloatArray = self._batch.state.coverage[0]
+        coverage: FloatArray = self._batch.state.coverage[self._number]
         return coverage
 
     @property
     def ground(self) -> GroundState | None:
-        """The ground; None if there are no hazards."""
-        return self._batch.ground
+        """The ground as that of a batch of one; None if there are no hazards."""
+        ground, k = self._batch.ground, self._number
+        if ground is None or self._batch.worlds == 1:
+            return ground
+        changing = (name for name in GroundState._fields if name not in CONSTANTS)
+        return ground._replace(**{name: getattr(ground, name)[k : k + 1] for name in changing})
 
     def move_to(self, tick: int) -> None:
         """Be at another tick, with everything as it is."""
-        self.tick = self._batch.state.ticks[0] = tick
+        self._batch.state.ticks[self._number] = tick
 
     @property
     def time(self) -> float:
@@ -158,7 +183,8 @@ class World:
     def received(self, uav: int) -> tuple[Detection, ...]:
         """The detections that have reached a UAV's computer at this tick, in the order of arrival."""
         state, dt = self._batch.state, self.parameters.dt
-        packets = state.packets[0, uav, ARRIVED, : state.links[0, uav]["arrived"]]
+        k = self._number
+        packets = state.packets[k, uav, ARRIVED, : state.links[k, uav]["arrived"]]
         if not packets.size:
             return ()
         rows = zip(packets["stamp"].tolist(), packets["vector"].tolist(), strict=True)
@@ -185,7 +211,7 @@ class World:
         row["outgoing_tick"], row["outgoing"] = answered, acceleration
         row["outgoing_motion"] = motions[-1].begins if motions else -1
         row["outgoing_motions"] = len(motions)
-        kept = self._batch.state.motions[0, vehicle]
+        kept = self._batch.state.motions[self._number, vehicle]
         for motion in motions:
             keep_motion(kept, motion_row(motion)[0], self.tick)
 
@@ -240,7 +266,7 @@ class World:
 
     def flown(self, vehicle: int) -> int | None:
         """The motion that a vehicle flies, by the tick in which it began; None: none."""
-        begins = int(self._batch.state.flown[0, vehicle, 0]["begins"])
+        begins = int(self._batch.state.flown[self._number, vehicle, 0]["begins"])
         return None if begins == NO_MOTION else begins
 
     def advance(self) -> None:
@@ -249,7 +275,6 @@ class World:
         Where none comes, the last one is held for a while; then the vehicle brakes.
         """
         self._batch.advance(linked=True)
-        self.tick += 1
 
     def step(self, commands: FloatArray) -> None:
         """Advance by one tick in which everybody acts on these commands, whatever the links do.
@@ -259,7 +284,6 @@ class World:
         """
         self.commands[:] = commands
         self._batch.advance(linked=False)
-        self.tick += 1
 
     def measure(self) -> FloatArray:
         """Distance [m] and e(t) (4) with the true p_g [m²] of each escort at this tick.
@@ -267,7 +291,7 @@ class World:
         Shape (UAVs, 2). Apart from the tick, because nobody needs it before the vehicles have answered.
         """
         tables, state = self.arrays
-        measure(tables.world, state.vehicles, tables.escorts, state.coverage, 0, True)
+        measure(tables.world, state.vehicles, tables.escorts, state.coverage, self._number, True)
         uavs = self.vehicles[self.escorts[:, 0]]
         return np.stack((uavs["distance"], uavs["coverage_error"]), axis=1)
 

@@ -28,11 +28,11 @@ from bus.messages import (
 from bus.profiles import PROFILES
 from bus.registry import LAWS
 from outrider.envs.env_pilots import pilots
+from outrider.envs.parallel import parallel_env
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import Summary
 from seeded import a_told_key
 from sim.engine.briefing import uav_briefing
-from sim.env.parallel import parallel_env
 from sim.kernels.compile import FloatArray
 from sim.kernels.records import fresh, records
 from sim.models.safety import SafetyBounds, safety_bounds

@@ -14,12 +14,13 @@ from pettingzoo.utils.conversions import aec_to_parallel, parallel_to_aec
 
 from bus.errors import ScenarioError
 from bus.messages import Area, UavBriefing, UgvBriefing
+from outrider.envs.parallel import OutriderEnv, parallel_env
 from sim.engine.briefing import briefing
-from sim.env.parallel import OutriderEnv, parallel_env
 from sim.env.spaces import FREE_ACCELERATION, extent_of
 from sim.models.vehicles import clip_norm
 from sim.scenario.types import Detections, Scenario, Uav, Ugv
-from worlds import FREE, ONE, equal
+from sim.world import World
+from worlds import FREE, ONE, POOR, equal
 
 with warnings.catch_warnings():
     # PettingZoo 1.27 makes an old environment of its own
@@ -44,7 +45,7 @@ MANY = Scenario(
 OPTIONS = [
     pytest.param(ONE, {}, id="one"),
     pytest.param(ONE, {"dtype": np.float32}, id="float32"),
-    pytest.param(ONE, {"coverage_patch": (16, 0.5), "coverage_in_state": True}, id="patch"),
+    pytest.param(ONE, {"coverage_patch": (16, 0.5)}, id="patch"),
     pytest.param(FREE, {}, id="free"),
     pytest.param(
         MANY,
@@ -102,6 +103,59 @@ def test_turn_based_environment_flies_the_same_bits():
             turns.step(actions[name])
         assert equal(observations, {name: turns.observe(name) for name in direct.agents})
         assert equal(rewards, turns.rewards)
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_the_environment_is_the_world_under_the_same_commands(seed):
+    """Over links that delay, lose and repeat: the same bits of all that moves, and of what each link did."""
+    scenario = msgspec.structs.replace(MANY, links=POOR, duration=20.0)
+    env, world = parallel_env(scenario, end_on_sight_lost=False), World(scenario, seed)
+    rng = np.random.default_rng(seed)
+    env.reset(seed=seed)
+    for _ in range(400):
+        actions = random_actions(env, rng)
+        for k, name in enumerate(world.names):
+            world.send(k, world.tick, tuple(actions[name].tolist()))
+        world.advance()
+        env.step(actions)
+        assert env.world.tick == world.tick
+        for name in ("position", "velocity", "acceleration", "command", "detection"):
+            assert env.world.vehicles[name].tobytes() == world.vehicles[name].tobytes()
+        assert [env.world.received(u) for u in range(3)] == [world.received(u) for u in range(3)]
+    assert env.world.coverage.tobytes() == world.coverage.tobytes()
+    ours, theirs = env.links(), world.links.status()
+    driven = [key for key in theirs if key.endswith(("detections", "commands"))]
+    assert sum(sum(theirs[key].lost.values()) for key in driven) > 10
+    assert {key: ours[key] for key in driven} == {key: theirs[key] for key in driven}
+
+
+@pytest.mark.parametrize("scenario", [ONE, MANY], ids=["one", "many"])
+def test_what_is_asked_for_besides_changes_no_bit_of_the_rest(scenario):
+    """Estimates, gradients and pictures are computed in a second way through the closed loop."""
+    plain = parallel_env(scenario, end_on_sight_lost=False, duration=20.0)
+    full = parallel_env(
+        scenario, end_on_sight_lost=False, duration=20.0, gradient=True, coverage_patch=(3, 1.0)
+    )
+    assert plain.worlds.loop.parameters is None
+    assert full.worlds.loop.parameters is not None
+    ours, theirs = plain.reset(seed=5)[0], full.reset(seed=5)[0]
+    rng = np.random.default_rng(5)
+    while plain.agents:
+        for name in plain.agents:
+            row = theirs[name]["row"][:9] if name.startswith("uav") else theirs[name]
+            assert equal(ours[name], row)
+        actions = random_actions(plain, rng)
+        ours, *end = plain.step(actions)
+        theirs, *other_end = full.step(actions)
+        assert equal(tuple(end), tuple(other_end))
+        assert equal(plain.state(), full.state())
+        assert equal(plain.metrics(), full.metrics())
+
+
+def test_settings_stay_as_they_are():
+    env = parallel_env(ONE)
+    with pytest.raises(AttributeError):
+        env.worlds.settings.end_on_sight_lost = False
 
 
 def test_metadata_and_agents():
@@ -219,8 +273,8 @@ def test_an_unknown_scenario_or_agent_is_refused():
 @pytest.mark.parametrize(("scenario", "options"), OPTIONS)
 def test_same_seed_same_bits_for_more_than_a_thousand_ticks(scenario, options):
     """PettingZoo's own test looks at one step only."""
-    first, second = (parallel_env(scenario, **options, duration=60.0) for _ in range(2))
-    first.end_on_sight_lost = second.end_on_sight_lost = False
+    options = options | {"duration": 60.0, "end_on_sight_lost": False}
+    first, second = (parallel_env(scenario, **options) for _ in range(2))
     assert equal(first.reset(seed=7), second.reset(seed=7))
     steps = 0
     for a, b in zip(
@@ -243,9 +297,7 @@ def test_another_seed_gives_other_detections():
 
 
 def test_reset_in_the_middle_repeats_the_episode():
-    env = parallel_env(
-        MANY, end_on_sight_lost=False, coverage_patch=(9, 1.0), coverage_in_state=True
-    )
+    env = parallel_env(MANY, end_on_sight_lost=False, coverage_patch=(9, 1.0))
 
     def episode():
         yield env.reset(seed=11)
@@ -306,7 +358,7 @@ def test_the_episode_seed_is_the_worlds():
 
 
 def test_the_state_that_was_returned_never_changes_later():
-    env = parallel_env(ONE, coverage_in_state=True)
+    env = parallel_env(ONE)
     env.reset(seed=1)
     states = [(env.state(), env.state().copy())]
     for observations, *_ in fly(env, np.random.default_rng(0), 20):

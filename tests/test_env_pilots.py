@@ -10,15 +10,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from agents.env_wrappers import EstimateWrapper
 from agents.estimation.estimator import RelativeEstimator
 from bus.layout import UavRow, uav_observation
 from bus.messages import Law
 from bus.ticks import looks_of
 from flights import escort, flown_in_both, pairs, record, sha256
 from outrider.envs.env_pilots import pilots
+from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
-from sim.env.parallel import parallel_env
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Custom, Detections, Uav, Ugv
 
@@ -113,8 +112,8 @@ def rows_of(env, ticks, seed=1):
         yield env.step(actions)[0]
 
 
-def test_wrapped_rows_hold_the_filters_estimate_and_leave_the_rest():
-    raw, wrapped = parallel_env(NOISY), EstimateWrapper(parallel_env(NOISY))
+def test_rows_hold_the_filters_estimate_and_leave_the_rest():
+    raw, wrapped = parallel_env(NOISY), parallel_env(NOISY, estimate=True)
     told = raw.briefing("uav_0")
     own = RelativeEstimator(
         detector=told.detector, target=told.target_limits, dt=told.dt, settings=told.estimator
@@ -132,14 +131,14 @@ def test_wrapped_rows_hold_the_filters_estimate_and_leave_the_rest():
             assert after == before
         else:
             p_delta = (before.x - estimate.position[0], before.y - estimate.position[1])
-            assert after[5:] == (1.0, *p_delta, estimate.age)
+            assert after[5:] == pytest.approx((1.0, *p_delta, estimate.age), rel=1e-9, abs=1e-9)
         assert estimated["ugv_0"].tobytes() == plain["ugv_0"].tobytes()
     assert silent > 50
 
 
 def test_estimates_are_nearer_to_the_truth_than_detections():
     raw = parallel_env(NOISY, end_on_sight_lost=False)
-    wrapped = EstimateWrapper(parallel_env(NOISY, end_on_sight_lost=False))
+    wrapped = parallel_env(NOISY, end_on_sight_lost=False, estimate=True)
     errors = {"raw": [], "filter": []}
     for plain, estimated in zip(rows_of(raw, 1500), rows_of(wrapped, 1500), strict=True):
         truth = raw.world.position[0] - raw.world.position[2]
@@ -154,8 +153,8 @@ def test_estimates_are_nearer_to_the_truth_than_detections():
 
 
 @pytest.mark.parametrize("options", [{}, {"dtype": np.float32}, {"coverage_patch": (8, 1.0)}])
-def test_wrapped_environment_keeps_to_its_spaces_and_to_its_seed(options):
-    env, twin = (EstimateWrapper(parallel_env(NOISY, **options)) for _ in range(2))
+def test_environment_with_estimates_keeps_to_its_spaces_and_to_its_seed(options):
+    env, twin = (parallel_env(NOISY, estimate=True, **options) for _ in range(2))
     list(rows_of(twin, 30, seed=9))  # another episode leaves nothing behind
     kept = []
     for ours, theirs in zip(rows_of(env, 200), rows_of(twin, 200), strict=True):
@@ -165,14 +164,12 @@ def test_wrapped_environment_keeps_to_its_spaces_and_to_its_seed(options):
             assert str(observation) == str(theirs[name])
     assert all(str(now) == str(then) for now, then in kept)
     assert env.observation_space("uav_0") is env.observation_space("uav_0")
-    assert env.observation_space("ugv_0") is env.env.observation_space("ugv_0")
     assert env.state().tobytes() == twin.state().tobytes()
 
 
-def test_wrapper_leaves_the_row_alone_until_there_is_a_detection():
-    env = EstimateWrapper(
-        parallel_env(msgspec.structs.replace(NOISY, detections=Detections(dropout=1.0)))
-    )
+def test_the_row_stays_as_it_is_until_there_is_a_detection():
+    blind = msgspec.structs.replace(NOISY, detections=Detections(dropout=1.0))
+    env = parallel_env(blind, estimate=True)
     for rows in rows_of(env, 5):
         assert UavRow(*rows["uav_0"])[5:] == (0.0, 0.0, 0.0, 100.0)
 

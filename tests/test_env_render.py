@@ -12,12 +12,12 @@ from bus.errors import OutriderError
 from bus.messages import Area, Law
 from flights import pairs
 from outrider.envs.env_pilots import pilots
+from outrider.envs.parallel import parallel_env
 from outrider.envs.single import single_env
 from outrider.envs.vector import parallel_vector_env, vector_env
 from outrider.registration import ESCORT
 from processes import python
 from refusals import refused
-from sim.env.parallel import parallel_env
 from sim.env.view import Window
 from sim.scenario.types import Scenario, Uav, Ugv
 from sim.scene.colors import LIMIT, UAV, UGV
@@ -41,7 +41,7 @@ def pixels_of(frame, color):
 
 def test_the_environment_loads_nothing_that_draws():
     code = (
-        "import sys, sim.env.parallel, outrider.envs.env_pilots;"
+        "import sys, outrider.envs.parallel, outrider.envs.env_pilots;"
         "print([m for m in ('matplotlib', 'pygame') if m in sys.modules])"
     )
     assert python(code).stdout.strip() == "[]"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from flights import escort, pairs
-from sim.env.parallel import parallel_env
+from outrider.envs.parallel import parallel_env
 from sim.env.rewards import RewardWeights, full_error
 from sim.scenario.types import Uav, Ugv
 

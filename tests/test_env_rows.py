@@ -18,8 +18,8 @@ from bus.layout import (
     ugv_observation,
 )
 from bus.messages import Region
+from outrider.envs.parallel import OutriderEnv, parallel_env
 from pages import PAGES
-from sim.env.parallel import OutriderEnv, parallel_env
 from sim.scenario.types import Coverage, Detections, Scenario, Uav, Ugv
 from sim.server.flight import Flight
 from sim.world import World
@@ -254,15 +254,6 @@ def test_state_is_the_whole_truth_under_its_names(dtype):
     found = [named[name] for name in truth]
     rtol = 1e-12 if dtype is np.float64 else 1e-6
     np.testing.assert_allclose(found, list(truth.values()), rtol=rtol)
-
-
-def test_state_ends_with_the_map_where_it_is_asked_for():
-    env = parallel_env(scenario(), coverage_in_state=True)
-    drive(env, [0.1, 0.2], [0.1, 0.0], 33)
-    cells = env.state()[len(env.state_names) :]
-    np.testing.assert_array_equal(
-        cells.reshape(160, 160), np.minimum(env.world.coverage / 2.0, 1.0)
-    )
 
 
 def test_state_of_several_vehicles_is_in_name_order():

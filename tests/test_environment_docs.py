@@ -7,12 +7,14 @@ import pytest
 
 import outrider
 from outrider.envs.single import single_env
-from outrider.envs.vector import BATCH_DEFAULTS, vector_env
+from outrider.envs.vector import vector_env
 from outrider.registration import env_ids
 from outrider_learning.suite.board import BASELINES, leaderboard
 from outrider_learning.suite.tasks import TASKS, Task, suite
 from pages import PAGES, ROOT, blocks, marked, run_shown
+from sim.env.settings import Settings
 
+DEFAULTS = vars(Settings())
 VECTOR, SUITE = "docs/reference/vector-environment.md", "docs/reference/suite.md"
 
 
@@ -39,7 +41,7 @@ def test_all_the_arguments_are_told() -> None:
         row[0]
         for row in re.findall(r"^\| `(\w+)` \| (`[^`]*`) \|", PAGES[VECTOR], flags=re.MULTILINE)
     }
-    assert told == {"scenario"} | BATCH_DEFAULTS.keys()
+    assert told == {"scenario"} | DEFAULTS.keys()
 
 
 def test_the_defaults_told_are_those_taken() -> None:
@@ -48,7 +50,8 @@ def test_the_defaults_told_are_those_taken() -> None:
         inspect.signature(vector_env).parameters["scenario"].default
     ).replace("'", '"')
     assert told.pop("dtype") == "np.float64"
-    assert told == {name: repr(BATCH_DEFAULTS[name]) for name in told}
+    assert told.pop("rewards") == "RewardWeights()"
+    assert told == {name: repr(DEFAULTS[name]) for name in told}
     assert inspect.signature(single_env).parameters["agent"].default == "uav_0"
 
 

@@ -7,8 +7,8 @@ import pytest
 from bus.messages import GroundBlock, Mission, UgvReport
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.env_pilots import pilots
+from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
-from sim.env.parallel import parallel_env
 from sim.models.ground import BLOCK, CLEAR, UNCERTIFIED, UNSEEN, block_letters
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Hazard, Scenario

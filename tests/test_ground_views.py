@@ -20,7 +20,7 @@ from bus.messages import GroundMap
 from observed import recorded
 from outrider.cli import console
 from outrider.envs.env_pilots import pilots
-from outrider.envs.escort_env import parallel_env
+from outrider.envs.parallel import parallel_env
 from outrider.experiments.report.document import COLUMNS, columns_of, mission_cells
 from outrider.experiments.report.results import Cell, Panel
 from outrider.experiments.sweep.columns import RESULTS, row_of
@@ -182,16 +182,17 @@ def test_every_view_draws_the_route(planned, tmp_path: Path) -> None:
 
 
 def test_the_environment_draws_the_route_that_its_pilots_plan() -> None:
-    env = parallel_env(course("navigate"), render_mode="rgb_array")
+    env, bare = (parallel_env(course("navigate"), render_mode="rgb_array") for _ in range(2))
     observations, _ = env.reset(seed=1)
+    bare.reset(seed=1)
     policies = pilots(env)
     for _ in range(60):
         actions = {name: policies[name](seen) for name, seen in observations.items()}
         observations = env.step(actions)[0]
-    shown = env.render()
-    env.show_route("ugv_0", ())
-    assert (shown != env.render()).any()
-    env.close()
+        unrouted = msgspec.structs.replace(actions["ugv_0"], route=None)
+        bare.step(actions | {"ugv_0": unrouted})
+    assert (env.render() != bare.render()).any()
+    assert (env.world.position == bare.world.position).all()
 
 
 def test_each_hazard_is_unknown_then_known_then_hit(flown: tuple[Path, Flight, Summary]) -> None:

@@ -20,8 +20,8 @@ from bus.messages import (
 from bus.profiles import PROFILES
 from flights import degraded, escort
 from outrider.envs.env_pilots import pilots
+from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
-from sim.env.parallel import parallel_env
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Detections, LinkTable, Ugv, VehicleLinks
 from sim.server.flight import Flight
@@ -136,7 +136,7 @@ def test_one_network_for_the_environment_one_process_and_three(tmp_path: Path) -
     ours = infos["uav_0"]["links"]["uav_0/detections"]
     assert ours.lost == summary.links["uav_0/detections"].lost
     assert not any(name.startswith("ugv") for name in infos["uav_0"]["links"])
-    assert env.links() == env.world.links.status()
+    assert ours == env.links()["uav_0/detections"]
     with stage(tmp_path, 400, scenario=scenario) as run:
         run.start_both()
         over_bus = run.fly()

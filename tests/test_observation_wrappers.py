@@ -17,18 +17,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pettingzoo.utils.conversions import parallel_to_aec
 
-from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from bus.layout import UavRow, UgvRow, table
 from bus.profiles import PROFILES
 from outrider.envs.observations.body import BODY_SYMBOLS, Egocentric, UavBodyRow, UgvBodyRow
 from outrider.envs.observations.image import CoverageImage
 from outrider.envs.observations.normalized import Normalized
 from outrider.envs.observations.stacking import History
+from outrider.envs.parallel import parallel_env
 from outrider.envs.wrappers import coverage_image, egocentric, history, normalized, transformed
 from pages import PAGES, blocks, run_shown
 from refusals import refused
 from sim.env.observation import one_of_world
-from sim.env.parallel import parallel_env
 from sim.scenario.types import LinkTable, Uav, Ugv
 from worlds import FREE, ONE, equal
 
@@ -84,13 +83,10 @@ def compositions(draw):
     """Wrappers in a sensible order, as functions of the environment and whether it has pictures."""
     layers = []
     first, second, third, twice, late = (draw(st.booleans()) for _ in range(5))
-    estimated = draw(st.booleans())
     channels = draw(st.sampled_from(["last", "first"]))
     dtype = draw(st.sampled_from([np.float32, np.float64]))
     scale = draw(st.sampled_from([0.01, 5.0, 1e6]))
     length, stride, new_axis = draw(st.integers(1, 4)), draw(st.integers(1, 3)), draw(st.booleans())
-    if estimated:
-        layers.append(lambda env, _: EstimateWrapper(env))
     if first:
         layers.append(lambda env, _: egocentric(env, rest=rest))
     rest = draw(st.sampled_from([1e-9, 0.01, 1.0]))
@@ -153,7 +149,7 @@ def test_the_spaces_contain_what_is_returned_always(
 
 
 def everything(env):
-    return history(normalized(coverage_image(egocentric(EstimateWrapper(env)))), 3, stride=2)
+    return history(normalized(coverage_image(egocentric(env))), 3, stride=2)
 
 
 def test_what_is_done_to_a_returned_observation_changes_nothing_later():
@@ -659,7 +655,7 @@ def test_only_the_agents_that_are_named_are_transformed():
 
 
 def test_the_safety_filter_goes_inside():
-    env = history(normalized(egocentric(SafetyFilterWrapper(parallel_env(ONE, duration=0.3)))), 2)
+    env = history(normalized(egocentric(parallel_env(ONE, duration=0.3, safety_filter=True))), 2)
     env.reset(seed=1)
     while env.agents:
         observations, *_, infos = env.step({name: np.array([0.3, 0.0]) for name in env.agents})

@@ -17,10 +17,10 @@ import pytest
 from bus.layout import UavRow
 from bus.messages import Observation, UavObservation
 from outrider.envs.env_pilots import pilots
+from outrider.envs.parallel import parallel_env
 from outrider.running.flying import InProcess, make_pilots
 from sim.engine.briefing import uav_briefing
 from sim.engine.run_keys import derive_key
-from sim.env.parallel import parallel_env
 from sim.kernels.compile import FloatArray, IntArray, compiled
 from sim.models.randomness import (
     DETECTION_CHANCE,

@@ -11,21 +11,19 @@ import pytest
 
 from agents.control.certificate import UNCERTIFIED, UNCHECKED_MOTION
 from agents.control.visibility import SafetyFilter, bounds_of
-from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from bus.messages import LinkSettings
 from flights import DT, U_A, V_A, distances, told, uav_sees
-from outrider.envs.single import single_env
-from outrider.envs.vector import vector_env
-from outrider.envs.wrappers import egocentric, history, normalized
+from outrider.envs.parallel import parallel_env
 from outrider.running.assumptions import promise_warnings
 from outrider.running.flying import fly
-from sim.env.parallel import parallel_env
 from sim.models.vehicles import step_vehicle
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Certificate, LinkTable, Scenario
+from sim.scenario.types import Certificate, Detections, LinkTable, Scenario
 from tabular import rows, words
+from worlds import equal
 
 R_V = 4.75
+DROPPED = Detections(dropout=1.0)
 
 
 def watched(*overrides: str, driver: str = "evade", duration: float = 120.0) -> Scenario:
@@ -133,7 +131,7 @@ def outward(env: Any, agent: str) -> Any:
     return np.array([x, y]) / length * 0.3
 
 
-def test_a_wrapped_environment_keeps_sight_whatever_the_policy_wants() -> None:
+def test_an_environment_with_the_filter_keeps_sight_whatever_the_policy_wants() -> None:
     scenario = watched(driver="waypoints", duration=60.0)
     lost = parallel_env(scenario)
     lost.reset(seed=7)
@@ -141,48 +139,49 @@ def test_a_wrapped_environment_keeps_sight_whatever_the_policy_wants() -> None:
         lost.step({"uav_0": outward(lost, "uav_0"), "ugv_0": np.array([-0.1, 0.0])})
     assert lost.world.tick < scenario.ticks
 
-    env = SafetyFilterWrapper(parallel_env(scenario))
+    env = parallel_env(scenario, safety_filter=True)
     env.reset(seed=7)
     intervened, infos = 0, {}
     while env.agents:
         *_, infos = env.step({"uav_0": outward(env, "uav_0"), "ugv_0": np.array([-0.1, 0.0])})
         intervened += infos["uav_0"]["intervened"]
         assert infos["uav_0"]["certified"], infos
-        assert env.unwrapped.metrics()["uav_0"]["distance"] < min(
+        assert env.metrics()["uav_0"]["distance"] < min(
             R_V, infos["uav_0"]["certified_distance"] + 0.05
         )
-    assert env.unwrapped.world.tick == scenario.ticks
-    assert intervened == env.filters["uav_0"].interventions > 100
+    assert env.world.tick == scenario.ticks
+    assert intervened > 100
+    assert {infos["uav_0"]["uncertified"]} == {""}
     assert "intervened" not in infos["ugv_0"]
 
 
 @pytest.mark.parametrize("agent", ["uav_0", "ugv_0"])
 @pytest.mark.parametrize("action", [[np.nan, 0.0], [1.0], "fast"])
-def test_a_wrapped_environment_refuses_nonsense_before_anything_is_filtered(agent, action) -> None:
-    env = SafetyFilterWrapper(parallel_env(watched(duration=5.0)))
+def test_nonsense_is_refused_before_anything_is_filtered(agent, action) -> None:
+    env, twin = (parallel_env(watched(duration=5.0), safety_filter=True) for _ in range(2))
     env.reset(seed=7)
+    twin.reset(seed=7)
     good = {"uav_0": np.zeros(2), "ugv_0": np.zeros(2)}
     with pytest.raises(ValueError, match=f"action of {agent}"):
         env.step(good | {agent: action})
-    assert env.filters["uav_0"].ticks == 0
-    env.step(good)
-    assert env.filters["uav_0"].ticks == 1
+    assert equal(env.step(good), twin.step(good))
 
 
-@pytest.mark.parametrize("wrapper", [SafetyFilterWrapper, EstimateWrapper])
-def test_who_has_no_rows_of_its_own_any_more_is_refused_when_it_is_made(wrapper: Any) -> None:
-    env = parallel_env(watched(duration=5.0))
-    for changed in (normalized(env), egocentric(env), history(env, 2)):
-        with pytest.raises(ValueError, match="uav_0's observations are not its own row"):
-            wrapper(changed)
-    for other in (vector_env("escort", num_envs=2), single_env("escort")):
-        with pytest.raises(ValueError, match=r"goes around outrider\.parallel_env"):
-            wrapper(other)
-        other.close()
+def test_a_tick_that_is_not_certified_says_why() -> None:
+    for change, reason in (
+        ("certificate.age=60.0", "too much for r_v"),
+        ("uav.0.position=[7.0, 9.0]", "no detection"),
+    ):
+        blind = msgspec.structs.replace(watched(change, duration=5.0), detections=DROPPED)
+        env = parallel_env(blind, safety_filter=True)
+        env.reset(seed=7)
+        *_, infos = env.step(dict.fromkeys(env.agents, np.zeros(2)))
+        assert not infos["uav_0"]["certified"]
+        assert reason in infos["uav_0"]["uncertified"]
 
 
 def test_the_filter_keeps_sight_whatever_the_observations_are_rounded_to() -> None:
-    env = SafetyFilterWrapper(EstimateWrapper(parallel_env(watched(), dtype=np.float32)))
+    env = parallel_env(watched(), safety_filter=True, estimate=True, dtype=np.float32)
     env.reset(seed=7)
     while env.agents:
         *_, infos = env.step({"uav_0": outward(env, "uav_0"), "ugv_0": np.array([-0.1, 0.0])})

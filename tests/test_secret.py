@@ -19,6 +19,7 @@ from fields import fields_within
 from flights import degraded, record
 from outrider.cli.options import secret_of
 from outrider.envs.env_pilots import pilots
+from outrider.envs.parallel import parallel_env
 from outrider.envs.vector import OutriderVectorEnv
 from outrider.recording.reader import flight_of
 from outrider.recording.refly import refly
@@ -26,7 +27,6 @@ from outrider.running.flying import fly, run
 from processes import command_line, family, flying, outrider, started, wait_until
 from refusals import refused
 from sim.engine.briefing import briefing
-from sim.env.parallel import parallel_env
 from sim.scenario.loading import load_scenario
 from staging import stage
 

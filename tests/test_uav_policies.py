@@ -12,7 +12,6 @@ import pytest
 from gymnasium import spaces
 
 import outrider
-from agents.env_wrappers import EstimateWrapper
 from agents.uav import UavPilot
 from bus.errors import ScenarioError
 from flights import distances
@@ -22,7 +21,6 @@ from outrider.envs.wrappers import egocentric, history, normalized, transformed
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.user_code import check_own_functions, load_uav_policy
 from outrider_learning.learned import LearnedPolicy
-from outrider_learning.one_world import alone
 from outrider_learning.recipe import observation_recipe
 from outrider_learning.repeat import ActionRepeat
 from outrider_learning.saved import SavedPolicy
@@ -118,12 +116,13 @@ def test_before_a_detection_the_age_is_the_training_s_episode() -> None:
 def test_the_shipped_policy_flies_a_run_as_it_flies_the_environment(law: str) -> None:
     flight, summary = fly(with_policy(ESCORT, law), 4)
     policy = LearnedPolicy.load(SHIPPED)
-    env = alone(ESCORT, policy, safety_filter=law == "certified", end_on_sight_lost=False)
+    settings = {"safety_filter": law == "certified", "end_on_sight_lost": False}
+    env = outrider.parallel_env(ESCORT, **settings, **policy.setup)
     drive = pilots(env)["ugv_0"]
     seen, _ = env.reset(seed=4)
     for k in range(ESCORT.ticks):
-        np.testing.assert_array_equal(
-            env.unwrapped.world.position, flight.recorder.states[k, :, :2]
+        np.testing.assert_allclose(
+            env.world.position, flight.recorder.states[k, :, :2], rtol=0.0, atol=1e-6
         )
         actions = {"uav_0": policy(seen["uav_0"]), "ugv_0": drive(seen["ugv_0"])}
         seen, *_ = env.step(actions)
@@ -345,12 +344,12 @@ def test_the_suite_flies_a_policy_with_its_own_observation() -> None:
         evaluate(task, policy, seeds=[9000], secret="", estimate=False)
 
 
-def test_the_estimate_wrapper_shows_what_the_pilot_sees() -> None:
+def test_the_environment_s_estimate_is_what_the_pilot_sees() -> None:
     policy = Recorded({"estimate": True}, 20.0)
     flown_by(ESCORT, policy, 8)
-    env = EstimateWrapper(outrider.parallel_env(ESCORT, end_on_sight_lost=False))
+    env = outrider.parallel_env(ESCORT, estimate=True, end_on_sight_lost=False)
     drive = pilots(env)["ugv_0"]
     seen, _ = env.reset(seed=8)
     for row, action in zip(policy.seen, policy.actions, strict=True):
-        np.testing.assert_array_equal(row[0], seen["uav_0"])
+        np.testing.assert_allclose(row[0], seen["uav_0"], rtol=1e-9, atol=1e-9)
         seen, *_ = env.step({"uav_0": action[0], "ugv_0": drive(seen["ugv_0"])})

@@ -7,16 +7,20 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from gymnasium.wrappers.vector import NormalizeObservation, RecordEpisodeStatistics, RescaleAction
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import outrider
-from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
+from agents.control.visibility import SafetyFilter
+from agents.estimation.estimator import estimator_of
+from bus.messages import UavObservation
+from bus.ticks import looks_of
 from outrider.envs.env_pilots import pilots
 from outrider.envs.wrappers import normalized
 from outrider_learning.repeat import ActionRepeat
 from properties import PROPERTY
+from refusals import refused
 from sim.env.observation import one_of_world
 from sim.scenario.types import Scenario
 from worlds import CASES, LATE_LOOKS, SCENARIO, SCENARIOS, SEVERAL, equal, random_actions
@@ -88,24 +92,47 @@ def test_everybody_may_learn() -> None:
 
 
 @pytest.mark.parametrize("scenario", [SCENARIO, LATE_LOOKS], ids=["in time", "late"])
-def test_the_filters_are_those_of_the_wrappers(scenario: Scenario) -> None:
-    single = SafetyFilterWrapper(EstimateWrapper(outrider.parallel_env(scenario)))
-    driver = pilots(single)["ugv_0"]
+def test_the_filters_are_those_of_the_pilots(scenario: Scenario) -> None:
+    """The estimator and the safety filter of `agents`, beside the world that tells them what they see."""
+    single = outrider.parallel_env(scenario, estimate=True, safety_filter=True)
     many = outrider.vector_env(
         scenario, num_envs=1, agent="uav_0", estimate=True, safety_filter=True
     )
+    driver, told = pilots(single)["ugv_0"], single.briefing("uav_0")
+    estimator, keeper = estimator_of(told), SafetyFilter(told)
     seen, _ = many.reset(seed=4)
     last, _ = single.reset(seed=4)
     acted = 0
     outward = np.array([0.3, 0.1])
-    for _ in range(360):
-        assert np.allclose(seen[0], last["uav_0"], rtol=1e-9, atol=1e-9)
+    for tick in range(360):
+        assert equal(seen[0], last["uav_0"])
+        world = single.world
+        place = world.reference_position[0].tolist()
+        received = UavObservation(
+            tick=tick,
+            time=world.time,
+            position=place,
+            velocity=world.reference_velocity[0].tolist(),
+            detections=world.received(0),
+        )
+        keeper.see(received)
+        verdict = keeper.filter(received, tuple(outward))
+        looks = looks_of(received.detections, told.dt)
+        estimate = estimator.update(tick=tick, own_position=tuple(place), looks=looks)
+        if estimate is not None:
+            relative = np.subtract(place, estimate.position)
+            row = [1.0, *relative, estimate.age]
+            assert np.allclose(seen[0][5:], row, rtol=1e-9, atol=1e-9)
         seen, _, terminated, _, infos = many.step(outward[None])
-        last, _, _, _, told = single.step({"uav_0": outward, "ugv_0": driver(last["ugv_0"])})
+        last, _, _, _, info = single.step({"uav_0": outward, "ugv_0": driver(last["ugv_0"])})
         assert not terminated[0]
-        assert bool(infos["intervened"][0]) is bool(told["uav_0"]["intervened"])
-        assert bool(infos["certified"][0]) is bool(told["uav_0"]["certified"])
-        acted += int(infos["intervened"][0])
+        info = info["uav_0"]
+        for key in ("intervened", "certified", "certified_distance"):
+            assert info[key] == infos[key][0]
+        assert info["intervened"] is verdict.intervened
+        assert info["certified"] is verdict.certified
+        assert info["uncertified"] == verdict.reason
+        acted += verdict.intervened
     assert acted > 0
 
 
@@ -214,29 +241,99 @@ def test_all_worlds_must_be_reset_before_a_part_of_them() -> None:
         env.reset(options={"reset_mask": np.array([True, False])})
 
 
-def test_what_is_true_of_an_ended_episode_can_be_had_after_the_next_has_begun() -> None:
+@pytest.mark.parametrize("kind", ["vector", "parallel"])
+def test_in_the_mode_next_step_an_episode_begins_anew_in_the_next_step(kind: str) -> None:
+    """The same episodes as in the mode SAME_STEP, with a step more at each end, whose action is ignored."""
+    make = outrider.vector_env if kind == "vector" else outrider.parallel_vector_env
+    agents = {} if kind == "vector" else {"agents": ["uav_0"]}
+    same, late = (
+        make(SCENARIO, num_envs=3, duration=2.0, autoreset_mode=mode, **agents)
+        for mode in (AutoresetMode.SAME_STEP, "NextStep")
+    )
+    assert late.metadata["autoreset_mode"] is late.autoreset_mode is AutoresetMode.NEXT_STEP
+
+    def flown(env, actions):
+        step = env.step(actions if kind == "vector" else {"uav_0": actions})
+        return step if kind == "vector" else tuple(part["uav_0"] for part in step)
+
+    same.reset(seed=4)
+    late.reset(seed=4)
+    episodes: dict[str, list[list[bytes]]] = {"same": [[], [], []], "late": [[], [], []]}
+    over, ends = np.zeros(3, dtype=bool), 0
+    for actions in random_actions(3, 100):
+        seen, rewards, *ended, infos = flown(late, actions * np.array([[9.0], [1.0], [0.1]]))
+        for k in range(3):
+            if over[k]:
+                assert (rewards[k], ended[0][k], ended[1][k]) == (0.0, False, False)
+        over = ended[0] | ended[1]
+        ends += over.sum()
+        assert "final_obs" not in infos
+        ticks = late.metrics()["uav_0"]["ticks"]
+        for k in range(3):
+            episodes["late"][k].append(seen[k].tobytes())
+            assert over[k] == (ticks[k] == 40.0 or ended[0][k])
+    assert ends >= 6
+    held = np.zeros((3, 2))
+    turn, last = [0, 0, 0], [False] * 3
+    actions_of = random_actions(3, 100) * np.array([[9.0], [1.0], [0.1]])
+    for _ in range(90):
+        for k in range(3):
+            if last[k]:  # the step that has begun the episode
+                turn[k] += 1
+            held[k] = actions_of[min(turn[k], 99), k]
+            turn[k] += 1
+        seen, _, terminated, truncated, infos = flown(same, held)
+        last = (terminated | truncated).tolist()
+        for k in range(3):
+            shown = infos["final_obs"][k] if last[k] else seen[k]
+            episodes["same"][k].append(shown.tobytes())
+            if last[k]:
+                episodes["same"][k].append(seen[k].tobytes())
+    for k in range(3):
+        assert episodes["same"][k][:100] == episodes["late"][k][: len(episodes["same"][k])][:100]
+
+
+def test_gymnasiums_own_wrappers_take_the_mode_next_step() -> None:
+    env = outrider.vector_env(SCENARIO, num_envs=2, duration=1.0, autoreset_mode="NextStep")
+    layered = NormalizeObservation(RescaleAction(RecordEpisodeStatistics(env), -1.0, 1.0))
+    layered.reset(seed=1)
+    lengths = []
+    for actions in random_actions(2, 50, size=0.1):
+        *_, infos = layered.step(actions)
+        lengths += [infos["episode"]["l"][infos["_episode"]].tolist()] if "episode" in infos else []
+    assert lengths == [[20, 20], [20, 20]]
+    layered.close()
+
+
+def test_a_mode_of_another_name_is_refused() -> None:
+    for mode in ("Disabled", AutoresetMode.DISABLED, "sometimes", 3):
+        with refused(ValueError, "autoreset_mode = .*allowed: 'SameStep', 'NextStep'"):
+            outrider.vector_env(SCENARIO, num_envs=1, autoreset_mode=mode)
+
+
+def test_what_is_true_of_an_ended_episode_can_be_had_before_the_next_begins() -> None:
     """A filter that lies by half a metre, and a UGV that flees: each end is certified out of sight."""
-    env = outrider.parallel_vector_env("escort", num_envs=4, duration=60.0, safety_filter=True)
+    env = outrider.parallel_vector_env(
+        "escort", num_envs=4, duration=60.0, safety_filter=True, autoreset_mode="NextStep"
+    )
     with pytest.raises(ResetNeeded, match="metrics"):
         env.metrics()
     for field in ("radius", "handover_radius", "handover_bound"):
         env.worlds.loop.tables.safety[field] += 0.5
     env.reset(seed=1)
     position = env.worlds.loop.batch.state.vehicles["position"]
-    lengths, lost = np.zeros(4), 0
-    assert np.isnan(env.metrics(last=True)["uav_0"]["ticks"]).all()
+    lengths, lost, over = np.zeros(4), 0, np.zeros(4, dtype=bool)
     for _ in range(400):
         apart = position[:, 0] - position[:, 1]
         apart /= np.maximum(np.linalg.norm(apart, axis=1, keepdims=True), 1e-9)
         _, _, terminated, _, _ = env.step({"uav_0": 10.0 * apart, "ugv_0": -10.0 * apart})
-        lengths += 1
-        ended = terminated["uav_0"]
-        told = env.metrics(last=True)["uav_0"]
-        assert (told["ticks"][ended] == lengths[ended]).all()
-        assert (told["max_distance"][ended] >= 4.75).all()
-        assert (told["certified_while_lost"][ended] == 1.0).all()
-        assert (env.metrics()["uav_0"]["ticks"][ended] == 0.0).all()
-        lost, lengths[ended] = lost + ended.sum(), 0.0
+        lengths = np.where(over, 0.0, lengths + 1)
+        over = terminated["uav_0"]
+        told = env.metrics()["uav_0"]
+        assert (told["ticks"] == lengths).all()
+        assert (told["max_distance"][over] >= 4.75).all()
+        assert (told["certified_while_lost"][over] == 1.0).all()
+        lost += over.sum()
     assert lost >= 8
 
 

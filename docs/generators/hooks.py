@@ -32,13 +32,13 @@ SHIM = "assets/iframe-worker.js"
 MODULES = {
     "The front door": ("outrider",),
     "Environments": (
-        "sim/env/parallel.py",
+        "outrider/envs/parallel.py",
+        "sim/env/settings.py",
         "sim/env/rewards.py",
         "outrider/envs/vector.py",
         "outrider/envs/single.py",
         "outrider/envs/wrappers.py",
         "outrider/envs/env_pilots.py",
-        "agents/env_wrappers.py",
         "extensions/outrider_learning/suite/tasks.py",
         "extensions/outrider_learning/suite/board.py",
         "outrider/registration.py",

@@ -46,7 +46,7 @@ class LearnedPolicy:
     """A policy for one world or for all worlds of a batch at once; it remembers each world's episode.
 
     Call it once a tick with the observation of the environment that `setup` describes: of `outrider.vector_env(...,
-    **setup)` where it is one of the others, of `outrider_learning.one_world.alone` where it flies a single world. It
+    **setup)` where it is one of the others, of `outrider.parallel_env(..., **setup)` where it flies a single world. It
     answers every `repeat` ticks and holds that acceleration in between. An episode begins where the time is 0. One
     object serves one environment.
 

@@ -4,105 +4,46 @@ World, links, filters, laws, drivers and rewards of a tick in one compiled pass.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, TypeVar, Unpack, cast
+from typing import Any
 
-import msgspec
 import numpy as np
 
-from agents.control.guard import guard_state, track_ticks
-from agents.control.handover import check_assumptions
-from agents.control.telling import BLOCK_TILES, telling_memory, telling_ticks
-from agents.control.uav_parameters import uav_parameters
-from agents.control.visibility import bounds_of
-from agents.drivers.compiled import told_ground, told_route
-from agents.drivers.dispatch import CODES as DRIVER_CODES
-from agents.drivers.dispatch import driver_memories, driver_tables
+from agents.control.certificate import UNCERTIFIED
+from agents.control.guard import guard_state
+from agents.control.telling import BLOCK_TILES, telling_memory
+from agents.drivers.dispatch import driver_memories
 from agents.estimation.batch_filter import estimator_rows
 from agents.estimation.motion_model import (
     SPAN,
-    KalmanParameters,
     history_depth,
-    kalman_parameters,
 )
-from agents.laws.dispatch import CODES, law_memories, law_tables
-from agents.laws.selection import SelectedLaw
-from bus.errors import ScenarioError
+from agents.laws.dispatch import law_memories
 from bus.layout import GradientCue
-from bus.messages import Law, LinkKind, LinkStatus, Mission, UavBriefing
-from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
-from bus.ticks import radio_ticks
+from bus.messages import LinkKind, LinkStatus, Mission
 from outrider.envs.closed_loop_state import (
     GUARD_METRICS,
+    CommandedState,
+    CommandedTables,
+    GuardMetrics,
     LoopParameters,
     LoopState,
     LoopTables,
 )
 from outrider.envs.closed_loop_tick import run_worlds
+from outrider.envs.pilot_numbers import PilotNumbers, loop_parameters, repeated, uses_radio
 from sim.channel.link_records import no_packets
 from sim.engine.batch import Batch, Fresh, arrays_of
-from sim.engine.briefing import uav_briefing, ugv_briefing
 from sim.engine.mission import mission_of
-from sim.engine.monitor import (
-    certificate_counters,
-)
+from sim.engine.monitor import certificate_counters
 from sim.engine.run_keys import check_secret
 from sim.engine.world_state import joined
-from sim.env.patch import given_patch
-from sim.env.rewards import RewardWeights
+from sim.env.patch import CoveragePatch, given_patch
 from sim.env.rows import UAV_METRICS, row_state, row_tables
-from sim.env.settings import EPISODE_DEFAULTS, EpisodeSettings, completed
+from sim.env.settings import Settings, settings_of
 from sim.kernels.compile import FloatArray, IntArray
-from sim.kernels.records import records
+from sim.models.ground import TileArray
 from sim.models.randomness import PILOT
-from sim.models.safety import SafetyBounds
 from sim.scenario.types import Scenario
-
-_NO_ACTIONS = np.zeros((0, 0, 2))
-_Memory = TypeVar("_Memory")
-
-
-def _repeated(memory: _Memory, worlds: int, of_each: int) -> _Memory:
-    """The memory of one vehicle for each of `of_each` in each world.
-
-    Args:
-        memory: An array, or a named tuple of such memories.
-        worlds, of_each: Sizes of the axes that come in front of each array.
-    """
-    one: Any = memory
-    if hasattr(one, "_make"):
-        many = one._make(_repeated(part, worlds, of_each) for part in one)
-    else:
-        many = np.broadcast_to(one, (worlds, of_each, *one.shape)).copy()
-    return cast("_Memory", many)
-
-
-def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:
-    """The laws or drivers that can fly or drive a vehicle in here, by name."""
-    if any(uav.name == vehicle for uav in scenario.uav):
-        return tuple(CODES)
-    return tuple(DRIVER_CODES)
-
-
-class LoopSettings(EpisodeSettings, total=False):
-    """Settings of many worlds at once; by default `LOOP_DEFAULTS`."""
-
-    estimate: bool
-    """True: the UAVs' rows have the Kalman filter's estimate in the place of the raw detection."""
-    gradient: bool
-    """True: the UAVs' rows end with `bus.layout.GradientCue`."""
-    safety_filter: bool
-    """True: actions from outside go through the safety filter, as those of the law `certified` do."""
-    threads: int | None
-    """Processor cores that share the worlds; None: all that this process may use."""
-
-
-LOOP_DEFAULTS = LoopSettings(
-    **EPISODE_DEFAULTS,
-    estimate=False,
-    gradient=False,
-    safety_filter=False,
-    threads=None,
-)
 
 
 class ClosedLoop:
@@ -114,7 +55,7 @@ class ClosedLoop:
         external: Vehicles whose actions come from outside, in the order of the actions.
         pilots: Who flies or drives the others, by name, instead of the scenario's law and drivers.
         error: Whether e(t) is computed at every tick; if `uncovered` is paid, it is in any case.
-        settings: Options by keyword: `LoopSettings` says what each is.
+        settings: By keyword: `sim.env.settings.Settings` says what each is.
 
     Raises:
         ScenarioError: If a vehicle has a law or a driver that cannot be flown in here.
@@ -130,11 +71,9 @@ class ClosedLoop:
         external: Collection[str] = (),
         pilots: Mapping[str, str] | None = None,
         error: bool = False,
-        **settings: Unpack[LoopSettings],
+        **settings: Any,  # noqa: ANN401 - fields of `Settings`
     ) -> None:
-        options = completed(LoopSettings, settings, LOOP_DEFAULTS)
-        estimate, gradient = options["estimate"], options["gradient"]
-        patch = given_patch(options["coverage_patch"])
+        options = settings_of(settings)
         self.scenario = scenario
         self.worlds = worlds
         self.names = tuple(vehicle.name for vehicle in scenario.vehicles)
@@ -145,60 +84,74 @@ class ClosedLoop:
         """UGVs in the order of theirs."""
         self.external = tuple(external)
         """The vehicles whose actions come from outside."""
-        weights = options["rewards"] or RewardWeights()
         chosen = dict(pilots or {})
         for name in (*self.external, *chosen):
             if name not in self.names:
                 raise ValueError(f"vehicle = {name!r}; allowed: {', '.join(self.names)}")
-        numbers = _PilotNumbers(
-            scenario,
-            self.uavs,
-            self.ugvs,
-            set(self.external),
-            chosen,
-            shield=options["safety_filter"],
-        )
         self.batch = Batch(
             scenario,
             worlds,
-            gains=weights.seen > 0.0,
-            threads=options["threads"],
-            secret=check_secret(options["secret"]),
+            gains=options.rewards.seen > 0.0,
+            threads=options.threads,
+            secret=check_secret(options.secret),
             others=(LinkKind.RADIO,),
         )
-        receiving = numbers.radio
-        thinking = numbers.thinking | (estimate or gradient or receiving)
-        dt, ground, grounded = scenario.dt, scenario.ground, scenario.has_ground and receiving
-        self.parameters = LoopParameters(
-            error=error or weights.uncovered > 0.0,
-            estimate=estimate,
-            gradient=gradient,
-            own_maps=len(self.uavs) > 1 or scenario.disturbed,
-            radio=receiving,
-            radio_ticks=radio_ticks(dt),
-            telling_ticks=telling_ticks(ground.telling, dt) if grounded else 0,
-            tile=float(ground.tile) if grounded else 0.0,
-            meters_per_pixel=float(patch.meters_per_pixel) if patch else 1.0,
-        )
-        scripts, script_rows = joined(numbers.scripts, 3)
-        rows = row_tables(
-            scenario,
-            weights,
-            end_on_sight_lost=options["end_on_sight_lost"],
-            end_on_goals=options["end_on_goals_reached"],
-        )
-        self.tables = LoopTables(
+        rows = row_tables(scenario, options, error=error)
+        self.has_error = bool(rows.episode["error"][0])
+        """True if e(t) is computed at every tick."""
+        self.parameters: LoopParameters | None = None
+        """Of the pilots; None if every action comes from outside and nothing else is asked for."""
+        self.tables: LoopTables | CommandedTables = CommandedTables(
             batch=self.batch.tables,
             rows=rows,
-            laws=numbers.laws,
-            drivers=numbers.drivers,
             hand=np.array(
                 [self.external.index(n) if n in self.external else -1 for n in self.names],
                 dtype=np.int64,
             ),
-            thinking=thinking.astype(np.int64),
+        )
+        uav_columns, guard_columns = len(GradientCue._fields), len(GUARD_METRICS)
+        self.state: LoopState | CommandedState = CommandedState(
+            batch=self.batch.state,
+            rows=row_state(rows, worlds, uav_metrics=guard_columns, uav_columns=uav_columns),
+            certificates=np.repeat(certificate_counters(len(self.uavs))[None], worlds, axis=0),
+        )
+        self.faults = dict.fromkeys(self.uavs, "")
+        """Why nothing of each UAV's flight can be certified; empty: it can."""
+        if self._needs_pilots(options):
+            self._add_pilots(chosen, options)
+        # all but the batch, which knows its own
+        self._fresh = Fresh(self.state[1:])
+        self._all = np.arange(worlds)
+        self._none = np.zeros((worlds, 0, 2))
+        self.begin([scenario.seed], [0])
+
+    def _needs_pilots(self, settings: Settings) -> bool:
+        asked = settings.estimate or settings.gradient or settings.safety_filter
+        pictured = settings.coverage_patch is not None
+        commanded = len(self.external) == len(self.names)
+        return asked or pictured or not commanded or uses_radio(self.scenario)
+
+    def _add_pilots(self, chosen: Mapping[str, str], settings: Settings) -> None:
+        """Add the tables and the state of pilots, estimates and pictures."""
+        numbers = PilotNumbers(
+            self.scenario, self.uavs, self.ugvs, set(self.external), chosen, settings.safety_filter
+        )
+        self.faults = dict(zip(self.uavs, numbers.faults, strict=True))
+        parameters = loop_parameters(self.scenario, settings, radio=numbers.radio)
+        self.parameters = parameters
+        self.tables = self._pilot_tables(numbers, parameters)
+        self.state = self._pilot_state(numbers, parameters, given_patch(settings.coverage_patch))
+
+    def _pilot_tables(self, numbers: PilotNumbers, parameters: LoopParameters) -> LoopTables:
+        needed = parameters.estimate or parameters.gradient or parameters.radio
+        scripts, script_rows = joined(numbers.scripts, 3)
+        return LoopTables(
+            **self.tables._asdict(),
+            laws=numbers.laws,
+            drivers=numbers.drivers,
+            thinking=(numbers.thinking | needed).astype(np.int64),
             guarded=numbers.guarded.astype(np.int64),
-            faults=numbers.faults.astype(np.int64),
+            faults=np.array([bool(fault) for fault in numbers.faults], dtype=np.int64),
             receivers=np.array(
                 [self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]],
                 dtype=np.int64,
@@ -210,45 +163,40 @@ class ClosedLoop:
             script_rows=script_rows,
             late=numbers.late,
         )
-        late = self.batch.links.longest(LinkKind.DETECTIONS)
-        kalman = estimator_rows(min(late + 1, history_depth(SPAN, dt)))
+
+    def _pilot_state(
+        self, numbers: PilotNumbers, parameters: LoopParameters, patch: CoveragePatch | None
+    ) -> LoopState:
+        worlds, batch, area = self.worlds, self.batch, self.scenario.area
+        late = batch.links.longest(LinkKind.DETECTIONS)
+        depth = min(late + 1, history_depth(SPAN, self.scenario.dt))
         guard = guard_state(numbers.longest, min(late + 1, numbers.track))
         uavs, ugvs = len(self.uavs), len(self.ugvs)
-        room = self.batch.links.packets.shape[3]
-        coverage = self.batch.state.coverage
+        room = batch.links.packets.shape[3]
         told_room = 0
-        if grounded and self.batch.ground is not None:
-            told_room = max(BLOCK_TILES, self.batch.ground.seen.shape[2])
-        telling = telling_memory(scenario.area.width, scenario.area.height, self.parameters.tile)
+        if batch.ground is not None:
+            told_room = max(BLOCK_TILES, batch.ground.seen.shape[2])
+        telling = telling_memory(area.width, area.height, parameters.tile)
         pixels = patch.pixels if patch else 1
-        self.state = LoopState(
-            batch=self.batch.state,
-            rows=row_state(
-                rows,
-                worlds,
-                uav_metrics=len(GUARD_METRICS),
-                uav_columns=len(GradientCue._fields),
-            ),
-            maps=_repeated(coverage[0], worlds, uavs if self.parameters.own_maps else 0),
-            certificates=np.repeat(numbers.certificates[None], worlds, axis=0),
+        state = LoopState(
+            **self.state._asdict(),
+            maps=repeated(batch.state.coverage[0], worlds, uavs if parameters.own_maps else 0),
             laws=law_memories(numbers.laws, worlds),
             drivers=driver_memories(numbers.drivers, worlds),
-            kalman=_repeated(kalman, worlds, uavs),
-            guards=_repeated(guard, worlds, uavs),
-            grounds=_repeated(numbers.ground, worlds, ugvs),
+            kalman=repeated(estimator_rows(depth), worlds, uavs),
+            guards=repeated(guard, worlds, uavs),
+            grounds=repeated(numbers.ground, worlds, ugvs),
             outbox=no_packets(worlds, uavs, 2),
             looks=np.zeros((worlds, room, 3)),
-            inboxes=np.zeros((worlds, ugvs, room * uavs if receiving else 1, 3)),
+            inboxes=np.zeros((worlds, ugvs, room * uavs if parameters.radio else 1, 3)),
             arrived=np.zeros((worlds, ugvs), dtype=np.int64),
             patches=np.zeros((worlds, uavs if patch else 0, pixels, pixels)),
-            telling=_repeated(telling, worlds, uavs),
+            telling=repeated(telling, worlds, uavs),
             places=np.zeros((worlds, 2, told_room), dtype=np.int64),
             states=np.zeros((worlds, told_room), dtype=np.uint8),
         )
-        self.state.outbox["stamp"] = -1.0
-        self._fresh = Fresh(self.state[1:])  # all but the batch, which knows its own
-        self._all = np.arange(worlds)
-        self.begin([scenario.seed], [0])
+        state.outbox["stamp"] = -1.0
+        return state
 
     @property
     def degraded(self) -> bool:
@@ -266,14 +214,15 @@ class ClosedLoop:
         """
         which = self.batch.restore(seeds, worlds)
         self._fresh.restore(which)
-        keys = self.state.batch.vehicles["keys"][which, :, PILOT]
-        keyed = [(rows, self.tables.batch.ugvs) for rows in self.state.drivers]
-        keyed += [(rows, self.tables.batch.escorts[:, 0]) for rows in self.state.laws]
-        for rows, vehicles in keyed:
-            if rows is not None and "key_0" in rows.dtype.names:
-                for word, name in enumerate(("key_0", "key_1")):
-                    rows[name][which] = keys[:, vehicles, word]
-        self._run(which, _NO_ACTIONS, 0)
+        if isinstance(self.state, LoopState):
+            keys = self.state.batch.vehicles["keys"][which, :, PILOT]
+            keyed = [(rows, self.tables.batch.ugvs) for rows in self.state.drivers]
+            keyed += [(rows, self.tables.batch.escorts[:, 0]) for rows in self.state.laws]
+            for rows, vehicles in keyed:
+                if rows is not None and "key_0" in rows.dtype.names:
+                    for word, name in enumerate(("key_0", "key_1")):
+                        rows[name][which] = keys[:, vehicles, word]
+        self._run(which, self._none, 0)
 
     def step(self, actions: FloatArray, worlds: IntArray | None = None) -> None:
         """Worlds advance by one tick.
@@ -294,9 +243,9 @@ class ClosedLoop:
             raise ValueError(
                 f"the actions of {', '.join(self.external)} come from outside: use step"
             )
-        none, most = np.zeros((self.worlds, 0, 2)), self.scenario.ticks if ticks is None else ticks
+        most = self.scenario.ticks if ticks is None else ticks
         if most > 0:
-            self._run(self._all, none, most)
+            self._run(self._all, self._none, most)
 
     def _run(self, worlds: IntArray, actions: FloatArray, ticks: int) -> None:
         which = np.ascontiguousarray(worlds, dtype=np.int64)
@@ -315,7 +264,7 @@ class ClosedLoop:
         row, ticks = self.uavs.index(uav), self.state.batch.ticks
         rows, counts = self.state.rows.uavs[:, row], self.state.certificates[:, row]
         watched = np.maximum(counts["ticks"], 1.0)
-        counted = np.where(self.parameters.error, 1.0, np.nan)
+        counted = np.where(self.has_error, 1.0, np.nan)
         return {
             "ticks": ticks.astype(np.float64),
             "distance": rows[:, UAV_METRICS.distance].copy(),
@@ -329,12 +278,40 @@ class ClosedLoop:
             "certificate_broken": counts["broken"].astype(np.float64),
         }
 
+    def verdict(self, uav: str) -> dict[str, Any]:
+        """What the safety filter has made of a UAV's action in the last tick, in the first world, as plain numbers."""
+        row = self.state.rows.uavs[0, self.uavs.index(uav), list(GUARD_METRICS)]
+        guard = GuardMetrics._make(row.tolist())
+        reason = self.faults[uav] or UNCERTIFIED.get(int(guard.code), "")
+        return {
+            "intervened": guard.acted != 0.0,
+            "certified": guard.sure != 0.0,
+            "uncertified": "" if guard.sure else reason,
+            "certified_distance": guard.bound,
+        }
+
     def mission(self, world: int) -> Mission:
         """The mission of one world so far, where there are hazards."""
         if self.batch.ground is None:
             raise ValueError("there are no hazards, so there is no mission")
         goal_rows, dt = self.tables.batch.goal_rows, self.scenario.dt
         return mission_of(goal_rows, self.batch.ground, world, dt, self.ugvs)
+
+    def patch(self, uav: str) -> FloatArray:
+        """The picture of a UAV's own map, in each world. Shape (worlds, pixels, pixels)."""
+        pictures: FloatArray = self._pilots.patches[:, self.uavs.index(uav)]
+        return pictures
+
+    def known_tiles(self, ugv: str) -> TileArray:
+        """The ground as a UGV knows it, from its bumper and by radio, in each world. Shape (worlds, rows, columns)."""
+        tiles: TileArray = self._pilots.grounds.tiles[:, self.ugvs.index(ugv)]
+        return tiles
+
+    @property
+    def _pilots(self) -> LoopState:
+        if not isinstance(self.state, LoopState):
+            raise ValueError("there are no hazards and no pictures")
+        return self.state
 
     def links(self, world: int) -> dict[str, LinkStatus]:
         """The counters of each link of one world so far, by `vehicle/kind`."""
@@ -347,73 +324,3 @@ class ClosedLoop:
     def close(self) -> None:
         """End the threads."""
         self.batch.workers.close()
-
-
-class _PilotNumbers:
-    """The parameters of all pilots, in tables."""
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        uavs: Sequence[str],
-        ugvs: Sequence[str],
-        external: set[str],
-        chosen: Mapping[str, str],
-        *,
-        shield: bool,
-    ) -> None:
-        told_uavs = [uav_briefing(scenario, name, 0) for name in uavs]
-        told_ugvs = [ugv_briefing(scenario, name, 0) for name in ugvs]
-        never_asked = dict.fromkeys(uavs, "tracking") | dict.fromkeys(ugvs, DEFAULT_DRIVER)
-        pilots = {**chosen, **{name: never_asked[name] for name in external}}
-        laws = [self._law(one, pilots.get(one.vehicle)) for one in told_uavs]
-        for one, law in zip(told_uavs, laws, strict=True):
-            named = getattr(scenario.custom, LAWS[law.name].inner, "")
-            if named and one.vehicle not in pilots:
-                raise ScenarioError(
-                    f"{one.vehicle}: uav_policy = {named!r}: flies in a run, not in many worlds; allowed: no policy, "
-                    "or the policy itself as one of the `others`"
-                )
-        safety = [bounds_of(one) for one in told_uavs]
-        self.laws = law_tables(told_uavs, laws)
-        self.longest = max((promise.delay_ticks for promise in safety), default=0)
-        self.track = max((track_ticks(promise) for promise in safety), default=1)
-        self.certificates = certificate_counters(len(uavs))
-        self.safety = records(SafetyBounds, safety)
-        self.faults = np.array([bool(check_assumptions(one)) for one in safety], dtype=np.bool_)
-        self.kalman = records(
-            KalmanParameters,
-            [
-                kalman_parameters(
-                    detector=one.detector,
-                    target=one.target_limits,
-                    dt=one.dt,
-                    settings=one.estimator,
-                )
-                for one in told_uavs
-            ],
-        )
-        outside = np.array([name in external for name in uavs], dtype=np.bool_)
-        watched = np.array([LAWS[law.name].watched for law in laws], dtype=np.bool_)
-        self.guarded = watched & ~outside | outside & shield
-        self.thinking = ~outside
-        drivers = [pilots.get(one.vehicle) or one.driver for one in told_ugvs]
-        self.drivers = driver_tables(told_ugvs, drivers)
-        self.scripts = [told_route(one).script for one in told_ugvs]
-        grounds = [told_ground(one) for one in told_ugvs]
-        self.late = np.array([len(memory.sent) for memory in grounds], dtype=np.int64)
-        self.ground = max(grounds, key=lambda memory: len(memory.sent))  # all have one area
-        self.radio = scenario.has_ground or any(  # whoever drives is told of the ground
-            DRIVERS[driver].listens and name not in external
-            for name, driver in zip(ugvs, drivers, strict=True)
-        )
-
-    @staticmethod
-    def _law(told: UavBriefing, name: str | None) -> Law:
-        law = told.law if name is None else msgspec.structs.replace(told.law, name=name)
-        if law.name in LAWS and LAWS[law.name].own:
-            raise ScenarioError(
-                f"{told.vehicle}: law.name = {law.name!r} is a function of your own and cannot be compiled"
-            )
-        SelectedLaw(told, law, uav_parameters(told))  # which checks it
-        return law

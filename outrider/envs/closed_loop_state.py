@@ -26,6 +26,8 @@ class GuardMetrics(NamedTuple):
     """Of the last tick: whether it acted, and whether it was certified."""
     bound: float
     """The distance that it bounds [m]."""
+    code: float
+    """Why it was not certified: a key of `agents.control.certificate.UNCERTIFIED`, or its `CERTIFIED`."""
 
 
 _FIRST = len(UAV_METRICS)
@@ -33,10 +35,8 @@ GUARD_METRICS: Any = GuardMetrics._make(range(_FIRST, _FIRST + len(GuardMetrics.
 
 
 class LoopParameters(NamedTuple):
-    """The switches and numbers of the loop."""
+    """The switches and numbers of the pilots."""
 
-    error: bool
-    """True if e(t) is needed at every tick."""
     estimate: bool
     """True if the rows have the filter's estimate in the place of the raw detection."""
     gradient: bool
@@ -53,15 +53,33 @@ class LoopParameters(NamedTuple):
     meters_per_pixel: float
 
 
-class LoopTables(NamedTuple):
-    """The constants of all worlds."""
+class CommandedTables(NamedTuple):
+    """The constants of all worlds in which every action comes from outside."""
 
     batch: BatchTables
     rows: RowTables
-    laws: LawTables
-    drivers: DriverTables
     hand: IntArray
     """For each vehicle its row in the actions from outside; -1: it is flown in here. Shape (vehicles,)."""
+
+
+class CommandedState(NamedTuple):
+    """Everything that changes there. All arrays have an axis for worlds in front."""
+
+    batch: BatchState
+    rows: RowState
+    """Observation rows, rewards and metrics."""
+    certificates: RecordArray
+    """`CertificateCounters` of each UAV. Shape (worlds, UAVs)."""
+
+
+class LoopTables(NamedTuple):
+    """The constants of all worlds with pilots, estimates or pictures: `CommandedTables` and more."""
+
+    batch: BatchTables
+    rows: RowTables
+    hand: IntArray
+    laws: LawTables
+    drivers: DriverTables
     thinking: IntArray
     """For each UAV whether its estimate is needed. Shape (UAVs,)."""
     guarded: IntArray
@@ -83,15 +101,13 @@ class LoopTables(NamedTuple):
 
 
 class LoopState(NamedTuple):
-    """Everything that changes. All arrays have an axis for worlds in front."""
+    """Everything that changes there: `CommandedState` and more. All arrays have an axis for worlds in front."""
 
     batch: BatchState
     rows: RowState
-    """Observation rows, rewards and metrics."""
+    certificates: RecordArray
     maps: FloatArray
     """The UAVs' own maps, where they differ from the world's. Shape (worlds, UAVs or 0, rows, columns)."""
-    certificates: RecordArray
-    """`CertificateCounters` of each UAV. Shape (worlds, UAVs)."""
     laws: Any
     """`PerLaw`: memories of the laws. Shape (worlds, UAVs) each."""
     drivers: Any

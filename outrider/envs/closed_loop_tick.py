@@ -50,6 +50,7 @@ from sim.engine.world_state import Vehicle
 from sim.engine.world_tick import begin_world, measure, world_tick
 from sim.env.rows import UAV, UAV_METRICS, advance_rows, observe_rows
 from sim.kernels.compile import FloatArray, IntArray, compiled, inlined, released
+from sim.kernels.records import RecordArray
 from sim.models.field import coverage_gradient, sample
 from sim.models.vehicles import Motion, norm
 
@@ -136,7 +137,7 @@ def _fly(
         row[GUARD_METRICS.bound] = bound
         row[GUARD_METRICS.acted] = 1.0 if acts != INNER else 0.0
         sure = code == NOTHING_AGAINST and tables.faults[uav] == 0
-        row[GUARD_METRICS.sure] = 1.0 if sure else 0.0
+        row[GUARD_METRICS.sure], row[GUARD_METRICS.code] = 1.0 if sure else 0.0, code
         # a pilot that has seen nothing reports nothing
         reports = target.known or tables.hand[vehicle] >= 0
         said = Claim(sure, reports and acts != INNER, row[UAV_METRICS.lost] != 0.0, True)
@@ -192,7 +193,7 @@ def _drive(
 ) -> None:
     """The command of a UGV."""
     tick, one = state.batch.ticks[world], state.batch.vehicles[world, vehicle]
-    one.outgoing_tick, one.outgoing_motion, one.outgoing_motions = tick, -1, 0
+    one.outgoing_tick = tick
     if tables.hand[vehicle] >= 0:
         one.outgoing[0] = actions[tables.hand[vehicle], 0]
         one.outgoing[1] = actions[tables.hand[vehicle], 1]
@@ -369,11 +370,12 @@ def _add_cues(
 
 
 @inlined
-def _observe(parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int) -> None:
-    """Everybody's row, and the UAVs' pictures."""
+def _add_pictures(
+    parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int
+) -> None:
+    """Put the UAVs' estimates and gradients into their rows, and make their pictures."""
     world_parameters = tables.batch.world[0]
     escorts = tables.batch.escorts
-    observe_rows(tables.batch, state.batch, tables.rows, state.rows, world)
     if parameters.estimate or parameters.gradient:
         for u in range(escorts.shape[0]):
             _add_cues(parameters, tables, state, world, u)
@@ -415,9 +417,57 @@ def _note_evidence(tables: LoopTables, state: LoopState, world: int, uav: int) -
         record_tracking_error(tables.monitored, state.certificates[world], uav, off)
 
 
+@compiled
+def _obey(
+    vehicles: RecordArray, hand: IntArray, world: int, tick: int, actions: FloatArray
+) -> None:
+    """The commands of all vehicles, from outside; the backup plans that they carry are there already."""
+    for v in range(hand.shape[0]):
+        one = vehicles[world, v]
+        one.outgoing_tick = tick
+        one.outgoing[0], one.outgoing[1] = actions[hand[v], 0], actions[hand[v], 1]
+
+
+@inlined
+def _command(
+    parameters: LoopParameters,
+    tables: LoopTables,
+    state: LoopState,
+    ground: GroundState | None,
+    world: int,
+    actions: FloatArray,
+) -> None:
+    """The commands of all vehicles, of their pilots or from outside."""
+    for v in range(tables.rows.place.shape[0]):
+        place = tables.rows.place[v]
+        if place >= 0:
+            _fly(parameters, tables, state, world, v, place, actions)
+        else:
+            _drive(tables, state, ground, world, v, -1 - place, actions)
+
+
+@inlined
+def _note_actions(tables: LoopTables, state: LoopState, world: int, tick: int) -> None:
+    """Count the actions of the UAVs that a safety filter watches over."""
+    for u in range(tables.batch.escorts.shape[0]):
+        if tables.guarded[u]:
+            _note_action(tables, state, world, u, tick)
+
+
+@inlined
+def _note_tick(tables: LoopTables, state: LoopState, world: int, over: bool) -> None:
+    """Count what the UAVs' certificates have come to at this tick."""
+    for u in range(tables.batch.escorts.shape[0]):
+        if over:
+            lost = state.rows.uavs[world, u, UAV_METRICS.lost] != 0.0
+            record_end(state.certificates[world, u], lost)
+        elif tables.guarded[u]:
+            _note_evidence(tables, state, world, u)
+
+
 @released
 def run_worlds(
-    parameters: LoopParameters,
+    parameters: LoopParameters | None,
     tables: LoopTables,
     state: LoopState,
     ground: GroundState | None,
@@ -429,7 +479,9 @@ def run_worlds(
 ) -> None:
     """Fly each of these worlds for a number of ticks or to the end of its episode; 0 ticks: begin it.
 
-    World by world, so that a grid stays near its core for a whole flight.
+    World by world, so that a grid stays near its core for a whole flight. Without parameters every action comes from
+    outside, tables and state are `CommandedTables` and `CommandedState`, and nothing of pilots, estimates and pictures
+    is compiled.
     """
     batch, beginning = state.batch, ticks == 0
     for n in range(begin, end):
@@ -439,34 +491,25 @@ def run_worlds(
         for tick in range(1 if beginning else ticks):
             if tick > 0 and (state.rows.terminated[k] or state.rows.truncated[k]):
                 break
+            begun = batch.ticks[k]
             if not beginning:
-                for v in range(tables.rows.place.shape[0]):
-                    if tables.rows.place[v] >= 0:
-                        uav = tables.rows.place[v]
-                        _fly(parameters, tables, state, k, v, uav, actions[k])
-                    else:
-                        _drive(tables, state, ground, k, v, -1 - tables.rows.place[v], actions[k])
-                begun = batch.ticks[k]
+                if parameters is None:
+                    _obey(batch.vehicles, tables.hand, k, begun, actions[k])
+                else:
+                    _command(parameters, tables, state, ground, k, actions[k])
                 world_tick(tables.batch, batch, ground, k, True)
-                for u in range(tables.batch.escorts.shape[0]):
-                    if tables.guarded[u]:
-                        _note_action(tables, state, k, u, begun)
-            _perceive(parameters, tables, state, ground, k)
-            measure(
-                tables.batch.world,
-                batch.vehicles,
-                tables.batch.escorts,
-                batch.coverage,
-                k,
-                parameters.error,
-            )
+            if parameters is not None:
+                if not beginning:
+                    _note_actions(tables, state, k, begun)
+                _perceive(parameters, tables, state, ground, k)
+            error = tables.rows.episode[0].error
+            escorts = tables.batch.escorts
+            measure(tables.batch.world, batch.vehicles, escorts, batch.coverage, k, error)
             advance_rows(tables.batch, batch, ground, tables.rows, state.rows, k, beginning)
             over = state.rows.terminated[k] or state.rows.truncated[k]
-            for u in range(tables.batch.escorts.shape[0]):
-                if over:
-                    lost = state.rows.uavs[k, u, UAV_METRICS.lost] != 0.0
-                    record_end(state.certificates[k, u], lost)
-                elif tables.guarded[u]:
-                    _note_evidence(tables, state, k, u)
+            if parameters is not None:
+                _note_tick(tables, state, k, over)
             if tick == ticks - 1 or over or beginning:
-                _observe(parameters, tables, state, k)
+                observe_rows(tables.batch, batch, tables.rows, state.rows, k)
+                if parameters is not None:
+                    _add_pictures(parameters, tables, state, k)

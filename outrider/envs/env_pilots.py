@@ -4,22 +4,54 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-import msgspec
-import numpy as np
 import numpy.typing as npt
 
 from agents.control.orbit import Path as VirtualPath
+from agents.control.telling import BLOCK_TILES, word_state
 from agents.control.weighting import Weighting
 from agents.uav import UavPilot
-from bus.layout import uav_observation, ugv_observation
-from bus.registry import DRIVERS
-from outrider.envs.escort_env import EscortEnv
-from outrider.envs.radio import Radio
+from bus.messages import (
+    BLOCK_SIDE,
+    TILE_LETTERS,
+    GroundBlock,
+    LinkKind,
+    RelativeInformation,
+    UavCommand,
+    UavObservation,
+    UgvCommand,
+    UgvObservation,
+)
 from outrider.running.flying import make_pilots
-from sim.kernels.compile import FloatArray
+from sim.channel.link_records import ARRIVED
+from sim.world import World
 
-AgentPolicy = Callable[[npt.NDArray[Any] | Mapping[str, npt.NDArray[Any]]], FloatArray]
-"""A vehicle's observation in, its acceleration [m/s²] out."""
+AgentPolicy = Callable[[npt.NDArray[Any] | Mapping[str, npt.NDArray[Any]]], UavCommand | UgvCommand]
+"""A vehicle's observation in, its pilot's command out, which the environment takes as an action."""
+
+
+def _radioed(
+    world: World,
+    batch: Any,  # noqa: ANN401 - PettingZoo has no types
+    uavs: tuple[str, ...],
+) -> tuple[tuple[RelativeInformation, ...], tuple[GroundBlock, ...]]:
+    """The messages that the radios of these UAVs deliver at this tick."""
+    radio, blocks, dt = list[RelativeInformation](), list[GroundBlock](), world.parameters.dt
+    across = 0 if world.ground is None else -(-world.tiles.shape[1] // BLOCK_SIDE)
+    for uav in uavs:
+        row = batch.links.row(LinkKind.RADIO, uav)
+        for packet in batch.state.packets[0, row, ARRIVED, : batch.state.links[0, row]["arrived"]]:
+            block = int(packet["block"])
+            if block < 0:
+                place = (float(packet["vector"][0]), float(packet["vector"][1]))
+                time = float(packet["stamp"]) * dt
+                # drivers make nothing of the error
+                said = RelativeInformation(time=time, relative_position=place, coverage_error=0.0)
+                radio.append(said)
+            else:
+                states = (word_state(packet["tiles"], n) for n in range(BLOCK_TILES))
+                tiles = "".join(TILE_LETTERS[state] for state in states)
+                blocks.append(GroundBlock(row=block // across, column=block % across, tiles=tiles))
+    return tuple(radio), tuple(blocks)
 
 
 class _EnvPilots:
@@ -28,17 +60,15 @@ class _EnvPilots:
     def __init__(self, env: Any, weighting: Weighting | None, path: VirtualPath | None) -> None:  # noqa: ANN401
         self._env = env.unwrapped
         self._weighting, self._path = weighting, path
+        self._escorts = {
+            ugv.name: tuple(uav.name for uav in self._env.scenario.uav if uav.escorts == ugv.name)
+            for ugv in self._env.scenario.ugv
+        }
         self._begin()
 
     def _begin(self) -> None:
         env = self._env
         self._episode: int = env.episode
-        receives = any(DRIVERS[ugv.driver].listens for ugv in env.scenario.ugv)
-        self._radio: Radio | None = None
-        if isinstance(env, EscortEnv) and env.episode and env.scenario.has_ground:
-            self._radio = env.radio
-        elif receives and env.episode:
-            self._radio = Radio(env)
         self._pilots = make_pilots(
             env.scenario,
             env.episode_seed,
@@ -50,32 +80,22 @@ class _EnvPilots:
     def act(
         self,
         name: str,
-        observation: npt.NDArray[Any] | Mapping[str, npt.NDArray[Any]],
-    ) -> FloatArray:
+        _observation: npt.NDArray[Any] | Mapping[str, npt.NDArray[Any]],
+    ) -> UavCommand | UgvCommand:
         if self._episode != self._env.episode:
             self._begin()
-        row = observation["row"] if isinstance(observation, Mapping) else observation
-        pilot, dt = self._pilots[name], self._env.scenario.dt
+        world, pilot = self._env.world, self._pilots[name]
+        row, tick = world.names.index(name), world.tick
+        position = tuple(world.reference_position[row].tolist())
+        velocity = tuple(world.reference_velocity[row].tolist())
+        told: dict[str, Any] = {"tick": tick, "time": world.time}
+        told |= {"position": position, "velocity": velocity}
+        told |= {"ground": world.seen_ground(row), "flown": world.flown(row)}
         if isinstance(pilot, UavPilot):
-            seen = uav_observation(row, dt=dt)
-            if self._env.degraded:  # several may have come at once, and the row has room for one
-                seen = msgspec.structs.replace(seen, detections=self._env.received(name))
-            ground, flown = self._env.ground(name), self._env.flown(name)
-            command = pilot.act(msgspec.structs.replace(seen, ground=ground, flown=flown))
-            self._env.carry(name, command.motions)
-            return np.array(command.acceleration)
-        perceived = ugv_observation(row, dt=dt)
-        perceived = msgspec.structs.replace(
-            perceived, ground=self._env.ground(name), flown=self._env.flown(name)
-        )
-        if self._radio is not None:
-            perceived = self._radio.received_by(name, perceived)
-        answer = pilot.act(perceived)
-        self._env.carry(name, answer.motions)
-        self._env.claim(name, answer.report)
-        if answer.route is not None:
-            self._env.show_route(name, answer.route)
-        return np.array(answer.acceleration)
+            uav = [uav.name for uav in world.uavs].index(name)
+            return pilot.act(UavObservation(**told, detections=world.received(uav)))
+        radio, blocks = _radioed(world, self._env.worlds.loop.batch, self._escorts[name])
+        return pilot.act(UgvObservation(**told, radio=radio, blocks=blocks))
 
 
 def pilots(
@@ -86,9 +106,10 @@ def pilots(
 ) -> dict[str, AgentPolicy]:
     """A policy for each agent of the environment: the scenario's law for a UAV, its driver for a UGV.
 
-    Each knows what it would know over the bus: its briefing, and then the rows of its own observations. They have a
-    memory, so call each once a tick; with a new episode they begin anew by themselves. With float64 rows they fly the
-    same bits as `outrider.run` with the same scenario and seed.
+    Each knows what it would know over the bus: its briefing, and then, whatever the observations look like, what its
+    own sensors and links have told it. They have a memory, so call each once a tick; with a new episode they begin
+    anew by themselves. They fly the same bits as `outrider.run` with the same scenario and seed, where no UGV uses the
+    radio of the UAVs' computers; else the same to rounding.
 
     Args:
         env: The environment, or a wrapper of it.

@@ -4,14 +4,14 @@ It is world 0 of `outrider.vector_env` bit for bit, but an episode that ends sta
 """
 
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium.error import ResetNeeded
 
-from outrider.envs.vector import PICTURES, BatchSettings, Worlds
+from outrider.envs.worlds import PICTURES, Worlds
 from sim.engine.mission import mission_numbers
 from sim.env.actions import take_actions
 from sim.env.observation import AgentObservation, one_of_world
@@ -26,7 +26,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         scenario: A shipped name, a file, or a scenario.
         agent: Who learns.
         render_mode: None, or "rgb_array"; `outrider.parallel_env` has a window, too.
-        settings: Options by keyword: `outrider.envs.vector.BatchSettings` says what each is.
+        settings: By keyword: `sim.env.settings.Settings` says what each is.
 
     Raises:
         ScenarioError: If the scenario cannot be flown.
@@ -42,7 +42,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         *,
         agent: str = "uav_0",
         render_mode: str | None = None,
-        **settings: Unpack[BatchSettings],
+        **settings: Any,  # noqa: ANN401 - fields of `Settings`
     ) -> None:
         self.worlds = Worlds(scenario, 1, [agent], render_mode=render_mode, **settings)
         """The one world, and what is true of it."""
@@ -112,11 +112,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
 
     def _info(self) -> dict[str, Any]:
         """Facts of its own that are in no row, as plain numbers."""
-        info = {
-            key: array[0].item()
-            for key, array in self.worlds.infos(self.agent).items()
-            if not key.startswith("_")
-        }
+        info = self.worlds.info(self.agent)
         mission = self.worlds.mission(0) if self._over else None
         at_wheel = self.agent in self.worlds.loop.ugvs
         return info | (mission_numbers(mission) if mission is not None and at_wheel else {})

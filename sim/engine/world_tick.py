@@ -10,7 +10,7 @@ from sim.engine.ground_state import GroundState
 from sim.engine.ground_tick import drive_on, keep_before, perceive_ground
 from sim.engine.mission import note_mission
 from sim.engine.world_state import BatchState, BatchTables, Vehicle, WorldParameters
-from sim.kernels.compile import FloatArray, IntArray, compiled
+from sim.kernels.compile import FloatArray, IntArray, compiled, inlined
 from sim.kernels.records import RecordArray
 from sim.models.detection import detect
 from sim.models.field import accumulate, accumulate_with_gain, coverage_error
@@ -41,7 +41,7 @@ def _step(numbers: WorldParameters, vehicle: Vehicle, max_speed: float) -> None:
     vehicle.acceleration[0], vehicle.acceleration[1] = u_x, u_y
 
 
-@compiled
+@inlined
 def _move(
     numbers: WorldParameters, vehicles: RecordArray, ground: GroundState | None, world: int
 ) -> None:
@@ -74,7 +74,7 @@ def _be_at_reference(vehicle: Vehicle) -> None:
         vehicle.velocity[i] = vehicle.reference_velocity[i]
 
 
-@compiled
+@inlined
 def _look(numbers: WorldParameters, state: BatchState, escorts: IntArray, world: int) -> None:
     """Let every UAV's sensor look at the ground, (3)."""
     coverage = state.coverage[world]
@@ -108,7 +108,7 @@ def _look(numbers: WorldParameters, state: BatchState, escorts: IntArray, world:
             )
 
 
-@compiled
+@inlined
 def _detect(numbers: WorldParameters, uav: Vehicle, ugv: Vehicle, tick: int) -> None:
     """Let a UAV's detector look for its UGV, if it is due at this tick."""
     uav.detection[0], uav.detection[1] = np.nan, np.nan
@@ -174,7 +174,7 @@ def _note_arrival(motions: RecordArray, world: int, vehicle: int, last: int, car
             motion.arrived = 1
 
 
-@compiled
+@inlined
 def _fly_motion(numbers: WorldParameters, state: BatchState, world: int, v: int) -> bool:
     """Fly the motion of this tick if it has come and goes on from the one that is flown, else the rest of that one.
 
@@ -213,7 +213,7 @@ def _acts_bare(state: BatchState, world: int, v: int, begins: int) -> bool:
     return bool(begins < tick and wait > vehicle.interval_ticks)
 
 
-@compiled
+@inlined
 def _exchange_commands(state: BatchState, traces: IntArray, world: int, v: int, row: int) -> None:
     """Send the command of a vehicle over its link, and take the newest one that has arrived."""
     vehicle, link = state.vehicles[world, v], state.links[world, row]
@@ -224,7 +224,8 @@ def _exchange_commands(state: BatchState, traces: IntArray, world: int, v: int, 
         packet.vector[0], packet.vector[1] = vehicle.outgoing[0], vehicle.outgoing[1]
         packet.plan, packet.plans = vehicle.outgoing_motion, vehicle.outgoing_motions
         send(link, state.packets, world, traces, packet)
-        vehicle.outgoing_tick = -1
+        vehicle.outgoing_tick = vehicle.outgoing_motion = -1
+        vehicle.outgoing_motions = 0
     for n in range(receive(link, state.packets, world)):
         packet = state.packets[world, row, ARRIVED, n]
         if vehicle.follows_motions and packet.plan >= 0:
@@ -237,7 +238,7 @@ def _exchange_commands(state: BatchState, traces: IntArray, world: int, v: int, 
                 flown.begins, flown.plain = NO_MOTION, 1
 
 
-@compiled
+@inlined
 def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None:
     """Send the commands out; each vehicle acts on its newest one that has arrived.
 
@@ -257,7 +258,7 @@ def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None
             )
 
 
-@compiled
+@inlined
 def draw_disturbances(tables: BatchTables, state: BatchState, world: int) -> None:
     """Draw the disturbances of each UAV in the coming tick."""
     for u in range(tables.disturbances.shape[0]):
@@ -266,7 +267,7 @@ def draw_disturbances(tables: BatchTables, state: BatchState, world: int) -> Non
         draw_disturbance(tables.disturbances[u], uav.disturbance, key, state.ticks[world])
 
 
-@compiled
+@inlined
 def _perceive(
     tables: BatchTables, state: BatchState, ground: GroundState | None, world: int
 ) -> None:
@@ -285,7 +286,7 @@ def _perceive(
         _detect(numbers, vehicles[world, uav], vehicles[world, ugv], state.ticks[world])
 
 
-@compiled
+@inlined
 def move(tables: BatchTables, state: BatchState, ground: GroundState | None, world: int) -> None:
     """Advance to the next tick: vehicles move (1), UAVs look at the ground (3) and at their UGVs."""
     numbers = tables.world[0]
@@ -325,7 +326,7 @@ def deliver_detections(tables: BatchTables, state: BatchState, world: int) -> No
         receive(link, state.packets, world)
 
 
-@compiled
+@inlined
 def begin_world(
     tables: BatchTables, state: BatchState, ground: GroundState | None, world: int
 ) -> None:
@@ -334,7 +335,7 @@ def begin_world(
     deliver_detections(tables, state, world)
 
 
-@compiled
+@inlined
 def world_tick(
     tables: BatchTables, state: BatchState, ground: GroundState | None, world: int, linked: bool
 ) -> None:

@@ -1,1 +1,1 @@
-"""The world as a PettingZoo environment; `sim.env.parallel` is its shell, the other files are its parts."""
+"""Parts of the environments: settings, observations, rewards, spaces, standings, pictures."""

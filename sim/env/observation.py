@@ -10,8 +10,8 @@ from gymnasium import spaces
 from bus.layout import GradientCue, Row, UavRow, UgvRow, bounds
 from sim.env.patch import check_tile_patch, given_patch
 from sim.env.rows import UGV
-from sim.env.settings import EnvSettings
-from sim.env.spaces import box, check_dtype, extent_of
+from sim.env.settings import Settings
+from sim.env.spaces import box, extent_of
 from sim.models.ground import OUTSIDE, TileArray, tile_patches
 from sim.scenario.types import Scenario, Uav, Ugv
 
@@ -37,7 +37,7 @@ def uav_space(
 
     Args:
         extent: The values of `bus.layout.SYMBOLS`.
-        estimate, gradient, dtype: As in `ObservationFormat`.
+        estimate, gradient, dtype: As in `sim.env.settings.Settings`.
         pixels: On each side of the picture of its map; 0: there is none.
     """
     low, high = bounds(UavRow, extent | ({"d_max": math.inf} if estimate else {}))
@@ -53,25 +53,18 @@ class ObservationFormat:
 
     Args:
         scenario: The scenario that is flown.
-        settings: All of the environment's.
-        estimate: Whether the UAVs' relative positions are estimates, which have no largest distance.
-        gradient: Whether the UAVs' rows end with `bus.layout.GradientCue`.
-
-    Raises:
-        ValueError: If `dtype`, `coverage_patch` or `tile_patch` is not allowed.
+        settings: The environment's.
     """
 
-    def __init__(
-        self, scenario: Scenario, settings: EnvSettings, *, estimate: bool, gradient: bool
-    ) -> None:
-        self.dtype = settings["dtype"]
-        check_dtype(self.dtype)
-        self.patch = given_patch(settings["coverage_patch"])
+    def __init__(self, scenario: Scenario, settings: Settings) -> None:
+        self.dtype = settings.dtype
+        self.patch = given_patch(settings.coverage_patch)
         """Of a UAV's picture of its map; None: there is none."""
-        side = check_tile_patch(settings["tile_patch"])
+        side = check_tile_patch(settings.tile_patch)
         self.tile_patch = side if scenario.has_ground else 0
         """Tiles on each side of a UGV's picture of the ground; 0: there is none."""
-        self._tile, self._estimate, self._gradient = float(scenario.ground.tile), estimate, gradient
+        self._tile = float(scenario.ground.tile)
+        self._estimate, self._gradient = settings.estimate, settings.gradient
         self.spaces: dict[str, spaces.Space[Any]] = {
             vehicle.name: self._space(vehicle, extent_of(scenario, vehicle))
             for vehicle in scenario.vehicles

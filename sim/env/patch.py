@@ -2,12 +2,6 @@
 
 from typing import NamedTuple
 
-import numpy as np
-
-from sim.kernels.compile import FloatArray
-from sim.models.field import accumulate, sample
-from sim.world import World
-
 
 class CoveragePatch(NamedTuple):
     """A square picture of the UAV's own map, centred on the UAV; rows go north, columns east."""
@@ -50,48 +44,3 @@ def check_tile_patch(side: int) -> int:
     if isinstance(side, bool) or not (1 <= side <= 255 and side % 2 == 1):
         raise ValueError(f"tile_patch = {side!r}; must be an odd whole number from 1 to 255")
     return int(side)
-
-
-class OwnMaps:
-    """The ground that each UAV has seen itself.
-
-    One UAV's map is the world's, if it truly is where it is told that it is; each of several has one of its own.
-
-    Args:
-        world: At its start.
-        needed: Whether anybody looks at the maps.
-    """
-
-    def __init__(self, world: World, *, needed: bool) -> None:
-        own = len(world.uavs) > 1 or world.scenario.disturbed
-        self._shared = not (needed and own)
-        self._maps = [] if self._shared else [world.coverage.copy() for _ in world.uavs]
-
-    def look(self, world: World) -> None:
-        """Add what each UAV sees at this tick, as the world does (3)."""
-        if self._shared:
-            return
-        parameters = world.parameters
-        for own, (uav, _) in zip(self._maps, world.escorts, strict=True):
-            x, y = world.reference_position[uav].tolist()
-            accumulate(
-                own,
-                x,
-                y,
-                parameters.sensor,
-                parameters.peak,
-                parameters.reach,
-                parameters.cell,
-                parameters.dt,
-            )
-
-    def patch(self, escort: int, world: World, patch: CoveragePatch) -> FloatArray:
-        """The picture around one UAV, row 0 in the south. Shape (pixels, pixels)."""
-        x, y = world.reference_position[world.escorts[escort, 0]].tolist()
-        picture = np.empty((patch.pixels, patch.pixels))
-        parameters = world.parameters
-        own = world.coverage if self._shared else self._maps[escort]
-        sample(
-            own, x, y, parameters.desired, parameters.cell, float(patch.meters_per_pixel), picture
-        )
-        return picture

@@ -13,7 +13,8 @@ from sim.engine.ground_state import GroundState
 from sim.engine.mission import goals_of
 from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rewards import RewardWeights, UavTerms, full_error, uav_terms, ugv_terms
-from sim.kernels.compile import FloatArray, IntArray, compiled
+from sim.env.settings import Settings
+from sim.kernels.compile import FloatArray, IntArray, compiled, inlined
 from sim.kernels.records import RecordArray, columns, records
 from sim.models.vehicles import next_goal, norm
 from sim.scenario.types import Scenario, Uav
@@ -74,6 +75,8 @@ class EpisodeParameters(NamedTuple):
     """`full_error` [m²]."""
     end_on_sight_lost: bool
     end_on_goals: bool
+    error: bool
+    """True if e(t) is computed at every tick."""
 
 
 class RowTables(NamedTuple):
@@ -107,22 +110,27 @@ class RowState(NamedTuple):
     """Shape (worlds,)."""
 
 
-def row_tables(
-    scenario: Scenario, weights: RewardWeights, *, end_on_sight_lost: bool, end_on_goals: bool
-) -> RowTables:
-    """The tables of a scenario."""
+def row_tables(scenario: Scenario, settings: Settings, *, error: bool) -> RowTables:
+    """The tables of a scenario.
+
+    Args:
+        scenario: The scenario.
+        settings: What is paid, and what ends an episode.
+        error: Whether e(t) is computed at every tick; if `uncovered` is paid, it is in any case.
+    """
     flies = np.array([isinstance(vehicle, Uav) for vehicle in scenario.vehicles])
     episode = EpisodeParameters(
         ticks=scenario.ticks,
         full=full_error(
             scenario.visibility.radius + scenario.sensor.range, scenario.coverage.desired
         ),
-        end_on_sight_lost=end_on_sight_lost,
-        end_on_goals=end_on_goals,
+        end_on_sight_lost=settings.end_on_sight_lost,
+        end_on_goals=settings.end_on_goals_reached,
+        error=error or settings.rewards.uncovered > 0.0,
     )
     return RowTables(
         episode=records(EpisodeParameters, [episode]),
-        weights=records(RewardWeights, [weights]),
+        weights=records(RewardWeights, [settings.rewards]),
         place=np.where(flies, np.cumsum(flies) - 1, -np.cumsum(~flies)).astype(np.int64),
     )
 
@@ -152,7 +160,7 @@ def row_state(
     return state
 
 
-@compiled
+@inlined
 def _measure_uav(bt: BatchTables, bs: BatchState, state: RowState, world: int, uav: int) -> None:
     """Notes a UAV's true standing at this tick, and the newest detection that has reached it."""
     row = state.uavs[world, uav]
@@ -170,7 +178,7 @@ def _measure_uav(bt: BatchTables, bs: BatchState, state: RowState, world: int, u
         row[UAV_METRICS.newest] = max(row[UAV_METRICS.newest], stamp)
 
 
-@compiled
+@inlined
 def _measure_mission(ground: GroundState, state: RowState, world: int, ugv: int) -> None:
     """Earnings of a UGV in this tick on ground with hazards."""
     row, mission, hits = state.ugvs[world, ugv], ground.missions[world, ugv], 0
@@ -183,7 +191,7 @@ def _measure_mission(ground: GroundState, state: RowState, world: int, ugv: int)
     row[UGV_METRICS.still] = mission.still
 
 
-@compiled
+@inlined
 def _measure_ugv(
     bt: BatchTables, bs: BatchState, state: RowState, world: int, ugv: int, beginning: bool
 ) -> None:
@@ -200,7 +208,7 @@ def _measure_ugv(
         row[UGV_METRICS.arrivals], row[UGV_METRICS.reached] = now - reached, now
 
 
-@compiled
+@inlined
 def _end(bt: BatchTables, tables: RowTables, state: RowState, world: int, left: int) -> int:
     """Tells if the episode is over, and for how many ticks a UAV out of sight pays."""
     lost, goals = False, bt.goals.shape[0]
@@ -215,7 +223,7 @@ def _end(bt: BatchTables, tables: RowTables, state: RowState, world: int, left: 
     return 1 + left if lost else 1
 
 
-@compiled
+@inlined
 def _pay(
     bt: BatchTables,
     bs: BatchState,
@@ -291,7 +299,7 @@ def advance_rows(
         _pay(bt, bs, ground, tables, state, world, ticks_lost)
 
 
-@compiled
+@inlined
 def _observe_uav(
     bt: BatchTables, bs: BatchState, tables: RowTables, state: RowState, world: int, uav: int
 ) -> None:
@@ -314,7 +322,7 @@ def _observe_uav(
         row[UAV.age] = time - best.stamp * dt
 
 
-@compiled
+@inlined
 def _observe_ugv(bt: BatchTables, bs: BatchState, state: RowState, world: int, ugv: int) -> None:
     """Write the row of a UGV."""
     row, vehicle = state.ugv_rows[world, ugv], bs.vehicles[world, bt.ugvs[ugv]]

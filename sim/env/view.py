@@ -19,7 +19,6 @@ from bus.plugins import needs
 from sim.engine.batch import Batch
 from sim.kernels.compile import FloatArray, IntArray
 from sim.scene.known import scene_of
-from sim.scene.seen_world import SeenWorld
 from sim.scene.told_tiles import ground_map
 from sim.world import World
 
@@ -106,7 +105,7 @@ class Drawing:
 
     def draw(
         self,
-        world: World | SeenWorld,
+        world: World,
         ways: FloatArray,
         routes: Mapping[str, tuple[Vector, ...]] = MappingProxyType({}),
     ) -> npt.NDArray[np.uint8]:
@@ -224,7 +223,7 @@ class BatchRendering:
         """The picture of each world at this moment."""
         pictures = []
         for k in range(self._batch.worlds):
-            world = SeenWorld(self._batch, k)
+            world = World.of_batch(self._batch, k, 0)
             last = itertools.islice(reversed(self._tracks), world.tick + 1)
             ways = np.array([positions[k] for positions in last])[::-1]
             pictures.append(self._drawing.draw(world, ways))

@@ -8,7 +8,6 @@ import numpy as np
 from bus.messages import GroundMap, HazardOutline, Vector
 from bus.registry import HAZARDS
 from sim.models.ground import FOUND, UNSEEN
-from sim.scene.seen_world import SeenWorld
 from sim.world import World
 
 SEEN = 5
@@ -19,7 +18,7 @@ _NO_ROUTES: Mapping[str, tuple[Vector, ...]] = MappingProxyType({})
 _KINDS = {row.code: name for name, row in HAZARDS.items()}
 
 
-def hazards_of(world: World | SeenWorld) -> tuple[HazardOutline, ...]:
+def hazards_of(world: World) -> tuple[HazardOutline, ...]:
     """The hazards of a world, those of the scenario and those that were drawn for this flight."""
     ground = world.ground
     if ground is None:
@@ -51,7 +50,7 @@ def _ahead(route: tuple[Vector, ...], place: Vector) -> tuple[Vector, ...]:
 
 
 def ground_map(
-    world: World | SeenWorld,
+    world: World,
     hazards: tuple[HazardOutline, ...] | None = None,
     routes: Mapping[str, tuple[Vector, ...]] = _NO_ROUTES,
 ) -> GroundMap | None:

@@ -20,6 +20,7 @@ from bus.keys import Role
 from bus.messages import Drive, UavCommand, UavObservation
 from flights import Piloted, record, sha256
 from outrider.envs.env_pilots import pilots
+from outrider.envs.parallel import parallel_env
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.user_code import foreign_code
 from outrider_fmi.driver import FmuPolicy
@@ -28,7 +29,6 @@ from outrider_fmi.vehicle_unit import VehicleUnit
 from outrider_fmi.world_unit import WorldUnit
 from refusals import refused
 from sim.engine.briefing import briefing
-from sim.env.parallel import parallel_env
 from sim.kernels.compile import FloatArray
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario

@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 
 from bus.messages import Mission
-from outrider.envs.closed_loop import pilot_names
-from outrider.envs.vector import Worlds
+from outrider.envs.pilot_numbers import pilot_names
+from outrider.envs.worlds import Worlds
 from outrider_learning.suite.scoring import Entry, Result, Team, begun, check_law, result_of
 from outrider_learning.suite.tasks import NO_ESCORT, Task
 from sim.engine.run_keys import derive_secret

@@ -10,14 +10,16 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from outrider.envs.closed_loop import ClosedLoop, pilot_names
-from outrider.envs.vector import BatchPolicy, Worlds
+from outrider.envs.closed_loop import ClosedLoop
+from outrider.envs.pilot_numbers import pilot_names
+from outrider.envs.worlds import Worlds
 from outrider.experiments.intervals import mean_interval
 from outrider_learning.suite.tasks import SEEDS, Task
 from sim.engine.run_keys import check_secret, derive_secret, new_secret
 from sim.engine.world_state import first_coverage
 from sim.env.rows import UAV_METRICS
 from sim.env.seeds import Seeds
+from sim.env.settings import BatchPolicy
 from sim.kernels.compile import FloatArray
 from sim.models.field import coverage_error
 from sim.scenario.types import Scenario

@@ -15,11 +15,10 @@ from gymnasium.vector.utils import batch_space
 
 import outrider
 from outrider.envs.env_pilots import pilots
-from outrider.envs.vector import Worlds
+from outrider.envs.worlds import Worlds
 from outrider.envs.wrappers import transformed
 from outrider_learning.learned import LearnedPolicy, make_view
 from outrider_learning.mlp import Mlp, load_policy, save_policy
-from outrider_learning.one_world import alone
 from outrider_learning.repeat import ActionRepeat
 from processes import loaded_by
 from refusals import refused
@@ -42,7 +41,7 @@ def evaluation(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 
 def test_importing_it_imports_no_learning_library() -> None:
-    assert {"torch", "stable_baselines3"}.isdisjoint(loaded_by("outrider_learning.one_world"))
+    assert {"torch", "stable_baselines3"}.isdisjoint(loaded_by("outrider_learning.learned"))
 
 
 def test_the_shipped_file_is_small_and_says_how_it_was_made(evaluation: ModuleType) -> None:
@@ -62,7 +61,7 @@ def test_it_flies_a_single_environment_as_it_flies_a_batch() -> None:
     worlds = Worlds(noisy, len(SEEDS), ["uav_0"], safety_filter=True, **policies["batch"].setup)
     worlds.reset(SEEDS, None)
     k = 1
-    env = alone(noisy, policies["single"])
+    env = outrider.parallel_env(noisy, safety_filter=True, **policies["single"].setup)
     drive = pilots(env)["ugv_0"]
     seen, _ = env.reset(seed=SEEDS[k])
     for _ in range(500):
@@ -79,11 +78,11 @@ def test_it_flies_a_single_environment_as_it_flies_a_batch() -> None:
     assert env.unwrapped.metrics()["uav_0"]["distance"] == worlds.metrics()["uav_0"]["distance"][k]
 
 
-def test_alone_on_ground_with_hazards_the_ugvs_are_told_by_radio_as_in_the_batch() -> None:
+def test_one_world_on_ground_with_hazards_the_ugvs_are_told_by_radio_as_in_the_batch() -> None:
     wall = Hazard(kind="block", center=(9.0, 11.0), radius=0.5)
     grounded, policy = msgspec.structs.replace(NOISY, hazard=(wall,)), LearnedPolicy.load(POLICY)
     worlds = Worlds(grounded, 1, ["uav_0", "ugv_0"], **policy.setup)
-    env = alone(grounded, policy, safety_filter=False)
+    env = outrider.parallel_env(grounded, **policy.setup)
     worlds.reset([SEEDS[0]], None)
     env.reset(seed=SEEDS[0])
     still = np.zeros(2)
@@ -257,7 +256,7 @@ def test_a_policy_asks_for_the_observations_that_it_needs(evaluation: ModuleType
         transformed(env, lambda: make_view(policy.recipe))
     fast = load_scenario("escort", overrides={"uav.0.max_speed": 0.7})
     with pytest.raises(ValueError, match=r"uav_0: max_speed = 0.7: the policy is made for 0.6"):
-        alone(fast, policy)
+        policy.check(fast)
     with pytest.raises(ValueError, match=r"v_max = 0.6 m/s, not 0.7 m/s"):
         transformed(
             outrider.vector_env(fast, num_envs=2, **policy.setup), lambda: make_view(policy.recipe)

@@ -10,7 +10,8 @@ import pytest
 
 from bus.messages import Command
 from outrider.envs import vector
-from outrider.envs.closed_loop import ClosedLoop, pilot_names
+from outrider.envs.closed_loop import ClosedLoop
+from outrider.envs.pilot_numbers import pilot_names
 from outrider.envs.vector import OutriderVectorEnv
 from outrider.running.flying import InProcess, make_pilots, run
 from outrider_learning.suite.board import BASELINES, leaderboard, middle_cell

@@ -1,12 +1,12 @@
-"""The world as a PettingZoo environment: a thin shell over `sim.world.World`.
+"""One world as a PettingZoo environment: a thin view of the closed loop, with a batch of one.
 
 `bus.layout` says what each entry of an observation means, `sim.env.rewards` what is paid, `sim.env.rows` who gets
 what.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,32 +16,32 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
 from bus.layout import CommonState, bounds, state_names
-from bus.messages import Briefing, Detection, LinkStatus, MotionPlan, SeenTile, UgvReport, Vector
+from bus.messages import Briefing, LinkStatus, UavCommand, UgvCommand
+from outrider.envs.worlds import Worlds
 from sim.engine.briefing import briefing
 from sim.engine.mission import mission_numbers
 from sim.engine.run_keys import check_secret
 from sim.env.actions import take_actions
-from sim.env.episode import Episode
-from sim.env.observation import AgentObservation, Array, ObservationFormat
-from sim.env.patch import OwnMaps
-from sim.env.rewards import RewardWeights
+from sim.env.observation import AgentObservation, Array, one_of_world
 from sim.env.seeds import Seeds
-from sim.env.settings import ENV_DEFAULTS, EnvSettings, completed
-from sim.env.spaces import action_space, box, extent_of
+from sim.env.spaces import box, extent_of
+from sim.env.standings import Standings
 from sim.env.view import Rendering
-from sim.models.field import coverage_shares, empty_coverage
+from sim.models.field import coverage_shares
 from sim.models.ground import TileArray
-from sim.scenario.loading import given_scenario
 from sim.scenario.types import Scenario
 from sim.world import World
+
+Action = npt.ArrayLike | UavCommand | UgvCommand
+"""An acceleration [m/s²], or the command of a pilot, which may carry backup plans and a route besides."""
 
 
 class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     """A UAV escorts a UGV, sees as much ground around it as it can, and never loses sight of it.
 
     Agents are the scenario's vehicles. An action is an acceleration [m/s²], held for one tick; the bound of (1) is on
-    its norm, and a longer one is shortened. An observation is the vehicle's own row and nothing else; the whole truth
-    is in `state()`. A UAV observes
+    its norm, and a longer one is shortened. A pilot's command is an action, too. An observation is the vehicle's own
+    row and nothing else; the whole truth is in `state()`. A UAV observes
 
     | index | name | meaning | unit | range |
     |---|---|---|---|---|
@@ -76,9 +76,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
 
     Args:
         scenario: A shipped name, a file, or a scenario.
-        coverage_in_state: Whether min(C / C*, 1) of every cell, row by row from y = 0, ends the state.
         render_mode: None, "rgb_array" or "human".
-        settings: Options by keyword: `sim.env.settings.EnvSettings` says what each is.
+        settings: By keyword: `sim.env.settings.Settings` says what each is.
 
     Raises:
         ScenarioError: If the scenario cannot be flown, or its duration is no whole number of ticks.
@@ -97,42 +96,34 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self,
         scenario: str | Path | Scenario = "escort",
         *,
-        coverage_in_state: bool = False,
         render_mode: str | None = None,
-        **settings: Unpack[EnvSettings],
+        **settings: Any,  # noqa: ANN401 - fields of `Settings`
     ) -> None:
-        options = completed(EnvSettings, settings, ENV_DEFAULTS)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode = {render_mode!r}; allowed: None, 'human', 'rgb_array'")
-        self.scenario = given_scenario(scenario, options["duration"])
+        self.worlds = Worlds(scenario, 1, None, error=True, **settings)
+        """The one world, and what is true of it."""
+        self.scenario = self.worlds.scenario
         """The scenario that is flown."""
         self.render_mode = render_mode
-        self.end_on_sight_lost = options["end_on_sight_lost"]
-        self.end_on_goals_reached = options["end_on_goals_reached"]
-        self.coverage_in_state = coverage_in_state
-        form = ObservationFormat(self.scenario, options, estimate=False, gradient=False)
-        self._format = form
-        rewards = options["rewards"] or RewardWeights()
-        vehicles = self.scenario.vehicles
-        self.possible_agents: list[str] = [vehicle.name for vehicle in vehicles]
+        loop = self.worlds.loop
+        self.possible_agents: list[str] = list(loop.names)
         self.agents: list[str] = []
-        self._gains = rewards.seen > 0.0
-        self._episode = Episode(self.scenario, rewards)
-        self.action_spaces = {vehicle.name: action_space(vehicle) for vehicle in vehicles}
-        self.observation_spaces = form.spaces
+        self._standings = Standings(self.scenario, loop.tables.rows, loop.state.rows, 0)
+        self.action_spaces = self.worlds.action_spaces
+        self.observation_spaces = self.worlds.observation_spaces
         self.state_space = self._state_space()
-        self.state_names = state_names(self._episode.state_rows.items())
-        """Names of the state's entries, but for the cells."""
-        self.degraded = False
+        self.state_names = state_names(self._standings.state_rows.items())
+        """Names of the state's entries."""
+        self.degraded = loop.degraded
         """True if any link does anything to a message."""
         self.episode = 0
         """Number of the episode, from 1 with the first reset."""
-        self.secret = check_secret(options["secret"])
+        self.secret = check_secret(self.worlds.settings.secret)
         """Of all random numbers, with the seed. For whoever made the environment, not for policies."""
-        self._seeds = Seeds(self.scenario.seed)
         self._np_random: np.random.Generator | None = None
-        self._carried: dict[str, Sequence[MotionPlan]] = {}
         self._world: World | None = None
+        self._actions = np.zeros((1, len(self.possible_agents), 2))
         self._view = (
             None if render_mode is None else Rendering(render_mode, self.metadata["render_fps"])
         )
@@ -147,7 +138,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     @property
     def episode_seed(self) -> int:
         """Of this episode's random numbers; before the first reset, the one that it takes by default."""
-        return self._seeds.current
+        return self.worlds.episode_seeds[0]
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """The space of an agent's observations."""
@@ -170,21 +161,17 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         Returns:
             Observations and infos by agent.
         """
-        self._seeds.begin(seed)
+        Seeds.check(seed)
+        self.worlds.reset([seed], None)
         self._np_random = None
         self.episode += 1
-        self._world = World(self.scenario, self.episode_seed, secret=self.secret, gains=self._gains)
-        self.degraded = self._world.links.degraded
-        self._maps = OwnMaps(self._world, needed=self._format.patch is not None)
+        self._world = self.worlds.world(0)
         self.agents = list(self.possible_agents)
-        self._carried.clear()
-        self._perceive()
-        self._episode.begin(self._world)
         self._follow()
         return self._observations(), self._infos()
 
     def step(
-        self, actions: Mapping[str, npt.ArrayLike]
+        self, actions: Mapping[str, Action]
     ) -> tuple[
         dict[str, AgentObservation],
         dict[str, float],
@@ -195,7 +182,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """Let all vehicles act for one tick.
 
         Args:
-            actions: An acceleration [m/s²] for each agent, two finite numbers.
+            actions: An acceleration [m/s²] for each agent, two finite numbers, or a pilot's command.
 
         Returns:
             Observations, rewards, terminations, truncations and infos by agent.
@@ -204,33 +191,42 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             ResetNeeded: If no episode is going on.
             ValueError: If an action is missing, of no agent, or not two finite numbers; nothing has happened then.
         """
-        world, taken = self.world, self.taken(actions)
-        for k, name in enumerate(world.names):
-            world.send(k, world.tick, taken[name], self._carried.get(name, ()))
-        self._carried.clear()
-        world.advance()
-        self._perceive()
-        self._episode.advance(
-            world,
-            end_on_sight_lost=self.end_on_sight_lost,
-            end_on_goals=self.end_on_goals_reached,
-        )
-        self._maps.look(world)
-        terminated, truncated = self._episode.terminated, self._episode.truncated
-        names = self.agents
+        world, loop = self.world, self.worlds.loop
+        if not self.agents:
+            raise ResetNeeded("step() after the end of the episode: call reset() first")
+        self._actions[0] = self._taken(actions)
+        for name, action in actions.items():
+            if isinstance(action, (UavCommand, UgvCommand)):
+                self._carry(world, name, action)
+        loop.step(self._actions)
+        rows, names = loop.state.rows, self.agents
+        terminated, truncated = bool(rows.terminated[0]), bool(rows.truncated[0])
         if terminated or truncated:
             self.agents = []
         self._follow()
         return (
             self._observations(),
-            self._episode.rewards(),
+            dict(zip(names, rows.rewards[0].tolist(), strict=True)),
             dict.fromkeys(names, terminated),
             dict.fromkeys(names, truncated),
             self._infos(),
         )
 
-    def _perceive(self) -> None:
-        """Take in what reaches the vehicles at this tick beside what is in their rows: here nothing."""
+    def _taken(self, actions: Mapping[str, Action]) -> list[tuple[float, float]]:
+        plain = {
+            name: action.acceleration if isinstance(action, (UavCommand, UgvCommand)) else action
+            for name, action in actions.items()
+        }
+        return list(take_actions(plain, self.possible_agents).values())
+
+    def _carry(self, world: World, name: str, command: UavCommand | UgvCommand) -> None:
+        """Take in what a command carries beside its acceleration: backup plans, a claim and a route."""
+        vehicle = world.names.index(name)
+        world.send(vehicle, world.tick, command.acceleration, command.motions)
+        if isinstance(command, UgvCommand):
+            world.note_claim(vehicle, command.report)
+            if command.route is not None and self._view is not None:
+                self._view.show_route(name, command.route)
 
     def _infos(self) -> dict[str, dict[str, Any]]:
         """Facts of a vehicle's own that are in no row.
@@ -238,43 +234,29 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         At the end of an episode, when nothing is decided any more, also what became of the messages on its links, where
         the network is not perfect, and how a UGV's mission went, on ground with hazards.
         """
-        infos: dict[str, dict[str, Any]] = {
-            name: {**self._episode.info(name)} for name in self.possible_agents
-        }
+        infos = {name: self.worlds.info(name) for name in self.possible_agents}
         if self.agents:
             return infos
-        links, mission = self.links() if self.degraded else {}, self.world.mission
+        links, mission = self.links() if self.degraded else {}, self.worlds.mission(0)
         for name, info in infos.items():
             if self.degraded:
                 info["links"] = {
                     key: one for key, one in links.items() if key.rpartition("/")[0] == name
                 }
-            if mission is not None and self._episode.uav(name) is None:
+            if mission is not None and name in self.worlds.loop.ugvs:
                 info.update(mission_numbers(mission))
         return infos
 
     def _observations(self) -> dict[str, AgentObservation]:
         """A new array for each vehicle, which nobody changes later."""
-        return {name: self._observe(name) for name in self.possible_agents}
-
-    def _observe(self, name: str) -> AgentObservation:
-        uav, form, coverage, known = self._episode.uav(name), self._format, None, None
-        if uav is None and form.tile_patch:
-            known = self.known_tiles(name)
-        if uav is not None and form.patch is not None:
-            coverage = self._maps.patch(uav, self.world, form.patch)
-        return form.shown(self._episode.row(name), coverage=coverage, known=known)
+        return {name: one_of_world(self.worlds.observe(name), 0) for name in self.possible_agents}
 
     def known_tiles(self, ugv: str) -> TileArray:
-        """The ground as a UGV knows it; a copy. Shape (rows, columns).
-
-        In here from its bumper alone: `outrider.parallel_env` has the radio of the UAVs' computers, too.
-        """
-        ground = self.world.ground
-        if ground is None:
+        """The ground as a UGV knows it, from its bumper and by radio; a copy. Shape (rows, columns)."""
+        if not self.scenario.has_ground:
             return self.world.tiles
-        known: TileArray = ground.known[0, self.world.names.index(ugv)]
-        return known.copy()
+        known: TileArray = self.worlds.loop.known_tiles(ugv)[0].copy()
+        return known
 
     @property
     def world(self) -> World:
@@ -290,110 +272,35 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     def state(self) -> Array:
         """The whole truth as a flat array, for centralized critics: time, coverage, then each vehicle in name order.
 
-        `state_names` names the entries; with `coverage_in_state` the cells of the grid follow. In wind a UAV's position
-        and velocity are those that it is told, its distance and coverage error of where it truly is.
+        `state_names` names the entries. In wind a UAV's position and velocity are those that it is told, its distance
+        and coverage error of where it truly is.
         """
-        world, episode, dtype = self.world, self._episode, self._format.dtype
-        desired = world.parameters.desired
-        covered, seen = coverage_shares(world.coverage, desired)
+        world = self.world
+        covered, seen = coverage_shares(world.coverage, world.parameters.desired)
         values = [*CommonState(time=world.time, covered=covered, seen=seen)]
-        for name in episode.names:
-            values += episode.state(name)
-        if self.coverage_in_state:
-            shares = np.minimum(world.coverage / desired, 1.0)
-            return np.concatenate((values, shares.ravel()), dtype=dtype, casting="same_kind")
-        return np.array(values, dtype=dtype)
+        for name in self.possible_agents:
+            values += self._standings.state(name)
+        return np.array(values, dtype=self.worlds.settings.dtype)
 
     def _state_space(self) -> spaces.Box:
         """The space of `state`."""
-        area, vehicles = self.scenario.area, self.scenario.vehicles
+        vehicles = self.scenario.vehicles
         low, high = bounds(CommonState, extent_of(self.scenario, vehicles[0]))
         for vehicle in vehicles:
-            row = self._episode.state_rows[vehicle.name]
+            row = self._standings.state_rows[vehicle.name]
             least, largest = bounds(row, extent_of(self.scenario, vehicle))
             low, high = low + least, high + largest
-        if self.coverage_in_state:
-            cells = empty_coverage(area.width, area.height, area.cell).size
-            low, high = low + [0.0] * cells, high + [1.0] * cells
-        return box(low, high, self._format.dtype)
+        return box(low, high, self.worlds.settings.dtype)
 
     def metrics(self) -> dict[str, dict[str, float]]:
         """Each vehicle's true standing, and the terms of its last reward: for people and logs, not for policies."""
         _ = self.world  # there must be one
-        return {name: self._episode.metrics(name) for name in self.possible_agents}
+        return {name: self._standings.metrics(name) for name in self.possible_agents}
 
     def links(self) -> dict[str, LinkStatus]:
         """The counters of each link so far, by `vehicle/kind`: for people and logs, not for policies."""
-        return self.world.links.status()
-
-    def own_row(self, agent: str) -> Array:
-        """A vehicle's own row in double precision, whatever its observations are made of."""
-        return self._episode.row(agent).astype(np.float64)
-
-    def received(self, agent: str) -> tuple[Detection, ...]:
-        """All the detections that have reached a UAV at this tick, as it would be told on the bus.
-
-        Its row has the newest.
-
-        Raises:
-            ValueError: If there is no such UAV.
-        """
-        uav = self._episode.uav(agent)
-        if uav is None:
-            raise ValueError(
-                f"agent = {agent!r}; allowed: {', '.join(uav.name for uav in self.scenario.uav)}"
-            )
-        return self.world.received(uav)
-
-    def ground(self, agent: str) -> tuple[SeenTile, ...]:
-        """The tiles of which a vehicle's own sensor has told since the tick before, as it would be told on the bus.
-
-        Raises:
-            ValueError: If there is no such vehicle.
-        """
-        if agent not in self.world.names:
-            raise ValueError(f"agent = {agent!r}; allowed: {', '.join(self.world.names)}")
-        return self.world.seen_ground(self.world.names.index(agent))
-
-    def flown(self, agent: str) -> int | None:
-        """Return the motion that a vehicle's receiver flew in the tick before, as on the bus; None: none.
-
-        Raises:
-            ValueError: If there is no such vehicle.
-        """
-        self.ground(agent)
-        return self.world.flown(self.world.names.index(agent))
-
-    def taken(self, actions: Mapping[str, npt.ArrayLike]) -> dict[str, Vector]:
-        """Returns each agent's action as `step` would take it [m/s²]; nothing happens.
-
-        Args:
-            actions: As for `step`, whose errors it raises.
-        """
         _ = self.world  # there must be one
-        if not self.agents:
-            raise ResetNeeded("step() after the end of the episode: call reset() first")
-        return take_actions(actions, self.possible_agents)
-
-    def carry(self, agent: str, motions: Sequence[MotionPlan]) -> None:
-        """Let a vehicle's next action carry motions, as its pilot plans them.
-
-        Its receiver flies them where the vehicle has one for them; else the action acts.
-
-        Raises:
-            ValueError: If there is no such vehicle.
-        """
-        self.ground(agent)
-        self._carried[agent] = motions
-
-    def claim(self, agent: str, report: UgvReport | None) -> None:
-        """Count what a UGV's pilot claims of its next action: that it stays on tiles that it knows; None: nothing."""
-        self.world.note_claim(self.world.names.index(agent), report)
-
-    def show_route(self, agent: str, route: tuple[Vector, ...]) -> None:
-        """Show in pictures the way that a UGV plans, by its corners [m], until it plans another."""
-        if self._view is not None:
-            self._view.show_route(agent, route)
+        return self.worlds.links(0)
 
     def briefing(self, agent: str) -> Briefing:
         """Returns the vehicle's briefing of this episode, as on the bus: its limits, area, law, own goals.
@@ -424,7 +331,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         return self._view.render(self.world)
 
     def close(self) -> None:
-        """Close the window, if there is one."""
+        """Close the window, if there is one, and end the threads."""
+        self.worlds.loop.close()
         if self._view is not None:
             self._view.close()
 

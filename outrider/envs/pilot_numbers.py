@@ -1,0 +1,155 @@
+"""The parameters of all pilots of a closed loop, in tables."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar, cast
+
+import msgspec
+import numpy as np
+
+from agents.control.guard import track_ticks
+from agents.control.handover import check_assumptions
+from agents.control.telling import telling_ticks
+from agents.control.uav_parameters import uav_parameters
+from agents.control.visibility import bounds_of
+from agents.drivers.compiled import told_ground, told_route
+from agents.drivers.dispatch import CODES as DRIVER_CODES
+from agents.drivers.dispatch import driver_tables
+from agents.estimation.motion_model import (
+    KalmanParameters,
+    kalman_parameters,
+)
+from agents.laws.dispatch import CODES, law_tables
+from agents.laws.selection import SelectedLaw
+from bus.errors import ScenarioError
+from bus.messages import Law, UavBriefing
+from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
+from bus.ticks import radio_ticks
+from outrider.envs.closed_loop_state import (
+    LoopParameters,
+)
+from sim.engine.briefing import uav_briefing, ugv_briefing
+from sim.env.patch import given_patch
+from sim.env.settings import Settings
+from sim.kernels.records import records
+from sim.models.safety import SafetyBounds
+from sim.scenario.types import Scenario
+
+_Memory = TypeVar("_Memory")
+
+
+def repeated(memory: _Memory, worlds: int, of_each: int) -> _Memory:
+    """The memory of one vehicle for each of `of_each` in each world.
+
+    Args:
+        memory: An array, or a named tuple of such memories.
+        worlds, of_each: Sizes of the axes that come in front of each array.
+    """
+    one: Any = memory
+    if hasattr(one, "_make"):
+        many = one._make(repeated(part, worlds, of_each) for part in one)
+    else:
+        many = np.broadcast_to(one, (worlds, of_each, *one.shape)).copy()
+    return cast("_Memory", many)
+
+
+def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:
+    """The laws or drivers that can fly or drive a vehicle in here, by name."""
+    if any(uav.name == vehicle for uav in scenario.uav):
+        return tuple(CODES)
+    return tuple(DRIVER_CODES)
+
+
+def uses_radio(scenario: Scenario, drivers: Sequence[str] = ()) -> bool:
+    """True if any UGV uses the radio of the UAVs: whoever drives is told of the ground, some drivers of the UAV.
+
+    Args:
+        scenario: The scenario.
+        drivers: Who drives beside the scenario's drivers, by name.
+    """
+    own = [ugv.driver for ugv in scenario.ugv]
+    return scenario.has_ground or any(DRIVERS[driver].listens for driver in (*own, *drivers))
+
+
+def loop_parameters(scenario: Scenario, settings: Settings, *, radio: bool) -> LoopParameters:
+    """The switches and numbers of the pilots.
+
+    Args:
+        scenario, settings: The flight.
+        radio: Whether any UGV uses the radio.
+    """
+    dt, ground, patch = scenario.dt, scenario.ground, given_patch(settings.coverage_patch)
+    return LoopParameters(
+        estimate=settings.estimate,
+        gradient=settings.gradient,
+        own_maps=len(scenario.uav) > 1 or scenario.disturbed,
+        radio=radio,
+        radio_ticks=radio_ticks(dt),
+        telling_ticks=telling_ticks(ground.telling, dt) if scenario.has_ground else 0,
+        tile=float(ground.tile) if scenario.has_ground else 0.0,
+        meters_per_pixel=float(patch.meters_per_pixel) if patch else 1.0,
+    )
+
+
+class PilotNumbers:
+    """The parameters of all pilots, in tables."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        uavs: Sequence[str],
+        ugvs: Sequence[str],
+        external: set[str],
+        chosen: Mapping[str, str],
+        shield: bool,
+    ) -> None:
+        told_uavs = [uav_briefing(scenario, name, 0) for name in uavs]
+        told_ugvs = [ugv_briefing(scenario, name, 0) for name in ugvs]
+        never_asked = dict.fromkeys(uavs, "tracking") | dict.fromkeys(ugvs, DEFAULT_DRIVER)
+        pilots = {**chosen, **{name: never_asked[name] for name in external}}
+        laws = [self._law(one, pilots.get(one.vehicle)) for one in told_uavs]
+        for one, law in zip(told_uavs, laws, strict=True):
+            named = getattr(scenario.custom, LAWS[law.name].inner, "")
+            if named and one.vehicle not in pilots:
+                raise ScenarioError(
+                    f"{one.vehicle}: uav_policy = {named!r}: flies in a run, not in many worlds; allowed: no policy, "
+                    "or the policy itself as one of the `others`"
+                )
+        safety = [bounds_of(one) for one in told_uavs]
+        self.laws = law_tables(told_uavs, laws)
+        self.longest = max((bounds.delay_ticks for bounds in safety), default=0)
+        self.track = max((track_ticks(bounds) for bounds in safety), default=1)
+        self.safety = records(SafetyBounds, safety)
+        self.faults = [next(iter(check_assumptions(one)), "") for one in safety]
+        self.kalman = records(
+            KalmanParameters,
+            [
+                kalman_parameters(
+                    detector=one.detector,
+                    target=one.target_limits,
+                    dt=one.dt,
+                    settings=one.estimator,
+                )
+                for one in told_uavs
+            ],
+        )
+        outside = np.array([name in external for name in uavs], dtype=np.bool_)
+        watched = np.array([LAWS[law.name].watched for law in laws], dtype=np.bool_)
+        self.guarded = watched & ~outside | outside & shield
+        self.thinking = ~outside
+        drivers = [pilots.get(one.vehicle) or one.driver for one in told_ugvs]
+        self.drivers = driver_tables(told_ugvs, drivers)
+        self.scripts = [told_route(one).script for one in told_ugvs]
+        grounds = [told_ground(one) for one in told_ugvs]
+        self.late = np.array([len(memory.sent) for memory in grounds], dtype=np.int64)
+        self.ground = max(grounds, key=lambda memory: len(memory.sent))  # all have one area
+        self.radio = uses_radio(scenario, drivers)
+
+    @staticmethod
+    def _law(told: UavBriefing, name: str | None) -> Law:
+        law = told.law if name is None else msgspec.structs.replace(told.law, name=name)
+        if law.name in LAWS and LAWS[law.name].own:
+            raise ScenarioError(
+                f"{told.vehicle}: law.name = {law.name!r} is a function of your own and cannot be compiled"
+            )
+        SelectedLaw(told, law, uav_parameters(told))  # which checks it
+        return law

@@ -1,0 +1,400 @@
+"""The common part of all environments: the closed loop, its seeds, spaces, and the change between two episodes.
+
+`docs/reference/environment.md` says what a vehicle observes and is paid.
+"""
+
+import operator
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import logger
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode
+
+from bus.layout import GradientCue, UavRow
+from bus.messages import LinkStatus, Mission
+from outrider.envs.closed_loop import ClosedLoop
+from outrider.envs.closed_loop_state import GUARD_METRICS
+from outrider.envs.pilot_numbers import pilot_names
+from sim.engine.mission import mission_numbers
+from sim.env.actions import take_batch
+from sim.env.observation import AgentObservation, ObservationFormat, one_of_world
+from sim.env.rows import UGV_METRICS
+from sim.env.seeds import Seeds
+from sim.env.settings import settings_of
+from sim.env.spaces import action_space
+from sim.env.view import BatchRendering
+from sim.kernels.compile import FloatArray, IntArray
+from sim.scenario.loading import given_scenario
+from sim.scenario.types import Scenario
+from sim.world import World
+
+BoolArray = npt.NDArray[np.bool_]
+
+BatchStep = tuple[
+    dict[str, AgentObservation],
+    dict[str, FloatArray],
+    dict[str, BoolArray],
+    dict[str, BoolArray],
+    dict[str, dict[str, Any]],
+]
+"""Observations, rewards, terminations, truncations and infos of all worlds, by learner."""
+
+PICTURES: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}
+"""Metadata of an environment that draws."""
+
+
+def _checked_count(num_envs: int) -> int:
+    try:
+        count = operator.index(num_envs)
+    except TypeError:
+        count = 0
+    if count < 1:
+        raise ValueError(f"num_envs = {num_envs!r}: must be a whole number, 1 or more")
+    return count
+
+
+def _checked_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    modes = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP)
+    for one in modes:
+        if mode in (one, one.value):
+            return one
+    allowed = ", ".join(repr(one.value) for one in modes)
+    raise ValueError(f"autoreset_mode = {mode!r}; allowed: {allowed}")
+
+
+class Worlds:
+    """Many worlds of one scenario, as every environment sees them.
+
+    Args:
+        scenario: A shipped name, a file, or a scenario.
+        num_envs: How many worlds.
+        learners: Vehicles whose actions come from outside; None: all.
+        error: Whether e(t) is computed at every tick; if `uncovered` is paid, it is in any case.
+        render_mode: None, or "rgb_array": `render` draws.
+        autoreset_mode: When an episode follows on one that has ended: SAME_STEP or NEXT_STEP.
+        settings: By keyword: `sim.env.settings.Settings` says what each is.
+
+    Raises:
+        ScenarioError: If the scenario cannot be flown.
+        ValueError: If another argument is not allowed.
+    """
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario,
+        num_envs: int,
+        learners: Sequence[str] | None,
+        *,
+        error: bool = False,
+        render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        **settings: Any,  # noqa: ANN401 - fields of `Settings`
+    ) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(
+                f"render_mode = {render_mode!r}; allowed: None, 'rgb_array'; outrider.parallel_env has a window"
+            )
+        self.autoreset_mode = _checked_mode(autoreset_mode)
+        """When an episode follows on one that has ended."""
+        self.settings = options = settings_of(settings)
+        self.num_envs = _checked_count(num_envs)
+        self.scenario = given_scenario(scenario, options.duration)
+        names = [vehicle.name for vehicle in self.scenario.vehicles]
+        self.learners = list(names if learners is None else learners)
+        for name in self.learners:
+            if name not in names:
+                raise ValueError(f"agent = {name!r}; allowed: {', '.join(names)}")
+        self._format = ObservationFormat(self.scenario, options)
+        given = dict(options.others or {})
+        self._policies = {
+            name: pilot for name, pilot in given.items() if not isinstance(pilot, str)
+        }
+        named = {name: pilot for name, pilot in given.items() if isinstance(pilot, str)}
+        self._check_others(given, named, names)
+        self._hands = [*self.learners, *self._policies]
+        self.loop = ClosedLoop(
+            self.scenario,
+            self.num_envs,
+            external=self._hands,
+            pilots=named,
+            error=error,
+            **settings,
+        )
+        """The worlds themselves."""
+        self._rows = {vehicle.name: k for k, vehicle in enumerate(self.scenario.vehicles)}
+        self.action_spaces = {v.name: action_space(v) for v in self.scenario.vehicles}
+        self.observation_spaces = self._format.spaces
+        self._seeds = [Seeds(self.scenario.seed + k) for k in range(self.num_envs)]
+        self._actions: FloatArray = np.zeros((self.num_envs, len(self._hands), 2))
+        self._returns: FloatArray = np.zeros((self.num_envs, len(names)))
+        self._over: BoolArray = np.zeros(self.num_envs, dtype=np.bool_)
+        self.begun = False
+        """True if there is an episode to step."""
+        self._view = None if render_mode is None else BatchRendering(self.loop.batch)
+
+    def _check_others(
+        self, given: Mapping[str, object], named: Mapping[str, str], names: list[str]
+    ) -> None:
+        for name, pilot in given.items():
+            if name not in names:
+                raise ValueError(f"others: {name!r}: no such vehicle; allowed: {', '.join(names)}")
+            if name in self.learners:
+                raise ValueError(f"others: {name!r}: its actions come from outside already")
+            if name in named and named[name] not in pilot_names(self.scenario, name):
+                allowed = ", ".join(pilot_names(self.scenario, name))
+                raise ValueError(
+                    f"others: {name!r}: {pilot!r} is unknown; allowed: {allowed}, or a policy for all worlds at once"
+                )
+            if name not in named and not callable(pilot):
+                raise ValueError(f"others: {name!r}: {pilot!r} is neither a name nor a policy")
+            if hasattr(pilot, "check"):  # as outrider.learning's: it knows what it was made for
+                pilot.check(self.scenario)
+
+    def world(self, number: int) -> World:
+        """The true state of one world, as it is at any time."""
+        return World.of_batch(self.loop.batch, number, self._seeds[number].current)
+
+    def observe(self, name: str) -> AgentObservation:
+        """The observations of a vehicle in all worlds: new arrays, which nobody changes later."""
+        loop, form = self.loop, self._format
+        if name in loop.ugvs:
+            known = loop.known_tiles(name) if form.tile_patch else None
+            return form.shown(loop.state.rows.ugv_rows[:, loop.ugvs.index(name)], known=known)
+        width = len(UavRow._fields) + (len(GradientCue._fields) if self.settings.gradient else 0)
+        coverage = None if form.patch is None else loop.patch(name)
+        row = loop.state.rows.uav_rows[:, loop.uavs.index(name), :width]
+        return form.shown(row, coverage=coverage)
+
+    def mission(self, world: int) -> Mission | None:
+        """The mission of one world so far; None where there are no hazards."""
+        return self.loop.mission(world) if self.scenario.has_ground else None
+
+    def is_filtered(self, name: str) -> bool:
+        """True if the actions of a vehicle come from outside and go through the safety filter."""
+        return self.settings.safety_filter and name in self._hands and name in self.loop.uavs
+
+    def infos(self, name: str) -> dict[str, Any]:
+        """Facts of a vehicle's own that are in no row, in all worlds, with Gymnasium's masks."""
+        found: dict[str, Any] = {}
+        if name in self.loop.ugvs:
+            found["goals_reached"] = self.loop.state.rows.ugvs[
+                :, self.loop.ugvs.index(name), UGV_METRICS.reached
+            ].astype(np.int64)
+        elif self.is_filtered(name):
+            rows = self.loop.state.rows.uavs[:, self.loop.uavs.index(name)]
+            found["intervened"] = rows[:, GUARD_METRICS.acted] != 0.0
+            found["certified"] = rows[:, GUARD_METRICS.sure] != 0.0
+            found["certified_distance"] = rows[:, GUARD_METRICS.bound].copy()
+        return found | {f"_{key}": np.ones(self.num_envs, dtype=np.bool_) for key in found}
+
+    def info(self, name: str) -> dict[str, Any]:
+        """The same in the first world as plain numbers, and why the safety filter has not certified its answer."""
+        state = self.loop.state.rows
+        if name in self.loop.ugvs:
+            row = self.loop.ugvs.index(name)
+            return {"goals_reached": int(state.ugvs.item(0, row, UGV_METRICS.reached))}
+        return self.loop.verdict(name) if self.is_filtered(name) else {}
+
+    def reset(
+        self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None
+    ) -> None:
+        """Begin episodes: in all worlds, or in those of the boolean array `options["reset_mask"]`.
+
+        Raises:
+            ValueError: If there are not as many seeds as worlds, or a seed or the mask is not allowed.
+        """
+        mask = np.ones(self.num_envs, dtype=np.bool_)
+        if options is not None and options.get("reset_mask") is not None:
+            mask = np.asarray(options["reset_mask"])
+            if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+                raise ValueError(
+                    f"options['reset_mask']: must be {self.num_envs} booleans, at least one of them true"
+                )
+            if not self.begun and not mask.all():
+                raise ResetNeeded("reset() all worlds before a part of them")
+        seeds = self._given(seed)
+        which = np.flatnonzero(mask)
+        for k in which.tolist():
+            Seeds.check(seeds[k])
+        for k in which.tolist():
+            self._seeds[k].begin(seeds[k])
+        self.loop.begin([self._seeds[k].current for k in which.tolist()], which)
+        self._returns[which], self._over[which] = 0.0, False
+        self.begun = True
+        if self._view is not None:
+            self._view.begin(which)
+
+    def _given(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, Sequence | np.ndarray):
+            if len(seed) != self.num_envs:
+                raise ValueError(f"{len(seed)} seeds for num_envs = {self.num_envs}")
+            return list(seed)
+        try:
+            first = operator.index(seed)
+        except TypeError:
+            raise ValueError(
+                f"seed = {seed!r}: must be a whole number, or one for each world"
+            ) from None
+        return [first + k for k in range(self.num_envs)]
+
+    @property
+    def episode_seeds(self) -> list[int]:
+        """The seed of each world's episode: `outrider run --seed` with it flies the same one."""
+        return [seeds.current for seeds in self._seeds]
+
+    def step(
+        self, actions: Mapping[str, npt.ArrayLike], which: IntArray | None = None
+    ) -> BoolArray:
+        """Worlds advance by one tick; nothing has begun anew yet.
+
+        Args:
+            actions: Those of each learner, shape (num_envs, 2) [m/s²].
+            which: The worlds that do; all by default. The others stay as they are.
+
+        Returns:
+            Which episodes have ended.
+
+        Raises:
+            ResetNeeded: Before the first reset.
+            ValueError: If an action is missing, of nobody, or not two finite numbers for each world; nothing has
+                happened then.
+        """
+        if not self.begun:
+            raise ResetNeeded("step() before reset()")
+        if set(actions) != set(self.learners):
+            given = ", ".join(map(str, actions)) or "nobody"
+            raise ValueError(
+                f"actions for: {given}; needed is one for each of: {', '.join(self.learners)}"
+            )
+        taken = [take_batch(name, actions[name], self.num_envs) for name in self.learners]
+        taken += [
+            take_batch(name, policy(self.observe(name)), self.num_envs)
+            for name, policy in self._policies.items()
+        ]
+        for place, action in enumerate(taken):
+            self._actions[:, place] = action
+        self.loop.step(self._actions, which)
+        if self._view is not None:
+            self._view.follow()
+        state, stepped = self.loop.state, slice(None) if which is None else which
+        self._returns[stepped] += state.rows.rewards[stepped]
+        ended: BoolArray = (state.rows.terminated | state.rows.truncated) != 0
+        return ended
+
+    def step_with_autoreset(self, actions: Mapping[str, npt.ArrayLike]) -> BatchStep:
+        """All worlds advance by one tick; an episode that ends begins anew, with the seed that follows from its last.
+
+        In the mode SAME_STEP it does so at once, and its last observation is in the infos; in the mode NEXT_STEP in the
+        next call, which ignores the actions in this world.
+
+        Args:
+            actions: As for `step`, whose errors it raises.
+        """
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP:
+            return self._step_or_begin(actions)
+        ended = self.step(actions)
+        rewards = {name: self.rewards(name) for name in self.learners}
+        terminated, truncated = self.ends()
+        final: dict[str, dict[str, Any]] = {name: {} for name in self.learners}
+        if ended.any():
+            final = {name: self.final(name, ended) for name in self.learners}
+            self.reset(None, {"reset_mask": ended})
+        return self._stepped(rewards, terminated, truncated, final)
+
+    def _step_or_begin(self, actions: Mapping[str, npt.ArrayLike]) -> BatchStep:
+        over = self._over.copy()
+        ended = self.step(actions, np.flatnonzero(~over)) & ~over
+        if over.any():
+            self.reset(None, {"reset_mask": over})
+        self._over = ended
+        rewards = {name: self.rewards(name) for name in self.learners}
+        final = {name: _masked(self._mission(name, ended), ended) for name in self.learners}
+        return self._stepped(rewards, *self.ends(), final)
+
+    def _stepped(
+        self,
+        rewards: dict[str, FloatArray],
+        terminated: BoolArray,
+        truncated: BoolArray,
+        final: Mapping[str, dict[str, Any]],
+    ) -> BatchStep:
+        return (
+            {name: self.observe(name) for name in self.learners},
+            rewards,
+            {name: terminated.copy() for name in self.learners},
+            {name: truncated.copy() for name in self.learners},
+            {name: self.infos(name) | final[name] for name in self.learners},
+        )
+
+    def rewards(self, name: str) -> FloatArray:
+        """Of the last tick. Shape (num_envs,)."""
+        return self.loop.state.rows.rewards[:, self._rows[name]].copy()
+
+    def ends(self) -> tuple[BoolArray, BoolArray]:
+        """The episodes that have terminated, and those that were truncated."""
+        state = self.loop.state
+        return state.rows.terminated != 0, state.rows.truncated != 0
+
+    def final(self, name: str, ended: BoolArray) -> dict[str, Any]:
+        """The last observations and infos of the ended episodes, as Gymnasium's own vector environments give them."""
+        last, told = self.observe(name), self.infos(name)
+        observations = np.full(self.num_envs, None, dtype=object)
+        for k in np.flatnonzero(ended).tolist():
+            observations[k] = one_of_world(last, k)
+        info = {key: value for key, value in told.items() if not key.startswith("_")}
+        info |= self._mission(name, ended)
+        info["episode"] = {
+            "r": np.where(ended, self._returns[:, self._rows[name]], 0.0),
+            "l": np.where(ended, self.loop.state.batch.ticks, 0),
+            "_r": ended.copy(),
+            "_l": ended.copy(),
+        }
+        return _masked({"final_obs": observations, "final_info": _masked(info, ended)}, ended)
+
+    def _mission(self, name: str, ended: BoolArray) -> dict[str, Any]:
+        """How the missions of the ended episodes went, for a UGV."""
+        info: dict[str, Any] = {}
+        if name in self.loop.ugvs and self.scenario.has_ground:
+            for k in np.flatnonzero(ended).tolist():
+                for key, number in mission_numbers(self.loop.mission(k)).items():
+                    none = np.zeros(self.num_envs, np.asarray(number).dtype)
+                    info.setdefault(key, none)[k] = number
+        return info
+
+    def metrics(self) -> dict[str, dict[str, FloatArray]]:
+        """Each UAV's true standing in its episode, in all worlds: for people and logs, not for policies.
+
+        Raises:
+            ResetNeeded: Before the first reset.
+        """
+        if not self.begun:
+            raise ResetNeeded("metrics() before reset()")
+        return {uav: self.loop.metrics(uav) for uav in self.loop.uavs}
+
+    def links(self, world: int) -> dict[str, LinkStatus]:
+        """The counters of each link of one world so far, by `vehicle/kind`."""
+        return self.loop.links(world)
+
+    def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
+        """The picture of each world at this moment, shape (rows, columns, 3); None without a mode.
+
+        Raises:
+            ResetNeeded: Before the first reset.
+        """
+        if self._view is None:
+            logger.warn("render() draws nothing: made without render_mode='rgb_array'")
+            return None
+        if not self.begun:
+            raise ResetNeeded("render() before reset()")
+        return self._view.render()
+
+
+def _masked(info: Mapping[str, Any], ended: BoolArray) -> dict[str, Any]:
+    """The entries, each with Gymnasium's mask of the worlds that have one."""
+    return {**info, **{f"_{key}": ended.copy() for key in info}}
