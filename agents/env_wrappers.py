@@ -10,11 +10,12 @@ from pettingzoo.utils import BaseParallelWrapper  # type: ignore[import-untyped]
 
 from agents.control.visibility import SafetyFilter
 from agents.estimation.estimator import RelativeEstimator, estimator_of
-from bus.layout import Row, UavRow, uav_observation
 from bus.messages import UavBriefing, UavObservation
+from bus.observations import UAV, Row, names, uav_observation
 from bus.ticks import looks_of
 
-_RELATIVE = [UavRow._fields.index("relative_x"), UavRow._fields.index("relative_y")]
+_DETECTED = names(UAV).index("detected")
+_RELATIVE = [_DETECTED + 1, _DETECTED + 2]
 
 
 def _briefings(env: Any) -> dict[str, UavBriefing]:  # noqa: ANN401 - PettingZoo has no types
@@ -127,10 +128,9 @@ class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
         if estimate is None:
             return row
         (g_x, g_y), age = estimate.position, estimate.age
-        entries = UavRow._make(row.tolist())._replace(
-            detected=1.0, relative_x=p_x - g_x, relative_y=p_y - g_y, age=age
-        )
-        return np.array(entries, dtype=row.dtype)
+        estimated = row.copy()
+        estimated[_DETECTED:] = 1.0, p_x - g_x, p_y - g_y, age
+        return estimated
 
 
 class SafetyFilterWrapper(BaseParallelWrapper):  # type: ignore[misc]

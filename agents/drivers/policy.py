@@ -12,8 +12,8 @@ from agents.asking import LARGEST, AskedPolicy, pair
 from agents.drivers.compiled import take_ground, told_ground
 from agents.drivers.steering import Steering
 from bus.errors import ScenarioError
-from bus.layout import Row, UgvRow
 from bus.messages import UgvBriefing, UgvObservation
+from bus.observations import Row
 from sim.models.ground import TileArray, tile_patches
 from sim.models.vehicles import next_goal
 
@@ -35,7 +35,7 @@ class RowPolicy(Protocol):
 
     @property
     def predict(self) -> Callable[..., object]:
-        """A row of `bus.layout.UgvRow` in, or the row and the tiles; the acceleration x and y [m/s²] out."""
+        """A row of `bus.observations.UGV` in, or the row and the tiles; the acceleration x and y [m/s²] out."""
 
 
 Policy = Callable[[UgvObservation, UgvBriefing], object] | RowPolicy
@@ -64,8 +64,7 @@ class UgvRows:
         if len(goals):
             goal_x, goal_y = goals[min(self._reached, len(goals) - 1)].tolist()
         return np.array(
-            UgvRow(observation.time, x, y, v_x, v_y, float(underway), goal_x, goal_y),
-            dtype=np.float64,
+            (observation.time, x, y, v_x, v_y, float(underway), goal_x, goal_y), dtype=np.float64
         )
 
 

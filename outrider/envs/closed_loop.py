@@ -32,7 +32,6 @@ from agents.estimation.motion_model import (
     kalman_parameters,
 )
 from bus.errors import ScenarioError
-from bus.layout import GradientCue
 from bus.messages import LinkKind, LinkStatus, Mission, UavBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
 from bus.ticks import radio_ticks
@@ -98,7 +97,7 @@ class LoopSettings(EpisodeSettings, total=False):
     estimate: bool
     """True: the UAVs' rows have the Kalman filter's estimate in the place of the raw detection."""
     gradient: bool
-    """True: the UAVs' rows end with `bus.layout.GradientCue`."""
+    """True: the UAVs' rows end with `bus.observations.GRADIENT`."""
     safety_filter: bool
     """True: actions from outside go through the safety filter, as those of the law `certified` do."""
     threads: int | None
@@ -230,12 +229,7 @@ class ClosedLoop:
         pixels = patch.pixels if patch else 1
         self.state = LoopState(
             batch=self.batch.state,
-            rows=row_state(
-                rows,
-                worlds,
-                uav_metrics=len(GUARD_METRICS),
-                uav_columns=len(GradientCue._fields),
-            ),
+            rows=row_state(rows, worlds, uav_metrics=len(GUARD_METRICS)),
             maps=_repeated(coverage[0], worlds, uavs if self.parameters.own_maps else 0),
             certificates=np.repeat(numbers.certificates[None], worlds, axis=0),
             sent=np.repeat(numbers.sent[None], worlds, axis=0),

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from agents.control.orbit import Path as VirtualPath
 from agents.control.weighting import Weighting
 from agents.uav import UavPilot
-from bus.layout import uav_observation, ugv_observation
+from bus.observations import uav_observation, ugv_observation
 from bus.registry import DRIVERS
 from outrider.envs.escort_env import EscortEnv
 from outrider.envs.radio import Radio

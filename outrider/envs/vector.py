@@ -18,8 +18,8 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from bus.layout import GradientCue, UavRow
 from bus.messages import LinkStatus, Mission
+from bus.observations import GRADIENT, UAV, as_rows
 from outrider.envs.closed_loop import LOOP_DEFAULTS, ClosedLoop, LoopSettings, pilot_names
 from outrider.envs.closed_loop_state import GUARD_METRICS
 from sim.engine.mission import mission_numbers
@@ -170,11 +170,11 @@ class Worlds:
         if name in self.loop.ugvs:
             g = self.loop.ugvs.index(name)
             known = state.grounds.tiles[:, g] if form.tile_patch else None
-            return form.shown(state.rows.ugv_rows[:, g], known=known)
+            return form.shown(as_rows(state.rows.ugv_rows)[:, g], known=known)
         u = self.loop.uavs.index(name)
-        width = len(UavRow._fields) + (len(GradientCue._fields) if self._gradient else 0)
+        width = len(UAV) + (len(GRADIENT) if self._gradient else 0)
         coverage = None if form.patch is None else state.patches[:, u]
-        return form.shown(state.rows.uav_rows[:, u, :width], coverage=coverage)
+        return form.shown(as_rows(state.rows.uav_rows)[:, u, :width], coverage=coverage)
 
     def mission(self, world: int) -> Mission | None:
         """The mission of one world so far; None where there are no hazards."""

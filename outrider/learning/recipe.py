@@ -47,7 +47,7 @@ class ObservationRecipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     """The observation of a policy."""
 
     extent: dict[str, float | None]
-    """Values of `bus.layout.SYMBOLS` in the training environment; None: no bound."""
+    """Values of `bus.observations.SYMBOLS` in the training environment; None: no bound."""
     dt: float | None = None
     """Length of a tick [s]; None: not known."""
     estimate: bool = False

@@ -16,8 +16,8 @@ from gymnasium import spaces
 
 from bus.errors import ScenarioError
 from bus.files import read_regular, writing
-from bus.layout import SYMBOLS, UavRow
 from bus.messages import UavBriefing, or_infinite
+from bus.observations import SYMBOLS, UAV, by_name, names
 from bus.registry import UAV_POLICY_FORMS
 from outrider.envs.observations.transformation import Transformation
 from outrider.learning.learned import check_made_for
@@ -202,7 +202,7 @@ class SavedPolicy:
         return layer.held.copy()
 
 
-_TIME, _AGE = UavRow._fields.index("time"), UavRow._fields.index("age")
+_TIME, _AGE = names(UAV).index("time"), names(UAV).index("age")
 
 
 def _shapes(space: spaces.Space[Any]) -> Any:  # noqa: ANN401
@@ -215,10 +215,10 @@ def _shapes(space: spaces.Space[Any]) -> Any:  # noqa: ANN401
 
 def _plain_row(space: spaces.Space[Any]) -> ObservationRecipe | None:
     """The recipe of a policy that observes the environment's own row, to be seen from its bounds; None: of another."""
-    fields, low, high = UavRow._fields, getattr(space, "low", None), getattr(space, "high", None)
-    if space.shape != (len(fields),) or low is None or high is None:
+    low, high = getattr(space, "low", None), getattr(space, "high", None)
+    if space.shape != (len(UAV),) or low is None or high is None:
         return None
-    at = dict(zip(fields, high.astype(np.float64).tolist(), strict=True))
+    at = by_name(UAV, high.astype(np.float64))
     extent = {"T": at["time"], "W": at["x"], "H": at["y"], "v_max": at["vx"]}
     extent |= {"d_max": at["relative_x"], "D": math.hypot(at["x"], at["y"]), "E": math.inf}
     recipe = ObservationRecipe(

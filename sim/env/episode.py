@@ -1,6 +1,6 @@
 """One world's rows, rewards and metrics by vehicle: a shell around `sim.env.rows` with a batch of one."""
 
-from bus.layout import Row, UavRow, UavState, UgvRow, UgvState
+from bus.observations import UAV, UAV_STATE, UGV_STATE, Row, Table, as_rows, names
 from sim.engine.ground_state import GroundState
 from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rewards import MISSION_TERMS, RewardWeights, UavTerms, UgvTerms
@@ -50,8 +50,8 @@ class Episode:
         self._places: dict[str, int] = dict(
             zip(self.names, self._tables.place.tolist(), strict=True)
         )
-        self.state_rows: dict[str, type[UavState | UgvState]] = {
-            vehicle.name: UgvState if isinstance(vehicle, Ugv) else UavState
+        self.state_rows: dict[str, Table] = {
+            vehicle.name: UGV_STATE if isinstance(vehicle, Ugv) else UAV_STATE
             for vehicle in scenario.vehicles
         }
         """The entries of the state of each vehicle."""
@@ -95,21 +95,26 @@ class Episode:
     def row(self, name: str) -> Row:
         """The observation of a vehicle; a view."""
         place, state = self._places[name], self._state
-        row: Row = state.uav_rows[0, place] if place >= 0 else state.ugv_rows[0, -1 - place]
+        if place >= 0:
+            row: Row = as_rows(state.uav_rows)[0, place, : len(UAV)]
+        else:
+            row = as_rows(state.ugv_rows)[0, -1 - place]
         return row
 
     def rewards(self) -> dict[str, float]:
         """The reward of each vehicle for this tick."""
         return dict(zip(self.names, self._state.rewards[0].tolist(), strict=True))
 
-    def state(self, name: str) -> UavState | UgvState:
+    def state(self, name: str) -> list[float]:
         """The truth of a vehicle."""
         place, row = self._places[name], self.row(name).tolist()
         if place >= 0:
-            own, metrics = UavRow._make(row), self._uav(place)
-            age = own.time - metrics.newest * self._dt if metrics.newest >= 0.0 else own.age
-            return UavState(own.x, own.y, own.vx, own.vy, metrics.distance, metrics.error, age)
-        return UgvState._make(UgvRow._make(row)[1:])
+            own, metrics = dict(zip(names(UAV), row, strict=True)), self._uav(place)
+            newest = metrics.newest
+            age = own["time"] - newest * self._dt if newest >= 0.0 else own["age"]
+            return [*row[1:5], metrics.distance, metrics.error, age]
+        truth: list[float] = row[1:]
+        return truth
 
     def info(self, name: str) -> dict[str, float]:
         """Facts of a vehicle's own that are in no row."""

@@ -7,13 +7,14 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from bus.layout import GradientCue, Row, UavRow, UgvRow, bounds
+from bus.observations import GRADIENT, UAV, UGV, Row, bounds, names
 from sim.env.patch import check_tile_patch, given_patch
-from sim.env.rows import UGV
 from sim.env.settings import EnvSettings
 from sim.env.spaces import box, check_dtype, extent_of
 from sim.models.ground import OUTSIDE, TileArray, tile_patches
 from sim.scenario.types import Scenario, Uav, Ugv
+
+_X = names(UGV).index("x")
 
 Array = npt.NDArray[Any]
 AgentObservation = Array | dict[str, Array]
@@ -36,12 +37,12 @@ def uav_space(
     """The space of a UAV's observation in one world.
 
     Args:
-        extent: The values of `bus.layout.SYMBOLS`.
+        extent: The values of `bus.observations.SYMBOLS`.
         estimate, gradient, dtype: As in `ObservationFormat`.
         pixels: On each side of the picture of its map; 0: there is none.
     """
-    low, high = bounds(UavRow, extent | ({"d_max": math.inf} if estimate else {}))
-    least, largest = bounds(GradientCue, {}) if gradient else ([], [])
+    low, high = bounds(UAV, extent | ({"d_max": math.inf} if estimate else {}))
+    least, largest = bounds(GRADIENT, {}) if gradient else ([], [])
     row = box(low + least, high + largest, dtype)
     if not pixels:
         return row
@@ -55,7 +56,7 @@ class ObservationFormat:
         scenario: The scenario that is flown.
         settings: All of the environment's.
         estimate: Whether the UAVs' relative positions are estimates, which have no largest distance.
-        gradient: Whether the UAVs' rows end with `bus.layout.GradientCue`.
+        gradient: Whether the UAVs' rows end with `bus.observations.GRADIENT`.
 
     Raises:
         ValueError: If `dtype`, `coverage_patch` or `tile_patch` is not allowed.
@@ -80,7 +81,7 @@ class ObservationFormat:
 
     def _space(self, vehicle: Uav | Ugv, extent: dict[str, float]) -> spaces.Space[Any]:
         if isinstance(vehicle, Ugv):
-            row, side = box(*bounds(UgvRow, extent), self.dtype), self.tile_patch
+            row, side = box(*bounds(UGV, extent), self.dtype), self.tile_patch
             tiles = spaces.Box(0, OUTSIDE, (side, side), np.uint8)
             return spaces.Dict({"row": row, "tiles": tiles}) if side else row
         pixels = 0 if self.patch is None else self.patch.pixels
@@ -108,7 +109,7 @@ class ObservationFormat:
         tile_patches(
             np.ascontiguousarray(known).reshape(-1, *known.shape[-2:]),
             self._tile,
-            np.ascontiguousarray(row[..., UGV.x : UGV.y + 1], np.float64).reshape(-1, 2),
+            np.ascontiguousarray(row[..., _X : _X + 2], np.float64).reshape(-1, 2),
             pictures.reshape(-1, side, side),
         )
         return pictures

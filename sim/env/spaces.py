@@ -15,7 +15,7 @@ _ROUNDING = 1.0 + 2.0**-50  # a few last places: clipping to a length rounds
 
 
 def extent_of(scenario: Scenario, vehicle: Uav | Ugv) -> dict[str, float]:
-    """The values of `bus.layout.SYMBOLS` for one vehicle."""
+    """The values of `bus.observations.SYMBOLS` for one vehicle."""
     area, noise = scenario.area, scenario.detections.noise
     sight = max(scenario.sensor.range, scenario.visibility.radius) + (
         noise * scenario.noise_cut if noise > 0.0 else 0.0

@@ -1,11 +1,11 @@
 """The vehicle's own frame: rows, pictures and actions turned with it."""
 
-from typing import Annotated, Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
 
-from bus.layout import SYMBOLS, Field, GradientCue, RowType, UavRow, UgvRow, bounds
+from bus.observations import GRADIENT, UAV, UGV, Entry, Table, bounds, names
 from outrider.envs.observations.transformation import (
     COVERAGE,
     ROW,
@@ -19,72 +19,36 @@ from outrider.envs.observations.transformation import (
 from sim.env.actions import LARGEST
 from sim.env.observation import AgentObservation, Array
 
-BODY_SYMBOLS = SYMBOLS | {"R": "half the diagonal of the area [m]"}
-"""The meaning of the names in the ranges of the rows below."""
-
-
-class UavBodyRow(NamedTuple):
-    """A UAV's row in its own frame: x ahead, y to the left."""
-
-    time: Annotated[float, Field("time since the start of the episode", "s", "0", "T")]
-    speed: Annotated[float, Field("own speed", "m/s", "0", "v_max")]
-    heading_x: Annotated[
-        float,
-        Field("own x axis in the world frame, x: cosine of the heading from east", "", "-1", "1"),
-    ]
-    heading_y: Annotated[float, Field("own x axis in the world frame, y: its sine", "", "-1", "1")]
-    centre_x: Annotated[
-        float, Field("from the UAV to the centre of the area, ahead", "m", "-R", "R")
-    ]
-    centre_y: Annotated[
-        float, Field("from the UAV to the centre of the area, to the left", "m", "-R", "R")
-    ]
-    detected: Annotated[
-        float, Field("1 where a detection has come at this tick, else 0", "", "0", "1")
-    ]
-    relative_x: Annotated[
-        float, Field("detected p_a - p_g, ahead; 0 where none has come", "m", "-d_max", "d_max")
-    ]
-    relative_y: Annotated[
-        float,
-        Field("detected p_a - p_g, to the left; 0 where none has come", "m", "-d_max", "d_max"),
-    ]
-    age: Annotated[
-        float, Field("time since the newest detection was taken; T before the first", "s", "0", "T")
-    ]
-
-
-class UgvBodyRow(NamedTuple):
-    """A UGV's row in its own frame: x ahead, y to the left."""
-
-    time: Annotated[float, Field("time since the start of the episode", "s", "0", "T")]
-    speed: Annotated[float, Field("own speed", "m/s", "0", "v_max")]
-    heading_x: Annotated[
-        float,
-        Field("own x axis in the world frame, x: cosine of the heading from east", "", "-1", "1"),
-    ]
-    heading_y: Annotated[float, Field("own x axis in the world frame, y: its sine", "", "-1", "1")]
-    centre_x: Annotated[
-        float, Field("from the UGV to the centre of the area, ahead", "m", "-R", "R")
-    ]
-    centre_y: Annotated[
-        float, Field("from the UGV to the centre of the area, to the left", "m", "-R", "R")
-    ]
-    underway: Annotated[float, Field("1 while a goal is still to be reached, else 0", "", "0", "1")]
-    goal_x: Annotated[
-        float, Field("from the UGV to its goal, ahead; 0 where it is not underway", "m", "-D", "D")
-    ]
-    goal_y: Annotated[
-        float,
-        Field("from the UGV to its goal, to the left; 0 where it is not underway", "m", "-D", "D"),
-    ]
+_BODY: Table = (
+    Entry("time", "time since the start of the episode", "s", "0", "T"),
+    Entry("speed", "own speed", "m/s", "0", "v_max"),
+    Entry("heading_x", "own x axis in the world frame, x: cosine of the heading", "", "-1", "1"),
+    Entry("heading_y", "own x axis in the world frame, y: its sine", "", "-1", "1"),
+    Entry("centre_x", "from the vehicle to the centre of the area, ahead", "m", "-R", "R"),
+    Entry("centre_y", "from the vehicle to the centre of the area, to the left", "m", "-R", "R"),
+)
+UAV_BODY: Table = (
+    *_BODY,
+    *(entry for entry in UAV if entry.name == "detected"),
+    Entry("relative_x", "detected p_a - p_g, ahead; 0 without a detection", "m", "-d_max", "d_max"),
+    Entry("relative_y", "the same, to the left", "m", "-d_max", "d_max"),
+    *(entry for entry in UAV if entry.name == "age"),
+)
+"""A UAV's row in its own frame: x ahead, y to the left."""
+UGV_BODY: Table = (
+    *_BODY,
+    *(entry for entry in UGV if entry.name == "underway"),
+    Entry("goal_x", "from the UGV to its goal, ahead; 0 if it is not underway", "m", "-D", "D"),
+    Entry("goal_y", "the same, to the left", "m", "-D", "D"),
+)
+"""A UGV's row in its own frame: x ahead, y to the left."""
 
 
 class Egocentric(Transformation):
     """The vehicle's own frame: the origin at the vehicle, x along its velocity, y to the left.
 
-    While it is slower than `rest` its last heading stays, at the start of an episode east. Rows become `UavBodyRow` and
-    `UgvBodyRow`, a `GradientCue` behind them is turned. Actions are accelerations [m/s²] in this frame, by the heading
+    While it is slower than `rest` its last heading stays, at the start of an episode east. Rows become `UAV_BODY` and
+    `UGV_BODY`, a gradient behind them is turned. Actions are accelerations [m/s²] in this frame, by the heading
     of the last observation, and are turned into the world frame. The coverage picture turns along: columns ahead, rows
     to the left, each pixel the nearest one of the environment's picture, and 1 where that has none.
 
@@ -125,14 +89,14 @@ class Egocentric(Transformation):
         width, height = limits["x"], limits["y"]
         diagonal = float(np.hypot(width, height))
         self._fields, self._centre = entries, (0.5 * width, 0.5 * height)
-        body = UgvBodyRow if entries == UgvRow._fields else UavBodyRow
-        self._names: tuple[str, ...] = body._fields
+        body = UGV_BODY if entries == names(UGV) else UAV_BODY
+        self._names = names(body)
         extent = {"T": limits["time"], "v_max": limits["vx"], "R": 0.5 * diagonal, "D": diagonal}
         extent["d_max"] = limits.get("relative_x", np.inf)
-        low, high = bounds(cast("RowType", body), extent)
+        low, high = bounds(body, extent)
         if "gradient_x" in entries:
-            least, largest = bounds(GradientCue, {})
-            self._names, low, high = self._names + GradientCue._fields, low + least, high + largest
+            least, largest = bounds(GRADIENT, {})
+            self._names, low, high = self._names + names(GRADIENT), low + least, high + largest
         dtype = cast("Any", space.dtype).type
         self._box = spaces.Box(np.array(low, dtype), np.array(high, dtype), dtype=dtype)
         return self._box
@@ -219,12 +183,7 @@ def _entries(space: spaces.Space[Any]) -> tuple[str, ...]:
     Raises:
         ValueError: If it is no row in SI units and in the world frame.
     """
-    rows: tuple[tuple[str, ...], ...] = (
-        UavRow._fields,
-        UavRow._fields + GradientCue._fields,
-        UgvRow._fields,
-    )
-    for row in rows:
+    for row in (names(UAV), names(UAV + GRADIENT), names(UGV)):
         if isinstance(space, spaces.Box) and space.shape == (len(row),) and space.dtype.kind == "f":
             low, high = (
                 dict(zip(row, bound.tolist(), strict=True)) for bound in (space.low, space.high)

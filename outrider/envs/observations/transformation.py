@@ -1,8 +1,8 @@
 """Transformations of observations.
 
-An observation is a row of `bus.layout`, or a dictionary of `row` and `coverage`; in a batch the worlds are leading axes
-of every array. A transformation is bound to the space of a single observation by `space`, and may have a memory of each
-world's episode: `begin` starts it, `apply` goes on by one tick.
+An observation is a row of `bus.observations`, or a dictionary of `row` and `coverage`; in a batch the worlds are
+leading axes of every array. A transformation is bound to the space of a single observation by `space`, and may have a
+memory of each world's episode: `begin` starts it, `apply` goes on by one tick.
 """
 
 from abc import ABC, abstractmethod
