@@ -6,6 +6,7 @@ vehicle's row holds its own state and what it perceives. The tables of the state
 them.
 """
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple, TypeVar
@@ -13,7 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from bus.messages import Detection, UavObservation, UgvObservation
+from bus.messages import Area, Detection, UavObservation, UgvObservation
 
 _Class = TypeVar("_Class", bound=type)
 
@@ -41,12 +42,13 @@ SYMBOLS = {
     "T": "length of an episode [s]",
     "W": "width of the area [m]",
     "H": "height of the area [m]",
-    "v_max": "maximum speed of the vehicle [m/s]",
-    "d_max": "longest relative position that a detection can have [m]: the sensor's range plus the largest noise",
+    "v_max": "maximum speed of the vehicle [m/s], at most D in one tick",
+    "d_max": "largest observed relative position [m]: for a detection the sensor's range plus the largest noise, at "
+    "most D; for an estimate D",
     "D": "diagonal of the area [m]",
     "E": "2 C*^2 W H, more than e(t) can ever be [m^2]",
 }
-"""The meaning of the names in the ranges. A bound that the scenario leaves open is infinite."""
+"""The meaning of the names in the ranges."""
 
 _TIME = Entry("time", "time since the start of the episode", "s", "0", "T")
 _AGE = Entry("age", "time since the newest detection was taken; T before the first", "s", "0", "T")
@@ -156,6 +158,37 @@ def bounds(table: Table, extent: Mapping[str, float]) -> tuple[list[float], list
         return -values[symbol[1:]] if symbol.startswith("-") else values[symbol]
 
     return [value(entry.low) for entry in table], [value(entry.high) for entry in table]
+
+
+ROUNDING = 1.0 + 2.0**-50
+"""Factor on a bound of a vector's length: its components may exceed the length by a few last places."""
+
+
+def clipped(table: Table, row: Row, area: Area, dt: float) -> Row:
+    """Return a row whose velocity and relative position are clipped, as every observation is.
+
+    Only values that carry no information are changed: relative positions beyond the area's diagonal, which a diverged
+    estimate or unlimited noise gives, and speeds at which a vehicle without a limit crosses the area in one tick.
+
+    Args:
+        table: The entries.
+        row: Shape (entries,).
+        area: Q.
+        dt: Length of a tick [s].
+    """
+    unlimited = dict.fromkeys(SYMBOLS, math.inf)
+    return np.clip(row, *bounds(table, unlimited | largest(area, dt)))
+
+
+def largest(area: Area, dt: float) -> dict[str, float]:
+    """Return the values of `D`, and of `d_max` and `v_max` where nothing else bounds them.
+
+    Args:
+        area: Q.
+        dt: Length of a tick [s].
+    """
+    diagonal = math.hypot(area.width, area.height) * ROUNDING
+    return {"D": diagonal, "d_max": diagonal, "v_max": diagonal / dt}
 
 
 def markdown(table: Table) -> str:

@@ -9,7 +9,7 @@ from agents.asking import LARGEST, AskedPolicy, pair
 from agents.control.laws import LawParameters
 from bus.errors import ScenarioError
 from bus.messages import UavBriefing, UavObservation, Vector
-from bus.observations import Row
+from bus.observations import GRADIENT, UAV, Row, clipped
 from bus.ticks import Look, looks_of
 from sim.kernels.compile import FloatArray
 from sim.models.field import coverage_gradient, sample
@@ -87,7 +87,7 @@ class PolicyControl:
         self, briefing: UavBriefing, law: LawParameters, policy: UavPolicy, name: str
     ) -> None:
         check_fit(briefing, policy, name)
-        self._law, self._dt = law, float(briefing.dt)
+        self._law, self._dt, self._area = law, float(briefing.dt), briefing.area
         self._asked = AskedPolicy(policy, f"uav_policy = {name!r}", self._dt)
         self._setup = {**SETUP, **getattr(policy, "setup", {})}
         length = self._setup["duration"]
@@ -137,8 +137,11 @@ class PolicyControl:
         seen = (0.0, 0.0, 0.0, age) if best is None else (1.0, best.x, best.y, age)
         if target.known and self._setup["estimate"]:
             seen = 1.0, x - target.x, y - target.y, target.age * self._dt
-        cue = self._gradient(x, y, target, coverage) if self._setup["gradient"] else ()
-        return np.array((time, x, y, *observation.velocity, *seen, *cue), dtype=np.float64)
+        own = np.array((time, x, y, *observation.velocity, *seen), dtype=np.float64)
+        if not self._setup["gradient"]:
+            return clipped(UAV, own, self._area, self._dt)
+        whole = np.append(own, self._gradient(x, y, target, coverage))
+        return clipped(UAV + GRADIENT, whole, self._area, self._dt)
 
     def _gradient(
         self, x: float, y: float, target: TargetEstimate, coverage: FloatArray

@@ -170,11 +170,12 @@ class Worlds:
         if name in self.loop.ugvs:
             g = self.loop.ugvs.index(name)
             known = state.grounds.tiles[:, g] if form.tile_patch else None
-            return form.shown(as_rows(state.rows.ugv_rows)[:, g], known=known)
+            return form.shown(name, as_rows(state.rows.ugv_rows)[:, g], known=known)
         u = self.loop.uavs.index(name)
         width = len(UAV) + (len(GRADIENT) if self._gradient else 0)
         coverage = None if form.patch is None else state.patches[:, u]
-        return form.shown(as_rows(state.rows.uav_rows)[:, u, :width], coverage=coverage)
+        row = as_rows(state.rows.uav_rows)[:, u, :width]
+        return form.shown(name, row, coverage=coverage)
 
     def mission(self, world: int) -> Mission | None:
         """The mission of one world so far; None where there are no hazards."""

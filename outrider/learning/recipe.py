@@ -1,6 +1,5 @@
 """The observation of a policy as a record that can be saved: an environment's settings and the wrappers around it."""
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -8,7 +7,6 @@ import msgspec
 import numpy as np
 from gymnasium import spaces
 
-from bus.messages import or_infinite
 from outrider.envs.observations.body import Egocentric
 from outrider.envs.observations.image import CoverageImage
 from outrider.envs.observations.normalized import Normalized
@@ -43,11 +41,15 @@ _PASSED = {"env": _OF_GYMNASIUM, "venv": _OF_SB3}
 `VecTransposeImage` does, a model does again by itself.)"""
 
 
+NEEDED = frozenset({"T", "W", "H", "v_max", "d_max", "D"})
+"""The names of `bus.observations.SYMBOLS` that bound a UAV's observation."""
+
+
 class ObservationRecipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The observation of a policy."""
 
-    extent: dict[str, float | None]
-    """Values of `bus.observations.SYMBOLS` in the training environment; None: no bound."""
+    extent: dict[str, float]
+    """Values of the names in `NEEDED` in the training environment."""
     dt: float | None = None
     """Length of a tick [s]; None: not known."""
     estimate: bool = False
@@ -61,13 +63,13 @@ class ObservationRecipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     @property
     def length(self) -> float:
         """Of an episode [s]."""
-        return or_infinite(self.extent["T"])
+        return self.extent["T"]
 
     def space(self) -> spaces.Space[Any]:
         """The environment's own observation space."""
         patch = given_patch(self.coverage_patch)
         return uav_space(
-            {name: or_infinite(value) for name, value in self.extent.items()},
+            self.extent,
             estimate=self.estimate,
             gradient=self.gradient,
             pixels=0 if patch is None else patch.pixels,
@@ -96,10 +98,7 @@ def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of seve
         raise ValueError(f"agent = {env.agent!r}: drives; allowed: a UAV")
     patch = options["coverage_patch"]
     return ObservationRecipe(
-        extent={
-            name: value if math.isfinite(value) else None
-            for name, value in extent_of(scenario, uav).items()
-        },
+        extent={name: value for name, value in extent_of(scenario, uav).items() if name in NEEDED},
         dt=scenario.dt,
         estimate=options["estimate"],
         gradient=options["gradient"],

@@ -1,6 +1,5 @@
 """The observation that an environment gives an agent: the vehicle's row, alone or in a dictionary with a picture."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -41,12 +40,17 @@ def uav_space(
         estimate, gradient, dtype: As in `ObservationFormat`.
         pixels: On each side of the picture of its map; 0: there is none.
     """
-    low, high = bounds(UAV, extent | ({"d_max": math.inf} if estimate else {}))
+    low, high = bounds(UAV, extent | ({"d_max": extent["D"]} if estimate else {}))
     least, largest = bounds(GRADIENT, {}) if gradient else ([], [])
     row = box(low + least, high + largest, dtype)
     if not pixels:
         return row
     return spaces.Dict({"row": row, "coverage": spaces.Box(0.0, 1.0, (pixels, pixels), dtype)})
+
+
+def _row_bounds(space: spaces.Space[Any]) -> tuple[Array, Array]:
+    box: Any = space["row"] if isinstance(space, spaces.Dict) else space
+    return box.low, box.high
 
 
 class ObservationFormat:
@@ -55,7 +59,7 @@ class ObservationFormat:
     Args:
         scenario: The scenario that is flown.
         settings: All of the environment's.
-        estimate: Whether the UAVs' relative positions are estimates, which have no largest distance.
+        estimate: Whether the UAVs' relative positions are estimates, bounded by the diagonal of the area.
         gradient: Whether the UAVs' rows end with `bus.observations.GRADIENT`.
 
     Raises:
@@ -78,6 +82,7 @@ class ObservationFormat:
             for vehicle in scenario.vehicles
         }
         """By vehicle, of an observation in one world."""
+        self._bounds = {name: _row_bounds(space) for name, space in self.spaces.items()}
 
     def _space(self, vehicle: Uav | Ugv, extent: dict[str, float]) -> spaces.Space[Any]:
         if isinstance(vehicle, Ugv):
@@ -89,16 +94,17 @@ class ObservationFormat:
         return uav_space(extent, pixels=pixels, dtype=self.dtype, **cues)
 
     def shown(
-        self, row: Row, *, coverage: Array | None = None, known: TileArray | None = None
+        self, name: str, row: Row, *, coverage: Array | None = None, known: TileArray | None = None
     ) -> AgentObservation:
-        """An observation in this form: new arrays, which nobody changes later. Worlds may be leading axes.
+        """Return an observation in this form, inside its space: new arrays. Worlds may be leading axes.
 
         Args:
+            name: The vehicle.
             row: The vehicle's row. Shape (..., entries).
             coverage: A UAV's picture of its map, if it has one. Shape (..., pixels, pixels).
             known: The ground as a UGV knows it, if it has a picture of it. Shape (..., rows, columns).
         """
-        own = row.astype(self.dtype)
+        own = np.clip(row.astype(self.dtype), *self._bounds[name])
         if coverage is not None:
             return {"row": own, "coverage": coverage.astype(self.dtype)}
         return own if known is None else {"row": own, "tiles": self._tiles_around(row, known)}

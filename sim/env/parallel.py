@@ -245,7 +245,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             known = self.known_tiles(name)
         if uav is not None and form.patch is not None:
             coverage = self._maps.patch(uav, self.world, form.patch)
-        return form.shown(self._episode.row(name), coverage=coverage, known=known)
+        return form.shown(name, self._episode.row(name), coverage=coverage, known=known)
 
     def known_tiles(self, ugv: str) -> TileArray:
         """The ground as a UGV knows it; a copy. Shape (rows, columns).
@@ -283,8 +283,9 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             values += episode.state(name)
         if self.coverage_in_state:
             shares = np.minimum(world.coverage / desired, 1.0)
-            return np.concatenate((values, shares.ravel()), dtype=dtype, casting="same_kind")
-        return np.array(values, dtype=dtype)
+            values += shares.ravel().tolist()
+        space = self.state_space
+        return np.clip(np.array(values, dtype=dtype), space.low, space.high)
 
     def _state_space(self) -> spaces.Box:
         """The space of `state`."""
