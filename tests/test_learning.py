@@ -20,11 +20,11 @@ from worlds import raw
 import outrider
 from outrider.envs.env_pilots import pilots
 from outrider.envs.vector import Worlds
-from outrider.envs.wrappers import transformed
 from outrider.learning.learned import LearnedPolicy, make_view
 from outrider.learning.mlp import Mlp, load_policy, save_policy
 from outrider.learning.one_world import alone
 from outrider.learning.repeat import ActionRepeat
+from outrider.learning.transformation import Transformed
 from sim.models.ground import CLEAR
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Hazard
@@ -107,7 +107,7 @@ def test_it_sees_what_it_was_trained_on() -> None:
             NOISY, num_envs=3, duration=6.0, safety_filter=True, **policy.setup
         )
 
-    training = transformed(ActionRepeat(make(), recipe["repeat"]), lambda: make_view(recipe))
+    training = Transformed(ActionRepeat(make(), recipe["repeat"]), make_view(recipe))
     plain = make()
     assert (
         training.action_space == batch_space(training.single_action_space, 3) != plain.action_space
@@ -254,14 +254,12 @@ def test_a_policy_asks_for_the_observations_that_it_needs(evaluation: ModuleType
     with pytest.raises(ValueError, match="make the environment with its setup"):
         policy(env.reset(seed=1)[0])
     with pytest.raises(ValueError, match="a UAV's row and a coverage patch"):
-        transformed(env, lambda: make_view(policy.recipe))
+        Transformed(env, make_view(policy.recipe))
     fast = load_scenario("escort", overrides={"uav.0.max_speed": 0.7})
     with pytest.raises(ValueError, match=r"uav_0: max_speed = 0.7: the policy is made for 0.6"):
         alone(fast, policy)
     with pytest.raises(ValueError, match=r"v_max = 0.6 m/s, not 0.7 m/s"):
-        transformed(
-            outrider.vector_env(fast, num_envs=2, **policy.setup), lambda: make_view(policy.recipe)
-        )
+        Transformed(outrider.vector_env(fast, num_envs=2, **policy.setup), make_view(policy.recipe))
     with pytest.raises(ValueError, match=r"uav_0: max_speed = 0.7: the policy is made for 0.6"):
         outrider.vector_env(fast, num_envs=2, agent="ugv_0", others={"uav_0": policy})
     for change in ({"coverage_patch": (8, 0.5)}, {"gradient": True}):

@@ -5,7 +5,7 @@ from functools import partial
 from structs import cell
 
 from bus.observations import SYMBOLS, TABLES, markdown
-from outrider.envs.observations.body import UAV_BODY, UGV_BODY
+from outrider.learning.egocentric import UAV_BODY, UGV_BODY
 
 TABLE_OF = {**TABLES, "uav_body": UAV_BODY, "ugv_body": UGV_BODY}
 """All tables by their marks."""

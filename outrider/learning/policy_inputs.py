@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from bus.observations import UAV, by_name, names
-from outrider.envs.observations.transformation import Mask, Transformation
+from outrider.learning.transformation import Mask, Transformation
 from sim.env.observation import AgentObservation, Array
 
 _V_X = names(UAV).index("vx")

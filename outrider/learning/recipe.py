@@ -7,25 +7,20 @@ import msgspec
 import numpy as np
 from gymnasium import spaces
 
-from outrider.envs.observations.body import Egocentric
-from outrider.envs.observations.image import CoverageImage
-from outrider.envs.observations.normalized import Normalized
-from outrider.envs.observations.stacking import History
-from outrider.envs.observations.transformation import Transformation
-from outrider.envs.wrappers import VectorObservations
+from outrider.learning.egocentric import Egocentric
 from outrider.learning.policy_inputs import EscortView
 from outrider.learning.repeat import ActionRepeat
+from outrider.learning.stacking import Stack
 from outrider.learning.standardized import Standardized
+from outrider.learning.transformation import Transformation, Transformed
 from sim.env.observation import uav_space
 from sim.env.patch import given_patch
 from sim.env.spaces import extent_of
 from sim.scenario.types import Uav
 
 _KINDS: Mapping[str, type[Transformation]] = {
-    "normalized": Normalized,
     "egocentric": Egocentric,
-    "coverage_image": CoverageImage,
-    "history": History,
+    "stack": Stack,
     "escort_view": EscortView,
     "standardized": Standardized,
 }
@@ -81,7 +76,7 @@ def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of seve
     """The observation that an environment gives its UAV, with all wrappers around it.
 
     Args:
-        env: `outrider.vector_env` or `outrider.single_env`, in wrappers of `outrider.envs.wrappers`, `ActionRepeat`,
+        env: `outrider.vector_env` or `outrider.single_env`, in the wrappers `Transformed`, `ActionRepeat`,
             `VecEnvAdapter`, `VecNormalize` and such as change nothing; or a `VecEnv` of Stable-Baselines3 around them.
 
     Raises:
@@ -111,7 +106,7 @@ def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of seve
 def _taken_off(env: Any) -> tuple[dict[str, Any] | None, Any]:  # noqa: ANN401
     """The outermost layer as a recipe has it, None where it changes nothing, and the environment inside."""
     name = type(env).__name__
-    if isinstance(env, VectorObservations):
+    if isinstance(env, Transformed):
         one = env.transformation
         kind = next((key for key, found in _KINDS.items() if type(one) is found), None)
         if kind is not None:
@@ -131,7 +126,7 @@ def _taken_off(env: Any) -> tuple[dict[str, Any] | None, Any]:  # noqa: ANN401
         if name in names:
             return None, getattr(env, attribute)
     raise ValueError(
-        f"{name}: cannot be saved with a policy; allowed: wrappers of outrider.envs.wrappers, ActionRepeat, "
+        f"{name}: cannot be saved with a policy; allowed: Transformed by Egocentric or Stack, ActionRepeat, "
         f"VecEnvAdapter, DummyVecEnv, VecNormalize of rows, and such as change neither observation nor action"
     )
 
@@ -151,8 +146,6 @@ def make_layer(layer: Mapping[str, Any]) -> Transformation | HeldAction:
     """
     given = dict(layer)
     kind = given.pop("kind", None)
-    if "dtype" in given:
-        given["dtype"] = np.dtype(given["dtype"]).type
     try:
         return HeldAction(**given) if kind == _REPEAT else _KINDS[str(kind)](**given)
     except (KeyError, TypeError, ValueError) as error:

@@ -19,7 +19,6 @@ from bus.files import read_regular, writing
 from bus.messages import UavBriefing, or_infinite
 from bus.observations import ROUNDING, UAV, by_name, largest, names
 from bus.registry import UAV_POLICY_FORMS
-from outrider.envs.observations.transformation import Transformation
 from outrider.learning.learned import check_made_for
 from outrider.learning.recipe import (
     NEEDED,
@@ -28,6 +27,7 @@ from outrider.learning.recipe import (
     make_layer,
     observation_recipe,
 )
+from outrider.learning.transformation import Transformation
 from outrider.running.user_code import load_sb3_model
 from sim.engine.briefing import uav_briefing
 from sim.env.observation import AgentObservation, Array
