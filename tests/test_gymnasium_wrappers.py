@@ -133,8 +133,9 @@ def test_a_ugvs_policy_over_the_bus_has_the_same_bounds() -> None:
 @pytest.mark.parametrize("name", SETTINGS)
 def test_rescaled_observations_fill_the_unit_box(name: str) -> None:
     plain, env = (FlattenObservation(single(name)) for _ in range(2))
-    box = plain.observation_space
-    rescaled = RescaleObservation(env, np.float32(-1.0), np.float32(1.0))
+    box: Any = plain.observation_space
+    one = box.dtype.type(1.0)
+    rescaled = RescaleObservation(env, -one, one)
     for raw, seen in zip(flown(plain), flown(rescaled), strict=True):
         wanted = 2.0 * (raw.astype(np.float64) - box.low) / (box.high - box.low) - 1.0
         np.testing.assert_allclose(seen, wanted, atol=1e-6)
