@@ -7,13 +7,13 @@ python examples/supersuit_sb3.py --steps 2000 --out runs/supersuit
 import argparse
 from pathlib import Path
 
+import numpy as np
 import supersuit
 from pettingzoo.utils import BaseParallelWrapper
 from stable_baselines3 import PPO
 from stable_baselines3.common.utils import set_random_seed
 
 import outrider
-from outrider.envs.wrappers import normalized
 
 
 class SayTruncated(BaseParallelWrapper):
@@ -31,7 +31,8 @@ class SayTruncated(BaseParallelWrapper):
 
 def make_env(worlds, *, duration, seed):
     """A vector environment of 2 x `worlds` places: a vehicle each, the UAVs' at even ones, the UGVs' at odd ones."""
-    env = SayTruncated(normalized(outrider.parallel_env("escort", duration=duration)))
+    env = SayTruncated(outrider.parallel_env("escort", duration=duration, dtype=np.float32))
+    env = supersuit.normalize_obs_v0(env, env_min=-1, env_max=1)
     # a UGV's row gets a 0 more
     env = supersuit.pad_action_space_v0(supersuit.pad_observations_v0(env))
     env = supersuit.pettingzoo_env_to_vec_env_v1(env)

@@ -7,19 +7,20 @@ python examples/train_rllib.py --iterations 2 --out runs/rllib
 import argparse
 from pathlib import Path
 
+import numpy as np
 import ray
 from ray.rllib.algorithms.ppo import PPOConfig
+from ray.rllib.connectors.env_to_module import MeanStdFilter
 from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 from ray.tune.registry import register_env
 
 import outrider
-from outrider.envs.wrappers import normalized
 
 
 def make_env(config):
     """The environment for RLlib; of a UAV's and a UGV's row, each has its own length."""
     return ParallelPettingZooEnv(
-        normalized(outrider.parallel_env("escort", duration=config.get("duration")))
+        outrider.parallel_env("escort", duration=config.get("duration"), dtype=np.float32)
     )
 
 
@@ -68,7 +69,10 @@ def main():
     config = (
         PPOConfig()
         .environment("outrider", env_config={"duration": args.duration})
-        .env_runners(num_env_runners=args.runners)
+        .env_runners(
+            num_env_runners=args.runners,
+            env_to_module_connector=lambda *_, **__: MeanStdFilter(multi_agent=True),
+        )
         .multi_agent(policies=["uav", "ugv"], policy_mapping_fn=policy_of)
         .training(
             train_batch_size_per_learner=args.batch,

@@ -20,6 +20,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import NormalParamExtractor, TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.collectors import Collector
+from torchrl.data import ContinuousBox
 from torchrl.envs import PettingZooWrapper
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal
@@ -28,7 +29,6 @@ from torchrl.objectives.value import GAE
 
 import outrider
 from outrider.envs.env_pilots import pilots
-from outrider.envs.wrappers import normalized
 
 HOLD = 10  # ticks, half a second: in one tick of 0.05 s an acceleration moves nothing that a critic could tell
 BATCH, MINIBATCH, EPOCHS = 2000, 250, 8
@@ -55,17 +55,36 @@ def make_env(duration: float) -> PettingZooWrapper:
         # it names 1.24.3 whatever is installed
         warnings.filterwarnings("ignore", "PettingZoo in TorchRL is tested using")
         return PettingZooWrapper(
-            Hold(normalized(outrider.parallel_env("escort", duration=duration, dtype=np.float32))),
+            Hold(outrider.parallel_env("escort", duration=duration, dtype=np.float32)),
             return_state=True,
         )
+
+
+class Rescale(nn.Module):
+    """Bounded numbers to [-1, 1]: the first layer of each network.
+
+    Args:
+        space: The space of the numbers, as TorchRL's specs have it.
+    """
+
+    def __init__(self, space: ContinuousBox) -> None:
+        super().__init__()
+        low, high = (bound.reshape(-1, bound.shape[-1])[0] for bound in (space.low, space.high))
+        self.register_buffer("middle", (low + high) / 2.0)
+        self.register_buffer("reach", ((high - low) / 2.0).clamp_min(1e-6))
+
+    def forward(self, numbers: torch.Tensor) -> torch.Tensor:
+        return (numbers - self.middle) / self.reach
 
 
 def make_actor(env: PettingZooWrapper, group: str) -> ProbabilisticActor:
     """A group's policy: from each vehicle's own observation to its acceleration."""
     spec = env.full_action_spec[group, "action"]
+    seen = env.observation_spec[group, "observation"]
     net = nn.Sequential(
+        Rescale(seen.space),
         MLP(
-            env.observation_spec[group, "observation"].shape[-1],
+            seen.shape[-1],
             2 * spec.shape[-1],
             num_cells=[64, 64],
             activation_class=nn.Tanh,
@@ -88,16 +107,15 @@ class Critic(nn.Module):
 
     def __init__(self, env: PettingZooWrapper, group: str) -> None:
         super().__init__()
-        low = env.observation_spec["state"].space.low
-        high = env.observation_spec["state"].space.high
-        self.register_buffer("middle", (low + high) / 2.0)
-        self.register_buffer("reach", ((high - low) / 2.0).clamp_min(1e-6))
-        self.net = MLP(
-            len(low), len(env.group_map[group]), num_cells=[128, 128], activation_class=nn.Tanh
+        state = env.observation_spec["state"]
+        vehicles = len(env.group_map[group])
+        self.net = nn.Sequential(
+            Rescale(state.space),
+            MLP(state.shape[-1], vehicles, num_cells=[128, 128], activation_class=nn.Tanh),
         )
 
     def forward(self, state: torch.Tensor) -> torch.Tensor:
-        return self.net((state - self.middle) / self.reach).unsqueeze(-1)
+        return self.net(state).unsqueeze(-1)
 
 
 class Learner:

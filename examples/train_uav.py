@@ -18,11 +18,11 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 import outrider
-from outrider.envs.wrappers import transformed
 from outrider_learning.learned import LearnedPolicy, make_view
 from outrider_learning.mlp import Mlp, save_policy
 from outrider_learning.repeat import ActionRepeat
 from outrider_learning.sb3 import VecEnvAdapter
+from outrider_learning.transformation import Transformed
 
 CASE = CASES["wander"]
 REWARDS = {"uncovered": 1.0, "sight_lost": 10.0, "out_of_sight": 2.0}
@@ -80,9 +80,7 @@ def make_worlds(recipe: dict) -> VecEnvAdapter:
         safety_filter=recipe["safety_filter"],
         rewards=outrider.RewardWeights(**recipe["rewards"]),
     )
-    return VecEnvAdapter(
-        transformed(ActionRepeat(env, recipe["repeat"]), lambda: make_view(recipe))
-    )
+    return VecEnvAdapter(Transformed(ActionRepeat(env, recipe["repeat"]), make_view(recipe)))
 
 
 def network_of(model: PPO) -> Mlp:

@@ -222,9 +222,11 @@ def test_the_bounds_leave_room_for_the_rounding_of_the_worlds_clipping():
     assert longer > 100
 
 
-def test_unbounded_vehicles_have_unbounded_observations_and_a_finite_action_space():
+def test_vehicles_without_limits_have_finite_observation_and_action_spaces():
     env = parallel_env(FREE)
-    assert np.isinf(env.observation_space("uav_0").high[[3, 4, 6, 7]]).all()
+    diagonal = math.hypot(40.0, 40.0)
+    high = env.observation_space("uav_0").high[[3, 4, 6, 7]]
+    np.testing.assert_allclose(high, [diagonal / 0.05] * 2 + [diagonal] * 2, rtol=1e-12)
     np.testing.assert_array_equal(env.action_space("uav_0").high, [FREE_ACCELERATION] * 2)
     env.reset(seed=0)
     env.step({"uav_0": [40.0, 0.0], "ugv_0": [0.0, 0.0]})

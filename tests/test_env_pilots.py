@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from agents.estimation.estimator import RelativeEstimator
-from bus.layout import UavRow, uav_observation
 from bus.messages import Law
+from bus.observations import UAV, by_name, uav_observation
 from bus.ticks import looks_of
 from flights import escort, flown_in_both, pairs, record, sha256
 from outrider.envs.env_pilots import pilots
@@ -124,13 +124,13 @@ def test_rows_hold_the_filters_estimate_and_leave_the_rest():
         estimate = own.update(
             tick=seen.tick, own_position=seen.position, looks=looks_of(seen.detections, told.dt)
         )
-        before, after = UavRow(*plain["uav_0"]), UavRow(*estimated["uav_0"])
-        silent += not before.detected
+        before, after = (rows["uav_0"].tolist() for rows in (plain, estimated))
+        silent += not before[5]
         assert after[:5] == before[:5]
         if estimate is None:
             assert after == before
         else:
-            p_delta = (before.x - estimate.position[0], before.y - estimate.position[1])
+            p_delta = (before[1] - estimate.position[0], before[2] - estimate.position[1])
             assert after[5:] == pytest.approx((1.0, *p_delta, estimate.age), rel=1e-9, abs=1e-9)
         assert estimated["ugv_0"].tobytes() == plain["ugv_0"].tobytes()
     assert silent > 50
@@ -143,11 +143,11 @@ def test_estimates_are_nearer_to_the_truth_than_detections():
     for plain, estimated in zip(rows_of(raw, 1500), rows_of(wrapped, 1500), strict=True):
         truth = raw.world.position[0] - raw.world.position[2]
         for name, row in (
-            ("raw", UavRow(*plain["uav_0"])),
-            ("filter", UavRow(*estimated["uav_0"])),
+            ("raw", by_name(UAV, plain["uav_0"])),
+            ("filter", by_name(UAV, estimated["uav_0"])),
         ):
-            if row.detected:
-                errors[name].append(math.dist((row.relative_x, row.relative_y), truth))
+            if row["detected"]:
+                errors[name].append(math.dist((row["relative_x"], row["relative_y"]), truth))
     assert len(errors["filter"]) > len(errors["raw"])
     assert np.mean(errors["filter"]) < 0.8 * np.mean(errors["raw"])
 
@@ -171,7 +171,7 @@ def test_the_row_stays_as_it_is_until_there_is_a_detection():
     blind = msgspec.structs.replace(NOISY, detections=Detections(dropout=1.0))
     env = parallel_env(blind, estimate=True)
     for rows in rows_of(env, 5):
-        assert UavRow(*rows["uav_0"])[5:] == (0.0, 0.0, 0.0, 100.0)
+        assert rows["uav_0"][5:].tolist() == [0.0, 0.0, 0.0, 100.0]
 
 
 @pytest.mark.parametrize("name", ["escort", "minefield"])

@@ -16,7 +16,6 @@ from bus.errors import ScenarioError
 from outrider.envs.parallel import parallel_env
 from outrider.envs.single import single_env
 from outrider.envs.vector import parallel_vector_env, vector_env
-from outrider.envs.wrappers import egocentric
 from refusals import refused
 from worlds import SCENARIO, equal, random_actions
 
@@ -29,7 +28,6 @@ MAKERS: dict[str, Callable[..., Any]] = {
 ALL, OF_ONE_AGENT = ("parallel", "single", "vector"), ("single", "vector")
 ACTING: dict[str, Callable[..., Any]] = {
     **{name: MAKERS[name] for name in ALL},
-    "egocentric": lambda scenario: egocentric(parallel_env(scenario)),
     "safety filter": lambda scenario: parallel_env(scenario, safety_filter=True),
 }
 GOOD = np.array([0.1, 0.05])
@@ -97,7 +95,6 @@ def test_of_many_worlds_the_one_whose_action_is_bad_is_named(actions, words):
     ("name", "shape"),
     [
         ("parallel", (2,)),
-        ("egocentric", (2,)),
         ("safety filter", (2,)),
         ("parallel vector", (2, 2)),
     ],

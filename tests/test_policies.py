@@ -23,8 +23,8 @@ import pytest
 import outrider
 from agents.drivers.policy import Policy, PolicyDriver, UgvRows
 from bus.errors import ScenarioError
-from bus.layout import UgvRow
 from bus.messages import Command, UgvObservation
+from bus.observations import UGV, names
 from bus.registry import SAVED_POLICIES
 from flights import DT, U_G, V_G, Piloted, told_ugv
 from outrider.envs.env_pilots import pilots
@@ -326,7 +326,7 @@ def test_the_pilots_row_is_the_environments_to_the_bit_over_a_flight(scenario: S
     assert [row.tobytes() for row in ours] == [row.tobytes() for row in theirs]
     assert all(row.dtype == np.float64 for row in ours)
     assert flight.recorder.ticks == len(theirs)
-    underway = [row[UgvRow._fields.index("underway")] for row in ours]
+    underway = [row[names(UGV).index("underway")] for row in ours]
     assert underway[0] == 1.0
     assert underway[-1] == (0.0 if scenario.ugv[0].max_speed == 0.5 else 1.0)
 

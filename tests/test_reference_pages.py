@@ -1,6 +1,7 @@
 """The pages of the reference that are made from the code are whole."""
 
 import importlib
+import re
 from pathlib import Path
 from types import ModuleType
 
@@ -9,9 +10,11 @@ import pytest
 
 from bus.keys import KEYS
 from bus.messages import LinkSettings
+from bus.observations import SYMBOLS
 from outrider.cli.main import COMMANDS
 from outrider_fmi import variables
 from outrider_ros2.topics import PILOT_COMMANDS, PILOT_TOPICS, TOPICS
+from pages import PAGES
 from sim.scenario.loading import scenario_names
 from sim.scenario.types import Scenario
 
@@ -76,6 +79,19 @@ def test_every_topic_of_ros_2_is_told_with_its_type(generator: ModuleType) -> No
         assert len(lines) == len(rows)
         for row, line in zip(rows, lines, strict=True):
             assert f"{row.name}` | `{row.interface}` | " in line
+
+
+@pytest.mark.parametrize("generator", ["observations"], indirect=True)
+def test_every_entry_of_an_observation_is_on_a_page(generator: ModuleType) -> None:
+    marks = {mark for page in PAGES.values() for mark in re.findall(r"<!-- generated: (\w+)", page)}
+    assert generator.PAGES.keys() <= marks
+    for name, table in generator.TABLE_OF.items():
+        lines = generator.PAGES[name]().splitlines()[2:]
+        assert len(lines) == len(table)
+        for k, (entry, line) in enumerate(zip(table, lines, strict=True)):
+            assert line.startswith(f"| {k} | `{entry.name}` | {entry.meaning} | ")
+    symbols = generator.symbols()
+    assert all(f"| `{name}` | {meaning} |" in symbols for name, meaning in SYMBOLS.items())
 
 
 @pytest.mark.parametrize("generator", ["fmi_variables"], indirect=True)

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from bus.layout import UavRow
 from bus.messages import Observation, UavObservation
+from bus.observations import UAV, by_name
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import InProcess, make_pilots
@@ -198,9 +198,9 @@ def _in_rows(secret: str) -> tuple[Told, FloatArray]:
         seen, *_ = env.step({name: fly[name](seen[name]) for name in env.agents})
         rows.append(seen["uav_0"])
         true.append(env.world.position[0] - env.world.position[1])
-    table, names = np.array(rows), UavRow._fields
-    said = table[:, [names.index("relative_x"), names.index("relative_y")]]
-    said[table[:, names.index("detected")] == 0.0] = math.nan
+    entries = by_name(UAV, np.array(rows))
+    said = np.column_stack([entries["relative_x"], entries["relative_y"]])
+    said[entries["detected"] == 0.0] = math.nan
     return _told(secret, np.arange(len(said)), said), np.array(true)
 
 

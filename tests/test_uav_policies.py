@@ -16,16 +16,17 @@ from agents.uav import UavPilot
 from bus.errors import ScenarioError
 from flights import distances
 from outrider.envs.env_pilots import pilots
-from outrider.envs.observations.normalized import Normalized
-from outrider.envs.wrappers import egocentric, history, normalized, transformed
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.user_code import check_own_functions, load_uav_policy
+from outrider_learning.egocentric import Egocentric
 from outrider_learning.learned import LearnedPolicy
 from outrider_learning.recipe import observation_recipe
 from outrider_learning.repeat import ActionRepeat
 from outrider_learning.saved import SavedPolicy
+from outrider_learning.stacking import Stack
 from outrider_learning.suite.scoring import evaluate
 from outrider_learning.suite.tasks import TASKS
+from outrider_learning.transformation import Transformed
 from processes import outrider as command
 from refusals import refused
 from sim.engine.briefing import uav_briefing
@@ -175,7 +176,7 @@ class Linear:
         self.observation_space = space
         self.action_space = spaces.Box(-0.3, 0.3, (2,), np.float64)
         rows = space.spaces["row"] if isinstance(space, spaces.Dict) else space
-        self._weights = np.random.default_rng(2).normal(size=(rows.shape[0], 2))
+        self._weights = np.random.default_rng(2).normal(size=(np.prod(rows.shape), 2))
 
     def predict(
         self,
@@ -189,14 +190,13 @@ class Linear:
         assert all(self.observation_space.contains(one) for one in row) or isinstance(
             observation, dict
         )
-        return 0.3 * np.tanh(row @ self._weights), state
+        return 0.3 * np.tanh(0.1 * row.reshape(len(row), -1) @ self._weights), state
 
 
 WRAPPED: dict[str, Any] = {
     "plain": lambda env: env,
-    "normalized": normalized,
-    "egocentric": lambda env: history(normalized(egocentric(env)), 3, stride=2),
-    "repeated": lambda env: history(normalized(ActionRepeat(egocentric(env), 5)), 2),
+    "egocentric": lambda env: Transformed(Transformed(env, Egocentric()), Stack(3)),
+    "repeated": lambda env: Transformed(ActionRepeat(Transformed(env, Egocentric()), 5), Stack(2)),
 }
 
 
@@ -227,7 +227,8 @@ def test_a_saved_policy_acts_as_in_its_training(name: str, patch: Any) -> None:
 
 
 def test_a_saved_policy_flies_a_run_and_says_where_its_ground_ends() -> None:
-    env = normalized(outrider.vector_env("escort", num_envs=1, end_on_sight_lost=False))
+    env = outrider.vector_env("escort", num_envs=1, end_on_sight_lost=False)
+    env = Transformed(env, Stack(2))
     policy = SavedPolicy(Linear(env.single_observation_space), observation_recipe(env))
     law = msgspec.structs.replace(ESCORT.law, name="policy")
     briefing = msgspec.structs.replace(uav_briefing(ESCORT, "uav_0", 1), law=law)
@@ -245,14 +246,14 @@ def test_a_saved_policy_flies_a_run_and_says_where_its_ground_ends() -> None:
     assert "made for ground of 40 m x 40 m" in line
 
 
-class Mine(Normalized):
+class Mine(Egocentric):
     """A transformation of the user's own."""
 
 
 def test_what_cannot_be_saved_with_a_policy_is_refused() -> None:
     env = outrider.vector_env("escort", num_envs=1)
     for wrong, words in (
-        (transformed(env, Mine), "Mine: cannot be saved with a policy"),
+        (Transformed(env, Mine()), "Mine: cannot be saved with a policy"),
         (gymnasium.wrappers.vector.RescaleAction(env, -1.0, 1.0), "RescaleAction: cannot be saved"),
         (outrider.vector_env("escort", num_envs=1, agent="ugv_0"), "agent = 'ugv_0': drives"),
     ):
@@ -261,7 +262,7 @@ def test_what_cannot_be_saved_with_a_policy_is_refused() -> None:
 
 
 def test_a_model_of_another_input_is_refused() -> None:
-    env = normalized(outrider.vector_env("escort", num_envs=1))
+    env = outrider.vector_env("escort", num_envs=1)
     recipe = observation_recipe(env)
     for other in (spaces.Box(-1.0, 1.0, (10,)), spaces.Dict({"row": env.single_observation_space})):
         with refused(ValueError, r"the model is made for observations of shape .* \(9,\)"):

@@ -8,8 +8,8 @@ import numpy as np
 from agents.asking import LARGEST, AskedPolicy, pair
 from agents.control.uav_parameters import UavParameters
 from bus.errors import ScenarioError
-from bus.layout import Row, UavRow
 from bus.messages import UavBriefing, UavObservation, Vector
+from bus.observations import GRADIENT, UAV, Row, clipped
 from bus.ticks import Look, looks_of
 from sim.kernels.compile import FloatArray
 from sim.models.field import coverage_gradient, sample
@@ -87,7 +87,7 @@ class PolicyControl:
         self, briefing: UavBriefing, uav: UavParameters, policy: UavPolicy, name: str
     ) -> None:
         check_fit(briefing, policy, name)
-        self._uav, self._dt = uav, float(briefing.dt)
+        self._uav, self._dt, self._area = uav, float(briefing.dt), briefing.area
         self._asked = AskedPolicy(policy, f"uav_policy = {name!r}", self._dt)
         self._setup = {**SETUP, **getattr(policy, "setup", {})}
         length = self._setup["duration"]
@@ -134,17 +134,14 @@ class PolicyControl:
         best = max(self._looks(observation), key=lambda look: look.taken, default=None)
         newest = self._newest if best is None else best.taken
         age = self._never if newest < 0 else time - newest * self._dt
-        seen = (0.0, 0.0, 0.0) if best is None else (1.0, best.x, best.y)
-        own = UavRow(time, x, y, *observation.velocity, *seen, age)
+        seen = (0.0, 0.0, 0.0, age) if best is None else (1.0, best.x, best.y, age)
         if target.known and self._setup["estimate"]:
-            own = own._replace(
-                detected=1.0,
-                relative_x=x - target.x,
-                relative_y=y - target.y,
-                age=target.age * self._dt,
-            )
-        cue = self._gradient(x, y, target, coverage) if self._setup["gradient"] else ()
-        return np.array((*own, *cue), dtype=np.float64)
+            seen = 1.0, x - target.x, y - target.y, target.age * self._dt
+        own = np.array((time, x, y, *observation.velocity, *seen), dtype=np.float64)
+        if not self._setup["gradient"]:
+            return clipped(UAV, own, self._area, self._dt)
+        whole = np.append(own, self._gradient(x, y, target, coverage))
+        return clipped(UAV + GRADIENT, whole, self._area, self._dt)
 
     def _gradient(
         self, x: float, y: float, target: TargetEstimate, coverage: FloatArray

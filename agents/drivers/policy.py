@@ -12,8 +12,8 @@ from agents.asking import LARGEST, AskedPolicy, pair
 from agents.drivers.compiled import take_ground, told_ground
 from agents.drivers.steering import Steering
 from bus.errors import ScenarioError
-from bus.layout import Row, UgvRow
 from bus.messages import UgvBriefing, UgvObservation
+from bus.observations import UGV, Row, clipped
 from sim.models.ground import TileArray, tile_patches
 from sim.models.vehicles import next_goal
 
@@ -35,7 +35,7 @@ class RowPolicy(Protocol):
 
     @property
     def predict(self) -> Callable[..., object]:
-        """A row of `bus.layout.UgvRow` in, or the row and the tiles; the acceleration x and y [m/s²] out."""
+        """A row of `bus.observations.UGV` in, or the row and the tiles; the acceleration x and y [m/s²] out."""
 
 
 Policy = Callable[[UgvObservation, UgvBriefing], object] | RowPolicy
@@ -55,6 +55,7 @@ class UgvRows:
         self._goals = np.array(briefing.goals, dtype=np.float64).reshape(-1, 2)
         self._tolerance = float(briefing.goal_tolerance)
         self._reached = 0
+        self._area, self._dt = briefing.area, float(briefing.dt)
 
     def row(self, observation: UgvObservation) -> Row:
         """The row of this tick; shape (8,), float64."""
@@ -63,10 +64,9 @@ class UgvRows:
         underway, goal_x, goal_y = self._reached < len(goals), 0.0, 0.0
         if len(goals):
             goal_x, goal_y = goals[min(self._reached, len(goals) - 1)].tolist()
-        return np.array(
-            UgvRow(observation.time, x, y, v_x, v_y, float(underway), goal_x, goal_y),
-            dtype=np.float64,
-        )
+        motion = observation.time, x, y, v_x, v_y
+        row = np.array((*motion, float(underway), goal_x, goal_y), dtype=np.float64)
+        return clipped(UGV, row, self._area, self._dt)
 
 
 class UgvTiles:

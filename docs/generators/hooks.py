@@ -10,6 +10,8 @@ from typing import Any
 import bus_messages
 import command_line
 import fmi_variables
+import markdown
+import observations
 import ros2_topics
 import scenario_fields
 from latex2mathml.converter import convert
@@ -37,8 +39,10 @@ MODULES = {
         "sim/env/rewards.py",
         "outrider/envs/vector.py",
         "outrider/envs/single.py",
-        "outrider/envs/wrappers.py",
         "outrider/envs/env_pilots.py",
+        "extensions/outrider_learning/transformation.py",
+        "extensions/outrider_learning/egocentric.py",
+        "extensions/outrider_learning/stacking.py",
         "extensions/outrider_learning/suite/tasks.py",
         "extensions/outrider_learning/suite/board.py",
         "outrider/registration.py",
@@ -124,8 +128,9 @@ GENERATED = {
     "fmi_driver": fmi_variables.driver,
     "ros2_topics": ros2_topics.observed,
     "ros2_pilot_topics": ros2_topics.own,
+    **observations.PAGES,
 }
-"""Text that follows a page's comment `<!-- generated: NAME -->` in the site."""
+"""Text that follows a page's or a docstring's comment `<!-- generated: NAME -->` in the site."""
 
 
 def _api_page(file: str) -> str:
@@ -258,7 +263,7 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
 
 
 def on_page_content(content: str, **_: Any) -> str:
-    """Draw equations as MathML, which browsers show by themselves."""
+    """Fill in the tables of docstrings; draw equations as MathML, which browsers show by themselves."""
 
     def draw(found: re.Match[str]) -> str:
         tag, bracket, tex = found.groups()
@@ -266,7 +271,10 @@ def on_page_content(content: str, **_: Any) -> str:
         drawn = convert(words, display="block" if bracket == "[" else "inline")
         return f'<{tag} class="arithmatex">{drawn}</{tag}>'
 
-    return _MATH.sub(draw, content)
+    def table(found: re.Match[str]) -> str:
+        return markdown.markdown(GENERATED[found[1]](), extensions=["tables"])
+
+    return _MATH.sub(draw, _MARK.sub(table, content))
 
 
 def on_post_page(output: str, *, page: Page, **_: Any) -> str:

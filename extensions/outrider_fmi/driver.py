@@ -16,8 +16,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 from bus.errors import ScenarioError
-from bus.layout import Row, UgvRow
 from bus.messages import UgvObservation
+from bus.observations import UGV, Row, names
 from bus.plugins import needs
 from outrider_fmi.variables import ACCELERATION, DRIVER_INPUTS, GOAL, OWN_STATE, RADIO
 
@@ -167,7 +167,7 @@ class FmuPolicy:
             ScenarioError: If the unit cannot, or answers no numbers.
         """
         try:
-            answer, _ = self.predict([0.0] * len(UgvRow._fields), None, dt=step)
+            answer, _ = self.predict([0.0] * len(UGV), None, dt=step)
         except ScenarioError as error:
             raise ScenarioError(f"{self._where}: {error}") from error
         if not all(math.isfinite(value) for value in answer):
@@ -196,7 +196,7 @@ class FmuPolicy:
         """The acceleration, and the instance that gave it.
 
         Args:
-            row: The UGV's row, `bus.layout.UgvRow`.
+            row: The UGV's row, `bus.observations.UGV`.
             state: The instance of this UGV; None: it is made.
             dt: Length of a tick [s].
             perceived: For what the UGV has received by radio; None: nothing.
@@ -204,24 +204,25 @@ class FmuPolicy:
         Raises:
             ScenarioError: If the unit cannot be started here or refuses the step.
         """
-        seen = UgvRow(*(float(value) for value in row))
-        instance = self._instance(seen.time) if state is None else state
+        seen = dict(zip(names(UGV), map(float, row), strict=True))
+        instance = self._instance(seen["time"]) if state is None else state
         fmu, values = instance.fmu, _values(seen, perceived)
         try:
             for kind, inputs in self._inputs.items():
                 if inputs:
                     put = fmu.setBoolean if kind == "Boolean" else fmu.setFloat64
                     put([place for _, place in inputs], [values[name] for name, _ in inputs])
-            fmu.doStep(currentCommunicationPoint=seen.time, communicationStepSize=dt)
+            fmu.doStep(currentCommunicationPoint=seen["time"], communicationStepSize=dt)
             return fmu.getFloat64(self._outputs), instance
         except Exception as error:
             raise ScenarioError(instance.give_up(error)) from error
 
 
-def _values(seen: UgvRow, perceived: UgvObservation | None) -> Mapping[str, float]:
+def _values(seen: Mapping[str, float], perceived: UgvObservation | None) -> Mapping[str, float]:
     values: dict[str, float] = dict.fromkeys(_INPUTS, 0.0)
-    values |= zip((one.name for one in OWN_STATE), (seen.x, seen.y, seen.vx, seen.vy), strict=True)
-    goal = bool(seen.underway), seen.goal_x, seen.goal_y
+    motion = seen["x"], seen["y"], seen["vx"], seen["vy"]
+    values |= zip((one.name for one in OWN_STATE), motion, strict=True)
+    goal = bool(seen["underway"]), seen["goal_x"], seen["goal_y"]
     values |= zip((one.name for one in GOAL), goal, strict=True)
     received = perceived.radio[-1:] if perceived is not None else ()
     for message in received:

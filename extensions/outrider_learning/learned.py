@@ -8,8 +8,8 @@ from typing import Any, Self
 import numpy as np
 
 from bus.errors import ScenarioError
-from bus.layout import UavRow
 from bus.messages import UavBriefing, or_infinite
+from bus.observations import UAV
 from outrider_learning.mlp import Mlp, load_policy
 from outrider_learning.policy_inputs import EscortView
 from sim.engine.briefing import uav_briefing
@@ -84,7 +84,7 @@ class LearnedPolicy:
             "coverage_patch": (int(pixels), float(meters)),
         }
         """Arguments for the vector environment whose observations it needs."""
-        self._shapes = {"row": (len(UavRow._fields),), "coverage": (int(pixels), int(pixels))}
+        self._shapes = {"row": (len(UAV),), "coverage": (int(pixels), int(pixels))}
         self._ticks, self._dt = int(recipe["repeat"]), float(recipe["dt"])
         self._held: Array = np.zeros((0, 2))
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from bus.layout import UavRow
-from outrider.envs.observations.transformation import Mask, Transformation
+from bus.observations import UAV, by_name, names
+from outrider_learning.transformation import Mask, Transformation
 from sim.env.observation import AgentObservation, Array
 
-_ENTRIES = UavRow._fields
+_V_X = names(UAV).index("vx")
 _LARGEST = 5.0
 """Entries are cut to ± this."""
 _NEAR = 1e-6
@@ -86,11 +86,11 @@ class EscortView(Transformation):
         """The space of the one array."""
         row = space.spaces.get("row") if isinstance(space, spaces.Dict) else None
         picture = space.spaces.get("coverage") if isinstance(space, spaces.Dict) else None
-        if not isinstance(row, spaces.Box) or row.shape != (len(_ENTRIES),) or picture is None:
+        if not isinstance(row, spaces.Box) or row.shape != (len(UAV),) or picture is None:
             raise ValueError(f"EscortView needs a UAV's row and a coverage patch, not {space}")
-        if not np.isclose(row.high[_ENTRIES.index("vx")], self._v_max):
+        if not np.isclose(row.high[_V_X], self._v_max):
             raise ValueError(
-                f"EscortView is made for v_max = {self._v_max:g} m/s, not {row.high[_ENTRIES.index('vx')]:g} m/s"
+                f"EscortView is made for v_max = {self._v_max:g} m/s, not {row.high[_V_X]:g} m/s"
             )
         return spaces.Box(-_LARGEST, _LARGEST, (self.size,), np.float32)
 
@@ -117,9 +117,7 @@ class EscortView(Transformation):
         """The array of all worlds, of which only these go on by a step."""
         if not isinstance(observation, dict):
             raise ValueError("EscortView needs the row and the coverage patch")
-        row = dict(
-            zip(_ENTRIES, np.moveaxis(observation["row"].astype(np.float64), -1, 0), strict=True)
-        )
+        row = by_name(UAV, observation["row"].astype(np.float64))
         detected = row["detected"] > 0.0
         relative = np.stack((row["relative_x"], row["relative_y"]), axis=-1)
         place = np.stack((row["x"], row["y"]), axis=-1) - relative

@@ -1,6 +1,5 @@
 """The observation of a policy as a record that can be saved: an environment's settings and the wrappers around it."""
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -8,26 +7,20 @@ import msgspec
 import numpy as np
 from gymnasium import spaces
 
-from bus.messages import or_infinite
-from outrider.envs.observations.body import Egocentric
-from outrider.envs.observations.image import CoverageImage
-from outrider.envs.observations.normalized import Normalized
-from outrider.envs.observations.stacking import History
-from outrider.envs.observations.transformation import Transformation
-from outrider.envs.wrappers import VectorObservations
+from outrider_learning.egocentric import Egocentric
 from outrider_learning.policy_inputs import EscortView
 from outrider_learning.repeat import ActionRepeat
+from outrider_learning.stacking import Stack
 from outrider_learning.standardized import Standardized
+from outrider_learning.transformation import Transformation, Transformed
 from sim.env.observation import uav_space
 from sim.env.patch import given_patch
 from sim.env.spaces import extent_of
 from sim.scenario.types import Uav
 
 _KINDS: Mapping[str, type[Transformation]] = {
-    "normalized": Normalized,
     "egocentric": Egocentric,
-    "coverage_image": CoverageImage,
-    "history": History,
+    "stack": Stack,
     "escort_view": EscortView,
     "standardized": Standardized,
 }
@@ -43,11 +36,15 @@ _PASSED = {"env": _OF_GYMNASIUM, "venv": _OF_SB3}
 `VecTransposeImage` does, a model does again by itself.)"""
 
 
+NEEDED = frozenset({"T", "W", "H", "v_max", "d_max", "D"})
+"""The names of `bus.observations.SYMBOLS` that bound a UAV's observation."""
+
+
 class ObservationRecipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The observation of a policy."""
 
-    extent: dict[str, float | None]
-    """Values of `bus.layout.SYMBOLS` in the training environment; None: no bound."""
+    extent: dict[str, float]
+    """Values of the names in `NEEDED` in the training environment."""
     dt: float | None = None
     """Length of a tick [s]; None: not known."""
     estimate: bool = False
@@ -61,13 +58,13 @@ class ObservationRecipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     @property
     def length(self) -> float:
         """Of an episode [s]."""
-        return or_infinite(self.extent["T"])
+        return self.extent["T"]
 
     def space(self) -> spaces.Space[Any]:
         """The environment's own observation space."""
         patch = given_patch(self.coverage_patch)
         return uav_space(
-            {name: or_infinite(value) for name, value in self.extent.items()},
+            self.extent,
             estimate=self.estimate,
             gradient=self.gradient,
             pixels=0 if patch is None else patch.pixels,
@@ -79,7 +76,7 @@ def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of seve
     """The observation that an environment gives its UAV, with all wrappers around it.
 
     Args:
-        env: `outrider.vector_env` or `outrider.single_env`, in wrappers of `outrider.envs.wrappers`, `ActionRepeat`,
+        env: `outrider.vector_env` or `outrider.single_env`, in the wrappers `Transformed`, `ActionRepeat`,
             `VecEnvAdapter`, `VecNormalize` and such as change nothing; or a `VecEnv` of Stable-Baselines3 around them.
 
     Raises:
@@ -96,10 +93,7 @@ def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of seve
         raise ValueError(f"agent = {env.agent!r}: drives; allowed: a UAV")
     patch = options["coverage_patch"]
     return ObservationRecipe(
-        extent={
-            name: value if math.isfinite(value) else None
-            for name, value in extent_of(scenario, uav).items()
-        },
+        extent={name: value for name, value in extent_of(scenario, uav).items() if name in NEEDED},
         dt=scenario.dt,
         estimate=options["estimate"],
         gradient=options["gradient"],
@@ -112,7 +106,7 @@ def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of seve
 def _taken_off(env: Any) -> tuple[dict[str, Any] | None, Any]:  # noqa: ANN401
     """The outermost layer as a recipe has it, None where it changes nothing, and the environment inside."""
     name = type(env).__name__
-    if isinstance(env, VectorObservations):
+    if isinstance(env, Transformed):
         one = env.transformation
         kind = next((key for key, found in _KINDS.items() if type(one) is found), None)
         if kind is not None:
@@ -132,7 +126,7 @@ def _taken_off(env: Any) -> tuple[dict[str, Any] | None, Any]:  # noqa: ANN401
         if name in names:
             return None, getattr(env, attribute)
     raise ValueError(
-        f"{name}: cannot be saved with a policy; allowed: wrappers of outrider.envs.wrappers, ActionRepeat, "
+        f"{name}: cannot be saved with a policy; allowed: Transformed by Egocentric or Stack, ActionRepeat, "
         f"VecEnvAdapter, DummyVecEnv, VecNormalize of rows, and such as change neither observation nor action"
     )
 
@@ -152,8 +146,6 @@ def make_layer(layer: Mapping[str, Any]) -> Transformation | HeldAction:
     """
     given = dict(layer)
     kind = given.pop("kind", None)
-    if "dtype" in given:
-        given["dtype"] = np.dtype(given["dtype"]).type
     try:
         return HeldAction(**given) if kind == _REPEAT else _KINDS[str(kind)](**given)
     except (KeyError, TypeError, ValueError) as error:

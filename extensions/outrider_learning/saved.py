@@ -16,13 +16,19 @@ from gymnasium import spaces
 
 from bus.errors import ScenarioError
 from bus.files import read_regular, writing
-from bus.layout import SYMBOLS, UavRow
 from bus.messages import UavBriefing, or_infinite
+from bus.observations import ROUNDING, UAV, by_name, largest, names
 from bus.registry import UAV_POLICY_FORMS
-from outrider.envs.observations.transformation import Transformation
 from outrider.running.user_code import load_sb3_model
 from outrider_learning.learned import check_made_for
-from outrider_learning.recipe import HeldAction, ObservationRecipe, make_layer, observation_recipe
+from outrider_learning.recipe import (
+    NEEDED,
+    HeldAction,
+    ObservationRecipe,
+    make_layer,
+    observation_recipe,
+)
+from outrider_learning.transformation import Transformation
 from sim.engine.briefing import uav_briefing
 from sim.env.observation import AgentObservation, Array
 from sim.scenario.types import Scenario
@@ -121,10 +127,11 @@ class SavedPolicy:
         made, area = self._recipe.extent, briefing.area
         if self._recipe.dt is not None:
             check_made_for("dt", briefing.dt, self._recipe.dt)
-        v_max = or_infinite(briefing.limits.max_speed)
-        if not math.isclose(v_max, or_infinite(made["v_max"])):
-            check_made_for("max_speed", v_max, or_infinite(made["v_max"]))
-        width, height = or_infinite(made["W"]), or_infinite(made["H"])
+        most = largest(area, briefing.dt)["v_max"]
+        check_made_for(
+            "max_speed", min(or_infinite(briefing.limits.max_speed), most), made["v_max"]
+        )
+        width, height = made["W"], made["H"]
         if area.width > width or area.height > height:
             return (
                 f"made for ground of {width:g} m x {height:g} m, and this is {area.width:g} m x {area.height:g} m: "
@@ -202,7 +209,7 @@ class SavedPolicy:
         return layer.held.copy()
 
 
-_TIME, _AGE = UavRow._fields.index("time"), UavRow._fields.index("age")
+_TIME, _AGE = names(UAV).index("time"), names(UAV).index("age")
 
 
 def _shapes(space: spaces.Space[Any]) -> Any:  # noqa: ANN401
@@ -215,18 +222,22 @@ def _shapes(space: spaces.Space[Any]) -> Any:  # noqa: ANN401
 
 def _plain_row(space: spaces.Space[Any]) -> ObservationRecipe | None:
     """The recipe of a policy that observes the environment's own row, to be seen from its bounds; None: of another."""
-    fields, low, high = UavRow._fields, getattr(space, "low", None), getattr(space, "high", None)
-    if space.shape != (len(fields),) or low is None or high is None:
+    low, high = getattr(space, "low", None), getattr(space, "high", None)
+    if space.shape != (len(UAV),) or low is None or high is None:
         return None
-    at = dict(zip(fields, high.astype(np.float64).tolist(), strict=True))
+    at = by_name(UAV, high.astype(np.float64))
     extent = {"T": at["time"], "W": at["x"], "H": at["y"], "v_max": at["vx"]}
-    extent |= {"d_max": at["relative_x"], "D": math.hypot(at["x"], at["y"]), "E": math.inf}
-    recipe = ObservationRecipe(
-        extent={name: extent[name] if math.isfinite(extent[name]) else None for name in SYMBOLS},
-        dtype=np.dtype(space.dtype).name,
+    diagonal = math.hypot(at["x"], at["y"]) * ROUNDING
+    extent |= {"d_max": at["relative_x"], "D": diagonal}
+    dtype = np.dtype(space.dtype).name
+    detected, estimated = (
+        ObservationRecipe(extent=extent, dtype=dtype, estimate=estimate).space()
+        for estimate in (False, True)
     )
-    # An estimate has no largest distance, nor has a detection without a cut: which it is nobody can tell.
-    return recipe if recipe.space() == space and math.isfinite(at["relative_x"]) else None
+    # An estimate is bounded by the diagonal, and so is a detection whose noise has no bound: both are possible.
+    if space != detected or space == estimated:
+        return None
+    return ObservationRecipe(extent=extent, dtype=dtype)
 
 
 def load_sb3_policy(rest: str, where: str) -> SavedPolicy:
@@ -245,7 +256,7 @@ def load_sb3_policy(rest: str, where: str) -> SavedPolicy:
     beside = recipe_file(rest.partition(":")[2])
     try:
         recipe = msgspec.json.decode(read_regular(beside, _MOST_BYTES), type=ObservationRecipe)
-        if missing := SYMBOLS.keys() - recipe.extent.keys():
+        if missing := NEEDED - recipe.extent.keys():
             raise ValueError(f"extent: lacks {', '.join(sorted(missing))}")
     except FileNotFoundError:
         found = _plain_row(model.observation_space)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from outrider.envs.observations.transformation import Transformation, the_box
+from outrider_learning.transformation import Transformation
 from sim.env.observation import AgentObservation, Array
 
 
@@ -37,12 +37,11 @@ class Standardized(Transformation):
 
     def space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
         """The box of what comes out."""
-        box = the_box(space, "Standardized")
-        if box.shape != self._mean.shape:
+        if not isinstance(space, spaces.Box) or space.shape != self._mean.shape:
             raise ValueError(
-                f"Standardized: made for shape {self._mean.shape}, and this is {box.shape}"
+                f"Standardized: made for a Box of shape {self._mean.shape}, not {type(space).__name__} of {space.shape}"
             )
-        return spaces.Box(-self._clip, self._clip, box.shape, np.float32)
+        return spaces.Box(-self._clip, self._clip, self._mean.shape, np.float32)
 
     def apply(self, observation: AgentObservation) -> AgentObservation:
         """The array scaled."""

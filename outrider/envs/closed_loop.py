@@ -18,7 +18,6 @@ from agents.estimation.motion_model import (
     history_depth,
 )
 from agents.laws.dispatch import law_memories
-from bus.layout import GradientCue
 from bus.messages import LinkKind, LinkStatus, Mission
 from outrider.envs.closed_loop_state import (
     GUARD_METRICS,
@@ -109,10 +108,9 @@ class ClosedLoop:
                 dtype=np.int64,
             ),
         )
-        uav_columns, guard_columns = len(GradientCue._fields), len(GUARD_METRICS)
         self.state: LoopState | CommandedState = CommandedState(
             batch=self.batch.state,
-            rows=row_state(rows, worlds, uav_metrics=guard_columns, uav_columns=uav_columns),
+            rows=row_state(rows, worlds, uav_metrics=len(GUARD_METRICS)),
             certificates=np.repeat(certificate_counters(len(self.uavs))[None], worlds, axis=0),
         )
         self.faults = dict.fromkeys(self.uavs, "")

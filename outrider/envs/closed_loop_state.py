@@ -7,15 +7,11 @@ from agents.control.telling import TellingMemory
 from agents.drivers.dispatch import DriverTables
 from agents.drivers.tile_map import GroundMemory
 from agents.laws.dispatch import LawTables
-from bus.layout import UavRow
 from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rows import UAV_METRICS, RowState, RowTables
 from sim.kernels.compile import FloatArray, IntArray
 from sim.kernels.records import RecordArray
 from sim.models.ground import TileArray
-
-GRADIENT_X, GRADIENT_Y = len(UavRow._fields), len(UavRow._fields) + 1
-"""Columns of `RowState.uav_rows` after `UavRow`: those of `GradientCue`."""
 
 
 class GuardMetrics(NamedTuple):

@@ -26,8 +26,6 @@ from agents.estimation.batch_filter import estimate
 from agents.estimation.batch_filter import update as update_estimate
 from agents.laws.dispatch import nominal_command
 from outrider.envs.closed_loop_state import (
-    GRADIENT_X,
-    GRADIENT_Y,
     GUARD_METRICS,
     LoopParameters,
     LoopState,
@@ -48,7 +46,7 @@ from sim.engine.monitor import (
 )
 from sim.engine.world_state import Vehicle
 from sim.engine.world_tick import begin_world, measure, world_tick
-from sim.env.rows import UAV, UAV_METRICS, advance_rows, observe_rows
+from sim.env.rows import UAV_METRICS, advance_rows, observe_rows
 from sim.kernels.compile import FloatArray, IntArray, compiled, inlined, released
 from sim.kernels.records import RecordArray
 from sim.models.field import coverage_gradient, sample
@@ -342,15 +340,15 @@ def _add_cues(
 ) -> None:
     """Put the estimate and the gradient into the row of a UAV, where they are asked for and known."""
     world_parameters, row = tables.batch.world[0], state.rows.uav_rows[world, uav]
-    row[GRADIENT_X], row[GRADIENT_Y] = 0.0, 0.0
+    row.gradient_x, row.gradient_y = 0.0, 0.0
     target = estimate(state.kalman, world, uav)
     if not target.known:
         return
     g_x, g_y = target.p_x, target.p_y
-    x, y = row[UAV.x], row[UAV.y]
+    x, y = row.x, row.y
     if parameters.estimate:
-        row[UAV.detected], row[UAV.relative_x], row[UAV.relative_y] = 1.0, x - g_x, y - g_y
-        row[UAV.age] = state.kalman[world, uav, 0].age * world_parameters.dt
+        row.detected, row.relative_x, row.relative_y = 1.0, x - g_x, y - g_y
+        row.age = state.kalman[world, uav, 0].age * world_parameters.dt
     if parameters.gradient:
         u_x, u_y, size = coverage_gradient(
             state.maps[world, uav] if parameters.own_maps else state.batch.coverage[world],
@@ -366,7 +364,7 @@ def _add_cues(
             world_parameters.cell,
         )
         if size > 0.0:
-            row[GRADIENT_X], row[GRADIENT_Y] = u_x / size, u_y / size
+            row.gradient_x, row.gradient_y = u_x / size, u_y / size
 
 
 @inlined

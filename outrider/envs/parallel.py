@@ -1,7 +1,7 @@
 """One world as a PettingZoo environment: a thin view of the closed loop, with a batch of one.
 
-`bus.layout` says what each entry of an observation means, `sim.env.rewards` what is paid, `sim.env.rows` who gets
-what.
+`bus.observations` says what each entry of an observation means, `sim.env.rewards` what is paid, `sim.env.rows` who
+gets what.
 """
 
 from collections.abc import Mapping
@@ -15,8 +15,13 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
-from bus.layout import CommonState, bounds, state_names
-from bus.messages import Briefing, LinkStatus, UavCommand, UgvCommand
+from bus.messages import (
+    Briefing,
+    LinkStatus,
+    UavCommand,
+    UgvCommand,
+)
+from bus.observations import STATE, bounds, state_names, with_tables
 from outrider.envs.worlds import Worlds
 from sim.engine.briefing import briefing
 from sim.engine.mission import mission_numbers
@@ -36,6 +41,7 @@ Action = npt.ArrayLike | UavCommand | UgvCommand
 """An acceleration [m/s²], or the command of a pilot, which may carry backup plans and a route besides."""
 
 
+@with_tables
 class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     """A UAV escorts a UGV, sees as much ground around it as it can, and never loses sight of it.
 
@@ -43,35 +49,16 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     its norm, and a longer one is shortened. A pilot's command is an action, too. An observation is the vehicle's own
     row and nothing else; the whole truth is in `state()`. A UAV observes
 
-    | index | name | meaning | unit | range |
-    |---|---|---|---|---|
-    | 0 | `time` | time since the start of the episode | s | 0 … T |
-    | 1 | `x` | own position, x | m | 0 … W |
-    | 2 | `y` | own position, y | m | 0 … H |
-    | 3 | `vx` | own velocity, x | m/s | -v_max … v_max |
-    | 4 | `vy` | own velocity, y | m/s | -v_max … v_max |
-    | 5 | `detected` | 1 where a detection has come at this tick, else 0 | - | 0 … 1 |
-    | 6 | `relative_x` | detected p_a - p_g, x; 0 where none has come | m | -d_max … d_max |
-    | 7 | `relative_y` | detected p_a - p_g, y; 0 where none has come | m | -d_max … d_max |
-    | 8 | `age` | time since the newest detection was taken; T before the first | s | 0 … T |
+    <!-- generated: uav_observation -->
 
     and a UGV
 
-    | index | name | meaning | unit | range |
-    |---|---|---|---|---|
-    | 0 | `time` | time since the start of the episode | s | 0 … T |
-    | 1 | `x` | own position, x | m | 0 … W |
-    | 2 | `y` | own position, y | m | 0 … H |
-    | 3 | `vx` | own velocity, x | m/s | -v_max … v_max |
-    | 4 | `vy` | own velocity, y | m/s | -v_max … v_max |
-    | 5 | `underway` | 1 while a goal is still to be reached, else 0 | - | 0 … 1 |
-    | 6 | `goal_x` | goal, x; the last one stays when reached; 0 without goals | m | 0 … W |
-    | 7 | `goal_y` | goal, y; the last one stays when reached; 0 without goals | m | 0 … H |
+    <!-- generated: ugv_observation -->
 
     On ground with hazards a UGV's observation is a dictionary: `row`, and `tiles`, a picture of the ground as it knows
     it.
 
-    The letters of the ranges are explained in `bus.layout.SYMBOLS`; all agents end together.
+    The letters of the ranges are explained in `bus.observations.SYMBOLS`; all agents end together.
     `docs/reference/environment.md` is the environment's page.
 
     Args:
@@ -277,15 +264,16 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """
         world = self.world
         covered, seen = coverage_shares(world.coverage, world.parameters.desired)
-        values = [*CommonState(time=world.time, covered=covered, seen=seen)]
+        values = [world.time, covered, seen]
         for name in self.possible_agents:
             values += self._standings.state(name)
-        return np.array(values, dtype=self.worlds.settings.dtype)
+        space = self.state_space
+        return np.clip(np.array(values, dtype=self.worlds.settings.dtype), space.low, space.high)
 
     def _state_space(self) -> spaces.Box:
         """The space of `state`."""
         vehicles = self.scenario.vehicles
-        low, high = bounds(CommonState, extent_of(self.scenario, vehicles[0]))
+        low, high = bounds(STATE, extent_of(self.scenario, vehicles[0]))
         for vehicle in vehicles:
             row = self._standings.state_rows[vehicle.name]
             least, largest = bounds(row, extent_of(self.scenario, vehicle))

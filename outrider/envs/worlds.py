@@ -14,8 +14,8 @@ from gymnasium import logger
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
-from bus.layout import GradientCue, UavRow
 from bus.messages import LinkStatus, Mission
+from bus.observations import GRADIENT, UAV, as_rows
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.closed_loop_state import GUARD_METRICS
 from outrider.envs.pilot_numbers import pilot_names
@@ -151,7 +151,7 @@ class Worlds:
                 )
             if name not in named and not callable(pilot):
                 raise ValueError(f"others: {name!r}: {pilot!r} is neither a name nor a policy")
-            if hasattr(pilot, "check"):  # as outrider.learning's: it knows what it was made for
+            if hasattr(pilot, "check"):  # as outrider_learning's: it knows what it was made for
                 pilot.check(self.scenario)
 
     def world(self, number: int) -> World:
@@ -163,11 +163,12 @@ class Worlds:
         loop, form = self.loop, self._format
         if name in loop.ugvs:
             known = loop.known_tiles(name) if form.tile_patch else None
-            return form.shown(loop.state.rows.ugv_rows[:, loop.ugvs.index(name)], known=known)
-        width = len(UavRow._fields) + (len(GradientCue._fields) if self.settings.gradient else 0)
+            row = as_rows(loop.state.rows.ugv_rows)[:, loop.ugvs.index(name)]
+            return form.shown(name, row, known=known)
+        width = len(UAV) + (len(GRADIENT) if self.settings.gradient else 0)
         coverage = None if form.patch is None else loop.patch(name)
-        row = loop.state.rows.uav_rows[:, loop.uavs.index(name), :width]
-        return form.shown(row, coverage=coverage)
+        row = as_rows(loop.state.rows.uav_rows)[:, loop.uavs.index(name), :width]
+        return form.shown(name, row, coverage=coverage)
 
     def mission(self, world: int) -> Mission | None:
         """The mission of one world so far; None where there are no hazards."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from agents.drivers.policy import RowPolicy
 from bus.errors import ScenarioError, shortened, told_with_place
-from bus.layout import Row, UgvRow
+from bus.observations import UGV, Row, names
 from bus.registry import (
     LAWS,
     POLICY_FORMS,
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from agents.control.uav_policy import UavPolicy
     from sim.scenario.types import Scenario
 
-_ROW, _ACTION = (len(UgvRow._fields),), (2,)
+_ROW, _ACTION = (len(UGV),), (2,)
 """Shapes of what a saved policy sees and answers."""
 _FORMS = f"allowed: {POLICY_FORMS}"
 
@@ -70,7 +70,7 @@ def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a 
     """A policy for the driver `policy`.
 
     What a library has saved is loaded by that library, which must be installed, and runs code that is in the file:
-    load only what you trust. It sees the UGV's row as the environment gives it (`bus.layout.UgvRow`) and answers the
+    load only what you trust. It sees the UGV's row as the environment gives it (`bus.observations.UGV`) and answers the
     acceleration.
 
     Args:
@@ -171,7 +171,7 @@ def _check_units(row: object, where: str) -> None:
     low = getattr(row, "low", None)
     if low is None:
         return
-    below = np.array([name in {"vx", "vy"} for name in UgvRow._fields])
+    below = np.array([name in {"vx", "vy"} for name in names(UGV)])
     if (np.isfinite(low) & ((low < 0.0) != below)).any():
         raise ScenarioError(
             f"{where}: made for observations from {low.tolist()} on, which are no rows in SI units; allowed: rows as "

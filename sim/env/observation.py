@@ -1,19 +1,19 @@
 """The observation that an environment gives an agent: the vehicle's row, alone or in a dictionary with a picture."""
 
-import math
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from bus.layout import GradientCue, Row, UavRow, UgvRow, bounds
+from bus.observations import GRADIENT, UAV, UGV, Row, bounds, names
 from sim.env.patch import check_tile_patch, given_patch
-from sim.env.rows import UGV
 from sim.env.settings import Settings
 from sim.env.spaces import box, extent_of
 from sim.models.ground import OUTSIDE, TileArray, tile_patches
 from sim.scenario.types import Scenario, Uav, Ugv
+
+_X = names(UGV).index("x")
 
 Array = npt.NDArray[Any]
 AgentObservation = Array | dict[str, Array]
@@ -36,16 +36,21 @@ def uav_space(
     """The space of a UAV's observation in one world.
 
     Args:
-        extent: The values of `bus.layout.SYMBOLS`.
+        extent: The values of `bus.observations.SYMBOLS`.
         estimate, gradient, dtype: As in `sim.env.settings.Settings`.
         pixels: On each side of the picture of its map; 0: there is none.
     """
-    low, high = bounds(UavRow, extent | ({"d_max": math.inf} if estimate else {}))
-    least, largest = bounds(GradientCue, {}) if gradient else ([], [])
+    low, high = bounds(UAV, extent | ({"d_max": extent["D"]} if estimate else {}))
+    least, largest = bounds(GRADIENT, {}) if gradient else ([], [])
     row = box(low + least, high + largest, dtype)
     if not pixels:
         return row
     return spaces.Dict({"row": row, "coverage": spaces.Box(0.0, 1.0, (pixels, pixels), dtype)})
+
+
+def _row_bounds(space: spaces.Space[Any]) -> tuple[Array, Array]:
+    box: Any = space["row"] if isinstance(space, spaces.Dict) else space
+    return box.low, box.high
 
 
 class ObservationFormat:
@@ -54,6 +59,9 @@ class ObservationFormat:
     Args:
         scenario: The scenario that is flown.
         settings: The environment's.
+
+    Raises:
+        ValueError: If `dtype`, `coverage_patch` or `tile_patch` is not allowed.
     """
 
     def __init__(self, scenario: Scenario, settings: Settings) -> None:
@@ -70,10 +78,11 @@ class ObservationFormat:
             for vehicle in scenario.vehicles
         }
         """By vehicle, of an observation in one world."""
+        self._bounds = {name: _row_bounds(space) for name, space in self.spaces.items()}
 
     def _space(self, vehicle: Uav | Ugv, extent: dict[str, float]) -> spaces.Space[Any]:
         if isinstance(vehicle, Ugv):
-            row, side = box(*bounds(UgvRow, extent), self.dtype), self.tile_patch
+            row, side = box(*bounds(UGV, extent), self.dtype), self.tile_patch
             tiles = spaces.Box(0, OUTSIDE, (side, side), np.uint8)
             return spaces.Dict({"row": row, "tiles": tiles}) if side else row
         pixels = 0 if self.patch is None else self.patch.pixels
@@ -81,16 +90,17 @@ class ObservationFormat:
         return uav_space(extent, pixels=pixels, dtype=self.dtype, **cues)
 
     def shown(
-        self, row: Row, *, coverage: Array | None = None, known: TileArray | None = None
+        self, name: str, row: Row, *, coverage: Array | None = None, known: TileArray | None = None
     ) -> AgentObservation:
-        """An observation in this form: new arrays, which nobody changes later. Worlds may be leading axes.
+        """Return an observation in this form, inside its space: new arrays. Worlds may be leading axes.
 
         Args:
+            name: The vehicle.
             row: The vehicle's row. Shape (..., entries).
             coverage: A UAV's picture of its map, if it has one. Shape (..., pixels, pixels).
             known: The ground as a UGV knows it, if it has a picture of it. Shape (..., rows, columns).
         """
-        own = row.astype(self.dtype)
+        own = np.clip(row.astype(self.dtype), *self._bounds[name])
         if coverage is not None:
             return {"row": own, "coverage": coverage.astype(self.dtype)}
         return own if known is None else {"row": own, "tiles": self._tiles_around(row, known)}
@@ -101,7 +111,7 @@ class ObservationFormat:
         tile_patches(
             np.ascontiguousarray(known).reshape(-1, *known.shape[-2:]),
             self._tile,
-            np.ascontiguousarray(row[..., UGV.x : UGV.y + 1], np.float64).reshape(-1, 2),
+            np.ascontiguousarray(row[..., _X : _X + 2], np.float64).reshape(-1, 2),
             pictures.reshape(-1, side, side),
         )
         return pictures

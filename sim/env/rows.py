@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.layout import UavRow, UgvRow
+from bus.observations import GRADIENT, UAV, UGV, record_type
 from sim.channel.link_records import ARRIVED
 from sim.engine.ground_state import GroundState
 from sim.engine.mission import goals_of
@@ -60,8 +60,6 @@ class UgvMetrics(NamedTuple):
     """Of them those of this tick."""
 
 
-UAV, UGV = columns(UavRow), columns(UgvRow)
-"""Columns of `RowState.uav_rows` and `RowState.ugv_rows`."""
 UAV_METRICS, UGV_METRICS = columns(UavMetrics), columns(UgvMetrics)
 """Columns of `RowState.uavs` and `RowState.ugvs`."""
 
@@ -97,10 +95,10 @@ class RowState(NamedTuple):
     """`UavMetrics`; further columns are the caller's. Shape (worlds, UAVs, 8 or more)."""
     ugvs: FloatArray
     """`UgvMetrics`. Shape (worlds, UGVs, 10)."""
-    uav_rows: FloatArray
-    """`UavRow`; further columns are the caller's. Shape (worlds, UAVs, 9 or more)."""
-    ugv_rows: FloatArray
-    """`UgvRow`. Shape (worlds, UGVs, 8)."""
+    uav_rows: RecordArray
+    """`bus.observations.UAV`, and `GRADIENT`, which is the caller's. Shape (worlds, UAVs)."""
+    ugv_rows: RecordArray
+    """`bus.observations.UGV`. Shape (worlds, UGVs)."""
     terms: FloatArray
     """Of the last reward: `UavTerms` or `UgvTerms`. Shape (worlds, vehicles, 6)."""
     rewards: FloatArray
@@ -135,22 +133,20 @@ def row_tables(scenario: Scenario, settings: Settings, *, error: bool) -> RowTab
     )
 
 
-def row_state(
-    tables: RowTables, worlds: int, *, uav_metrics: int = 0, uav_columns: int = 0
-) -> RowState:
+def row_state(tables: RowTables, worlds: int, *, uav_metrics: int = 0) -> RowState:
     """The state before the first look.
 
     Args:
         tables: The tables.
         worlds: How many.
-        uav_metrics, uav_columns: Further columns of `uavs` and of `uav_rows`.
+        uav_metrics: Further columns of `uavs`.
     """
     vehicles, ugvs = len(tables.place), int((tables.place < 0).sum())
     state = RowState(
         uavs=np.zeros((worlds, vehicles - ugvs, len(UAV_METRICS) + uav_metrics)),
         ugvs=np.zeros((worlds, ugvs, len(UGV_METRICS))),
-        uav_rows=np.zeros((worlds, vehicles - ugvs, len(UAV) + uav_columns)),
-        ugv_rows=np.zeros((worlds, ugvs, len(UGV))),
+        uav_rows=np.zeros((worlds, vehicles - ugvs), dtype=record_type(UAV + GRADIENT)),
+        ugv_rows=np.zeros((worlds, ugvs), dtype=record_type(UGV)),
         terms=np.zeros((worlds, vehicles, len(UavTerms._fields))),
         rewards=np.zeros((worlds, vehicles)),
         terminated=np.zeros(worlds, dtype=np.int64),
@@ -308,18 +304,18 @@ def _observe_uav(
     vehicle = bs.vehicles[world, bt.escorts[uav, 0]]
     position, velocity = vehicle.reference_position, vehicle.reference_velocity
     time, newest = bs.ticks[world] * dt, state.uavs[world, uav, UAV_METRICS.newest]
-    row[UAV.time], row[UAV.x], row[UAV.y] = time, position[0], position[1]
-    row[UAV.vx], row[UAV.vy] = velocity[0], velocity[1]
-    row[UAV.detected], row[UAV.relative_x], row[UAV.relative_y] = 0.0, 0.0, 0.0
-    row[UAV.age] = tables.episode[0].ticks * dt if newest < 0.0 else time - newest * dt
+    row.time, row.x, row.y = time, position[0], position[1]
+    row.vx, row.vy = velocity[0], velocity[1]
+    row.detected, row.relative_x, row.relative_y = 0.0, 0.0, 0.0
+    row.age = tables.episode[0].ticks * dt if newest < 0.0 else time - newest * dt
     best = bs.packets[world, uav, ARRIVED, 0]
     for n in range(1, bs.links[world, uav].arrived):
         if bs.packets[world, uav, ARRIVED, n].stamp > best.stamp:
             best = bs.packets[world, uav, ARRIVED, n]
     if bs.links[world, uav].arrived > 0:
-        row[UAV.detected] = 1.0
-        row[UAV.relative_x], row[UAV.relative_y] = best.vector[0], best.vector[1]
-        row[UAV.age] = time - best.stamp * dt
+        row.detected = 1.0
+        row.relative_x, row.relative_y = best.vector[0], best.vector[1]
+        row.age = time - best.stamp * dt
 
 
 @inlined
@@ -328,14 +324,14 @@ def _observe_ugv(bt: BatchTables, bs: BatchState, state: RowState, world: int, u
     row, vehicle = state.ugv_rows[world, ugv], bs.vehicles[world, bt.ugvs[ugv]]
     goals = goals_of(bt.goals, bt.goal_rows, ugv)
     goal = int(state.ugvs[world, ugv, UGV_METRICS.reached])
-    row[UGV.time] = bs.ticks[world] * bt.world[0].dt
-    row[UGV.x], row[UGV.y] = vehicle.position[0], vehicle.position[1]
-    row[UGV.vx], row[UGV.vy] = vehicle.velocity[0], vehicle.velocity[1]
+    row.time = bs.ticks[world] * bt.world[0].dt
+    row.x, row.y = vehicle.position[0], vehicle.position[1]
+    row.vx, row.vy = vehicle.velocity[0], vehicle.velocity[1]
     count = goals.shape[0]
-    row[UGV.underway], row[UGV.goal_x], row[UGV.goal_y] = 1.0 if goal < count else 0.0, 0.0, 0.0
+    row.underway, row.goal_x, row.goal_y = 1.0 if goal < count else 0.0, 0.0, 0.0
     if count > 0:
         goal = min(goal, count - 1)
-        row[UGV.goal_x], row[UGV.goal_y] = goals[goal, 0], goals[goal, 1]
+        row.goal_x, row.goal_y = goals[goal, 0], goals[goal, 1]
 
 
 @compiled

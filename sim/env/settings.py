@@ -46,7 +46,7 @@ class Settings:
     estimate: bool = False
     """True: the UAVs' rows have the Kalman filter's estimate in the place of the raw detection."""
     gradient: bool = False
-    """True: the UAVs' rows end with `bus.layout.GradientCue`."""
+    """True: the UAVs' rows end with `bus.observations.GRADIENT`."""
     safety_filter: bool = False
     """True: the UAVs' actions go through the safety filter, as those of the law `certified` do."""
     others: Mapping[str, str | BatchPolicy] | None = None

@@ -6,27 +6,29 @@ from collections.abc import Sequence
 import numpy as np
 from gymnasium import spaces
 
+from bus.observations import ROUNDING, largest
 from sim.scenario.types import Scenario, Uav, Ugv
 
 FREE_ACCELERATION = 10.0
 """Bound of the action space of a vehicle whose acceleration has none [m/s²]: about what gravity gives."""
 
-_ROUNDING = 1.0 + 2.0**-50  # a few last places: clipping to a length rounds
-
 
 def extent_of(scenario: Scenario, vehicle: Uav | Ugv) -> dict[str, float]:
-    """The values of `bus.layout.SYMBOLS` for one vehicle."""
-    area, noise = scenario.area, scenario.detections.noise
+    """The values of `bus.observations.SYMBOLS` for one vehicle."""
+    area, noise, most = (
+        scenario.area,
+        scenario.detections.noise,
+        largest(scenario.area, scenario.dt),
+    )
     sight = max(scenario.sensor.range, scenario.visibility.radius) + (
         noise * scenario.noise_cut if noise > 0.0 else 0.0
     )
-    return {
+    return most | {
         "T": scenario.ticks * scenario.dt,
         "W": area.width,
         "H": area.height,
-        "v_max": vehicle.max_speed * _ROUNDING,
-        "d_max": sight * _ROUNDING,
-        "D": math.hypot(area.width, area.height) * _ROUNDING,
+        "v_max": min(vehicle.max_speed * ROUNDING, most["v_max"]),
+        "d_max": min(sight * ROUNDING, most["d_max"]),
         "E": 2.0 * scenario.coverage.desired**2 * area.width * area.height,
     }
 

@@ -1,6 +1,6 @@
 """True standing of each vehicle of one world of many in its episode, as numbers by name."""
 
-from bus.layout import Row, UavRow, UavState, UgvRow, UgvState
+from bus.observations import UAV_STATE, UGV_STATE, Row, Table, as_rows
 from sim.env.rewards import MISSION_TERMS, UavTerms, UgvTerms
 from sim.env.rows import RowState, RowTables, UavMetrics, UgvMetrics
 from sim.scenario.types import Scenario, Ugv
@@ -22,8 +22,8 @@ class Standings:
         self._tables, self._state, self._world = tables, state, world
         self._numbers = {name: number for number, name in enumerate(names)}
         self._places: dict[str, int] = dict(zip(names, tables.place.tolist(), strict=True))
-        self.state_rows: dict[str, type[UavState | UgvState]] = {
-            vehicle.name: UgvState if isinstance(vehicle, Ugv) else UavState
+        self.state_rows: dict[str, Table] = {
+            vehicle.name: UGV_STATE if isinstance(vehicle, Ugv) else UAV_STATE
             for vehicle in scenario.vehicles
         }
         """The entries of the state of each vehicle."""
@@ -38,18 +38,20 @@ class Standings:
     def row(self, name: str) -> Row:
         """The row of a vehicle, with all its columns; a view."""
         place, state, world = self._places[name], self._state, self._world
-        row: Row = state.uav_rows[world, place] if place >= 0 else state.ugv_rows[world, -1 - place]
+        rows, number = (state.uav_rows, place) if place >= 0 else (state.ugv_rows, -1 - place)
+        row: Row = as_rows(rows)[world, number]
         return row
 
-    def state(self, name: str) -> UavState | UgvState:
+    def state(self, name: str) -> list[float]:
         """The truth of a vehicle."""
         place, row = self._places[name], self.row(name).tolist()
         if place >= 0:
-            own, metrics = UavRow._make(row[: len(UavRow._fields)]), self._uav(place)
+            time, metrics = row[0], self._uav(place)
             late = self._tables.episode["ticks"].item() * self._dt
-            age = own.time - metrics.newest * self._dt if metrics.newest >= 0.0 else late
-            return UavState(own.x, own.y, own.vx, own.vy, metrics.distance, metrics.error, age)
-        return UgvState._make(UgvRow._make(row)[1:])
+            age = time - metrics.newest * self._dt if metrics.newest >= 0.0 else late
+            return [*row[1:5], metrics.distance, metrics.error, age]
+        truth: list[float] = row[1:]
+        return truth
 
     def metrics(self, name: str) -> dict[str, float]:
         """A vehicle's true standing, for people."""

@@ -16,10 +16,10 @@ from gymnasium.vector.utils import batch_space
 import outrider
 from outrider.envs.env_pilots import pilots
 from outrider.envs.worlds import Worlds
-from outrider.envs.wrappers import transformed
 from outrider_learning.learned import LearnedPolicy, make_view
 from outrider_learning.mlp import Mlp, load_policy, save_policy
 from outrider_learning.repeat import ActionRepeat
+from outrider_learning.transformation import Transformed
 from processes import loaded_by
 from refusals import refused
 from sim.models.ground import CLEAR
@@ -106,7 +106,7 @@ def test_it_sees_what_it_was_trained_on() -> None:
             NOISY, num_envs=3, duration=6.0, safety_filter=True, **policy.setup
         )
 
-    training = transformed(ActionRepeat(make(), recipe["repeat"]), lambda: make_view(recipe))
+    training = Transformed(ActionRepeat(make(), recipe["repeat"]), make_view(recipe))
     plain = make()
     assert (
         training.action_space == batch_space(training.single_action_space, 3) != plain.action_space
@@ -253,14 +253,12 @@ def test_a_policy_asks_for_the_observations_that_it_needs(evaluation: ModuleType
     with pytest.raises(ValueError, match="make the environment with its setup"):
         policy(env.reset(seed=1)[0])
     with pytest.raises(ValueError, match="a UAV's row and a coverage patch"):
-        transformed(env, lambda: make_view(policy.recipe))
+        Transformed(env, make_view(policy.recipe))
     fast = load_scenario("escort", overrides={"uav.0.max_speed": 0.7})
     with pytest.raises(ValueError, match=r"uav_0: max_speed = 0.7: the policy is made for 0.6"):
         policy.check(fast)
     with pytest.raises(ValueError, match=r"v_max = 0.6 m/s, not 0.7 m/s"):
-        transformed(
-            outrider.vector_env(fast, num_envs=2, **policy.setup), lambda: make_view(policy.recipe)
-        )
+        Transformed(outrider.vector_env(fast, num_envs=2, **policy.setup), make_view(policy.recipe))
     with pytest.raises(ValueError, match=r"uav_0: max_speed = 0.7: the policy is made for 0.6"):
         outrider.vector_env(fast, num_envs=2, agent="ugv_0", others={"uav_0": policy})
     for change in ({"coverage_patch": (8, 0.5)}, {"gradient": True}):

@@ -16,7 +16,6 @@ import pytest
 from episodes import DURATIONS, EXAMPLES, flown
 
 import outrider
-from outrider.envs.wrappers import normalized
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning"
@@ -24,7 +23,7 @@ pytestmark = pytest.mark.filterwarnings(
 
 MAKE = {
     "raw": outrider.parallel_env,
-    "normalized": lambda *args, **options: normalized(outrider.parallel_env(*args, **options)),
+    "float32": lambda *args, **options: outrider.parallel_env(*args, **options, dtype=np.float32),
 }
 
 

@@ -35,17 +35,19 @@ from stable_baselines3.common.vec_env import (
 
 import outrider
 from bus.errors import ScenarioError
-from outrider.envs.wrappers import VectorObservations, history, normalized
 from outrider.running.flying import fly
 from outrider.running.user_code import check_own_functions, load_uav_policy
+from outrider_learning.egocentric import Egocentric
 from outrider_learning.learned import LearnedPolicy
 from outrider_learning.mlp import load_policy
 from outrider_learning.recipe import observation_recipe
 from outrider_learning.repeat import ActionRepeat
 from outrider_learning.saved import save_sb3_policy
 from outrider_learning.sb3 import VecEnvAdapter
+from outrider_learning.stacking import Stack
 from outrider_learning.suite.scoring import evaluate
 from outrider_learning.suite.tasks import TASKS
+from outrider_learning.transformation import Transformed
 from sim.env.observation import one_of_world
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Custom
@@ -62,10 +64,10 @@ def _rows(duration=2.0, **settings):
 ENVS = {
     "rows": _rows,
     "dictionaries": lambda **settings: _rows(coverage_patch=(5, 1.0), **settings),
-    "wrapped": lambda **settings: history(
-        normalized(_rows(coverage_patch=(5, 1.0), **settings)), 3
+    "wrapped": lambda **settings: Transformed(
+        Transformed(_rows(coverage_patch=(5, 1.0), **settings), Egocentric()), Stack(3)
     ),
-    "repeated": lambda **settings: normalized(ActionRepeat(_rows(**settings), 5)),
+    "repeated": lambda **settings: ActionRepeat(_rows(**settings), 5),
 }
 
 
@@ -189,7 +191,7 @@ def test_seeds_and_options_count_once():
 
 
 def test_attributes_methods_and_layers():
-    env = normalized(_rows())
+    env = Transformed(_rows(), Stack(2))
     adapter = VecEnvAdapter(env)
     assert adapter.get_attr("agent") == ["uav_0"] * 3
     assert adapter.get_attr("agent", 1) == ["uav_0"]
@@ -203,7 +205,7 @@ def test_attributes_methods_and_layers():
     adapter.reset()
     (metrics,) = adapter.env_method("metrics", indices=2)
     assert metrics["uav_0"]["ticks"].shape == (3,)
-    assert adapter.env_is_wrapped(VectorObservations) == [True] * 3
+    assert adapter.env_is_wrapped(Transformed) == [True] * 3
     assert adapter.env_is_wrapped(ActionRepeat, indices=[0]) == [False]
     assert adapter.env_is_wrapped(Monitor) == [True] * 3
     assert adapter.render_mode is None
@@ -237,7 +239,7 @@ def test_a_truncated_end_is_worth_what_the_critic_says_of_its_last_observation()
                 assert np.allclose(self.model.rollout_buffer.rewards[t], expected, atol=1e-6)
 
     compare = Compare()
-    env = Recorded(normalized(_rows(duration=1.0)))
+    env = Recorded(_rows(duration=1.0))
     PPO(
         "MlpPolicy", env, n_steps=45, batch_size=45, n_epochs=1, gamma=0.9, seed=0, device="cpu"
     ).learn(135, callback=compare)
@@ -246,16 +248,12 @@ def test_a_truncated_end_is_worth_what_the_critic_says_of_its_last_observation()
 
 def test_the_library_s_own_wrappers_and_its_evaluation():
     env = VecNormalize(
-        VecMonitor(
-            VecCheckNan(VecEnvAdapter(normalized(_rows(duration=1.0))), raise_exception=True)
-        )
+        VecMonitor(VecCheckNan(VecEnvAdapter(_rows(duration=1.0)), raise_exception=True))
     )
     model = PPO("MlpPolicy", env, n_steps=20, batch_size=60, device="cpu", seed=0).learn(120)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        mean, _ = evaluate_policy(
-            model, VecEnvAdapter(normalized(_rows(duration=1.0))), n_eval_episodes=3
-        )
+        mean, _ = evaluate_policy(model, VecEnvAdapter(_rows(duration=1.0)), n_eval_episodes=3)
     assert -5.0 < mean < 0.0
 
 
@@ -263,7 +261,7 @@ def test_the_library_s_own_wrappers_and_its_evaluation():
     ("name", "policy"), [("rows", "MlpPolicy"), ("dictionaries", "MultiInputPolicy")]
 )
 def test_ppo_learns_saves_and_loads(name, policy, tmp_path):
-    adapter = VecEnvAdapter(normalized(ENVS[name](duration=1.0)))
+    adapter = VecEnvAdapter(ENVS[name](duration=1.0))
     model = PPO(
         policy, adapter, n_steps=100, batch_size=300, n_epochs=2, seed=3, device="cpu"
     ).learn(3000)
@@ -359,7 +357,7 @@ def test_vec_envs_as_rl_zoo_makes_them(kind, tmp_path):
 
 
 def test_the_adapter_s_worlds_are_filmed(tmp_path):
-    adapter = VecEnvAdapter(normalized(_rows(duration=0.5, render_mode="rgb_array")))
+    adapter = VecEnvAdapter(_rows(duration=0.5, render_mode="rgb_array"))
     assert adapter.render_mode == "rgb_array"
     film = VecVideoRecorder(adapter, str(tmp_path), lambda step: step == 0, video_length=12)
     film.reset()
@@ -419,7 +417,7 @@ def _trained(make, tmp_path, **settings):
 
 SAVED = {
     "rows": VecEnvAdapter,
-    "normalized": lambda env: VecMonitor(VecEnvAdapter(history(normalized(env), 2))),
+    "stacked": lambda env: VecMonitor(VecEnvAdapter(Transformed(env, Stack(2)))),
     "running": lambda env: VecNormalize(VecEnvAdapter(ActionRepeat(env, 5))),
 }
 
@@ -454,7 +452,7 @@ def test_what_was_learned_flies_a_run_on_what_it_was_trained_on(kind, law, tmp_p
         seen, *_ = env.step(model.predict(seen, deterministic=True)[0])
 
 
-def test_a_model_of_plain_rows_flies_and_a_normalized_one_does_not(tmp_path):
+def test_a_model_of_plain_rows_flies_and_a_stacked_one_does_not(tmp_path):
     model = PPO("MlpPolicy", ESCORT, n_steps=8, batch_size=8, device="cpu")
     model.save(tmp_path / "plain.zip")
     assert observation_recipe(model.get_env()).layers == ()
@@ -463,13 +461,13 @@ def test_a_model_of_plain_rows_flies_and_a_normalized_one_does_not(tmp_path):
     assert fly(load_scenario(SCENARIO, overrides=changes), 1)[1].ticks == 40
     (task,) = (one for one in TASKS if one.name == "short-sight")
     assert evaluate(task, load_uav_policy(name), seeds=[9000], safety_filter=True).score > 0.0
-    _, name = _trained(SAVED["normalized"], tmp_path)
+    _, name = _trained(SAVED["stacked"], tmp_path)
     (tmp_path / "model.json").unlink()
-    with pytest.raises(ScenarioError, match=r"shape \(18,\) that are not the UAV's row"):
+    with pytest.raises(ScenarioError, match=r"shape \(2, 9\) that are not the UAV's row"):
         load_uav_policy(name)
-    _, name = _trained(SAVED["normalized"], tmp_path)
+    _, name = _trained(SAVED["stacked"], tmp_path)
     told = json.loads((tmp_path / "model.json").read_text())
-    told["layers"] = told["layers"][:1]
+    told["layers"] = []
     (tmp_path / "model.json").write_text(json.dumps(told))
-    with pytest.raises(ScenarioError, match=r"made for observations of shape \(18,\)"):
+    with pytest.raises(ScenarioError, match=r"made for observations of shape \(2, 9\)"):
         load_uav_policy(name)

@@ -9,9 +9,14 @@ from episodes import DURATIONS, EXAMPLES, flown, run_example
 from stable_baselines3 import PPO
 
 import outrider
-from outrider.envs.wrappers import normalized
 
 EXAMPLE = EXAMPLES / "supersuit_sb3.py"
+
+
+def normalized(*, duration):
+    """The bare environment, as the example rescales it."""
+    env = outrider.parallel_env("escort", duration=duration, dtype=np.float32)
+    return supersuit.normalize_obs_v0(env, env_min=-1, env_max=1)
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +26,7 @@ def make_env():
 
 @pytest.mark.parametrize("end", DURATIONS)
 def test_an_episode_is_the_bare_environments_to_its_end(make_env, end):
-    bare = normalized(outrider.parallel_env("escort", duration=DURATIONS[end]))
+    bare = normalized(duration=DURATIONS[end])
     env = make_env(1, duration=DURATIONS[end], seed=5)
     seen, _ = env.venv.reset(seed=5)  # SB3's own reset() begins the next episode
     for expected, actions, answers in flown(bare, end):
@@ -77,7 +82,7 @@ def test_frame_skip_goes_past_the_first_episode_of_one_learner():
 
 
 def test_frame_skip_goes_past_the_first_episode_of_all_vehicles():
-    env, bare = (normalized(outrider.parallel_env("escort", duration=0.5)) for _ in range(2))
+    env, bare = (normalized(duration=0.5) for _ in range(2))
     env = supersuit.frame_skip_v0(env, 4)
     for _ in range(2):
         env.reset(seed=1)

@@ -13,7 +13,8 @@ from torchrl.envs import GymWrapper, PettingZooWrapper
 from torchrl.envs.utils import check_env_specs
 
 import outrider
-from outrider.envs.wrappers import history, normalized
+from outrider_learning.stacking import Stack
+from outrider_learning.transformation import Transformed
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkSettings, LinkTable
 
@@ -27,10 +28,6 @@ EXAMPLE = EXAMPLES / "train_torchrl.py"
 MAKE = {
     "raw": outrider.parallel_env,
     "float32": lambda *args, **options: outrider.parallel_env(*args, **options, dtype=np.float32),
-    "normalized": lambda *args, **options: normalized(outrider.parallel_env(*args, **options)),
-    "history": lambda *args, **options: history(
-        normalized(outrider.parallel_env(*args, **options)), 3
-    ),
     "coverage": lambda *args, **options: outrider.parallel_env(
         *args, **options, coverage_patch=(8, 1.0)
     ),
@@ -52,7 +49,7 @@ def test_torchrls_own_check_passes(kind, return_state):
     )
 
 
-@pytest.mark.parametrize("kind", ["raw", "normalized"])
+@pytest.mark.parametrize("kind", ["raw", "float32"])
 @pytest.mark.parametrize("end", DURATIONS)
 def test_an_episode_is_the_bare_environments_to_its_end(kind, end):
     bare, env = (MAKE[kind]("escort", duration=DURATIONS[end]) for _ in range(2))
@@ -123,15 +120,15 @@ def test_only_a_termination_ends_the_future():
     torch.testing.assert_close(frames["uav", "advantage"].flatten(), expected, rtol=1e-4, atol=1e-4)
     last = int(ended.nonzero()[0])
     # the end of the old episode, not the beginning of the new
-    assert frames["next", "uav", "observation"][last, 0, 0] == 1.0
-    assert frames["uav", "observation"][last + 1, 0, 0] == -1.0
+    assert frames["next", "uav", "observation"][last, 0, 0] > 1.0  # the time [s]
+    assert frames["uav", "observation"][last + 1, 0, 0] == 0.0
 
 
 @pytest.mark.parametrize("wrapped", [False, True])
 def test_gym_wrapper_steps_many_worlds_past_their_ends(wrapped):
     bare, inner = (outrider.vector_env("escort", num_envs=2, duration=0.5) for _ in range(2))
     if wrapped:
-        bare, inner = normalized(bare), normalized(inner)
+        bare, inner = (Transformed(env, Stack(3)) for env in (bare, inner))
     env = GymWrapper(inner)
     seen, _ = bare.reset(seed=5)
     frame = env.reset(seed=5)
@@ -184,7 +181,7 @@ def test_a_bad_network_needs_its_infos_left_out():
     )
     check_env_specs(
         PettingZooWrapper(
-            WithoutInfos(normalized(outrider.parallel_env(poor, duration=2.0))), return_state=True
+            WithoutInfos(outrider.parallel_env(poor, duration=2.0)), return_state=True
         )
     )
 

@@ -1,0 +1,264 @@
+"""Entries of the environment's observations and state: name, meaning, unit, range.
+
+Arrays, spaces, docstrings and the documentation are generated from these tables. SI units; positions are in the world
+frame, relative positions are p_delta = p_a - p_g. The tables keep the information contract of `bus.messages`: a
+vehicle's row holds its own state and what it perceives. The tables of the state hold the truth, and no vehicle reads
+them.
+"""
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from bus.messages import Area, Detection, UavObservation, UgvObservation
+
+_Class = TypeVar("_Class", bound=type)
+
+Row = npt.NDArray[np.floating[Any]]
+"""A row as an array, float64 or float32."""
+
+
+class Entry(NamedTuple):
+    """One entry of a row."""
+
+    name: str
+    meaning: str
+    unit: str
+    """Empty for a number without a unit."""
+    low: str
+    """Lower bound: 0, 1 or a name of `SYMBOLS`, with a minus sign if it is negative."""
+    high: str
+    """Upper bound."""
+
+
+Table = tuple[Entry, ...]
+"""The entries of a row, in order."""
+
+SYMBOLS = {
+    "T": "length of an episode [s]",
+    "W": "width of the area [m]",
+    "H": "height of the area [m]",
+    "v_max": "maximum speed of the vehicle [m/s], at most D in one tick",
+    "d_max": "largest observed relative position [m]: for a detection the sensor's range plus the largest noise, at "
+    "most D; for an estimate D",
+    "D": "diagonal of the area [m]",
+    "E": "2 C*^2 W H, more than e(t) can ever be [m^2]",
+}
+"""The meaning of the names in the ranges."""
+
+_TIME = Entry("time", "time since the start of the episode", "s", "0", "T")
+_AGE = Entry("age", "time since the newest detection was taken; T before the first", "s", "0", "T")
+_UNDERWAY = Entry("underway", "1 while a goal is still to be reached, else 0", "", "0", "1")
+
+
+def _motion(whose: str) -> Table:
+    """Return position and velocity of a vehicle."""
+    return (
+        Entry("x", f"{whose}position, x", "m", "0", "W"),
+        Entry("y", f"{whose}position, y", "m", "0", "H"),
+        Entry("vx", f"{whose}velocity, x", "m/s", "-v_max", "v_max"),
+        Entry("vy", f"{whose}velocity, y", "m/s", "-v_max", "v_max"),
+    )
+
+
+UAV: Table = (
+    _TIME,
+    *_motion("own "),
+    Entry("detected", "1 if a detection has come at this tick, else 0", "", "0", "1"),
+    Entry("relative_x", "detected p_a - p_g, x; 0 without a detection", "m", "-d_max", "d_max"),
+    Entry("relative_y", "detected p_a - p_g, y; 0 without a detection", "m", "-d_max", "d_max"),
+    _AGE,
+)
+"""A UAV's observation: its own state, and the newest detection of the UGV."""
+
+GRADIENT: Table = tuple(
+    Entry(
+        f"gradient_{axis}",
+        f"u_cov of (6) at the estimate, over the size of its integrand, {axis}; 0 without an estimate",
+        "",
+        "-1",
+        "1",
+    )
+    for axis in "xy"
+)
+"""Two further entries of a UAV's row on request: the direction of new ground, on its own map."""
+
+UGV: Table = (
+    _TIME,
+    *_motion("own "),
+    _UNDERWAY,
+    Entry("goal_x", "goal, x; the last one stays when reached; 0 without goals", "m", "0", "W"),
+    Entry("goal_y", "goal, y; the last one stays when reached; 0 without goals", "m", "0", "H"),
+)
+"""A UGV's observation: its own state, and its own goal."""
+
+STATE: Table = (
+    _TIME,
+    Entry("covered", "share of the area with C >= C*", "", "0", "1"),
+    Entry("seen", "mean of min(C / C*, 1) over the area", "", "0", "1"),
+)
+"""Facts of no single vehicle, at the start of the state."""
+
+UAV_STATE: Table = (
+    *_motion(""),
+    Entry("distance", "true distance from its UGV", "m", "0", "D"),
+    Entry("coverage_error", "e(t) of (4) with the true p_g", "m^2", "0", "E"),
+    _AGE,
+)
+"""The truth of one UAV and its UGV."""
+
+UGV_STATE: Table = (
+    *_motion(""),
+    _UNDERWAY,
+    Entry("goal_x", "goal, x", "m", "0", "W"),
+    Entry("goal_y", "goal, y", "m", "0", "H"),
+)
+"""The truth of one UGV."""
+
+
+def names(table: Table) -> tuple[str, ...]:
+    """Return the names of the entries, in order."""
+    return tuple(entry.name for entry in table)
+
+
+def by_name(table: Table, rows: npt.ArrayLike) -> dict[str, Any]:
+    """Return the entries of rows by name, views where they are arrays.
+
+    Args:
+        table: The entries.
+        rows: Shape (..., entries).
+    """
+    return dict(zip(names(table), np.moveaxis(np.asarray(rows), -1, 0), strict=True))
+
+
+def record_type(table: Table) -> np.dtype[np.void]:
+    """Return the dtype of a structured array whose records are rows; `as_rows` gives them as plain numbers."""
+    return np.dtype([(entry.name, np.float64) for entry in table], align=True)
+
+
+def as_rows(records: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
+    """Return a view of records as rows. Shape (...) to (..., entries)."""
+    return records.view(np.float64).reshape(*records.shape, -1)
+
+
+def bounds(table: Table, extent: Mapping[str, float]) -> tuple[list[float], list[float]]:
+    """Return the lower and upper bounds of a row.
+
+    Args:
+        table: The entries.
+        extent: The values of `SYMBOLS` that they need.
+    """
+    values = {"0": 0.0, "1": 1.0, **extent}
+
+    def value(symbol: str) -> float:
+        return -values[symbol[1:]] if symbol.startswith("-") else values[symbol]
+
+    return [value(entry.low) for entry in table], [value(entry.high) for entry in table]
+
+
+ROUNDING = 1.0 + 2.0**-50
+"""Factor on a bound of a vector's length: its components may exceed the length by a few last places."""
+
+
+def clipped(table: Table, row: Row, area: Area, dt: float) -> Row:
+    """Return a row whose velocity and relative position are clipped, as every observation is.
+
+    Only values that carry no information are changed: relative positions beyond the area's diagonal, which a diverged
+    estimate or unlimited noise gives, and speeds at which a vehicle without a limit crosses the area in one tick.
+
+    Args:
+        table: The entries.
+        row: Shape (entries,).
+        area: Q.
+        dt: Length of a tick [s].
+    """
+    unlimited = dict.fromkeys(SYMBOLS, math.inf)
+    return np.clip(row, *bounds(table, unlimited | largest(area, dt)))
+
+
+def largest(area: Area, dt: float) -> dict[str, float]:
+    """Return the values of `D`, and of `d_max` and `v_max` where nothing else bounds them.
+
+    Args:
+        area: Q.
+        dt: Length of a tick [s].
+    """
+    diagonal = math.hypot(area.width, area.height) * ROUNDING
+    return {"D": diagonal, "d_max": diagonal, "v_max": diagonal / dt}
+
+
+def markdown(table: Table) -> str:
+    """Return the table in Markdown: index, name, meaning, unit, range."""
+    lines = ["| index | name | meaning | unit | range |", "|---|---|---|---|---|"]
+    for index, (name, meaning, unit, low, high) in enumerate(table):
+        lines.append(f"| {index} | `{name}` | {meaning} | {unit or '-'} | {low} … {high} |")
+    return "\n".join(lines)
+
+
+TABLES = {
+    "uav_observation": UAV,
+    "gradient_observation": GRADIENT,
+    "ugv_observation": UGV,
+    "common_state": STATE,
+    "uav_state": UAV_STATE,
+    "ugv_state": UGV_STATE,
+}
+"""The tables by their marks, `<!-- generated: NAME -->`, in docstrings and in the documentation."""
+
+
+def with_tables(cls: _Class) -> _Class:
+    """Decorate a class: replace the marks in its docstring by the tables, for `help`."""
+
+    def table(found: re.Match[str]) -> str:
+        indent, name = found.groups()
+        return "\n".join(indent + line for line in markdown(TABLES[name]).splitlines())
+
+    if cls.__doc__ is not None:  # python -OO removes it
+        cls.__doc__ = re.sub(r"( *)<!-- generated: (\w+) -->", table, cls.__doc__)
+    return cls
+
+
+def state_names(vehicles: Iterable[tuple[str, Table]]) -> list[str]:
+    """Return the names of the state's entries: the common ones, then those of each vehicle, as `uav_0.x`."""
+    return [
+        *names(STATE),
+        *(f"{name}.{entry}" for name, table in vehicles for entry in names(table)),
+    ]
+
+
+def uav_observation(row: Row, *, dt: float) -> UavObservation:
+    """Return a UAV's row as the message that its pilot reads over the bus.
+
+    Args:
+        row: The entries of `UAV`.
+        dt: Length of a tick [s].
+    """
+    own = dict(zip(names(UAV), row.tolist(), strict=True))
+    tick = round(own["time"] / dt)
+    taken = tick - round(own["age"] / dt)
+    relative = own["relative_x"], own["relative_y"]
+    return UavObservation(
+        tick=tick,
+        time=tick * dt,
+        position=(own["x"], own["y"]),
+        velocity=(own["vx"], own["vy"]),
+        detections=(Detection(time=taken * dt, relative_position=relative),)
+        if own["detected"]
+        else (),
+    )
+
+
+def ugv_observation(row: Row, *, dt: float) -> UgvObservation:
+    """Return a UGV's row as the message that its pilot reads over the bus; arguments as for `uav_observation`."""
+    own = dict(zip(names(UGV), row.tolist(), strict=True))
+    tick = round(own["time"] / dt)
+    return UgvObservation(
+        tick=tick,
+        time=tick * dt,
+        position=(own["x"], own["y"]),
+        velocity=(own["vx"], own["vy"]),
+    )

@@ -1,0 +1,157 @@
+"""The vehicle's own frame: rows, pictures of the coverage, and actions turned with its heading."""
+
+from typing import Any, cast
+
+import numpy as np
+from gymnasium import spaces
+
+from bus.observations import GRADIENT, UAV, UGV, Entry, Table, bounds, by_name, names
+from outrider_learning.transformation import Mask, Transformation
+from sim.env.observation import AgentObservation, Array
+from sim.env.spaces import box
+
+_BODY: Table = (
+    Entry("time", "time since the start of the episode", "s", "0", "T"),
+    Entry("speed", "own speed", "m/s", "0", "v_max"),
+    Entry("heading_x", "own x axis in the world frame, x: cosine of the heading", "", "-1", "1"),
+    Entry("heading_y", "own x axis in the world frame, y: its sine", "", "-1", "1"),
+    Entry("centre_x", "from the vehicle to the centre of the area, ahead", "m", "-R", "R"),
+    Entry("centre_y", "from the vehicle to the centre of the area, to the left", "m", "-R", "R"),
+)
+UAV_BODY: Table = (
+    *_BODY,
+    *(entry for entry in UAV if entry.name == "detected"),
+    Entry("relative_x", "detected p_a - p_g, ahead; 0 without a detection", "m", "-d_max", "d_max"),
+    Entry("relative_y", "the same, to the left", "m", "-d_max", "d_max"),
+    *(entry for entry in UAV if entry.name == "age"),
+)
+"""A UAV's row in its own frame: x ahead, y to the left. R: half the diagonal of the area."""
+UGV_BODY: Table = (
+    *_BODY,
+    *(entry for entry in UGV if entry.name == "underway"),
+    Entry("goal_x", "from the UGV to its goal, ahead; 0 if it is not underway", "m", "-D", "D"),
+    Entry("goal_y", "the same, to the left", "m", "-D", "D"),
+)
+"""A UGV's row in its own frame."""
+
+_BODY_OF = {len(UAV): (UAV, UAV_BODY), len(UGV): (UGV, UGV_BODY)}
+_BODY_OF[len(UAV + GRADIENT)] = (UAV + GRADIENT, UAV_BODY + GRADIENT)
+
+
+class Egocentric(Transformation):
+    """The vehicle's own frame: the origin at the vehicle, x along its velocity, y to the left.
+
+    While the vehicle is slower than `rest` its last heading stays; at the start of an episode it is east. Rows become
+    `UAV_BODY` or `UGV_BODY`; the gradient behind them is turned. Actions are accelerations [m/s²] in this frame, by the
+    heading of the last observation. The picture of the coverage is turned: columns ahead, rows to the left, each
+    pixel the nearest of the environment's picture, and 1 beyond it. The picture of the tiles is not turned.
+
+    Args:
+        rest: Speed below which the heading stays [m/s].
+
+    Raises:
+        ValueError: If `rest` is not positive and finite.
+    """
+
+    def __init__(self, *, rest: float = 0.01) -> None:
+        if not 0.0 < rest < np.inf:
+            raise ValueError(f"rest = {rest!r}; must be positive and finite")
+        self._rest = float(rest)
+        self._heading: Array = np.empty((0, 2))
+
+    def settings(self) -> dict[str, Any]:
+        """Return the speed below which the heading stays."""
+        return {"rest": self._rest}
+
+    def space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
+        """Return the row's space in the vehicle's frame; that of a picture stays."""
+        if isinstance(space, spaces.Dict):
+            return spaces.Dict({**space.spaces, "row": self._row_space(space["row"])})
+        return self._row_space(space)
+
+    def _row_space(self, space: spaces.Space[Any]) -> spaces.Box:
+        shape, low = space.shape or (0,), getattr(space, "low", None)
+        if len(shape) != 1 or shape[0] not in _BODY_OF or low is None or np.any(low[:3] != 0.0):
+            raise ValueError(
+                f"Egocentric needs a UAV's or a UGV's own row in SI units, not {type(space).__name__} of shape {shape}"
+            )
+        self._table, self._body = _BODY_OF[shape[0]]
+        old = cast("spaces.Box", space)
+        high = by_name(self._table, old.high.astype(np.float64))
+        self._centre = 0.5 * high["x"], 0.5 * high["y"]
+        diagonal = float(np.hypot(high["x"], high["y"]))
+        extent = {"T": high["time"], "v_max": high["vx"], "D": diagonal, "R": 0.5 * diagonal}
+        extent["d_max"] = high.get("relative_x", diagonal)
+        self._box = box(*bounds(self._body, extent), cast("Any", old.dtype).type)
+        return self._box
+
+    def begin(self, observation: AgentObservation, worlds: Mask) -> AgentObservation:
+        """Point these worlds' vehicles east, unless they move."""
+        if len(self._heading) != len(worlds):
+            self._heading = np.tile((1.0, 0.0), (len(worlds), 1))
+        self._heading[worlds] = (1.0, 0.0)
+        return self._shown(observation, worlds)
+
+    def apply(self, observation: AgentObservation) -> AgentObservation:
+        """Return the observation in the frame of this tick."""
+        return self._shown(observation, np.ones(len(self._heading), dtype=np.bool_))
+
+    def _shown(self, observation: AgentObservation, turning: Mask) -> AgentObservation:
+        """Return the observation; where `turning`, the heading follows the velocity."""
+        whole = observation if isinstance(observation, dict) else {"row": observation}
+        old = by_name(self._table, whole["row"].astype(np.float64))
+        velocity, speed = np.stack((old["vx"], old["vy"]), -1), np.hypot(old["vx"], old["vy"])
+        turning = turning & (speed >= self._rest)
+        self._heading[turning] = velocity[turning] / speed[turning, None]
+        row = self._row(old | {"speed": speed}).astype(self._box.dtype)
+        row = np.clip(row, self._box.low, self._box.high)
+        if not isinstance(observation, dict):
+            return row
+        shown = {key: array.copy() for key, array in observation.items()} | {"row": row}
+        if "coverage" in shown:
+            shown["coverage"] = _turned_picture(shown["coverage"], self._heading)
+        return shown
+
+    def _row(self, entries: dict[str, Array]) -> Array:
+        """Return the rows from the entries by name. Shape (worlds, entries)."""
+        cosine, sine = self._heading.T
+        vectors = {
+            name: (entries[f"{name}_x"], entries[f"{name}_y"])
+            for name in ("relative", "gradient", "goal")
+            if f"{name}_x" in entries
+        }
+        vectors["centre"] = self._centre[0] - entries["x"], self._centre[1] - entries["y"]
+        if "goal" in vectors:
+            x, y = vectors["goal"][0] - entries["x"], vectors["goal"][1] - entries["y"]
+            vectors["goal"] = x * entries["underway"], y * entries["underway"]
+        new = entries | {"heading_x": cosine, "heading_y": sine}
+        for name, (x, y) in vectors.items():
+            new[f"{name}_x"], new[f"{name}_y"] = cosine * x + sine * y, cosine * y - sine * x
+        return np.stack([new[name] for name in names(self._body)], axis=-1)
+
+    def action(self, action: Any) -> Any:  # noqa: ANN401 - see Transformation
+        """Return the acceleration in the world frame; what is no pair of numbers for each world stays as it is."""
+        body = np.asarray(action)
+        if body.shape != self._heading.shape or body.dtype.kind not in "fiu":
+            return action
+        (ahead, left), (cosine, sine) = body.T.astype(np.float64), self._heading.T
+        return np.stack((cosine * ahead - sine * left, sine * ahead + cosine * left), axis=-1)
+
+
+def _turned_picture(picture: Array, heading: Array) -> Array:
+    """Return the picture with columns ahead and rows to the left, by nearest sampling; 1 outside.
+
+    Args:
+        picture: Columns eastwards, rows northwards. Shape (worlds, pixels, pixels).
+        heading: Cosine and sine. Shape (worlds, 2).
+    """
+    pixels = picture.shape[-1]
+    middle = 0.5 * (pixels - 1)
+    ahead, left = np.meshgrid(np.arange(pixels) - middle, np.arange(pixels) - middle)
+    cosine, sine = heading[:, 0, None, None], heading[:, 1, None, None]
+    column = np.rint(middle + cosine * ahead - sine * left).astype(np.intp)
+    row = np.rint(middle + sine * ahead + cosine * left).astype(np.intp)
+    inside = (column >= 0) & (column < pixels) & (row >= 0) & (row < pixels)
+    worlds = np.arange(len(picture))[:, None, None]
+    found = picture[worlds, np.where(inside, row, 0), np.where(inside, column, 0)]
+    return np.where(inside, found, picture.dtype.type(1))
