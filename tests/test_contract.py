@@ -129,6 +129,7 @@ ON_BOARD = {
     "sim.models.ground",
     "sim.models.motion",
     "sim.models.randomness",
+    "sim.models.safety",
     "sim.kernels.compile",
     "sim.kernels.lanes",
     "sim.kernels.records",
