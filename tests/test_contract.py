@@ -129,6 +129,7 @@ ON_BOARD = {
     "sim.models.ground",
     "sim.models.motion",
     "sim.models.randomness",
+    "sim.models.safety",
     "sim.models.sensors",
     "sim.models.sensors.hill",
     "sim.models.sensors.plateau",
