@@ -89,8 +89,6 @@ reference_speed_is_possible | law.reference_speed=0.7 | law.reference_speed = 0.
 reference_speed_is_possible | uav.0.max_speed=inf & uav.0.max_acceleration=inf | law.reference_speed
 | a number > 0, in m/s
 controller_is_stable | law.b_c=-4.0 | law = {a_c = -3.0, b_c = -4.0 | 0 < D A - B C < A D
-risk_can_be_met | certificate.risk=1e-3 & links.detections.bandwidth=15.0 | certificate.risk = 0.001
-| a greater risk, or a certificate.age
 looks_fit_ticks | ground.rate=7 & hazard=[{kind="block",center=[1,1],radius=0.2}] | ground.rate = 7.0 | 20, 10, 6.667
 hazards_are_known | hazard=[{kind="wall",center=[1,1],radius=0.2}] | hazard.0.kind = "wall" | rough, block, find
 hazards_are_known | hazard_field=[{kind="blok",count=1,radius=[1,2]}] | hazard_field.0.kind = "blok" | block

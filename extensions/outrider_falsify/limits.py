@@ -99,7 +99,6 @@ def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
         given,
         error=given.error if given.error is not None or math.isinf(worst) else worst,
         age=max(told.age, needed_age(limits, scenario)) if as_usual else told.age,
-        risk=None,  # of the scenario's own links, which are not searched
     )
     base = msgspec.structs.replace(
         scenario,

@@ -98,7 +98,7 @@ def check_exportable(briefing: UavBriefing | UgvBriefing) -> None:
         if promise_of(briefing).carries:
             raise ScenarioError(
                 f"{vehicle}: its commands carry motions, for which a unit has no variables; allowed: scenarios without "
-                "certificate.outage and certificate.risk"
+                "certificate.outage"
             )
         if LAWS[briefing.law.name].own:
             raise ScenarioError(

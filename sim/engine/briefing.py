@@ -17,7 +17,6 @@ from sim.channel.description import longest_delay
 from sim.engine.run_keys import derive_key
 from sim.models.inner_loop import tracking_error
 from sim.models.randomness import PILOT
-from sim.scenario.risk import command_delay, risk_bounds, risk_fault, ugv_carries
 from sim.scenario.types import DEFAULT_AGE, Scenario, Uav, Ugv
 
 
@@ -44,34 +43,37 @@ def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:
     return tracking_error(loop, wind, uav.own_error, scenario.dt)
 
 
-def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
-    """The certificate's numbers that a UAV may rely on.
+def carries_motions(scenario: Scenario) -> bool:
+    """Return whether the UAVs' commands carry motions: an outage is given."""
+    return scenario.certificate.outage is not None and bool(scenario.uav)
 
-    Raises:
-        ScenarioError: If no bound meets the scenario's risk.
-    """
+
+def ugv_carries(scenario: Scenario, ugv: Ugv) -> bool:
+    """Return whether a UGV's commands carry the stop that follows them: the driver that navigates does this."""
+    return scenario.has_ground and ugv.driver == "navigate"
+
+
+def command_delay(scenario: Scenario, uav: str) -> float:
+    """Return the time from a command's tick to the one in which it acts [s]: as given, or the longest of its link."""
+    if scenario.certificate.delay is not None:
+        return scenario.certificate.delay
+    return longest_delay(scenario.links.of(uav, LinkKind.COMMANDS), scenario.links.traces)
+
+
+def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
+    """Return the certificate's bounds that a UAV may rely on."""
     given = scenario.certificate
-    fault, from_risk = risk_fault(scenario, uav), risk_bounds(scenario, uav)
-    if fault is not None:
-        raise fault.error(scenario.name)
-    error = given.error if given.error is not None else from_risk.error
-    if error is None:
-        error = _error(scenario)
-    age = given.age or (from_risk.age.value if from_risk.age is not None else None) or DEFAULT_AGE
-    outage = given.outage
-    if outage is None and from_risk.outage is not None:
-        outage = from_risk.outage.value
     tracking = given.tracking
     if tracking is None:
         (vehicle,) = (one for one in scenario.uav if one.name == uav)
         tracking = _bound(largest_tracking_error(scenario, vehicle))
     return DeclaredBounds(
-        error=error,
-        age=age,
+        error=given.error if given.error is not None else _error(scenario),
+        age=given.age or DEFAULT_AGE,
         delay=command_delay(scenario, uav),
         margin=given.margin,
         hold=scenario.hold,
-        outage=outage,
+        outage=given.outage,
         tracking=tracking,
     )
 
