@@ -35,7 +35,7 @@ from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 
 DT = 0.05
-FLIGHTS = 10_000
+RUNS = 10_000
 FEW = settings(PROPERTY, max_examples=20)
 BURSTS = {"burst_length": 0.2, "burst_interval": 0.5, "burst_loss": 0.8}
 DARK = {"blackout_interval": 5.0, "blackout_length": 0.52}
@@ -171,10 +171,10 @@ def counted(
 ) -> tuple[float, float]:
     """A chance, and the share of flights over the link itself in which it comes true: they agree."""
     exceeded = getattr(flown, f"{chance_of.__name__.removesuffix('_exceedance')}s_exceeded")
-    chance, count = chance_of(link, **numbers), exceeded(link, **numbers, flights=FLIGHTS)
-    assert 0 < count < FLIGHTS
-    assert flown.agrees(chance, count, FLIGHTS), (chance, count)
-    return chance.value, count / FLIGHTS
+    chance, count = chance_of(link, **numbers), exceeded(link, **numbers, runs=RUNS)
+    assert 0 < count < RUNS
+    assert flown.agrees(chance, count, RUNS), (chance, count)
+    return chance.value, count / RUNS
 
 
 @pytest.mark.parametrize(("link", "period", "age"), AGES)
