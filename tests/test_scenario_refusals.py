@@ -222,7 +222,7 @@ uav={position=[1, 2]} | uav = {position = [1, 2]}: a single table; allowed: a li
 coverage.covered=[{lower=[1, 1]}] | coverage.covered.0.upper: missing; allowed: [x, y] in m
 sead=3 | sead = 3: no such field, did you mean 'seed'?; allowed: name, title, seed, duration, dt
 certificate.risk=0.01
-| certificate.risk = 0.01: no field of a scenario; allowed: the bounds that `outrider network bounds SCENARIO --risk 1e-3`
+| certificate.risk = 0.01: no field of a scenario; allowed: the bounds that `outrider network bounds SCENARIO --risk
 law.nmae=circle | law.nmae = "circle": no such field, did you mean 'name'?; allowed: name, speed_gain
 uav.0.max_sped=1 | uav.0.max_sped = 1: no such field, did you mean 'max_speed'?; allowed: name, escorts, position
 area.celll=1 | area.celll = 1: no such field, did you mean 'cell'?; allowed: width, height, cell

@@ -484,7 +484,10 @@ def test_it_is_told_how_often_a_recording_breaks_the_declared_assumptions(tmp_pa
     (tmp_path / "t.csv").write_text("sent,delay\n" + "\n".join(rows))
     for kind, share in (("detections", "5.5 %"), ("commands", "15 %")):
         told = promise_warnings(
-            load_scenario("escort", overrides=[f"links.{kind}.trace={tmp_path}/t.csv"])
+            load_scenario(
+                "escort",
+                overrides=[f"links.{kind}.trace={tmp_path}/t.csv", "detections.dropout=0.0"],
+            )
         )
         assert len(told) == 1
         assert f"links.{kind}.trace: " in told[0]
