@@ -126,7 +126,7 @@ class Link:
 
     def recorded_share(self, window: IntArray, every: int, dropout: float) -> tuple[float, _Played]:
         """Return the share of the ticks at which a recorded link is late, and the part that was inspected."""
-        played = self.played(every, len(window))
+        played = self.played(every, len(window) - 1)
         shares = [recorded_late_share(delays, window, dropout) for delays in played.delays]
         return sum(shares) / len(shares), played
 
