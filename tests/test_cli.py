@@ -200,9 +200,6 @@ def test_json_of_the_lists(command):
 
     assert told("scenarios")["scenarios"][0]["name"] == "escort"
     checked = told("check escort")
-    exceeded = checked.pop("exceeded_chance")
-    assert sorted(exceeded) == ["uav_0/age", "uav_0/error"]
-    assert 0.0 < checked.pop("lost_chance") == sum(exceeded.values()) < 1e-12
     valid = {"scenario": "escort", "valid": True, "certifiable": "always", "warnings": []}
     assert checked == valid
 

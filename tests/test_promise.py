@@ -1,6 +1,7 @@
 """Assumptions that links or detector cannot keep are told before the flight, each with its field."""
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,12 +9,12 @@ import pytest
 from bus.errors import ScenarioError
 from bus.messages import LinkKind, LinkSettings
 from one_link import OneLink
-from outrider.running.assumptions import How, how_certifiable, odds, promise_warnings, shortfalls
-from outrider.running.flying import run
-from outrider.running.summary import in_flights
+from outrider.running.assumptions import how_certifiable, promise_warnings, shortfalls
+from outrider.running.link_assumptions import How
 from refusals import refused
 from seeded import a_key
 from sim.channel.description import arrival_share, least_ticks, link_parameters
+from sim.channel.gaps import age_window, late_shares
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.world import World
@@ -191,61 +192,50 @@ def test_check_says_that_nothing_can_be_certified(command) -> None:
     assert "A5' is broken for certain and throughout: links.commands.delay = 0.3" in told
 
 
-def test_where_chance_alone_breaks_what_is_declared_it_is_told_how_seldom_sight_is_lost() -> None:
-    unlucky = certified("links.detections.profile=jammed", "certificate.age=1.0", "duration=4.0")
-    told = odds(unlucky)
-    assert told.lost == told.exceeded["uav_0/age"] == sum(told.exceeded.values()) > 0.0
-    assert promise_warnings(unlucky)[-1] == told.line
-    assert "once certified, sight is lost in at most" in told.line
-    summary = run(unlucky)
-    assert (summary.lost_chance, summary.exceeded_chance) == (told.lost, told.exceeded)
-    calm = odds(certified())
-    assert calm.line == "once certified, sight is lost in none of such flights, by proof"
-    noisy = odds(
-        certified("detections.cut=0", "certificate.error=0.5", "links.detections.loss=0.3")
-    )
-    assert noisy.lost == sum(noisy.exceeded.values()) > noisy.exceeded["uav_0/age"] > 0.0
-    assert odds(certified("law.name=linear")) is None
-
-
-def test_lost_motions_are_told_with_the_chance_that_the_outage_is_exceeded() -> None:
+def test_random_losses_are_warned_of_with_their_share_of_the_ticks() -> None:
+    (found,) = shortfalls(certified("links.detections.loss=0.5", "certificate.age=0.25"))
+    assert (found.assumption, found.how, found.by_chance) == ("A2", How.SOMETIMES, True)
+    assert "older than certificate.age = 0.25 s in 1.56 % of the ticks" in found.line
     lossy = certified("links.commands.loss=0.1", "certificate.outage=0.2")
-    told = odds(lossy)
-    assert told.lost == sum(v or 0.0 for v in told.exceeded.values()) > 0.0
     (found,) = shortfalls(lossy)
-    assert (found.assumption, found.how) == ("A5'", How.SOMETIMES)
-    assert "later than certificate.outage = 0.2 s in at most" in found.line
-    calm = odds(certified("links.commands.loss=0.1", "certificate.outage=1.0"))
-    assert calm.lost < 1e-12
+    assert (found.assumption, found.how, found.by_chance) == ("A5'", How.SOMETIMES, True)
+    assert "later than certificate.outage = 0.2 s in 0.01 % of the ticks" in found.line
+    assert not shortfalls(certified("links.commands.loss=0.1", "certificate.outage=1.0"))
     dark = certified("links.commands.blackouts=[[5.0,3.0]]", "certificate.outage=1.0")
     assert [fault.how for fault in shortfalls(dark)] == [How.CERTAIN]
 
 
-@pytest.mark.parametrize(
-    "broken",
-    [
-        "links.commands.blackouts=[[5.0,3.0]]",
-        "links.detections.blackouts=[[30.0,20.0]]",
-        "certificate.age=60.0",
-        "detections.cut=0",
-    ],
-)
-def test_where_anything_else_is_broken_nothing_is_promised_by_proof(broken: str) -> None:
-    told = odds(certified("links.detections.loss=0.5", broken))
-    assert told.lost is None
-    assert not any("by proof" in line for line in promise_warnings(certified(broken)))
+SHARES: list[tuple[dict[str, Any], int, int, float]] = [
+    ({"loss": 0.3, "delay": 0.1}, 1, 5, 0.1),
+    ({"loss": 0.1, "burst_length": 0.2, "burst_interval": 0.5, "burst_loss": 0.8}, 2, 8, 0.0),
+    ({"loss": 0.1, "blackout_interval": 5.0, "blackout_length": 0.5}, 2, 8, 0.1),
+    ({"loss": 0.1, "jitter": 0.1, "jitter_shape": "exponential", "jitter_cut": 0.4}, 1, 6, 0.1),
+    ({"loss": 0.4, "blackouts": ((100.0, 0.3), (200.0, 0.2))}, 1, 6, 0.1),
+]
 
 
-@pytest.mark.parametrize(
-    ("chance", "words"),
-    [
-        (0.0, "in none of such flights"),
-        (1e-13, "in less than 1 of 10^12 such flights"),
-        (3.1e-4, "in at most 1 of 3,200 such flights"),
-        (0.01, "in at most 1 of 100 such flights"),
-        (0.0371, "in at most 38 of 1,000 such flights"),
-        (1.0, "perhaps in every such flight"),
-    ],
-)
-def test_a_chance_in_words_is_never_less_than_it_is(chance: float, words: str) -> None:
-    assert in_flights(chance) == words
+@pytest.mark.parametrize(("link", "period", "age", "dropout"), SHARES)
+def test_the_share_of_old_detections_is_that_of_the_link(link, period, age, dropout) -> None:
+    """Random blackouts may begin and end within a tick, so there the share is a bound."""
+    settings, ticks = LinkSettings(**link), 100_000
+    one, random = OneLink(settings, dt=DT, key=a_key(1)), np.random.default_rng(3)
+    newest, old = 0, 0
+    for tick in range(ticks):
+        if tick % period == 0 and random.random() >= dropout:
+            one.send(tick, tick, tick)
+        newest = max([newest, *one.arrivals(tick)])
+        old += tick - newest > age
+    shares = late_shares(
+        link_parameters(settings, DT), age_window(age), ticks=ticks, period=period, dropout=dropout
+    )
+    assert old > 100
+    assert old / ticks == pytest.approx(shares.mean(), rel=0.15)
+
+
+def test_a_planned_blackout_is_late_where_it_hides_the_window() -> None:
+    parameters = link_parameters(LinkSettings(loss=0.5, blackouts=((2.0, 0.5),)), DT)
+    shares = late_shares(parameters, age_window(3), ticks=100)
+    assert shares[39 + 1] == 1.0  # of tick 39: the ticks 40 to 43 are hidden
+    assert shares[37 + 1] == 0.25
+    assert set(shares[:30]) == {0.0625}
+    assert len(shares) == 100 - 4 + 1

@@ -94,8 +94,6 @@ reference_speed_is_possible | law.parameters.reference_speed=0.7
 reference_speed_is_possible | uav.0.max_speed=inf & uav.0.max_acceleration=inf | law.parameters.reference_speed
 | a number > 0, in m/s
 controller_is_stable | law.parameters.b_c=-4.0 | law.parameters = {a_c = -3.0, b_c = -4.0 | 0 < D A - B C < A D
-risk_can_be_met | certificate.risk=1e-3 & links.detections.bandwidth=15.0 | certificate.risk = 0.001
-| a greater risk, or a certificate.age
 looks_fit_ticks | ground.rate=7 & hazard=[{kind="block",center=[1,1],radius=0.2}] | ground.rate = 7.0 | 20, 10, 6.667
 hazards_are_known | hazard=[{kind="wall",center=[1,1],radius=0.2}] | hazard.0.kind = "wall" | rough, block, find
 hazards_are_known | hazard_field=[{kind="blok",count=1,radius=[1,2]}] | hazard_field.0.kind = "blok" | block
@@ -247,6 +245,8 @@ ugv=[] | ugv = []: out of bounds; allowed: a list of length >= 1
 uav={position=[1, 2]} | uav = {position = [1, 2]}: a single table; allowed: a list, in TOML [[uav]]
 coverage.covered=[{lower=[1, 1]}] | coverage.covered.0.upper: missing; allowed: [x, y] in m
 sead=3 | sead = 3: no such field, did you mean 'seed'?; allowed: name, title, seed, duration, dt
+certificate.risk=0.01
+| certificate.risk = 0.01: no field of a scenario; allowed: the bounds that `outrider network bounds SCENARIO --risk
 law.nmae=circle | law.nmae = "circle": no such field, did you mean 'name'?; allowed: name, parameters
 law.speed_gain=2 | law.speed_gain = 2: no such field, did you mean 'law.parameters.speed_gain'?
 uav.0.max_sped=1 | uav.0.max_sped = 1: no such field, did you mean 'max_speed'?; allowed: name, escorts, position

@@ -101,7 +101,6 @@ def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
         age=max(told.max_measurement_age, needed_age(limits, scenario))
         if as_usual
         else told.max_measurement_age,
-        risk=None,  # of the scenario's own links, which are not searched
     )
     base = msgspec.structs.replace(
         scenario,

@@ -1,1 +1,1 @@
-"""Fit link settings to a recorded link."""
+"""Fit links to recordings, and find the bounds that links keep."""

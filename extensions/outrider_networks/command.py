@@ -1,4 +1,4 @@
-"""`outrider network`: recorded links."""
+"""`outrider network`: recorded links, and the bounds that links keep."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,9 +18,9 @@ app = typer.Typer(invoke_without_command=True, add_completion=False, rich_markup
 
 @app.callback()
 def command(context: typer.Context) -> None:
-    """Recorded links: what comes nearest to one.
+    """Fit links to recordings, and find the bounds that links keep.
 
-    Example: outrider network fit drive.csv --out fit.png
+    Example: outrider network bounds escort --network wifi --risk 1e-3
     """
     options.help_without_command(context)
 
@@ -74,6 +74,76 @@ def fit(
     _print(found)
     if out is not None:
         OUT.tell(str(out))
+
+
+@app.command()
+def chances(
+    scenario: options.ScenarioName,
+    changes: options.Set = None,
+    duration: options.Duration = None,
+    law: options.LawName = None,
+    network: options.NetworkName = "",
+    json: Json = False,
+) -> None:
+    """Print the probabilities that a run exceeds the declared bounds.
+
+    And the probability that certified visibility is lost, which is at most their sum. Bounds are those of the
+    scenario's table [certificate], on which the law certified relies.
+
+    Example: outrider network chances escort --network jammed --set certificate.age=5
+    """
+    from outrider.cli.console import OUT, print_json, print_table
+    from outrider_networks.scenario_bounds import exceedance, in_runs
+
+    loaded, _ = options.scenario_of(
+        scenario, changes=changes, duration=duration, law=law, network=network
+    )
+    found = exceedance(loaded)
+    if json:
+        print_json(found)
+        return
+    rows = [
+        (name, "not known" if value is None else in_runs(value))
+        for name, value in found.exceedance_probability.items()
+    ]
+    print_table(("bound", "exceeded"), rows, title=f"{found.scenario}: declared bounds")
+    lost = found.loss_probability
+    kept = "is not guaranteed" if lost is None else f"is lost {in_runs(lost)}"
+    OUT.tell(f"\ncertified visibility {kept}")
+
+
+@app.command()
+def bounds(
+    scenario: options.ScenarioName,
+    risk: Annotated[
+        float, typer.Option(help="Probability that a run exceeds any of the bounds.")
+    ] = 1e-3,
+    changes: options.Set = None,
+    duration: options.Duration = None,
+    law: options.LawName = None,
+    network: options.NetworkName = "",
+    json: Json = False,
+) -> None:
+    """Print the smallest bounds that a run exceeds with at most a given probability.
+
+    As options of `outrider run`: each line is a --set of a field of the table [certificate].
+
+    Example: outrider run $(outrider network bounds escort --risk 1e-3)
+    """
+    from outrider.cli.console import OUT, print_json
+    from outrider_networks.scenario_bounds import bounds_for
+
+    if not 0.0 < risk < 1.0:
+        raise ScenarioError(f"--risk {risk:g}: no probability; allowed: above 0 and below 1")
+    loaded, _ = options.scenario_of(
+        scenario, changes=changes, duration=duration, law=law, network=network
+    )
+    found = bounds_for(loaded, risk)
+    if json:
+        print_json(found)
+        return
+    for field, value in found.set.items():
+        OUT.tell(f"--set {field}={value!r}")
 
 
 def _print(found: "Fit") -> None:

@@ -29,13 +29,13 @@ def command(
 
     Exit code 0, or 2 and one line naming file, field and value. It takes the options of `run` that change the scenario,
     and warns of all that `run` warns of. For the law certified that is each declared assumption that links or detector
-    cannot keep, and whether sight can be certified always, not always or hardly ever, and how seldom it is lost by
-    proof. Functions of your own are loaded and called for one tick; those that the file names with --allow-code alone.
+    cannot keep, and whether sight can be certified always, not always or hardly ever. Functions of your own are loaded
+    and called for one tick; those that the file names with --allow-code alone.
 
     Example: outrider check my-scenario.toml --network wifi-poor
     """
     from outrider.cli.console import OUT, print_json, print_warnings
-    from outrider.running.assumptions import how_certifiable, odds, promise_warnings
+    from outrider.running.assumptions import how_certifiable, promise_warnings
     from outrider.running.first_tick import check_first_tick
     from outrider.running.user_code import check_own_functions, foreign_code
     from sim.scenario.checks import scenario_warnings
@@ -63,15 +63,13 @@ def command(
     ]
     if not foreign:
         check_first_tick(scenario)
-    certifiable, chances = how_certifiable(scenario), odds(scenario)
+    certifiable = how_certifiable(scenario)
     if json:
         print_json(
             {
                 "scenario": scenario.name,
                 "valid": True,
                 "certifiable": certifiable,
-                "exceeded_chance": chances.exceeded if chances else {},
-                "lost_chance": chances.lost if chances else None,
                 "warnings": warnings,
             }
         )
@@ -86,5 +84,3 @@ def command(
     OUT.tell(
         f"{scenario.name}: can be flown ({vehicles}; {law_told}; {scenario.duration:g} s, {scenario.ticks} ticks)"
     )
-    if chances is not None and chances.line:
-        OUT.tell(chances.line)

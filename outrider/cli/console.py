@@ -22,7 +22,7 @@ from rich.text import Text
 from bus.files import writing
 from bus.messages import LinkStatus
 from outrider.cli.standard_files import STANDARD_OUTPUT, print_text
-from outrider.running.summary import Summary, in_flights
+from outrider.running.summary import Summary
 from sim.input.faults import one_line
 from sim.scenario.types import Scenario
 
@@ -257,8 +257,6 @@ def _certificate(summary: Summary) -> Iterator[tuple[str, str | Text]]:
         longest, most = summary.longest_outage, summary.declared_outage
         waited = _judged(f"{longest:.2f} s", longest <= most) + f", declared {most:g} s"
         yield "longest wait for a motion", waited
-    if summary.lost_chance is not None:
-        yield "by proof", f"once certified, lost {in_flights(summary.lost_chance)}"
     if summary.tracking_error is not None:
         off, bound = f"{summary.tracking_error:.3f} m", summary.declared_tracking
         farthest = Text(f"{off} from where it is told")

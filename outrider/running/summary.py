@@ -94,14 +94,6 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """Longest time from the start of a motion to the start of the next, as it is declared, B [s]."""
     longest_outage: float | None = None
     """And the longest in this flight [s]."""
-    exceeded_chance: dict[str, float | None] = {}
-    """By `vehicle/number`, the chance that a declared number is exceeded in such a flight, or a bound; None: unknown.
-    """
-    lost_chance: float | None = None
-    """Once certified, sight is lost in at most this share of such flights, by proof; None: nothing can be promised.
-
-    Nor is it where an operator has changed something while it flew.
-    """
     declared_tracking: float | None = None
     """Largest true distance of a UAV from where it is told that it is, w [m]; None where no filter watches or nothing
     takes it from there.
@@ -210,25 +202,6 @@ def _faults(
     return found
 
 
-PERHAPS_EVERY = 0.999
-"""A chance within a flight that is as good as 1."""
-
-
-def in_flights(chance: float) -> str:
-    """An upper bound of a chance within a flight, in words."""
-    if chance == 0.0:
-        return "in none of such flights"
-    if chance < 1e-12:
-        return "in less than 1 of 10^12 such flights"
-    if chance <= 0.01:
-        flights = math.floor(1.0 / chance)
-        digits = 10 ** max(0, len(str(flights)) - 2)
-        return f"in at most 1 of {flights // digits * digits:,} such flights"
-    if chance < PERHAPS_EVERY:
-        return f"in at most {math.ceil(1000.0 * chance)} of 1,000 such flights"
-    return "perhaps in every such flight"
-
-
 def certificate_fields(told: CertificateStatus | None) -> dict[str, Any]:
     """The summary's fields on what safety filters have certified, from their counts; None where none has watched."""
     if told is None:
@@ -269,7 +242,6 @@ def summarize(
         late_ticks: Ticks that it could not keep.
         changes: What operators have changed.
     """
-    from outrider.running.assumptions import odds  # noqa: PLC0415 - likewise
     from sim.server.recorder import platform_row  # noqa: PLC0415 - likewise
 
     scenario, recorder, world = flight.scenario, flight.recorder, flight.world
@@ -278,7 +250,6 @@ def summarize(
     p_g = recorder.states[:, world.escorts[:, 1], :2]
     radii = [switching_radius_of(flight, k) for k in range(len(world.uavs))]
     steered = any(change.control.action in _FLOWN for change in changes)
-    chances = None if steered else odds(scenario)
     certified = flight.answers.assurance.status()
     beyond = distance >= np.array([math.inf if r_s is None else r_s for r_s in radii])
     return Summary(
@@ -305,8 +276,6 @@ def summarize(
         missing_commands=dict(flight.answers.missing),
         faults=_faults(vehicles or {}, flight.answers.shortened),
         **certificate_fields(certified),
-        exceeded_chance=chances.exceeded if chances is not None else {},
-        lost_chance=chances.lost if chances is not None and certified is not None else None,
         tracking_error=recorder.tracking_error,
         **mission_fields(world.mission),
         links=world.links.status(),

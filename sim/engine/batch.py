@@ -14,7 +14,7 @@ from bus.errors import ScenarioError
 from bus.messages import LinkKind, LinkSettings
 from bus.ticks import first_tick_from
 from sim.channel.description import check_link
-from sim.engine.briefing import safety_parameters, ugv_delay
+from sim.engine.briefing import safety_parameters, ugv_carries, ugv_delay
 from sim.engine.ground_state import CONSTANTS, GroundState, ground_of
 from sim.engine.run_keys import derive_keys
 from sim.engine.scenario_links import ENGINE_LINKS, key_rows, links_of, vehicles_with
@@ -32,7 +32,6 @@ from sim.kernels.threads import WorkerThreads
 from sim.models.motion import no_motions
 from sim.models.randomness import HAZARD_FIELDS
 from sim.scenario.ground_tables import ground_tables, place_fields
-from sim.scenario.risk import ugv_carries
 from sim.scenario.types import Scenario
 
 

@@ -18,7 +18,6 @@ from sim.engine.run_keys import derive_key
 from sim.models.inner_loop import tracking_error
 from sim.models.randomness import PILOT
 from sim.models.safety import SafetyBounds, safety_bounds
-from sim.scenario.risk import command_delay, risk_bounds, risk_fault, ugv_carries
 from sim.scenario.types import DEFAULT_AGE, Scenario, Uav, Ugv
 
 
@@ -45,34 +44,30 @@ def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:
     return tracking_error(loop, wind, uav.own_error, scenario.dt)
 
 
-def safety_parameters(scenario: Scenario, uav: str) -> SafetyParameters:
-    """Return the parameters of a UAV's safety filter.
+def ugv_carries(scenario: Scenario, ugv: Ugv) -> bool:
+    """Return whether a UGV's commands carry the stop that follows them: the driver that navigates does this."""
+    return scenario.has_ground and ugv.driver == "navigate"
 
-    Raises:
-        ScenarioError: If no bound meets the scenario's risk.
-    """
+
+def command_delay(scenario: Scenario, uav: str) -> float:
+    """Return the time from a command's tick to the one in which it acts [s]: as given, or the longest of its link."""
+    if scenario.certificate.delay is not None:
+        return scenario.certificate.delay
+    return longest_delay(scenario.links.of(uav, LinkKind.COMMANDS), scenario.links.traces)
+
+
+def safety_parameters(scenario: Scenario, uav: str) -> SafetyParameters:
+    """Return the parameters of a UAV's safety filter."""
     given = scenario.certificate
-    fault, from_risk = risk_fault(scenario, uav), risk_bounds(scenario, uav)
-    if fault is not None:
-        raise fault.error(scenario.name)
-    error = given.error if given.error is not None else from_risk.error
-    if error is None:
-        error = _error(scenario)
-    age = given.age or (from_risk.age.value if from_risk.age is not None else None) or DEFAULT_AGE
-    outage = given.outage
-    if outage is None and from_risk.outage is not None:
-        outage = from_risk.outage.value
-    if outage is None:
-        outage = scenario.dt
     tracking = given.tracking
     if tracking is None:
         (vehicle,) = (one for one in scenario.uav if one.name == uav)
         tracking = _bound(largest_tracking_error(scenario, vehicle))
     return SafetyParameters(
-        max_measurement_error=error,
-        max_measurement_age=age,
+        max_measurement_error=given.error if given.error is not None else _error(scenario),
+        max_measurement_age=given.age or DEFAULT_AGE,
         max_command_delay=command_delay(scenario, uav),
-        max_command_interval=outage,
+        max_command_interval=scenario.dt if given.outage is None else given.outage,
         max_tracking_error=tracking,
         margin=given.margin,
     )

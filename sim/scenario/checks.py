@@ -24,7 +24,6 @@ from bus.rows import SavedPolicyRow
 from sim.input.faults import Fault, near, one_line, unknown_name
 from sim.input.reading import as_raw, type_fault, typed
 from sim.scenario.ground_checks import GROUND_CHECKS, hazard_warnings
-from sim.scenario.risk import risk_fault, risk_warnings
 from sim.scenario.types import Scenario, switching_radius
 from sim.scenario.world_checks import WORLD_CHECKS, Check, escorts
 
@@ -193,14 +192,6 @@ def circle_is_within_sight(scenario: Scenario) -> Iterator[Fault]:
             yield Fault(f"{_PARAMETERS}.circle_radius", None, wrong, f"less than r_v = {r_v:g} m")
 
 
-def risk_can_be_met(scenario: Scenario) -> Iterator[Fault]:
-    """There are bounds that are exceeded as seldom as the risk asks for."""
-    for uav in scenario.uav:
-        fault = risk_fault(scenario, uav.name)
-        if fault is not None:
-            yield fault
-
-
 CHECKS: tuple[Check, ...] = (
     *WORLD_CHECKS,
     names_are_known,
@@ -211,7 +202,6 @@ CHECKS: tuple[Check, ...] = (
     reference_speed_is_possible,
     controller_is_stable,
     circle_is_within_sight,
-    risk_can_be_met,
     *GROUND_CHECKS,
 )
 """In the order in which they are made: a later one may rely on those before it."""
@@ -254,7 +244,6 @@ def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
             _circle_warnings,
             _task_warnings,
             hazard_warnings,
-            risk_warnings,
         )
         for line in warnings(scenario)
     )

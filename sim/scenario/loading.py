@@ -156,6 +156,19 @@ def _with_saved_drivers(raw: dict[str, object], *, file: str) -> None:
         ugv["driver"], raw["custom"] = own.name, custom
 
 
+def _refuse_risk(raw: dict[str, object], *, file: str) -> None:
+    """Name the command that replaces `certificate.risk`.
+
+    Raises:
+        ScenarioError: If the scenario has this field.
+    """
+    certificate = raw.get("certificate")
+    if isinstance(certificate, dict) and "risk" in certificate:
+        wrong = "no field of a scenario"
+        allowed = "the bounds that `outrider network bounds SCENARIO --risk 1e-3` prints"
+        raise Fault("certificate.risk", certificate["risk"], wrong, allowed).error(file)
+
+
 def load_scenario(
     source: str | Path = DEFAULT_SCENARIO, *, overrides: Mapping[str, object] | Sequence[str] = ()
 ) -> Scenario:
@@ -185,6 +198,7 @@ def load_scenario(
         apply_override(raw, key, value, file=file)
     if isinstance(raw.get("area"), dict):
         raw["area"] = {**msgspec.to_builtins(DEFAULT_AREA), **raw["area"]}
+    _refuse_risk(raw, file=file)
     _with_names(raw)
     _with_saved_drivers(raw, file=file)
     with_profiles(raw, file=file)

@@ -228,7 +228,7 @@ class Ugv(_Table, frozen=True, kw_only=True):
 
 
 DEFAULT_AGE = 1.0
-"""Largest age of the newest detection where neither it nor a risk is given [s]."""
+"""Largest age of the newest detection where none is given [s]."""
 
 
 class Certificate(_Table, frozen=True, kw_only=True):
@@ -238,23 +238,16 @@ class Certificate(_Table, frozen=True, kw_only=True):
     """
 
     error: NonNegative | None = None
-    """Largest error of a detection [m]; by default the noise at its cut, and without a cut what `risk` allows, or none.
-    """
+    """Largest error of a detection [m]; by default the noise at its cut, and without a cut none."""
     age: Positive | None = None
-    """Largest age of the newest detection that has arrived [s]; by default what `risk` allows, or 1 s."""
-    risk: Annotated[float, Meta(gt=0.0, lt=1.0)] | None = None
-    """Chance that what is declared may be exceeded in a flight.
-
-    From it and from the links follow the bounds that are not given, where chance has a hand in them: the age, the
-    outage, and the error if the noise is not cut. Each of them for each UAV gets an equal share of it.
-    """
+    """Largest age of the newest detection that has arrived [s]; by default 1 s."""
     delay: NonNegative | None = None
     """From the tick that a command answers to the one in which it acts [s]; by default the longest of its link."""
     margin: NonNegative = 0.0
     """Taken off r_v [m], for what the theorem does not cover."""
     outage: NonNegative | None = None
-    """Longest time from the start of a UAV's motion to the start of the next, B [s]: commands carry motions, which
-    receivers fly on while commands are lost. By default what `risk` allows, or one tick: no command is lost.
+    """Longest time from the start of a UAV's motion to the start of the next, B [s]: receivers fly a motion on while
+    commands are lost. By default one tick: no command is lost.
     """
     tracking: NonNegative | None = None
     """Largest true distance of a UAV from where it is told that it is, w [m]; by default what wind, own_error and

@@ -1,10 +1,9 @@
-"""Chances that links exceed declared numbers: against all outcomes of tiny flights, and frequencies over the link
-itself.
-"""
+"""Exceedance probabilities of declared bounds: against all outcomes of tiny runs, and frequencies over the link."""
 
 import functools
 import importlib
 import itertools
+import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -19,25 +18,24 @@ from hypothesis import strategies as st
 
 from bus.errors import ScenarioError
 from bus.messages import MOST_CARRIED, LinkSettings
-from properties import PROPERTY
-from sim.channel.chances import (
-    Chance,
-    chance_of_age,
-    chance_of_error,
-    chance_of_outage,
-    largest_error,
+from outrider_networks.link_runs import Probability
+from outrider_networks.probabilities import (
+    age_exceedance,
+    error_exceedance,
+    outage_exceedance,
     smallest_age,
+    smallest_error,
     smallest_outage,
 )
+from outrider_networks.scenario_bounds import bounds_for, exceedance, in_runs
+from properties import PROPERTY
 from sim.channel.description import link_parameters
 from sim.channel.recorded import pack
-from sim.engine.briefing import safety_parameters
-from sim.scenario.checks import scenario_warnings
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Certificate, LinkTable, Scenario
+from sim.scenario.types import Scenario
 
 DT = 0.05
-FLIGHTS = 10_000
+RUNS = 10_000
 FEW = settings(PROPERTY, max_examples=20)
 BURSTS = {"burst_length": 0.2, "burst_interval": 0.5, "burst_loss": 0.8}
 DARK = {"blackout_interval": 5.0, "blackout_length": 0.52}
@@ -52,7 +50,7 @@ PACKETS: dict[str, Any] = {"dt": DT, "delay_ticks": 4, "repeats": 6, "ticks": 20
 @pytest.fixture
 def flown(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[3] / "benchmarks"))
-    return importlib.import_module("chances_table")
+    return importlib.import_module("exceedance_table")
 
 
 @functools.cache
@@ -112,7 +110,7 @@ def is_interrupted(arrives: list[float], delay: int, repeats: int, outage: int) 
 )
 def test_the_chance_of_an_age_is_that_of_all_outcomes(link, period, flies, age) -> None:
     told = LinkSettings(delay=flies * DT, **link)
-    chance = chance_of_age(told, dt=DT, period_ticks=period, dropout=0.1, ticks=10, age=age * DT)
+    chance = age_exceedance(told, dt=DT, period_ticks=period, dropout=0.1, ticks=10, age=age * DT)
     found = sum(
         p
         for got, p in outcomes(LinkSettings(**link), 10, 0.1)
@@ -132,7 +130,7 @@ def test_the_chance_of_an_age_is_that_of_all_outcomes(link, period, flies, age) 
 )
 def test_the_chance_of_an_outage_is_that_of_all_outcomes(link, flies, delay, repeats, outage):
     told = LinkSettings(delay=flies * DT, **link)
-    chance = chance_of_outage(
+    chance = outage_exceedance(
         told, dt=DT, delay_ticks=delay, repeats=repeats, ticks=11, outage=outage * DT
     )
     numbers = (delay, repeats, outage)
@@ -169,26 +167,26 @@ OUTAGES: list[tuple[dict[str, Any], int, int, float]] = [
 
 
 def counted(
-    flown: ModuleType, chance_of: Callable[..., Chance], link: LinkSettings, **numbers: Any
+    flown: ModuleType, chance_of: Callable[..., Probability], link: LinkSettings, **numbers: Any
 ) -> tuple[float, float]:
     """A chance, and the share of flights over the link itself in which it comes true: they agree."""
-    exceeded = getattr(flown, f"{chance_of.__name__.removeprefix('chance_of_')}s_exceeded")
-    chance, count = chance_of(link, **numbers), exceeded(link, **numbers, flights=FLIGHTS)
-    assert 0 < count < FLIGHTS
-    assert flown.agrees(chance, count, FLIGHTS), (chance, count)
-    return chance.value, count / FLIGHTS
+    exceeded = getattr(flown, f"{chance_of.__name__.removesuffix('_exceedance')}s_exceeded")
+    chance, count = chance_of(link, **numbers), exceeded(link, **numbers, runs=RUNS)
+    assert 0 < count < RUNS
+    assert flown.agrees(chance, count, RUNS), (chance, count)
+    return chance.value, count / RUNS
 
 
 @pytest.mark.parametrize(("link", "period", "age"), AGES)
 def test_the_chance_of_an_age_agrees_with_its_frequency(flown, link, period, age):
     numbers = LOOKS | {"period_ticks": period, "age": age}
-    counted(flown, chance_of_age, LinkSettings(**link), **numbers)
+    counted(flown, age_exceedance, LinkSettings(**link), **numbers)
 
 
 @pytest.mark.parametrize(("link", "delay", "repeats", "outage"), OUTAGES)
 def test_the_chance_of_an_outage_agrees_with_its_frequency(flown, link, delay, repeats, outage):
     numbers = PACKETS | {"delay_ticks": delay, "repeats": repeats, "outage": outage}
-    counted(flown, chance_of_outage, LinkSettings(**link), **numbers)
+    counted(flown, outage_exceedance, LinkSettings(**link), **numbers)
 
 
 # Over a recorded link
@@ -210,15 +208,15 @@ def test_over_a_recorded_table_the_chance_is_the_share_of_all_its_places(number,
     common: dict[str, Any] = {"dt": DT, "ticks": ticks, "traces": traces}
     for period, age in itertools.product((1, 3), (0, 2, 4, 7)):
         looks = {**common, "period_ticks": period, "age": age * DT}
-        exact = chance_of_age(link, dropout=0.0, **looks)
+        exact = age_exceedance(link, dropout=0.0, **looks)
         share = np.mean([grows_old(flight, period, age) for flight in flights])
         assert exact == (pytest.approx(share), "")
-        bound = chance_of_age(link, dropout=1e-9, **looks)
+        bound = age_exceedance(link, dropout=1e-9, **looks)
         assert (bound.exact, share - 1e-6 <= bound.value <= share + 0.15) == (False, True)
     for delay, repeats, outage in itertools.product((0, 2, 5), (1, 6), (1, 3, 8, 20)):
         packets = {**common, "delay_ticks": delay, "repeats": repeats, "outage": outage * DT}
         share = np.mean([is_interrupted(flight, delay, repeats, outage) for flight in flights])
-        assert chance_of_outage(link, **packets) == (pytest.approx(share), "")
+        assert outage_exceedance(link, **packets) == (pytest.approx(share), "")
 
 
 def test_the_chances_over_a_recorded_link_agree_with_frequencies(flown: ModuleType) -> None:
@@ -226,12 +224,12 @@ def test_the_chances_over_a_recorded_link_agree_with_frequencies(flown: ModuleTy
     looks, packets = LOOKS | {"traces": traces}, PACKETS | {"delay_ticks": 2, "traces": traces}
     for dropout, age in ((0.0, 0.1), (0.1, 0.2)):
         numbers = looks | {"dropout": dropout, "age": age}
-        chance, share = counted(flown, chance_of_age, link, **numbers)
+        chance, share = counted(flown, age_exceedance, link, **numbers)
         assert chance < 1.2 * share
-    counted(flown, chance_of_outage, link, **packets, outage=0.1)
+    counted(flown, outage_exceedance, link, **packets, outage=0.1)
     for smallest, chance_of, numbers in (
-        (smallest_age, chance_of_age, looks),
-        (smallest_outage, chance_of_outage, packets),
+        (smallest_age, age_exceedance, looks),
+        (smallest_outage, outage_exceedance, packets),
     ):
         found, name = smallest(link, **numbers, risk=0.05).value, smallest.__name__[9:]
         assert chance_of(link, **numbers, **{name: found}).value <= 0.05
@@ -240,10 +238,10 @@ def test_the_chances_over_a_recorded_link_agree_with_frequencies(flown: ModuleTy
 
 def test_of_mahimahi_files_and_of_recordings_that_are_too_long_no_chance_is_told() -> None:
     granted = {"settings": LinkSettings(trace="m"), "traces": (pack("m", b"1\n20\n"),)}
-    assert "Mahimahi" in chance_of_age(**granted, **LOOKS, age=1.0).why
+    assert "Mahimahi" in age_exceedance(**granted, **LOOKS, age=1.0).why
     link, traces = LinkSettings(trace="far"), (pack("far", FAR.read_bytes()),)
     long = LOOKS | {"ticks": 100_000, "traces": traces}
-    assert "too long" in chance_of_age(link, **long, age=1.0).why
+    assert "too long" in age_exceedance(link, **long, age=1.0).why
 
 
 KINDS = st.sampled_from([{}, BURSTS, DARK, LATE, {**BURSTS, **DARK, "blackouts": ((2.0, 0.3),)}])
@@ -260,11 +258,11 @@ def test_the_chance_of_an_age_rises_with_all_that_is_worse(kind, loss, age, peri
     link = LinkSettings(delay=0.1, loss=loss, **kind)
     numbers = {"settings": link, "dt": DT, "period_ticks": period, "dropout": 0.1, "ticks": 200}
     numbers["age"] = age * DT
-    assert rises(chance_of_age, numbers, age=(age - 1) * DT)
-    assert rises(chance_of_age, numbers, ticks=230)
-    assert rises(chance_of_age, numbers, dropout=0.2)
-    assert rises(chance_of_age, numbers, settings=msgspec.structs.replace(link, delay=0.15))
-    assert rises(chance_of_age, numbers, settings=msgspec.structs.replace(link, loss=loss + 0.1))
+    assert rises(age_exceedance, numbers, age=(age - 1) * DT)
+    assert rises(age_exceedance, numbers, ticks=230)
+    assert rises(age_exceedance, numbers, dropout=0.2)
+    assert rises(age_exceedance, numbers, settings=msgspec.structs.replace(link, delay=0.15))
+    assert rises(age_exceedance, numbers, settings=msgspec.structs.replace(link, loss=loss + 0.1))
 
 
 @FEW
@@ -273,10 +271,12 @@ def test_the_chance_of_an_outage_rises_with_all_that_is_worse(kind, loss, outage
     link = LinkSettings(delay=0.1, loss=loss, **kind)
     numbers: dict[str, Any] = {"settings": link, "dt": DT, "delay_ticks": delay, "ticks": 200}
     numbers.update(outage=outage * DT, repeats=repeats)
-    assert rises(chance_of_outage, numbers, outage=(outage - 1) * DT)
-    assert rises(chance_of_outage, numbers, ticks=230)
-    assert rises(chance_of_outage, {**numbers, "repeats": repeats + 1}, repeats=repeats)
-    assert rises(chance_of_outage, numbers, settings=msgspec.structs.replace(link, loss=loss + 0.1))
+    assert rises(outage_exceedance, numbers, outage=(outage - 1) * DT)
+    assert rises(outage_exceedance, numbers, ticks=230)
+    assert rises(outage_exceedance, {**numbers, "repeats": repeats + 1}, repeats=repeats)
+    assert rises(
+        outage_exceedance, numbers, settings=msgspec.structs.replace(link, loss=loss + 0.1)
+    )
 
 
 @pytest.mark.parametrize("risk", [0.3, 1e-2, 1e-6])
@@ -287,20 +287,20 @@ def test_the_smallest_number_is_the_smallest(kind: dict[str, Any], risk: float) 
     age = smallest_age(link, **looks, risk=risk).value
     outage = smallest_outage(link, **packets, risk=risk).value
     kept = (
-        chance_of_age(link, **looks, age=age).value,
-        chance_of_outage(link, **packets, outage=outage).value,
+        age_exceedance(link, **looks, age=age).value,
+        outage_exceedance(link, **packets, outage=outage).value,
     )
     exceeded = (
-        chance_of_age(link, **looks, age=age - DT).value,
-        chance_of_outage(link, **packets, outage=outage - DT).value,
+        age_exceedance(link, **looks, age=age - DT).value,
+        outage_exceedance(link, **packets, outage=outage - DT).value,
     )
     assert max(kept) <= risk < min(exceeded)
 
 
 def test_what_cannot_be_bounded_is_said_and_is_no_number() -> None:
     for told in (
-        chance_of_age(SLOW, **LOOKS, age=1.0),
-        chance_of_outage(SLOW, **PACKETS, outage=1.0),
+        age_exceedance(SLOW, **LOOKS, age=1.0),
+        outage_exceedance(SLOW, **PACKETS, outage=1.0),
         smallest_age(SLOW, **LOOKS, risk=0.1),
         smallest_outage(SLOW, **PACKETS, risk=0.1),
         smallest_outage(LinkSettings(loss=1.0), **PACKETS, risk=0.1),
@@ -311,64 +311,111 @@ def test_what_cannot_be_bounded_is_said_and_is_no_number() -> None:
 
 def test_packets_that_are_always_too_late_begin_nothing() -> None:
     late = LinkSettings(delay=0.5)
-    assert chance_of_outage(late, **PACKETS, outage=5.0) == (1.0, "")
+    assert outage_exceedance(late, **PACKETS, outage=5.0) == (1.0, "")
 
 
 def test_a_flight_too_long_to_be_gone_through_has_a_bound() -> None:
     link, numbers = LinkSettings(loss=0.3), {"dt": DT, "period_ticks": 1, "dropout": 0.0}
-    long = chance_of_age(link, **numbers, ticks=2_000_000, age=1.0)
-    short = chance_of_age(link, **numbers, ticks=2_000, age=1.0)
+    long = age_exceedance(link, **numbers, ticks=2_000_000, age=1.0)
+    short = age_exceedance(link, **numbers, ticks=2_000, age=1.0)
     assert short.exact
     assert not long.exact
     assert long.value == pytest.approx(1000.0 * short.value, rel=0.02)
     planned = msgspec.structs.replace(link, blackouts=((1.0, 1.0),))
-    assert chance_of_age(planned, **numbers, ticks=2_000_000, age=1.0).value is None
+    assert age_exceedance(planned, **numbers, ticks=2_000_000, age=1.0).value is None
 
 
-def test_the_largest_error_is_exceeded_with_the_chance_of_the_risk() -> None:
-    eps = largest_error(0.1, math.inf, 4000, 1e-3)
-    assert chance_of_error(0.1, math.inf, 4000, eps).value == pytest.approx(1e-3, rel=1e-9)
-    assert largest_error(0.1, 3.0, 4000, 1e-3) == pytest.approx(0.3)
-    assert chance_of_error(0.1, 3.0, 4000, 0.3).value == 0.0
+def test_the_smallest_error_is_exceeded_with_the_chance_of_the_risk() -> None:
+    eps = smallest_error(0.1, math.inf, 4000, 1e-3)
+    assert error_exceedance(0.1, math.inf, 4000, eps).value == pytest.approx(1e-3, rel=1e-9)
+    assert smallest_error(0.1, 3.0, 4000, 1e-3) == pytest.approx(0.3)
+    assert error_exceedance(0.1, 3.0, 4000, 0.3).value == 0.0
     errors = np.linalg.norm(np.random.default_rng(3).normal(0.0, 0.1, (2000, 50, 2)), axis=2)
     share = np.mean(errors.max(axis=1) > 0.33)
-    assert chance_of_error(0.1, math.inf, 50, 0.33).value == pytest.approx(share, abs=0.03)
+    assert error_exceedance(0.1, math.inf, 50, 0.33).value == pytest.approx(share, abs=0.03)
 
 
 # In a scenario
 
 
-def scenario(*overrides: str, **certificate: Any) -> Scenario:
-    """The default one; of the certificate nothing is given but these fields."""
-    base = load_scenario("escort", overrides=[*overrides, "links.detections.profile=jammed"])
-    return msgspec.structs.replace(base, certificate=Certificate(**certificate))
+def scenario(*overrides: str) -> Scenario:
+    """Return the default one over a jammed link."""
+    return load_scenario("escort", overrides=["links.detections.profile=jammed", *overrides])
 
 
-def test_a_risk_gives_the_bounds_that_are_not_given() -> None:
-    one = scenario("links.commands.profile=wifi-poor", "hold=2.0", risk=1e-3)
-    looks = LOOKS | {"ticks": one.ticks}
+def test_bounds_share_the_risk_equally() -> None:
+    one = scenario("links.commands.profile=wifi-poor", "hold=2.0")
     packets = PACKETS | {"delay_ticks": 12, "repeats": MOST_CARRIED, "ticks": one.ticks}
-    seen, commands = one.links.detections, one.links.commands
-    both = safety_parameters(one, "uav_0")
-    assert both.max_measurement_age == smallest_age(seen, **looks, risk=5e-4).value
-    assert both.max_command_interval == smallest_outage(commands, **packets, risk=5e-4).value
-    assert safety_parameters(scenario(risk=1e-3, age=2.0), "uav_0").max_measurement_age == 2.0
-    assert safety_parameters(scenario(risk=1e-3, outage=2.0), "uav_0").max_command_interval == 2.0
-    given = safety_parameters(scenario(), "uav_0")
-    assert (given.max_measurement_age, given.max_command_interval) == (1.0, DT)
-    uncut = safety_parameters(scenario("detections.cut=0", risk=1e-3, outage=2.0), "uav_0")
-    assert uncut.max_measurement_age == both.max_measurement_age
-    assert uncut.max_measurement_error == largest_error(0.1, math.inf, one.ticks, 5e-4)
-    assert safety_parameters(scenario("detections.cut=0"), "uav_0").max_measurement_error is None
+    detections, commands = one.links.detections, one.links.commands
+    both = bounds_for(one, 1e-3).set
+    looks = LOOKS | {"ticks": one.ticks}
+    assert both["certificate.age"] == smallest_age(detections, **looks, risk=5e-4).value
+    assert both["certificate.outage"] == smallest_outage(commands, **packets, risk=5e-4).value
+    uncut = bounds_for(scenario("detections.cut=0"), 1.5e-3).set
+    assert uncut["certificate.age"] == both["certificate.age"]
+    assert uncut["certificate.error"] == smallest_error(0.1, math.inf, one.ticks, 5e-4)
 
 
-def test_a_risk_with_an_age_beside_it_is_told_to_do_nothing() -> None:
-    given = ["certificate.risk=1e-3", "certificate.age=2.0", "certificate.outage=1.0"]
-    (line,) = scenario_warnings(load_scenario("escort", overrides=given))
-    assert line == "certificate.risk = 0.001: nothing follows from it, as age and outage are given"
-    assert scenario_warnings(load_scenario("escort", overrides=given[:1])) == ()
-    assert scenario_warnings(load_scenario("escort", overrides=[*given, "detections.cut=0"])) == ()
-    slow = msgspec.structs.replace(scenario(risk=1e-3), links=LinkTable(detections=SLOW))
-    told = "let the queue run empty: with links.detections nothing can be promised of uav_0"
-    with pytest.raises(ScenarioError, match=told):
-        safety_parameters(slow, "uav_0")  # made in Python, and not checked
+def test_with_the_bounds_of_a_risk_a_run_meets_it() -> None:
+    links = ["links.commands.loss=0.1", "detections.cut=0"]
+    found = bounds_for(scenario(*links), 1e-2).set
+    declared = scenario(*links, *(f"{field}={value!r}" for field, value in found.items()))
+    chances = exceedance(declared)
+    assert sorted(chances.exceedance_probability) == ["uav_0/age", "uav_0/error", "uav_0/outage"]
+    assert 0.0 < chances.loss_probability <= 1e-2
+    assert chances.loss_probability == sum(chances.exceedance_probability.values())
+
+
+def test_a_risk_that_no_bound_meets_is_refused() -> None:
+    slow = scenario("links.detections.bandwidth=15.0", "links.detections.queue=1")
+    with pytest.raises(ScenarioError, match=r"--risk = 0.001: .* links.detections of uav_0"):
+        bounds_for(slow, 1e-3)
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        "links.commands.blackouts=[[5.0,3.0]]",
+        "links.detections.blackouts=[[30.0,20.0]]",
+        "certificate.age=60.0",
+        "detections.cut=0",
+    ],
+)
+def test_where_another_assumption_is_broken_no_loss_probability_is_known(broken: str) -> None:
+    quiet = load_scenario("escort", overrides=["links.detections.loss=0.5"])
+    assert exceedance(quiet).loss_probability > 0.0
+    assert exceedance(scenario(broken)).loss_probability is None
+
+
+def test_another_law_relies_on_no_bounds() -> None:
+    with pytest.raises(ScenarioError, match="relies on declared bounds"):
+        exceedance(scenario("law.name=linear"))
+
+
+@pytest.mark.parametrize(
+    ("probability", "words"),
+    [
+        (0.0, "in no run"),
+        (1e-13, "in less than 1 of 10^12 runs"),
+        (3.1e-4, "in at most 1 of 3,200 runs"),
+        (0.01, "in at most 1 of 100 runs"),
+        (0.0371, "in at most 38 of 1,000 runs"),
+        (1.0, "perhaps in every run"),
+    ],
+)
+def test_a_probability_in_words_is_never_less_than_it_is(probability: float, words: str) -> None:
+    assert in_runs(probability) == words
+
+
+def test_the_bounds_are_options_of_run(command) -> None:
+    printed = command("network", "bounds", "escort", "--risk", "1e-3")
+    assert printed.stdout.split() == [
+        "--set",
+        "certificate.age=0.3",
+        "--set",
+        "certificate.outage=0.05",
+    ]
+    told = json.loads(
+        command("network", "chances", "escort", *printed.stdout.split(), "--json").stdout
+    )
+    assert 0.0 < told["loss_probability"] < 1e-3

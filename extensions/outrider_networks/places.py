@@ -1,39 +1,30 @@
-"""A recorded table of delays, gone through from each place at which a run may begin in it.
+"""A recorded table of delays, evaluated from each place at which a run may begin in it.
 
-It is played in a loop from a place on that each run's key draws, all alike, and nothing else is drawn. So what is found
-here for every place is the whole distribution. A Mahimahi file is not gone through: what waits then depends on what was
+It is played in a loop from a place that each run's key draws, all equally likely, and nothing else is drawn. So the
+results for all places are the whole distribution. A Mahimahi file is not evaluated: what waits then depends on what was
 sent before.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from sim.channel.gaps import Mask, delays_at
 from sim.channel.link_records import LinkParameters
 from sim.kernels.compile import FloatArray, IntArray
 
-_Mask = npt.NDArray[np.bool_]
-
 
 def delays_by_place(parameters: LinkParameters) -> IntArray:
-    """The delay of a message that is sent at each place of a round [ticks]; -1: it is lost. Shape (places,)."""
+    """Return the delay of a message that is sent at each place of a round [ticks]; -1: it is lost. Shape (places,)."""
     return delays_at(parameters, np.arange(parameters.period))
 
 
-def delays_at(parameters: LinkParameters, places: IntArray) -> IntArray:
-    """The delay of a message that is sent at each of these places of a round [ticks]; -1: it is lost."""
-    rows = np.searchsorted(parameters.trace[:, 0], places, side="right") - 1
-    delays: IntArray = parameters.trace[rows, 1]
-    return delays
-
-
-def oldest_by_place(delays: IntArray, left: _Mask, period: int) -> IntArray:
-    """The greatest age of the newest detection within a flight [ticks], by the place at which it begins.
+def oldest_by_place(delays: IntArray, left: Mask, period: int) -> IntArray:
+    """Return the greatest age of the newest detection within a run [ticks], by the place at which it begins.
 
     Counted from the tick on at which the first detection arrives. Shape (places,).
 
     Args:
-        delays: As of `delays_by_place`.
-        left: By tick of the flight, whether no planned blackout takes what is sent at it.
+        delays: See `delays_by_place`.
+        left: By tick of the run, whether no planned blackout hides what is sent at it.
         period: Ticks from one look to the next, each of which finds something; the first is at tick 0.
     """
     places = len(delays)
@@ -52,19 +43,19 @@ def oldest_by_place(delays: IntArray, left: _Mask, period: int) -> IntArray:
 
 
 def unseen_by_place(
-    delays: IntArray, left: _Mask, period: int, dropout: float, age: int
+    delays: IntArray, left: Mask, period: int, dropout: float, age: int
 ) -> FloatArray:
-    """Chance that after a detection no other is in time, on average over a flight, by the place at which it begins.
+    """Return the expected number of detections after which no other is in time, by the place where a run begins.
 
     Shape (places,).
 
     Args:
-        delays, left, period: As of `oldest_by_place`.
-        dropout: Share of looks that find nothing, each on its own; above 0.
-        age: One after the other the newest must not become older than this [ticks].
+        delays, left, period: See `oldest_by_place`.
+        dropout: Share of looks that find nothing, each independent of each other; above 0.
+        age: The newest must not become older than this [ticks].
     """
     later, unseen = np.arange(period, age + 2, period), np.zeros(len(delays))
-    in_time: _Mask = np.zeros((len(later), len(delays)), dtype=bool)
+    in_time: Mask = np.zeros((len(later), len(delays)), dtype=bool)
     for row, after in zip(in_time, later.tolist(), strict=True):
         took = np.roll(delays, -after)
         row[:] = (took >= 0) & (took <= age + 1 - after)
@@ -78,13 +69,14 @@ def unseen_by_place(
     return unseen
 
 
-def waits_by_place(delays: IntArray, left: _Mask, delay: int, repeats: int) -> IntArray:
-    """The longest time from the beginning of one motion to that of the next [ticks], by where a flight begins.
+def waits_by_place(delays: IntArray, left: Mask, delay: int, repeats: int) -> IntArray:
+    """Return the longest time from the start of one motion to the start of the next [ticks], by where a run begins.
 
-    The protocol of the motions, packet by packet: see `sim.channel.chances.chance_of_outage`. Shape (places,).
+    The protocol of the motions, packet by packet: see `outrider_networks.probabilities.outage_exceedance`. Shape
+    (places,).
 
     Args:
-        delays, left: As of `oldest_by_place`; one packet a tick.
+        delays, left: See `oldest_by_place`; one packet a tick.
         delay: From the tick of a motion's packet to the one at which it begins [ticks].
         repeats: Packets that carry a motion, the first included.
     """

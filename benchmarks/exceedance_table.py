@@ -1,10 +1,10 @@
 """The table of docs/explanation/chances.md.
 
-python benchmarks/chances_table.py [FLIGHTS]: by default 100,000, some minutes.
+python benchmarks/exceedance_table.py [RUNS]: by default 100,000, some minutes.
 
-Chances that declared numbers are exceeded, as computed from the links' settings, beside how often they are in flights
-over the compiled link itself. Detections and packets are sent as a flight sends them; the protocol of the motions is
-played literally, packet by packet, and knows nothing of windows or chains of states.
+Exceedance probabilities of declared bounds, computed from the links' settings, beside frequencies in runs over the
+compiled link itself. Detections and packets are sent as a run sends them; the protocol of the motions is played
+literally, packet by packet, and knows nothing of windows or chains of states.
 """
 
 import argparse
@@ -18,10 +18,10 @@ from bus.messages import LinkSettings
 from bus.profiles import PROFILES
 from bus.ticks import ticks_within
 from outrider.experiments.intervals import wilson_interval
-from sim.channel.chances import (
-    Chance,
-    chance_of_age,
-    chance_of_outage,
+from outrider_networks.link_runs import Probability
+from outrider_networks.probabilities import (
+    age_exceedance,
+    outage_exceedance,
     smallest_age,
     smallest_outage,
 )
@@ -38,17 +38,17 @@ RECORDINGS = Path(__file__).resolve().parent.parent / "examples" / "networks"
 REPEATS = 6
 RISK = 0.01
 SURE = 0.99
-"""Level of the intervals: the share of all cases in which they hold the chance."""
+"""Level of the intervals: the share of all cases in which they hold the probability."""
 
 
 Traces = tuple[RecordedLink, ...]
 
 
 @compiled
-def _begin(links: RecordArray, fresh: RecordArray, seed: int, flight: int) -> None:
-    """Reset a link to one on which nothing was ever sent, with the key of a flight."""
+def _begin(links: RecordArray, fresh: RecordArray, seed: int, run: int) -> None:
+    """Reset a link to one on which nothing was ever sent, with the key of a run."""
     links[0, 0] = fresh[0, 0]
-    links[0, 0].key[0], links[0, 0].key[1] = np.uint64(seed), np.uint64(flight)
+    links[0, 0].key[0], links[0, 0].key[1] = np.uint64(seed), np.uint64(run)
 
 
 @compiled
@@ -57,17 +57,17 @@ def _too_old(
     packets: RecordArray,
     traces: IntArray,
     seed: int,
-    flights: int,
+    runs: int,
     ticks: int,
     period: int,
     dropout: float,
     age: int,
 ) -> int:
-    """Counts the flights in which the newest detection that has arrived is older than `age` [ticks] at some tick."""
+    """Count the runs in which the newest detection that has arrived is older than `age` [ticks] at some tick."""
     count, fresh, stamps = 0, links.copy(), np.zeros(1)
-    for flight in range(flights):
-        _begin(links, fresh, seed, flight)
-        newest, looks = -1, (np.uint64(~seed), np.uint64(flight))
+    for run in range(runs):
+        _begin(links, fresh, seed, run)
+        newest, looks = -1, (np.uint64(~seed), np.uint64(run))
         for tick in range(ticks):
             found = tick % period == 0 and uniform(looks, DETECTION_CHANCE, tick, 0) >= dropout
             stamps[0] = tick
@@ -85,18 +85,18 @@ def _interrupted(
     packets: RecordArray,
     traces: IntArray,
     seed: int,
-    flights: int,
+    runs: int,
     ticks: int,
     delay: int,
     repeats: int,
     outage: int,
 ) -> int:
-    """Counts the flights in which no motion begins within `outage` [ticks] after one has."""
+    """Count the runs in which no motion begins within `outage` [ticks] after one has."""
     count, fresh, stamps = 0, links.copy(), np.zeros(1)
     parents, lowest = np.zeros(ticks, dtype=np.int64), np.zeros(ticks, dtype=np.int64)
     known = np.zeros(ticks, dtype=np.bool_)
-    for flight in range(flights):
-        _begin(links, fresh, seed, flight)
+    for run in range(runs):
+        _begin(links, fresh, seed, run)
         known[:] = False
         chain, flown, begun = 0, -1, delay - 1
         for tick in range(ticks):
@@ -127,13 +127,13 @@ def ages_exceeded(
     dropout: float,
     ticks: int,
     age: float,
-    flights: int,
+    runs: int,
     traces: Traces = (),
 ) -> int:
-    """Counts those of so many flights in which the age is exceeded; arguments as of `chance_of_age`."""
+    """Count the runs in which the age is exceeded; for the arguments see `age_exceedance`."""
     limit = ticks_within(age, dt)
     link = new_links([link_parameters(settings, dt, traces=traces)])
-    return int(_too_old(*link, SEED, flights, ticks, period_ticks, dropout, limit))
+    return int(_too_old(*link, SEED, runs, ticks, period_ticks, dropout, limit))
 
 
 def outages_exceeded(
@@ -144,30 +144,30 @@ def outages_exceeded(
     repeats: int,
     ticks: int,
     outage: float,
-    flights: int,
+    runs: int,
     traces: Traces = (),
 ) -> int:
-    """Counts those of so many flights in which the outage is exceeded; arguments as of `chance_of_outage`."""
+    """Count the runs in which the outage is exceeded; for the arguments see `outage_exceedance`."""
     limit = ticks_within(outage, dt)
     link = new_links([link_parameters(settings, dt, traces=traces)])
-    return int(_interrupted(*link, SEED, flights, ticks, delay_ticks, repeats, limit))
+    return int(_interrupted(*link, SEED, runs, ticks, delay_ticks, repeats, limit))
 
 
-def agrees(chance: Chance, count: int, flights: int) -> bool:
-    """True if an exact chance is within the interval, or a bound is not below it."""
-    low, high = wilson_interval(count, flights, SURE)
-    return chance.value is None or (
-        low <= chance.value <= high if chance.exact else low <= chance.value
+def agrees(probability: Probability, count: int, runs: int) -> bool:
+    """Return whether an exact probability is within the interval, or a bound is not below it."""
+    low, high = wilson_interval(count, runs, SURE)
+    return probability.value is None or (
+        low <= probability.value <= high if probability.exact else low <= probability.value
     )
 
 
-def _row(what: str, number: float, chance: Chance, count: int, flights: int) -> str:
+def _row(what: str, number: float, probability: Probability, count: int, runs: int) -> str:
     """A row of the table, as the page has it."""
-    low, high = wilson_interval(count, flights, SURE)
-    value = "–" if chance.value is None else f"{chance.value:.5f}"
-    kind = "exact" if chance.exact else "bound"
-    frequency = f"{count / flights:.5f} | {low:.5f} to {high:.5f}"
-    held = "yes" if agrees(chance, count, flights) else "**no**"
+    low, high = wilson_interval(count, runs, SURE)
+    value = "–" if probability.value is None else f"{probability.value:.5f}"
+    kind = "exact" if probability.exact else "bound"
+    frequency = f"{count / runs:.5f} | {low:.5f} to {high:.5f}"
+    held = "yes" if agrees(probability, count, runs) else "**no**"
     return f"| {what} | {number:g} | {value} | {kind} | {frequency} | {held} |"
 
 
@@ -196,40 +196,38 @@ def _links() -> Iterator[tuple[str, LinkSettings, Traces]]:
         yield f"recorded, {path.stem}", LinkSettings(trace=path.name), (recorded,)
 
 
-def rows(flights: int) -> Iterator[str]:
-    """Each link with numbers that are exceeded in about one flight of a hundred."""
+def rows(runs: int) -> Iterator[str]:
+    """Yield rows for each link, with bounds that are exceeded in about one run of a hundred."""
     for name, settings, traces in _links():
         shared = {"dt": DT, "ticks": TICKS, "traces": traces}
         looks = shared | {"period_ticks": 1, "dropout": 0.1}
         age = smallest_age(settings, **looks, risk=RISK).value
         if age is not None:
-            count = ages_exceeded(settings, **looks, age=age, flights=flights)
-            chance = chance_of_age(settings, **looks, age=age)
-            yield _row(f"{name}: age", age, chance, count, flights)
+            count = ages_exceeded(settings, **looks, age=age, runs=runs)
+            probability = age_exceedance(settings, **looks, age=age)
+            yield _row(f"{name}: age", age, probability, count, runs)
         delay = max(2, link_parameters(settings, DT, traces=traces).longest)
         packets = shared | {"delay_ticks": delay, "repeats": REPEATS}
         outage = smallest_outage(settings, **packets, risk=RISK).value
         if outage is not None:
-            count = outages_exceeded(settings, **packets, outage=outage, flights=flights)
-            chance = chance_of_outage(settings, **packets, outage=outage)
+            count = outages_exceeded(settings, **packets, outage=outage, runs=runs)
+            probability = outage_exceedance(settings, **packets, outage=outage)
             what = f"{name}: outage, τ_c {delay * DT:g} s"
-            yield _row(what, outage, chance, count, flights)
+            yield _row(what, outage, probability, count, runs)
 
 
 def main() -> None:
-    """Exact chances beside the frequencies of simulated flights, as a table."""
+    """Print probabilities beside the frequencies in simulated runs, as a table."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument(
-        "flights", type=int, nargs="?", default=100_000, help="how many (%(default)s)"
-    )
-    flights = parser.parse_args().flights
-    if flights < 1:
-        parser.error(f"flights = {flights}: must be 1 or more")
+    parser.add_argument("runs", type=int, nargs="?", default=100_000, help="how many (%(default)s)")
+    runs = parser.parse_args().runs
+    if runs < 1:
+        parser.error(f"runs = {runs}: must be 1 or more")
     sys.stdout.write(
-        "| link, declared number | [s] | chance | | frequency | 99 % interval | agrees |\n"
+        "| link, declared bound | [s] | probability | | frequency | 99 % interval | agrees |\n"
     )
     sys.stdout.write("|---|--:|--:|---|--:|--:|---|\n")
-    for row in rows(flights):
+    for row in rows(runs):
         sys.stdout.write(f"{row}\n")
         sys.stdout.flush()
 
