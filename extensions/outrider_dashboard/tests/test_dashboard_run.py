@@ -131,7 +131,7 @@ def test_a_run_with_a_page_keeps_the_wall_clock_unless_told_otherwise_and_ctrl_c
 
 
 def test_a_page_that_dies_is_told_once_and_the_run_goes_on_in_lockstep_to_its_end() -> None:
-    told = words("run --dashboard --lockstep --port 0 --duration 250 --no-files --json")
+    told = words("run --dashboard --realtime 0 --port 0 --duration 250 --no-files --json")
     with started(*told) as run:
         page = page_of(run)
         with browser(page) as channel:
