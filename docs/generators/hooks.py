@@ -10,6 +10,7 @@ from typing import Any
 import bus_messages
 import command_line
 import fmi_variables
+import metric_tables
 import ros2_topics
 import scenario_fields
 from latex2mathml.converter import convert
@@ -116,6 +117,7 @@ GENERATED = {
     "command_line": command_line.page,
     "scenario_tables": scenario_fields.tables,
     "scenarios_shipped": scenario_fields.shipped,
+    "metrics": metric_tables.tables,
     "bus_keys": bus_messages.keys,
     "bus_messages": bus_messages.messages,
     "python_modules": _modules_table,

@@ -14,11 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import httpx2
+import msgspec
 import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from observed import recorded
+from outrider.running.metrics import MISSION, NOW, Metric
 from processes import alive, child_of, family, outrider, started, wait_until
 from sim.scenario.loading import load_scenario
 from tabular import words
@@ -186,6 +188,9 @@ def test_a_recording_is_played_into_the_page_and_nobody_can_steer(recording: Pat
         with browser(page) as channel:
             hello = json.loads(channel.recv(20.0))
             assert hello["steer"] is False
+            told = msgspec.convert(hello["metrics"], dict[str, list[Metric]])
+            assert told["now"] == [*NOW.values()]
+            assert told["mission"] == [*MISSION.values()]
             channel.send('{"kind":"take","vehicle":"ugv_0"}')
             maps = 0
             for frame in frames(channel):
