@@ -17,13 +17,13 @@ export function buildTiles() {
 }
 
 // Show a metric in its tile; the text, if it is given, instead of a number.
-function show(row, value, { text = null, unit = row.unit, note = "", bad = false, more = [] } = {}) {
+function show(row, value, { text = null, unit = row.unit, note = "", bad = false, which = "", more = [] } = {}) {
   const tile = $(`tile-${row.name}`);
   setText(tile.querySelector("output"), text === null ? numberOf(row, value) : text);
   setText(tile.querySelector("small"), unit);
   setText(tile.querySelector(".pair"), note);
   tile.classList.toggle("bad", bad);
-  setTitle(tile, [`${row.meaning.replace(/\.$/, "")}${OF_SEVERAL[row.total] || ""}.`, ...more].join("\n"));
+  setTitle(tile, [`${row.meaning.replace(/\.$/, "")}${which}.`, ...more].join("\n"));
 }
 
 // What the safety filters say: certified, acting, or why nothing can be promised.
@@ -53,7 +53,7 @@ export function showTiles({ now, vehicles, escorts, geometry, status, truth, sta
     const each = several ? values.map((value, k) => `${escorts[k].join(" of ")}: ${textOf(row, value)}`) : [];
     const note = !several ? "" : [unsure.length ? "" : pair, words].filter(Boolean).join(" · ");
     const bad = name === "margin" && worst !== null && worst < 0;
-    show(row, worst, { unit: words && !several ? `${row.unit} · ${words}` : row.unit, note, bad, more: [...each, ...unsure] });
+    show(row, worst, { unit: words && !several ? `${row.unit} · ${words}` : row.unit, note, bad, which: OF_SEVERAL[row.total], more: [...each, ...unsure] });
   };
   const { words, reasons } = certificateOf(truth);
   const margins = column(0).map((distance) => (geometry && known(distance) ? geometry.visibility_radius - distance : null));
@@ -78,24 +78,28 @@ function showMission(status) {
   const way = told.hazards_on_way ? `known ${told.warned}${before}` : "";
   show(of("hazards_on_way"), told.hazards_on_way, { unit: way, more: [beside("warned"), beside("warned_before")] });
   show(of("seen_ahead"), told.seen_ahead);
-  showGuarantees(told, of("ground_certified_share"), beside);
+  showGuarantees(told, of);
   show(of("still_time"), told.still_time);
   $("tile-found").hidden = !told.finds;
   show(of("found"), told.found, { unit: `of ${told.finds}` });
 }
 
 // How much of the time cautious UGVs were certified to stay on tiles that they know; of bold ones nothing is claimed.
-function showGuarantees(told, row, beside) {
+function showGuarantees(told, of) {
+  const row = of("ground_certified_share");
   const guarantees = Object.entries(told.guarantees).filter(([, one]) => one.ticks);
-  $(`tile-${row.name}`).hidden = !guarantees.length;
   const sum = (name) => guarantees.reduce((total, [, one]) => total + one[name], 0);
   const each = guarantees.map(([name, one]) => {
     const reasons = Object.entries(one.uncertified).map(([reason, count]) => `; ${reason}: ${count} ticks`);
     return `${name}: ${textOf(row, one.certified / one.ticks)}${reasons.join("")}`;
   });
-  const wrong = ["entered_unknown_tile", "ground_certificate_broken"].filter((name) => told[name] > 0);
-  const share = sum("ticks") ? sum("certified") / sum("ticks") : null;
-  show(row, share, { note: wrong.map(beside).join(" · "), bad: wrong.length > 0, more: each });
+  const counted = [
+    [of("entered_unknown_tile"), sum("entered_unknown_tile")],
+    [of("ground_certificate_broken"), sum("certificate_broken")],
+  ].filter(([, count]) => count);
+  const note = counted.map(([metric, count]) => `${metric.label} ${textOf(metric, count)}`).join(" · ");
+  $(`tile-${row.name}`).hidden = !guarantees.length;
+  show(row, sum("ticks") ? sum("certified") / sum("ticks") : null, { note, bad: counted.length > 0, more: each });
 }
 
 // Which assumptions of the certificate the links cannot keep as they are now; an operator may just have changed one.
