@@ -90,7 +90,7 @@ LAWS = _table(
     LawRow(
         name="weighted",
         module="agents.laws.weighted",
-        about="both, by a weighting of your own (--weighting)",
+        about="both, by a weighting of your own (custom.weighting)",
         covers=True,
         own="weighting",
         color="#d16ba5",
@@ -98,14 +98,14 @@ LAWS = _table(
     LawRow(
         name="path",
         module="agents.laws.path",
-        about="a path of your own beside the UGV (--path)",
+        about="a path of your own beside the UGV (custom.path)",
         own="path",
         color="#4bb3c9",
     ),
     LawRow(
         name="certified",
         module="agents.laws.logarithmic",
-        about="logarithmic, or a policy of your own (--uav-policy), with the safety filter behind it",
+        about="logarithmic, or a policy of your own (custom.uav_policy), with the safety filter behind it",
         covers=True,
         inner="uav_policy",
         watched=True,
@@ -124,7 +124,7 @@ LAWS = _table(
     ),
     LawRow(
         name="policy",
-        about="a policy of your own (--uav-policy) alone, without the safety filter",
+        about="a policy of your own (custom.uav_policy) alone, without the safety filter",
         needs_radius=False,
         own="uav_policy",
         color="#6b4a8f",
@@ -182,7 +182,7 @@ DRIVERS = _table(
         make="agents.drivers.teleop:TeleopDriver",
         operated=True,
     ),
-    DriverRow(name="policy", about="a policy of your own (--policy)", own="policy"),
+    DriverRow(name="policy", about="a policy of your own (custom.policy)", own="policy"),
     DriverRow(name="external", about="a process of your own", outside=True),
     *plugin_rows("drivers", DriverRow),
 )

@@ -1,7 +1,7 @@
 """A navigation policy of one's own: it drives where the tiles that it knows leave room.
 
 python examples/navigate_by_tiles.py      its place in the missions' table, beside the driver `navigate`
-outrider run minefield --driver policy --policy navigate_by_tiles:policy      in this folder
+outrider run minefield --driver policy --set custom.policy=navigate_by_tiles:policy      in this folder
 """
 
 import gymnasium
@@ -39,7 +39,7 @@ def drive(seen):
 
 
 class Policy:
-    """The same for one UGV, as `--policy` takes it."""
+    """The same for one UGV, as `custom.policy` takes it."""
 
     observation_space = gymnasium.spaces.Dict(
         row=gymnasium.spaces.Box(-np.inf, np.inf, (8,), np.float64),

@@ -17,8 +17,10 @@ from bus.messages import Action, Control, Status
 from bus.session import Session, open_session
 from outrider.running import launch
 from outrider.running.flying import fly
+from outrider.running.parent import Output
 from outrider.running.summary import Summary
 from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 
 OUTRIDER = [sys.executable, "-m", "outrider"]
 
@@ -84,14 +86,15 @@ def flown_both_ways(
     return there, here
 
 
-CHANGES = ["duration=1.0"]
-SHORT = load_scenario("escort", overrides=CHANGES)
+SHORT = load_scenario("escort", overrides=["duration=1.0"])
 """The scenario of a run that this process launches."""
 
 
-def launched(watcher: launch.Watcher = launch.NOBODY, **settings: Any) -> launch.Outcome:
+def launched(
+    watcher: launch.Watcher = launch.NOBODY, *, scenario: Scenario = SHORT, **settings: Any
+) -> launch.Outcome:
     """The outcome of such a run over three processes."""
-    return launch.launch(SHORT, "escort", CHANGES, watcher, launch.Output(), **settings)
+    return launch.launch(scenario, watcher, Output(), **settings)
 
 
 def children_of(pid: int) -> list[int]:

@@ -13,6 +13,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import zenoh
 
 from agents import process
@@ -25,9 +26,8 @@ from bus.session import Session, open_session
 from outrider.running.flying import fly
 from processes import status_in, wait_until
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Scenario
+from sim.scenario.types import Run, Scenario
 from sim.server.flight import Flight
-from sim.server.run_timing import Timing
 from sim.server.serving import Server
 
 GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"])
@@ -148,14 +148,12 @@ class Stage:
         self.server_session = stack.enter_context(
             open_session(simulator, "run", listen=(self.endpoint,), given=given)
         )
-        timing = Timing(
-            **{key: options.pop(key) for key in set(options) & {*Timing.__struct_fields__}}
-        )
+        run = Run(**{key: options.pop(key) for key in set(options) & {*Run.__struct_fields__}})
+        scenario = msgspec.structs.replace(scenario, run=run)
         self.server = Server(
             self.server_session,
             scenario,
             scenario.seed,
-            timing,
             on_event=self.events.append,
             **options,
         )

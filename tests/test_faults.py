@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -35,7 +36,7 @@ from processes import (
 )
 from scattered import SECONDS, SECRET, scattered
 from sim.scenario.loading import load_scenario
-from sim.server.run_timing import Timing
+from sim.scenario.types import Run
 from tabular import words
 
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
@@ -121,7 +122,9 @@ def test_a_vehicle_that_cannot_live_is_not_started_for_ever(tmp_path: Path) -> N
         "import sys\nfrom outrider.cli import main\nimport outrider.running.user_code as own\n"
         "own.check_own_functions = lambda scenario: ()\nsys.argv[0] = 'outrider'\nmain.main()\n"
     )
-    arguments = words("run --law weighted --weighting deadly:weighting --respawn --no-files --json")
+    arguments = words(
+        "run --law weighted --set custom.weighting=deadly:weighting --respawn --no-files --json"
+    )
     told = {"cwd": tmp_path, "env": os.environ | {"OUTRIDER_DIES": "1"}, "timeout": 150}
     run = python(code, *arguments, check=False, **told)
     assert run.returncode == 1
@@ -144,7 +147,8 @@ def test_a_vehicle_killed_before_the_first_tick_is_started_again(respawn, monkey
             self.started.append(name)
 
     monkeypatch.setattr(launch, "Child", Doomed)
-    outcome = launched(timing=Timing(respawn=respawn))
+    scenario = msgspec.structs.replace(SHORT, run=Run(respawn=respawn))
+    outcome = launched(scenario=scenario)
     if respawn:
         assert outcome.summary is not None
         flown = fly(SHORT, SHORT.seed)[1].trajectory_sha256
@@ -294,7 +298,7 @@ def test_a_full_disk_names_the_file_that_could_not_be_written(tmp_path: Path, wr
 
 
 def test_a_late_vehicle_is_named_on_the_terminal() -> None:
-    with flying(*QUIET, "--deadline", "0.3") as run:
+    with flying(*QUIET, "--set", "run.deadline=0.3") as run:
         frozen = child_of(run, "ugv")
         os.kill(frozen, signal.SIGSTOP)
         time.sleep(0.6)  # less than it takes until it counts as gone

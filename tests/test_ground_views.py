@@ -212,10 +212,9 @@ def test_the_summary_tells_the_mission_and_its_table_in_plain_words(flown, capsy
     console.print_summary(summary, [])
     table = capsys.readouterr().out
     for words in (
-        f"after {summary.mission_time:.1f} s",
+        f"{summary.mission_time:.1f} s",
         "hazards hit",
-        "1, nearly hit 0",
-        "1 of 1",
+        "objects found",
     ):
         assert words in table
 

@@ -14,19 +14,20 @@ import msgspec
 import pytest
 import typer
 
-from bus.errors import ScenarioError
 from bus.messages import Action, Control, LinkKind, LinkSettings, UavCommand
 from bus.registry import LAWS
 from flights import Piloted
 from outrider.cli.main import make_app
-from outrider.cli.options import scenario_of
 from outrider.recording.reader import flight_of
 from outrider.recording.refly import external_uavs, restore
 from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import fly, make_pilots
+from outrider.running.resolve import resolve
 from outrider.running.summary import summarize
+from outrider.running.user_code import foreign_code
 from outrider.view.flight_picture import flight_figure
 from processes import outrider, ran
+from sim.scenario.checks import scenario_warnings
 from sim.scenario.loading import load_scenario, scenario_names, schema_text, shipped_text
 from sim.scenario.types import Custom
 from sim.server.flight import Flight
@@ -66,7 +67,9 @@ def test_a_foreign_module_on_the_python_path_ends_the_command_with_one_line(tmp_
 def test_a_users_function_that_wants_a_module_of_our_name_is_told_so(here, command):
     (here / "bus.py").write_text("speed = 0.1\n")
     (here / "wants_bus.py").write_text("from bus import speed\n\ndef wheel(o, b): return 0, 0\n")
-    done = command("run", "--in-process", *words("--driver policy --policy wants_bus:wheel"))
+    done = command(
+        "run", "--in-process", *words("--driver policy --set custom.policy=wants_bus:wheel")
+    )
     assert done.returncode == 2
     assert "bus.py beside it is not found: Outrider has that name" in done.stderr
     assert len(done.stderr.splitlines()) == 1
@@ -75,7 +78,7 @@ def test_a_users_function_that_wants_a_module_of_our_name_is_told_so(here, comma
 def test_a_run_that_fails_leaves_no_empty_folder_but_that_of_the_user(here, command):
     (here / "bad.py").write_text("def wheel(o, b): raise RuntimeError('off')\n")
     (here / "mine").mkdir()
-    own = words("run --in-process --driver policy --policy bad:wheel")
+    own = words("run --in-process --driver policy --set custom.policy=bad:wheel")
     for out in ((), ("--out", "mine"), ("--out", "deep/er")):
         assert command(*own, *out).returncode == 2
     there = [name for name in ("mine", "runs", "deep") if (here / name).exists()]
@@ -93,7 +96,9 @@ def test_a_policy_that_raises_at_once_ends_every_kind_of_run_alike(here, command
     (here / "frames.py").write_text(
         "def wheel(o, b): raise ValueError('frame [/base_link] unknown, [m/s²]')\n"
     )
-    run = words("run --duration 1 --out mine --json --driver policy --policy frames:wheel")
+    run = words(
+        "run --duration 1 --out mine --json --driver policy --set custom.policy=frames:wheel"
+    )
     alone, done = command(*run, "--in-process"), command(*run)
     assert "frame [/base_link] unknown, [m/s²] (frames.py:1, in wheel)" in done.stderr
     assert len(done.stderr.splitlines()) == 1
@@ -107,7 +112,9 @@ def test_a_warning_of_a_vehicles_process_is_passed_on(here, command):
         "import warnings\n\n\ndef wheel(o, b):\n"
         "    if o.tick == 3:\n        warnings.warn('tyres are worn')\n    return 0.01, 0.0\n"
     )
-    done = command(*words("run --duration 1 --no-files --driver policy --policy tyres:wheel"))
+    done = command(
+        *words("run --duration 1 --no-files --driver policy --set custom.policy=tyres:wheel")
+    )
     assert done.returncode == 0
     (line,) = [line for line in done.stderr.splitlines() if "worn" in line]
     assert line.startswith("ugv_0: ")
@@ -121,7 +128,9 @@ def test_debug_shows_the_traceback_of_a_vehicles_process_and_its_log_keeps_it(
         "def wheel(o, b):\n    return inner(o)\n\n\ndef inner(o):\n    return 1 / 0\n"
     )
     monkeypatch.setenv("OUTRIDER_DEBUG", "")  # so that it is as before afterwards
-    own = words("--duration 1 --no-picture --out flown --policy deep:wheel --debug")
+    own = words(
+        "--duration 1 --no-picture --out flown --driver policy --set custom.policy=deep:wheel --debug"
+    )
     done = command("run", *own)
     assert done.returncode == 1
     for text in (done.stderr, (here / "flown" / "logs" / "ugv_0.log").read_text()):
@@ -174,7 +183,7 @@ def test_check_tries_a_function_of_ones_own_as_run_does_and_says_where_it_does_n
     here, command, named_by
 ):
     (here / "spinning.py").write_text(TOO_FAST)
-    own = words("escort --duration 1 --path spinning:spin")
+    own = words("escort --duration 1 --law path --set custom.path=spinning:spin")
     if named_by == "the file":
         text = shipped_text("escort").replace('name = "certified"', 'name = "path"')
         (here / "mine.toml").write_text(f'{text}\n[custom]\npath = "spinning:spin"\n')
@@ -204,14 +213,16 @@ def test_an_option_means_the_same_in_every_command():
                     kinds.setdefault(name, {}).setdefault(kind, []).append(found.name)
     assert set(kinds.pop("--out")) == {(False, False, "FOLDER"), (False, False, "FILE")}
     assert set(kinds.pop("--law")) == {(False, False, None), (False, True, None)}
-    one, several = (False, False, "POLICY"), (False, True, "POLICY")  # of a run, of the suite
+    one, several = (False, False, "POLICY"), (False, True, "POLICY")  # of a vehicle, of the suite
     assert set(kinds.pop("--uav-policy")) == {one, several}
     assert {name: seen for name, seen in kinds.items() if len(seen) > 1} == {}
 
 
 def test_an_error_in_a_weighting_of_ones_own_names_its_line(here, command):
     (here / "steep.py").write_text("def share(d, r_s):\n    return d.nothing\n")
-    done = command(*words("run --in-process --no-files --weighting steep:share"))
+    done = command(
+        *words("run --in-process --no-files --law weighted --set custom.weighting=steep:share")
+    )
     assert done.returncode in (1, 2)
     assert "steep.py:2, in share" in done.stderr
     assert "Traceback" not in done.stderr
@@ -306,20 +317,22 @@ def test_the_shell_completes_commands():
 
 
 @pytest.mark.parametrize(
-    ("own", "kind", "name"),
-    [("policy", "driver", "policy"), ("weighting", "law", "weighted"), ("path", "law", "path")],
+    ("own", "options"),
+    [
+        ("policy", {"driver": "policy"}),
+        ("weighting", {"law": "weighted"}),
+        ("path", {"law": "path"}),
+        ("uav_policy", {"law": "certified"}),
+    ],
 )
-def test_a_function_of_ones_own_is_flown_or_refused_but_never_ignored(own, kind, name, capsys):
-    scenario, changes = scenario_of("escort", **{own: "mine:f"})
-    flown = scenario.ugv[0].driver if kind == "driver" else scenario.law.name
-    assert flown == name
-    assert capsys.readouterr().err == f"--{own} mine:f: so the {kind} is {name}\n"
-    assert load_scenario("escort", overrides=changes) == scenario
-    other = {"driver": "evade", "law": "linear"}[kind]
-    with pytest.raises(ScenarioError, match=f"is for --{kind} {name}, not for --{kind} {other}"):
-        scenario_of("escort", **{own: "mine:f", kind: other})
-    assert scenario_of("escort", **{own: "mine:f", kind: name})[0] == scenario
-    assert capsys.readouterr().err == ""
+def test_code_of_ones_own_is_flown_or_warned_of(own: str, options: dict[str, str]) -> None:
+    code = [f"custom.{own}=mine:f"]
+    flown, named = resolve("escort", changes=code, **options)
+    assert (foreign_code(flown, named), scenario_warnings(flown)) == ((), ())
+    ignored, _ = resolve("escort", changes=code, law="linear", driver="evade")
+    (warning,) = scenario_warnings(ignored)
+    assert warning.startswith(f"custom.{own} = 'mine:f': nothing flies it; for ")
+    assert all(name in warning for name in options.values())
 
 
 def test_a_vehicle_without_a_name_gets_the_next_one(tmp_path):

@@ -13,7 +13,6 @@ from bus.errors import ScenarioError
 from flights import record, sha256
 from observed import recorded
 from outrider.cli import console
-from outrider.cli.options import scenario_of
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.env_pilots import pilots
 from outrider.experiments.sweep.columns import row_of
@@ -23,6 +22,7 @@ from outrider.experiments.sweep.running import cost_of
 from outrider.recording.reader import flight_of
 from outrider.recording.refly import refly
 from outrider.running.flying import fly
+from outrider.running.resolve import resolve
 from outrider.running.summary import Summary, summarize
 from outrider.view.film import Film
 from outrider.view.flight_picture import flight_figure
@@ -129,11 +129,11 @@ def test_ugvs_alone_are_the_agents_of_every_environment() -> None:
         outrider.single_env(alone())
 
 
-@pytest.mark.parametrize("option", ["law", "weighting", "path"])
-def test_options_for_uavs_are_refused_where_there_is_none(option: str) -> None:
-    value = "circle" if option == "law" else "math:sqrt"
-    with pytest.raises(ScenarioError, match=r"^--law \w+: minefield has no UAV that could fly it"):
-        scenario_of("minefield", changes=["uav=[]"], **{option: value})
+def test_a_law_is_refused_where_there_is_no_uav() -> None:
+    with pytest.raises(
+        ScenarioError, match=r"^--law circle: minefield has no UAV that could fly it"
+    ):
+        resolve("minefield", changes=["uav=[]"], law="circle")
 
 
 def test_a_sweep_flies_a_ugv_alone_but_no_laws_over_it() -> None:

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from bus.messages import UgvObservation
+from sim.scenario.types import Run
 from sim.server.pace import Lockstep
-from sim.server.run_timing import Timing
 
 NAMES = ("uav_0", "ugv_0")
 SEEN = {
@@ -74,7 +74,7 @@ class Bus:
 
 
 def lockstep(bus: Any, on_event: Callable[[str], None], *, patience: float = 5.0) -> Lockstep:
-    return Lockstep(bus, bus, Timing(deadline=2.0, join_timeout=patience), on_event)
+    return Lockstep(bus, bus, Run(deadline=2.0, join_timeout=patience), on_event)
 
 
 BOTH = set(NAMES)

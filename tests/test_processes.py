@@ -78,7 +78,7 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_was_flown(tmp_path: Path) -> N
     rows = (tmp_path / "trajectory.csv").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 1 + summary["ticks"] + 1
     assert {log.name: log.read_text() for log in tmp_path.glob("logs/*")} == {}
-    files = words("coverage.npy flight.png summary.json trajectory.csv")
+    files = words("coverage.npy flight.png scenario.toml summary.json trajectory.csv")
     assert sorted(path.name for path in tmp_path.iterdir()) == files
     assert not any(alive(child) for child in children)
     # what was flown is the beginning of the whole flight
@@ -106,7 +106,7 @@ def test_a_run_does_not_need_its_standard_files(closed: str, tmp_path: Path) -> 
     shell = ["sh", "-c", f'exec "$@" {closing}', "sh", *OUTRIDER, *run, tmp_path / "mine"]
     assert ran(shell, timeout=120).returncode == 0
     names = sorted(path.name for path in (tmp_path / "mine").iterdir())
-    assert names == words("coverage.npy summary.json trajectory.csv")
+    assert names == words("coverage.npy scenario.toml summary.json trajectory.csv")
 
 
 def _ending(before: str) -> "subprocess.CompletedProcess[str]":
@@ -227,7 +227,9 @@ def test_what_lies_in_the_working_folder_takes_no_modules_place(tmp_path: Path) 
         (tmp_path / name / "__init__.py").write_text(hostile, encoding="utf-8")
     # `python -m outrider` is the folder's own outrider, if it has one
     script = Path(sys.executable).with_name("outrider")
-    arguments = words("run --driver policy --policy mine:policy --duration 1 --no-files --json")
+    arguments = words(
+        "run --driver policy --set custom.policy=mine:policy --duration 1 --no-files --json"
+    )
     run = ran([script, *arguments], cwd=tmp_path, timeout=120)
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout)["ticks"] == 20
@@ -240,7 +242,8 @@ def test_a_policy_that_raises_at_once_is_one_line(here: Path, words: str) -> Non
     (here / "mine.py").write_text(
         "def drive(observation, briefing):\n    raise ValueError('boom')\n"
     )
-    ended = outrider(*words.split(), "--driver", "policy", "--policy", "mine:drive", cwd=here)
+    own = ("--driver", "policy", "--set", "custom.policy=mine:drive")
+    ended = outrider(*words.split(), *own, cwd=here)
     assert ended.returncode == 2
     assert ended.stdout == ""
     (line,) = ended.stderr.splitlines()

@@ -112,7 +112,7 @@ def test_the_weighting_shown_flies(here: Path, command: Any) -> None:
     shown = next(block for block in blocks("python", "README.md") if "def careful" in block)
     assert shown.partition("\n")[2] in PAGES["docs/how-to/own-code.md"]
     (here / "careful_as_shown.py").write_text(shown, encoding="utf-8")
-    own = words("--law weighted --weighting careful_as_shown:careful --duration 5")
+    own = words("--law weighted --set custom.weighting=careful_as_shown:careful --duration 5")
     run = command("run", "--in-process", *own, "--no-files", "--json")
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout)["visibility_violations"] == 0

@@ -12,6 +12,7 @@ from bus.keys import KEYS
 from bus.messages import LinkSettings
 from bus.observations import SYMBOLS
 from outrider.cli.main import COMMANDS
+from outrider.running.metrics import TABLES
 from outrider_fmi import variables
 from outrider_ros2.topics import PILOT_COMMANDS, PILOT_TOPICS, TOPICS
 from pages import PAGES
@@ -50,6 +51,17 @@ def test_every_key_and_every_field_of_its_message_is_told(generator: ModuleType)
         text = sections.split(f"### {key.message.__name__}\n")[1].split("\n###")[0]
         for field in msgspec.structs.fields(key.message):
             assert f"| `{field.encode_name}` | " in text
+
+
+@pytest.mark.parametrize("generator", ["metric_tables"], indirect=True)
+def test_every_metric_is_in_the_table_of_its_section(generator: ModuleType) -> None:
+    sections = dict(part.split("\n", 1) for part in f"\n{generator.tables()}".split("\n## ")[1:])
+    assert list(sections) == list(TABLES)
+    for heading, rows in TABLES.items():
+        for metric in rows.values():
+            assert f"| `{metric.name}` | " in sections[heading]
+            assert metric.meaning in sections[heading]
+    assert "`detections_mean_age`, `commands_mean_age`" in sections["Link"]
 
 
 @pytest.mark.parametrize("generator", ["scenario_fields"], indirect=True)

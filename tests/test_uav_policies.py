@@ -144,7 +144,17 @@ def test_inside_the_filter_sight_is_kept_whatever_the_policy_wants(
 
 @pytest.mark.parametrize("law", ["certified", "policy"])
 def test_processes_and_one_process_fly_the_same_bits(law: str) -> None:
-    own = ("--uav-policy", NAME, "--law", law, "--seed", "3", "--duration", "8", "--json")
+    own = (
+        "--set",
+        f"custom.uav_policy={NAME}",
+        "--law",
+        law,
+        "--seed",
+        "3",
+        "--duration",
+        "8",
+        "--json",
+    )
     runs = [command("run", "--no-files", *own, *more) for more in ((), ("--in-process",))]
     assert [run.returncode for run in runs] == [0, 0], runs[0].stderr
     one, other = (json.loads(run.stdout) for run in runs)
@@ -321,16 +331,6 @@ def test_many_worlds_do_not_fly_the_law_instead_of_the_policy(law: str) -> None:
     settings = {key: value for key, value in others["uav_0"].setup.items() if key != "duration"}
     outrider.vector_env(named, num_envs=1, agent="ugv_0", others=others, **settings).reset()
     outrider.vector_env(named, num_envs=1).reset()
-
-
-def test_the_command_line_chooses_the_law_and_refuses_another() -> None:
-    flown = ("run", "circle", "--in-process", "--no-files", "--duration", "1", "--uav-policy", NAME)
-    done = command(*flown, "--law", "linear")
-    assert done.returncode == 2
-    assert "is for --law certified or policy, not for --law linear" in done.stderr
-    done = command(*flown, "--json")
-    assert json.loads(done.stdout)["law"] == "certified", done.stderr
-    assert "so the law is certified; --law policy: " in done.stderr
 
 
 # -- the suite

@@ -55,7 +55,7 @@ def check_open_and_moving(first: Page) -> str:
     wait_until(
         lambda: all(first.position(name) != before[name] for name in before), "both vehicles move"
     )
-    for tile in ("time", "distance", "margin", "error", "factor"):
+    for tile in ("time", "distance", "margin", "coverage_error", "realtime_factor"):
         text = first.page.locator(f"#tile-{tile} output").inner_text()
         if not text.replace(".", "").replace("-", "").isdigit():
             raise Failed(f"the tile {tile} shows {text!r}")

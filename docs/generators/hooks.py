@@ -11,6 +11,7 @@ import bus_messages
 import command_line
 import fmi_variables
 import markdown
+import metric_tables
 import observations
 import ros2_topics
 import scenario_fields
@@ -120,6 +121,7 @@ GENERATED = {
     "command_line": command_line.page,
     "scenario_tables": scenario_fields.tables,
     "scenarios_shipped": scenario_fields.shipped,
+    "metrics": metric_tables.tables,
     "bus_keys": bus_messages.keys,
     "bus_messages": bus_messages.messages,
     "python_modules": _modules_table,

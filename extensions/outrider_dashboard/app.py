@@ -17,11 +17,17 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from bus.messages import Vector
+from outrider.running.metrics import LINK, MISSION, NOW, PROCESS
 from outrider_dashboard.hub import Browser, Hub
 from outrider_dashboard.page_guard import LARGEST_HEAD, BoundedHead, Guard
 from outrider_dashboard.shell import BuildControls, build_page
 from outrider_dashboard.themes import drawn, style
 
+METRICS = {
+    name: list(table.values())
+    for name, table in (("now", NOW), ("mission", MISSION), ("link", LINK), ("process", PROCESS))
+}
+"""Tables of metrics from which the page takes labels, units, digits and meanings."""
 STATIC = Path(__file__).with_name("static")
 
 
@@ -149,6 +155,7 @@ async def _send_frames(hub: Hub, browser: Browser, channel: WebSocket) -> None:
         "number": browser.number,
         "colors": drawn(),
         "steer": hub.source.may_steer,
+        "metrics": METRICS,
     }
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
         await channel.send_text(msgspec.json.encode(hello).decode())

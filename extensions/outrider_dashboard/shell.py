@@ -17,66 +17,6 @@ _PERIOD = 0.25
 _HEADER = """<div class="brand"><b>Outrider</b><span id="scenario"></span></div><div id="chips"></div>
 <button type="button" id="theme"></button><div id="banner" role="alert" hidden></div>
 <details id="promise" hidden><summary></summary><div></div></details>"""
-
-
-def _tile(name: str, label: str, unit: str, meaning: str) -> str:
-    """A number above the map; `pair` says whose it is where there are several."""
-    return (
-        f'<div class="tile" id="tile-{name}" title="{meaning}"><label>{label}</label>'
-        f'<output>&ndash;</output><small>{unit}</small><div class="pair"></div></div>'
-    )
-
-
-_TILES = "".join(
-    _tile(*words)
-    for words in (
-        ("time", "time", "s", "Simulated time [s]"),
-        (
-            "distance",
-            "distance ‖p<sub>Δ</sub>‖",
-            "m",
-            "Distance of the UAV from its UGV, over the ground [m]; of several pairs the greatest",
-        ),
-        (
-            "margin",
-            "margin to r<sub>v</sub>",
-            "m",
-            "Visibility radius minus distance [m]: below 0 the UGV is out of sight; "
-            "of several pairs the least",
-        ),
-        (
-            "error",
-            "coverage error e(t)",
-            "m²",
-            "What the ground around the UGV lacks in coverage, eq. (4) [m²]; "
-            "of several pairs the greatest",
-        ),
-        (
-            "estimate",
-            "estimate error",
-            "m",
-            "Distance of the UAV's estimate of the UGV's position from the true one [m]; "
-            "of several pairs the greatest",
-        ),
-        ("factor", "real-time factor", "×", "Simulated seconds per second of wall time"),
-    )
-)
-_MISSION = "".join(
-    _tile(name, label, "", meaning)
-    for name, label, meaning in (
-        ("arrived", "at the goals", "Simulated time at which all UGVs had reached their goals [s]"),
-        ("hit", "hazards hit", "Blocking hazards touched; nearly: passed within 0.2 m"),
-        (
-            "way",
-            "hazards on the way",
-            "Hazards that a UGV has passed within 2 m; known: of those, the ones known before",
-        ),
-        ("ahead", "way seen ahead", "Share of the way over tiles that had come by radio before"),
-        ("still", "stood still", "Time that UGVs stood still before they had arrived [s]"),
-        ("found", "found", "Things found, of those to be found"),
-    )
-)
-"""Only where there are hazards."""
 _MAP = f"""<div class="map-place"><canvas id="map" role="img" aria-label="map of the run"></canvas>
 <div class="map-tools" role="group" aria-label="what the map shows">
 <button type="button" id="map-closer" title="closer (or turn the mouse wheel, or spread two fingers)">+</button>
@@ -140,8 +80,8 @@ def build_page(controls: BuildControls | None) -> None:
         )
         with ui.element("div").classes("dashboard"):
             html(_HEADER, "top")
-            html(_TILES, "tiles")
-            html(_MISSION, "tiles mission")
+            html("", "tiles")
+            html("", "tiles mission")
             html(_MAP, "card map-card")
             html(_CHARTS, "card charts")
             with ui.element("div").classes("side"):

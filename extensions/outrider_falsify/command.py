@@ -13,7 +13,7 @@ import typer
 from bus.errors import PeerLost
 from bus.plugins import require
 from bus.registry import LAWS
-from outrider.cli.options import AllowCode, Json, ScenarioName, Set, scenario_of
+from outrider.cli.options import AllowCode, Json, ScenarioName, Set
 from outrider.cli.stopping import stop_on_signals
 
 if TYPE_CHECKING:
@@ -156,6 +156,7 @@ def command(
     Example: outrider falsify --law switching --undegraded
     """
     from outrider.cli.console import print_warnings
+    from outrider.running.resolve import resolve
     from outrider.running.user_code import check_code, check_own_functions
     from outrider_falsify.engines import Wanted
     from outrider_falsify.limits import SearchLimits, base_of, beyond_declared
@@ -170,13 +171,13 @@ def command(
         raise typer.BadParameter(
             "--control stands in the place of the law certified in the attack; leave --law and --engine out"
         )
-    flown, overrides = scenario_of(
+    flown, named = resolve(
         scenario,
         law="certified" if control is not None else law,
         duration=_FLIGHT if duration is None else duration,
         changes=changes,
     )
-    check_code(flown, overrides, source=scenario, allowed=allow_code)
+    check_code(flown, named, source=scenario, allowed=allow_code)
     check_own_functions(flown)
     certified = LAWS[flown.law.name].watched
     if (engine is not None or eps is not None) and not certified:

@@ -15,10 +15,10 @@ from outrider_falsify.attacks import warm as warm_attack
 from outrider_falsify.candidate import flown
 from outrider_falsify.limits import SearchLimits
 from outrider_falsify.pool import Workers
-from outrider_falsify.saving import as_toml, free_path
 from outrider_falsify.search import Budget, Tally, run_search
 from outrider_falsify.words import in_words
 from sim.scenario.checks import check_scenario
+from sim.scenario.resolved import as_toml
 from sim.scenario.types import Scenario
 
 _SHARE, _LEAST = 100, 32
@@ -211,6 +211,15 @@ def _attack(
             duration=wanted.attack_duration,
             on_task=lambda: on_run("attack", budget.share(tally.runs)),
         )
+
+
+def free_path(law: str) -> Path:
+    """Return a file for a counterexample that does not exist yet."""
+    path, taken = Path(f"counterexample-{law}.toml"), 1
+    while path.exists():
+        taken += 1
+        path = Path(f"counterexample-{law}-{taken}.toml")
+    return path
 
 
 def save(found: Found) -> None:

@@ -56,9 +56,10 @@ def export(
     Example: outrider fmu export world escort --seed 3 --out world.fmu
     """
     from outrider.cli.console import ERR, OUT, print_json
+    from outrider.running.resolve import resolve
     from outrider_fmi.export import export_vehicle, export_world
 
-    flown, _ = options.scenario_of(
+    flown, _ = resolve(
         scenario,
         seed=seed,
         duration=duration,

@@ -162,7 +162,7 @@ class LearnedPolicy:
 
 
 def load_learned_policy(rest: str, where: str) -> LearnedPolicy:
-    """`FILE.npz`, for `--uav-policy`; `where` is the field and its value, for errors.
+    """`FILE.npz`, for `custom.uav_policy`; `where` is the field and its value, for errors.
 
     Raises:
         ScenarioError: If the file is not there, or no such policy.

@@ -1,7 +1,7 @@
 """A UAV's policy that a learning library has saved, with the observation that it was trained on.
 
 The observation is a JSON file beside the policy's own: the settings of the environment, and the transformations around
-it, from the inside out. `save_sb3_policy` writes both; `--uav-policy sb3:ppo:model.zip` flies them.
+it, from the inside out. `save_sb3_policy` writes both; `custom.uav_policy=sb3:ppo:model.zip` flies them.
 """
 
 import copy
@@ -241,7 +241,7 @@ def _plain_row(space: spaces.Space[Any]) -> ObservationRecipe | None:
 
 
 def load_sb3_policy(rest: str, where: str) -> SavedPolicy:
-    """`ALGORITHM:FILE.zip`, for `--uav-policy`.
+    """`ALGORITHM:FILE.zip`, for `custom.uav_policy`.
 
     Without the file beside it the model must observe the environment's own row, in SI units.
 

@@ -93,11 +93,10 @@ def chances(
     Example: outrider network chances escort --network jammed --set certificate.age=5
     """
     from outrider.cli.console import OUT, print_json, print_table
+    from outrider.running.resolve import resolve
     from outrider_networks.scenario_bounds import exceedance, in_runs
 
-    loaded, _ = options.scenario_of(
-        scenario, changes=changes, duration=duration, law=law, network=network
-    )
+    loaded, _ = resolve(scenario, changes=changes, duration=duration, law=law, network=network)
     found = exceedance(loaded)
     if json:
         print_json(found)
@@ -131,13 +130,12 @@ def bounds(
     Example: outrider run $(outrider network bounds escort --risk 1e-3)
     """
     from outrider.cli.console import OUT, print_json
+    from outrider.running.resolve import resolve
     from outrider_networks.scenario_bounds import bounds_for
 
     if not 0.0 < risk < 1.0:
         raise ScenarioError(f"--risk {risk:g}: no probability; allowed: above 0 and below 1")
-    loaded, _ = options.scenario_of(
-        scenario, changes=changes, duration=duration, law=law, network=network
-    )
+    loaded, _ = resolve(scenario, changes=changes, duration=duration, law=law, network=network)
     found = bounds_for(loaded, risk)
     if json:
         print_json(found)

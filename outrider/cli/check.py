@@ -17,10 +17,6 @@ def command(
     law: options.LawName = None,
     driver: options.DriverName = None,
     changes: options.Set = None,
-    weighting: options.Weighting = "",
-    path: options.VirtualPath = "",
-    policy: options.PolicyName = "",
-    uav_policy: options.UavPolicyName = "",
     network: options.NetworkName = "",
     allow_code: options.AllowCode = False,
     json: options.Json = False,
@@ -37,24 +33,21 @@ def command(
     from outrider.cli.console import OUT, print_json, print_warnings
     from outrider.running.assumptions import how_certifiable, promise_warnings
     from outrider.running.first_tick import check_first_tick
+    from outrider.running.resolve import resolve
     from outrider.running.user_code import check_own_functions, foreign_code
     from sim.scenario.checks import scenario_warnings
     from sim.scenario.types import NO_UAV
 
-    scenario, overrides = options.scenario_of(
+    scenario, named = resolve(
         file,
         seed=seed,
         duration=duration,
         law=law,
         driver=driver,
-        changes=changes,
-        weighting=weighting,
-        path=path,
-        policy=policy,
-        uav_policy=uav_policy,
         network=network,
+        changes=changes,
     )
-    foreign = () if allow_code else foreign_code(scenario, overrides)
+    foreign = () if allow_code else foreign_code(scenario, named)
     warnings = [
         *scenario_warnings(scenario),
         *foreign,

@@ -1,7 +1,7 @@
 """Output on the terminal: results on stdout, everything on the way on stderr."""
 
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,25 @@ from rich.table import Table
 from rich.text import Text
 
 from bus.files import writing
-from bus.messages import LinkStatus
 from outrider.cli.standard_files import STANDARD_OUTPUT, print_text
+from outrider.running.metrics import CERTIFICATE, LINK, MISSION, RUN, UAV, Metric
 from outrider.running.summary import Summary
 from sim.input.faults import one_line
 from sim.scenario.types import Scenario
+
+TextRow = tuple[str | Text, str | Text]
+"""A label and a value."""
+LINK_SHOWN = tuple(LINK[name] for name in ("delivery_ratio", "mean_age", "max_age"))
+"""Metrics of a link that the table of a run shows."""
+UAV_SHOWN = (
+    "max_distance",
+    "mean_distance",
+    "visibility_violations",
+    "mean_error",
+    "estimate_rmse",
+    "certified_share",
+)
+"""Metrics of each UAV that the table of a run shows, where there are several."""
 
 
 def printable(text: str) -> str:
@@ -174,135 +188,86 @@ def flight_progress(scenario: Scenario, waiting: str) -> Iterator[FlightProgress
         yield FlightProgress(progress, task, scenario.dt)
 
 
-def _meters(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3f} m"
+def _style(metric: Metric, value: object) -> str:
+    """Return the color of a value: green if it is as it should be."""
+    if metric.goal is None or not isinstance(value, int | float):
+        return ""
+    if value == metric.goal:
+        return "green"
+    return "red" if metric.goal == 0.0 else "yellow"
 
 
-def _link(status: LinkStatus) -> str:
-    lost = ", ".join(f"{cause} {count}" for cause, count in status.lost.items() if count)
-    ratio = "-" if status.delivery_ratio is None else f"{100.0 * status.delivery_ratio:.1f} %"
-    age = (
-        "-"
-        if status.mean_age is None
-        else f"{status.mean_age:.2f} s (at most {status.max_age:.2f} s)"
-    )
-    return f"{ratio} of {status.sent} arrived, age {age}" + (f"; lost: {lost}" if lost else "")
+def _shown(metric: Metric, value: object) -> Text:
+    return Text(metric.text(value), style=_style(metric, value))
 
 
-def _mission(summary: Summary) -> Iterator[tuple[str | Text, str | Text]]:
-    """Rows about the UGVs' way through ground with hazards."""
-    still = f", stood still for {summary.still_time:.1f} s"
-    if summary.mission_time is not None:
-        yield "at the goals", Text(f"after {summary.mission_time:.1f} s", style="green") + still
-    else:
-        yield "at the goals", Text("not yet", style="yellow") + still
-    hit, near = summary.hazards_hit or 0, summary.near_misses or 0
-    yield (
-        "hazards hit",
-        Text.assemble((f"{hit}", "red" if hit else "green"), f", nearly hit {near}"),
-    )
-    way = f"{summary.hazards_on_way}, known in time {summary.warned}"
-    if summary.warned_before is not None:
-        way += f", {summary.warned_before:.1f} s before in the mean"
-    yield "hazards on the way", way
-    if summary.seen_ahead is not None:
-        yield "way seen ahead", f"{100.0 * summary.seen_ahead:.0f} %"
+def _metrics(table: dict[str, Metric], summary: Summary, *left_out: str) -> Iterator[TextRow]:
+    """Rows of a table's metrics that exist; of those that are guaranteed only what contradicts that."""
+    for metric in table.values():
+        value = getattr(summary, metric.name)
+        if metric.name in left_out or value is None or (metric.guaranteed and value == metric.goal):
+            continue
+        text = _shown(metric, value)
+        yield (
+            (Text(metric.label, style="red"), text + ": the certificate is wrong")
+            if (metric.guaranteed)
+            else (metric.label, text)
+        )
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{cause} {count}" for cause, count in counts.items() if count)
+
+
+def _dicts(summary: Summary) -> Iterator[TextRow]:
+    """Rows of what is counted by reason, UGV, link, vehicle or process."""
+    for reason, count in summary.uncertified.items():
+        yield "not certified", f"{count} ticks: {reason}"
     for name, told in summary.guarantees.items():
-        if told.ticks:
-            yield (
-                f"{name} on known ground",
-                Text.assemble(
-                    f"certified {100.0 * told.certified / told.ticks:.2f} % of the ticks, left it in ",
-                    (
-                        f"{told.entered_unknown_tile}",
-                        "red" if told.entered_unknown_tile else "green",
-                    ),
-                    f", broken {told.certificate_broken} times" if told.certificate_broken else "",
-                ),
-            )
-    if summary.finds:
-        yield "found", f"{summary.found} of {summary.finds}"
+        for reason, count in told.uncertified.items():
+            yield f"{name} not certified", f"{count} ticks: {reason}"
+    for name, status in summary.links.items():
+        if status.degraded:
+            parts = [f"{row.label} {row.text(getattr(status, row.name))}" for row in LINK_SHOWN]
+            parts += [f"lost: {_counts(status.lost)}"] if any(status.lost.values()) else []
+            yield f"link {name}", ", ".join(parts)
+    for name, counts in summary.faults.items():
+        yield f"faults of {name}", _counts(counts)
+    if summary.processes:
+        yield "processes", ", ".join(f"{one.name} ({one.pid})" for one in summary.processes)
 
 
-def _escort(summary: Summary) -> Iterator[tuple[str, str | Text]]:
-    """Rows about the UAVs."""
-    lost = summary.visibility_violations
-    yield (
-        "UGV in sight (5)",
-        Text("nothing was flown", style="yellow")
-        if not summary.ticks
-        else Text(f"lost in {lost} ticks", style="red")
-        if lost
-        else Text("always", style="green"),
-    )
-    farthest = _meters(summary.max_distance)
-    yield "largest distance", f"{farthest} of r_v = {summary.visibility_radius:g} m"
-    yield "mean distance", _meters(summary.mean_distance)
-    r_s = _meters(summary.switching_radius)
-    yield "switching radius r_s (18)", f"{r_s}, reached {summary.crossings} times"
-    errors = summary.initial_error, summary.mean_error, summary.final_error
-    start, mean, end = ("-" if one is None else f"{one:.1f}" for one in errors)
-    yield "coverage error e (4)", f"start {start}, mean {mean}, end {end} m²"
-    yield "RMS error of the estimate", _meters(summary.estimate_rmse)
-    yield "RMS error of the detections", _meters(summary.detection_rmse)
-
-
-def _certificate(summary: Summary) -> Iterator[tuple[str, str | Text]]:
-    """Rows about what was certified, and what it stands on."""
-    if summary.certified_share is not None:
-        share = f"{100.0 * summary.certified_share:.2f} % of the ticks"
-        acted = f", filter acted in {100.0 * (summary.intervened_share or 0.0):.1f} %"
-        yield "sight certified", _judged(share, summary.certified_share == 1.0) + acted
-    if summary.longest_outage is not None and summary.declared_outage is not None:
-        longest, most = summary.longest_outage, summary.declared_outage
-        waited = _judged(f"{longest:.2f} s", longest <= most) + f", declared {most:g} s"
-        yield "longest wait for a motion", waited
-    if summary.tracking_error is not None:
-        off, bound = f"{summary.tracking_error:.3f} m", summary.declared_tracking
-        farthest = Text(f"{off} from where it is told")
-        if bound is not None:
-            farthest = _judged(off, summary.tracking_error <= bound) + f", declared {bound:.3f} m"
-        yield "farthest off by the wind", farthest
-
-
-def _judged(text: str, good: bool) -> Text:
-    return Text.assemble((text, "green" if good else "yellow"))
-
-
-def _rows(summary: Summary) -> Iterator[tuple[str | Text, str | Text]]:
+def _rows(summary: Summary) -> Iterator[TextRow]:
     """All rows of the table."""
     cut = "" if summary.complete else " (cut short)"
     yield "flown", f"{summary.ticks * summary.dt:.2f} s in {summary.ticks} ticks{cut}"
-    yield "speed", f"{summary.ticks_per_second:,.0f} ticks/s"
+    hidden = ["ticks", "complete", "deterministic", "trajectory_sha256"]
+    hidden += [] if summary.realtime is not None else ["realtime_factor", "late_ticks"]
+    hidden += [] if summary.law is not None else ["visibility_radius"]
+    yield from _metrics(RUN, summary, *hidden)
     if summary.law is not None:
-        yield from _escort(summary)
-    if summary.realtime is not None:
-        kept = f"{summary.realtime_factor:.3f} of {summary.realtime:g}"
-        yield "real time", f"{kept}, {summary.late_ticks} ticks late"
+        yield from _metrics(UAV, summary)
+    yield from _metrics(CERTIFICATE, summary)
+    if summary.hazards_hit is not None:
+        yield from _metrics(MISSION, summary, *([] if summary.finds else ["finds", "found"]))
     for change in summary.changes:
         yield f"operator at {change.tick * summary.dt:.2f} s", change.control.in_words()
-    yield from _certificate(summary)
-    if summary.hazards_hit is not None:
-        yield from _mission(summary)
-    for what, wrong in (
-        ("certified while lost", f"{summary.certified_while_lost} ticks"),
-        (
-            "certificate broken",
-            f"{summary.certificate_broken} times, although all assumptions held",
-        ),
-    ):
-        if getattr(summary, what.replace(" ", "_")):
-            told = f"{wrong}: the certificate is wrong"
-            yield Text(what, style="red"), Text(told, style="red")
-    for reason, count in summary.uncertified.items():
-        yield "not certified", f"{count} ticks: {reason}"
-    for name, status in summary.links.items():
-        if status.degraded:
-            yield f"link {name}", _link(status)
-    for name, counts in summary.faults.items():
-        yield f"faults of {name}", ", ".join(f"{cause} {count}" for cause, count in counts.items())
-    if summary.processes:
-        yield "processes", ", ".join(f"{one.name} ({one.pid})" for one in summary.processes)
+    yield from _dicts(summary)
+
+
+def _print_uavs(summary: Summary) -> None:
+    """Print a row for each UAV."""
+    shown = [(UAV | CERTIFICATE)[name] for name in UAV_SHOWN]
+    rows: list[list[str | Text]] = [
+        [name, *(_shown_number(metric, getattr(told, metric.name)) for metric in shown)]
+        for name, told in summary.uavs.items()
+    ]
+    headings = [metric.heading for metric in shown]
+    print_table(("UAV", *headings), rows, right=headings)
+
+
+def _shown_number(metric: Metric, value: float | None) -> Text:
+    return Text("-" if value is None else metric.number(value), style=_style(metric, value))
 
 
 def print_summary(summary: Summary, files: list[Path]) -> None:
@@ -318,6 +283,8 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
     for row in _rows(summary):
         table.add_row(*(printable(cell) if isinstance(cell, str) else cell for cell in row))
     OUT.print(table)
+    if len(summary.uavs) > 1:
+        _print_uavs(summary)
     OUT.tell(f"  trajectory_sha256 {summary.trajectory_sha256}")
     if summary.secret:
         OUT.tell(f"  secret {summary.secret}: with it and the seed the same flight again")

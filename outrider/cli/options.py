@@ -1,8 +1,6 @@
 """Options that several commands share, and how they become a scenario."""
 
 import os
-import re
-from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -14,14 +12,12 @@ from bus.errors import AccessDenied, ScenarioError
 from bus.keys import OPERATOR_NAME, Party, Role, check_run_name
 from bus.locator import check_endpoint
 from bus.profiles import PROFILES
-from bus.registry import DRIVERS, LAWS, POLICY_FORMS, SAVED_POLICIES, UAV_POLICY_FORMS, described
-from bus.rows import DriverRow, LawRow
+from bus.registry import DRIVERS, LAWS, POLICY_FORMS, UAV_POLICY_FORMS, described
 
 if TYPE_CHECKING:
     from agents.process import MakePilot
     from bus.access import Credential
     from bus.session import Session
-    from sim.scenario.types import Scenario
 
 ScenarioName = Annotated[str, typer.Argument(help="A shipped scenario's name, or a TOML file.")]
 Seed = Annotated[
@@ -63,7 +59,7 @@ Set = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Any field of the scenario, such as detections.noise=0.2; may be repeated.",
+        help="Any field of the scenario, such as detections.noise=0.2 or uav.*.max_speed=0.5; may be repeated.",
     ),
 ]
 Weighting = Annotated[
@@ -168,14 +164,11 @@ RealTime = Annotated[
     typer.Option(
         "--realtime",
         metavar="F",
-        help="Keep the wall clock: F simulated seconds a second, waiting for nobody. Lockstep by default.",
+        help="Keep the wall clock: F simulated seconds a second, waiting for nobody; 0 for lockstep, the default.",
         envvar="OUTRIDER_REALTIME",
-        min=1e-3,
+        min=0.0,
         max=1e4,
     ),
-]
-Deadline = Annotated[
-    float, typer.Option(help="Seconds to wait for the commands of one tick.", min=0.01)
 ]
 FlightNumber = Annotated[
     int | None,
@@ -215,120 +208,6 @@ NoPageToken = Annotated[
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:17447"
 DEFAULT_RUN = "flight"
-
-
-def scenario_of(
-    name: str,
-    *,
-    seed: int | None = None,
-    duration: float | None = None,
-    law: str | None = None,
-    driver: str | None = None,
-    changes: list[str] | None = None,
-    weighting: str = "",
-    path: str = "",
-    policy: str = "",
-    uav_policy: str = "",
-    network: str = "",
-) -> "tuple[Scenario, list[str]]":
-    """The scenario that the options ask for, and the same options as `--set` arguments for another process.
-
-    Raises:
-        ScenarioError: If it cannot be flown.
-    """
-    # a vehicle's process, which shares these options, must not load it
-    from sim.scenario.loading import load_scenario
-
-    overrides = list(changes or ())
-    custom = {
-        "custom.weighting": weighting,
-        "custom.path": path,
-        "custom.policy": policy,
-        "custom.uav_policy": uav_policy,
-    }
-    own = {key.removeprefix("custom."): value for key, value in custom.items() if value}
-    if own:
-        plain = load_scenario(name, overrides=overrides)
-        law = _user_of(own, "law", LAWS, law, {plain.law.name})
-        driver = _user_of(own, "driver", DRIVERS, driver, {ugv.driver for ugv in plain.ugv})
-    quoted = {"law.name": law, **custom, "links.profile": network}
-    overrides += [f'{key}="{_plain(key, value)}"' for key, value in quoted.items() if value]
-    if duration is not None:
-        overrides.append(f"duration={duration!r}")
-    if seed is not None:
-        overrides.append(f"seed={seed}")
-    if driver:
-        count = len(load_scenario(name, overrides=overrides).ugv)
-        overrides += [f'ugv.{k}.driver="{_plain("driver", driver)}"' for k in range(count)]
-    found = load_scenario(name, overrides=overrides)
-    for option, value in (
-        ("law", law),
-        ("weighting", weighting),
-        ("path", path),
-        ("uav-policy", uav_policy),
-    ):
-        if value and not found.uav:
-            raise ScenarioError(
-                f"--{option} {value}: {found.name} has no UAV that could fly it; allowed: none"
-            )
-    return found, overrides
-
-
-def _user_of(
-    own: Mapping[str, str],
-    kind: str,
-    rows: Mapping[str, LawRow] | Mapping[str, DriverRow],
-    chosen: str | None,
-    flown: set[str],
-) -> str | None:
-    """The law or driver that uses the function which the user has named, so that none is ignored.
-
-    Args:
-        own: What the user has named, by option.
-        kind: `law` or `driver`.
-        rows: All there are.
-        chosen: What the user has chosen with --law or --driver.
-        flown: What the scenario says.
-
-    Raises:
-        ScenarioError: If another is chosen.
-    """
-    users: dict[str, list[str]] = {}
-    for row in rows.values():
-        for field in (row.own, row.inner if isinstance(row, LawRow) else ""):
-            if field and own.get(field):
-                users.setdefault(field, []).append(row.name)
-    if len(users) > 1:
-        options = " and ".join(f"--{field.replace('_', '-')}" for field in users)
-        raise ScenarioError(f"{options}: only one can fly")
-    for field, names in users.items():
-        option = f"--{field.replace('_', '-')} {own[field]}"
-        if chosen not in (None, *names):
-            raise ScenarioError(
-                f"{option}: is for --{kind} {' or '.join(names)}, not for --{kind} {chosen}"
-            )
-        if chosen is None and not flown & set(names):
-            from outrider.cli.console import ERR
-
-            others = "".join(f"; --{kind} {name}: {rows[name].about}" for name in names[1:])
-            ERR.tell(f"{option}: so the {kind} is {names[0]}{others}")
-            return names[0]
-    return chosen
-
-
-def _plain(field: str, value: str) -> str:
-    # a saved policy: any path that TOML's quotes hold
-    a_file = (
-        field in ("custom.policy", "custom.uav_policy") or value.partition(":")[0] in SAVED_POLICIES
-    )
-    if not re.fullmatch(r"[^\"\\\x00-\x1f\x7f]+" if a_file else r"[A-Za-z0-9_.:-]+", value):
-        allowed = (
-            "no quotes, backslashes and control characters"
-            if a_file
-            else "letters, digits, '_', '.', ':' and '-'"
-        )
-        raise ScenarioError(f"{field} = {value!r}: allowed are {allowed}")
-    return value
 
 
 def secret_of(given: str, *, wanted: bool = False) -> str:

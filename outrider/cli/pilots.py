@@ -32,12 +32,14 @@ def uav(
     from agents.process import uav_maker
     from outrider.running.user_code import load_function
 
-    joining = _joining(Role.UAV, name, connect, run, credentials, join_timeout, child=child)
+    joining, code = _joining(Role.UAV, name, connect, run, credentials, join_timeout, child=child)
+    code = code or {"weighting": weighting, "path": path, "uav_policy": uav_policy}
+    functions = {field: load_function(value, what=field) for field, value in code.items()}
     maker = uav_maker(
-        weighting=load_function(weighting, what="weighting"),
-        path=load_function(path, what="path"),
-        policy=load_function(uav_policy, what="uav_policy"),
-        policy_name=uav_policy,
+        weighting=functions["weighting"],
+        path=functions["path"],
+        policy=functions["uav_policy"],
+        policy_name=code["uav_policy"],
     )
     joining.fly(maker)
 
@@ -63,7 +65,8 @@ def ugv(
     from agents.process import ugv_maker
     from outrider.running.user_code import load_function
 
-    joining = _joining(Role.UGV, name, connect, run, credentials, join_timeout, child=child)
+    joining, code = _joining(Role.UGV, name, connect, run, credentials, join_timeout, child=child)
+    policy = code.get("policy", policy)
     maker = ugv_maker(policy=load_function(policy, what="policy"), policy_name=policy)
     joining.fly(maker)
 
@@ -77,13 +80,14 @@ def _joining(
     join_timeout: float,
     *,
     child: bool,
-) -> options.Joining:
+) -> tuple[options.Joining, dict[str, str]]:
+    """Return how this vehicle joins the run, and the code that its parent names."""
     if not child:
         from outrider.cli.console import tell_starting
 
         tell_starting()
-        return options.joining(role, name, connect, run, credentials, join_timeout)
+        return options.joining(role, name, connect, run, credentials, join_timeout), {}
     from outrider.running.parent import read_start
 
-    party = Party(role=role, name=name)
-    return options.Joining(party, connect, run, read_start().credential, join_timeout)
+    start, party = read_start(), Party(role=role, name=name)
+    return options.Joining(party, connect, run, start.credential, start.join_timeout), start.code

@@ -79,6 +79,7 @@ def command(
         raise typer.BadParameter("name the file to write, such as: outrider record run.mcap")
     from outrider.cli.console import ERR, print_json
     from outrider.recording.observer import RunRecorder
+    from outrider.running.resolve import resolve
     from outrider_ros2.bag_records import size_of
 
     sink: Callable[[Path], RunSink]
@@ -91,7 +92,7 @@ def command(
         from outrider.recording.mcap_file import RecordingFile
 
         sink = RecordingFile
-    known = options.scenario_of(scenario, changes=changes)[0] if scenario else None
+    known = resolve(scenario, changes=changes)[0] if scenario else None
     with (
         stop_on_signals() as stop,
         options.join(Role.OBSERVER, run, connect, credentials) as session,

@@ -31,10 +31,6 @@ def command(
     law: options.LawName = None,
     driver: options.DriverName = None,
     changes: options.Set = None,
-    weighting: options.Weighting = "",
-    path: options.VirtualPath = "",
-    policy: options.PolicyName = "",
-    uav_policy: options.UavPolicyName = "",
     network: options.NetworkName = "",
     allow_code: options.AllowCode = False,
     in_process: Annotated[
@@ -42,19 +38,12 @@ def command(
     ] = False,
     record: options.Record = None,
     realtime: options.RealTime = None,
-    lockstep: Annotated[
-        bool,
-        typer.Option(
-            "--lockstep",
-            help="As fast as it goes, which is the default unless --dashboard is given.",
-        ),
-    ] = False,
     dashboard: Annotated[
         bool,
         typer.Option(
             "--dashboard",
             help="Show the run in the browser while it is flown, and steer it there; on the wall clock "
-            "(--realtime 1) unless --realtime or --lockstep says otherwise. Needs the extra [dashboard].",
+            "(--realtime 1) unless --realtime says otherwise. Needs the extra [dashboard].",
         ),
     ] = False,
     port: options.PagePort = 8080,
@@ -71,7 +60,6 @@ def command(
             "--allow-processes", metavar="N", help="Start up to this many processes.", min=1
         ),
     ] = MOST_PROCESSES,
-    deadline: options.Deadline = 10.0,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -92,38 +80,35 @@ def command(
 
     Example: outrider run escort --seed 3 --law switching
     """
-    if in_process and (realtime is not None or respawn or dashboard):
+    if in_process and (realtime or respawn or dashboard):
         raise typer.BadParameter(
             "--realtime, --respawn and --dashboard need processes; leave --in-process out"
         )
-    if lockstep and realtime is not None:
-        raise typer.BadParameter("--lockstep and --realtime exclude each other")
-    if dashboard and not lockstep and realtime is None:
+    if dashboard and realtime is None:
         realtime = 1.0
     from outrider.cli.console import flight_progress, print_json, print_summary, print_warnings
+    from outrider.running.resolve import resolve
     from outrider.running.user_code import check_code, check_own_functions
     from outrider.view.output import default_folder, making, write_summary
     from sim.scenario.checks import scenario_warnings
 
-    flown, overrides = options.scenario_of(
+    flown, named = resolve(
         scenario,
         seed=seed,
         duration=duration,
         law=law,
         driver=driver,
-        changes=changes,
-        weighting=weighting,
-        path=path,
-        policy=policy,
-        uav_policy=uav_policy,
         network=network,
+        realtime=realtime,
+        respawn=respawn,
+        changes=changes,
     )
     strangers = any(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
     _check_processes(flown, 0 if in_process else allow_processes)
     if in_process and strangers:
         raise typer.BadParameter("--driver external is another process; leave --in-process out")
     kept = options.secret_of(secret, wanted=strangers)
-    check_code(flown, overrides, source=scenario, allowed=allow_code)
+    check_code(flown, named, source=scenario, allowed=allow_code)
     # what does not fit shows here, not in a child
     print_warnings((*scenario_warnings(flown), *check_own_functions(flown)))
     if record is not None:
@@ -133,8 +118,8 @@ def command(
         if in_process:
             outcome = _fly_here(flown, kept, folder, picture, record, stop)
         else:
-            from outrider.running.launch import Output, Watcher, launch
-            from sim.server.run_timing import Timing
+            from outrider.running.launch import Watcher, launch
+            from outrider.running.parent import Output
 
             with flight_progress(flown, "starting (the first start compiles)") as progress:
                 watcher = Watcher(
@@ -146,16 +131,8 @@ def command(
                 )
                 outcome = launch(
                     flown,
-                    scenario,
-                    overrides,
                     watcher,
-                    Output(folder=folder, picture=picture, record=record),
-                    timing=Timing(
-                        realtime=realtime,
-                        deadline=deadline,
-                        join_timeout=120.0,
-                        respawn=respawn,
-                    ),
+                    Output(folder=str(folder or ""), picture=picture, record=str(record or "")),
                     secret=kept,
                 )
         if outcome.summary is not None and folder is not None:

@@ -56,15 +56,14 @@ def command(
     network: options.NetworkName = "",
     changes: options.Set = None,
     realtime: options.RealTime = None,
-    deadline: options.Deadline = 10.0,
     join_timeout: Annotated[
-        float,
+        float | None,
         typer.Option(
-            help="Seconds to wait for vehicles, or a router that is away.",
+            help="Seconds to wait for vehicles, or a router that is away; the scenario's by default.",
             min=0.0,
             envvar="OUTRIDER_JOIN_TIMEOUT",
         ),
-    ] = 30.0,
+    ] = None,
     respawn: Annotated[
         bool,
         typer.Option("--respawn", help="Let the clock stand still until a lost vehicle is back."),
@@ -100,24 +99,35 @@ def command(
     )
     from outrider.running.assumptions import promise_warnings
     from outrider.running.exit_reports import Report, Reports
-    from outrider.running.parent import Start, read_start
+    from outrider.running.parent import Output, Start, read_start
+    from outrider.running.resolve import resolve
     from outrider.running.summary import summarize
     from outrider.view.output import write_flight
     from sim.scenario.checks import scenario_warnings
+    from sim.scenario.resolved import read_resolved
     from sim.server.flight import warm_up
-    from sim.server.run_timing import Timing
     from sim.server.serving import Server
 
-    start = read_start() if child else Start()
-    flown, _ = options.scenario_of(
-        scenario,
-        seed=seed,
-        duration=duration,
-        law=law,
-        driver=driver,
-        changes=changes,
-        network=network,
-    )
+    if child:
+        start = read_start()
+        flown = read_resolved(Path(scenario))
+    else:
+        output = Output(folder=str(out or ""), picture=picture, record=str(record or ""))
+        start = Start(output=output)
+        flown, _ = resolve(
+            scenario,
+            seed=seed,
+            duration=duration,
+            law=law,
+            driver=driver,
+            network=network,
+            realtime=realtime,
+            join_timeout=join_timeout,
+            respawn=respawn,
+            changes=changes,
+        )
+    folder = Path(start.output.folder) if start.output.folder else None
+    record = Path(start.output.record) if start.output.record else None
     endpoints = () if connect else tuple(listen or (options.DEFAULT_ENDPOINT,))
     # By which the router inside knows its clients, or the router elsewhere knows this one.
     given, credential = start.credentials, None
@@ -132,9 +142,6 @@ def command(
     # a parent has decided on the secret
     kept = start.secret if child else options.secret_of(secret, wanted=secured)
     reports = Reports(enabled=child)
-    timing = Timing(
-        realtime=realtime, deadline=deadline, join_timeout=join_timeout, respawn=respawn
-    )
     if not child:
         tell_starting()
     with ExitStack() as opened:
@@ -147,7 +154,7 @@ def command(
                 listen=endpoints,
                 credential=credential,
                 given=given,
-                join_timeout=join_timeout,
+                join_timeout=flown.run.join_timeout,
             )
         )
         warm_up(flown)
@@ -186,7 +193,6 @@ def command(
             session,
             flown,
             flown.seed,
-            timing,
             secret=kept,
             on_event=on_event,
             stop=lambda: bool(stop),
@@ -212,12 +218,12 @@ def command(
             flight, vehicles, late_ticks = server.flight, server.vehicles(), server.late_ticks
             # Also where the router was lost for good: what was flown is kept. Of a run that could not begin the
             # cause alone is told; only a vehicle that was started again and again has a report worth keeping.
-            if flight.world.tick or (respawn and flight.recorder.rows):
+            if flight.world.tick or (flown.run.respawn and flight.recorder.rows):
                 summary = summarize(
                     flight,
                     seconds=seconds,
                     vehicles=vehicles,
-                    realtime=realtime,
+                    realtime=flown.run.realtime or None,
                     late_ticks=late_ticks,
                     changes=server.changes,
                 )
@@ -225,7 +231,8 @@ def command(
                 reports.write(Report(summary=summary))
                 files: list[Path] = []
                 try:
-                    files += write_flight(flight, summary, out, picture=picture) if out else []
+                    if folder is not None:
+                        files += write_flight(flight, summary, folder, picture=start.output.picture)
                     files += [record] if record is not None else []
                     reports.write(Report(files=[str(file) for file in files]))
                 finally:  # also where the disk is full

@@ -19,11 +19,11 @@ from bus.locator import UNIX
 from bus.registry import DRIVERS
 from outrider.running.child import Child
 from outrider.running.exit_reports import Report
-from outrider.running.parent import Start
+from outrider.running.parent import Output, Start
 from outrider.running.run_folder import run_folder
 from outrider.running.summary import Process, Summary
+from sim.scenario.resolved import as_toml
 from sim.scenario.types import Scenario, Uav, Ugv
-from sim.server.run_timing import Timing
 
 _HELD = 3.0
 """Time for which an event before the first tick waits [s]: it is not told if a vehicle's own error ends the run."""
@@ -64,25 +64,6 @@ class Outcome(msgspec.Struct, kw_only=True):
     """True: the failure is that what the user has given cannot be flown."""
 
 
-class Output(msgspec.Struct, frozen=True, kw_only=True):
-    """Files that the simulator writes."""
-
-    folder: Path | None = None
-    """For trajectory, picture and summary; None: none of them."""
-    picture: bool = True
-    """True: it draws."""
-    record: Path | None = None
-    """The file in which it records every tick; None: it does not."""
-
-    def arguments(self) -> list[str]:
-        """The same on its command line."""
-        return [
-            *(["--out", str(self.folder)] if self.folder else []),
-            *([] if self.picture else ["--no-picture"]),
-            *(["--record", str(self.record)] if self.record else []),
-        ]
-
-
 class Watcher(msgspec.Struct, frozen=True, kw_only=True):
     """Callbacks of whoever follows a run, and can end it."""
 
@@ -107,30 +88,22 @@ NOBODY = Watcher(
 )
 
 
-_TIMING = Timing(join_timeout=120.0)
-
-
 def launch(
     scenario: Scenario,
-    source: str,
-    overrides: Sequence[str],
     watcher: Watcher,
     output: Output,
     *,
-    timing: Timing = _TIMING,
     secret: str = "",
 ) -> Outcome:
     """Fly a scenario as one process for the simulator and one for each vehicle, over Zenoh on a private socket.
 
-    Each process has credentials of its own, made for this run alone and gone with it.
+    Each process has credentials of its own, made for this run alone and gone with it. The scenario is written into the
+    run's private folder, where the simulator reads it; no vehicle is told of the file, which holds goals and seed.
 
     Args:
-        scenario: What is flown.
-        source: The same as a name or file, for the simulator's process.
-        overrides: The same as `--set` arguments.
+        scenario: What is flown, with all options applied.
         watcher: Who follows the run.
         output: What is written.
-        timing: Its pace and patience.
         secret: Of the run, for the simulator's process alone; empty: none.
 
     Returns:
@@ -138,34 +111,26 @@ def launch(
     """
     with run_folder() as folder, _ended_afterwards() as pages, _ended_afterwards() as children:
         run = f"run-{os.getpid()}-{secrets.token_hex(4)}"
-        logs = output.folder / "logs" if output.folder else None
-        processes = _Processes(scenario, folder, run, children, watcher, timing, logs)
-        settings = [argument for override in overrides for argument in ("--set", override)]
-        processes.start_simulator(source, [*settings, *output.arguments(), *_words(timing)], secret)
+        logs = Path(output.folder, "logs") if output.folder else None
+        processes = _Processes(scenario, folder, run, children, watcher, logs)
+        processes.start_simulator(output, secret)
         if watcher.page is not None and not watcher.stop():
             processes.show_on(watcher.page, pages)
         if not watcher.stop():
             processes.start_vehicles()
-        outcome = _follow(processes, watcher, respawn=timing.respawn)
+        outcome = _follow(processes, watcher, respawn=scenario.run.respawn)
         processes.await_last_frame()
         if outcome.summary is not None:
             for child in children:
                 child.wait(2.0 if outcome.summary.complete else 0.5)
-            if not watcher.stop() and not timing.respawn:  # one may have failed just before the end
+            if (
+                not watcher.stop() and not scenario.run.respawn
+            ):  # one may have failed just before the end
                 failed = [child.exit_report() for child in children[1:] if child.ended]
                 outcome.fault = outcome.fault or next(iter(failed), "")
             who = [Process(name=child.name, pid=child.pid) for child in children]
             outcome.summary = msgspec.structs.replace(outcome.summary, processes=who)
         return outcome
-
-
-def _words(timing: Timing) -> list[str]:
-    """The same on the simulator's command line."""
-    return [
-        *("--deadline", str(timing.deadline), "--join-timeout", str(timing.join_timeout)),
-        *(["--realtime", str(timing.realtime)] if timing.realtime is not None else []),
-        *(["--respawn"] if timing.respawn else []),
-    ]
 
 
 def _is_outside(vehicle: Uav | Ugv) -> bool:
@@ -182,7 +147,6 @@ class _Processes:
         run: Its name.
         children: Where they are kept, so that they are ended whatever happens.
         watcher: Who follows the run, and is told what the processes warn of.
-        timing: Its patience.
         logs: The folder for what each writes to standard error; None: it is not kept.
     """
 
@@ -193,7 +157,6 @@ class _Processes:
         run: str,
         children: list[Child],
         watcher: Watcher,
-        timing: Timing,
         logs: Path | None,
     ) -> None:
         self.children = children
@@ -203,7 +166,6 @@ class _Processes:
         """Reports of the simulator, a line each."""
         self._scenario, self._folder, self._run = scenario, folder, run
         self._endpoint = f"{UNIX}/{folder / 'bus.sock'}"
-        self._patience = timing.join_timeout
         self._uavs = [uav.name for uav in scenario.uav]
         self._page: Child | None = None
         self._shown: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
@@ -229,11 +191,14 @@ class _Processes:
         """Return the options by which a client finds the router."""
         return ["--connect", self._endpoint, "--run", self._run]
 
-    def start_simulator(self, source: str, settings: list[str], secret: str) -> None:
+    def start_simulator(self, output: Output, secret: str) -> None:
         """Start it; clients wait until its router listens."""
-        file = f"./{source}" if source.startswith("-") else source  # which would be an option
-        arguments = ["simulator", file, "--listen", self._endpoint, "--run", self._run, *settings]
-        start = Start(credentials=self._credentials, secret=secret, folder=str(self._folder))
+        file = self._folder / "scenario.toml"
+        file.write_text(as_toml(self._scenario), encoding="utf-8")
+        arguments = ["simulator", str(file), "--listen", self._endpoint, "--run", self._run]
+        start = Start(
+            credentials=self._credentials, secret=secret, folder=str(self._folder), output=output
+        )
         self.children.append(
             Child(
                 SIMULATOR_NAME,
@@ -286,23 +251,16 @@ class _Processes:
 
     def _start(self, name: str) -> Child:
         custom, is_uav = self._scenario.custom, name in self._uavs
-        own = (
-            [
-                ("--weighting", custom.weighting),
-                ("--path", custom.path),
-                ("--uav-policy", custom.uav_policy),
-            ]
-            if is_uav
-            else [("--policy", custom.policy)]
+        fields = ("weighting", "path", "uav_policy") if is_uav else ("policy",)
+        start = Start(
+            credential=self._credentials.of(name),
+            join_timeout=self._scenario.run.join_timeout,
+            code={field: getattr(custom, field) for field in fields},
         )
-        given = [argument for option, value in own if value for argument in (option, value)]
         return Child(
             name,
-            [
-                *("uav" if is_uav else "ugv", "--name", name, *self._joining()),
-                *("--join-timeout", str(self._patience), *given),
-            ],
-            Start(credential=self._credentials.of(name)),
+            ["uav" if is_uav else "ugv", "--name", name, *self._joining()],
+            start,
             log=self._log(name),
             on_warning=self._watcher.on_event,
         )

@@ -15,6 +15,17 @@ _PATIENCE = 10.0
 """Time for closing sessions and files after the parent has gone [s]."""
 
 
+class Output(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Files that the simulator writes."""
+
+    folder: str = ""
+    """Folder for trajectory, picture and summary; empty: none of them."""
+    picture: bool = True
+    """True: draw the picture."""
+    record: str = ""
+    """MCAP file in which every tick is recorded; empty: none."""
+
+
 class Start(msgspec.Struct, kw_only=True, omit_defaults=True):
     """First line of a child's standard input. The pipe stays open: its end asks the child to end."""
 
@@ -26,6 +37,12 @@ class Start(msgspec.Struct, kw_only=True, omit_defaults=True):
     """Secret of the run, for the simulator alone."""
     folder: str = ""
     """Private folder of the run, which the simulator removes when it ends."""
+    output: Output = Output()
+    """Files of the run, for the simulator alone."""
+    join_timeout: float = 30.0
+    """Time for which a vehicle waits for a simulator or router [s]."""
+    code: dict[str, str] = {}
+    """The user's own code that this vehicle loads: fields of `[custom]` and their values."""
 
 
 def read_start() -> Start:

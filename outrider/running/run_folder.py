@@ -1,4 +1,4 @@
-"""The private folder of a run: its socket and credentials, which a killed run leaves to the next start to remove."""
+"""The private folder of a run: socket, credentials and scenario; the next start removes that of a killed run."""
 
 import contextlib
 import fcntl

@@ -28,10 +28,29 @@ class Process(msgspec.Struct, frozen=True, kw_only=True):
     pid: int
 
 
-class Summary(msgspec.Struct, frozen=True, kw_only=True):
-    """Numbers that `outrider run --json` prints, over all escorts; a number that does not exist is None.
+class UavMetrics(msgspec.Struct, frozen=True, kw_only=True):
+    """Metrics of one UAV or of several, as `outrider.running.metrics.UAV` explains; None: it does not exist."""
 
-    Without a UAV there are no escorts: no distance, no coverage error, nothing lost.
+    max_distance: float | None
+    mean_distance: float | None
+    visibility_violations: int
+    switching_radius: float | None
+    crossings: int
+    initial_error: float | None
+    mean_error: float | None
+    final_error: float | None
+    detections: int
+    estimate_rmse: float | None
+    detection_rmse: float | None
+    certified_share: float | None = None
+    intervened_share: float | None = None
+
+
+class Summary(UavMetrics, frozen=True, kw_only=True):
+    """Numbers that `outrider run --json` prints; those of UAVs are over all of them.
+
+    `outrider.running.metrics` explains each number. Without a UAV there are no distances and errors, without hazards no
+    mission, and nothing is counted: a number that does not exist is None.
     """
 
     scenario: str
@@ -47,106 +66,54 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     None without a UAV.
     """
     dt: float
-    """[s]"""
+    """Length of a tick [s]."""
     ticks: int
     complete: bool
-    """True if the flight reached the scenario's end."""
     ticks_per_second: float
-    """Wall time, from the first tick to the last."""
-    max_distance: float | None
-    """[m]"""
-    mean_distance: float | None
-    """[m]"""
     visibility_radius: float
-    """r_v [m]"""
-    visibility_violations: int
-    """Ticks with a distance of r_v or more."""
-    switching_radius: float | None
-    """r_s of (18) [m]"""
-    crossings: int
-    """Count of the ticks at which the distance rose to r_s or beyond."""
-    initial_error: float | None
-    """e(0) [m²]"""
-    mean_error: float | None
-    """[m²]"""
-    final_error: float | None
-    """[m²]"""
-    detections: int
-    estimate_rmse: float | None
-    """Root of the mean squared distance between estimated and true p_g [m]."""
-    detection_rmse: float | None
-    """The same of the raw detections [m]."""
     missing_commands: dict[str, int]
-    """Ticks for which a vehicle had no new command."""
+    """Ticks without a new command, by vehicle."""
     faults: dict[str, dict[str, int]] = {}
-    """Faults of a vehicle's process, counted by cause; empty where nothing did."""
-    certified_share: float | None = None
-    """Of the ticks that a safety filter watched over, those in which sight was certified to be kept."""
-    intervened_share: float | None = None
-    """Those in which it acted instead of the law."""
+    """Faults of a vehicle's process, counted by cause; empty without a fault."""
     uncertified: dict[str, int] = {}
     """Ticks that were not certified, by reason."""
     certified_while_lost: int = 0
-    """Ticks that were certified although the UGV was out of sight; any is a fault of the certificate."""
     certificate_broken: int = 0
-    """Ticks that were not certified although the one before was and all assumptions held; likewise."""
     declared_outage: float | None = None
-    """Longest time from the start of a motion to the start of the next, as it is declared, B [s]."""
     longest_outage: float | None = None
-    """And the longest in this flight [s]."""
     declared_tracking: float | None = None
-    """Largest true distance of a UAV from where it is told that it is, w [m]; None where no filter watches or nothing
-    takes it from there.
-    """
     tracking_error: float | None = None
-    """And the farthest in this flight [m], whatever the law; None where nothing takes it from there."""
     arrived: bool | None = None
-    """True if every UGV that has goals has reached them all; None, as all up to `found`: there are no hazards."""
     mission_time: float | None = None
-    """Time at which the last of them had [s]; None: not yet."""
     hazards_hit: int | None = None
-    """Blocking hazards that were touched, each once by each UGV."""
     near_misses: int | None = None
-    """Blocking hazards that a UGV came nearer to than 0.2 m without touching them."""
     hazards_on_way: int | None = None
-    """Hazards, blocking or rough, that a UGV came nearer to than 2 m."""
     warned: int | None = None
-    """Those of them that it knew of before it came so near."""
     warned_before: float | None = None
-    """Time from then until it came so near, in the mean of those [s]."""
     seen_ahead: float | None = None
-    """Share of the UGVs' way that led over ground which had come by radio before."""
+    ground_certified_share: float | None = None
     entered_unknown_tile: int | None = None
-    """Ticks in which a UGV drove over a tile that it did not know to be drivable: 0 for a cautious one."""
     ground_certificate_broken: int | None = None
-    """Certified ticks after which a cautious UGV was not certified to stay on tiles that it knows, or in which it left
-    them, although all assumptions hold: 0, or the guarantee is wrong."""
     guarantees: dict[str, UgvGuarantee] = {}
     """Certified ticks of each UGV, and the reasons of the other ticks."""
     still_time: float | None = None
-    """Time that the UGVs stood still before they had arrived [s]."""
     finds: int | None = None
-    """Things to be found."""
     found: int | None = None
-    """Those that a vehicle's sensor has told of."""
+    uavs: dict[str, UavMetrics] = {}
+    """Metrics of each UAV."""
     links: dict[str, LinkStatus] = {}
-    """Counts of each link's messages, by `vehicle/kind`."""
+    """Metrics of each link, by `vehicle/kind`."""
     traces: dict[str, str] = {}
     """Recorded links that were played: SHA-256 of the file, by the name in the scenario."""
     realtime: float | None = None
     """The factor that the clock was to keep; None in lockstep."""
     realtime_factor: float
-    """Simulated seconds per second of wall time, over the whole flight."""
     late_ticks: int = 0
-    """Ticks that the clock could not keep."""
     changes: list[Change] = []
     """Changes by operators while it flew, with their ticks."""
     deterministic: bool
-    """True if every command came in time and no operator had a hand in it.
-
-    The hash is that of scenario, seed and secret.
-    """
     first_missing_tick: int | None
+    """The first tick at which a vehicle had no new command."""
     trajectory_sha256: str
     platform: dict[str, str]
     processes: list[Process] = []
@@ -220,7 +187,52 @@ def certificate_fields(told: CertificateStatus | None) -> dict[str, Any]:
 
 def mission_fields(mission: Mission | None) -> dict[str, Any]:
     """The summary's fields on how the UGVs got through; None where there are no hazards."""
-    return {} if mission is None else msgspec.structs.asdict(mission)
+    if mission is None:
+        return {}
+    told = mission.guarantees.values()
+    ticks, certified = sum(one.ticks for one in told), sum(one.certified for one in told)
+    share = certified / ticks if ticks else None
+    return {**msgspec.structs.asdict(mission), "ground_certified_share": share}
+
+
+def _uav_metrics(flight: "Flight", rows: list[int]) -> dict[str, Any]:
+    """Return the metrics of some UAVs together, from their recorded states and reports.
+
+    Args:
+        flight: What was flown.
+        rows: The escorts; a mean is over all ticks of all of them.
+    """
+    recorder, world, r_v = flight.recorder, flight.world, flight.scenario.visibility.radius
+    told = recorder.escorts[:, rows]
+    distance, error = told[:, :, 0], told[:, :, 1]
+    pairs = world.escorts[rows]
+    p_a, p_g = (recorder.states[:, pairs[:, k], :2] for k in (0, 1))
+    radii = [switching_radius_of(flight, k) for k in rows]
+    beyond = distance >= np.array([math.inf if r_s is None else r_s for r_s in radii])
+    return {
+        "max_distance": float(distance.max()) if distance.size else None,
+        "mean_distance": _mean(distance),
+        "visibility_violations": int((distance >= r_v).sum()),
+        "switching_radius": next(iter(radii), None),
+        "crossings": int((beyond[1:] & ~beyond[:-1]).sum()),
+        "initial_error": _mean(error[0]),
+        "mean_error": _mean(error),
+        "final_error": _mean(error[-1]),
+        "detections": int((~np.isnan(told[:, :, 2])).sum()),
+        "estimate_rmse": _rms(told[:, :, 4:6] - p_g),
+        "detection_rmse": _rms(told[:, :, 2:4] - (p_a - p_g)),
+    }
+
+
+def _by_uav(flight: "Flight") -> dict[str, UavMetrics]:
+    """Return the metrics of each UAV, by name."""
+    found: dict[str, UavMetrics] = {}
+    for k, pair in enumerate(flight.world.escorts):
+        certified, intervened = flight.answers.assurance.shares(k)
+        found[flight.scenario.vehicles[pair[0]].name] = UavMetrics(
+            **_uav_metrics(flight, [k]), certified_share=certified, intervened_share=intervened
+        )
+    return found
 
 
 def summarize(
@@ -245,14 +257,12 @@ def summarize(
     from sim.server.recorder import platform_row  # noqa: PLC0415 - likewise
 
     scenario, recorder, world = flight.scenario, flight.recorder, flight.world
-    distance, error = recorder.escorts[:, :, 0], recorder.escorts[:, :, 1]
-    p_a = recorder.states[:, world.escorts[:, 0], :2]
-    p_g = recorder.states[:, world.escorts[:, 1], :2]
-    radii = [switching_radius_of(flight, k) for k in range(len(world.uavs))]
     steered = any(change.control.action in _FLOWN for change in changes)
     certified = flight.answers.assurance.status()
-    beyond = distance >= np.array([math.inf if r_s is None else r_s for r_s in radii])
+    every = _uav_metrics(flight, list(range(len(world.uavs))))
     return Summary(
+        **every | certificate_fields(certified),
+        uavs=_by_uav(flight),
         scenario=scenario.name,
         seed=flight.seed,
         secret=flight.secret,
@@ -261,21 +271,9 @@ def summarize(
         ticks=recorder.ticks,
         complete=flight.complete,
         ticks_per_second=recorder.ticks / seconds if seconds > 0.0 else 0.0,
-        max_distance=float(distance.max()) if distance.size else None,
-        mean_distance=_mean(distance),
         visibility_radius=scenario.visibility.radius,
-        visibility_violations=int((distance >= scenario.visibility.radius).sum()),
-        switching_radius=next(iter(radii), None),
-        crossings=int((beyond[1:] & ~beyond[:-1]).sum()),
-        initial_error=_mean(error[0]),
-        mean_error=_mean(error),
-        final_error=_mean(error[-1]),
-        detections=int((~np.isnan(recorder.escorts[:, :, 2])).sum()),
-        estimate_rmse=_rms(recorder.escorts[:, :, 4:6] - p_g),
-        detection_rmse=_rms(recorder.escorts[:, :, 2:4] - (p_a - p_g)),
         missing_commands=dict(flight.answers.missing),
         faults=_faults(vehicles or {}, flight.answers.shortened),
-        **certificate_fields(certified),
         tracking_error=recorder.tracking_error,
         **mission_fields(world.mission),
         links=world.links.status(),

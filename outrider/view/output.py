@@ -11,6 +11,7 @@ import numpy as np
 
 from bus.files import write_whole, writing
 from outrider.running.summary import Summary
+from sim.scenario.resolved import as_toml
 
 if TYPE_CHECKING:
     from sim.server.flight import Flight
@@ -19,6 +20,8 @@ TRAJECTORY = "trajectory.csv"
 PICTURE = "flight.png"
 COVERAGE = "coverage.npy"
 SUMMARY = "summary.json"
+SCENARIO = "scenario.toml"
+"""The scenario that was flown, with all options applied."""
 
 
 def default_folder(scenario: str) -> Path:
@@ -77,10 +80,12 @@ def write_flight(
         OSError: If a file cannot be written; all that can be are there.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    scenario = msgspec.structs.replace(flight.scenario, seed=flight.seed)
     work: dict[
         str, Callable[[Path], object]
     ] = {  # the smallest first: what is there when the disk is full is there
         SUMMARY: lambda path: write_summary(summary, path.parent),
+        SCENARIO: lambda path: path.write_text(as_toml(scenario), encoding="utf-8"),
         COVERAGE: lambda path: np.save(path, flight.world.coverage),
         TRAJECTORY: flight.recorder.write,
     }

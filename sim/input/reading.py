@@ -101,13 +101,19 @@ def apply_override(raw: dict[str, Any], key: str, value: object, *, file: str) -
 
     Args:
         raw: As TOML gives it.
-        key: A dotted path; entries of a list count from 0.
+        key: A dotted path; entries of a list count from 0, and `uav.*` is all entries of the list `uav`.
         value: What to put there.
         file: For the error.
 
     Raises:
         ScenarioError: If the path leads through a value, or beside a list's entries.
     """
+    name, star, field = key.partition(".*.")
+    entries = raw.get(name)
+    if star and entries and isinstance(entries, list):
+        for k in range(len(entries)):
+            apply_override(raw, f"{name}.{k}.{field}", value, file=file)
+        return
     *way, last = key.split(".")
     table: Any = raw
     try:

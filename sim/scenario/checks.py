@@ -241,6 +241,7 @@ def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
         line
         for warnings in (
             _law_warnings,
+            _code_warnings,
             _circle_warnings,
             _task_warnings,
             hazard_warnings,
@@ -253,6 +254,22 @@ def _law_warnings(scenario: Scenario) -> Iterator[str]:
     if scenario.uav and not LAWS[scenario.law.name].keeps_sight:
         name = f'law.name = "{scenario.law.name}"'
         yield f"{name}: visibility is not kept, this law never turns back to the UGV"
+
+
+def _code_warnings(scenario: Scenario) -> Iterator[str]:
+    """Code of the user's own that neither law nor driver loads."""
+    law = LAWS[scenario.law.name]
+    loaded = {law.own, law.inner} if scenario.uav else set[str]()
+    loaded |= {DRIVERS[ugv.driver].own for ugv in scenario.ugv}
+    for field in scenario.custom.__struct_fields__:
+        value: str = getattr(scenario.custom, field)
+        if value and field not in loaded:
+            laws = [
+                f"law.name = {row.name}" for row in LAWS.values() if field in (row.own, row.inner)
+            ]
+            drivers = [f"ugv.*.driver = {row.name}" for row in DRIVERS.values() if field == row.own]
+            users = " or ".join((*laws, *drivers))
+            yield f"custom.{field} = {value!r}: nothing flies it; for {users}"
 
 
 def largest_circle_rate(r_pv: float, v_a: float, v_g: float, u_a: float) -> float:

@@ -1,7 +1,7 @@
 """From a shipped name or a TOML file to a scenario that can be flown."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -22,6 +22,7 @@ from sim.scenario.types import DEFAULT_AREA, Scenario
 DEFAULT_SCENARIO = "escort"
 MOST_BYTES = 1 << 20
 """Of a scenario's or a sweep's file: room for some thousand vehicles."""
+Overrides = Mapping[str, object] | Sequence[str | tuple[str, object]]
 FILE_RULE = f"a TOML file of {MOST_BYTES >> 20} MiB at most"
 
 
@@ -95,13 +96,14 @@ def read_toml(source: str | Path, file: str, what: str, known: Sequence[str], al
         raise ScenarioError(f"{file}: cannot be read: {reason}; allowed: {FILE_RULE}") from error
 
 
-def _changes(
-    overrides: Mapping[str, object] | Sequence[str], file: str
-) -> list[tuple[str, object]]:
+def _changes(overrides: Overrides, file: str) -> Iterator[tuple[str, object]]:
     if isinstance(overrides, Mapping):
-        return [(str(key), as_raw(value, file=file)) for key, value in overrides.items()]
-    changes = [overrides] if isinstance(overrides, str) else overrides
-    return [parse_override(change, file=file) for change in changes]
+        overrides = [*overrides.items()]
+    for change in [overrides] if isinstance(overrides, str) else overrides:
+        if isinstance(change, str):
+            yield parse_override(change, file=file)
+        else:
+            yield str(change[0]), as_raw(change[1], file=file)
 
 
 def _with_names(raw: dict[str, object]) -> None:
@@ -169,15 +171,13 @@ def _refuse_risk(raw: dict[str, object], *, file: str) -> None:
         raise Fault("certificate.risk", certificate["risk"], wrong, allowed).error(file)
 
 
-def load_scenario(
-    source: str | Path = DEFAULT_SCENARIO, *, overrides: Mapping[str, object] | Sequence[str] = ()
-) -> Scenario:
+def load_scenario(source: str | Path = DEFAULT_SCENARIO, *, overrides: Overrides = ()) -> Scenario:
     """Read and validate a scenario.
 
     Args:
         source: A shipped name, or a TOML file.
-        overrides: Changes made before anything is validated: fields and their values, or texts such as
-            `uav.0.max_speed=0.5`, the value as TOML writes it or else plain text.
+        overrides: Changes made before anything is validated, in order: fields and their values, or texts such as
+            `uav.0.max_speed=0.5`, the value as TOML writes it or else plain text. `uav.*` is every UAV.
 
     Returns:
         The scenario; its name is the file's, without its ending, where none is given.

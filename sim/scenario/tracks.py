@@ -18,13 +18,14 @@ _MOST_ROWS = 250_000
 
 
 def with_tracks(scenario: Scenario, *, file: str) -> Scenario:
-    """The scenario with the scripts of those UGVs that have a `track`.
+    """The scenario with the scripts of those UGVs that have a `track` and no script yet.
 
     Raises:
         ScenarioError: If a track cannot be read, or has nothing of the UGV.
     """
     ugvs = tuple(
-        _with_track(ugv, k, file) if ugv.track else ugv for k, ugv in enumerate(scenario.ugv)
+        _with_track(ugv, k, file) if ugv.track and not ugv.script else ugv
+        for k, ugv in enumerate(scenario.ugv)
     )
     return scenario if ugvs == scenario.ugv else msgspec.structs.replace(scenario, ugv=ugvs)
 

@@ -325,6 +325,19 @@ class LinkTable(_Links, frozen=True, kw_only=True):
         return msgspec.structs.replace(self, only=rows if new in rows else (*rows, new))
 
 
+class Run(_Table, frozen=True, kw_only=True):
+    """Pace and patience of a run over processes; an environment and a run in one process have none."""
+
+    realtime: Annotated[float, Meta(ge=0.0, le=1e4)] = 0.0
+    """Simulated seconds per second of wall time; 0: lockstep, as fast as the vehicles answer."""
+    deadline: Annotated[float, Meta(ge=0.01)] = 10.0
+    """In lockstep, time to wait for the commands of one tick [s]."""
+    join_timeout: NonNegative = 120.0
+    """Time to wait for all vehicles at the start, for a vehicle that reconnects, and for the router [s]."""
+    respawn: bool = False
+    """True: a vehicle's process that exits is restarted, and in lockstep the simulation is paused meanwhile."""
+
+
 DEFAULT_AREA = Area(width=40.0, height=40.0, cell=0.25)
 NO_UAV = "no UAV"
 """Instead of a law, for a person, where there is nobody to fly one."""
@@ -356,6 +369,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     certificate: Certificate = Certificate()
     law: Law = Law()
     custom: Custom = Custom()
+    run: Run = Run()
     ground: Ground = Ground()
     hazard: Annotated[tuple[Hazard, ...], Meta(max_length=MOST_HAZARDS)] = ()
     hazard_field: tuple[HazardField, ...] = ()

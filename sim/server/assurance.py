@@ -142,6 +142,14 @@ class Assurance:
         """The flight is over with this UAV so far from its UGV [m]: the last tick's certificate is held against it."""
         record_end(self._counts[uav], distance >= self._radius)
 
+    def shares(self, uav: int) -> tuple[float | None, float | None]:
+        """Return the shares of a UAV's watched ticks that were certified, and in which its filter acted."""
+        count = self._counts[uav]
+        ticks = int(count["ticks"])
+        if not ticks:
+            return None, None
+        return int(count["certified"]) / ticks, int(count["intervened"]) / ticks
+
     def status(self) -> CertificateStatus | None:
         """All of it as a message; None where no filter has watched over anything."""
         if not self.ticks:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from bus.errors import PeerLost
 from bus.messages import Command, Observation, UavObservation
 from bus.session import Session
-from sim.server.run_timing import Timing
+from sim.scenario.types import Run
 from sim.server.sessions import Slots
 
 _LOOK_AROUND = 0.2
@@ -67,7 +67,7 @@ class Lockstep:
         self,
         session: Session,
         slots: Slots,
-        timing: Timing,
+        timing: Run,
         on_event: Callable[[str], None],
     ) -> None:
         self._session = session

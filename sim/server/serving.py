@@ -10,7 +10,6 @@ from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 from sim.server.operator_controls import OperatorControls
 from sim.server.pace import Lockstep, Pace, RealTime
-from sim.server.run_timing import Timing
 from sim.server.sessions import Slots
 from sim.server.telemetry import Telemetry, Warn
 
@@ -34,7 +33,6 @@ class Server:
         session: Session,
         scenario: Scenario,
         seed: int,
-        timing: Timing,
         *,
         secret: str = "",
         on_event: Callable[[str], None] = lambda _line: None,
@@ -45,17 +43,17 @@ class Server:
         self.started = 0.0
         """Wall clock at the first tick [s]; in lockstep once all have answered in it, as pilots are made in there."""
         self._begun = False
-        self._join_timeout = timing.join_timeout
+        self._join_timeout = scenario.run.join_timeout
         self._stop = stop
         self._slots = Slots(session, self.flight, on_event)
 
         def make_pace(factor: float | None) -> Pace:
             if factor is not None:
                 return RealTime(self._slots, dt=scenario.dt, factor=factor, on_event=on_event)
-            return Lockstep(session, self._slots, timing, on_event)
+            return Lockstep(session, self._slots, scenario.run, on_event)
 
         self._operators = OperatorControls(
-            session, self.flight, make_pace, timing.realtime, on_event
+            session, self.flight, make_pace, scenario.run.realtime or None, on_event
         )
         self._telemetry = Telemetry(session, self.flight, self._slots, self._operators, warn)
         session.announce()

@@ -7,9 +7,10 @@ import { Ground, keepDetections } from "./ground.js";
 import { showLegends } from "./legends.js";
 import { explain, openLink } from "./link.js";
 import { MapTools } from "./map_tools.js";
+import { useMetrics } from "./metrics.js";
 import { canAct, showState } from "./panels.js";
 import { isDark, watchTheme } from "./theme.js";
-import { showTiles, showWarnings } from "./tiles.js";
+import { buildTiles, showTiles, showWarnings } from "./tiles.js";
 import { Wheel } from "./wheel.js";
 
 const CHART_PERIOD = 150;
@@ -42,7 +43,9 @@ function whenBuilt(then) {
   else setTimeout(() => whenBuilt(then), 30);
 }
 
-function takeHello({ colors, steer }, ground) {
+function takeHello({ colors, steer, metrics }, ground) {
+  useMetrics(metrics);
+  buildTiles();
   store.steer = steer;
   store.palettes = colors;
   takeColors(ground);

@@ -1,30 +1,19 @@
 // What stands beside the map: chips, processes, links, changes and the wheel, as the newest status has them.
 
 import { $, escapeText, known, setHtml, setText, setTitle } from "./dom.js";
+import { metric, rowsOf, textOf } from "./metrics.js";
 
 const TOUCH = matchMedia("(hover: none)");
-const FAULTS = {
-  missing: "ticks for which no new command was there",
-  stale: "commands that were used after the tick they answer",
-  shortened: "commands that were longer than the vehicle's bound",
-  lost: "times that its process went away",
-  rejoined: "times that its process came back",
-  refused: "messages and sessions that were refused",
-};
-
 function faultsOf(vehicle) {
-  const counts = {
-    missing: vehicle.missing_commands,
-    stale: vehicle.stale_commands,
-    shortened: vehicle.shortened_commands,
-    lost: vehicle.lost,
-    rejoined: vehicle.rejoined,
-    refused: Object.values(vehicle.refused || {}).reduce((sum, count) => sum + count, 0),
-  };
-  const found = Object.entries(counts).filter(([, count]) => count);
+  const counted = rowsOf("process").map((row) => {
+    const value = vehicle[row.name] || 0;
+    const count = typeof value === "object" ? Object.values(value).reduce((sum, one) => sum + one, 0) : value;
+    return { ...row, count };
+  });
+  const found = counted.filter(({ count }) => count);
   return {
-    words: found.map(([cause, count]) => `${cause} ${count}`),
-    meaning: found.map(([cause]) => `${cause}: ${FAULTS[cause]}`).join("\n"),
+    words: found.map(({ label, count }) => `${label} ${count}`),
+    meaning: found.map(({ label, meaning }) => `${label}: ${meaning}`).join("\n"),
   };
 }
 
@@ -159,8 +148,8 @@ function showLink(store, place, name, { delivery_ratio: ratio, age, lost, degrad
   place.className = `link-row ${state}`;
   if (store.steer) place.disabled = !canAct(store);
   const numbers = [
-    [shown(ratio, (v) => `${percent(v)} %`), "Share of the messages that got through, of those whose fate is known"],
-    [shown(age, (v) => `${v.toFixed(v < 100 ? 2 : 0)} s`), "Age of the newest information that got through"],
+    [shown(ratio, (v) => `${percent(v)} %`), metric("link", "delivery_ratio").meaning],
+    [textOf(metric("link", "age"), age), metric("link", "age").meaning],
   ];
   const outputs = numbers.map(([text, tip]) => `<output title="${tip}">${text}</output>`).join("");
   const counts = gone ? `<span class="gone" title="Messages lost so far, by cause">${escapeText(gone)}</span>` : "";

@@ -2,22 +2,28 @@
 
 import { PER_ESCORT } from "./charts.js";
 import { $, escapeText, known, setHtml, setText, setTitle } from "./dom.js";
+import { metric, numberOf, rowsOf, textOf } from "./metrics.js";
 
-// Explanations that the page has built in, which pairs and reasons are added to.
-const meanings = new Map();
+// Metrics of the mission that have a tile; the others are told beside one of these.
+const MISSION = ["mission_time", "hazards_hit", "hazards_on_way", "seen_ahead", "ground_certified_share", "still_time", "found"];
+const OF_SEVERAL = { max: "; of several pairs the largest", min: "; of several pairs the smallest" };
 
-function explain(tile, more) {
-  if (!meanings.has(tile.id)) meanings.set(tile.id, tile.title);
-  setTitle(tile, [meanings.get(tile.id), ...more].join("\n"));
+const tileOf = ({ name, label, unit }) =>
+  `<div class="tile" id="tile-${name}"><label>${escapeText(label)}</label><output>–</output><small>${escapeText(unit)}</small><div class="pair"></div></div>`;
+
+export function buildTiles() {
+  setHtml(document.querySelector(".tiles:not(.mission)"), rowsOf("now").map(tileOf).join(""));
+  setHtml(document.querySelector(".tiles.mission"), MISSION.map((name) => tileOf(metric("mission", name))).join(""));
 }
 
-function show(name, value, digits, { unit = null, note = "", bad = false, more = [] } = {}) {
-  const tile = $(`tile-${name}`);
-  setText(tile.querySelector("output"), known(value) ? value.toFixed(digits) : "–");
-  if (unit !== null) setText(tile.querySelector("small"), unit);
+// Show a metric in its tile; the text, if it is given, instead of a number.
+function show(row, value, { text = null, unit = row.unit, note = "", bad = false, which = "", more = [] } = {}) {
+  const tile = $(`tile-${row.name}`);
+  setText(tile.querySelector("output"), text === null ? numberOf(row, value) : text);
+  setText(tile.querySelector("small"), unit);
   setText(tile.querySelector(".pair"), note);
   tile.classList.toggle("bad", bad);
-  explain(tile, more);
+  setTitle(tile, [`${row.meaning.replace(/\.$/, "")}${which}.`, ...more].join("\n"));
 }
 
 // What the safety filters say: certified, acting, or why nothing can be promised.
@@ -32,28 +38,30 @@ function certificateOf(truth) {
 }
 
 export function showTiles({ now, vehicles, escorts, geometry, status, truth, state }) {
-  show("time", truth ? truth.time : status && status.time, 1);
-  show("factor", state && state.factor, 2);
+  const of = (name) => metric("now", name);
+  show(of("time"), truth ? truth.time : status && status.time);
+  show(of("realtime_factor"), state && state.factor);
   showMission(status);
   if (!now) return;
   const several = escorts.length > 1;
   const column = (which) => escorts.map((_, k) => now[2 + 2 * vehicles.length + PER_ESCORT * k + which]);
-  const showWorst = (name, values, digits, { unit, words = "", sign = 1, unsure = [] }) => {
+  const showWorst = (name, values, { words = "", unsure = [] } = {}) => {
+    const row = of(name);
     const found = values.filter(known);
-    const worst = found.length ? sign * Math.max(...found.map((value) => sign * value)) : null;
+    const worst = !found.length ? null : row.total === "min" ? Math.min(...found) : Math.max(...found);
     const pair = several && worst !== null ? escorts[values.indexOf(worst)][0] : "";
-    const each = several ? values.map((value, k) => `${escorts[k].join(" of ")}: ${known(value) ? value.toFixed(digits) : "–"} ${unit}`) : [];
+    const each = several ? values.map((value, k) => `${escorts[k].join(" of ")}: ${textOf(row, value)}`) : [];
     const note = !several ? "" : [unsure.length ? "" : pair, words].filter(Boolean).join(" · ");
     const bad = name === "margin" && worst !== null && worst < 0;
-    show(name, worst, digits, { unit: words && !several ? `${unit} · ${words}` : unit, note, bad, more: [...each, ...unsure] });
+    show(row, worst, { unit: words && !several ? `${row.unit} · ${words}` : row.unit, note, bad, which: OF_SEVERAL[row.total], more: [...each, ...unsure] });
   };
   const { words, reasons } = certificateOf(truth);
   const margins = column(0).map((distance) => (geometry && known(distance) ? geometry.visibility_radius - distance : null));
-  showWorst("distance", column(0), 2, { unit: "m" });
-  showWorst("margin", margins, 2, { unit: "m", words, sign: -1, unsure: reasons });
+  showWorst("distance", column(0));
+  showWorst("margin", margins, { words, unsure: reasons });
   $("tile-margin").classList.toggle("unsure", reasons.length > 0);
-  showWorst("error", column(1), 1, { unit: "m²" });
-  showWorst("estimate", column(2), 3, { unit: "m" });
+  showWorst("coverage_error", column(1));
+  showWorst("estimate_error", column(2));
 }
 
 // How the UGVs get through ground with hazards; without any there are no such tiles.
@@ -61,21 +69,37 @@ function showMission(status) {
   const told = (status && status.mission) || null;
   document.body.classList.toggle("hazards", Boolean(told));
   if (!told) return;
-  const tell = (name, text, unit = "", bad = false) => {
-    const tile = $(`tile-${name}`);
-    setText(tile.querySelector("output"), text);
-    setText(tile.querySelector("small"), unit);
-    tile.classList.toggle("bad", bad);
-  };
-  if (known(told.mission_time)) tell("arrived", told.mission_time.toFixed(1), "s");
-  else tell("arrived", "not yet");
-  tell("hit", String(told.hazards_hit), told.near_misses ? `nearly ${told.near_misses}` : "", told.hazards_hit > 0);
+  const of = (name) => metric("mission", name);
+  const beside = (name) => `${of(name).label} ${textOf(of(name), told[name])}`;
+  const time = of("mission_time");
+  show(time, told.mission_time, known(told.mission_time) ? {} : { text: "not yet", unit: "" });
+  show(of("hazards_hit"), told.hazards_hit, { unit: told.near_misses ? `nearly ${told.near_misses}` : "", bad: told.hazards_hit > 0 });
   const before = known(told.warned_before) ? `, ${told.warned_before.toFixed(0)} s before` : "";
-  tell("way", String(told.hazards_on_way), told.hazards_on_way ? `known ${told.warned}${before}` : "");
-  tell("ahead", known(told.seen_ahead) ? (100 * told.seen_ahead).toFixed(0) : "–", "%");
-  tell("still", told.still_time.toFixed(1), "s");
+  const way = told.hazards_on_way ? `known ${told.warned}${before}` : "";
+  show(of("hazards_on_way"), told.hazards_on_way, { unit: way, more: [beside("warned"), beside("warned_before")] });
+  show(of("seen_ahead"), told.seen_ahead);
+  showGuarantees(told, of);
+  show(of("still_time"), told.still_time);
   $("tile-found").hidden = !told.finds;
-  tell("found", String(told.found), `of ${told.finds}`);
+  show(of("found"), told.found, { unit: `of ${told.finds}` });
+}
+
+// How much of the time cautious UGVs were certified to stay on tiles that they know; of bold ones nothing is claimed.
+function showGuarantees(told, of) {
+  const row = of("ground_certified_share");
+  const guarantees = Object.entries(told.guarantees).filter(([, one]) => one.ticks);
+  const sum = (name) => guarantees.reduce((total, [, one]) => total + one[name], 0);
+  const each = guarantees.map(([name, one]) => {
+    const reasons = Object.entries(one.uncertified).map(([reason, count]) => `; ${reason}: ${count} ticks`);
+    return `${name}: ${textOf(row, one.certified / one.ticks)}${reasons.join("")}`;
+  });
+  const counted = [
+    [of("entered_unknown_tile"), sum("entered_unknown_tile")],
+    [of("ground_certificate_broken"), sum("certificate_broken")],
+  ].filter(([, count]) => count);
+  const note = counted.map(([metric, count]) => `${metric.label} ${textOf(metric, count)}`).join(" · ");
+  $(`tile-${row.name}`).hidden = !guarantees.length;
+  show(row, sum("ticks") ? sum("certified") / sum("ticks") : null, { note, bad: counted.length > 0, more: each });
 }
 
 // Which assumptions of the certificate the links cannot keep as they are now; an operator may just have changed one.

@@ -14,11 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import httpx2
+import msgspec
 import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from observed import recorded
+from outrider.running.metrics import MISSION, NOW, Metric
 from processes import alive, child_of, family, outrider, started, wait_until
 from sim.scenario.loading import load_scenario
 from tabular import words
@@ -131,7 +133,7 @@ def test_a_run_with_a_page_keeps_the_wall_clock_unless_told_otherwise_and_ctrl_c
 
 
 def test_a_page_that_dies_is_told_once_and_the_run_goes_on_in_lockstep_to_its_end() -> None:
-    told = words("run --dashboard --lockstep --port 0 --duration 250 --no-files --json")
+    told = words("run --dashboard --realtime 0 --port 0 --duration 250 --no-files --json")
     with started(*told) as run:
         page = page_of(run)
         with browser(page) as channel:
@@ -186,6 +188,9 @@ def test_a_recording_is_played_into_the_page_and_nobody_can_steer(recording: Pat
         with browser(page) as channel:
             hello = json.loads(channel.recv(20.0))
             assert hello["steer"] is False
+            told = msgspec.convert(hello["metrics"], dict[str, list[Metric]])
+            assert told["now"] == [*NOW.values()]
+            assert told["mission"] == [*MISSION.values()]
             channel.send('{"kind":"take","vehicle":"ugv_0"}')
             maps = 0
             for frame in frames(channel):

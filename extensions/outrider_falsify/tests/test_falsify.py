@@ -30,10 +30,10 @@ from outrider_falsify.engines import search as search_both
 from outrider_falsify.genome import SIZES, Candidate, decode, proof_cases
 from outrider_falsify.limits import SearchLimits, base_of, beyond_declared, needed_age
 from outrider_falsify.pool import Workers
-from outrider_falsify.saving import as_toml
 from processes import OUTRIDER, PIPES
 from sim.scenario.checks import check_scenario
 from sim.scenario.loading import load_scenario
+from sim.scenario.resolved import as_toml
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 from tabular import words

@@ -1,0 +1,119 @@
+"""The table of metrics: what it explains is what a run tells, sums up and shows."""
+
+import math
+from typing import Any
+
+import msgspec
+import pytest
+
+from bus.messages import LinkStatus, Mission, VehicleStatus
+from outrider.cli import console
+from outrider.experiments.sweep.columns import RESULTS, row_of
+from outrider.running.flying import fly
+from outrider.running.metrics import LINK, MISSION, PROCESS, SUMMARY, UAV, Metric, total
+from outrider.running.summary import Summary
+from sim.scenario.loading import load_scenario
+
+NO_METRICS = {"seed", "dt", "realtime", "first_missing_tick", "lost_chance"}
+"""Numbers of a summary that are settings, or bounds of another kind."""
+PAIRS = {
+    "uav": [{"position": [7.0, 8.0]}, {"position": [7.0, 28.0], "escorts": "ugv_1"}],
+    "ugv": [{"position": [7.0, 7.0]}, {"position": [7.0, 27.0]}],
+    "detections.dropout": 0.3,
+    "detections.noise": 0.1,
+    "duration": 20.0,
+}
+
+
+def _numbers(struct: type[msgspec.Struct]) -> set[str]:
+    """The fields that hold a number or true or false."""
+    kinds = (msgspec.inspect.IntType, msgspec.inspect.FloatType, msgspec.inspect.BoolType)
+    found = msgspec.inspect.type_info(struct)
+    assert isinstance(found, msgspec.inspect.StructType)
+    return {
+        field.name
+        for field in found.fields
+        if any(isinstance(kind, kinds) for kind in getattr(field.type, "types", (field.type,)))
+    }
+
+
+def test_every_number_of_a_summary_is_a_row_and_every_row_a_field() -> None:
+    assert _numbers(Summary) - NO_METRICS == set(SUMMARY) - {"trajectory_sha256"}
+    assert set(SUMMARY) <= set(Summary.__struct_fields__)
+
+
+@pytest.mark.parametrize(
+    ("table", "struct", "other"),
+    [
+        (MISSION, Mission, {"ground_certified_share", "guarantees"}),
+        (LINK, LinkStatus, {"degraded", "settings"}),
+        (PROCESS, VehicleStatus, {"present", "last_fault"}),
+    ],
+)
+def test_every_number_of_a_message_is_a_row(
+    table: dict[str, Metric], struct: type[msgspec.Struct], other: set[str]
+) -> None:
+    assert set(struct.__struct_fields__) ^ set(table) <= other
+
+
+@pytest.fixture(scope="module")
+def pairs() -> Summary:
+    return fly(load_scenario("escort", overrides=PAIRS), 3)[1]
+
+
+def test_the_summary_has_each_uav_and_the_total_of_all(pairs: Summary) -> None:
+    assert list(pairs.uavs) == ["uav_0", "uav_1"]
+    one, other = pairs.uavs.values()
+    assert one != other
+    for name, metric in UAV.items():
+        values = [getattr(one, name), getattr(other, name)]
+        wanted: Any = values[0]
+        if metric.total == "rms":
+            weights = (one.detections, other.detections) if "detection" in name else (1, 1)
+            squares = sum(w * value**2 for w, value in zip(weights, values, strict=True))
+            wanted = math.sqrt(squares / sum(weights))
+        elif metric.total != "first":
+            wanted = total(metric, values)
+        rel = (
+            0.02 if name == "estimate_rmse" else 1e-9
+        )  # one may have an estimate some ticks before the other
+        assert getattr(pairs, name) == pytest.approx(wanted, rel=rel), name
+    assert one.detections != other.detections
+    shares = [uav.certified_share for uav in pairs.uavs.values()]
+    assert pairs.certified_share == pytest.approx(sum(share or 0.0 for share in shares) / 2.0)
+
+
+def test_the_console_has_a_row_for_each_of_several_uavs(
+    pairs: Summary, capsys: pytest.CaptureFixture[str]
+) -> None:
+    console.print_summary(pairs, [])
+    lines = capsys.readouterr().out.splitlines()
+    for name, told in pairs.uavs.items():
+        (row,) = (line.split() for line in lines if line.startswith(name))
+        assert row[1] == UAV["max_distance"].number(told.max_distance or 0.0)
+    alone = msgspec.structs.replace(pairs, uavs={"uav_0": pairs.uavs["uav_0"]})
+    console.print_summary(alone, [])
+    assert "\nuav_0" not in capsys.readouterr().out
+
+
+def test_a_row_of_a_sweep_has_the_columns_types(pairs: Summary) -> None:
+    types: dict[str, type | tuple[type, ...]] = {
+        "int64": int,
+        "double": (int, float),
+        "bool": bool,
+        "string": str,
+    }
+    row = row_of(pairs, 1.5)
+    assert list(row) == list(RESULTS)
+    for name, value in row.items():
+        assert value is None or isinstance(value, types[RESULTS[name]]), name
+    assert row["margin"] == pairs.visibility_radius - (pairs.max_distance or 0.0)
+    ages = [one.max_age for name, one in pairs.links.items() if name.endswith("detections")]
+    assert row["detections_max_age"] == max(age for age in ages if age is not None)
+
+
+def test_values_are_shown_with_the_units_of_the_table() -> None:
+    assert SUMMARY["max_distance"].text(4.0) == "4.000 m"
+    assert SUMMARY["certified_share"].text(0.5) == "50.00 %"
+    assert SUMMARY["arrived"].text(True) == "yes"
+    assert SUMMARY["mission_time"].text(None) == "-"

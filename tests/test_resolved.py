@@ -1,0 +1,153 @@
+"""A scenario with all options applied: the file that the simulator reads, and who reads it."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import typer
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from bus.errors import ScenarioError
+from bus.profiles import PROFILES
+from outrider.cli.main import make_app
+from outrider.running import launch
+from outrider.running.parent import Start
+from outrider.running.resolve import resolve
+from processes import SHORT, launched, outrider
+from sim.scenario.loading import load_scenario, scenario_names
+from sim.scenario.resolved import as_toml, read_resolved
+from sim.scenario.types import Scenario
+from test_scenario_garbage import ODD, PATHS
+
+TRACE = "sent [s],delay [s]\n5.0,0.1\n5.2,lost\n5.3,0\n"
+
+
+def assert_written_and_read_the_same(scenario: Scenario, file: Path) -> None:
+    file.write_text(as_toml(scenario, ["two\nlines"]), encoding="utf-8")
+    for again in (read_resolved(file), load_scenario(file)):
+        assert msgspec.json.encode(again) == msgspec.json.encode(scenario)
+
+
+@pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.parametrize("network", ["", "wifi-poor"])
+def test_a_shipped_scenario_is_written_and_read_the_same(
+    name: str, network: str, tmp_path: Path
+) -> None:
+    scenario, _ = resolve(name, network=network, changes=["run.realtime=2", "wind.gust=0.01"])
+    assert_written_and_read_the_same(scenario, tmp_path / "any.toml")
+
+
+@settings(
+    max_examples=300,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+@given(
+    st.dictionaries(st.sampled_from(PATHS), ODD, max_size=2),
+    st.dictionaries(st.sampled_from(["name", "title", "ugv.0.track", "custom.path"]), st.text()),
+    st.fixed_dictionaries(
+        {}, optional={"detections.noise": st.floats(0.0, 1.0), "seed": st.integers(0, 2**53 - 1)}
+    ),
+)
+def test_a_scenario_that_loads_is_written_and_read_the_same(
+    tmp_path: Path, odd: dict[str, Any], texts: dict[str, str], numbers: dict[str, Any]
+) -> None:
+    texts |= {"ugv.0.script": [{"time": 0.0, "velocity": [0.1, 0.0]}]}  # instead of the track
+    try:
+        scenario = load_scenario("escort", overrides=odd | texts | numbers)
+    except ScenarioError:
+        return
+    assert_written_and_read_the_same(scenario, tmp_path / "any.toml")
+
+
+def test_recorded_links_and_tracks_are_written_with_their_content(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("link.csv").write_text(TRACE, encoding="utf-8")
+    rows = "".join(f"{0.05 * n},0.1,0.0\n" for n in range(4))
+    Path("track.csv").write_text(
+        f"time [s],ugv_0.vx [m/s],ugv_0.vy [m/s]\n{rows}", encoding="utf-8"
+    )
+    changes = ["links.detections.trace=link.csv", "ugv.0.driver=script", "ugv.0.track=track.csv"]
+    only = 'links.only=[{vehicle = "uav_0", commands = {profile = "lte"}}]'
+    scenario = load_scenario("escort", overrides=[*changes, only])
+    for file in ("link.csv", "track.csv"):
+        Path(file).unlink()
+    assert scenario.links.only[0].commands.delay == PROFILES["lte"].delay
+    assert_written_and_read_the_same(scenario, tmp_path / "any.toml")
+
+
+def _structs(kind: type[msgspec.Struct]) -> set[type[msgspec.Struct]]:
+    """All tables of a scenario."""
+    found = {kind}
+    waiting: list[Any] = [msgspec.inspect.type_info(kind)]
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, msgspec.inspect.StructType):
+            found.add(one.cls)
+            waiting += [field.type for field in one.fields]
+        waiting += getattr(one, "types", ())
+        waiting += [one.item_type] if hasattr(one, "item_type") else []
+    return found
+
+
+def test_a_field_that_may_be_none_is_none_by_default() -> None:
+    """TOML has no null: a field that is left out must mean None."""
+    for struct in _structs(Scenario):
+        for field in msgspec.inspect.type_info(struct).fields:  # type: ignore[union-attr]
+            kinds = getattr(field.type, "types", ())
+            if any(isinstance(kind, msgspec.inspect.NoneType) for kind in kinds):
+                assert field.default is None, f"{struct.__name__}.{field.name}"
+
+
+def test_every_vehicle_can_be_changed_at_once() -> None:
+    scenario = load_scenario("escort", overrides={"uav.*.max_speed": 0.5, "ugv.*.max_speed": 0.1})
+    assert (scenario.uav[0].max_speed, scenario.ugv[0].max_speed) == (0.5, 0.1)
+    with pytest.raises(ScenarioError, match="uav has no entries"):
+        load_scenario("minefield", overrides=["uav=[]", "uav.*.max_speed=0.5"])
+
+
+def test_the_run_has_at_most_twenty_options() -> None:
+    commands = getattr(typer.main.get_command(make_app(whole=True)), "commands", {})
+    options = [one for one in commands["run"].params if one.opts[0].startswith("--")]
+    assert 10 < len(options) <= 20
+
+
+def test_a_run_leaves_a_file_that_flies_the_same_run_again(tmp_path: Path) -> None:
+    out, changes = tmp_path / "first", ("--set", "detections.noise=0.1", "--law", "switching")
+    options = ("--duration", "2", "--seed", "5", "--network", "wifi-poor", "--no-picture")
+    flown = [
+        outrider("run", "escort", *changes, *options, "--out", str(out), "--json"),
+        outrider("run", str(out / "scenario.toml"), "--in-process", "--no-files", "--json"),
+    ]
+    hashes = {json.loads(run.stdout)["trajectory_sha256"] for run in flown}
+    assert len(hashes) == 1
+    assert (out / "scenario.toml").read_text(encoding="utf-8").count("switching") == 1
+
+
+def test_the_simulator_alone_reads_the_scenario(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A vehicle gets endpoint, credential and its own code; goals and seed are in no other process."""
+    told: dict[str, tuple[list[str], Start]] = {}
+    child = launch.Child
+
+    def noting(name: str, arguments: list[str], start: Start, **settings: Any) -> launch.Child:
+        told[name] = (arguments, start)
+        return child(name, arguments, start, **settings)
+
+    monkeypatch.setattr(launch, "Child", noting)
+    code = msgspec.structs.replace(SHORT.custom, weighting="mine:weighting", policy="mine:policy")
+    assert launched(scenario=msgspec.structs.replace(SHORT, custom=code)).summary is None
+    (file,) = (word for word in told["simulator"][0] if word.endswith(".toml"))
+    for name, own in (("uav_0", "weighting"), ("ugv_0", "policy")):
+        arguments, start = told[name]
+        assert file not in " ".join(arguments)
+        assert {field: value for field, value in start.code.items() if value} == {
+            own: f"mine:{own}"
+        }
+        plain = msgspec.structs.replace(start, credential=None, code={})
+        assert plain == Start(join_timeout=SHORT.run.join_timeout)
+    assert told["simulator"][1].code == {}
