@@ -40,7 +40,7 @@ from bus.messages import (
     Vector,
     or_infinite,
 )
-from bus.registry import LAWS, UAV_POLICY_FORMS
+from bus.registry import LAWS
 from bus.ticks import looks_of, radio_ticks
 from sim.kernels.compile import FloatArray
 from sim.kernels.records import records
@@ -164,7 +164,7 @@ class UavPilot:
         law, limits = self._parameters.law, self._briefing.limits
         if law == POLICY and self._policy is None:
             raise ScenarioError(
-                f"law.name = 'policy': needs a policy, given to the UAV as {UAV_POLICY_FORMS}"
+                "law.name = 'policy': needs a policy, given to the UAV as module:function or KIND:FILE"
             )
         if law == WEIGHTED:
             if self._weighting is None:

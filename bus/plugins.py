@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, m
 from importlib.metadata import version as version_of
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from bus.errors import OutriderError, ScenarioError
 
@@ -18,6 +18,7 @@ GROUPS = (
 """The groups of entry points, `outrider.<group>`."""
 
 _OURS = "outrider"
+_Kind = TypeVar("_Kind")
 
 
 def registered(group: str) -> dict[str, EntryPoint]:
@@ -30,8 +31,7 @@ def registered(group: str) -> dict[str, EntryPoint]:
     for entry in sorted(entries, key=lambda one: (_owner(one) != _OURS, _owner(one), one.name)):
         first = found.setdefault(entry.name, entry)
         if first.value != entry.value:
-            text = f"{entry.name!r} of {_owner(entry)} is ignored: {_owner(first)} has one"
-            sys.stderr.write(f"{_OURS}: {text}\n")
+            warn(f"{entry.name!r} of {_owner(entry)} is ignored: {_owner(first)} has one")
     return found
 
 
@@ -43,10 +43,34 @@ def load(entry: EntryPoint) -> Any:  # noqa: ANN401 - a command, a law, a sink, 
         OutriderError: If it cannot be imported for another reason.
     """
     what = f"{entry.group.removeprefix(f'{_OURS}.').removesuffix('s')} {entry.name!r}"
+    with needs(extra_of(entry), what):
+        return entry.load()
+
+
+def extra_of(entry: EntryPoint) -> str:
+    """Return the extra with the libraries of an entry point; empty if it is not one of Outrider's."""
     package = entry.module.partition(".")[0]
     extra = package.removeprefix(f"{_OURS}_") if _owner(entry) == _OURS else ""
-    with needs(extra, what):
-        return entry.load()
+    return extra if extra in extras() else ""
+
+
+def load_all(group: str, kind: type[_Kind]) -> dict[str, _Kind]:
+    """Import the objects of `outrider.<group>`, by name; leave out those that fail, with a warning.
+
+    Args:
+        group: Name of the group.
+        kind: Class of its objects.
+    """
+    found: dict[str, _Kind] = {}
+    for name, entry in registered(group).items():
+        try:
+            one = load(entry)
+            if not isinstance(one, kind):
+                raise TypeError(f"{entry.value} is no {kind.__name__}")
+            found[name] = one
+        except Exception as error:  # noqa: BLE001 - a package must not stop every command
+            warn(f"{entry.group}: {name!r} of {_owner(entry)} is ignored: {error}")
+    return found
 
 
 def folders() -> list[Path]:
@@ -116,6 +140,11 @@ def packages(extra: str) -> tuple[str, ...]:
 def missing(extra: str) -> tuple[str, ...]:
     """Return the distributions of an extra that are not installed, by name."""
     return tuple(name for name in packages(extra) if not _is_installed(name))
+
+
+def warn(text: str) -> None:
+    """Write a line to standard error."""
+    sys.stderr.write(f"{_OURS}: {text}\n")
 
 
 def _is_installed(name: str) -> bool:

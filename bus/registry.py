@@ -1,4 +1,4 @@
-"""Laws, drivers, sensors, hazards and saved policies: one row each, with all that others need to know of them.
+"""Laws, drivers, sensors and hazards: one row each, with all that others need to know of them.
 
 Their names are words of the messages (`Law.name`, `UgvBriefing.driver`, `Control.driver`, `Sensor.model`) and of
 scenarios, so their tables stand here, below everybody, as the table of keys and the columns of observations do: the
@@ -15,7 +15,7 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-_Row = TypeVar("_Row", bound="LawRow | DriverRow | SensorRow | HazardKindRow | SavedPolicyRow")
+_Row = TypeVar("_Row", bound="LawRow | DriverRow | SensorRow | HazardKindRow")
 
 
 def _table(*rows: _Row) -> Mapping[str, _Row]:
@@ -292,49 +292,6 @@ TOUCHES = ("stuck", "damage")
 BOLD = "bold"
 CAUTIONS = ("cautious", BOLD)
 """Cautions of a UGV towards ground that nobody has seen: only as fast as it can stop before it, or on."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SavedPolicyRow:
-    """A library whose saved policies can drive."""
-
-    name: str
-    form: str
-    """Form of its name after the library's and a colon."""
-    load: str
-    """The function that loads one, from what stands after the colon and where it stood, for errors."""
-    code: None = None
-
-
-SAVED_POLICIES = _table(
-    SavedPolicyRow(
-        name="sb3", form="ALGORITHM:FILE.zip", load="outrider.running.user_code:load_sb3"
-    ),
-    SavedPolicyRow(name="torch", form="FILE.pt", load="outrider.running.user_code:load_torch"),
-    SavedPolicyRow(name="onnx", form="FILE.onnx", load="outrider.running.user_code:load_onnx"),
-    SavedPolicyRow(name="fmu", form="FILE.fmu", load="outrider_fmi.driver:FmuPolicy"),
-)
-"""The libraries by name."""
-UAV_POLICIES = _table(
-    SavedPolicyRow(
-        name="npz", form="FILE.npz", load="outrider_learning.learned:load_learned_policy"
-    ),
-    SavedPolicyRow(
-        name="sb3", form="ALGORITHM:FILE.zip", load="outrider_learning.saved:load_sb3_policy"
-    ),
-)
-"""The libraries whose saved policies can fly a UAV, by name."""
-
-
-def _forms(rows: Mapping[str, SavedPolicyRow]) -> str:
-    *others, last = (f"{row.name}:{row.form}" for row in rows.values())
-    return f"module:function, {', '.join(others)} or {last}"
-
-
-POLICY_FORMS = _forms(SAVED_POLICIES)
-"""The forms of a UGV's policy, for help texts and errors."""
-UAV_POLICY_FORMS = _forms(UAV_POLICIES)
-"""The forms of a UAV's policy, likewise."""
 
 
 def described(rows: Mapping[str, LawRow] | Mapping[str, DriverRow]) -> str:

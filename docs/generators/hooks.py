@@ -42,6 +42,7 @@ MODULES = {
         "extensions/outrider_learning/suite/tasks.py",
         "extensions/outrider_learning/suite/board.py",
         "outrider/registration.py",
+        "extensions/outrider_learning/registration.py",
     ),
     "Runs": (
         "outrider/running/flying.py",

@@ -16,7 +16,6 @@ import msgspec
 from bus import messages
 from bus.messages import LinkKind
 from bus.profiles import PROFILES
-from bus.registry import SAVED_POLICIES
 from sim.scenario import types
 from sim.scenario.types import Scenario
 
@@ -56,7 +55,7 @@ def scenario_schema() -> dict[str, Any]:
         for field, told in docs.items():
             table["properties"][field]["description"] = told
     driver = tables["Ugv"]["properties"]["driver"]
-    driver["pattern"] = f"{driver['pattern']}|^({'|'.join(SAVED_POLICIES)}):."
+    driver["pattern"] = f"{driver['pattern']}|^[a-z0-9_-]+:."
     profile = {
         "enum": sorted(PROFILES),
         "description": "The profile that these settings start from.",

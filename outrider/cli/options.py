@@ -13,13 +13,11 @@ import typer
 from bus.errors import AccessDenied, ScenarioError
 from bus.keys import OPERATOR_NAME, Party, Role, check_run_name
 from bus.locator import check_endpoint
+from bus.policies import policy_kinds
 from bus.profiles import PROFILES
 from bus.registry import (
     DRIVERS,
     LAWS,
-    POLICY_FORMS,
-    SAVED_POLICIES,
-    UAV_POLICY_FORMS,
     DriverRow,
     LawRow,
     described,
@@ -81,7 +79,8 @@ PolicyName = Annotated[
     str,
     typer.Option(
         "--policy",
-        help=f"For the driver `policy`: {POLICY_FORMS}; or module:object with a method predict.",
+        help="For the driver `policy`: module:function, module:object with a method predict, or a saved policy as "
+        "KIND:FILE, such as onnx:FILE.onnx.",
     ),
 ]
 UavPolicyName = Annotated[
@@ -89,7 +88,8 @@ UavPolicyName = Annotated[
     typer.Option(
         "--uav-policy",
         metavar="POLICY",
-        help=f"For the laws `certified` (inside the safety filter) and `policy` (without it): {UAV_POLICY_FORMS}.",
+        help="For the laws `certified` (inside the safety filter) and `policy` (without it): module:function, or a "
+        "saved policy as KIND:FILE, such as npz:FILE.npz.",
     ),
 ]
 NetworkName = Annotated[
@@ -189,34 +189,12 @@ FlightNumber = Annotated[
     int | None,
     typer.Option(help="Which flight of a run that was reset, from 0; the last one by default."),
 ]
-PagePort = Annotated[
-    int,
+Companions = Annotated[
+    list[str] | None,
     typer.Option(
-        "--port",
-        help="Where the page is served; 0 takes any that is free.",
-        min=0,
-        max=65535,
-        envvar="OUTRIDER_PORT",
-    ),
-]
-
-PageToken = Annotated[
-    str,
-    typer.Option(
-        "--token",
-        help="Token that opens the page: 20 to 128 letters, digits, '_' and '-'; random by "
-        "default. Other users of this machine see a command line, but not OUTRIDER_TOKEN.",
-        envvar="OUTRIDER_TOKEN",
-        show_default=False,
-        show_envvar=True,
-    ),
-]
-NoPageToken = Annotated[
-    bool,
-    typer.Option(
-        "--no-token",
-        help="Open the page without a token, on a machine with one user.",
-        envvar="OUTRIDER_NO_TOKEN",
+        "--with",
+        metavar="NAME[:OPTION=VALUE,...]",
+        help="Start a companion, such as dashboard, with options of its own: dashboard:port=9000. May be repeated.",
     ),
 ]
 
@@ -326,8 +304,9 @@ def _user_of(
 
 def _plain(field: str, value: str) -> str:
     # a saved policy: any path that TOML's quotes hold
-    a_file = (
-        field in ("custom.policy", "custom.uav_policy") or value.partition(":")[0] in SAVED_POLICIES
+    kind, separator, _ = value.partition(":")
+    a_file = field in ("custom.policy", "custom.uav_policy") or (
+        separator != "" and kind in policy_kinds("ugv")
     )
     if not re.fullmatch(r"[^\"\\\x00-\x1f\x7f]+" if a_file else r"[A-Za-z0-9_.:-]+", value):
         allowed = (
@@ -446,22 +425,24 @@ class Joining(NamedTuple):
 
 
 def joining(
-    role: Role, name: str, connect: str, run: str, file: Path | None, join_timeout: float
+    role: str, name: str, connect: str, run: str, file: Path | None, join_timeout: float
 ) -> Joining:
-    """The way of a party; errors as of `check_endpoint` and `credential_of`."""
+    """The way of a party; errors as of `check_endpoint`, `party_of` and `credential_of`."""
+    from bus.roles import party_of
+
     check_endpoint(connect)
     credential = credential_of(file, role, name)
-    return Joining(Party(role=role, name=name), connect, run, credential, join_timeout)
+    return Joining(party_of(role, name), connect, run, credential, join_timeout)
 
 
 def join(
-    role: Role, run: str, connect: str, file: Path | None, join_timeout: float = 10.0
+    role: str, run: str, connect: str, file: Path | None, join_timeout: float = 10.0
 ) -> "AbstractContextManager[Session]":
     """The session of a run's operator, observer or bridge; errors as of `joining`."""
-    return joining(role, role.value, connect, run, file, join_timeout).session()
+    return joining(role, str(role), connect, run, file, join_timeout).session()
 
 
-def credential_of(file: Path | None, role: Role, name: str) -> "Credential | None":
+def credential_of(file: Path | None, role: str, name: str) -> "Credential | None":
     """By what this process is known: from its file, or its password from OUTRIDER_PASSWORD; None without either.
 
     Raises:
@@ -481,7 +462,7 @@ def credential_of(file: Path | None, role: Role, name: str) -> "Credential | Non
     if not password:
         return None
     try:
-        return msgspec.convert({"name": name, "role": role.value, "password": password}, Credential)
+        return msgspec.convert({"name": name, "role": str(role), "password": password}, Credential)
     except msgspec.ValidationError as error:
         raise ScenarioError(f"OUTRIDER_PASSWORD or name: {error}") from error
 

@@ -37,7 +37,7 @@ from worlds import equal, small
 
 pytestmark = pytest.mark.xdist_group("many worlds")
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[3]
 SECRET = bytes(range(16)).hex()
 WALL = Hazard(kind="block", polygon=((9.0, 5.0), (9.5, 5.0), (9.5, 7.0), (9.0, 7.0)))
 MUD = Hazard(kind="rough", center=(7.5, 7.5), radius=0.8, share=0.5)

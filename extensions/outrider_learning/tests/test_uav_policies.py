@@ -36,7 +36,7 @@ from sim.scenario.types import Custom, Scenario
 from sim.server.flight import Flight
 from worlds import SCENARIOS, SEVERAL, raw
 
-SHIPPED = Path(__file__).parents[1] / "examples" / "policies" / "uav_ppo.npz"
+SHIPPED = Path(__file__).parents[3] / "examples" / "policies" / "uav_ppo.npz"
 NAME = f"npz:{SHIPPED}"
 ESCORT = load_scenario("escort", overrides={"duration": 20.0})
 SETUPS: dict[str, dict[str, Any]] = {
