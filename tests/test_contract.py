@@ -98,7 +98,6 @@ def test_the_route_that_a_ugv_plans_goes_to_the_simulator_and_no_vehicle() -> No
         Role.SIMULATOR,
         Role.OBSERVER,
         Role.OPERATOR,
-        Role.ROS2,
     }
     for kind in (*TO_UAV, *TO_UGV):
         assert fields_within(kind).isdisjoint({"route", "routes"})

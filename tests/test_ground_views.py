@@ -95,7 +95,7 @@ def test_observers_are_shown_the_tiles_that_the_ugvs_own_pilot_knows() -> None:
 
 
 def test_observers_alone_are_told_of_the_ground_with_its_hazards() -> None:
-    assert set(GROUND.readers) == {Role.OBSERVER, Role.OPERATOR, Role.ROS2}
+    assert set(GROUND.readers) == {Role.OBSERVER, Role.OPERATOR}
 
 
 class Routed(InProcess):

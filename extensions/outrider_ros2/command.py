@@ -74,6 +74,7 @@ def command(
     """
     from outrider.cli.console import ERR, print_json
     from outrider_ros2.interfaces import require_extra
+    from outrider_ros2.roles import BRIDGE
     from outrider_ros2.wire import check_domain, check_namespace
 
     require_extra()
@@ -89,7 +90,7 @@ def command(
         joining = options.joining(kind, vehicle, connect, run, credentials, join_timeout)
         _fly(joining, domain=domain, json=json)
         return
-    role = Role.OPERATOR if operator else Role.ROS2
+    role = Role.OPERATOR.value if operator else BRIDGE
     with (
         stop_on_signals() as stop,
         options.join(role, run, connect, credentials, join_timeout) as session,
@@ -166,7 +167,7 @@ def _role_of(name: str, credentials: Path | None) -> Role:
 
     kinds = (Role.UAV, Role.UGV)
     if credentials is not None:
-        role: Role | None = read_credential(credentials).role
+        role: Role | None = read_credential(credentials).party.role
     else:
         role = next((kind for kind in kinds if name.startswith(kind)), None)
     if role not in kinds:

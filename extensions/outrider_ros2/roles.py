@@ -1,4 +1,4 @@
-"""The rows of ROS 2 parties: what the router lets through for them, beside the key table.
+"""Roles of ROS 2 parties, the entry point `outrider.roles`: what the router lets through beside the key table.
 
 ROS 2 nodes with rmw_zenoh use keys of their own, `<domain>/<topic>/<type>/<hash>`, and liveliness tokens under
 `@ros2_lv`, which no `**` matches: each is named here. None of them can be a key of a run's own.
@@ -18,14 +18,18 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from bus.keys import Grant, Party, Role
+from bus.roles import Roles
 
 PILOT = "pilot"
 """Second part of the topics that are a vehicle's own, such as `/uav_0/pilot/odom`: nobody else reads or writes them."""
 CMD_VEL = "cmd_vel"
 SERVICES = ("pause", "step", "reset")
 """The services that an operator's nodes may call."""
-LARGEST = 1 << 20
-"""Larger payloads [bytes] of ROS 2 the router drops."""
+
+BRIDGE = "ros2"
+"""Role of the bridge that shows ROS 2 a run."""
+NODE_OBSERVER, NODE_OPERATOR = "ros2_observer", "ros2_operator"
+"""Roles of ROS 2 nodes that look on, and of those that drive."""
 
 NO_HASH = "TypeHashNotSupported"
 """In the place of a type's hash, where a distribution of ROS 2 knows none."""
@@ -55,24 +59,24 @@ class Input(NamedTuple):
     operation: Operation
     keys: tuple[str, ...]
     """Its keys in every domain and namespace, with whatever hash."""
-    writer: Role
+    writer: str
     """The only role that may write it."""
-    reader: Role
+    reader: str
     """The role of the bridge that acts on it."""
 
 
 VELOCITIES = Input(
     Operation.PUT,
     tuple(f"*/**/{CMD_VEL}/{hashed}" for hashed in _HASHES),
-    Role.ROS2_OPERATOR,
-    Role.OPERATOR,
+    NODE_OPERATOR,
+    Role.OPERATOR.value,
 )
 """Velocities for UGVs."""
 CALLS = Input(
     Operation.CALL,
     tuple(f"*/**/{service}/{hashed}" for service in SERVICES for hashed in _HASHES),
-    Role.ROS2_OPERATOR,
-    Role.OPERATOR,
+    NODE_OPERATOR,
+    Role.OPERATOR.value,
 )
 """Calls of services."""
 INPUTS = (VELOCITIES, CALLS)
@@ -166,22 +170,28 @@ def _of_vehicle(name: str) -> list[Grant]:
     ]
 
 
-def _of_staff(role: Role) -> list[Grant]:
+def _of_staff(role: str) -> list[Grant]:
     found: list[Grant] = []
-    if role in (Role.ROS2, Role.OPERATOR):
+    if role in (BRIDGE, Role.OPERATOR):
         found += _publishes(TOPICS)
-    if role in (Role.ROS2_OBSERVER, Role.ROS2_OPERATOR):
+    if role in (NODE_OBSERVER, NODE_OPERATOR):
         found += _subscribes(TOPICS)
     if not found:
         return []
     for row in INPUTS:
-        found += _reads(row) if role is row.reader else []
-        found += _other_end(_reads(row)) if role is row.writer else _never_writes(row)
+        found += _reads(row) if role == row.reader else []
+        found += _other_end(_reads(row)) if role == row.writer else _never_writes(row)
     return [*found, *_LOOKS, *_DECLARES, *_NOT_OWN]
 
 
-def ros2_grants(party: Party) -> list[Grant]:
-    """All that a party may do on the keys of ROS 2, in a run whose credentials have a bridge."""
+def _grants(party: Party) -> list[Grant]:
+    """Return all that a party may do on the keys of ROS 2, in a run whose credentials have a bridge."""
     if party.role in (Role.UAV, Role.UGV):
         return _of_vehicle(party.name)
-    return _of_staff(party.role)
+    return _of_staff(party.extension or party.role.value)
+
+
+ROLES = Roles(
+    parties={BRIDGE: Role.OBSERVER, NODE_OBSERVER: Role.GUEST, NODE_OPERATOR: Role.GUEST},
+    grants=_grants,
+)
