@@ -70,8 +70,9 @@ owner | credentials --owner me | --owner 'me'
 clock without processes | run --in-process --realtime 1 | --realtime
 clock that stands | run --realtime 0 | --realtime
 clock in lockstep | run --lockstep --realtime 1 | lockstep
-page without processes | run --in-process --dashboard | in-process
-page and numbers | replay nowhere.mcap --dashboard --json | --dashboard shows
+page without processes | run --in-process --with dashboard | in-process
+page and numbers | replay nowhere.mcap --with dashboard --json | --with plays
+unknown companion | run --with dashbord | --with dashbord
 scenario to show | scenarios show circel | circle
 falsify, unknown law | falsify --law fancy | law.name = "fancy"
 falsify, no runs | falsify --runs 0 | --runs
@@ -149,7 +150,7 @@ def test_what_cannot_be_done_gets_one_line_its_exit_code_and_no_file(
 @pytest.mark.parametrize(
     ("arguments", "module", "extra"),
     rows("""
-run --dashboard | nicegui | dashboard
+run --with dashboard | nicegui | dashboard
 dashboard | nicegui | dashboard
 falsify | cma | falsify
 sweep | pyarrow | sweep

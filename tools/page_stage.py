@@ -126,14 +126,14 @@ class Processes:
     def replay(self) -> None:
         """A recording of 25 s, played slowly; its page opens soon."""
         path, port = str(self._folder / "run.mcap"), free_port()
-        words = ("--dashboard", "--port", str(port), "--realtime", "0.5")
+        words = ("--with", f"dashboard:port={port}", "--realtime", "0.5")
         self._launch("replay", "replay", path, *words)
 
     def run(self, scenario: str, *words: str) -> "subprocess.Popen[bytes]":
         """A whole run with its page, of a scenario whose name is HTML; its log is called `pairs`."""
         file = self._folder / "pairs <img src='data:,' onerror='window.ran = true'>.toml"
         file.write_text(scenario)
-        page = ("--dashboard", "--port", "0", "--no-files")
+        page = ("--with", "dashboard:port=0", "--no-files")
         return self._launch("pairs", "run", str(file), *page, *words)
 
     def simulator(self, factor: float) -> None:

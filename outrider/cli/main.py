@@ -125,14 +125,21 @@ def _add(app: typer.Typer, name: str, load: Callable[[], Any], line: str) -> Non
     @app.command(name, help=line, add_help_option=False, context_settings=_FORWARD)
     @_interruptible
     def call(context: typer.Context) -> Any:  # noqa: ANN401 - an exit code, if any
-        found = load()
-        if not isinstance(found, typer.Typer):
-            alone = typer.Typer(add_completion=False, rich_markup_mode=None)
-            alone.command(name)(_interruptible(found))
-            found = alone
-        command = typer.main.get_command(found)
-        program = f"{context.find_root().info_name} {name}"
-        return command(args=context.args, prog_name=program, standalone_mode=False)
+        return _call(load(), f"{context.find_root().info_name} {name}", context.args)
+
+
+def call_command(name: str, arguments: list[str]) -> Any:  # noqa: ANN401 - an exit code, if any
+    """Call the command of an extension in this process."""
+    return _call(plugins.load(plugins.registered("commands")[name]), f"outrider {name}", arguments)
+
+
+def _call(found: Any, program: str, arguments: list[str]) -> Any:  # noqa: ANN401 - a function or an app
+    if not isinstance(found, typer.Typer):
+        alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+        alone.command(program.rpartition(" ")[2])(_interruptible(found))
+        found = alone
+    command = typer.main.get_command(found)
+    return command(args=arguments, prog_name=program, standalone_mode=False)
 
 
 def _add_whole(app: typer.Typer, name: str, load: Callable[[], Any], line: str) -> None:

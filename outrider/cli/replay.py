@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import typer
 
-from bus.plugins import require
-from outrider.cli.options import FlightNumber, Json, NoPageToken, PagePort, PageToken
+from outrider.cli.options import FlightNumber, Json
 from outrider.cli.stopping import stop_on_signals
 
 if TYPE_CHECKING:
@@ -39,17 +38,14 @@ def command(
             max=1e6,
         ),
     ] = None,
-    dashboard: Annotated[
-        bool,
+    companion: Annotated[
+        str,
         typer.Option(
-            "--dashboard",
-            help="Play it in the browser, at --realtime (1 by default), with pause and a slider over time; "
-            "Ctrl-C ends it. Needs the extra [dashboard].",
+            "--with",
+            metavar="NAME[:OPTION=VALUE,...]",
+            help="Play it with a companion, such as dashboard, at --realtime (1 by default); Ctrl-C ends it.",
         ),
-    ] = False,
-    port: PagePort = 8080,
-    token: PageToken = "",
-    no_token: NoPageToken = False,
+    ] = "",
     to_ros2: Annotated[
         Path | None,
         typer.Option(
@@ -75,12 +71,13 @@ def command(
 
     Example: outrider replay run.mcap --to-ros2 bag, then outrider replay bag --refly
     """
-    if dashboard and (refly or json):
-        raise typer.BadParameter("--dashboard shows, --refly and --json tell; leave one out")
-    if to_ros2 is not None and (refly or dashboard or realtime is not None):
-        raise typer.BadParameter(
-            "--to-ros2 writes a bag; leave --refly, --dashboard and --realtime out"
-        )
+    if companion and (refly or json):
+        raise typer.BadParameter("--with plays, --refly and --json tell; leave one out")
+    if companion:
+        _play_with(companion, file, flight, realtime)
+        return
+    if to_ros2 is not None and (refly or realtime is not None):
+        raise typer.BadParameter("--to-ros2 writes a bag; leave --refly and --realtime out")
     from outrider.recording.reader import flight_of
 
     if to_ros2 is not None:
@@ -93,9 +90,6 @@ def command(
         return
     if refly:
         _refly(recording, json=json)
-        return
-    if dashboard:
-        _show(recording, 1.0 if realtime is None else realtime, port, token, wanted=not no_token)
         return
     if realtime is not None:
         _play(recording, realtime)
@@ -167,29 +161,21 @@ def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
     ERR.tell(f"{folder}: {told}")
 
 
-def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted: bool) -> None:
-    """Serve the page until somebody ends it."""
-    from outrider.cli.console import ERR
-    from outrider_dashboard.address import address_of, choose_token, open_socket
+def _play_with(text: str, file: Path, flight: int | None, realtime: float | None) -> None:
+    from outrider.cli.main import call_command
+    from outrider.running.companions import parse_companion
 
-    token = choose_token("127.0.0.1", token, wanted=wanted)
-    require("dashboard")
-    with open_socket("127.0.0.1", port) as opened:
-        from outrider_dashboard.app import serve
-        from outrider_dashboard.controls.player import Player
-        from outrider_dashboard.hub import Hub
-        from outrider_dashboard.sources.tape import Tape
-
-        tape = Tape(recording, speed)
-        hub = Hub(tape)
-        line = f"{recording.path} is played at {address_of(opened, token)}; Ctrl-C ends it"
-        serve(
-            hub,
-            opened,
-            token,
-            controls=lambda: Player(hub, tape).show,
-            ready=lambda: ERR.tell(line),
-        )
+    name, words, companion = parse_companion(text)
+    if not companion.replays:
+        raise typer.BadParameter(f"--with {name}: it plays no recordings")
+    given = {"--replay": file.absolute(), "--flight": flight, "--realtime": realtime}
+    told = [
+        word
+        for option, value in given.items()
+        if value is not None
+        for word in (option, str(value))
+    ]
+    call_command(name, [*told, *words])
 
 
 def _play(recording: "Recording", speed: float) -> None:
