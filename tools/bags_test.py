@@ -1,4 +1,4 @@
-"""Bags of `outrider replay --to-ros2` and `outrider record --ros2` against what others wrote.
+"""Bags of `outrider ros2 export` and `outrider record --format ros2` against what others wrote.
 
 Read by rosbags and mcap-ros2-support, which live in an environment of their own, `.venv-bags`, and by the real rclpy in
 the one that ros2_test.py makes where Python 3.11 is at hand: python tools/bags_test.py
@@ -101,7 +101,9 @@ def rewritten(folder: Path, bag: Path, summary: dict[str, Any], tools: Path) -> 
         if options:
             copy = folder / f"rewritten{number}"
             output(convert, "--src", source, "--dst", copy, *options)
-        again = told("replay", copy, "--refly", "--json")
+        file = folder / f"again{number}.mcap"
+        told("ros2", "import", copy, file, "--json")
+        again = told("replay", file, "--refly", "--json")
         yield Row(
             f"replay --refly, {name}",
             f"{again['ticks']} ticks, {again['trajectory_sha256'][:16]}",
@@ -136,7 +138,7 @@ def live(folder: Path, python: Path) -> Iterator[Row]:
     with ExitStack() as stack:
         run = Run(stack, folder, "escort", "--duration", DURATION)
         recorder = run.join(
-            "record", "observer", "record", "--ros2", folder / "live", "--scenario", "escort",
+            "record", "observer", "record", folder / "live", "--format", "ros2", "--scenario", "escort",
             "--set", f"duration={DURATION}", "--json",
         )  # fmt: skip
         await_text(folder / "record.log", "waiting for the run")
@@ -145,9 +147,10 @@ def live(folder: Path, python: Path) -> Iterator[Row]:
         run.simulator.wait(120.0)
         recorder.wait(120.0)
         summary, recorded = run.told("simulator"), run.told("record")
-    again = told("replay", folder / "live", "--refly", "--json")
+    told("ros2", "import", folder / "live", folder / "live.mcap", "--json")
+    again = told("replay", folder / "live.mcap", "--refly", "--json")
     yield Row(
-        "record --ros2, a live run in lockstep",
+        "record --format ros2, a live run in lockstep",
         f"{recorded['ticks']} ticks, {recorded['missing_ticks']} missing; "
         f"{summary['ticks_per_second']:.0f} ticks/s; {again['trajectory_sha256'][:16]}",
         again["same"] and again["trajectory_sha256"] == summary["trajectory_sha256"],
@@ -170,7 +173,7 @@ def findings(folder: Path) -> Iterator[Row]:
     tools = environment("bags", READERS)
     python, bag = tools / "python", folder / "bag"
     summary, tracks = flown(folder)
-    made = told("replay", folder / "run.mcap", "--to-ros2", bag, "--json")
+    made = told("ros2", "export", folder / "run.mcap", bag, "--json")
     yield from read_by_others(bag, made, tracks, python)
     yield from rewritten(folder, bag, summary, tools)
     yield from read_by_rclpy(folder, bag, made, tracks, python)

@@ -29,7 +29,7 @@ from bus.messages import (
     Vector,
     VehicleStatus,
 )
-from outrider_ros2.bag_records import LATEST
+from outrider.recording.schemas import LATEST
 from outrider_ros2.interfaces import RosMessage, make
 from sim.scene.colors import FAINT, HAZARDS, LIMIT, rgb
 from sim.scene.model import Scene, observed_scene

@@ -467,6 +467,13 @@ def credential_of(file: Path | None, role: str, name: str) -> "Credential | None
         raise ScenarioError(f"OUTRIDER_PASSWORD or name: {error}") from error
 
 
+def size_of(path: Path) -> int:
+    """Return the bytes of a file, or of all files in a folder."""
+    if not path.is_dir():
+        return path.stat().st_size
+    return sum(file.stat().st_size for file in path.iterdir() if file.is_file())
+
+
 def help_without_command(context: typer.Context) -> None:
     """Print a command group's help, and end with exit code 2, if no command is named."""
     if context.invoked_subcommand is None:

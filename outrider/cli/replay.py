@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 def command(
     file: Annotated[
         Path,
-        typer.Argument(
-            help="A recording, also one whose process was killed; or the folder of a bag made of one."
-        ),
+        typer.Argument(help="A recording, also one whose process was killed."),
     ],
     refly: Annotated[
         bool,
@@ -46,14 +44,6 @@ def command(
             help="Play it with a companion, such as dashboard, at --realtime (1 by default); Ctrl-C ends it.",
         ),
     ] = "",
-    to_ros2: Annotated[
-        Path | None,
-        typer.Option(
-            "--to-ros2",
-            metavar="DIR",
-            help="Write it as a rosbag2 bag into this new folder. Needs the extra [ros2].",
-        ),
-    ] = None,
     flight: FlightNumber = None,
     json: Json = False,
 ) -> None:
@@ -63,31 +53,16 @@ def command(
     pilots: exit code 0 where every position, velocity and applied command is the same to the last bit, 1 at the first
     that is not, which is named.
 
-    With --to-ros2 the flight becomes a bag for ros2 bag play, Foxglove and PlotJuggler: the topics of outrider ros2 at
-    every tick. The recording itself goes with it on a topic of its own, so that such a folder can be replayed, drawn
-    and flown again like the file.
-
     Example: outrider replay run.mcap --refly
-
-    Example: outrider replay run.mcap --to-ros2 bag, then outrider replay bag --refly
     """
     if companion and (refly or json):
         raise typer.BadParameter("--with plays, --refly and --json tell; leave one out")
     if companion:
         _play_with(companion, file, flight, realtime)
         return
-    if to_ros2 is not None and (refly or realtime is not None):
-        raise typer.BadParameter("--to-ros2 writes a bag; leave --refly and --realtime out")
     from outrider.recording.reader import flight_of
 
-    if to_ros2 is not None:
-        from outrider_ros2.ros_bag import check_target
-
-        check_target(to_ros2)  # shows before a long recording is read
     recording = flight_of(file, flight)
-    if to_ros2 is not None:
-        _write_bag(recording, to_ros2, json=json)
-        return
     if refly:
         _refly(recording, json=json)
         return
@@ -128,37 +103,6 @@ def _refly(recording: "Recording", *, json: bool) -> None:
             OUT.tell(f"  {found.note}")
     if not same:
         raise typer.Exit(1)
-
-
-def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
-    from outrider.cli.console import ERR, print_json, share_progress
-    from outrider_ros2.bag_records import size_of
-    from outrider_ros2.ros_bag import RosBag, copy_flight
-
-    with (
-        stop_on_signals() as stop,
-        RosBag(folder) as bag,
-        share_progress("writing the bag") as tell,
-    ):
-        for seconds in copy_flight(recording, bag):
-            tell("writing the bag", seconds / max(recording.truths[-1].time, 1e-9))
-            if stop:
-                raise typer.Exit(stop.exit_code)
-    found = {
-        "file": str(recording.path),
-        "flight": recording.number,
-        "bag": str(folder),
-        "bytes": size_of(folder),
-        "messages": sum(bag.topics.values()),
-        "topics": bag.topics,
-    }
-    if json:
-        print_json(found)
-        return
-    told = (
-        f"{found['messages']} messages on {len(bag.topics)} topics, {size_of(folder) / 1e6:.2f} MB"
-    )
-    ERR.tell(f"{folder}: {told}")
 
 
 def _play_with(text: str, file: Path, flight: int | None, realtime: float | None) -> None:
