@@ -13,8 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-ROOT = Path(__file__).resolve().parent.parent
-FOREIGN = ROOT / "tools/bridges"
+ROOT = Path(__file__).resolve().parents[2]
 """The programs of the other side."""
 
 
@@ -52,7 +51,7 @@ def outrider(*words: object) -> list[str]:
 def called(
     *words: object,
     patience: float = 300.0,
-    **settings: Any,  # noqa: ANN401 - of subprocess.run
+    **settings: Any,
 ) -> "subprocess.CompletedProcess[str]":
     """A program, run to its end, good or bad, for `patience` [s] at most."""
     return subprocess.run(
@@ -67,7 +66,7 @@ def called(
 
 def output(
     *words: object,
-    **settings: Any,  # noqa: ANN401 - of `called`
+    **settings: Any,
 ) -> str:
     """The standard output of a program.
 
@@ -90,7 +89,7 @@ def told(*words: object) -> dict[str, Any]:
 def started(
     log: Path,
     words: Sequence[object],
-    **settings: Any,  # noqa: ANN401 - of subprocess.Popen
+    **settings: Any,
 ) -> Iterator["subprocess.Popen[str]"]:
     """A process in the background, ended in order in the end, or killed.
 
@@ -128,7 +127,7 @@ def report(findings: Callable[[Path], Iterator[Row]], about: str | None) -> int:
         for found in findings(Path(scratch)):
             good = good and found.holds
             mark = "holds" if found.holds else "DOES NOT HOLD"
-            print(f"| {found.what} | {found.value} | {mark} |", flush=True)  # noqa: T201
+            print(f"| {found.what} | {found.value} | {mark} |", flush=True)
     return 0 if good else 1
 
 

@@ -70,7 +70,7 @@ def _none(page: Page, script: str, what: str) -> None:
         raise Failed(f"{what}: {found}")
 
 
-def check_pairs(browser: Any, processes: Processes, pictures: Path | None) -> str:  # noqa: ANN401 - Playwright's own
+def check_pairs(browser: Any, processes: Processes, pictures: Path | None) -> str:
     """All that a page with three pairs shows, light and dark, wide and narrow, to the end of the run."""
     run = processes.run(_scenario(), "--realtime", "3")
     complaints: list[str] = []
@@ -207,7 +207,7 @@ def _plain_proxy(port: int) -> Iterator[int]:
     class Proxy(http.server.BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
 
-        def log_message(self, *_: Any) -> None:  # noqa: ANN401 - the library's own
+        def log_message(self, *_: Any) -> None:
             pass
 
         def do_GET(self) -> None:
@@ -241,7 +241,7 @@ def _plain_proxy(port: int) -> Iterator[int]:
         thread.join()
 
 
-def check_proxy(context: Any, port: int) -> str:  # noqa: ANN401 - Playwright's own
+def check_proxy(context: Any, port: int) -> str:
     """Without its WebSocket the page says so, blames no other process, and offers no control."""
     with _plain_proxy(port) as proxied:
         page = context.new_page()

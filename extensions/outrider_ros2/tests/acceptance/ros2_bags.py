@@ -1,7 +1,7 @@
 """Bags of `outrider ros2 export` and `outrider record --format ros2` against what others wrote.
 
 Read by rosbags and mcap-ros2-support, which live in an environment of their own, `.venv-bags`, and by the real rclpy in
-the one that ros2_test.py makes where Python 3.11 is at hand: python tools/bags_test.py
+the one that ros2_nodes.py makes where Python 3.11 is at hand: make bridge-test ARGS=bags
 """
 
 import csv
@@ -13,8 +13,10 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from bridge_checks import FOREIGN, Row, await_text, environment, output, report, told
-from ros2_test import RCLPY, Run
+from bridge_checks import Row, await_text, environment, output, report, told
+from ros2_nodes import RCLPY, Run
+
+FOREIGN = Path(__file__).resolve().parent / "foreign"
 
 READERS = ("rosbags>=0.11,<0.12", "mcap-ros2-support>=0.5.7", "ruamel.yaml")
 SCENARIO, DURATION = "minefield", 20

@@ -1,7 +1,7 @@
 """`outrider mavlink` against what others wrote: MAVSDK watches and flies, MAVProxy connects and logs.
 
 Both live in an environment of their own, `.venv-mavlink`, which is made on the first call; a minute:
-python tools/mavlink_test.py
+make bridge-test ARGS=mavlink
 """
 
 import json
@@ -13,7 +13,6 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from bridge_checks import (
-    FOREIGN,
     Row,
     await_text,
     called,
@@ -25,6 +24,8 @@ from bridge_checks import (
     started,
     told,
 )
+
+FOREIGN = Path(__file__).resolve().parent / "foreign"
 
 NEEDED = ("mavsdk>=4,<5", "MAVProxy>=1.8.70,<2", "pymavlink>=2.4.49,<3")
 DURATION = 100.0

@@ -1,7 +1,7 @@
 """`outrider ros2` against what others wrote: zenoh-ros2-sdk, pyzeros, and the real rclpy.
 
 They live in environments of their own, `.venv-ros2` and `.venv-ros2-rclpy`, which are made on the first call:
-python tools/ros2_test.py
+make bridge-test ARGS=ros2
 """
 
 import contextlib
@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
-from bridge_checks import FOREIGN, Row, environment, free_port, output, outrider, report, started
+from bridge_checks import Row, environment, free_port, output, outrider, report, started
 
 from bus.access import client_settings, read_credential
 from outrider.running.flying import fly
@@ -28,6 +28,8 @@ from outrider_ros2.ros_commands import TWISTS
 from outrider_ros2.topics import TOPICS, wire_topic
 from sim.scenario.loading import load_scenario
 from sim.scene.known import scene_of
+
+FOREIGN = Path(__file__).resolve().parent / "foreign"
 
 OTHERS = ("zenoh-ros2-sdk==0.1.8", "pyzeros==0.1.0")
 RCLPY = (

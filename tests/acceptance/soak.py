@@ -5,7 +5,7 @@ Does anything leak, drift or change?
 Flies `outrider run --respawn` and prints what was done to it, how the memory of each process grew, and whether the
 trajectory is the one of an undisturbed run in one process. Exit code 0 if it is and nothing is left behind.
 
-Example: python tools/soak.py --duration 3600 --seed 1
+Example: python tests/acceptance/soak.py --duration 3600 --seed 1
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""The run and the browser's pages that `page_test.py` checks."""
+"""The run and the browser's pages that `page.py` checks."""
 
 import json
 import math
@@ -36,7 +36,7 @@ def free_port() -> int:
     return port
 
 
-def wait_until(condition: Callable[[], Any], what: str, seconds: float = 20.0) -> Any:  # noqa: ANN401
+def wait_until(condition: Callable[[], Any], what: str, seconds: float = 20.0) -> Any:
     """Wait for the condition; the first true value that it gives."""
     limit = time.monotonic() + seconds
     while not (found := condition()):
@@ -175,16 +175,16 @@ class Page:
         complaints: Takes what the browser says, and requests that leave this machine.
     """
 
-    def __init__(self, context: Any, address: str, complaints: list[str]) -> None:  # noqa: ANN401 - Playwright's own
+    def __init__(self, context: Any, address: str, complaints: list[str]) -> None:
         context.add_init_script(_PAD)
         self.page = context.new_page()
         here = (address.partition("?")[0], "data:", "blob:")
 
-        def note(message: Any) -> None:  # noqa: ANN401 - Playwright's own
+        def note(message: Any) -> None:
             if message.type in ("error", "warning"):
                 complaints.append(f"console: {message.text}")
 
-        def watch(request: Any) -> None:  # noqa: ANN401 - Playwright's own
+        def watch(request: Any) -> None:
             if not request.url.startswith(here):
                 complaints.append(f"a request left this machine: {request.url}")
 
@@ -201,7 +201,7 @@ class Page:
         shows = "window.outrider && outrider.store.status && outrider.store.truth && true"
         wait_until(lambda: self.run(shows), "the page shows a run")
 
-    def run(self, script: str) -> Any:  # noqa: ANN401 - whatever the script gives
+    def run(self, script: str) -> Any:
         """Value of an expression in the page."""
         return self.page.evaluate(f"() => ({script})")
 

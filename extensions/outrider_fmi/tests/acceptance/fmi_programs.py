@@ -1,7 +1,7 @@
 """`outrider fmu` against what others wrote: fmpy validates and simulates the units, and drives them with a flight.
 
 fmpy and pythonfmu3 live in an environment of their own, `.venv-fmi`, with Outrider as a user installs it: it is made on
-the first call. Half a minute then: python tools/fmi_test.py
+the first call. Half a minute then: make bridge-test ARGS=fmi
 """
 
 import json
@@ -14,7 +14,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from bridge_checks import FOREIGN, ROOT, Row, called, environment, output, outrider, report, told
+from bridge_checks import ROOT, Row, called, environment, output, outrider, report, told
+
+FOREIGN = Path(__file__).resolve().parent / "foreign"
 
 NEEDED = ("fmpy>=0.3.32,<0.4", "pythonfmu3>=0.3.4,<0.4")
 FLIGHT = ("escort", "--duration", 60, "--seed", 3)
@@ -80,7 +82,7 @@ def from_c(folder: Path, python: Path) -> Iterator[Row]:
     token = re.findall(
         'instantiationToken="(.*?)"', (folder / "unzipped" / "modelDescription.xml").read_text()
     )
-    environ = os.environ | {"PYTHONPATH": f"{packages}:{ROOT}"}
+    environ = os.environ | {"PYTHONPATH": f"{packages}:{ROOT}:{ROOT / 'extensions'}"}
     done = called(
         folder / "master_in_c", folder / "unzipped", *token, libpython, 1200, 0.05, env=environ
     )

@@ -65,7 +65,7 @@ def check_open_and_moving(first: Page) -> str:
     return f"{painted} colours on the map"
 
 
-def check_policy(context: Any, address: str) -> str:  # noqa: ANN401 - Playwright's own
+def check_policy(context: Any, address: str) -> str:
     """HTML that has got into the page runs no script, nor does one from elsewhere; no other page frames it."""
     page = context.new_page()
     page.goto(address)
@@ -164,7 +164,7 @@ def _check_width(page: Page) -> None:
         raise Failed(f"cut off in their tiles: {cut}")
 
 
-def check_tablet(context: Any, address: str, pictures: Path | None, complaints: list[str]) -> str:  # noqa: ANN401
+def check_tablet(context: Any, address: str, pictures: Path | None, complaints: list[str]) -> str:
     """At 820 pixels no half of the page is empty."""
     page = Page(context, address, complaints)
     _check_width(page)
@@ -193,7 +193,7 @@ def check_phone(page: Page) -> str:
     return f"both end {lowest:.0f} pixels from the top"
 
 
-def check_zoom(page: Page, context: Any) -> str:  # noqa: ANN401 - Playwright's own
+def check_zoom(page: Page, context: Any) -> str:
     """Buttons, two fingers and a drag change what the map shows; it follows the UGV, and shows all again."""
     shown = "[outrider.ground.view.left, outrider.ground.view.bottom, outrider.ground.view.width]"
     page.page.locator("#map-follow").tap()
@@ -247,7 +247,7 @@ def check_one_wheel(first: Page, second: Page) -> str:
     return "one drives, the other sees who; a closed page frees the wheel"
 
 
-def check_touch(second: Page, context: Any) -> str:  # noqa: ANN401 - Playwright's own
+def check_touch(second: Page, context: Any) -> str:
     """A finger on the stick of a phone, and handing back."""
     second.page.get_by_role("button", name="Take the wheel").tap()
     wait_until(lambda: second.wheel() == "mine", "a tap takes the wheel")
@@ -387,7 +387,7 @@ def check_links(page: Page) -> str:
     return f"one word for a drag, loss {100 * share:.0f} %; blackout of 2 s; a refusal with its reason; perfect again"
 
 
-def check_observer(processes: Processes, context: Any, complaints: list[str]) -> str:  # noqa: ANN401
+def check_observer(processes: Processes, context: Any, complaints: list[str]) -> str:
     """An observer sees all, and is told why nothing can be changed."""
     page = Page(context, processes.address(OBSERVERS), complaints)
     tick = page.tick
@@ -405,7 +405,7 @@ def check_observer(processes: Processes, context: Any, complaints: list[str]) ->
 
 def check_recording(
     processes: Processes,
-    context: Any,  # noqa: ANN401
+    context: Any,
     pictures: Path | None,
     complaints: list[str],
 ) -> str:
@@ -532,7 +532,7 @@ def staged(port: int) -> Iterator[Processes]:
             processes.end()
 
 
-def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:  # noqa: ANN401 - Playwright's own
+def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:
     """All checks, in order."""
     port = free_port()
     address = f"http://127.0.0.1:{port}/"
@@ -658,7 +658,7 @@ def main() -> int:
     if lacking:
         sys.stderr.write(lacking + "\n")
         return 77
-    from playwright.sync_api import sync_playwright  # noqa: PLC0415 - it may be missing
+    from playwright.sync_api import sync_playwright
 
     chromium = find_browser()
     if arguments.pictures is not None:

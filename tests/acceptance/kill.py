@@ -3,7 +3,7 @@
 Flies a short run again and again, kills one vehicle's process of each at a random moment, and prints what became
 of it. Exit code 0 if every run flew the trajectory of an undisturbed one and nothing is left behind.
 
-Example: python tools/kill_test.py --kills 40 --seed 1
+Example: python tests/acceptance/kill.py --kills 40 --seed 1
 """
 
 import argparse

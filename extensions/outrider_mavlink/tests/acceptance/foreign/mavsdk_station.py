@@ -1,4 +1,4 @@
-"""A ground station by MAVSDK, for `tools/mavlink_test.py`: watches a run, flies its UAV, and prints its findings."""
+"""A ground station by MAVSDK, for `mavlink_programs.py`: watches a run, flies its UAV, and prints its findings."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""A stand-in for an autopilot, for `tools/mavlink_test.py`: MAVSDK's server speaks, a loop of some lines flies."""
+"""A stand-in for an autopilot, for `mavlink_programs.py`: MAVSDK's server speaks, a loop of some lines flies."""
 
 import json
 import signal

@@ -1,18 +1,25 @@
 """The bridges against what others wrote: a program a bridge, each with environments of its own.
 
-`make bridge-test`, or `python tools/bridge_test.py NAME ...`; without names all of them, one after the other. Each
-prints its findings as rows of a table; exit code 1 where one does not hold.
+`make bridge-test`, or `python tests/acceptance/bridges.py NAME ...`; without names all of them, one after the other.
+Each prints its findings as rows of a table; exit code 1 where one does not hold.
 """
 
 import argparse
+import os
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent
-BRIDGES = ("ros2", "bags", "mavlink", "fmi")
-"""In this order."""
+EXTENSIONS = FOLDER.parents[1] / "extensions"
+BRIDGES = {
+    "ros2": "outrider_ros2/tests/acceptance/ros2_nodes.py",
+    "bags": "outrider_ros2/tests/acceptance/ros2_bags.py",
+    "mavlink": "outrider_mavlink/tests/acceptance/mavlink_programs.py",
+    "fmi": "outrider_fmi/tests/acceptance/fmi_programs.py",
+}
+"""Programs in `extensions`, in this order."""
 
 
 def main(wanted: list[str]) -> int:
@@ -23,11 +30,13 @@ def main(wanted: list[str]) -> int:
     subprocess.run([sys.executable, "-m", "outrider", *words], check=True, capture_output=True)
     for name in wanted:
         began = time.monotonic()
-        print(f"\n## {name}\n\n| what | found | |\n|---|---|---|", flush=True)  # noqa: T201
-        code = subprocess.run([sys.executable, FOLDER / f"{name}_test.py"], check=False).returncode
+        print(f"\n## {name}\n\n| what | found | |\n|---|---|---|", flush=True)
+        environ = os.environ | {"PYTHONPATH": str(FOLDER)}  # for bridge_checks
+        program = [sys.executable, EXTENSIONS / BRIDGES[name]]
+        code = subprocess.run(program, check=False, env=environ).returncode
         failed += code != 0
         word = "holds" if code == 0 else f"FAILS (exit code {code})"
-        print(f"\n{name}: {word}, {time.monotonic() - began:.0f} s", flush=True)  # noqa: T201
+        print(f"\n{name}: {word}, {time.monotonic() - began:.0f} s", flush=True)
     return failed
 
 

@@ -1,4 +1,4 @@
-"""The other program of `tools/fmi_test.py`: fmpy as the master of exported units, in an environment of its own.
+"""The other program of `fmi_programs.py`: fmpy as the master of exported units, in an environment of its own.
 
 It validates each unit, simulates it, and writes what it found as JSON. It imports nothing of Outrider; the units do.
 """

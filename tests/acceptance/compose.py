@@ -29,7 +29,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 NO_ENGINE = 77
 RUN = "flight"
 LONG = "1000"  # s of simulated time: some ten seconds of flight, long enough to be disturbed
@@ -423,7 +423,7 @@ class Docker:
         """Run a script in a service's container."""
         return self.compose("exec", "-T", service, "python", "-c", script, *words)
 
-    def found(self, service: str, script: str, *words: str) -> Any:  # noqa: ANN401 - JSON
+    def found(self, service: str, script: str, *words: str) -> Any:
         """The findings of a script in a service's container."""
         return json.loads(self.python(service, script, *words))
 
@@ -686,7 +686,7 @@ class Checks:
         )
         others = [f"{prefix}/{topic}" for topic in topics]
 
-        def listen(service: str, name: str, password: str, *keys: str, spoiled: str = "") -> Any:  # noqa: ANN401 - JSON
+        def listen(service: str, name: str, password: str, *keys: str, spoiled: str = "") -> Any:
             return docker.found(service, LISTEN, name, password, "2", spoiled, *keys)
 
         with docker.flying(duration=ENDLESS), ThreadPoolExecutor() as pool:
