@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from bus.errors import OutriderError, ScenarioError
 
 GROUPS = (
-    *("commands", "companions", "drivers", "laws", "pilots"),
+    *("commands", "companions", "drivers", "laws"),
     *("policies", "roles", "sensors", "sinks"),
 )
 """The groups of entry points, `outrider.<group>`."""
@@ -74,8 +74,16 @@ def load_all(group: str, kind: type[_Kind]) -> dict[str, _Kind]:
 
 
 def folders() -> list[Path]:
-    """Return the folders of all packages with an entry point of Outrider, in a fixed order."""
-    entries = [entry for group in GROUPS for entry in entry_points(group=f"{_OURS}.{group}")]
+    """Return the folders of the packages whose code is compiled with ours, in a fixed order.
+
+    These are our own extensions, and all packages that add a law, a driver or a sensor.
+    """
+    entries = [
+        entry
+        for group in GROUPS
+        for entry in entry_points(group=f"{_OURS}.{group}")
+        if _owner(entry) == _OURS or group in ("drivers", "laws", "sensors")
+    ]
     names = {entry.module.partition(".")[0] for entry in entries}
     specs = [find_spec(name) for name in sorted(names)]
     places = [place for spec in specs if spec for place in spec.submodule_search_locations or ()]

@@ -13,18 +13,36 @@ from outrider.cli.main import COMMANDS
 from processes import outrider
 from tabular import rows, words
 
-NAMES = sorted({*COMMANDS, *registered("commands")} - {"scenarios", "network", "fmu"})
+GROUPS = {"scenarios", "network", "fmu"}
+EXTENSIONS = {
+    name: entry.module.partition(".")[0] for name, entry in registered("commands").items()
+}
+NAMES = sorted({*COMMANDS, *EXTENSIONS} - GROUPS)
+LIBRARIES = {"sweep": "pyarrow", "replay": "mcap", "report": "pyarrow", "falsify": "cma"}
+LIBRARIES |= {"mavlink": "pymavlink", "ros2": "rosbags", "dashboard": "nicegui"}
+
+
+def needs(arguments: str) -> None:
+    """Skip the test where the command's extension or library is not installed."""
+    name, *others = arguments.split() or [""]
+    module = EXTENSIONS.get(name, "outrider")
+    wanted = {module, LIBRARIES.get(name, "outrider")}
+    wanted |= {LIBRARIES["dashboard"], "outrider_dashboard"} if "dashboard" in others else set()
+    for one in wanted:
+        pytest.importorskip(one, reason="not installed here")
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_command_has_help_with_an_example(name, command):
+    needs(name)
     told = command(name, "--help")
     assert told.returncode == 0
     assert f"Example: outrider {name}" in " ".join(told.stdout.split())
 
 
-@pytest.mark.parametrize("name", ["", *NAMES, "network", "scenarios", "fmu"])
+@pytest.mark.parametrize("name", ["", *NAMES, *sorted(GROUPS)])
 def test_no_help_is_cut_or_too_wide_in_a_terminal_of_80_columns(name, command, monkeypatch) -> None:
+    needs(name)
     monkeypatch.setenv("COLUMNS", "80")
     told = command(*name.split(), "--help").stdout
     assert max(map(len, told.splitlines())) <= 80
@@ -137,6 +155,7 @@ ugv = [{position = [7, 7]}, {position = [7, 27]}]
 def test_what_cannot_be_done_gets_one_line_its_exit_code_and_no_file(
     arguments, told, code, here, command
 ):
+    needs(arguments)
     (here / "taken").write_text("a file", encoding="utf-8")
     (here / "pairs.toml").write_text(TWO_PAIRS, encoding="utf-8")
     run = command(*words(arguments))
@@ -162,6 +181,7 @@ ros2 | rosbags.typesys | ros2
 def test_a_missing_extra_is_one_line_that_says_what_to_install(
     arguments, module, extra, monkeypatch, command
 ):
+    needs(arguments)
     monkeypatch.setitem(sys.modules, module, None)
     for ours in ("dialect", "udp"):  # which other tests may have loaded
         monkeypatch.delitem(sys.modules, f"outrider_mavlink.{ours}", raising=False)

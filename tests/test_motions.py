@@ -18,9 +18,6 @@ from bus.messages import MOST_CARRIED, MotionPlan, UavCommand
 from flights import EVADED, PROMISED, flown_in_both, record, told, uav_sees
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import fly
-from outrider_falsify.attack import attack
-from outrider_falsify.conditions import DISTURBANCES, Conditions, declared
-from outrider_falsify.lost_motions import LOSSES
 from processes import flown_both_ways
 from sim.env.parallel import parallel_env
 from sim.models.motion import motion_plan, motion_row
@@ -28,6 +25,12 @@ from sim.scenario.types import Certificate, LinkTable, Uav
 from sim.server.flight import Flight
 from sim.world import World
 from worlds import LOSSY, SCENARIOS, small
+
+pytest.importorskip("outrider_falsify", reason="the theorem is attacked by it")
+
+from outrider_falsify.attack import attack
+from outrider_falsify.conditions import DISTURBANCES, Conditions, declared
+from outrider_falsify.lost_motions import LOSSES
 
 LOST = SCENARIOS["lost commands"]
 RECORDED = Path(__file__).resolve().parent.parent / "examples" / "networks" / "wifi-far.csv"

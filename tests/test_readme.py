@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+pytest.importorskip("outrider_learning", reason="the pages show extensions, too")
 import typer
 
 import outrider

@@ -10,10 +10,15 @@ import pytest
 from bus.keys import KEYS
 from bus.messages import LinkSettings
 from outrider.cli.main import COMMANDS
-from outrider_fmi import variables
-from outrider_ros2.topics import PILOT_COMMANDS, PILOT_TOPICS, TOPICS
 from sim.scenario.loading import scenario_names
 from sim.scenario.types import Scenario
+
+pytest.importorskip("outrider_learning", reason="the pages show extensions, too")
+for _library in ("rosbags", "xxhash", "fmpy"):
+    pytest.importorskip(_library, reason="a page shows what needs it")
+
+from outrider_fmi import variables  # noqa: E402
+from outrider_ros2.topics import PILOT_COMMANDS, PILOT_TOPICS, TOPICS  # noqa: E402
 
 GENERATORS = Path(__file__).resolve().parent.parent / "docs" / "generators"
 

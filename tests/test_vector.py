@@ -15,7 +15,6 @@ import outrider
 from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from outrider.envs.env_pilots import pilots
 from outrider.envs.wrappers import normalized
-from outrider_learning.repeat import ActionRepeat
 from properties import PROPERTY
 from sim.env.observation import one_of_world
 from sim.scenario.types import Scenario
@@ -242,7 +241,7 @@ def test_what_is_true_of_an_ended_episode_can_be_had_after_the_next_has_begun() 
 
 def test_other_libraries_find_the_mode_and_random_numbers() -> None:
     env = outrider.vector_env(SCENARIO, num_envs=2)
-    layers = [env, ActionRepeat(env, 2), normalized(env), outrider.parallel_vector_env(num_envs=1)]
+    layers = [env, normalized(env), outrider.parallel_vector_env(num_envs=1)]
     assert {layer.autoreset_mode for layer in layers} == {AutoresetMode.SAME_STEP}
     for one in (env, outrider.parallel_env(SCENARIO), outrider.single_env(SCENARIO)):
         draws = []
