@@ -42,7 +42,8 @@ def load(entry: EntryPoint) -> Any:  # noqa: ANN401 - a command, a law, a sink, 
         ScenarioError: If a library of its extra is missing.
         OutriderError: If it cannot be imported for another reason.
     """
-    what = f"{entry.group.removeprefix(f'{_OURS}.').removesuffix('s')} {entry.name!r}"
+    group = entry.group.removeprefix(f"{_OURS}.")
+    what = f"{'policy' if group == 'policies' else group.removesuffix('s')} {entry.name!r}"
     with needs(extra_of(entry), what):
         return entry.load()
 
@@ -63,6 +64,8 @@ def load_all(group: str, kind: type[_Kind]) -> dict[str, _Kind]:
     """
     found: dict[str, _Kind] = {}
     for name, entry in registered(group).items():
+        if find_spec(entry.module.partition(".")[0]) is None:
+            continue  # a copy of the core alone
         try:
             one = load(entry)
             if not isinstance(one, kind):

@@ -107,10 +107,15 @@ def make_app(*, whole: bool = False) -> typer.Typer:
         add(app, name, functools.partial(_attribute, where), line)
     for name, entry in sorted(plugins.registered("commands").items()):
         package = entry.module.partition(".")[0]
-        if name not in COMMANDS and find_spec(package) is not None:
+        if name in COMMANDS:
+            continue
+        load = functools.partial(plugins.load, entry)
+        if find_spec(package) is None:  # a copy of the core alone: it says which extra is missing
+            _add(app, name, load, "", hidden=True)
+        else:
             # The package's docstring; by contract it imports nothing else.
             line = (import_module(package).__doc__ or "").partition("\n")[0]
-            add(app, name, functools.partial(plugins.load, entry), line)
+            add(app, name, load, line)
     return app
 
 
@@ -119,10 +124,12 @@ def _attribute(where: str) -> Any:  # noqa: ANN401 - a command or an app
     return getattr(import_module(module), name)
 
 
-def _add(app: typer.Typer, name: str, load: Callable[[], Any], line: str) -> None:
+def _add(
+    app: typer.Typer, name: str, load: Callable[[], Any], line: str, *, hidden: bool = False
+) -> None:
     """Add a command that is imported when it is called; arguments, --help and exit code are its own."""
 
-    @app.command(name, help=line, add_help_option=False, context_settings=_FORWARD)
+    @app.command(name, help=line, hidden=hidden, add_help_option=False, context_settings=_FORWARD)
     @_interruptible
     def call(context: typer.Context) -> Any:  # noqa: ANN401 - an exit code, if any
         return _call(load(), f"{context.find_root().info_name} {name}", context.args)
