@@ -380,8 +380,8 @@ def test_no_process_of_a_vehicle_inherits_the_pages_token_or_the_users_credentia
     monkeypatch,
 ) -> None:
     monkeypatch.setenv("OUTRIDER_TOKEN", "x" * 20)
-    for name in ("OUTRIDER_CREDENTIALS", "OUTRIDER_PASSWORD"):
+    for name in ("OUTRIDER_CREDENTIALS", "OUTRIDER_HOST", "OUTRIDER_PASSWORD"):
         monkeypatch.setenv(name, "y")
-        assert name not in child_environment(token=True)
+        assert name not in child_environment(companion=True)
     assert "OUTRIDER_TOKEN" not in child_environment()
-    assert "OUTRIDER_TOKEN" in child_environment(token=True)
+    assert "OUTRIDER_TOKEN" in child_environment(companion=True)

@@ -18,7 +18,16 @@ EXTENSIONS = {
     name: entry.module.partition(".")[0] for name, entry in registered("commands").items()
 }
 NAMES = sorted({*COMMANDS, *EXTENSIONS} - GROUPS)
-LIBRARIES = {"sweep": "pyarrow", "replay": "mcap", "report": "pyarrow", "falsify": "cma"}
+LIBRARIES = {
+    "drive": "textual",
+    "record": "foxglove",
+    "render": "mcap",
+    "sweep": "pyarrow",
+    "replay": "mcap",
+    "report": "pyarrow",
+    "falsify": "cma",
+}
+LIBRARIES |= {"drive": "textual", "record": "foxglove", "render": "mcap"}
 LIBRARIES |= {"mavlink": "pymavlink", "ros2": "rosbags", "dashboard": "nicegui"}
 
 

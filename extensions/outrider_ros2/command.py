@@ -170,7 +170,9 @@ def import_bag(
     file: Annotated[Path, typer.Argument(help="The recording to write; one there is replaced.")],
     json: options.Json = False,
 ) -> None:
-    """Write the recording in a rosbag2 bag as an MCAP file, for replay, render and dashboard.
+    """Write the recording in a bag as an MCAP file.
+
+    It is then replayed, drawn and flown again like any other.
 
     Example: outrider ros2 import bag run.mcap
     """
