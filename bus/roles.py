@@ -68,7 +68,7 @@ def named_roles(name: str) -> Roles:
     """
     known = extension_roles()
     if name not in known:
-        raise ScenarioError(f"--with {name}: no such roles; allowed: {', '.join(known) or 'none'}")
+        raise ScenarioError(f"--roles {name}: no such roles; allowed: {', '.join(known) or 'none'}")
     return known[name]
 
 

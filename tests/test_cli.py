@@ -3,10 +3,12 @@
 import json
 import re
 import sys
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import pytest
 
+from bus import plugins
 from bus.locator import Locator
 from bus.plugins import registered
 from outrider.cli.main import COMMANDS
@@ -191,13 +193,22 @@ def test_a_missing_extra_is_one_line_that_says_what_to_install(
     arguments, module, extra, monkeypatch, command
 ):
     needs(arguments)
+    package = module.partition(".")[0]
+    known = plugins.version_of
+
+    def version(name: str) -> str:
+        if name == package:
+            raise PackageNotFoundError(name)
+        return known(name)
+
+    monkeypatch.setattr(plugins, "version_of", version)
     monkeypatch.setitem(sys.modules, module, None)
     for ours in ("dialect", "udp"):  # which other tests may have loaded
         monkeypatch.delitem(sys.modules, f"outrider_mavlink.{ours}", raising=False)
     run = command(*words(arguments))
     assert run.returncode == 2
     (line,) = run.stderr.splitlines()
-    assert module.partition(".")[0] in line
+    assert package in line
     assert f"-e '.[{extra}]'" in line
 
 

@@ -429,7 +429,10 @@ def test_ctrl_c_is_told_in_one_line_however_early_it_comes(monkeypatch, command)
     def early(**_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(doctor, "command", early)
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(doctor, "command", interrupted)
     for name in ("doctor", "scenarios"):
         with monkeypatch.context() as m:
             if name == "scenarios":  # before the command's own code

@@ -72,7 +72,7 @@ def command(
     extensions: Annotated[
         list[str] | None,
         typer.Option(
-            "--with",
+            "--roles",
             metavar="NAME",
             help="Also for the parties of this extension, such as ros2; without it the router lets none of its "
             "messages through. May be repeated.",
@@ -94,7 +94,7 @@ def command(
     from bus.certificates import PARTY_DAYS, new_authority
     from outrider.cli.console import OUT, print_json
 
-    added = [name for name in extensions or () if name]  # `--with=` of a container adds none
+    added = [name for name in extensions or () if name]  # `--roles=` of a container adds none
     _refuse(
         {
             "--tls and --renew or --check": tls and (renew or check),
@@ -104,7 +104,7 @@ def command(
             and "router" not in (party or ()),
             "--days without --tls or --renew": days is not None and not (tls or renew),
             "--party without --renew": bool(party) and not renew,
-            "--with and --renew or --check": bool(added) and (renew or check),
+            "--roles and --renew or --check": bool(added) and (renew or check),
         }
     )
     if check:

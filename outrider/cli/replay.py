@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import typer
 
-from outrider.cli.options import FlightNumber, Json
+from outrider.cli.options import Companions, FlightNumber, Json
 from outrider.cli.stopping import stop_on_signals
 
 if TYPE_CHECKING:
@@ -36,14 +36,7 @@ def command(
             max=1e6,
         ),
     ] = None,
-    companion: Annotated[
-        str,
-        typer.Option(
-            "--with",
-            metavar="NAME[:OPTION=VALUE,...]",
-            help="Play it with a companion, such as dashboard, at --realtime (1 by default); Ctrl-C ends it.",
-        ),
-    ] = "",
+    companions: Companions = None,
     flight: FlightNumber = None,
     json: Json = False,
 ) -> None:
@@ -55,10 +48,10 @@ def command(
 
     Example: outrider replay run.mcap --refly
     """
-    if companion and (refly or json):
+    if companions and (refly or json):
         raise typer.BadParameter("--with plays, --refly and --json tell; leave one out")
-    if companion:
-        _play_with(companion, file, flight, realtime)
+    if companions:
+        _play_with(companions, file, flight, realtime)
         return
     from outrider.recording.reader import flight_of
 
@@ -105,11 +98,13 @@ def _refly(recording: "Recording", *, json: bool) -> None:
         raise typer.Exit(1)
 
 
-def _play_with(text: str, file: Path, flight: int | None, realtime: float | None) -> None:
+def _play_with(asked: list[str], file: Path, flight: int | None, realtime: float | None) -> None:
     from outrider.cli.main import call_command
     from outrider.running.companions import parse_companion
 
-    name, words, companion = parse_companion(text)
+    if len(asked) > 1:
+        raise typer.BadParameter("--with: one companion plays a recording")
+    name, words, companion = parse_companion(asked[0])
     if not companion.replays:
         raise typer.BadParameter(f"--with {name}: it plays no recordings")
     given = {"--replay": file.absolute(), "--flight": flight, "--realtime": realtime}

@@ -231,7 +231,8 @@ def entries(
     names: dict[int, str] = {}
     for record in stream(path, damage):
         if isinstance(record, records.Channel):
-            names[record.id] = record.topic
+            if record.message_encoding != "cdr":  # of other programs
+                names[record.id] = record.topic
         elif isinstance(record, records.Message) and record.channel_id in names:
             topic = names[record.channel_id]
             if record.log_time > schemas.LATEST:

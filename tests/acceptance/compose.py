@@ -859,7 +859,7 @@ class Checks:
         """A node on the network ros2 is told the run in ROS 2's wire format, and nothing that is a vehicle's."""
         docker, folder = self.docker, self.docker.folder / "ros2-credentials"
         more = {"OUTRIDER_SECRETS": str(folder), "OUTRIDER_DURATION": ENDLESS}
-        docker.compose("run", "--rm", "credentials", OUTRIDER_WITH="ros2", **more)
+        docker.compose("run", "--rm", "credentials", OUTRIDER_ROLES="ros2", **more)
         received: dict[str, Json] = {}
         with docker.standing("simulator-realtime", "ros2", **more):
             limit = time.monotonic() + 60.0

@@ -55,7 +55,7 @@ class Run:
     def __init__(self, stack: ExitStack, folder: Path, *simulated: object) -> None:
         self.folder, self.port = folder, free_port()
         self.endpoint = f"tcp/127.0.0.1:{self.port}"
-        keys = ("credentials", folder / "keys", "--scenario", simulated[0], "--with", "ros2")
+        keys = ("credentials", folder / "keys", "--scenario", simulated[0], "--roles", "ros2")
         output(*outrider(*keys))
         self._stack = stack
         self.simulator = self.start(
