@@ -10,7 +10,7 @@ PIP    := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-che
 WORKERS := -n 2 --dist loadscope --no-loadscope-reorder
 LEARNERS := sb3 torchrl rllib supersuit
 
-.PHONY: help run test long-test check format figures bench docs soak kill-test crowd-test compose-test page-test bridge-test learn-test clean
+.PHONY: help run test long-test core-test check format figures bench docs soak kill-test compose-test page-test bridge-test learn-test clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -54,6 +54,13 @@ bench: $(VENV)/.dev ## the speed of each layer beside its limit, in benchmarks/r
 	$(BIN)/python -m pytest -c benchmarks/pytest.ini --benchmark-json benchmarks/results.json \
 		$(or $(ARGS:%=benchmarks/test_speed.py::test_%),benchmarks/test_speed.py)
 
+core-test: ## the core's own tests in a copy without extensions, in a fresh environment without extras
+	rm -rf $(VENV)-core && mkdir -p $(VENV)-core/copy
+	git ls-files -- . ':!extensions' ':!benchmarks' | tar -cf - -T - | tar -xf - -C $(VENV)-core/copy
+	$(PYTHON) -m venv $(VENV)-core/venv
+	$(VENV)-core/venv/bin/python -m pip install --quiet --disable-pip-version-check --root-user-action ignore --constraint constraints.txt --editable $(VENV)-core/copy hypothesis pytest pytest-timeout pytest-xdist
+	cd $(VENV)-core/copy && ../venv/bin/python -m pytest $(WORKERS) tests $(ARGS)
+
 long-test: $(VENV)/.dev ## the tests that repeat for long what a short one of the suite shows
 	$(BIN)/python -m pytest $(WORKERS) -m long $(ARGS)
 
@@ -65,23 +72,20 @@ $(VENV)/.docs: $(VENV)/.run
 	@touch $@
 
 soak: $(VENV)/.dev ## an hour of simulated time with random kills: memory, trajectory, nothing left behind
-	$(BIN)/python tools/soak.py $(ARGS)
-
-crowd-test: $(VENV)/.dev ## what a crowd at the port, or a vehicle with credentials, can do to a run: a table; five minutes
-	$(BIN)/python tools/crowd_test.py $(ARGS)
+	$(BIN)/python tests/acceptance/soak.py $(ARGS)
 
 kill-test: $(VENV)/.dev ## a vehicle killed at 40 random moments from its start to the run's end: the same trajectory each time
-	$(BIN)/python tools/kill_test.py $(ARGS)
+	$(BIN)/python tests/acceptance/kill.py $(ARGS)
 
 compose-test: $(VENV)/.run ## the containers, built, flown, killed, paused and cut off; needs a Docker engine
-	$(BIN)/python tools/compose_test.py $(ARGS)
+	$(BIN)/python tests/acceptance/compose.py $(ARGS)
 
 page-test: $(VENV)/.dev ## the dashboard in a real headless Chromium; gets what it needs, or says in a line what is missing
 	@$(PIP) 'playwright>=1.49' || echo 'page-test: playwright cannot be installed'
-	$(BIN)/python tools/page_test.py --install $(ARGS) || test $$? -eq 77
+	$(BIN)/python extensions/outrider_dashboard/tests/acceptance/page.py --install $(ARGS) || test $$? -eq 77
 
 bridge-test: $(VENV)/.dev ## the bridges against what others wrote, in environments of their own (ARGS="ros2")
-	$(BIN)/python tools/bridge_test.py $(ARGS)
+	$(BIN)/python tests/acceptance/bridges.py $(ARGS)
 
 learn-test: $(LEARNERS:%=learn-test-%) ## the learning libraries, each installed into an environment of its own (learn-test-sb3, ...)
 
@@ -96,4 +100,4 @@ learn-test-%: $(VENV)-%/.learn
 .PRECIOUS: $(VENV)-%/.learn
 
 clean: ## remove the environments and what runs have written
-	rm -rf $(VENV) $(LEARNERS:%=$(VENV)-%) $(VENV)-ros2 $(VENV)-ros2-rclpy $(VENV)-mavlink $(VENV)-fmi .venv-peers runs figures site
+	rm -rf $(VENV) $(LEARNERS:%=$(VENV)-%) $(VENV)-core $(VENV)-ros2 $(VENV)-ros2-rclpy $(VENV)-mavlink $(VENV)-fmi .venv-peers runs figures site

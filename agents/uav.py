@@ -25,7 +25,6 @@ from bus.messages import (
     Vector,
     or_infinite,
 )
-from bus.registry import UAV_POLICY_FORMS
 from bus.ticks import looks_of, radio_ticks
 from sim.kernels.compile import FloatArray
 from sim.models.field import accumulate, cover, coverage_error, empty_coverage
@@ -125,7 +124,7 @@ class UavPilot:
         own, limits = self._law.row.own, self._briefing.limits
         if own == "uav_policy" and self._policy is None:
             raise ScenarioError(
-                f"law.name = 'policy': needs a policy, given to the UAV as {UAV_POLICY_FORMS}"
+                "law.name = 'policy': needs a policy, given to the UAV as module:function or KIND:FILE"
             )
         if own == "weighting":
             if self._weighting is None:

@@ -24,8 +24,6 @@ from bus.errors import AccessDenied, BusError
 from bus.files import read_regular, write_whole
 from bus.keys import (
     PLACES,
-    ROS2_ROLES,
-    ROS2_STAFF,
     SIMULATOR_NAME,
     STAFF,
     Grant,
@@ -38,7 +36,7 @@ from bus.keys import (
     written_by,
 )
 from bus.messages import Name
-from bus.ros2_access import ros2_grants
+from bus.roles import RESERVED, Roles, named_roles, own_grants, party_of, roles_among
 
 _PASSWORD_BYTES = 24
 _MOST_BYTES = 4 << 20
@@ -56,18 +54,23 @@ class Credential(
     """By what the router knows one party: a password or a certificate."""
 
     name: Name
-    role: Role
+    role: Name
+    """A role of the key table or of an extension."""
     password: Annotated[str, Meta(pattern="^[A-Za-z0-9_-]{8,128}$")] | None = None
     tls: Identity | None = None
 
     @property
     def party(self) -> Party:
-        """The party that it is for."""
-        return Party(role=self.role, name=self.name)
+        """The party that it is for.
+
+        Raises:
+            AccessDenied: If the role is unknown here.
+        """
+        return party_of(self.role, self.name)
 
     def __repr__(self) -> str:
         """Without the password: it must not get into a log."""
-        return f"Credential(name={self.name!r}, role={self.role.value!r})"
+        return f"Credential(name={self.name!r}, role={self.role!r})"
 
 
 class CredentialSet(
@@ -101,7 +104,7 @@ class CredentialSet(
 
 
 def new_credentials(
-    run: str, uavs: Iterable[str], ugvs: Iterable[str], *, ros2: bool = False
+    run: str, uavs: Iterable[str], ugvs: Iterable[str], *, extensions: Iterable[str] = ()
 ) -> CredentialSet:
     """Random credentials for a run's vehicles, its simulator, operator and observers.
 
@@ -109,17 +112,17 @@ def new_credentials(
         run: Its name.
         uavs: Names of the UAVs.
         ugvs: Names of the UGVs.
-        ros2: Whether ROS 2 takes part: its bridge, and its nodes that look on or drive.
+        extensions: Names of entry points `outrider.roles` whose parties take part.
 
     Raises:
         ValueError: If two parties have one name.
     """
     made = tuple(
         msgspec.convert(
-            {"name": name, "role": role.value, "password": secrets.token_urlsafe(_PASSWORD_BYTES)},
+            {"name": name, "role": role, "password": secrets.token_urlsafe(_PASSWORD_BYTES)},
             Credential,
         )
-        for name, role in _roles(uavs, ugvs, ros2=ros2)
+        for name, role in _roles(uavs, ugvs, extensions)
     )
     return CredentialSet(run=run, parties=made)
 
@@ -131,7 +134,7 @@ def new_certificates(
     *,
     hosts: Sequence[str] = (),
     days: float = PARTY_DAYS,
-    ros2: bool = False,
+    extensions: Iterable[str] = (),
 ) -> CredentialSet:
     """Certificates for a run's router, vehicles, simulator, operator and observers.
 
@@ -141,7 +144,7 @@ def new_certificates(
         ugvs: Names of the UGVs.
         hosts: Names and addresses under which the router is found, beside `ROUTER_HOSTS`.
         days: How long the parties' hold; the router's does as long as the authority.
-        ros2: Whether ROS 2 takes part: its bridge, and its nodes that look on or drive.
+        extensions: Names of entry points `outrider.roles` whose parties take part.
 
     Raises:
         ValueError: If two parties have one name.
@@ -150,22 +153,27 @@ def new_certificates(
     """
     made = tuple(
         msgspec.convert(
-            {"name": name, "role": role.value, "tls": issue(authority, name, days=days)}, Credential
+            {"name": name, "role": role, "tls": issue(authority, name, days=days)}, Credential
         )
-        for name, role in _roles(uavs, ugvs, ros2=ros2)
+        for name, role in _roles(uavs, ugvs, extensions)
     )
     known_at = tuple(dict.fromkeys((*ROUTER_HOSTS, *hosts)))
     router = issue(authority, ROUTER_FILE, days=AUTHORITY_DAYS, hosts=known_at)
     return CredentialSet(run=authority.run, parties=made, tls=router)
 
 
-def _roles(uavs: Iterable[str], ugvs: Iterable[str], *, ros2: bool) -> list[tuple[str, Role]]:
-    roles = [(name, Role.UAV) for name in uavs] + [(name, Role.UGV) for name in ugvs]
-    roles += [*STAFF.items(), *(ROS2_STAFF.items() if ros2 else ())]
+def _roles(
+    uavs: Iterable[str], ugvs: Iterable[str], extensions: Iterable[str]
+) -> list[tuple[str, str]]:
+    roles: list[tuple[str, str]] = [(name, Role.UAV.value) for name in uavs]
+    roles += [(name, Role.UGV.value) for name in ugvs]
+    roles += [(name, role.value) for name, role in STAFF.items()]
+    roles += [(name, name) for given in extensions for name in named_roles(given).parties]
     names = [name for name, _ in roles]
     for name in names:
         if names.count(name) > 1 or name in (ROUTER_FILE, AUTHORITY_FILE):
-            taken = ", ".join((*STAFF, *ROS2_STAFF, ROUTER_FILE, AUTHORITY_FILE))
+            others = [role for role, kind in roles if role == kind and role not in STAFF]
+            taken = ", ".join((*RESERVED, *others))
             raise ValueError(f"{name}: two parties with one name; {taken} are taken")
     return roles
 
@@ -281,6 +289,7 @@ def read_credential(path: Path) -> Credential:
         raise AccessDenied(
             f"{path}: not a party's credentials: needs a password or a certificate, one of the two"
         )
+    _check_role(path, found)
     return found
 
 
@@ -292,11 +301,19 @@ def read_credentials(path: Path) -> CredentialSet:
     """
     found = _read(path, CredentialSet, "a router's credentials")
     for party in found.parties:
+        _check_role(path, party)
         if (party.password is None) == (found.tls is None):
             raise AccessDenied(
                 f"{path}: not a router's credentials: {party.name} needs a password, or the router a certificate"
             )
     return found
+
+
+def _check_role(path: Path, credential: Credential) -> None:
+    try:
+        party_of(credential.role, credential.name)
+    except AccessDenied as error:
+        raise AccessDenied(f"{path}: {error}") from error
 
 
 def read_authority(path: Path) -> Authority:
@@ -313,15 +330,18 @@ def _expressions(key: Key, party: Party, run: str) -> str:
     return key.expression(run, party.name if party.role is key.vehicle else "*")
 
 
-def grants(party: Party, run: str, *, ros2: bool = False) -> tuple[Grant, ...]:
+def grants(party: Party, run: str, extensions: Iterable[Roles] = ()) -> tuple[Grant, ...]:
     """All that the router lets through for a party: the key table, and who is there.
 
     Args:
         party: Who.
         run: Name of the run.
-        ros2: Whether ROS 2 takes part in it.
+        extensions: Roles of extensions that take part in it.
+
+    Raises:
+        AccessDenied: If an extension grants a key of a run.
     """
-    found: set[Grant] = set(ros2_grants(party)) if ros2 else set()
+    found = {grant for roles in extensions for grant in own_grants(roles, party)}
     for key in written_by(party):
         own = _expressions(key, party, run)
         found.add(Grant(message="put", flow="ingress", keys=(own,)))
@@ -348,8 +368,8 @@ def grants(party: Party, run: str, *, ros2: bool = False) -> tuple[Grant, ...]:
 def access_control(given: CredentialSet) -> dict[str, Any]:
     """Zenoh's `access_control` for a run: nothing is allowed but each party's grants."""
     by = "usernames" if given.tls is None else "cert_common_names"
-    # Where ROS 2 takes no part in the run, the router knows no key of ROS 2.
-    ros2 = any(credential.role in ROS2_ROLES for credential in given.parties)
+    # The router knows the keys of an extension only where one of its parties has credentials.
+    extensions = roles_among([credential.party for credential in given.parties])
     rules: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []
     for credential in given.parties:
@@ -361,7 +381,7 @@ def access_control(given: CredentialSet) -> dict[str, Any]:
                 "permission": grant.permission,
                 "key_exprs": list(grant.keys),
             }
-            for number, grant in enumerate(grants(credential.party, given.run, ros2=ros2))
+            for number, grant in enumerate(grants(credential.party, given.run, extensions))
         ]
         rules += own
         policies.append({"rules": [rule["id"] for rule in own], "subjects": [credential.name]})

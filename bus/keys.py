@@ -39,22 +39,15 @@ class Role(StrEnum):
     UGV = "ugv"
     OPERATOR = "operator"
     OBSERVER = "observer"
-    ROS2 = "ros2"
-    """The bridge that tells ROS 2 what observers are told."""
-    ROS2_OBSERVER = "ros2_observer"
-    """A ROS 2 node that looks on."""
-    ROS2_OPERATOR = "ros2_operator"
-    """A ROS 2 node that drives."""
+    GUEST = "guest"
+    """A party of an extension without rows in this table: `bus.roles`."""
 
 
 SIMULATOR_NAME = Role.SIMULATOR.value
 OPERATOR_NAME = Role.OPERATOR.value
 OBSERVER_NAME = Role.OBSERVER.value
-ROS2_ROLES = (Role.ROS2, Role.ROS2_OBSERVER, Role.ROS2_OPERATOR)
 STAFF = {SIMULATOR_NAME: Role.SIMULATOR, OPERATOR_NAME: Role.OPERATOR, OBSERVER_NAME: Role.OBSERVER}
 """The names on the bus that no vehicle may bear, and whose they are."""
-ROS2_STAFF = {role.value: role for role in ROS2_ROLES}
-"""Likewise, of runs that ROS 2 takes part in."""
 
 
 class Delivery(StrEnum):
@@ -91,7 +84,10 @@ class Party:
     """The identity of a process, by role and name: `uav_0` is not `uav_1`."""
 
     role: Role
+    """Role by whose rows of this table it reads and writes."""
     name: str
+    extension: str = ""
+    """Role of an extension (`bus.roles`); empty: none."""
 
 
 class Grant(NamedTuple):
@@ -106,7 +102,7 @@ class Grant(NamedTuple):
     """`allow`, or `deny`, which is stronger."""
 
 
-_WATCHING = (Role.OBSERVER, Role.OPERATOR, Role.ROS2)
+_WATCHING = (Role.OBSERVER, Role.OPERATOR)
 
 # To a vehicle: every message counts, and it may be large.
 UAV_BRIEFING = Key("briefing", Role.UAV, UavBriefing, Role.SIMULATOR, (Role.UAV,), largest=_LARGE)

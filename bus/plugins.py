@@ -12,13 +12,13 @@ from typing import Any, TypeVar
 from bus.errors import OutriderError, ScenarioError
 
 GROUPS = (
-    *("commands", "companions", "drivers", "laws", "pilots"),
+    *("commands", "companions", "drivers", "laws"),
     *("policies", "roles", "sensors", "sinks"),
 )
 """The groups of entry points, `outrider.<group>`."""
 
 _OURS = "outrider"
-_Row = TypeVar("_Row")
+_Kind = TypeVar("_Kind")
 
 
 def registered(group: str) -> dict[str, EntryPoint]:
@@ -31,8 +31,7 @@ def registered(group: str) -> dict[str, EntryPoint]:
     for entry in sorted(entries, key=lambda one: (_owner(one) != _OURS, _owner(one), one.name)):
         first = found.setdefault(entry.name, entry)
         if first.value != entry.value:
-            text = f"{entry.name!r} of {_owner(entry)} is ignored: {_owner(first)} has one"
-            sys.stderr.write(f"{_OURS}: {text}\n")
+            warn(f"{entry.name!r} of {_owner(entry)} is ignored: {_owner(first)} has one")
     return found
 
 
@@ -43,31 +42,38 @@ def load(entry: EntryPoint) -> Any:  # noqa: ANN401 - a command, a law, a sink, 
         ScenarioError: If a library of its extra is missing.
         OutriderError: If it cannot be imported for another reason.
     """
-    what = f"{entry.group.removeprefix(f'{_OURS}.').removesuffix('s')} {entry.name!r}"
-    package = entry.module.partition(".")[0]
-    extra = package.removeprefix(f"{_OURS}_") if _owner(entry) == _OURS else ""
-    with needs(extra, what):
+    group = entry.group.removeprefix(f"{_OURS}.")
+    what = f"{'policy' if group == 'policies' else group.removesuffix('s')} {entry.name!r}"
+    with needs(extra_of(entry), what):
         return entry.load()
 
 
-def plugin_rows(group: str, kind: type[_Row]) -> tuple[_Row, ...]:
-    """Return the rows that other packages add to a table of the registry, in the order of their names.
+def extra_of(entry: EntryPoint) -> str:
+    """Return the extra with the libraries of an entry point; empty if it is not one of Outrider's."""
+    package = entry.module.partition(".")[0]
+    extra = package.removeprefix(f"{_OURS}_") if _owner(entry) == _OURS else ""
+    return extra if extra in extras() else ""
+
+
+def load_all(group: str, kind: type[_Kind]) -> dict[str, _Kind]:
+    """Import the objects of `outrider.<group>`, by name; leave out those that fail, with a warning.
 
     Args:
-        group: `laws`, `drivers` or `sensors`.
-        kind: Class of the rows.
-
-    Raises:
-        OutriderError: If an entry point cannot be loaded, or names something else.
+        group: Name of the group.
+        kind: Class of its objects.
     """
-    rows = []
-    for _, entry in sorted(registered(group).items()):
-        row = load(entry)
-        if not isinstance(row, kind):
-            what = f"{entry.group}: {entry.name} = {entry.value}"
-            raise OutriderError(f"{what}: no {kind.__name__}; allowed: a row of bus.rows")
-        rows.append(row)
-    return tuple(rows)
+    found: dict[str, _Kind] = {}
+    for name, entry in registered(group).items():
+        if find_spec(entry.module.partition(".")[0]) is None:
+            continue  # a copy of the core alone
+        try:
+            one = load(entry)
+            if not isinstance(one, kind):
+                raise TypeError(f"{entry.value} is no {kind.__name__}")
+            found[name] = one
+        except Exception as error:  # noqa: BLE001 - a package must not stop every command
+            warn(f"{entry.group}: {name!r} of {_owner(entry)} is ignored: {error}")
+    return found
 
 
 def source_files() -> list[Path]:
@@ -142,6 +148,11 @@ def packages(extra: str) -> tuple[str, ...]:
 def missing(extra: str) -> tuple[str, ...]:
     """Return the distributions of an extra that are not installed, by name."""
     return tuple(name for name in packages(extra) if not _is_installed(name))
+
+
+def warn(text: str) -> None:
+    """Write a line to standard error."""
+    sys.stderr.write(f"{_OURS}: {text}\n")
 
 
 def _is_installed(name: str) -> bool:

@@ -1,4 +1,4 @@
-"""Laws, drivers, sensors, hazards and saved policies: one row each, with all that others need to know of them.
+"""Laws, drivers, sensors and hazards: one row each, with all that others need to know of them.
 
 Their names are words of the messages (`Law.name`, `UgvBriefing.driver`, `Control.driver`, `Sensor.model`) and of
 scenarios, so their tables stand here, below everybody, as the table of keys and the columns of observations do: the
@@ -14,10 +14,10 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-from bus.plugins import plugin_rows
-from bus.rows import DriverRow, HazardKindRow, LawRow, SavedPolicyRow, SensorRow
+from bus.plugins import load_all
+from bus.rows import DriverRow, HazardKindRow, LawRow, SensorRow
 
-_Row = TypeVar("_Row", bound="LawRow | DriverRow | SensorRow | HazardKindRow | SavedPolicyRow")
+_Row = TypeVar("_Row", bound="LawRow | DriverRow | SensorRow | HazardKindRow")
 
 
 def _table(*rows: _Row) -> Mapping[str, _Row]:
@@ -130,7 +130,7 @@ LAWS = _table(
         color="#6b4a8f",
         mark="*",
     ),
-    *plugin_rows("laws", LawRow),
+    *load_all("laws", LawRow).values(),
 )
 """The laws by name, in the order in which tables and reports list them."""
 DEFAULT_LAW = "logarithmic"
@@ -184,7 +184,7 @@ DRIVERS = _table(
     ),
     DriverRow(name="policy", about="a policy of your own (custom.policy)", own="policy"),
     DriverRow(name="external", about="a process of your own", outside=True),
-    *plugin_rows("drivers", DriverRow),
+    *load_all("drivers", DriverRow).values(),
 )
 """The drivers by name, in the order in which help texts list them."""
 DEFAULT_DRIVER = "waypoints"
@@ -197,7 +197,7 @@ SENSORS = _table(
         module="sim.models.sensors.plateau",
         about="sees well over most of its disc",
     ),
-    *plugin_rows("sensors", SensorRow),
+    *load_all("sensors", SensorRow).values(),
 )
 """The sensors by name."""
 DEFAULT_SENSOR = "hill"
@@ -214,37 +214,6 @@ TOUCHES = ("stuck", "damage")
 BOLD = "bold"
 CAUTIONS = ("cautious", BOLD)
 """Cautions of a UGV towards ground that nobody has seen: only as fast as it can stop before it, or on."""
-
-
-SAVED_POLICIES = _table(
-    SavedPolicyRow(
-        name="sb3", form="ALGORITHM:FILE.zip", load="outrider.running.user_code:load_sb3"
-    ),
-    SavedPolicyRow(name="torch", form="FILE.pt", load="outrider.running.user_code:load_torch"),
-    SavedPolicyRow(name="onnx", form="FILE.onnx", load="outrider.running.user_code:load_onnx"),
-    SavedPolicyRow(name="fmu", form="FILE.fmu", load="outrider_fmi.driver:FmuPolicy"),
-)
-"""The libraries by name."""
-UAV_POLICIES = _table(
-    SavedPolicyRow(
-        name="npz", form="FILE.npz", load="outrider_learning.learned:load_learned_policy"
-    ),
-    SavedPolicyRow(
-        name="sb3", form="ALGORITHM:FILE.zip", load="outrider_learning.saved:load_sb3_policy"
-    ),
-)
-"""The libraries whose saved policies can fly a UAV, by name."""
-
-
-def _forms(rows: Mapping[str, SavedPolicyRow]) -> str:
-    *others, last = (f"{row.name}:{row.form}" for row in rows.values())
-    return f"module:function, {', '.join(others)} or {last}"
-
-
-POLICY_FORMS = _forms(SAVED_POLICIES)
-"""The forms of a UGV's policy, for help texts and errors."""
-UAV_POLICY_FORMS = _forms(UAV_POLICIES)
-"""The forms of a UAV's policy, likewise."""
 
 
 def described(rows: Mapping[str, LawRow] | Mapping[str, DriverRow]) -> str:

@@ -34,13 +34,14 @@ from bus.keys import (
 )
 from bus.locator import UNIX, Locator, check_endpoint
 from bus.queues import WAKE_PERIOD, Envelope, Inbox, Outbox
-from bus.ros2_access import LARGEST
 
 __all__ = ["Envelope", "Inbox", "Outbox", "Session", "open_session"]
 
 _LOG = logging.getLogger("outrider.bus")
 _ROOM = 256
 """Messages that wait in an inbox before their writers must."""
+_LARGE = 1 << 20
+"""Payloads [bytes] that router and clients let through at least: keys of extensions may carry so much."""
 _LOOK = 2.0
 """The longest time for which a session looks which places of its party are taken [s]."""
 _OPENED_IN: set[int] = set()
@@ -323,7 +324,7 @@ def _open_router(
     listen: tuple[str, ...], party: Party, run: str, given: CredentialSet | None
 ) -> zenoh.Session:
     _allow_open_files()
-    largest = max(LARGEST, *(key.largest for key in KEYS if key.writer is not party.role))
+    largest = max(_LARGE, *(key.largest for key in KEYS if key.writer is not party.role))
     with router_settings(given) as access:
         settings = (
             _COMMON
@@ -402,7 +403,7 @@ def _open_client(
             limit = min(wanted, limit)
         else:
             limit = wanted
-    largest = max((LARGEST, *(key.largest for key in (*read_by(party), *written_by(party)))))
+    largest = max((_LARGE, *(key.largest for key in (*read_by(party), *written_by(party)))))
     settings = _COMMON | _CLIENT | _received(largest) | client_settings(credential)
     settings |= {"connect/endpoints": [connect], "connect/timeout_ms": limit}
     try:

@@ -7,7 +7,7 @@ outrider run minefield --driver policy --set custom.policy=navigate_by_tiles:pol
 import gymnasium
 import numpy as np
 
-import outrider
+from outrider_learning.suite.board import leaderboard
 from outrider_learning.suite.scoring import Team
 from outrider_learning.suite.tasks import suite
 
@@ -53,7 +53,7 @@ class Policy:
 policy = Policy()
 
 if __name__ == "__main__":
-    board = outrider.leaderboard(
+    board = leaderboard(
         {"navigate": "certified", "by tiles": Team(uav="certified", ugv=drive)},
         tasks=[suite("missions-v1")["minefield"]],
     )

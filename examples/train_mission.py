@@ -18,6 +18,7 @@ import torch
 from torch import nn
 
 import outrider
+from outrider_learning.suite.board import leaderboard
 from outrider_learning.suite.scoring import Team
 from outrider_learning.suite.tasks import SEEDS, suite
 from sim.models.ground import BLOCK, UNSEEN
@@ -131,7 +132,7 @@ class Actor(nn.Module):
 
 
 class Pilot:
-    """A side that has learned, for `outrider.leaderboard`: the observations of all worlds in, accelerations out."""
+    """A side that has learned, for `leaderboard`: the observations of all worlds in, accelerations out."""
 
     def __init__(self, side, actor):
         self.side, self.actor, self.tick = side, actor, 0
@@ -291,7 +292,7 @@ def main():
         "untrained": untrained,
         "learned": trainer.team(),
     }
-    board = outrider.leaderboard(entries, tasks=[task], seeds=SEEDS[: given.flights], **VIEW)
+    board = leaderboard(entries, tasks=[task], seeds=SEEDS[: given.flights], **VIEW)
     print(board.markdown())
     for standing in board.standings:
         (r,) = standing.results

@@ -15,6 +15,7 @@ import numpy as np
 
 import outrider
 from outrider.envs.env_pilots import pilots
+from outrider_learning.suite.tasks import suite
 
 env = outrider.parallel_env("escort", duration=60.0)
 policies = pilots(env)
@@ -106,7 +107,7 @@ TASKS = ("noise", "wander", "late-commands")
 SECRET = b"outrider-suite-1".hex()
 board = {}
 for name in TASKS:
-    task = outrider.suite()[name]
+    task = suite()[name]
     entries = (("tracking", {}), (mine, HELPS), ("certified", {}))
     board[name] = [task.evaluate(entry, secret=SECRET, **helps) for entry, helps in entries]
     print(

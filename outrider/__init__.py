@@ -17,35 +17,29 @@ if TYPE_CHECKING:
     from outrider.envs.vector import parallel_vector_env as parallel_vector_env
     from outrider.envs.vector import vector_env as vector_env
     from outrider.running.flying import run as run
-    from outrider_learning.suite.board import leaderboard as leaderboard
-    from outrider_learning.suite.tasks import suite as suite
     from sim.env.rewards import RewardWeights as RewardWeights
     from sim.scenario.loading import load_scenario as load_scenario
     from sim.scenario.loading import scenario_names as scenario_names
 
 _WHERE = {
     "RewardWeights": "sim.env.rewards",
-    "leaderboard": "outrider_learning.suite.board",
     "load_scenario": "sim.scenario.loading",
     "parallel_env": "outrider.envs.parallel",
     "parallel_vector_env": "outrider.envs.vector",
     "run": "outrider.running.flying",
     "scenario_names": "sim.scenario.loading",
     "single_env": "outrider.envs.single",
-    "suite": "outrider_learning.suite.tasks",
     "vector_env": "outrider.envs.vector",
 }
 
 __all__ = [
     "RewardWeights",
-    "leaderboard",
     "load_scenario",
     "parallel_env",
     "parallel_vector_env",
     "run",
     "scenario_names",
     "single_env",
-    "suite",
     "vector_env",
 ]
 
@@ -88,6 +82,6 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - a module's names have any t
     raise AttributeError(f"module 'outrider' has no attribute {name!r}")
 
 
-# Gymnasium, and PettingZoo on top of it, find our names where they are used; nobody else pays for their import.
+# Gymnasium, and PettingZoo on top of it, find our name where they are used; nobody else pays for their import.
 if "gymnasium" in sys.modules:
     import_module("outrider.registration")

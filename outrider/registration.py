@@ -1,4 +1,4 @@
-"""The environments' names at Gymnasium and PettingZoo: `outrider/Escort-v0`, and one for each task of the suite.
+"""The environment's name at Gymnasium and PettingZoo: `outrider/Escort-v0`.
 
 Gymnasium asks no package for its names; it imports the module in front of a colon,
 `outrider.registration:outrider/Escort-v0`,
@@ -7,12 +7,10 @@ registry from 1.27 on, is told where it has been imported; nobody else pays for 
 """
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import gymnasium
-
-from outrider_learning.suite.tasks import BASE, MISSIONS, TASKS, Suite
 
 if TYPE_CHECKING:
     from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]
@@ -22,94 +20,92 @@ if TYPE_CHECKING:
 
 ESCORT = "outrider/Escort-v0"
 _Maker = TypeVar("_Maker", bound=Callable[..., Any])
-_TASKS = Suite((*TASKS, *MISSIONS))
 
 
-def _drawing(maker: _Maker) -> _Maker:
-    """Say what the environments draw: Gymnasium reads it before it makes one."""
+def drawing(maker: _Maker) -> _Maker:
+    """Add the metadata that Gymnasium reads before it makes an environment."""
     maker.metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # type: ignore[attr-defined]
     return maker
 
 
-@_drawing
-def single(*, task: str = "", **settings: Any) -> "SingleEnv":  # noqa: ANN401 - those of the environment
-    """Makes what `gymnasium.make` returns: `outrider.single_env`, of a task of the suite if one is named."""
+@drawing
+def single(**settings: Any) -> "SingleEnv":  # noqa: ANN401 - those of the environment
+    """Make the environment of `gymnasium.make`: `outrider.single_env`."""
     from outrider.envs.single import SingleEnv  # noqa: PLC0415 - compiled code stands behind it
 
-    return _TASKS[task].make_single(**settings) if task else SingleEnv(**settings)
+    return SingleEnv(**settings)
 
 
-def vector(*, num_envs: int, task: str = "", **settings: Any) -> "OutriderVectorEnv":  # noqa: ANN401
-    """Makes what `gymnasium.make_vec` returns: `outrider.vector_env`, of a task of the suite if one is named.
+def vector(*, num_envs: int, **settings: Any) -> "OutriderVectorEnv":  # noqa: ANN401
+    """Make the environment of `gymnasium.make_vec`: `outrider.vector_env`.
 
     Raises:
         ValueError: If it is given a limit of steps, which Gymnasium can put around single environments only.
     """
     from outrider.envs.vector import OutriderVectorEnv  # noqa: PLC0415
 
-    if "max_episode_steps" in settings:
-        limit = settings["max_episode_steps"]
-        raise ValueError(
-            f"max_episode_steps = {limit!r}: not for many worlds at once; allowed: duration=..., in s"
-        )
-    return (
-        _TASKS[task].make(num_envs, **settings)
-        if task
-        else OutriderVectorEnv(num_envs=num_envs, **settings)
-    )
+    refuse_limit(settings, "max_episode_steps", "not for many worlds at once")
+    return OutriderVectorEnv(num_envs=num_envs, **settings)
 
 
-def parallel(*, task: str = "", **settings: Any) -> "ParallelEnv[str, Any, Any]":  # noqa: ANN401
-    """Makes `outrider.parallel_env`, of a task of the suite if one is named, for `pettingzoo.make("parallel", ...)`.
+def parallel(**settings: Any) -> "ParallelEnv[str, Any, Any]":  # noqa: ANN401
+    """Make the environment of `pettingzoo.make("parallel", ...)`: `outrider.parallel_env`.
 
     Raises:
         ValueError: If it is given a limit of cycles: episodes end by themselves.
     """
     from outrider.envs.parallel import parallel_env  # noqa: PLC0415
 
-    if "max_cycles" in settings:
-        limit = settings["max_cycles"]
-        raise ValueError(
-            f"max_cycles = {limit!r}: episodes have a length; allowed: duration=..., in s"
-        )
-    return parallel_env(_TASKS[task].scenario, **settings) if task else parallel_env(**settings)
+    refuse_limit(settings, "max_cycles", "episodes have a length")
+    return parallel_env(**settings)
 
 
 def turn_based(**settings: Any) -> "AECEnv[str, Any, Any]":  # noqa: ANN401
-    """Makes the same with agents that act one after the other, for `pettingzoo.make("aec", ...)`."""
+    """Make the environment of `pettingzoo.make("aec", ...)`, whose agents act one after the other."""
     from pettingzoo.utils import parallel_to_aec  # type: ignore[import-untyped]  # noqa: PLC0415
 
     return parallel_to_aec(parallel(**settings))
 
 
-def env_ids() -> tuple[str, ...]:
-    """All the names, the shipped escort's first."""
-    return (ESCORT, *(task.env_id for task in _TASKS))
+def refuse_limit(settings: Mapping[str, Any], name: str, why: str) -> None:
+    """Refuse a second limit of an episode's length.
+
+    Raises:
+        ValueError: If the settings have one.
+    """
+    if name in settings:
+        raise ValueError(f"{name} = {settings[name]!r}: {why}; allowed: duration=..., in s")
 
 
-def register() -> None:
-    """Tell Gymnasium, and PettingZoo where it has been imported, the environments' names; again does nothing.
+def register_names(names: Mapping[str, Mapping[str, str]], module: str) -> None:
+    """Register environments with Gymnasium, and with PettingZoo where it has been imported; again does nothing.
 
     No limit of steps is registered: the episodes end by themselves, and a second limit would only hide it.
+
+    Args:
+        names: Arguments of each environment's makers by its name.
+        module: Module with the makers `single`, `vector`, `parallel` and `turn_based`.
     """
-    settings: dict[str, dict[str, str]] = {ESCORT: {"scenario": BASE}} | {
-        task.env_id: {"task": task.name} for task in _TASKS
-    }
-    for env_id, kwargs in settings.items():
+    for env_id, kwargs in names.items():
         if env_id not in gymnasium.registry:
             gymnasium.register(
                 env_id,
-                entry_point="outrider.registration:single",
-                vector_entry_point="outrider.registration:vector",
-                kwargs=kwargs,
+                entry_point=f"{module}:single",
+                vector_entry_point=f"{module}:vector",
+                kwargs=dict(kwargs),
             )
     pettingzoo = sys.modules.get("pettingzoo")
     if pettingzoo is not None and hasattr(pettingzoo, "parallel_registry"):
-        for env_id, kwargs in settings.items():
+        for env_id, kwargs in names.items():
             if env_id not in pettingzoo.parallel_registry:
                 for kind, maker in (("parallel", "parallel"), ("aec", "turn_based")):
-                    entry_point = f"outrider.registration:{maker}"
-                    pettingzoo.register(kind, env_id, entry_point=entry_point, kwargs=kwargs)
+                    entry_point = f"{module}:{maker}"
+                    pettingzoo.register(kind, env_id, entry_point=entry_point, kwargs=dict(kwargs))
+
+
+def register() -> None:
+    """Register `outrider/Escort-v0`."""
+    register_names({ESCORT: {"scenario": "escort"}}, __name__)
 
 
 register()

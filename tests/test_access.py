@@ -3,6 +3,7 @@
 What the router enforces, tried with real sessions that do not ask our API first.
 """
 
+import functools
 import os
 import stat
 import time
@@ -44,7 +45,6 @@ from staging import Received, everybody, hosted, listening, raw_session, settled
 
 RUN = "run"
 GIVEN = new_credentials(RUN, ["uav_0", "uav_1"], ["ugv_0", "ugv_1"])
-CERTIFIED = new_certificates(new_authority(RUN), ["uav_0", "uav_1"], ["ugv_0", "ugv_1"])
 NAMES = [credential.name for credential in GIVEN.parties]
 VEHICLES = {Role.UAV: ["uav_0", "uav_1"], Role.UGV: ["ugv_0", "ugv_1"]}
 REMOTE = zenoh.Locality.REMOTE
@@ -53,14 +53,21 @@ REMOTE = zenoh.Locality.REMOTE
 pytestmark = pytest.mark.usefixtures("impatient")
 
 
+@functools.cache
+def certified() -> CredentialSet:
+    return new_certificates(new_authority(RUN), ["uav_0", "uav_1"], ["ugv_0", "ugv_1"])
+
+
 @pytest.fixture(params=["password", "tls"])
 def known_by(request: pytest.FixtureRequest, endpoint: str) -> str:
     """An endpoint whose clients are known by passwords, and one whose by certificates."""
+    if request.param == "tls":
+        pytest.importorskip("cryptography", reason="the extra [tls] is not installed")
     return endpoint if request.param == "password" else f"tls/127.0.0.1:{free_port()}"
 
 
 def given(endpoint: str) -> CredentialSet:
-    return CERTIFIED if endpoint.startswith("tls/") else GIVEN
+    return certified() if endpoint.startswith("tls/") else GIVEN
 
 
 def router(endpoint: str) -> AbstractContextManager[Session]:
@@ -373,8 +380,8 @@ def test_no_process_of_a_vehicle_inherits_the_pages_token_or_the_users_credentia
     monkeypatch,
 ) -> None:
     monkeypatch.setenv("OUTRIDER_TOKEN", "x" * 20)
-    for name in ("OUTRIDER_CREDENTIALS", "OUTRIDER_PASSWORD"):
+    for name in ("OUTRIDER_CREDENTIALS", "OUTRIDER_HOST", "OUTRIDER_PASSWORD"):
         monkeypatch.setenv(name, "y")
-        assert name not in child_environment(token=True)
+        assert name not in child_environment(companion=True)
     assert "OUTRIDER_TOKEN" not in child_environment()
-    assert "OUTRIDER_TOKEN" in child_environment(token=True)
+    assert "OUTRIDER_TOKEN" in child_environment(companion=True)

@@ -18,8 +18,6 @@ from outrider.experiments.sweep.definition import describe_sweep
 from outrider.experiments.sweep.plan import lay_out
 from outrider.running.flying import run
 from outrider.running.user_code import foreign_code
-from outrider_fmi.driver import FmuPolicy
-from outrider_learning.mlp import load_policy
 from processes import python
 from refusals import refused
 from sim.scenario.loading import load_scenario, scenario_names, shipped_text
@@ -134,6 +132,7 @@ def test_a_key_of_a_million_parts_is_refused_unparsed(text: str, tmp_path: Path)
 
 
 def test_other_files_are_bounded_too(tmp_path: Path) -> None:
+    load_policy = pytest.importorskip("outrider_learning.mlp").load_policy
     fifo, large, packed = tmp_path / "fifo", tmp_path / "large", tmp_path / "packed.npz"
     os.mkfifo(fifo, 0o600)
     with large.open("wb") as file:
@@ -212,6 +211,7 @@ def test_code_that_a_file_names_is_loaded_on_demand_alone(foreign: Path) -> None
 
 @pytest.mark.parametrize("command", ["run", "falsify"])
 def test_commands_ask_before_they_load_code_of_a_file(command, foreign, monkeypatch, capsys):
+    pytest.importorskip("outrider" if command == "run" else "outrider_falsify")
     from outrider.cli.main import _run
 
     monkeypatch.setattr(sys, "argv", ["outrider", command, str(foreign)])
@@ -270,6 +270,7 @@ def test_a_sweep_of_too_many_runs_is_refused() -> None:
 
 def test_a_unit_that_unpacks_to_much_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("fmpy")
+    unit = pytest.importorskip("outrider_fmi.driver").FmuPolicy
     with (
         zipfile.ZipFile(tmp_path / "big.fmu", "w", zipfile.ZIP_DEFLATED) as archive,
         archive.open("modelDescription.xml", "w", force_zip64=True) as file,
@@ -277,7 +278,7 @@ def test_a_unit_that_unpacks_to_much_is_refused(tmp_path: Path) -> None:
         for _ in range(257):
             file.write(bytes(1 << 20))
     with pytest.raises(ScenarioError, match="unpacks to 257 MiB; allowed: 256 MiB"):
-        FmuPolicy(str(tmp_path / "big.fmu"), "policy")
+        unit(str(tmp_path / "big.fmu"), "policy")
 
 
 def test_titles_and_names_reach_no_terminal_and_no_picture(tmp_path, command, monkeypatch):

@@ -10,6 +10,8 @@ from typing import Any
 
 import msgspec
 import pytest
+
+pytest.importorskip("cryptography", reason="the extra [tls] is not installed")
 import zenoh
 
 from bus import session

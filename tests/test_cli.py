@@ -15,18 +15,45 @@ from outrider.cli.main import COMMANDS
 from processes import outrider
 from tabular import rows, words
 
-NAMES = sorted({*COMMANDS, *registered("commands")} - {"scenarios", "network", "fmu"})
+GROUPS = {"scenarios", "network", "fmu"}
+EXTENSIONS = {
+    name: entry.module.partition(".")[0] for name, entry in registered("commands").items()
+}
+NAMES = sorted({*COMMANDS, *EXTENSIONS} - GROUPS)
+LIBRARIES = {
+    "drive": "textual",
+    "record": "foxglove",
+    "render": "mcap",
+    "sweep": "pyarrow",
+    "replay": "mcap",
+    "report": "pyarrow",
+    "falsify": "cma",
+}
+LIBRARIES |= {"drive": "textual", "record": "foxglove", "render": "mcap"}
+LIBRARIES |= {"mavlink": "pymavlink", "ros2": "rosbags", "dashboard": "nicegui"}
+
+
+def needs(arguments: str) -> None:
+    """Skip the test where the command's extension or library is not installed."""
+    name, *others = arguments.split() or [""]
+    module = EXTENSIONS.get(name, "outrider")
+    wanted = {module, LIBRARIES.get(name, "outrider")}
+    wanted |= {LIBRARIES["dashboard"], "outrider_dashboard"} if "dashboard" in others else set()
+    for one in wanted:
+        pytest.importorskip(one, reason="not installed here")
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_command_has_help_with_an_example(name, command):
+    needs(name)
     told = command(name, "--help")
     assert told.returncode == 0
     assert f"Example: outrider {name}" in " ".join(told.stdout.split())
 
 
-@pytest.mark.parametrize("name", ["", *NAMES, "network", "scenarios", "fmu"])
+@pytest.mark.parametrize("name", ["", *NAMES, *sorted(GROUPS)])
 def test_no_help_is_cut_or_too_wide_in_a_terminal_of_80_columns(name, command, monkeypatch) -> None:
+    needs(name)
     monkeypatch.setenv("COLUMNS", "80")
     told = command(*name.split(), "--help").stdout
     assert max(map(len, told.splitlines())) <= 80
@@ -70,8 +97,9 @@ credentials not there | uav --credentials nowhere.json | nowhere.json
 owner | credentials --owner me | --owner 'me'
 clock without processes | run --in-process --realtime 1 | --realtime
 clock that runs back | run --realtime -1 | --realtime
-page without processes | run --in-process --dashboard | in-process
-page and numbers | replay nowhere.mcap --dashboard --json | --dashboard shows
+page without processes | run --in-process --with dashboard | in-process
+page and numbers | replay nowhere.mcap --with dashboard --json | --with plays
+unknown companion | run --with dashbord | --with dashbord
 scenario to show | scenarios show circel | circle
 falsify, unknown law | falsify --law fancy | law.name = "fancy"
 falsify, no runs | falsify --runs 0 | --runs
@@ -136,6 +164,7 @@ ugv = [{position = [7, 7]}, {position = [7, 27]}]
 def test_what_cannot_be_done_gets_one_line_its_exit_code_and_no_file(
     arguments, told, code, here, command
 ):
+    needs(arguments)
     (here / "taken").write_text("a file", encoding="utf-8")
     (here / "pairs.toml").write_text(TWO_PAIRS, encoding="utf-8")
     run = command(*words(arguments))
@@ -147,24 +176,28 @@ def test_what_cannot_be_done_gets_one_line_its_exit_code_and_no_file(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "package", "module", "extra"),
+    ("arguments", "module", "extra"),
     rows("""
-run --dashboard | nicegui | nicegui | dashboard
-dashboard | nicegui | nicegui | dashboard
-falsify | cma | cma | falsify
-sweep | pyarrow | pyarrow | sweep
-sweep --dask tcp://127.0.0.1:1 | distributed | distributed | dask
-mavlink | pymavlink | pymavlink.dialects.v20 | mavlink
-ros2 | rosbags | rosbags.typesys | ros2
+run --with dashboard | nicegui | dashboard
+dashboard | nicegui | dashboard
+falsify | cma | falsify
+sweep | pyarrow | sweep
+sweep --dask tcp://127.0.0.1:1 | distributed | dask
+mavlink | pymavlink.dialects.v20 | mavlink
+ros2 | rosbags.typesys | ros2
 """),
 )
 def test_a_missing_extra_is_one_line_that_says_what_to_install(
-    arguments, package, module, extra, monkeypatch, command
+    arguments, module, extra, monkeypatch, command
 ):
+    needs(arguments)
+    package = module.partition(".")[0]
+    known = plugins.version_of
+
     def version(name: str) -> str:
         if name == package:
             raise PackageNotFoundError(name)
-        return "1.0"
+        return known(name)
 
     monkeypatch.setattr(plugins, "version_of", version)
     monkeypatch.setitem(sys.modules, module, None)

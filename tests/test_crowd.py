@@ -1,4 +1,4 @@
-"""A crowd at the router's port, or a vehicle with credentials, ends no run; heavy ones are in `make crowd-test`."""
+"""A crowd at the router's port, or a vehicle with credentials, ends no run."""
 
 import socket
 from contextlib import ExitStack

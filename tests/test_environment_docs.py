@@ -8,11 +8,16 @@ import pytest
 import outrider
 from outrider.envs.single import single_env
 from outrider.envs.vector import vector_env
-from outrider.registration import env_ids
-from outrider_learning.suite.board import BASELINES, leaderboard
-from outrider_learning.suite.tasks import TASKS, Task, suite
+from outrider.registration import ESCORT
 from pages import PAGES, ROOT, blocks, marked, run_shown
 from sim.env.settings import Settings
+
+pytest.importorskip("outrider_learning", reason="the pages show its suite")
+
+from outrider_learning.registration import env_ids
+from outrider_learning.suite import tasks
+from outrider_learning.suite.board import BASELINES, leaderboard
+from outrider_learning.suite.tasks import TASKS, Task, suite
 
 DEFAULTS = vars(Settings())
 VECTOR, SUITE = "docs/reference/vector-environment.md", "docs/reference/suite.md"
@@ -29,7 +34,7 @@ def test_the_environments_shown_can_be_flown(block, capsys):
 def test_the_entry_shown_is_scored(monkeypatch, capsys):
     (block,) = blocks("python", SUITE)
     short = Task(name="short", hard="", changes={**suite()["short-sight"].changes, "duration": 5.0})
-    monkeypatch.setattr(outrider, "suite", lambda: {"short-sight": short}, raising=False)
+    monkeypatch.setattr(tasks, "suite", lambda: {"short-sight": short})
     run_shown(block, SUITE)
     out = capsys.readouterr().out
     assert "0 of 20 lost" in out
@@ -62,7 +67,10 @@ def test_the_tasks_told_are_the_suites() -> None:
     ]
     for row, task in zip(rows, TASKS, strict=True):
         assert re.findall(r"`([\w.]+)", row[2]) == list(task.changes)
-    assert all(name in env_ids() for name in re.findall(r"`(outrider/[\w-]+-v\d)`", PAGES[VECTOR]))
+    assert all(
+        name in (ESCORT, *env_ids())
+        for name in re.findall(r"`(outrider/[\w-]+-v\d)`", PAGES[VECTOR])
+    )
 
 
 def test_the_leaderboard_told_is_what_the_command_makes() -> None:
@@ -97,4 +105,3 @@ def test_the_tutorial_shows_the_example_as_it_is() -> None:
 @pytest.fixture(autouse=True)
 def _front_door(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(outrider, "single_env", single_env, raising=False)
-    monkeypatch.setattr(outrider, "leaderboard", leaderboard, raising=False)

@@ -34,8 +34,6 @@ from outrider.view.flight_picture import draw_flight
 from outrider.view.terminal.palette import UGV
 from outrider.view.terminal.teleoperation import DriveView
 from outrider.view.terminal.topview import Trails, draw
-from outrider_dashboard.hub import Hub
-from outrider_dashboard.sources.tape import Tape
 from sim.scenario.types import Ground, Hazard, Scenario, Ugv
 from sim.scene.colors import HAZARDS, LIMIT
 from sim.scene.drawing import Map
@@ -95,7 +93,7 @@ def test_observers_are_shown_the_tiles_that_the_ugvs_own_pilot_knows() -> None:
 
 
 def test_observers_alone_are_told_of_the_ground_with_its_hazards() -> None:
-    assert set(GROUND.readers) == {Role.OBSERVER, Role.OPERATOR, Role.ROS2}
+    assert set(GROUND.readers) == {Role.OBSERVER, Role.OPERATOR}
 
 
 class Routed(InProcess):
@@ -165,6 +163,8 @@ def test_every_view_draws_the_route(planned, tmp_path: Path) -> None:
     drawn = Map(Figure().add_subplot(), scene_of(flight.scenario), hazards=ground)
     (line,) = [one for one in drawn.artists if getattr(one, "is_dashed", lambda: False)()]
     assert line.get_xydata().tolist() == [list(corner) for corner in ground.routes["ugv_0"]]
+    Hub = pytest.importorskip("outrider_dashboard.hub", exc_type=ImportError).Hub
+    Tape = pytest.importorskip("outrider_dashboard.sources.tape").Tape
     hub = Hub(Tape(flight_of(path), 1.0, lambda: 0.0))
     hub.source.wind(6.0)  # type: ignore[attr-defined]
     hub.take_in()
@@ -256,6 +256,8 @@ def test_a_film_shows_hazards_faint_then_strong_and_red_where_one_was_hit(flown)
 
 
 def test_the_page_is_given_the_ground_as_the_tape_goes_on(flown) -> None:
+    Hub = pytest.importorskip("outrider_dashboard.hub", exc_type=ImportError).Hub
+    Tape = pytest.importorskip("outrider_dashboard.sources.tape").Tape
     hub = Hub(Tape(flight_of(flown[0]), 1.0, lambda: 0.0))
     hub.take_in()
     browser = hub.welcome("127.0.0.1")

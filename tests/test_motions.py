@@ -17,15 +17,18 @@ from flights import EVADED, PROMISED, certified, flown_in_both, told, uav_sees
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
-from outrider_falsify.attack import attack
-from outrider_falsify.conditions import DISTURBANCES, Conditions, declared
-from outrider_falsify.lost_motions import LOSSES
 from processes import flown_both_ways
 from sim.models.motion import motion_plan, motion_row
 from sim.scenario.types import Certificate, LinkTable, Uav
 from sim.server.flight import Flight
 from sim.world import World
 from worlds import LOSSY, SCENARIOS, raw, small
+
+pytest.importorskip("outrider_falsify", reason="the theorem is attacked by it")
+
+from outrider_falsify.attack import attack
+from outrider_falsify.conditions import DISTURBANCES, Conditions, declared
+from outrider_falsify.lost_motions import LOSSES
 
 LOST = SCENARIOS["lost commands"]
 RECORDED = Path(__file__).resolve().parent.parent / "examples" / "networks" / "wifi-far.csv"

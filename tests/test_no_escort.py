@@ -8,6 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 
+pytest.importorskip("foxglove", reason="the extra [record] is not installed")
+
 import outrider
 from bus.errors import ScenarioError
 from flights import record, sha256
@@ -28,8 +30,6 @@ from outrider.view.film import Film
 from outrider.view.flight_picture import flight_figure
 from outrider.view.terminal.teleoperation import DriveView
 from outrider.view.terminal.topview import Trails, draw
-from outrider_dashboard.hub import Hub
-from outrider_dashboard.sources.tape import Tape
 from processes import flown_both_ways
 from sim.scenario.checks import check_scenario
 from sim.scenario.loading import load_scenario
@@ -103,6 +103,8 @@ def test_every_view_shows_a_ugv_alone(flown) -> None:
     recording = flight_of(path)
     frame = next(iter(Film(recording).frames([10.0])))
     assert frame.std() > 0.0
+    Hub = pytest.importorskip("outrider_dashboard.hub", exc_type=ImportError).Hub
+    Tape = pytest.importorskip("outrider_dashboard.sources.tape").Tape
     hub = Hub(Tape(recording, 1.0, lambda: 0.0))
     hub.take_in()
     assert [vehicle.name for vehicle in hub._scene.vehicles] == ["ugv_0"]

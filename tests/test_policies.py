@@ -1,22 +1,14 @@
-"""Policies at the UGV's wheel that a learning library has saved.
+"""Policies at the UGV's wheel: functions and objects of the user's own."""
 
-On the bus they see and do what they did in the environment.
-
-The libraries need not be installed: stand-ins with the same calls lie on the path.
-"""
-
-import importlib
-import json
 import logging
 import math
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -25,133 +17,27 @@ from agents.drivers.policy import Policy, PolicyDriver, UgvRows
 from bus.errors import ScenarioError
 from bus.messages import Command, UgvObservation
 from bus.observations import UGV, names
-from bus.registry import SAVED_POLICIES
 from flights import DT, U_G, V_G, Piloted, told_ugv
 from outrider.envs.env_pilots import pilots
 from outrider.running import user_modules
-from outrider.running.flying import fly, make_pilots
+from outrider.running.flying import make_pilots
 from outrider.running.user_code import load_function, load_policy
-from processes import loaded_by
 from refusals import refused
 from sim.models.vehicles import norm
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Custom, Scenario
+from sim.scenario.types import Scenario
 from sim.server.flight import Flight
-from tabular import rows, words
-
-LIBRARIES = ("stable_baselines3", "sb3_contrib", "torch", "onnxruntime")
-
-STAND_INS = {
-    "stable_baselines3": """
-import json
-from types import SimpleNamespace
-import numpy as np
-
-class PPO:
-    def __init__(self, told):
-        row = SimpleNamespace(shape=tuple(told["row"]), dtype=np.dtype(told["dtype"]), low=np.array(told["low"]))
-        parts = {name: SimpleNamespace(shape=tuple(shape)) for name, shape in told["pictures"].items()}
-        self.observation_space = SimpleNamespace(spaces={"row": row} | parts) if parts else row
-        self.action_space = SimpleNamespace(shape=tuple(told["action"]))
-        self.weights, self.seen, self.asked = np.array(told["weights"]), [], []
-
-    @classmethod
-    def load(cls, path, device="auto"):
-        assert device == "cpu"
-        with open(path) as file:
-            return cls(json.load(file))
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        self.seen.append(observation)
-        self.asked.append((state, bool(episode_start[0]), deterministic))
-        return np.tanh(observation @ self.weights), (state or 0) + 1
-""",
-    "torch": """
-import json
-from contextlib import nullcontext
-from types import SimpleNamespace
-import numpy as np
-
-float32, no_grad, as_tensor = np.float32, nullcontext, np.asarray
-
-class _Module:
-    def __init__(self, weights):
-        self.weights, self.ready = np.array(weights, dtype=np.float32), False
-
-    def eval(self):
-        self.ready = True
-
-    def __call__(self, tensor):
-        assert self.ready and tensor.dtype == np.float32 and tensor.shape == (8,)
-        return np.tanh(tensor @ self.weights)
-
-def _load(path, map_location):
-    assert map_location == "cpu"
-    with open(path) as file:
-        return _Module(json.load(file)["weights"])
-
-jit = SimpleNamespace(load=_load)
-""",
-    "onnxruntime": """
-import json
-from types import SimpleNamespace
-import numpy as np
-
-SessionOptions = SimpleNamespace
-
-class InferenceSession:
-    def __init__(self, path, options, providers):
-        assert providers == ["CPUExecutionProvider"] and options.intra_op_num_threads == 1
-        with open(path) as file:
-            self.told = json.load(file)
-
-    def get_inputs(self):
-        shape = (*self.told["batch"], *self.told["row"])
-        return [SimpleNamespace(name="x", type=self.told["type"], shape=list(shape))] * self.told["inputs"]
-
-    def run(self, outputs, given):
-        assert outputs is None and given["x"].dtype == np.float64
-        return [np.tanh(given["x"] @ np.array(self.told["weights"]))]
-""",
-}
-WEIGHTS = [
-    *([0.0, 0.0], [0.1, -0.02], [-0.1, 0.03], [0.5, 0.1]),
-    *([0.1, -0.7], [0.2, 0.2], [0.01, 0.0], [0.0, -0.02]),
-]
-LOW = [0.0, 0.0, 0.0, -0.5, -0.5, 0.0, 0.0, 0.0]
-SEEN = {"row": [8], "low": LOW, "pictures": {}, "dtype": "float64"}
-INPUT = {"batch": [], "inputs": 1, "type": "tensor(double)"}
-TOLD = SEEN | INPUT | {"action": [2], "weights": WEIGHTS}
 
 
 @pytest.fixture
-def _no_libraries(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """None of the libraries is there, and none that a test brings stays."""
-    for name in LIBRARIES:
-        monkeypatch.setitem(sys.modules, name, None)
-    yield
-    importlib.invalidate_caches()
-
-
-@pytest.fixture
-def here(_no_libraries: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The working folder, with the stand-ins and a policy for each."""
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
-    for name, body in STAND_INS.items():
-        (tmp_path / f"{name}.py").write_text(body)
-        monkeypatch.delitem(sys.modules, name)
-        monkeypatch.setitem(sys.modules, name, importlib.import_module(name))
-    for file in ("model.zip", "model.pt", "model.onnx"):
-        (tmp_path / file).write_text(json.dumps(TOLD))
     return tmp_path
 
 
-def tell(folder: Path, file: str, **changes: Any) -> None:
-    (folder / file).write_text(json.dumps(TOLD | changes))
-
-
-def _scenario(policy: str = "") -> Scenario:
+def _scenario() -> Scenario:
     """A UGV that is fast enough to pass its goals, and then some."""
     changes = {
         "duration": 60.0,
@@ -159,11 +45,7 @@ def _scenario(policy: str = "") -> Scenario:
         "ugv.0.max_acceleration": 0.2,
         "ugv.0.goals": [[10.4, 8.0], [9.0, 9.0]],
     }
-    scenario = load_scenario("escort", overrides=changes)
-    if not policy:
-        return scenario
-    driven = tuple(msgspec.structs.replace(ugv, driver="policy") for ugv in scenario.ugv)
-    return msgspec.structs.replace(scenario, ugv=driven, custom=Custom(policy=policy))
+    return load_scenario("escort", overrides=changes)
 
 
 def _seen(
@@ -331,47 +213,6 @@ def test_the_pilots_row_is_the_environments_to_the_bit_over_a_flight(scenario: S
     assert underway[-1] == (0.0 if scenario.ugv[0].max_speed == 0.5 else 1.0)
 
 
-@pytest.mark.parametrize(
-    "name", ["sb3:ppo:model.zip", "sb3:PPO:model.zip", "torch:model.pt", "onnx:model.onnx"]
-)
-def test_a_saved_policy_flies_the_same_bits_as_in_the_environment(here: Path, name: str) -> None:
-    scenario = _scenario(name)
-    flight, _ = fly(scenario, 3)
-    model, env = load_policy(name), outrider.parallel_env(_scenario(), end_on_sight_lost=False)
-    fleet = pilots(env)
-    observations, _ = env.reset(seed=3)
-    k, state = 0, None
-    while env.agents:
-        assert np.array_equal(env.world.position, flight.recorder.states[k, :, :2])
-        assert np.array_equal(env.world.velocity, flight.recorder.states[k, :, 2:4])
-        row = observations["ugv_0"]
-        if name.startswith("sb3"):
-            action, state = model.predict(row, state=state, episode_start=[False])
-        else:
-            action = model.predict(row)
-        theirs = fleet["uav_0"](observations["uav_0"])
-        observations, *_ = env.step({"uav_0": theirs, "ugv_0": action})
-        k += 1
-    assert k == flight.recorder.ticks == scenario.ticks
-    pace = np.hypot(*flight.recorder.states[:, 1, 2:4].T)
-    # the bounds of the world were met, and nothing else bent the action
-    assert pace.max() == pytest.approx(0.5)
-
-
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_what_an_sb3_policy_is_asked(here: Path, dtype: str) -> None:
-    tell(here, "model.zip", dtype=dtype)
-    model = load_policy("sb3:ppo:model.zip")
-    driver = PolicyDriver(told_ugv(), policy=model, name="x")
-    for tick in range(3):
-        driver.drive(_seen(tick))
-    assert model.asked == [(None, True, True), (1, False, True), (2, False, True)]
-    assert {row.dtype for row in model.seen} == {np.dtype(dtype)}
-    other = PolicyDriver(told_ugv(), policy=model, name="x")  # another UGV of the same process
-    other.drive(_seen(0))
-    assert model.asked[-1] == (None, True, True)
-
-
 def test_ugvs_that_share_a_policy_reach_goals_of_their_own() -> None:
     model = Model(lambda row: (0.0, 0.0))
     first, other = (PolicyDriver(told_ugv(), policy=model, name="x") for _ in range(2))
@@ -424,84 +265,6 @@ def refusal(name: str) -> str:
     return line
 
 
-@pytest.mark.usefixtures("_no_libraries")
-@pytest.mark.parametrize(
-    ("name", "package"),
-    [
-        ("sb3:ppo:m.zip", "stable-baselines3"),
-        ("torch:m.zip", "torch"),
-        ("onnx:m.zip", "onnxruntime"),
-    ],
-)
-def test_a_missing_library_is_named_with_the_command_that_installs_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, package: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("m.zip").write_bytes(b"")
-    assert f"pip install {package}" in refusal(name)
-
-
-@pytest.mark.parametrize(
-    "content", [b"", b"hello", json.dumps(TOLD).encode()[:-9], b"\xff\x00"], ids=range(4)
-)
-@pytest.mark.parametrize("name", ["sb3:ppo:bad.zip", "torch:bad.zip", "onnx:bad.zip"])
-def test_a_damaged_file_is_named_in_one_line(here: Path, name: str, content: bytes) -> None:
-    (here / "bad.zip").write_bytes(content)
-    assert "cannot be loaded" in refusal(name)
-
-
-@pytest.mark.parametrize(
-    ("names", "said"),
-    rows("""
-sb3:ppo:none.zip sb3:ppo: torch:none.pt torch: onnx:none.onnx onnx:. | no such file
-model.zip model.pt folder/model.onnx sb3:model.zip | sb3:ALGORITHM:FILE.zip
-sb3:ddq:model.zip | unknown algorithm 'ddq'; installed: ppo
-"""),
-)
-def test_a_name_lacks_its_file_its_library_or_its_algorithm_in_one_line(here, names, said):
-    assert all(said in refusal(name) for name in words(names))
-
-
-@pytest.mark.parametrize(
-    ("name", "changes"),
-    [
-        ("sb3:ppo:model.zip", {"row": [9]}),
-        ("sb3:ppo:model.zip", {"action": [4]}),
-        ("sb3:ppo:model.zip", {"pictures": {"coverage": [21, 21]}}),
-        ("sb3:ppo:model.zip", {"pictures": {"tiles": [3, 21, 21]}}),
-        ("sb3:ppo:model.zip", {"pictures": {"tiles": [20, 20]}}),
-        ("onnx:model.onnx", {"row": [9]}),
-        ("onnx:model.onnx", {"inputs": 2}),
-        ("onnx:model.onnx", {"batch": [2]}),
-        ("onnx:model.onnx", {"batch": [1, 1]}),
-        ("onnx:model.onnx", {"type": "tensor(float16)"}),
-    ],
-)
-def test_a_policy_of_another_agent_is_refused_before_it_flies(here, name, changes):
-    tell(here, name.rpartition(":")[2], **changes)
-    assert "allowed: " in refusal(name)
-
-
-@pytest.mark.parametrize("pictures", [{}, {"tiles": [21, 21]}], ids=str)
-def test_a_saved_policy_of_normalized_rows_is_refused_when_it_is_loaded(
-    here: Path, pictures: dict[str, Any]
-) -> None:
-    for low in (LOW, [-math.inf] * 8):
-        tell(here, "model.zip", low=low, pictures=pictures)
-        assert load_policy("sb3:ppo:model.zip")
-    for low in ([-1.0] * 8, [0.0] * 8):  # as `normalized` scales them, and as SuperSuit does
-        tell(here, "model.zip", low=low, pictures=pictures)
-        assert "which are no rows in SI units" in refusal("sb3:ppo:model.zip")
-
-
-@pytest.mark.parametrize("batch", [[], [1], ["batch"]], ids=str)
-def test_an_onnx_graph_may_want_a_batch(here: Path, batch: list[Any]) -> None:
-    tell(here, "model.onnx", batch=batch)
-    row = UgvRows(told_ugv()).row(_seen())
-    found = PolicyDriver(told_ugv(), policy=load_policy("onnx:model.onnx"), name="x").drive(_seen())
-    assert found == tuple(np.tanh(row @ np.array(WEIGHTS)))
-
-
 def test_a_module_that_breaks_while_it_is_imported_is_named_in_one_line(here: Path) -> None:
     (here / "mine_broken.py").write_text("raise ValueError('no\\nweights')\n")
     assert "cannot be imported: ValueError: no weights" in refusal("mine_broken:policy")
@@ -535,12 +298,6 @@ def test_a_function_may_be_named_by_its_file(here: Path, monkeypatch) -> None:
     (here / "my_wheels.py").write_text("def wheel(observation, briefing):\n    return 0.1, 0.0\n")
     assert load_policy("my_wheels.py:wheel")(None, None) == (0.1, 0.0)
     assert load_scenario(overrides={"custom.weighting": "my_wheels.py:wheel"})
-
-
-def test_only_what_is_flown_is_imported() -> None:
-    loaded = loaded_by("outrider.running.user_code, outrider.running.flying")
-    assert loaded.isdisjoint({*LIBRARIES, "fmpy"})
-    assert set(SAVED_POLICIES) == {"sb3", "torch", "onnx", "fmu"}
 
 
 def test_a_module_of_the_working_folder_goes_before_a_clone_s_and_behind_a_library_s(

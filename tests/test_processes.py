@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from outrider.recording.reader import statuses
 from outrider.running.flying import fly
 from outrider.running.run_folder import run_folder
 from processes import (
@@ -151,6 +150,9 @@ def test_a_file_that_a_policy_leaves_open_is_written_out(tmp_path: Path, how: li
 
 @pytest.mark.parametrize("victim", ["uav", "ugv"])
 def test_a_vehicle_that_dies_brakes_and_the_run_ends_with_its_name(victim, tmp_path):
+    pytest.importorskip("foxglove", reason="the extra [record] is not installed")
+    from outrider.recording.reader import statuses
+
     recorded = tmp_path / "run.mcap"
     told = ["escort", *words("--duration 100 --no-picture --json --out"), str(tmp_path)]
     told += ["--record", str(recorded)] if victim == "ugv" else []  # once: it takes its time

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+pytest.importorskip("outrider_learning", reason="the pages show extensions, too")
 import typer
 
 import outrider
@@ -158,7 +160,7 @@ def test_names_and_paths_of_the_code_that_are_told_exist(page: str) -> None:
         file = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
         defined = rf"^ *(?:def|class) {rest[0]}\b|^ *\"?{rest[0]}\"?\s*[:=]" if rest else ""
         assert re.search(defined, file.read_text(encoding="utf-8"), re.MULTILINE), name
-    folders = "agents|sim|bus|outrider|tests|tests_learning|tools|benchmarks|examples|docs"
+    folders = "agents|sim|bus|outrider|extensions|tests|benchmarks|examples|docs"
     paths = set(re.findall(rf"`((?:{folders})/[\w./-]*)", PAGES[page]))
     for path in paths - {one for one in paths if re.match(r"outrider/[A-Z]", one)}:
         assert (ROOT / path).exists(), path

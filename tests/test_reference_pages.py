@@ -19,6 +19,11 @@ from pages import PAGES
 from sim.scenario.loading import scenario_names
 from sim.scenario.types import Scenario
 
+pytest.importorskip("outrider_learning", reason="the pages show extensions, too")
+for _library in ("rosbags", "xxhash", "fmpy"):
+    pytest.importorskip(_library, reason="a page shows what needs it")
+
+
 GENERATORS = Path(__file__).resolve().parent.parent / "docs" / "generators"
 
 

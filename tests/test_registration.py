@@ -1,4 +1,4 @@
-"""The names at Gymnasium and PettingZoo: they make what they say, and nothing is limited twice."""
+"""The name at Gymnasium and PettingZoo: it makes what it says, and nothing is limited twice."""
 
 import copy
 import pickle
@@ -14,21 +14,10 @@ from gymnasium.vector import SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
 
 import outrider
-from outrider.envs.single import SingleEnv
 from outrider.envs.vector import OutriderVectorEnv
-from outrider.registration import ESCORT, env_ids, register
-from outrider_learning.suite.tasks import MISSIONS, TASKS
+from outrider.registration import ESCORT, register
 from processes import loaded_by, python
 from refusals import refused
-
-
-def test_there_is_a_name_for_the_escort_and_for_each_task() -> None:
-    assert env_ids() == (ESCORT, *(task.env_id for task in (*TASKS, *MISSIONS)))
-    assert len(set(env_ids())) == 1 + len(TASKS) + len(MISSIONS)
-    for task in TASKS:
-        made = gymnasium.make(task.env_id).unwrapped
-        assert isinstance(made, SingleEnv)
-        assert made.worlds.scenario == task.scenario
 
 
 def test_registering_again_does_nothing() -> None:
@@ -39,16 +28,14 @@ def test_registering_again_does_nothing() -> None:
     assert [dict(one) for one in registries] == before
 
 
-def test_pettingzoo_has_the_same_names_with_all_vehicles_as_agents() -> None:
+def test_pettingzoo_has_the_same_name_with_all_vehicles_as_agents() -> None:
     code = "import pettingzoo, outrider; print(*(n for n in pettingzoo.parallel_registry if n.startswith('outrider')))"
     run = python(code)
-    assert run.stdout.split() == list(env_ids())
+    assert run.stdout.split() == [ESCORT]
     register()
     env = pettingzoo.make("parallel", ESCORT, duration=1.0)
     assert env.possible_agents == ["uav_0", "ugv_0"]
     assert env.unwrapped.scenario.duration == 1.0
-    task = pettingzoo.make("parallel", "outrider/Suite-TwoPairs-v0")
-    assert task.unwrapped.scenario == next(t.scenario for t in TASKS if t.name == "two-pairs")
     turns = pettingzoo.make("aec", ESCORT, duration=1.0)
     turns.reset(seed=1)
     assert turns.agent_selection == "uav_0"
@@ -56,9 +43,8 @@ def test_pettingzoo_has_the_same_names_with_all_vehicles_as_agents() -> None:
         pettingzoo.make("parallel", ESCORT, max_cycles=10)
 
 
-@pytest.mark.parametrize("env_id", [ESCORT, "outrider/Suite-TwoPairs-v0"])
-def test_a_spec_can_be_copied_pickled_written_and_made_again(env_id: str) -> None:
-    spec = gymnasium.spec(env_id)
+def test_a_spec_can_be_copied_pickled_written_and_made_again() -> None:
+    spec = gymnasium.spec(ESCORT)
     assert copy.deepcopy(spec) == pickle.loads(pickle.dumps(spec)) == spec  # noqa: S301 - our own
     assert EnvSpec.from_json(spec.to_json()) == spec
     env = gymnasium.make(spec, duration=1.0)
@@ -97,8 +83,8 @@ def test_a_limit_of_steps_is_gymnasiums_own() -> None:
         gymnasium.make_vec(ESCORT, num_envs=2, max_episode_steps=3)
 
 
-@pytest.mark.parametrize("env_id", [ESCORT, "outrider/Suite-Evade-v0"])
-def test_many_worlds_are_made_in_one_or_one_by_one_with_the_same_bits(env_id: str) -> None:
+def test_many_worlds_are_made_in_one_or_one_by_one_with_the_same_bits() -> None:
+    env_id = ESCORT
     fast = gymnasium.make_vec(env_id, num_envs=3, duration=1.0)
     slow = gymnasium.make_vec(env_id, num_envs=3, vectorization_mode="sync", duration=1.0)
     assert isinstance(fast, OutriderVectorEnv)
@@ -118,7 +104,7 @@ def test_many_worlds_are_made_in_one_or_one_by_one_with_the_same_bits(env_id: st
 
 
 def test_settings_go_through() -> None:
-    env = gymnasium.make("outrider/Suite-Noise-v0", agent="ugv_0", dtype=np.float32)
+    env = gymnasium.make(ESCORT, agent="ugv_0", dtype=np.float32)
     assert env.observation_space.shape == (8,)
     assert env.observation_space.dtype == np.float32
 
@@ -126,9 +112,9 @@ def test_settings_go_through() -> None:
 def test_names_alone_load_nothing_heavy_and_a_name_with_its_module_in_front_needs_no_import():
     heavy = {"numba", "sim", "agents", "zenoh", "pettingzoo"}
     assert heavy.isdisjoint(loaded_by("outrider.registration"))
-    name = "outrider.registration:outrider/Suite-Noise-v0"
+    name = f"outrider.registration:{ESCORT}"
     made = f"import gymnasium; print(gymnasium.make({name!r}).unwrapped.worlds.scenario.name)"
-    assert python(made).stdout == "noise\n"
+    assert python(made).stdout == "escort\n"
 
 
 def test_every_name_of_the_front_door_is_the_same_thing_twice() -> None:

@@ -6,6 +6,8 @@ import re
 from pathlib import Path
 
 import pytest
+
+pytest.importorskip("pyarrow", reason="the extra [sweep] is not installed")
 from scipy import stats
 
 from bus.errors import ScenarioError

@@ -29,7 +29,7 @@ BROKEN = [
     (CHECK[check], overrides.split(" & "), field, allowed.replace("{LAWS}", ", ".join(LAWS)))
     for check, overrides, field, allowed in rows(r"""
 numbers_are_finite | uav.0.max_speed=1e13 | uav.0.max_speed = 10000000000000.0 | up to 1e+12, or inf
-names_are_different | uav.0.name=ugv_0 | ugv.0.name = "ugv_0" | ros2_observer, ros2_operator, ugv_0
+names_are_different | uav.0.name=ugv_0 | ugv.0.name = "ugv_0" | operator, observer, ugv_0
 names_are_different | uav.0.name=simulator | uav.0.name = "simulator" | any other than simulator
 names_are_different | uav.0.name="a\n" | uav.0.name = "a\n" | lower-case letters
 escorts_are_there | uav.0.escorts=ugv_1 | uav.0.escorts = "ugv_1" | ugv_0

@@ -12,6 +12,8 @@ import msgspec
 import numpy as np
 import pytest
 
+pytest.importorskip("mcap", reason="the extra [record] is not installed")
+
 from bus.errors import ScenarioError
 from bus.keys import CONTROL, KEYS
 from bus.messages import Action, Control

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+pytest.importorskip("pyarrow", reason="the extra [sweep] is not installed")
+
 from bus.errors import PeerLost, ScenarioError
 from bus.profiles import PROFILES
 from outrider.experiments.sweep.definition import describe_sweep, shipped_sweeps

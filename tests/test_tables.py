@@ -17,7 +17,6 @@ from bus.registry import (
     DEFAULT_SENSOR,
     DRIVERS,
     LAWS,
-    SAVED_POLICIES,
     SENSORS,
     TELEOP,
     _table,
@@ -82,8 +81,7 @@ def test_every_sensor_has_its_branches(name: str) -> None:
     "where",
     [f"{row.module}:command" for row in LAWS.values() if row.module]
     + [f"{row.module}:command" for row in DRIVERS.values() if row.module]
-    + [row.make for row in DRIVERS.values() if row.make]
-    + [row.load for row in SAVED_POLICIES.values()],
+    + [row.make for row in DRIVERS.values() if row.make],
 )
 def test_every_row_names_code_that_is_there(where: str) -> None:
     assert callable(resolve(where))
@@ -108,11 +106,10 @@ def test_every_kind_of_link_has_its_field_in_a_scenario() -> None:
 
 
 def test_the_command_line_tells_every_law_driver_and_profile_with_its_line() -> None:
-    law, driver, network, policy = (
+    law, driver, network = (
         get_args(option)[1].help
-        for option in (options.LawName, options.DriverName, options.NetworkName, options.PolicyName)
+        for option in (options.LawName, options.DriverName, options.NetworkName)
     )
     assert all(name in network for name in PROFILES)
-    assert all(f"{name}:" in policy for name in SAVED_POLICIES)
     assert all(f"{row.name}: {row.about}" in law for row in LAWS.values())
     assert all(f"{row.name}: {row.about}" in driver for row in DRIVERS.values())

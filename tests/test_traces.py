@@ -9,6 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 
+pytest.importorskip("outrider_networks", reason="links are fitted by it")
+
 from bus.errors import ScenarioError
 from bus.messages import LinkKind, LinkSettings
 from bus.profiles import PROFILES

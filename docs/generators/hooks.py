@@ -47,6 +47,7 @@ MODULES = {
         "extensions/outrider_learning/suite/tasks.py",
         "extensions/outrider_learning/suite/board.py",
         "outrider/registration.py",
+        "extensions/outrider_learning/registration.py",
     ),
     "Runs": (
         "outrider/running/flying.py",

@@ -18,7 +18,7 @@ from bus import messages
 from bus.law_parameters import parameters_class
 from bus.messages import LinkKind
 from bus.profiles import PROFILES
-from bus.registry import LAWS, SAVED_POLICIES
+from bus.registry import LAWS
 from sim.scenario import types
 from sim.scenario.types import Scenario
 
@@ -59,7 +59,7 @@ def scenario_schema() -> dict[str, Any]:
             table["properties"][field]["description"] = told
     tables["Law"]["properties"]["parameters"]["properties"] = law_parameters_schema()
     driver = tables["Ugv"]["properties"]["driver"]
-    driver["pattern"] = f"{driver['pattern']}|^({'|'.join(SAVED_POLICIES)}):."
+    driver["pattern"] = f"{driver['pattern']}|^[a-z0-9_-]+:."
     profile = {
         "enum": sorted(PROFILES),
         "description": "The profile that these settings start from.",

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bus.errors import OutriderError, ScenarioError, told_with_place
-from bus.registry import UAV_POLICY_FORMS
+from bus.policies import policy_forms
 from outrider.cli.options import Json, Secret
 from outrider.cli.standard_files import print_text
 
@@ -35,7 +35,7 @@ def command(
             "--uav-policy",
             metavar="POLICY",
             help="A policy of your own, a UAV's observations in all worlds in, its accelerations out, or a saved one, "
-            f"with the observation that it was trained on: {UAV_POLICY_FORMS}; may be repeated.",
+            f"with the observation that it was trained on: {policy_forms('uav')}; may be repeated.",
         ),
     ] = None,
     name: Annotated[

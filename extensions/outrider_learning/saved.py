@@ -18,8 +18,7 @@ from bus.errors import ScenarioError
 from bus.files import read_regular, writing
 from bus.messages import UavBriefing, or_infinite
 from bus.observations import ROUNDING, UAV, by_name, largest, names
-from bus.registry import UAV_POLICY_FORMS
-from outrider.running.user_code import load_sb3_model
+from bus.policies import policy_forms
 from outrider_learning.learned import check_made_for
 from outrider_learning.recipe import (
     NEEDED,
@@ -29,6 +28,7 @@ from outrider_learning.recipe import (
     observation_recipe,
 )
 from outrider_learning.transformation import Transformation
+from outrider_learning.ugv_policies import load_sb3_model
 from sim.engine.briefing import uav_briefing
 from sim.env.observation import AgentObservation, Array
 from sim.scenario.types import Scenario
@@ -252,7 +252,7 @@ def load_sb3_policy(rest: str, where: str) -> SavedPolicy:
     Raises:
         ScenarioError: If it cannot be loaded, or it is not known what it observes, or it observes something else.
     """
-    model: Model = load_sb3_model(rest, where, f"allowed: {UAV_POLICY_FORMS}")
+    model: Model = load_sb3_model(rest, where, policy_forms("uav"))
     beside = recipe_file(rest.partition(":")[2])
     try:
         recipe = msgspec.json.decode(read_regular(beside, _MOST_BYTES), type=ObservationRecipe)

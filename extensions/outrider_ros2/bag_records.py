@@ -12,8 +12,6 @@ from bus.errors import ScenarioError
 RECORDS = "/outrider/recording"
 """The topic of the records."""
 RECORDS_TYPE = "std_msgs/msg/String"
-LATEST = (1 << 31) * 1_000_000_000 - 1
-"""The latest time of a recording [ns]: ROS 2 counts seconds in 32 bits."""
 _METADATA = "metadata.yaml"
 _TEXT = struct.Struct("<4sI")
 """Before a String's text: the encapsulation header, and its length with the zero at its end."""
@@ -57,19 +55,10 @@ def bag_files(folder: Path) -> list[Path]:
         ScenarioError: If it is no bag, or has none.
     """
     if not (folder / _METADATA).is_file():
-        raise ScenarioError(
-            f"{folder}: no {_METADATA} in it; allowed: an MCAP file or the folder of a rosbag2 bag"
-        )
+        raise ScenarioError(f"{folder}: no {_METADATA} in it; allowed: the folder of a rosbag2 bag")
     found = sorted(folder.glob("*.mcap"))
     if not found:
         raise ScenarioError(
             f"{folder}: no MCAP file in it; allowed: a bag that ros2 bag convert has stored as MCAP, not packed by file"
         )
     return found
-
-
-def size_of(recording: Path) -> int:
-    """The bytes of a recording's file, or of all files in a bag."""
-    if not recording.is_dir():
-        return recording.stat().st_size
-    return sum(file.stat().st_size for file in recording.iterdir() if file.is_file())

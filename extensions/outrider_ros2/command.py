@@ -17,7 +17,12 @@ if TYPE_CHECKING:
     from outrider_ros2.observing import RosObserver
 
 
+app = typer.Typer(rich_markup_mode=None)
+
+
+@app.callback(invoke_without_command=True)
 def command(
+    context: typer.Context,
     connect: options.Connect = options.DEFAULT_ENDPOINT,
     run: options.RunName = options.DEFAULT_RUN,
     credentials: options.CredentialFile = None,
@@ -72,8 +77,11 @@ def command(
 
     Example: outrider ros2 --vehicle uav_0 --credentials credentials/uav_0.json
     """
+    if context.invoked_subcommand is not None:
+        return
     from outrider.cli.console import ERR, print_json
     from outrider_ros2.interfaces import require_extra
+    from outrider_ros2.roles import BRIDGE
     from outrider_ros2.wire import check_domain, check_namespace
 
     require_extra()
@@ -89,7 +97,7 @@ def command(
         joining = options.joining(kind, vehicle, connect, run, credentials, join_timeout)
         _fly(joining, domain=domain, json=json)
         return
-    role = Role.OPERATOR if operator else Role.ROS2
+    role = Role.OPERATOR.value if operator else BRIDGE
     with (
         stop_on_signals() as stop,
         options.join(role, run, connect, credentials, join_timeout) as session,
@@ -113,6 +121,81 @@ def command(
         ERR.tell(f"{sent} messages on {len(observer.topics)} topics{missing}")
     if lost:
         raise PeerLost(f"the router at {connect} has gone")
+
+
+@app.command("export")
+def export_bag(
+    file: Annotated[Path, typer.Argument(help="A recording.")],
+    bag: Annotated[Path, typer.Argument(help="The new folder.")],
+    flight: options.FlightNumber = None,
+    json: options.Json = False,
+) -> None:
+    """Write a recorded flight as a rosbag2 bag.
+
+    The bag has the topics of outrider ros2 at every tick, and the recording itself on one more. After Ctrl-C nothing
+    stays.
+
+    Example: outrider ros2 export run.mcap bag
+    """
+    from outrider.cli.console import ERR, print_json, share_progress
+    from outrider.recording.reader import flight_of
+    from outrider_ros2.ros_bag import RosBag, check_target, copy_flight
+
+    check_target(bag)  # before a long recording is read
+    recording = flight_of(file, flight)
+    with (
+        stop_on_signals() as stop,
+        RosBag(bag) as written,
+        share_progress("writing the bag") as show,
+    ):
+        for seconds in copy_flight(recording, written):
+            show("writing the bag", seconds / max(recording.truths[-1].time, 1e-9))
+            if stop:
+                raise typer.Exit(stop.exit_code)
+    size, messages = options.size_of(bag), sum(written.topics.values())
+    found = {"file": str(file), "flight": recording.number, "bag": str(bag), "bytes": size}
+    if json:
+        print_json(found | {"messages": messages, "topics": written.topics})
+    else:
+        topics = len(written.topics)
+        ERR.tell(f"{bag}: {messages} messages on {topics} topics, {size / 1e6:.2f} MB")
+
+
+@app.command("import")
+def import_bag(
+    bag: Annotated[
+        Path,
+        typer.Argument(help="A folder that outrider ros2 export or record --format ros2 made."),
+    ],
+    file: Annotated[Path, typer.Argument(help="The recording to write; one there is replaced.")],
+    json: options.Json = False,
+) -> None:
+    """Write the recording in a bag as an MCAP file.
+
+    It is then replayed, drawn and flown again like any other.
+
+    Example: outrider ros2 import bag run.mcap
+    """
+    from outrider.cli.console import ERR, print_json
+    from outrider.recording.reader import Damage
+    from outrider_ros2 import bag_reader
+
+    damage, messages = Damage(), 0
+    with stop_on_signals() as stop:
+        for _ in bag_reader.import_bag(bag, file, damage):
+            messages += 1
+            if stop:
+                break
+    if stop:
+        file.unlink(missing_ok=True)
+        raise typer.Exit(stop.exit_code)
+    if json:
+        whole = {"whole": not damage.reason, "reason": damage.reason}
+        print_json({"bag": str(bag), "file": str(file), "messages": messages} | whole)
+    else:
+        ERR.tell(
+            f"{file}: {messages} messages{f', not whole: {damage.reason}' if damage.reason else ''}"
+        )
 
 
 def _observe(
@@ -166,7 +249,7 @@ def _role_of(name: str, credentials: Path | None) -> Role:
 
     kinds = (Role.UAV, Role.UGV)
     if credentials is not None:
-        role: Role | None = read_credential(credentials).role
+        role: Role | None = read_credential(credentials).party.role
     else:
         role = next((kind for kind in kinds if name.startswith(kind)), None)
     if role not in kinds:

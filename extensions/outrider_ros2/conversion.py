@@ -29,11 +29,12 @@ from bus.messages import (
     Vector,
     VehicleStatus,
 )
-from outrider_ros2.bag_records import LATEST
 from outrider_ros2.interfaces import RosMessage, make
 from sim.scene.colors import FAINT, HAZARDS, LIMIT, rgb
 from sim.scene.model import Scene, observed_scene
 
+LATEST = (1 << 31) * 1_000_000_000 - 1
+"""The latest time [ns]: ROS 2 counts seconds in 32 bits."""
 MAP = "map"
 _FLAT = 0.02
 """Thickness of what lies on the ground [m]."""

@@ -24,6 +24,7 @@ from outrider.recording.schemas import (
     COMMANDS,
     COVERAGE,
     GROUND,
+    LATEST,
     SCENARIO,
     STATUS,
     TRUTH,
@@ -33,7 +34,7 @@ from outrider.recording.schemas import (
     operator_topic,
     ugv_of,
 )
-from outrider_ros2.bag_records import LATEST, RECORDS, RECORDS_TYPE, BagRecord
+from outrider_ros2.bag_records import RECORDS, RECORDS_TYPE, BagRecord
 from outrider_ros2.conversion import RunView, view_of
 from outrider_ros2.interfaces import encode, make, require_extra, type_hash, type_store
 from outrider_ros2.topics import TOPICS, TopicRow, messages_of

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 from bus.messages import Action, Control, Limits, Status, Vector
 from bus.registry import TELEOP
-from bus.ros2_access import CALLS, CMD_VEL, SERVICES, VELOCITIES
 from outrider.running.refused import Refusals, Refused
 from outrider.view.operator import Helm, RunClient
 from outrider_ros2.conversion import MAP, base_link
@@ -25,6 +24,7 @@ from outrider_ros2.interfaces import (
     request_of,
     response_of,
 )
+from outrider_ros2.roles import CALLS, CMD_VEL, SERVICES, VELOCITIES
 from outrider_ros2.ros_node import RosNode
 from outrider_ros2.topics import wire_topic
 from outrider_ros2.wire import NEWEST

@@ -21,10 +21,10 @@ from bus.messages import (
     UavObservation,
     UgvCommand,
 )
-from bus.ros2_access import NO_HASH
 from outrider.running.refused import Refusals, Refused
 from outrider_ros2.conversion import MAP, base_link, detection, odometry, stamp
 from outrider_ros2.interfaces import RosMessage, decode_checked, encode, make
+from outrider_ros2.roles import NO_HASH
 from outrider_ros2.ros_node import RosNode, RosPublisher, log_refused
 from outrider_ros2.topics import (
     BRIEFING,

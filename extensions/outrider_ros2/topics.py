@@ -6,10 +6,10 @@ from enum import StrEnum
 from typing import Any
 
 from bus.messages import CoverageMap, GroundMap, Message, Status, Truth
-from bus.ros2_access import PILOT
 from outrider_ros2 import conversion
 from outrider_ros2.conversion import RunView
 from outrider_ros2.interfaces import encode, type_hash
+from outrider_ros2.roles import PILOT
 from outrider_ros2.wire import (
     CLOCK,
     LATCHED,

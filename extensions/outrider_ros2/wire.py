@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from bus.errors import ScenarioError
-from bus.ros2_access import PILOT
+from outrider_ros2.roles import PILOT
 
 GRAPH = "@ros2_lv"
 """First part of every liveliness token of the graph."""

@@ -69,14 +69,15 @@ def command(
             help="Tell how long the certificates in FOLDER hold; exit code 1 if one does not.",
         ),
     ] = False,
-    ros2: Annotated[
-        bool,
+    extensions: Annotated[
+        list[str] | None,
         typer.Option(
-            "--with-ros2/--without-ros2",
-            help="Also for ROS 2's bridge (ros2) and its nodes that look on (ros2_observer) or drive "
-            "(ros2_operator); without it the router lets nothing of ROS 2 through.",
+            "--roles",
+            metavar="NAME",
+            help="Also for the parties of this extension, such as ros2; without it the router lets none of its "
+            "messages through. May be repeated.",
         ),
-    ] = False,
+    ] = None,
     json: Json = False,
 ) -> None:
     """Make a set of random credentials for a run.
@@ -93,6 +94,7 @@ def command(
     from bus.certificates import PARTY_DAYS, new_authority
     from outrider.cli.console import OUT, print_json
 
+    added = [name for name in extensions or () if name]  # `--roles=` of a container adds none
     _refuse(
         {
             "--tls and --renew or --check": tls and (renew or check),
@@ -102,7 +104,7 @@ def command(
             and "router" not in (party or ()),
             "--days without --tls or --renew": days is not None and not (tls or renew),
             "--party without --renew": bool(party) and not renew,
-            "--with-ros2 and --renew or --check": ros2 and (renew or check),
+            "--roles and --renew or --check": bool(added) and (renew or check),
         }
     )
     if check:
@@ -119,10 +121,10 @@ def command(
         names = ([uav.name for uav in flown.uav], [ugv.name for ugv in flown.ugv])
         authority = new_authority(run) if tls else None
         given = (
-            new_credentials(run, *names, ros2=ros2)
+            new_credentials(run, *names, extensions=added)
             if authority is None
             else new_certificates(
-                authority, *names, hosts=router or (), days=days or PARTY_DAYS, ros2=ros2
+                authority, *names, hosts=router or (), days=days or PARTY_DAYS, extensions=added
             )
         )
         files = write_credentials(given, folder, authority, user)

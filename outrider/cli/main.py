@@ -107,10 +107,15 @@ def make_app(*, whole: bool = False) -> typer.Typer:
         add(app, name, functools.partial(_attribute, where), line)
     for name, entry in sorted(plugins.registered("commands").items()):
         package = entry.module.partition(".")[0]
-        if name not in COMMANDS and find_spec(package) is not None:
+        if name in COMMANDS:
+            continue
+        load = functools.partial(plugins.load, entry)
+        if find_spec(package) is None:  # a copy of the core alone: it says which extra is missing
+            _add(app, name, load, "", hidden=True)
+        else:
             # The package's docstring; by contract it imports nothing else.
             line = (import_module(package).__doc__ or "").partition("\n")[0]
-            add(app, name, functools.partial(plugins.load, entry), line)
+            add(app, name, load, line)
     return app
 
 
@@ -119,20 +124,29 @@ def _attribute(where: str) -> Any:  # noqa: ANN401 - a command or an app
     return getattr(import_module(module), name)
 
 
-def _add(app: typer.Typer, name: str, load: Callable[[], Any], line: str) -> None:
+def _add(
+    app: typer.Typer, name: str, load: Callable[[], Any], line: str, *, hidden: bool = False
+) -> None:
     """Add a command that is imported when it is called; arguments, --help and exit code are its own."""
 
-    @app.command(name, help=line, add_help_option=False, context_settings=_FORWARD)
+    @app.command(name, help=line, hidden=hidden, add_help_option=False, context_settings=_FORWARD)
     @_interruptible
     def call(context: typer.Context) -> Any:  # noqa: ANN401 - an exit code, if any
-        found = load()
-        if not isinstance(found, typer.Typer):
-            alone = typer.Typer(add_completion=False, rich_markup_mode=None)
-            alone.command(name)(_interruptible(found))
-            found = alone
-        command = typer.main.get_command(found)
-        program = f"{context.find_root().info_name} {name}"
-        return command(args=context.args, prog_name=program, standalone_mode=False)
+        return _call(load(), f"{context.find_root().info_name} {name}", context.args)
+
+
+def call_command(name: str, arguments: list[str]) -> Any:  # noqa: ANN401 - an exit code, if any
+    """Call the command of an extension in this process."""
+    return _call(plugins.load(plugins.registered("commands")[name]), f"outrider {name}", arguments)
+
+
+def _call(found: Any, program: str, arguments: list[str]) -> Any:  # noqa: ANN401 - a function or an app
+    if not isinstance(found, typer.Typer):
+        alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+        alone.command(program.rpartition(" ")[2])(_interruptible(found))
+        found = alone
+    command = typer.main.get_command(found)
+    return command(args=arguments, prog_name=program, standalone_mode=False)
 
 
 def _add_whole(app: typer.Typer, name: str, load: Callable[[], Any], line: str) -> None:

@@ -12,7 +12,11 @@ from bus.errors import AccessDenied, ScenarioError
 from bus.keys import OPERATOR_NAME, Party, Role, check_run_name
 from bus.locator import check_endpoint
 from bus.profiles import PROFILES
-from bus.registry import DRIVERS, LAWS, POLICY_FORMS, UAV_POLICY_FORMS, described
+from bus.registry import (
+    DRIVERS,
+    LAWS,
+    described,
+)
 
 if TYPE_CHECKING:
     from agents.process import MakePilot
@@ -69,7 +73,8 @@ PolicyName = Annotated[
     str,
     typer.Option(
         "--policy",
-        help=f"For the driver `policy`: {POLICY_FORMS}; or module:object with a method predict.",
+        help="For the driver `policy`: module:function, module:object with a method predict, or a saved policy as "
+        "KIND:FILE, such as onnx:FILE.onnx.",
     ),
 ]
 UavPolicyName = Annotated[
@@ -77,7 +82,8 @@ UavPolicyName = Annotated[
     typer.Option(
         "--uav-policy",
         metavar="POLICY",
-        help=f"For the laws `certified` (inside the safety filter) and `policy` (without it): {UAV_POLICY_FORMS}.",
+        help="For the laws `certified` (inside the safety filter) and `policy` (without it): module:function, or a "
+        "saved policy as KIND:FILE, such as npz:FILE.npz.",
     ),
 ]
 NetworkName = Annotated[
@@ -174,34 +180,12 @@ FlightNumber = Annotated[
     int | None,
     typer.Option(help="Which flight of a run that was reset, from 0; the last one by default."),
 ]
-PagePort = Annotated[
-    int,
+Companions = Annotated[
+    list[str] | None,
     typer.Option(
-        "--port",
-        help="Where the page is served; 0 takes any that is free.",
-        min=0,
-        max=65535,
-        envvar="OUTRIDER_PORT",
-    ),
-]
-
-PageToken = Annotated[
-    str,
-    typer.Option(
-        "--token",
-        help="Token that opens the page: 20 to 128 letters, digits, '_' and '-'; random by "
-        "default. Other users of this machine see a command line, but not OUTRIDER_TOKEN.",
-        envvar="OUTRIDER_TOKEN",
-        show_default=False,
-        show_envvar=True,
-    ),
-]
-NoPageToken = Annotated[
-    bool,
-    typer.Option(
-        "--no-token",
-        help="Open the page without a token, on a machine with one user.",
-        envvar="OUTRIDER_NO_TOKEN",
+        "--with",
+        metavar="NAME[:OPTION=VALUE,...]",
+        help="Start a companion, such as dashboard, with options of its own: dashboard:port=9000. May be repeated.",
     ),
 ]
 
@@ -317,22 +301,24 @@ class Joining(NamedTuple):
 
 
 def joining(
-    role: Role, name: str, connect: str, run: str, file: Path | None, join_timeout: float
+    role: str, name: str, connect: str, run: str, file: Path | None, join_timeout: float
 ) -> Joining:
-    """The way of a party; errors as of `check_endpoint` and `credential_of`."""
+    """The way of a party; errors as of `check_endpoint`, `party_of` and `credential_of`."""
+    from bus.roles import party_of
+
     check_endpoint(connect)
     credential = credential_of(file, role, name)
-    return Joining(Party(role=role, name=name), connect, run, credential, join_timeout)
+    return Joining(party_of(role, name), connect, run, credential, join_timeout)
 
 
 def join(
-    role: Role, run: str, connect: str, file: Path | None, join_timeout: float = 10.0
+    role: str, run: str, connect: str, file: Path | None, join_timeout: float = 10.0
 ) -> "AbstractContextManager[Session]":
     """The session of a run's operator, observer or bridge; errors as of `joining`."""
-    return joining(role, role.value, connect, run, file, join_timeout).session()
+    return joining(role, str(role), connect, run, file, join_timeout).session()
 
 
-def credential_of(file: Path | None, role: Role, name: str) -> "Credential | None":
+def credential_of(file: Path | None, role: str, name: str) -> "Credential | None":
     """By what this process is known: from its file, or its password from OUTRIDER_PASSWORD; None without either.
 
     Raises:
@@ -352,9 +338,16 @@ def credential_of(file: Path | None, role: Role, name: str) -> "Credential | Non
     if not password:
         return None
     try:
-        return msgspec.convert({"name": name, "role": role.value, "password": password}, Credential)
+        return msgspec.convert({"name": name, "role": str(role), "password": password}, Credential)
     except msgspec.ValidationError as error:
         raise ScenarioError(f"OUTRIDER_PASSWORD or name: {error}") from error
+
+
+def size_of(path: Path) -> int:
+    """Return the bytes of a file, or of all files in a folder."""
+    if not path.is_dir():
+        return path.stat().st_size
+    return sum(file.stat().st_size for file in path.iterdir() if file.is_file())
 
 
 def help_without_command(context: typer.Context) -> None:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bus.errors import PeerLost
+from bus import plugins
+from bus.errors import PeerLost, ScenarioError
 from bus.keys import Role
 from outrider.cli import options
 from outrider.cli.stopping import Stop, stop_on_signals
@@ -16,6 +17,8 @@ from outrider.cli.waiting import RouterTimer
 if TYPE_CHECKING:
     from bus.session import Session
     from outrider.recording.observer import RunRecorder, RunSink
+
+_MCAP = "mcap"
 
 
 def command(
@@ -29,15 +32,14 @@ def command(
             metavar="FILE", help="Save what is whole of a killed recording; nothing is recorded."
         ),
     ] = None,
-    ros2: Annotated[
-        Path | None,
+    form: Annotated[
+        str,
         typer.Option(
-            "--ros2",
-            metavar="DIR",
-            help="Write a rosbag2 bag into this new folder instead, as outrider replay --to-ros2 does. "
-            "Needs the extra [ros2].",
+            "--format",
+            metavar="NAME",
+            help="Format: mcap, or that of an extension, such as ros2, which writes a bag into a new folder.",
         ),
-    ] = None,
+    ] = _MCAP,
     connect: options.Connect = options.DEFAULT_ENDPOINT,
     run: options.RunName = options.DEFAULT_RUN,
     credentials: options.CredentialFile = None,
@@ -58,60 +60,69 @@ def command(
     says so. A recording whose process was killed can be replayed as it is; with --repair every whole record of it goes
     to a new file, FILE with the ending .repaired.mcap, that any program for MCAP opens.
 
-    With --ros2 the record is a bag that ros2 bag play and Foxglove take as it is; outrider replay reads it, too. Of a
-    killed one nothing stays.
+    With --format ros2 the record is a bag that ros2 bag play and Foxglove take as it is; outrider ros2 import makes a
+    recording of it. Of a killed one nothing stays.
 
     Example: outrider record run.mcap --connect tcp/127.0.0.1:17447 --credentials credentials/observer.json
 
-    Example: outrider record --ros2 bag --scenario escort
+    Example: outrider record bag --format ros2 --scenario escort
 
     Example: outrider record --repair run.mcap
     """
-    if ros2 is not None and (out is not None or repair is not None):
-        raise typer.BadParameter(
-            "--ros2 names the folder to write; leave the file and --repair out"
-        )
     if repair is not None:
+        if form != _MCAP:
+            raise typer.BadParameter("--repair mends MCAP files; leave --format out")
         _repair(repair, out or repair.with_suffix(".repaired.mcap"), json=json)
         return
-    target = ros2 or out
-    if target is None:
+    if out is None:
         raise typer.BadParameter("name the file to write, such as: outrider record run.mcap")
     from outrider.cli.console import ERR, print_json
     from outrider.recording.observer import RunRecorder
     from outrider.running.resolve import resolve
-    from outrider_ros2.bag_records import size_of
 
-    sink: Callable[[Path], RunSink]
-    if ros2 is not None:
-        from outrider_ros2.ros_bag import RosBag, check_target
-
-        check_target(ros2)
-        sink = RosBag
-    else:
-        from outrider.recording.mcap_file import RecordingFile
-
-        sink = RecordingFile
+    sink = _sink(form, out)
     known = resolve(scenario, changes=changes)[0] if scenario else None
     with (
         stop_on_signals() as stop,
         options.join(Role.OBSERVER, run, connect, credentials) as session,
     ):
-        recorder = RunRecorder(session, sink(target), known)
+        recorder = RunRecorder(session, sink(out), known)
         if not ERR.is_terminal:  # there the bar says it
-            ERR.tell(f"{target}: waiting for the run")
+            ERR.tell(f"{out}: waiting for the run")
         try:
             lost = _follow(session, recorder, stop)
         finally:
-            with ERR.status(f"ending {target}"):
+            with ERR.status(f"ending {out}"):
                 recorder.close()
     if json:
-        told = {"file": str(target), "bytes": size_of(target), "router_lost": lost}
+        told = {"file": str(out), "bytes": options.size_of(out), "router_lost": lost}
         print_json(recorder.counts() | told)
     else:
-        ERR.tell(f"{target}: {recorder.story()}")
+        ERR.tell(f"{out}: {recorder.story()}")
     if lost:
-        raise PeerLost(f"the router at {connect} has gone; what came before it went is in {target}")
+        raise PeerLost(f"the router at {connect} has gone; what came before it went is in {out}")
+
+
+def _sink(form: str, out: Path) -> "Callable[[Path], RunSink]":
+    """Return the writer of a format; an entry point `outrider.sinks` writes a path that is not there.
+
+    Raises:
+        ScenarioError: If there is no such format, a library of it is missing, or the path is there.
+    """
+    if form == _MCAP:
+        from outrider.recording.mcap_file import RecordingFile
+
+        return RecordingFile
+    known = plugins.registered("sinks")
+    if form not in known:
+        allowed = ", ".join((_MCAP, *sorted(known)))
+        raise ScenarioError(f"--format {form}: no such format; allowed: {allowed}")
+    sink: Callable[[Path], RunSink] = plugins.load(known[form])
+    if extra := plugins.extra_of(known[form]):
+        plugins.require(extra, f"--format {form}")
+    if out.exists() or out.is_symlink():
+        raise ScenarioError(f"{out}: is there already; allowed: the name of a new file or folder")
+    return sink
 
 
 def _follow(session: "Session", recorder: "RunRecorder", stop: Stop) -> bool:

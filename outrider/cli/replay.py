@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import typer
 
-from bus.plugins import require
-from outrider.cli.options import FlightNumber, Json, NoPageToken, PagePort, PageToken
+from outrider.cli.options import Companions, FlightNumber, Json
 from outrider.cli.stopping import stop_on_signals
 
 if TYPE_CHECKING:
@@ -18,9 +17,7 @@ if TYPE_CHECKING:
 def command(
     file: Annotated[
         Path,
-        typer.Argument(
-            help="A recording, also one whose process was killed; or the folder of a bag made of one."
-        ),
+        typer.Argument(help="A recording, also one whose process was killed."),
     ],
     refly: Annotated[
         bool,
@@ -39,25 +36,7 @@ def command(
             max=1e6,
         ),
     ] = None,
-    dashboard: Annotated[
-        bool,
-        typer.Option(
-            "--dashboard",
-            help="Play it in the browser, at --realtime (1 by default), with pause and a slider over time; "
-            "Ctrl-C ends it. Needs the extra [dashboard].",
-        ),
-    ] = False,
-    port: PagePort = 8080,
-    token: PageToken = "",
-    no_token: NoPageToken = False,
-    to_ros2: Annotated[
-        Path | None,
-        typer.Option(
-            "--to-ros2",
-            metavar="DIR",
-            help="Write it as a rosbag2 bag into this new folder. Needs the extra [ros2].",
-        ),
-    ] = None,
+    companions: Companions = None,
     flight: FlightNumber = None,
     json: Json = False,
 ) -> None:
@@ -67,35 +46,18 @@ def command(
     pilots: exit code 0 where every position, velocity and applied command is the same to the last bit, 1 at the first
     that is not, which is named.
 
-    With --to-ros2 the flight becomes a bag for ros2 bag play, Foxglove and PlotJuggler: the topics of outrider ros2 at
-    every tick. The recording itself goes with it on a topic of its own, so that such a folder can be replayed, drawn
-    and flown again like the file.
-
     Example: outrider replay run.mcap --refly
-
-    Example: outrider replay run.mcap --to-ros2 bag, then outrider replay bag --refly
     """
-    if dashboard and (refly or json):
-        raise typer.BadParameter("--dashboard shows, --refly and --json tell; leave one out")
-    if to_ros2 is not None and (refly or dashboard or realtime is not None):
-        raise typer.BadParameter(
-            "--to-ros2 writes a bag; leave --refly, --dashboard and --realtime out"
-        )
+    if companions and (refly or json):
+        raise typer.BadParameter("--with plays, --refly and --json tell; leave one out")
+    if companions:
+        _play_with(companions, file, flight, realtime)
+        return
     from outrider.recording.reader import flight_of
 
-    if to_ros2 is not None:
-        from outrider_ros2.ros_bag import check_target
-
-        check_target(to_ros2)  # shows before a long recording is read
     recording = flight_of(file, flight)
-    if to_ros2 is not None:
-        _write_bag(recording, to_ros2, json=json)
-        return
     if refly:
         _refly(recording, json=json)
-        return
-    if dashboard:
-        _show(recording, 1.0 if realtime is None else realtime, port, token, wanted=not no_token)
         return
     if realtime is not None:
         _play(recording, realtime)
@@ -136,60 +98,23 @@ def _refly(recording: "Recording", *, json: bool) -> None:
         raise typer.Exit(1)
 
 
-def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
-    from outrider.cli.console import ERR, print_json, share_progress
-    from outrider_ros2.bag_records import size_of
-    from outrider_ros2.ros_bag import RosBag, copy_flight
+def _play_with(asked: list[str], file: Path, flight: int | None, realtime: float | None) -> None:
+    from outrider.cli.main import call_command
+    from outrider.running.companions import parse_companion
 
-    with (
-        stop_on_signals() as stop,
-        RosBag(folder) as bag,
-        share_progress("writing the bag") as tell,
-    ):
-        for seconds in copy_flight(recording, bag):
-            tell("writing the bag", seconds / max(recording.truths[-1].time, 1e-9))
-            if stop:
-                raise typer.Exit(stop.exit_code)
-    found = {
-        "file": str(recording.path),
-        "flight": recording.number,
-        "bag": str(folder),
-        "bytes": size_of(folder),
-        "messages": sum(bag.topics.values()),
-        "topics": bag.topics,
-    }
-    if json:
-        print_json(found)
-        return
-    told = (
-        f"{found['messages']} messages on {len(bag.topics)} topics, {size_of(folder) / 1e6:.2f} MB"
-    )
-    ERR.tell(f"{folder}: {told}")
-
-
-def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted: bool) -> None:
-    """Serve the page until somebody ends it."""
-    from outrider.cli.console import ERR
-    from outrider_dashboard.address import address_of, choose_token, open_socket
-
-    token = choose_token("127.0.0.1", token, wanted=wanted)
-    require("dashboard")
-    with open_socket("127.0.0.1", port) as opened:
-        from outrider_dashboard.app import serve
-        from outrider_dashboard.controls.player import Player
-        from outrider_dashboard.hub import Hub
-        from outrider_dashboard.sources.tape import Tape
-
-        tape = Tape(recording, speed)
-        hub = Hub(tape)
-        line = f"{recording.path} is played at {address_of(opened, token)}; Ctrl-C ends it"
-        serve(
-            hub,
-            opened,
-            token,
-            controls=lambda: Player(hub, tape).show,
-            ready=lambda: ERR.tell(line),
-        )
+    if len(asked) > 1:
+        raise typer.BadParameter("--with: one companion plays a recording")
+    name, words, companion = parse_companion(asked[0])
+    if not companion.replays:
+        raise typer.BadParameter(f"--with {name}: it plays no recordings")
+    given = {"--replay": file.absolute(), "--flight": flight, "--realtime": realtime}
+    told = [
+        word
+        for option, value in given.items()
+        if value is not None
+        for word in (option, str(value))
+    ]
+    call_command(name, [*told, *words])
 
 
 def _play(recording: "Recording", speed: float) -> None:

@@ -1,15 +1,12 @@
 """`outrider run`: the main job."""
 
-import socket
 import time
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from bus.errors import PeerLost, ScenarioError
-from bus.plugins import require
 from bus.registry import DRIVERS
 from outrider.cli import options
 from outrider.cli.stopping import Stop, stop_on_signals
@@ -38,15 +35,7 @@ def command(
     ] = False,
     record: options.Record = None,
     realtime: options.RealTime = None,
-    dashboard: Annotated[
-        bool,
-        typer.Option(
-            "--dashboard",
-            help="Show the run in the browser while it is flown, and steer it there; on the wall clock "
-            "(--realtime 1) unless --realtime says otherwise. Needs the extra [dashboard].",
-        ),
-    ] = False,
-    port: options.PagePort = 8080,
+    companions: options.Companions = None,
     respawn: Annotated[
         bool,
         typer.Option(
@@ -75,23 +64,25 @@ def command(
 
     The processes exchange over Zenoh. Ends with a table of numbers, a picture and the trajectory. Ctrl-C ends the run
     and keeps what was flown. A vehicle whose process dies brakes, and the run goes on without it; with --respawn it is
-    started again and flies on. With --dashboard a page shows it live; the page ends with the run, and what it shows
-    stays in the browser.
+    started again and flies on. With --with dashboard a page shows it live; the page ends with the run, and what it
+    shows stays in the browser.
 
     Example: outrider run escort --seed 3 --law switching
     """
-    if in_process and (realtime or respawn or dashboard):
+    if in_process and (realtime or respawn or companions):
         raise typer.BadParameter(
-            "--realtime, --respawn and --dashboard need processes; leave --in-process out"
+            "--realtime, --respawn and --with need processes; leave --in-process out"
         )
-    if dashboard and realtime is None:
-        realtime = 1.0
     from outrider.cli.console import flight_progress, print_json, print_summary, print_warnings
+    from outrider.running.companions import pace_with, parse_companion
     from outrider.running.resolve import resolve
     from outrider.running.user_code import check_code, check_own_functions
     from outrider.view.output import default_folder, making, write_summary
     from sim.scenario.checks import scenario_warnings
 
+    beside = tuple(parse_companion(text) for text in companions or ())
+    if realtime is None:
+        realtime = pace_with(beside)
     flown, named = resolve(
         scenario,
         seed=seed,
@@ -114,7 +105,7 @@ def command(
     if record is not None:
         import outrider.recording.writer  # noqa: F401 - a missing extra shows here, not in a child
     folder = (out or default_folder(flown.name)) if files else None
-    with making(folder), stop_on_signals() as stop, _page(dashboard, port) as page:
+    with making(folder), stop_on_signals() as stop:
         if in_process:
             outcome = _fly_here(flown, kept, folder, picture, record, stop)
         else:
@@ -127,7 +118,7 @@ def command(
                     on_event=progress.say,
                     on_warnings=print_warnings,
                     stop=lambda: stop.count,
-                    page=page,
+                    companions=beside,
                 )
                 outcome = launch(
                     flown,
@@ -161,16 +152,6 @@ def _check_processes(flown: "Scenario", allowed: int) -> None:
             f"{flown.name}: needs {wanted} processes; allowed: {allowed}; raise it with --allow-processes {wanted}, or "
             "use --in-process"
         )
-
-
-def _page(wanted: bool, port: int) -> AbstractContextManager[socket.socket | None]:
-    """The socket for the page: what stands in its way shows before the flight."""
-    if not wanted:
-        return nullcontext()
-    from outrider_dashboard.address import open_socket
-
-    require("dashboard")
-    return open_socket("127.0.0.1", port)
 
 
 def _fly_here(

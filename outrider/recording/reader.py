@@ -1,6 +1,5 @@
 """Reading a recording as a stream, up to its last whole record: a killed file reads like one that was closed."""
 
-import math
 import os
 import struct
 import zlib
@@ -28,7 +27,6 @@ from bus.messages import (
 )
 from bus.plugins import needs
 from outrider.recording import schemas
-from outrider_ros2.bag_records import LATEST, RECORDS, bag_files, record_in, size_of
 from sim.scenario.types import Scenario
 
 with needs("record"):
@@ -92,8 +90,6 @@ class Entry:
     time: int
     """On the file's clock [ns]."""
     data: bytes
-    number: int | None = None
-    """Among the records of a bag; None: it comes from no bag."""
 
 
 def _open(path: Path) -> BinaryIO:
@@ -225,91 +221,31 @@ def entries(
     """The messages in the order in which they were written.
 
     Args:
-        path: The file, or the folder of a bag: then up to the first record that is missing.
+        path: The file.
         topics: Which channels; none: all.
         damage: Is told where and why reading ended.
 
     Raises:
-        ScenarioError: If it is no MCAP file and no bag, or not one of Outrider's.
+        ScenarioError: If it is no MCAP file, or not one of Outrider's.
     """
-    told = damage if damage is not None else Damage()
-    if not path.is_dir():
-        yield from _wanted(_entries_of_file(path, told), topics, told)
-        return
-    told.end = told.size = size_of(path)
-    yield from _wanted(_entries_of_parts(_in_order(path), told), topics, told)
-
-
-def _wanted(found: Iterator[Entry], topics: Collection[str], damage: Damage) -> Iterator[Entry]:
-    """Entries of these topics, as long as none of a bag's is missing: whoever rewrites one may leave some out."""
-    count = 0
-    for entry in found:
-        if entry.number is not None:
-            if entry.number != count:
-                damage.reason = f"its record {count} is missing"
-                return
-            count += 1
-        if not topics or entry.topic in topics:
-            yield entry
-
-
-def _in_order(folder: Path) -> list[Path]:
-    """The files of a bag that hold records, by the number of their first; last those that are damaged before it."""
-    first: dict[Path, float] = {}
-    reason = ""
-    for file in bag_files(folder):
-        damage = Damage()
-        found = (entry.number for entry in _entries_of_file(file, damage))
-        number = next((one for one in found if one is not None), None)
-        if number is not None or damage.reason:
-            first[file] = math.inf if number is None else number
-            reason = reason or damage.reason
-    if not math.isfinite(min(first.values(), default=math.inf)):
-        raise ScenarioError(
-            f"{folder}: nothing whole is in it ({reason})"
-            if reason
-            else f"{folder}: not a recording of Outrider: no topic {RECORDS} in it"
-        )
-    return sorted(first, key=lambda file: first[file])
-
-
-def _entries_of_parts(files: list[Path], damage: Damage) -> Iterator[Entry]:
-    """The messages in the files of a bag, up to where one is damaged."""
-    for file in files:
-        part = Damage()
-        yield from _entries_of_file(file, part)
-        if part.reason:
-            damage.reason = f"{file.name}: {part.reason}"
-            damage.end -= part.size - part.end
-            return
-
-
-def _entries_of_file(path: Path, damage: Damage) -> Iterator[Entry]:
     names: dict[int, str] = {}
     for record in stream(path, damage):
         if isinstance(record, records.Channel):
-            if record.topic == RECORDS or record.message_encoding != "cdr":
-                names[record.id] = record.topic  # the other topics of a bag are ROS 2's
+            if record.message_encoding != "cdr":  # of other programs
+                names[record.id] = record.topic
         elif isinstance(record, records.Message) and record.channel_id in names:
             topic = names[record.channel_id]
-            own = Entry(topic=topic, time=record.log_time, data=record.data)
-            entry = _kept(path, record) if topic == RECORDS else own
-            if entry.time > LATEST:
-                raise ScenarioError(
-                    f"{path}: {entry.topic}: time = {entry.time} ns: out of range; allowed up to {LATEST}"
-                )
-            yield entry
+            if record.log_time > schemas.LATEST:
+                raise out_of_range(path, topic, record.log_time)
+            if not topics or topic in topics:
+                yield Entry(topic=topic, time=record.log_time, data=record.data)
 
 
-def _kept(path: Path, message: records.Message) -> Entry:
-    """The message of a recording that a message of a bag holds."""
-    try:
-        kept = record_in(message.data)
-    except ValueError as error:
-        raise ScenarioError(
-            f"{path}: {RECORDS} at {message.log_time / 1e9:g} s: {error}; allowed: what Outrider writes"
-        ) from error
-    return Entry(topic=kept.topic, time=kept.time, data=bytes(kept.message), number=kept.number)
+def out_of_range(path: Path, topic: str, time: int) -> ScenarioError:
+    """Return the error of a message with a time [ns] that no recording has."""
+    return ScenarioError(
+        f"{path}: {topic}: time = {time} ns: out of range; allowed up to {schemas.LATEST}"
+    )
 
 
 def decoded(path: Path, entry: Entry, decoder: "msgspec.json.Decoder[Sent]") -> Sent:

@@ -39,6 +39,10 @@ PROFILE = "outrider"
 """In the MCAP header."""
 
 
+LATEST = (1 << 31) * 1_000_000_000 - 1
+"""The latest time of a recording [ns]: formats of others count seconds in 32 bits."""
+
+
 class Head(Message, frozen=True, kw_only=True):
     """The scenario, seed and platform of a flight; its first message."""
 

@@ -26,8 +26,9 @@ _ERROR = "outrider: "
 """The beginning of the line with which a command of ours fails."""
 _TRACEBACK = "Traceback (most recent call last):"
 _TOKEN = "OUTRIDER_TOKEN"  # noqa: S105 - a variable's name
-_KEPT_BACK = ("OUTRIDER_SECRET", "OUTRIDER_CREDENTIALS", "OUTRIDER_PASSWORD")
-"""Variables by which the user joins other runs, or sets this one's secret; no child inherits them."""
+_KEPT_BACK = ("OUTRIDER_SECRET", "OUTRIDER_CREDENTIALS", "OUTRIDER_PASSWORD", "OUTRIDER_HOST")
+"""Variables by which the user joins other runs, sets this one's secret, or serves a page to other machines; no child
+inherits them."""
 
 
 def outrider_command(*words: str) -> list[str]:
@@ -35,13 +36,13 @@ def outrider_command(*words: str) -> list[str]:
     return [sys.executable, "-P", "-m", "outrider", *words]
 
 
-def child_environment(*, token: bool = False) -> dict[str, str]:
+def child_environment(*, companion: bool = False) -> dict[str, str]:
     """Return our environment without secrets.
 
     Args:
-        token: Whether the page's token is kept.
+        companion: True for a companion, which keeps the page's token.
     """
-    left_out = _KEPT_BACK if token else (*_KEPT_BACK, _TOKEN)
+    left_out = _KEPT_BACK if companion else (*_KEPT_BACK, _TOKEN)
     return {name: value for name, value in os.environ.items() if name not in left_out}
 
 
@@ -55,8 +56,8 @@ class Child:
         arguments: Words of the `outrider` command line.
         start: First line of its standard input.
         lines: Receives its standard output, line by line; None is its end.
-        files: Open files that it inherits, by their numbers.
         log: The file that keeps all of its standard error, if it writes any; None: no file does.
+        companion: True: it is no part of the run.
         on_warning: Called from another thread with each line with which its log warns.
     """
 
@@ -67,8 +68,8 @@ class Child:
         start: Start,
         *,
         lines: "queue.SimpleQueue[bytes | None] | None" = None,
-        files: Sequence[int] = (),
         log: Path | None = None,
+        companion: bool = False,
         on_warning: Callable[[str], None] = lambda _line: None,
     ) -> None:
         self.name = name
@@ -80,8 +81,7 @@ class Child:
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL if lines is None else subprocess.PIPE,
             stderr=subprocess.PIPE,
-            pass_fds=files,
-            env=child_environment(token=name == "dashboard"),
+            env=child_environment(companion=companion),
             start_new_session=True,  # Ctrl-C reaches us alone; we end the children in order
         )
         self._send(msgspec.json.encode(start) + b"\n")

@@ -1,10 +1,10 @@
 """A run as three operating-system processes or more: started together, watched, and ended together."""
 
 import contextlib
+import functools
 import os
 import queue
 import secrets
-import socket
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
@@ -18,6 +18,7 @@ from bus.keys import OBSERVER_NAME, OPERATOR_NAME, SIMULATOR_NAME
 from bus.locator import UNIX
 from bus.registry import DRIVERS
 from outrider.running.child import Child
+from outrider.running.companions import Beside, Companions
 from outrider.running.exit_reports import Report
 from outrider.running.parent import Output, Start
 from outrider.running.run_folder import run_folder
@@ -29,8 +30,6 @@ _HELD = 3.0
 """Time for which an event before the first tick waits [s]: it is not told if a vehicle's own error ends the run."""
 _PATIENCE = 10.0
 """Time that a process may take to end when it was asked to [s]."""
-_LAST_FRAME = 2.0
-"""The page is still served so long after the end of the simulator [s] at most, so that browsers show that it is."""
 _UNUSABLE = 2
 """Exit code of a process that cannot use what the user has given."""
 _LIVES = 3
@@ -75,9 +74,8 @@ class Watcher(msgspec.Struct, frozen=True, kw_only=True):
     """Called with what stands in the way of the scenario's promise, a line each."""
     stop: Callable[[], int]
     """Counts who has asked for the end: once ends the run in order, twice at once."""
-    page: socket.socket | None = None
-    """A socket that listens, on which the run is shown in the browser; None: it is not. The page's process is no part
-    of the flight: where it fails, that is told, and the flight goes on."""
+    companions: tuple[Beside, ...] = ()
+    """Commands that run beside the run."""
 
 
 NOBODY = Watcher(
@@ -109,17 +107,20 @@ def launch(
     Returns:
         The summary of what was flown, if anything was; and the fault that ended it early.
     """
-    with run_folder() as folder, _ended_afterwards() as pages, _ended_afterwards() as children:
+    with run_folder() as folder, _ended_afterwards() as beside, _ended_afterwards() as children:
         run = f"run-{os.getpid()}-{secrets.token_hex(4)}"
         logs = Path(output.folder, "logs") if output.folder else None
         processes = _Processes(scenario, folder, run, children, watcher, logs)
         processes.start_simulator(output, secret)
-        if watcher.page is not None and not watcher.stop():
-            processes.show_on(watcher.page, pages)
+        unready = processes.start_companions(beside)
+        if unready is not None:
+            fault = unready.own_error() or unready.exit_report()
+            unready.drop_log()
+            return Outcome(fault=fault, unusable=unready.ended == _UNUSABLE)
         if not watcher.stop():
             processes.start_vehicles()
         outcome = _follow(processes, watcher, respawn=scenario.run.respawn)
-        processes.await_last_frame()
+        processes.companions.await_end_shown()
         if outcome.summary is not None:
             for child in children:
                 child.wait(2.0 if outcome.summary.complete else 0.5)
@@ -167,8 +168,7 @@ class _Processes:
         self._scenario, self._folder, self._run = scenario, folder, run
         self._endpoint = f"{UNIX}/{folder / 'bus.sock'}"
         self._uavs = [uav.name for uav in scenario.uav]
-        self._page: Child | None = None
-        self._shown: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self.companions = Companions(watcher.on_event)
         ugvs = [ugv.name for ugv in scenario.ugv]
         own = [vehicle.name for vehicle in scenario.vehicles if _is_outside(vehicle)]
         self._credentials = new_credentials(run, self._uavs, ugvs)
@@ -210,44 +210,32 @@ class _Processes:
             )
         )
 
-    def show_on(self, page: socket.socket, pages: list[Child]) -> None:
-        """Start the dashboard, and wait until it shows what comes: the first tick is part of it."""
-        arguments = ["dashboard", *self._joining()]
-        arguments += ["--host", "127.0.0.1", "--listening", str(page.fileno())]
-        arguments += ["--law", msgspec.json.encode(self._scenario.law).decode()]
-        self._page = Child(
-            "dashboard",
-            arguments,
-            Start(credential=self._credentials.of(OPERATOR_NAME)),
-            lines=self._shown,
-            files=(page.fileno(),),
-            log=self._log("dashboard"),
+    def start_companions(self, started: list[Child]) -> Child | None:
+        """Start the companions, and wait until they are ready; return the first that fails."""
+        for name, words, _ in self._watcher.companions:
+            self.companions.add(functools.partial(self._start_companion, name, words, started))
+        return self.companions.failed_before_ready(
+            lambda: bool(self._watcher.stop()) or self.simulator.ended is not None
+        )
+
+    def _start_companion(
+        self,
+        name: str,
+        words: Sequence[str],
+        started: list[Child],
+        lines: "queue.SimpleQueue[bytes | None]",
+    ) -> Child:
+        child = Child(
+            name,
+            [name, *self._joining(), *words],
+            Start(credential=self._credentials.of(OPERATOR_NAME), law=self._scenario.law),
+            lines=lines,
+            log=self._log(name),
+            companion=True,
             on_warning=self._watcher.on_event,
         )
-        pages.append(self._page)
-        page.close()  # it is the child's now: where that ends, nobody else keeps a browser waiting
-        limit = time.monotonic() + _PATIENCE
-        while (
-            not self._watcher.stop() and self.simulator.ended is None and time.monotonic() < limit
-        ):
-            with contextlib.suppress(queue.Empty):
-                line = self._shown.get(timeout=0.1)
-                if line is not None:
-                    self._watcher.on_event(f"the run is shown at {line.decode().strip()}")
-                return
-
-    def await_last_frame(self) -> None:
-        """Wait until the browsers show that the run is over, but not for long."""
-        if self._page is not None and self._page.ended is None:
-            with contextlib.suppress(queue.Empty):
-                self._shown.get(timeout=_LAST_FRAME)  # what it says, or its end
-
-    def lost_page(self) -> str:
-        """Why the dashboard has ended before the run, told once; empty: it has not."""
-        if self._page is None or self._page.ended is None:
-            return ""
-        page, self._page = self._page, None
-        return f"{page.exit_report()}; the run goes on without its page"
+        started.append(child)
+        return child
 
     def _start(self, name: str) -> Child:
         custom, is_uav = self._scenario.custom, name in self._uavs
@@ -338,8 +326,7 @@ def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcom
         if watcher.stop() > 1:
             raise KeyboardInterrupt  # who asks twice does not wait for a summary
         if not asked and outcome.summary is None:
-            if lost := processes.lost_page():
-                watcher.on_event(lost)
+            processes.companions.report_lost()
             dead = [
                 child
                 for child in processes.children[1:]

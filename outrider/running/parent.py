@@ -10,6 +10,7 @@ import time
 import msgspec
 
 from bus.access import Credential, CredentialSet
+from bus.messages import Law
 
 _PATIENCE = 10.0
 """Time for closing sessions and files after the parent has gone [s]."""
@@ -35,6 +36,8 @@ class Start(msgspec.Struct, kw_only=True, omit_defaults=True):
     """Credentials of all parties, for the router."""
     secret: str = ""
     """Secret of the run, for the simulator alone."""
+    law: Law | None = None
+    """Law that the UAVs fly at first, for a companion."""
     folder: str = ""
     """Private folder of the run, which the simulator removes when it ends."""
     output: Output = Output()

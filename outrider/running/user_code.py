@@ -1,23 +1,14 @@
-"""Functions of the user's own, named as module:function, and policies that a learning library has saved."""
+"""Functions of the user's own, named as module:function, and saved policies, named as KIND:FILE."""
 
-from collections.abc import Callable, Iterable, Mapping
-from importlib import import_module
-from importlib.util import find_spec
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from agents.drivers.policy import RowPolicy
-from bus.errors import ScenarioError, shortened, told_with_place
-from bus.observations import UGV, Row, names
+from bus.errors import ScenarioError
+from bus.policies import Vehicle, endings, policy_forms, policy_kinds
 from bus.registry import (
     LAWS,
-    POLICY_FORMS,
-    SAVED_POLICIES,
-    UAV_POLICIES,
-    UAV_POLICY_FORMS,
     resolve,
 )
 from outrider.running.user_modules import find_object
@@ -26,14 +17,6 @@ from sim.input.faults import one_line
 if TYPE_CHECKING:
     from agents.control.uav_policy import UavPolicy
     from sim.scenario.types import Scenario
-
-_ROW, _ACTION = (len(UGV),), (2,)
-"""Shapes of what a saved policy sees and answers."""
-_FORMS = f"allowed: {POLICY_FORMS}"
-
-
-def _reason(error: BaseException) -> str:
-    return shortened(told_with_place(error))
 
 
 def load_function(name: str, *, what: str) -> Callable[..., Any] | None:
@@ -66,6 +49,22 @@ def _named(name: str, what: str) -> Any:  # noqa: ANN401 - whatever it is
     return find_object(name, what)
 
 
+def _load_saved(name: str, what: str, vehicle: Vehicle) -> Any:  # noqa: ANN401 - each kind has its own
+    """Load `KIND:FILE`; return None if the name has no kind of saved policies before its colon.
+
+    Raises:
+        ScenarioError: If it cannot be loaded, or the name is a file without its kind.
+    """
+    kind, separator, rest = name.partition(":")
+    kinds = policy_kinds(vehicle)
+    if separator and kind in kinds:
+        return resolve(getattr(kinds[kind], vehicle))(rest, f"{what} = {name!r}")
+    if Path(name).suffix in endings():
+        allowed = policy_forms(vehicle)
+        raise ScenarioError(f"{what} = {name!r}: a file without its kind; allowed: {allowed}")
+    return None
+
+
 def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a function, or an object that predicts
     """A policy for the driver `policy`.
 
@@ -74,19 +73,16 @@ def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a 
     acceleration.
 
     Args:
-        name: `module:function`, or `module:object` with a method `predict`; `sb3:ALGORITHM:FILE.zip` of
-            Stable-Baselines3; `torch:FILE.pt`, a TorchScript file; `onnx:FILE.onnx`;
-            `fmu:FILE.fmu`, an FMI 3.0 unit.
+        name: `module:function`, `module:object` with a method `predict`, or `KIND:FILE` of a saved policy
+            (`bus.policies`).
         what: What it is for, for the error.
 
     Raises:
         ScenarioError: If it is not there, cannot be loaded, or is none.
     """
-    kind, separator, rest = name.partition(":")
-    if separator and kind in SAVED_POLICIES:
-        return resolve(SAVED_POLICIES[kind].load)(rest, f"{what} = {name!r}")
-    if Path(name).suffix in (".zip", ".pt", ".onnx", ".fmu"):
-        raise ScenarioError(f"{what} = {name!r}: of which library? {_FORMS}")
+    saved = _load_saved(name, what, "ugv")
+    if saved is not None:
+        return saved
     found = _named(name, what)
     if isinstance(found, type) or not (callable(found) or isinstance(found, RowPolicy)):
         raise ScenarioError(
@@ -102,207 +98,20 @@ def load_uav_policy(name: str, *, what: str = "uav_policy") -> "UavPolicy":
     file: load only what you trust.
 
     Args:
-        name: `module:function`; `npz:FILE.npz` of `outrider_learning.mlp.save_policy`; `sb3:ALGORITHM:FILE.zip` of
-            `outrider_learning.saved.save_sb3_policy`.
+        name: `module:function`, or `KIND:FILE` of a saved policy (`bus.policies`).
         what: What it is for, for the error.
 
     Raises:
         ScenarioError: If it is not there, cannot be loaded, or is none.
     """
-    kind, separator, rest = name.partition(":")
-    if separator and kind in UAV_POLICIES:
-        saved: UavPolicy = resolve(UAV_POLICIES[kind].load)(rest, f"{what} = {name!r}")
+    saved: UavPolicy | None = _load_saved(name, what, "uav")
+    if saved is not None:
         return saved
-    if Path(name).suffix in (".npz", ".zip"):
-        raise ScenarioError(f"{what} = {name!r}: of which library? allowed: {UAV_POLICY_FORMS}")
     found = _named(name, what)
     if isinstance(found, type) or not callable(found):
         raise ScenarioError(f"{what} = {name!r}: neither a function nor an object that is called")
     policy: UavPolicy = found
     return policy
-
-
-def _library(module: str, package: str, where: str) -> ModuleType:
-    try:
-        return import_module(module)
-    except ImportError as error:
-        raise ScenarioError(
-            f"{where}: needs {package}: pip install {package} ({_reason(error)})"
-        ) from error
-    except Exception as error:
-        raise ScenarioError(f"{where}: {package} cannot be imported: {_reason(error)}") from error
-
-
-def _file(path: str, where: str, forms: str = _FORMS) -> str:
-    if not Path(path).is_file():
-        raise ScenarioError(f"{where}: no such file: {path or 'none is named'}; {forms}")
-    return path
-
-
-def _check_shapes(row: object, action: object, where: str) -> None:
-    """Refuse a policy of another agent; None is a shape that is not known."""
-    if row not in (None, _ROW) or action not in (None, _ACTION):
-        raise ScenarioError(
-            f"{where}: made for observations of shape {row} and actions of shape {action}; "
-            f"allowed: {_ROW}, the UGV's row, and {_ACTION}, its acceleration"
-        )
-
-
-def _row_of(space: object, where: str) -> object:
-    """The space of the row in what a policy observes: all of it, or that beside the picture of the tiles."""
-    parts = getattr(space, "spaces", None)
-    if not isinstance(parts, Mapping):
-        return space
-    shapes = {name: getattr(part, "shape", None) for name, part in parts.items()}
-    side, *more = shapes.get("tiles") or (0,)
-    if shapes.keys() != {"row", "tiles"} or more != [side] or side % 2 == 0:
-        raise ScenarioError(
-            f"{where}: made for observations of shapes {shapes}; allowed: the UGV's row, alone or with 'tiles', a "
-            "picture of as many rows as columns, an odd number"
-        )
-    return parts["row"]
-
-
-def _check_units(row: object, where: str) -> None:
-    """Refuse a policy of rows that were normalized: here it is given SI units.
-
-    Theirs begin at 0, but for the velocity; a bound that is infinite says nothing.
-    """
-    low = getattr(row, "low", None)
-    if low is None:
-        return
-    below = np.array([name in {"vx", "vy"} for name in names(UGV)])
-    if (np.isfinite(low) & ((low < 0.0) != below)).any():
-        raise ScenarioError(
-            f"{where}: made for observations from {low.tolist()} on, which are no rows in SI units; allowed: rows as "
-            "the environment gives them, or a policy of your own that transforms them"
-        )
-
-
-def load_sb3(rest: str, where: str) -> RowPolicy:
-    """`ALGORITHM:FILE.zip`, for a UGV: `load_sb3_model` whose observations and actions are a UGV's."""
-    model: RowPolicy = load_sb3_model(rest, where, _FORMS)
-    row = _row_of(getattr(model, "observation_space", None), where)
-    done = getattr(model, "action_space", None)
-    _check_shapes(getattr(row, "shape", None), getattr(done, "shape", None), where)
-    _check_units(row, where)
-    return model
-
-
-def load_sb3_model(rest: str, where: str, forms: str) -> Any:  # noqa: ANN401 - the library's
-    """`ALGORITHM:FILE.zip`, of stable_baselines3 or of sb3_contrib, imported here, and never else.
-
-    Args:
-        rest: The algorithm and the file.
-        where: Field and value, for errors.
-        forms: The allowed forms, for errors.
-
-    Raises:
-        ScenarioError: If it cannot be loaded.
-    """
-    algorithm, separator, path = rest.partition(":")
-    if not separator:
-        raise ScenarioError(f"{where}: names no algorithm; {forms}")
-    file = _file(path, where, forms)
-    library = _library("stable_baselines3", "stable-baselines3", where)
-    known = _algorithms(library)
-    if algorithm.lower() not in known and find_spec("sb3_contrib") is not None:
-        known |= _algorithms(_library("sb3_contrib", "sb3-contrib", where))
-    found = known.get(algorithm.lower())
-    if found is None:
-        raise ScenarioError(
-            f"{where}: unknown algorithm {algorithm!r}; installed: {', '.join(sorted(known))}"
-        )
-    try:
-        return found.load(file, device="cpu")
-    except Exception as error:
-        raise ScenarioError(f"{where}: cannot be loaded: {_reason(error)}") from error
-
-
-def _algorithms(library: ModuleType) -> dict[str, Any]:
-    """The library's algorithms by name in lower case."""
-    known = {name.lower(): found for name, found in vars(library).items()}
-    return {
-        name: found
-        for name, found in known.items()
-        if hasattr(found, "load") and hasattr(found, "predict")
-    }
-
-
-class _Torch:
-    """A TorchScript module that is given the row as a float32 tensor."""
-
-    def __init__(self, torch: Any, module: Any) -> None:  # noqa: ANN401 - torch need not be there
-        self._torch, self._module = torch, module
-
-    def predict(self, row: Row) -> object:
-        """The action."""
-        with self._torch.no_grad():
-            answer = self._module(self._torch.as_tensor(row, dtype=self._torch.float32))
-        return answer.tolist() if hasattr(answer, "tolist") else answer
-
-
-def load_torch(path: str, where: str) -> RowPolicy:
-    """`FILE.pt`, a TorchScript file; torch is imported here, and never else."""
-    file, torch = _file(path, where), _library("torch", "torch", where)
-    try:
-        module = torch.jit.load(file, map_location="cpu")
-        module.eval()
-    except Exception as error:
-        raise ScenarioError(
-            f"{where}: cannot be loaded as TorchScript: {_reason(error)}"
-        ) from error
-    return _Torch(torch, module)
-
-
-_ONNX_TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
-_ONNX_SHAPES = ([*_ROW], [1, *_ROW])
-
-
-def _may_be(told: list[Any], shape: list[int]) -> bool:
-    """True if an input can have this shape: a size that is no number is free, and no sizes at all are not known."""
-    return len(told) in (0, len(shape)) and all(
-        size == wanted or not isinstance(size, int)
-        for size, wanted in zip(told, shape, strict=False)
-    )
-
-
-class _Onnx:
-    """An ONNX graph with one input: the row, or a batch of one."""
-
-    def __init__(self, session: Any, where: str) -> None:  # noqa: ANN401 - onnxruntime need not be there
-        inputs = session.get_inputs()
-        if len(inputs) != 1:
-            raise ScenarioError(f"{where}: has {len(inputs)} inputs; allowed: one, the UGV's row")
-        (told,) = inputs
-        fits = any(_may_be(told.shape, shape) for shape in _ONNX_SHAPES)
-        if told.type not in _ONNX_TYPES or not fits:
-            raise ScenarioError(
-                f"{where}: its input is a {told.type} of shape {told.shape}; allowed: {', '.join(_ONNX_TYPES)} of "
-                f"shape {' or '.join(map(str, _ONNX_SHAPES))}, the UGV's row"
-            )
-        self._session, self._name = session, told.name
-        self._dtype = _ONNX_TYPES[told.type]
-        self._batched = len(told.shape) == 2
-
-    def predict(self, row: Row) -> object:
-        """The action: the first output."""
-        seen = row.astype(self._dtype)
-        given = seen[np.newaxis] if self._batched else seen
-        answer = self._session.run(None, {self._name: given})[0]
-        return answer[0] if self._batched and len(answer) == 1 else answer
-
-
-def load_onnx(path: str, where: str) -> RowPolicy:
-    """`FILE.onnx`, by onnxruntime, which is imported here, and never else."""
-    file, runtime = _file(path, where), _library("onnxruntime", "onnxruntime", where)
-    options = runtime.SessionOptions()
-    options.intra_op_num_threads = 1  # a policy is small, and the cores are the flight's
-    try:
-        session = runtime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
-    except Exception as error:
-        raise ScenarioError(f"{where}: cannot be loaded as ONNX: {_reason(error)}") from error
-    return _Onnx(session, where)
 
 
 def own_code(scenario: "Scenario") -> dict[str, str]:

@@ -1,7 +1,7 @@
 """Refusals of scenarios that cannot be flown, and warnings of those that fly unlike what one may expect."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import pairwise
 
 from bus.law_parameters import (
@@ -11,16 +11,12 @@ from bus.law_parameters import (
     parameters_class,
     unknown_parameters,
 )
+from bus.policies import Vehicle, policy_forms, policy_kinds
 from bus.registry import (
     DRIVERS,
     LAWS,
-    POLICY_FORMS,
-    SAVED_POLICIES,
     SENSORS,
-    UAV_POLICIES,
-    UAV_POLICY_FORMS,
 )
-from bus.rows import SavedPolicyRow
 from sim.input.faults import Fault, near, one_line, unknown_name
 from sim.input.reading import as_raw, type_fault, typed
 from sim.scenario.ground_checks import GROUND_CHECKS, hazard_warnings
@@ -49,16 +45,17 @@ def _names_a_function(text: str) -> bool:
     return bool(separator) and all(part.isidentifier() for part in (*module.split("."), function))
 
 
-def _names_a_policy(text: str, saved: Mapping[str, SavedPolicyRow]) -> bool:
-    library, separator, file = text.partition(":")
-    return bool(separator and file) if library in saved else _names_a_function(text)
+def _names_a_policy(text: str, vehicle: Vehicle) -> bool:
+    kind, separator, file = text.partition(":")
+    return bool(separator and file) if kind in policy_kinds(vehicle) else _names_a_function(text)
 
 
-_POLICIES = {
-    "policy": (SAVED_POLICIES, POLICY_FORMS),
-    "uav_policy": (UAV_POLICIES, UAV_POLICY_FORMS),
-}
-"""Fields of `[custom]` that may name a saved policy: of which libraries, and the forms for errors."""
+_POLICIES: dict[str, Vehicle] = {"policy": "ugv", "uav_policy": "uav"}
+"""Fields of `[custom]` that may name a saved policy, with the kind of vehicle that it moves."""
+
+
+def _forms(field: str) -> str:
+    return policy_forms(_POLICIES[field]) if field in _POLICIES else "module:function"
 
 
 def own_functions_are_named(scenario: Scenario) -> Iterator[Fault]:
@@ -66,19 +63,16 @@ def own_functions_are_named(scenario: Scenario) -> Iterator[Fault]:
     for field in scenario.custom.__struct_fields__:
         named = getattr(scenario.custom, field)
         if field in _POLICIES:
-            saved, forms = _POLICIES[field]
-            if named and not _names_a_policy(named, saved):
-                yield Fault(f"custom.{field}", named, "names no policy", forms)
+            if named and not _names_a_policy(named, _POLICIES[field]):
+                yield Fault(f"custom.{field}", named, "names no policy", _forms(field))
         elif named and not _names_a_function(named):
             yield Fault(f"custom.{field}", named, "names no function", "module:function")
     law = LAWS[scenario.law.name]
-    allowed = _POLICIES[law.own][1] if law.own in _POLICIES else "module:function"
-    needed = {f"the law {law.name!r}": (law.own, allowed)} if scenario.uav else {}
-    for ugv in scenario.ugv:
-        needed[f"the driver {ugv.driver!r}"] = (DRIVERS[ugv.driver].own, POLICY_FORMS)
-    for who, (field, allowed) in needed.items():
+    needed = {f"the law {law.name!r}": law.own} if scenario.uav else {}
+    needed |= {f"the driver {ugv.driver!r}": DRIVERS[ugv.driver].own for ugv in scenario.ugv}
+    for who, field in needed.items():
         if field and not getattr(scenario.custom, field):
-            yield Fault(f"custom.{field}", "", f"{who} needs it", allowed)
+            yield Fault(f"custom.{field}", "", f"{who} needs it", _forms(field))
 
 
 def drivers_have_their_task(scenario: Scenario) -> Iterator[Fault]:

@@ -10,7 +10,8 @@ import msgspec
 
 from bus.errors import ScenarioError
 from bus.files import read_regular
-from bus.registry import DRIVERS, SAVED_POLICIES
+from bus.policies import policy_kinds
+from bus.registry import DRIVERS
 from sim.input.faults import Fault, near, one_line
 from sim.input.reading import apply_override, as_raw, parse_override, parse_toml, typed
 from sim.scenario.checks import check_scenario
@@ -149,7 +150,7 @@ def _with_saved_drivers(raw: dict[str, object], *, file: str) -> None:
     for k, ugv in enumerate(ugvs):
         named = ugv.get("driver") if isinstance(ugv, dict) else None
         library, separator, _ = named.partition(":") if isinstance(named, str) else ("", "", "")
-        if library not in SAVED_POLICIES or not separator:
+        if not separator or library not in policy_kinds("ugv"):
             continue
         other = custom.setdefault(own.own, named)
         if other != named:

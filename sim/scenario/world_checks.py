@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import msgspec
 
-from bus.keys import ROS2_STAFF, STAFF
+from bus.keys import STAFF
 from bus.messages import LinkKind
 from sim.channel.description import least_ticks, link_faults, link_parameters
 from sim.input.faults import Fault, is_whole
@@ -70,7 +70,7 @@ def numbers_are_finite(scenario: Scenario) -> Iterator[Fault]:
 
 def names_are_different(scenario: Scenario) -> Iterator[Fault]:
     """Each vehicle has a name of its own, which is not the simulator's."""
-    taken = [*STAFF, *ROS2_STAFF]
+    taken = [*STAFF]
     for path, vehicle in vehicles(scenario):
         if vehicle.name in taken:
             allowed = f"any other than {', '.join(taken)}"

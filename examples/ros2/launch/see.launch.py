@@ -1,4 +1,4 @@
-"""A run in RViz: `ros2 launch outrider_ros2 see.launch.py`, beside `outrider simulator` and `outrider ros2`."""
+"""A run in RViz: `ros2 launch outrider_demo see.launch.py`, beside `outrider simulator` and `outrider ros2`."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from launch_ros.actions import Node
 
 
 def generate_launch_description():
-    share = Path(get_package_share_directory("outrider_ros2"))
+    share = Path(get_package_share_directory("outrider_demo"))
     return LaunchDescription(
         [
             DeclareLaunchArgument("session", default_value=str(share / "session.json5")),

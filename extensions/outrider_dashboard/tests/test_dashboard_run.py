@@ -90,7 +90,7 @@ def serves(page: Page) -> bool:
 
 
 def test_a_page_opens_with_the_run_shows_all_of_it_and_ends_with_it() -> None:
-    told = words("run --dashboard --port 0 --realtime 40 --duration 60 --no-files --json")
+    told = words("run --with dashboard:port=0 --realtime 40 --duration 60 --no-files --json")
     with started(*told) as run:
         page = page_of(run)
         assert "Outrider" in page.text()
@@ -114,7 +114,7 @@ def test_a_page_opens_with_the_run_shows_all_of_it_and_ends_with_it() -> None:
 
 
 def test_a_run_with_a_page_keeps_the_wall_clock_unless_told_otherwise_and_ctrl_c_ends_all() -> None:
-    with started("run", "--dashboard", "--port", "0", "--no-files", "--json") as run:
+    with started("run", "--with", "dashboard:port=0", "--no-files", "--json") as run:
         page = page_of(run)
         with browser(page) as channel:
             assert await_truth(channel, 20)["kind"] == "frame"
@@ -133,7 +133,7 @@ def test_a_run_with_a_page_keeps_the_wall_clock_unless_told_otherwise_and_ctrl_c
 
 
 def test_a_page_that_dies_is_told_once_and_the_run_goes_on_in_lockstep_to_its_end() -> None:
-    told = words("run --dashboard --realtime 0 --port 0 --duration 250 --no-files --json")
+    told = words("run --with dashboard:port=0 --realtime 0 --duration 250 --no-files --json")
     with started(*told) as run:
         page = page_of(run)
         with browser(page) as channel:
@@ -141,7 +141,7 @@ def test_a_page_that_dies_is_told_once_and_the_run_goes_on_in_lockstep_to_its_en
             os.kill(child_of(run, "dashboard"), signal.SIGKILL)
         out, err = run.communicate(timeout=120)
         assert run.returncode == 0, err
-    assert err.count("the run goes on without its page") == 1
+    assert err.count("the run goes on without it") == 1
     assert "killed by signal 9" in err
     summary = json.loads(out)
     assert summary["ticks"] == 5_000
@@ -149,7 +149,7 @@ def test_a_page_that_dies_is_told_once_and_the_run_goes_on_in_lockstep_to_its_en
 
 
 def test_the_page_ends_when_its_run_is_killed() -> None:
-    with started("run", "--dashboard", "--port", "0", "--no-files") as run:
+    with started("run", "--with", "dashboard:port=0", "--no-files") as run:
         page = page_of(run)
         children = family(run.pid)
         assert child_of(run, "dashboard") in children
@@ -162,7 +162,7 @@ def test_the_page_ends_when_its_run_is_killed() -> None:
 def test_a_busy_port_is_refused_before_anything_flies(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        run = outrider("run", "--dashboard", "--port", port, "--out", str(tmp_path / "flight"))
+        run = outrider("run", "--with", f"dashboard:port={port}", "--out", str(tmp_path / "flight"))
     assert run.returncode == 2
     assert len(run.stderr.strip().splitlines()) == 1
     assert f"port {port}" in run.stderr
@@ -178,7 +178,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_recording_is_played_into_the_page_and_nobody_can_steer(recording: Path) -> None:
-    told = words("--dashboard --port 0 --realtime 10")
+    told = words("--with dashboard:port=0 --realtime 10")
     with started("replay", str(recording), *told) as replay:
         page = page_of(replay)
         assert "this is a recording" in page.text()

@@ -7,11 +7,19 @@ import zenoh
 from bus.access import access_control, new_credentials
 from bus.errors import AccessDenied
 from bus.keys import KEYS, Key, Role, check_reads, check_writes
-from bus.ros2_access import CALLS, INPUTS, NO_HASH, SERVICES, VELOCITIES, Operation
+from outrider_ros2.roles import (
+    CALLS,
+    INPUTS,
+    NO_HASH,
+    NODE_OPERATOR,
+    SERVICES,
+    VELOCITIES,
+    Operation,
+)
 from staging import Received, everybody, listening, settled
 
-GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], ros2=True)
-NAMES = [one.name for one in GIVEN.parties if one.role is not Role.SIMULATOR]
+GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], extensions=["ros2"])
+NAMES = [one.name for one in GIVEN.parties if one.role != Role.SIMULATOR]
 TYPE = "nav_msgs::msg::dds_::Odometry_/RIHS01_3cc97dc7"
 TRUTHS = {f"0/uav_0/odom/{TYPE}", f"42/fleet/ugv_0/odom/{TYPE}", f"0/tf/{TYPE}"}
 CMD_VEL = f"0/ugv_0/cmd_vel/{TYPE}"
@@ -41,7 +49,7 @@ def writers(key: str) -> set[str]:
     own = {name for name, mine in OWN.items() if mine == key}
     if own or key in NOBODYS:
         return own
-    return {VELOCITIES.writer.value} if key == CMD_VEL else BRIDGES
+    return {VELOCITIES.writer} if key == CMD_VEL else BRIDGES
 
 
 def test_each_party_reads_and_writes_its_own_topics_and_no_others(endpoint: str) -> None:
@@ -157,15 +165,15 @@ def declared_inputs() -> Done:
     }
     for row in INPUTS:
         for key in INPUT_KEYS[row.operation]:
-            done.add((row.reader.value, key, row.writer.value, row.operation))
+            done.add((row.reader, key, row.writer, row.operation))
             if row.operation is Operation.PUT and NO_HASH not in key:  # `ros2 topic echo`
-                done.add(("ros2_observer", key, row.writer.value, row.operation))
+                done.add(("ros2_observer", key, row.writer, row.operation))
     return done
 
 
 def test_inputs_obey_the_tables_whoever_does_whatever(endpoint: str) -> None:
     """Every party puts to, deletes and calls every key, and serves and reads each, for itself and by wide keys."""
-    assert {VELOCITIES.writer, CALLS.writer} == {Role.ROS2_OPERATOR}
+    assert {VELOCITIES.writer, CALLS.writer} == {NODE_OPERATOR}
     wanted, found, deleted = declared_inputs(), set[Any](), set[Any]()
     names = [one.name for one in GIVEN.parties]
     keys = {expression for _, expression, _ in ROWS}.union(*INPUT_KEYS.values())

@@ -26,9 +26,10 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from bus.errors import ScenarioError
 from observed import Observer, recorded
 from outrider.recording import schemas
-from outrider.recording.reader import coverages, flight_of, load, statuses
+from outrider.recording.reader import Damage, coverages, flight_of, load, statuses
 from outrider.recording.refly import refly
 from outrider.recording.schemas import head_of
+from outrider_ros2.bag_reader import import_bag
 from outrider_ros2.bag_records import RECORDS, RECORDS_TYPE
 from outrider_ros2.conversion import view_of
 from outrider_ros2.interfaces import decode, encode, make, type_hash, type_store
@@ -57,6 +58,14 @@ def write_bag(recording, folder, flight=None):
     with RosBag(folder) as bag:
         for _ in copy_flight(flight_of(recording, flight), bag):
             pass
+
+
+def imported(bag):
+    """The recording in a bag as a file beside it, and where reading ended."""
+    damage, file = Damage(), bag.with_name(f"{bag.name}-imported.mcap")
+    for _ in import_bag(bag, file, damage):
+        pass
+    return file, damage
 
 
 def messages_in(bag, *topics):
@@ -153,11 +162,12 @@ def test_no_two_records_have_one_time(flown):
 
 
 def test_a_bag_tells_all_that_its_recording_tells(flown):
-    (file,), (bag,) = load(flown.file), load(flown.bag)
+    again, damage = imported(flown.bag)
+    (file,), (bag,) = load(flown.file), load(again)
     assert (bag.head, bag.truths, bag.commands) == (file.head, file.truths, file.commands)
-    assert not bag.damage.reason
+    assert not damage.reason
     for read in (statuses, coverages):
-        assert list(read(flown.bag)) == list(read(flown.file))
+        assert list(read(again)) == list(read(flown.file))
 
 
 def test_a_bag_flies_again_to_the_same_hash_as_it_is_rewritten_and_split(flown, tmp_path):
@@ -165,60 +175,59 @@ def test_a_bag_flies_again_to_the_same_hash_as_it_is_rewritten_and_split(flown, 
     split = rewritten(flown.bag, tmp_path / "split", lambda number, _: number >= 400)
     rewritten(flown.bag, tmp_path / "first", lambda number, _: number < 400)
     (tmp_path / "first" / "first.mcap").rename(split / "z_0.mcap")  # no name tells their order
-    (file,) = flown.bag.glob("*.mcap")
-    for bag in (flown.bag, whole, split, file):
-        again = refly(flight_of(bag))
+    for bag in (flown.bag, whole, split):
+        again = refly(flight_of(imported(bag)[0]))
         assert again.difference is None
         assert again.trajectory_sha256 == flown.flight.recorder.sha256(), bag
 
 
 def test_a_bag_that_lost_a_record_is_read_up_to_there(flown, tmp_path):
-    recording = flight_of(
-        rewritten(
-            flown.bag,
-            tmp_path / "cut",
-            lambda number, topic: topic != RECORDS or number < 300,
-        )
+    ended = rewritten(
+        flown.bag, tmp_path / "cut", lambda number, topic: topic != RECORDS or number < 300
     )
     # the end is gone: nobody can tell, and it is flown to there
-    assert len(recording.truths) < TICKS
+    assert len(flight_of(imported(ended)[0]).truths) < TICKS
     cut = rewritten(
         flown.bag, tmp_path / "gap", lambda number, topic: topic != RECORDS or number > 20
     )
-    with pytest.raises(ScenarioError, match=r"its record 0 is missing"):
-        load(cut)
+    file, damage = imported(cut)
+    assert damage.reason == "its record 0 is missing"
+    assert not file.exists()
 
 
 def test_a_bag_with_a_truncated_file_is_read_up_to_there(flown, tmp_path, command):
     bag = rewritten(flown.bag, tmp_path / "bag", lambda number, _: number < 400)
     rewritten(flown.bag, tmp_path / "rest", lambda number, _: number >= 400)
     raw = (tmp_path / "rest" / "rest.mcap").read_bytes()
-    told = json.loads(command("replay", bag, "--refly", "--json").stdout)
-    assert told["same"]
-    assert told["ticks"] < TICKS
+    file = tmp_path / "again.mcap"
+    told = json.loads(command("ros2", "import", bag, file, "--json").stdout)
+    assert told["whole"]
+    assert len(flight_of(file).truths) < TICKS
     (bag / "a.mcap").write_bytes(raw[: len(raw) // 2])
-    found = json.loads(command("replay", bag, "--json").stdout)
-    assert found["last_tick"] == told["ticks"]
+    found = json.loads(command("ros2", "import", bag, file, "--json").stdout)
+    assert found["messages"] == told["messages"]
     assert (found["whole"], found["reason"]) == (False, "a.mcap: it ends within a record")
 
 
 def test_the_command_writes_a_bag_that_it_replays(flown, tmp_path, command):
-    found = command("replay", flown.file, "--to-ros2", tmp_path / "bag", "--json")
+    found = command("ros2", "export", flown.file, tmp_path / "bag", "--json")
     told = json.loads(found.stdout)
     assert (told["topics"]["/tf"], told["messages"]) == (
         TICKS + 1,
         sum(told["topics"].values()),
     )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bag"]
-    again = json.loads(command("replay", tmp_path / "bag", "--refly", "--json").stdout)
+    file = tmp_path / "again.mcap"
+    assert command("ros2", "import", tmp_path / "bag", file).returncode == 0
+    again = json.loads(command("replay", file, "--refly", "--json").stdout)
     assert again["same"]
-    assert command("replay", tmp_path / "bag").returncode == 0
+    assert "allowed: an MCAP file" in command("replay", tmp_path / "bag").stderr
 
 
 def test_a_folder_that_is_there_is_not_replaced(flown, tmp_path, command):
     for words in (
-        ("replay", flown.file, "--to-ros2", flown.bag),
-        ("record", "--ros2", flown.bag, "--connect", "tcp/127.0.0.1:1"),
+        ("ros2", "export", flown.file, flown.bag),
+        ("record", flown.bag, "--format", "ros2", "--connect", "tcp/127.0.0.1:1"),
     ):
         assert "is there already" in command(*words).stderr
     with pytest.raises(ScenarioError, match="is there already"):
@@ -236,7 +245,7 @@ def test_a_bag_whose_name_was_taken_meanwhile_is_kept(flown, tmp_path):
     with pytest.raises(ScenarioError, match="is there by now; the bag is in ") as told:
         bag.close()
     kept = Path(str(told.value).partition(" is in ")[2])
-    assert refly(flight_of(kept)).trajectory_sha256 == flown.flight.recorder.sha256()
+    assert refly(flight_of(imported(kept)[0])).trajectory_sha256 == flown.flight.recorder.sha256()
 
 
 def test_what_breaks_in_the_middle_leaves_nothing(flown, tmp_path):
@@ -262,7 +271,7 @@ def test_an_interrupted_command_leaves_nothing(flown, tmp_path, monkeypatch, com
             yield seconds
 
     monkeypatch.setattr(ros_bag, "copy_flight", interrupted)
-    found = command("replay", flown.file, "--to-ros2", tmp_path / "bag")
+    found = command("ros2", "export", flown.file, tmp_path / "bag")
     assert found.returncode == 128 + signal.SIGINT
     assert not list(tmp_path.iterdir())
 
@@ -306,7 +315,7 @@ def _flipped(folder, flown):
 @pytest.mark.parametrize(
     ("spoil", "line"),
     [
-        (lambda folder, _: folder.mkdir(), "no metadata.yaml in it; allowed: an MCAP file or"),
+        (lambda folder, _: folder.mkdir(), "no metadata.yaml in it; allowed: the folder of"),
         (
             lambda folder, _: _greeting(folder, "/chatter"),
             "not a recording of Outrider: no topic /outrider/recording",
@@ -324,7 +333,7 @@ def _flipped(folder, flown):
 def test_a_folder_that_is_no_bag_of_ours_is_one_line(flown, tmp_path, spoil, line):
     spoil(tmp_path / "bad", flown)
     with refused(ScenarioError, f"^{re.escape(str(tmp_path))}/bad:? ?{line}"):
-        flight_of(tmp_path / "bad")
+        imported(tmp_path / "bad")
 
 
 @pytest.mark.parametrize(
@@ -351,7 +360,7 @@ def test_without_the_extra_it_is_named(flown, tmp_path, monkeypatch):
     for name in [one for one in sys.modules if one.partition(".")[0] == "rosbags"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "rosbags", None)
-    assert flight_of(flown.bag).truths  # reading one needs no more than a recording does
+    assert imported(flown.bag)[0].exists()  # importing one needs no more than a recording does
     with pytest.raises(ScenarioError, match=r"pip install -e '\.\[ros2\]'"):
         RosBag(tmp_path / "bag")
 
@@ -371,15 +380,16 @@ def observed(folder, scenario, flights=2, ticks=4):
 @pytest.mark.parametrize("known", [True, False])
 def test_an_observer_records_a_run_that_is_reset_into_one_bag(tmp_path, known):
     observed(tmp_path / "live", SCENARIO if known else None).close()
-    first, second = load(tmp_path / "live")
+    file, _ = imported(tmp_path / "live")
+    first, second = load(file)
     assert [truth.tick for truth in first.truths] == [truth.tick for truth in second.truths]
     clocks = messages_in(tmp_path / "live", "/clock")
     assert len(clocks) == 8  # those before the geometry was told, too
     assert [time for _, time, _ in clocks] == sorted({time for _, time, _ in clocks})
     if known:
-        assert refly(flight_of(tmp_path / "live")).difference is None
-        write_bag(tmp_path / "live", tmp_path / "first", 0)
-        (copied,) = load(tmp_path / "first")
+        assert refly(flight_of(file)).difference is None
+        write_bag(file, tmp_path / "first", 0)
+        (copied,) = load(imported(tmp_path / "first")[0])
         assert copied.truths == first.truths
 
 

@@ -18,12 +18,12 @@ from test_ros2_wire import truth_at
 from bus.access import new_credentials
 from bus.keys import CONTROL, COVERAGE, OPERATOR, SAMPLED_TRUTH, STATUS
 from bus.messages import Action, Control, CoverageMap, Limits
-from bus.ros2_access import NO_HASH
 from outrider.running.refused import Refused
 from outrider.view.operator import RunClient
 from outrider_ros2.conversion import header, view_of
 from outrider_ros2.interfaces import decode, encode, make, request_of, response_of
 from outrider_ros2.observing import RosObserver
+from outrider_ros2.roles import NO_HASH
 from outrider_ros2.ros_commands import TWISTS, RosCommands, wish_of
 from outrider_ros2.ros_node import RosNode
 from outrider_ros2.topics import TOPICS, wire_topic

@@ -9,10 +9,10 @@ import pytest
 
 from bus.errors import ScenarioError
 from bus.messages import CoverageMap, GroundMap, LinkStatus, UavReport, VehicleStatus
-from bus.ros2_access import PILOT
 from outrider.running.refused import Refused
 from outrider_ros2.conversion import PathTrack, RunView
 from outrider_ros2.interfaces import decode, encode, make, type_hash
+from outrider_ros2.roles import PILOT
 from outrider_ros2.topics import PILOT_TOPICS, TOPICS, messages_of, wire_topic
 from outrider_ros2.wire import (
     LATCHED,

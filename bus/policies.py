@@ -1,0 +1,50 @@
+"""Saved policies, `KIND:FILE`: the kinds that extensions and other packages register under `outrider.policies`."""
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
+
+from bus import plugins
+
+Vehicle = Literal["uav", "ugv"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PolicyKind:
+    """A kind of saved policies: the object of an entry point, whose name is the text before the colon.
+
+    A loader is a `module:function`, imported when a policy is loaded. It is called with the text after the colon, and
+    with field and value for its errors.
+    """
+
+    form: str
+    """Form of the text after the colon, such as `FILE.onnx`."""
+    ugv: str = ""
+    """Loader of a policy that drives a UGV: a function, or an object with a method `predict`."""
+    uav: str = ""
+    """Loader of a policy that flies a UAV: `agents.control.uav_policy.UavPolicy`."""
+
+
+@functools.cache
+def policy_kinds(vehicle: Vehicle) -> Mapping[str, PolicyKind]:
+    """Return the kinds of policies for this kind of vehicle by name."""
+    kinds = plugins.load_all("policies", PolicyKind)
+    return MappingProxyType(
+        {name: kind for name, kind in kinds.items() if getattr(kind, vehicle) != ""}
+    )
+
+
+def policy_forms(vehicle: Vehicle) -> str:
+    """Return the allowed forms of a policy for this kind of vehicle, for errors."""
+    forms = ["module:function"]
+    forms += [f"{name}:{kind.form}" for name, kind in sorted(policy_kinds(vehicle).items())]
+    return " or ".join([*([", ".join(forms[:-1])] if forms[1:] else []), forms[-1]])
+
+
+def endings() -> frozenset[str]:
+    """Return the endings of files with saved policies, such as `.onnx`."""
+    vehicles: tuple[Vehicle, ...] = ("uav", "ugv")
+    forms = {kind.form for vehicle in vehicles for kind in policy_kinds(vehicle).values()}
+    return frozenset(f".{form.rpartition('.')[2]}" for form in forms if "." in form)

@@ -1,0 +1,1 @@
+"""Fly a UAV that hovers over its UGV."""

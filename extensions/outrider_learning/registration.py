@@ -1,0 +1,62 @@
+"""Names of the suites' tasks at Gymnasium and PettingZoo, such as `outrider/Suite-Noise-v0`.
+
+Importing this module registers them; `gymnasium.make("outrider_learning.registration:outrider/Suite-Noise-v0")` needs
+no import.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+import outrider.registration
+from outrider.registration import drawing, refuse_limit, register_names
+from outrider_learning.suite.tasks import MISSIONS, TASKS, Suite
+
+if TYPE_CHECKING:
+    from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]
+
+    from outrider.envs.single import SingleEnv
+    from outrider.envs.vector import OutriderVectorEnv
+
+_TASKS = Suite((*TASKS, *MISSIONS))
+
+
+@drawing
+def single(*, task: str, **settings: Any) -> "SingleEnv":  # noqa: ANN401 - those of the environment
+    """Make a task's environment for `gymnasium.make`."""
+    return _TASKS[task].make_single(**settings)
+
+
+def vector(*, num_envs: int, task: str, **settings: Any) -> "OutriderVectorEnv":  # noqa: ANN401
+    """Make a task's environment for `gymnasium.make_vec`.
+
+    Raises:
+        ValueError: If it is given a limit of steps, which Gymnasium can put around single environments only.
+    """
+    refuse_limit(settings, "max_episode_steps", "not for many worlds at once")
+    return _TASKS[task].make(num_envs, **settings)
+
+
+def parallel(*, task: str, **settings: Any) -> "ParallelEnv[str, Any, Any]":  # noqa: ANN401
+    """Make a task's environment for `pettingzoo.make("parallel", ...)`.
+
+    Raises:
+        ValueError: If it is given a limit of cycles: episodes end by themselves.
+    """
+    return outrider.registration.parallel(scenario=_TASKS[task].scenario, **settings)
+
+
+def turn_based(*, task: str, **settings: Any) -> "AECEnv[str, Any, Any]":  # noqa: ANN401
+    """Make a task's environment for `pettingzoo.make("aec", ...)`."""
+    return outrider.registration.turn_based(scenario=_TASKS[task].scenario, **settings)
+
+
+def env_ids() -> tuple[str, ...]:
+    """Return the names of all tasks."""
+    return tuple(task.env_id for task in _TASKS)
+
+
+def register() -> None:
+    """Register the names, with PettingZoo too where it has been imported; again does nothing."""
+    register_names({task.env_id: {"task": task.name} for task in _TASKS}, __name__)
+
+
+register()

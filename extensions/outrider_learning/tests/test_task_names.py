@@ -1,0 +1,48 @@
+"""The tasks' names at Gymnasium and PettingZoo."""
+
+import gymnasium
+import numpy as np
+import pettingzoo
+import pytest
+
+from outrider.envs.single import SingleEnv
+from outrider.envs.vector import OutriderVectorEnv
+from outrider_learning.registration import env_ids, register
+from outrider_learning.suite.tasks import MISSIONS, TASKS
+from processes import loaded_by, python
+
+NOISE = "outrider/Suite-Noise-v0"
+
+
+def test_there_is_a_name_for_each_task() -> None:
+    assert env_ids() == tuple(task.env_id for task in (*TASKS, *MISSIONS))
+    assert len(set(env_ids())) == len(TASKS) + len(MISSIONS)
+    for task in TASKS:
+        made = gymnasium.make(task.env_id).unwrapped
+        assert isinstance(made, SingleEnv)
+        assert made.worlds.scenario == task.scenario
+
+
+def test_pettingzoo_has_the_same_names() -> None:
+    register()
+    assert set(env_ids()) <= {*pettingzoo.parallel_registry} & {*pettingzoo.aec_registry}
+    made = pettingzoo.make("parallel", "outrider/Suite-TwoPairs-v0")
+    assert made.unwrapped.scenario == next(t.scenario for t in TASKS if t.name == "two-pairs")
+    with pytest.raises(ValueError, match=r"max_cycles = 10: .*duration"):
+        pettingzoo.make("parallel", NOISE, max_cycles=10)
+
+
+def test_settings_go_through() -> None:
+    env = gymnasium.make(NOISE, agent="ugv_0", dtype=np.float32)
+    assert env.observation_space.shape == (8,)
+    assert isinstance(gymnasium.make_vec(NOISE, num_envs=2, gradient=True), OutriderVectorEnv)
+    with pytest.raises(ValueError, match=r"max_episode_steps = 3: .*duration"):
+        gymnasium.make_vec(NOISE, num_envs=2, max_episode_steps=3)
+
+
+def test_a_name_with_its_module_needs_no_import() -> None:
+    heavy = {"numba", "sim", "agents", "zenoh", "pettingzoo"}
+    assert heavy.isdisjoint(loaded_by("outrider_learning.registration"))
+    name = f"outrider_learning.registration:{NOISE}"
+    made = f"import gymnasium; print(gymnasium.make({name!r}).unwrapped.worlds.scenario.name)"
+    assert python(made).stdout == "noise\n"

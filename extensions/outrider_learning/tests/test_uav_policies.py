@@ -1,0 +1,356 @@
+"""A policy flies a UAV: it sees what it saw in the environment, and flies the same bits over processes and in one."""
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import msgspec
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+import outrider
+from agents.uav import UavPilot
+from bus.errors import ScenarioError
+from flights import distances
+from outrider.envs.env_pilots import pilots
+from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.user_code import check_own_functions, load_uav_policy
+from outrider_learning.egocentric import Egocentric
+from outrider_learning.learned import LearnedPolicy
+from outrider_learning.recipe import observation_recipe
+from outrider_learning.repeat import ActionRepeat
+from outrider_learning.saved import SavedPolicy
+from outrider_learning.stacking import Stack
+from outrider_learning.suite.scoring import evaluate
+from outrider_learning.suite.tasks import TASKS
+from outrider_learning.transformation import Transformed
+from processes import outrider as command
+from refusals import refused
+from sim.engine.briefing import uav_briefing
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Custom, Scenario
+from sim.server.flight import Flight
+from worlds import SCENARIOS, SEVERAL, raw
+
+SHIPPED = Path(__file__).parents[3] / "examples" / "policies" / "uav_ppo.npz"
+NAME = f"npz:{SHIPPED}"
+ESCORT = load_scenario("escort", overrides={"duration": 20.0})
+SETUPS: dict[str, dict[str, Any]] = {
+    "row": {},
+    "float32": {"dtype": np.float32, "coverage_patch": (7, 0.6)},
+    "estimate": {"estimate": True},
+    "gradient": {"estimate": True, "gradient": True},
+}
+
+
+class Recorded:
+    """Flies about, and keeps what it observes."""
+
+    def __init__(self, setup: dict[str, Any], length: float) -> None:
+        self.setup = {**setup, "duration": length}
+        self.seen: list[Any] = []
+        self.actions: list[np.ndarray] = []
+        self._rng = np.random.default_rng(5)
+
+    def __call__(self, seen: Any) -> np.ndarray:
+        self.seen.append(copy.deepcopy(seen))
+        self.actions.append(self._rng.uniform(-0.1, 0.1, (1, 2)))
+        return self.actions[-1]
+
+
+def with_policy(scenario: Scenario, law: str, name: str = NAME) -> Scenario:
+    """The scenario with a policy on board."""
+    changed = msgspec.structs.replace(scenario.law, name=law)
+    return msgspec.structs.replace(scenario, law=changed, custom=Custom(uav_policy=name))
+
+
+def flown_by(scenario: Scenario, policy: Recorded, seed: int) -> Flight:
+    """A run of law `policy` whose UAV this policy flies."""
+    law = msgspec.structs.replace(scenario.law, name="policy")
+    flight = Flight(scenario, seed)
+    others = make_pilots(scenario, seed)
+    briefing = msgspec.structs.replace(uav_briefing(scenario, "uav_0", seed), law=law)
+    flight.fly(InProcess({**others, "uav_0": UavPilot(briefing, policy=policy)}))
+    return flight
+
+
+@pytest.mark.parametrize("network", ["certified", "network", "wind"])
+@pytest.mark.parametrize("name", SETUPS)
+def test_a_pilots_observation_is_the_environments(name: str, network: str) -> None:
+    """To the bit without estimator; with the estimate, whose compiled filter rounds differently, to 1e-7."""
+    setup, exact = SETUPS[name], not SETUPS[name].get("estimate")
+    flown = raw(SCENARIOS[network]) if exact else SCENARIOS[network]
+    scenario = msgspec.structs.replace(flown, duration=10.0)
+    policy = Recorded(setup, 10.0)
+    flown_by(scenario, policy, 3)
+    env = outrider.single_env(scenario, end_on_sight_lost=False, **setup)
+    expected, _ = env.reset(seed=3)
+    for seen, action in zip(policy.seen, policy.actions, strict=True):
+        parts = seen if isinstance(seen, dict) else {"row": seen}
+        theirs = expected if isinstance(expected, dict) else {"row": expected}
+        assert parts.keys() == theirs.keys()
+        for key, array in parts.items():
+            assert (array.dtype, array.shape) == (theirs[key].dtype, (1, *theirs[key].shape))
+            close = {"rtol": 0.0, "atol": 0.0 if exact else 1e-7}
+            np.testing.assert_allclose(array[0], theirs[key], **close)
+        expected, *_ = env.step(action[0])
+    assert len(policy.seen) == 200
+
+
+def test_before_a_detection_the_age_is_the_training_s_episode() -> None:
+    blind = msgspec.structs.replace(
+        ESCORT, duration=1.0, detections=msgspec.structs.replace(ESCORT.detections, dropout=1.0)
+    )
+    policy = Recorded({}, 200.0)
+    flown_by(blind, policy, 1)
+    assert {row[0, -1] for row in policy.seen} == {200.0}
+    policy = Recorded({}, 200.0)
+    del policy.setup["duration"]
+    flown_by(blind, policy, 1)
+    assert {row[0, -1] for row in policy.seen} == {np.inf}
+
+
+@pytest.mark.parametrize("law", ["certified", "policy"])
+def test_the_shipped_policy_flies_a_run_as_it_flies_the_environment(law: str) -> None:
+    flight, summary = fly(with_policy(ESCORT, law), 4)
+    policy = LearnedPolicy.load(SHIPPED)
+    settings = {"safety_filter": law == "certified", "end_on_sight_lost": False}
+    env = outrider.parallel_env(ESCORT, **settings, **policy.setup)
+    drive = pilots(env)["ugv_0"]
+    seen, _ = env.reset(seed=4)
+    for k in range(ESCORT.ticks):
+        np.testing.assert_allclose(
+            env.world.position, flight.recorder.states[k, :, :2], rtol=0.0, atol=1e-6
+        )
+        actions = {"uav_0": policy(seen["uav_0"]), "ugv_0": drive(seen["ugv_0"])}
+        seen, *_ = env.step(actions)
+    assert (summary.certified_share is None) == (law == "policy")
+
+
+def test_inside_the_filter_sight_is_kept_whatever_the_policy_wants(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "flees.py").write_text("def act(seen):\n    return [[0.3, 0.0]] * len(seen)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    scenario = msgspec.structs.replace(ESCORT, duration=60.0)
+    kept, summary = fly(with_policy(scenario, "certified", "flees:act"), 2)
+    assert distances(kept).max() < 4.75
+    assert summary.certified_share == 1.0
+    assert distances(fly(with_policy(scenario, "policy", "flees:act"), 2)[0]).max() > 4.75
+
+
+@pytest.mark.parametrize("law", ["certified", "policy"])
+def test_processes_and_one_process_fly_the_same_bits(law: str) -> None:
+    own = (
+        "--set",
+        f"custom.uav_policy={NAME}",
+        "--law",
+        law,
+        "--seed",
+        "3",
+        "--duration",
+        "8",
+        "--json",
+    )
+    runs = [command("run", "--no-files", *own, *more) for more in ((), ("--in-process",))]
+    assert [run.returncode for run in runs] == [0, 0], runs[0].stderr
+    one, other = (json.loads(run.stdout) for run in runs)
+    assert one["trajectory_sha256"] == other["trajectory_sha256"]
+    flown = fly(with_policy(msgspec.structs.replace(ESCORT, duration=8.0), law), 3)[1]
+    assert one["trajectory_sha256"] == flown.trajectory_sha256
+
+
+def test_each_of_several_uavs_has_a_memory_of_its_own() -> None:
+    several = msgspec.structs.replace(
+        SEVERAL,
+        duration=3.0,
+        uav=tuple(msgspec.structs.replace(u, max_speed=0.6) for u in SEVERAL.uav),
+    )
+    flight, _ = fly(with_policy(several, "policy"), 1)
+    single = fly(with_policy(several, "policy"), 1)[0]
+    np.testing.assert_array_equal(flight.recorder.states, single.recorder.states)
+    uavs = flight.recorder.states[10:, :3, 4:6]
+    assert (uavs[:, 0] != uavs[:, 1]).any()
+
+
+# -- what a library has saved
+
+
+class Linear:
+    """A model as Stable-Baselines3 makes it."""
+
+    def __init__(self, space: spaces.Space[Any]) -> None:
+        self.observation_space = space
+        self.action_space = spaces.Box(-0.3, 0.3, (2,), np.float64)
+        rows = space.spaces["row"] if isinstance(space, spaces.Dict) else space
+        self._weights = np.random.default_rng(2).normal(size=(np.prod(rows.shape), 2))
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: Any = False,
+    ) -> tuple[np.ndarray, Any]:
+        assert deterministic
+        row = observation["row"] if isinstance(observation, dict) else observation
+        assert all(self.observation_space.contains(one) for one in row) or isinstance(
+            observation, dict
+        )
+        return 0.3 * np.tanh(0.1 * row.reshape(len(row), -1) @ self._weights), state
+
+
+WRAPPED: dict[str, Any] = {
+    "plain": lambda env: env,
+    "egocentric": lambda env: Transformed(Transformed(env, Egocentric()), Stack(3)),
+    "repeated": lambda env: Transformed(ActionRepeat(Transformed(env, Egocentric()), 5), Stack(2)),
+}
+
+
+@pytest.mark.parametrize("patch", [None, (5, 1.0)])
+@pytest.mark.parametrize("name", WRAPPED)
+def test_a_saved_policy_acts_as_in_its_training(name: str, patch: Any) -> None:
+    settings: dict[str, Any] = {"duration": 4.0, "coverage_patch": patch, "estimate": True}
+    env = WRAPPED[name](outrider.vector_env("escort", num_envs=2, **settings))
+    model = Linear(env.single_observation_space)
+    recipe = msgspec.json.decode(
+        msgspec.json.encode(observation_recipe(env)), type=type(observation_recipe(env))
+    )
+    policy = SavedPolicy(model, recipe)
+    own = {key: value for key, value in policy.setup.items() if key != "duration"}
+    plain = outrider.vector_env("escort", num_envs=2, duration=4.0, **own)
+    shown, _ = env.reset(seed=6)
+    seen, _ = plain.reset(seed=6)
+    repeat = 5 if name == "repeated" else 1
+    for _ in range(160 // repeat):  # two episodes
+        shown, *_ = env.step(model.predict(shown, deterministic=True)[0])
+        for _ in range(repeat):
+            seen, *_ = plain.step(policy(seen))
+        for one, other in zip((env.unwrapped, plain), (plain, env.unwrapped), strict=True):
+            np.testing.assert_array_equal(
+                one.worlds.loop.state.batch.vehicles["position"],
+                other.worlds.loop.state.batch.vehicles["position"],
+            )
+
+
+def test_a_saved_policy_flies_a_run_and_says_where_its_ground_ends() -> None:
+    env = outrider.vector_env("escort", num_envs=1, end_on_sight_lost=False)
+    env = Transformed(env, Stack(2))
+    policy = SavedPolicy(Linear(env.single_observation_space), observation_recipe(env))
+    law = msgspec.structs.replace(ESCORT.law, name="policy")
+    briefing = msgspec.structs.replace(uav_briefing(ESCORT, "uav_0", 1), law=law)
+    flight = Flight(ESCORT, 1)
+    flight.fly(InProcess({**make_pilots(ESCORT, 1), "uav_0": UavPilot(briefing, policy=policy)}))
+    seen, _ = env.reset(seed=1)
+    model = Linear(env.single_observation_space)
+    for k in range(200):
+        truth = env.unwrapped.worlds.loop.state.batch.vehicles["position"][0]
+        np.testing.assert_array_equal(truth, flight.recorder.states[k, :, :2])
+        seen, *_ = env.step(model.predict(seen, deterministic=True)[0])
+    assert policy.fits(briefing) == ()
+    wide = msgspec.structs.replace(briefing.area, width=120.0)
+    (line,) = policy.fits(msgspec.structs.replace(briefing, area=wide))
+    assert "made for ground of 40 m x 40 m" in line
+
+
+class Mine(Egocentric):
+    """A transformation of the user's own."""
+
+
+def test_what_cannot_be_saved_with_a_policy_is_refused() -> None:
+    env = outrider.vector_env("escort", num_envs=1)
+    for wrong, words in (
+        (Transformed(env, Mine()), "Mine: cannot be saved with a policy"),
+        (gymnasium.wrappers.vector.RescaleAction(env, -1.0, 1.0), "RescaleAction: cannot be saved"),
+        (outrider.vector_env("escort", num_envs=1, agent="ugv_0"), "agent = 'ugv_0': drives"),
+    ):
+        with refused(ValueError, words):
+            observation_recipe(wrong)
+
+
+def test_a_model_of_another_input_is_refused() -> None:
+    env = outrider.vector_env("escort", num_envs=1)
+    recipe = observation_recipe(env)
+    for other in (spaces.Box(-1.0, 1.0, (10,)), spaces.Dict({"row": env.single_observation_space})):
+        with refused(ValueError, r"the model is made for observations of shape .* \(9,\)"):
+            SavedPolicy(Linear(other), recipe)
+
+
+# -- refusals
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"uav.0.max_speed": 0.7}, "uav_0: max_speed = 0.7: the policy is made for 0.6"),
+        ({"dt": 0.1, "detections.rate": 10.0}, "uav_0: dt = 0.1: the policy is made for 0.05"),
+        ({"custom.uav_policy": "npz:none.npz"}, r"^custom.uav_policy = 'npz:none.npz': .*read"),
+        ({"custom.uav_policy": "json:nothing"}, "^custom.uav_policy = 'json:nothing'"),
+        ({"custom.uav_policy": "collections:Counter"}, "neither a function nor an object"),
+        ({"custom.uav_policy": "mine.npz"}, "names no policy; allowed: module:function, npz:FILE"),
+        ({"law.name": "policy", "custom.uav_policy": ""}, "the law 'policy' needs it"),
+    ],
+    ids=str,
+)
+def test_a_policy_that_cannot_fly_here_is_refused_in_one_line(changes: Any, words: str) -> None:
+    with refused(ScenarioError, words):
+        check_own_functions(
+            load_scenario("escort", overrides={"custom.uav_policy": NAME} | changes)
+        )
+
+
+@pytest.mark.parametrize(
+    "answer", ["[0.1, 0.2]", "[[0.1, 0.2, 0.3]]", "[[float('nan'), 0.0]]", "None", "[[1e9, 0.0]]"]
+)
+def test_an_answer_that_cannot_be_flown_is_named(
+    answer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / f"bad_{abs(hash(answer))}.py").write_text(f"def act(seen):\n    return {answer}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    name = f"bad_{abs(hash(answer))}:act"
+    with refused(ScenarioError, f"^uav_policy = '{name}': tick 0: returned .*allowed: two finite"):
+        fly(with_policy(ESCORT, "policy", name), 1)
+
+
+def test_an_unknown_setup_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "odd.py").write_text("def act(seen):\n    return seen\nact.setup = {'patch': 3}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with refused(ScenarioError, "setup: 'patch' is unknown; allowed: estimate, gradient"):
+        check_own_functions(with_policy(ESCORT, "policy", "odd:act"))
+
+
+@pytest.mark.parametrize("law", ["certified", "policy"])
+def test_many_worlds_do_not_fly_the_law_instead_of_the_policy(law: str) -> None:
+    named = with_policy(ESCORT, law)
+    with refused(ScenarioError, "uav_0: .*polic"):
+        outrider.vector_env(named, num_envs=1, agent="ugv_0")
+    others = {"uav_0": load_uav_policy(NAME)}
+    settings = {key: value for key, value in others["uav_0"].setup.items() if key != "duration"}
+    outrider.vector_env(named, num_envs=1, agent="ugv_0", others=others, **settings).reset()
+    outrider.vector_env(named, num_envs=1).reset()
+
+
+# -- the suite
+
+
+def test_the_suite_flies_a_policy_with_its_own_observation() -> None:
+    (task,) = (one for one in TASKS if one.name == "paper")
+    policy = load_uav_policy(NAME)
+    result = evaluate(task, policy, seeds=[9000], secret="", safety_filter=True)
+    assert result.score > 80.0
+    with refused(ValueError, "estimate = False: the policy is made with True"):
+        evaluate(task, policy, seeds=[9000], secret="", estimate=False)
+
+
+def test_the_environment_s_estimate_is_what_the_pilot_sees() -> None:
+    policy = Recorded({"estimate": True}, 20.0)
+    flown_by(ESCORT, policy, 8)
+    env = outrider.parallel_env(ESCORT, estimate=True, end_on_sight_lost=False)
+    drive = pilots(env)["ugv_0"]
+    seen, _ = env.reset(seed=8)
+    for row, action in zip(policy.seen, policy.actions, strict=True):
+        np.testing.assert_allclose(row[0], seen["uav_0"], rtol=1e-9, atol=1e-9)
+        seen, *_ = env.step({"uav_0": action[0], "ugv_0": drive(seen["ugv_0"])})

@@ -1,0 +1,195 @@
+"""`outrider mavlink` against what others wrote: MAVSDK watches and flies, MAVProxy connects and logs.
+
+Both live in an environment of their own, `.venv-mavlink`, which is made on the first call; a minute:
+make bridge-test ARGS=mavlink
+"""
+
+import json
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+from bridge_checks import (
+    Row,
+    await_text,
+    called,
+    environment,
+    free_port,
+    output,
+    outrider,
+    report,
+    started,
+    told,
+)
+
+FOREIGN = Path(__file__).resolve().parent / "foreign"
+
+NEEDED = ("mavsdk>=4,<5", "MAVProxy>=1.8.70,<2", "pymavlink>=2.4.49,<3")
+DURATION = 100.0
+"""Of the flight, simulated [s]: at twice real time the checks are over before its end."""
+
+
+def log_of_mavproxy(python: Path, folder: Path) -> Iterator[Row]:
+    """The log that MAVProxy has written, as pymavlink's own tool reads it."""
+    tool = python.with_name("mavlogdump.py")
+    read = called(python, tool, "--types", "HEARTBEAT", "--show-source", folder / "flight.tlog")
+    lines = [line for line in read.stdout.splitlines() if "HEARTBEAT" in line]
+    both = all(any(f"srcSystem={n} " in line for line in lines) for n in (1, 2))
+    yield Row("MAVProxy logs heartbeats of both", f"{len(lines)} in its log", both)
+    word = "Detected vehicle 1:1"
+    said = (folder / "mavproxy.out").read_text()
+    yield Row("and says that they are there", word, word in said)
+
+
+def unanswered(folder: Path) -> Iterator[Row]:
+    """A flight in lockstep that nobody speaks to: to the same bits as with the run's own pilot.
+
+    Raises:
+        SystemExit: If a process does not do its part at all.
+    """
+    router = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    ports = [free_port(socket.SOCK_DGRAM) for _ in range(2)]
+    begin = ("--listen", router, "--duration", 20, "--out", folder / "unanswered", "--json")
+    to = ("--connect", router)
+    log = folder / "unanswered.log"
+    with ExitStack() as stack:
+        simulator = stack.enter_context(
+            started(log, outrider("simulator", "escort", "--no-picture", *begin))
+        )
+        await_text(log, "listening on")
+        uav = ("--vehicle", "uav_0", "--in", f"udpin:127.0.0.1:{ports[0]}")
+        for name, words in (
+            ("unanswered-uav", outrider("mavlink", *uav, *to)),
+            ("unanswered-ugv", outrider("ugv", *to)),
+            (
+                "unanswered-gateway",
+                outrider("mavlink", *to, "--to", f"udpout:127.0.0.1:{ports[1]}"),
+            ),
+        ):
+            stack.enter_context(started(folder / f"{name}.log", words))
+        simulator.wait(120.0)
+    there = json.loads((folder / "unanswered.out").read_text())
+    here = told("run", "escort", "--duration", 20, "--in-process", "--no-files", "--json")
+    same = there["trajectory_sha256"] == here["trajectory_sha256"]
+    yield Row("unanswered in lockstep: the same bits", there["trajectory_sha256"][:16], same)
+
+
+def along(folder: Path, python: Path) -> Iterator[Row]:
+    """An autopilot flies along whose MAVLink is MAVSDK's server, and whose loop is a stand-in of ours.
+
+    Raises:
+        SystemExit: If a process does not do its part at all.
+    """
+    router = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    port, log = free_port(socket.SOCK_DGRAM), folder / "along.log"
+    changes = ("--realtime", 1, "--duration", 15, "--set", "certificate.tracking=0.3", "--json")
+    begin = ("--listen", router, "--out", folder / "along", "--no-picture", *changes)
+    to = ("--connect", router)
+    with ExitStack() as stack:
+        simulator = stack.enter_context(started(log, outrider("simulator", "escort", *begin)))
+        await_text(log, "listening on")
+        stack.enter_context(started(folder / "along-ugv.log", outrider("ugv", *to)))
+        uav = ("--autopilot", "uav_0", "--in", f"udpin:127.0.0.1:{port}", "--json")
+        process = stack.enter_context(
+            started(folder / "along-uav.log", outrider("mavlink", *uav, *to))
+        )
+        words = (python, FOREIGN / "mavsdk_autopilot.py", f"udpout://127.0.0.1:{port}")
+        stack.enter_context(started(folder / "autopilot.log", words))
+        simulator.wait(120.0)
+        process.wait(20.0)
+    sent = json.loads((folder / "along-uav.out").read_text())
+    received = json.loads((folder / "autopilot.out").read_text().splitlines()[-1])
+    yield Row("MAVSDK's server takes setpoints", received["setpoints"], received["setpoints"] > 200)
+    yield Row("and its telemetry is believed", sent["reports"], sent["reports"] > 200)
+    off, held = sent["largest_deviation"], sent["held_ticks"]
+    value = f"at most {off:.3f} m off, waited for in {held} of {sent['ticks']} ticks"
+    yield Row("it holds what it is told", value, off < 0.3 and held < sent["ticks"] / 10)
+    summary = json.loads((folder / "along.out").read_text())
+    kept = summary["visibility_violations"] == 0 and summary["certificate_broken"] == 0
+    yield Row("sight kept", f"at most {summary['max_distance']:.2f} m", kept)
+
+
+def watched_and_flown(folder: Path, python: Path) -> Iterator[Row]:
+    """MAVSDK watches both vehicles and flies the UAV, while MAVProxy logs."""
+    keys = folder / "credentials"
+    output(*outrider("credentials", keys, "--scenario", "escort"))
+    router = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    watched, logged, flown = (free_port(socket.SOCK_DGRAM) for _ in range(3))
+    changes = ("--realtime", 2, "--duration", DURATION, "--no-picture", "--json")
+
+    def joined(name: str) -> tuple[object, ...]:
+        return ("--connect", router, "--credentials", keys / f"{name}.json")
+
+    with ExitStack() as stack:
+        simulator = stack.enter_context(
+            started(
+                folder / "simulator.log",
+                outrider(
+                    "simulator", "escort", "--listen", router, "--credentials", keys / "router.json",
+                    *changes, "--out", folder / "flight",
+                ),
+            )
+        )  # fmt: skip
+        await_text(folder / "simulator.log", "listening on")
+        start = [
+            ("ugv", outrider("ugv", *joined("ugv_0"))),
+            (
+                "uav",
+                outrider(
+                    "mavlink", "--vehicle", "uav_0", *joined("uav_0"), "--first-system", 11, "--json",
+                    "--to", f"udpout:127.0.0.1:{flown}",
+                ),
+            ),
+            (
+                "gateway",
+                outrider(
+                    "mavlink", *joined("operator"), "--json",
+                    "--to", f"udpout:127.0.0.1:{watched}", "--to", f"udpout:127.0.0.1:{logged}",
+                ),
+            ),
+        ]  # fmt: skip
+        ours = {
+            name: stack.enter_context(started(folder / f"{name}.log", words))
+            for name, words in start
+        }
+        await_text(folder / "gateway.log", "system 1 is uav_0")
+        proxy = (
+            *(python, python.with_name("mavproxy.py"), f"--master=udpin:127.0.0.1:{logged}"),
+            *("--non-interactive", "--daemon", "--default-modules=", f"--state-basedir={folder}"),
+            f"--logfile={folder / 'flight.tlog'}",
+        )
+        mavproxy = stack.enter_context(
+            started(folder / "mavproxy.log", proxy, stdin=subprocess.DEVNULL, cwd=folder)
+        )
+        addresses = [f"udpin://127.0.0.1:{port}" for port in (watched, flown)]
+        station = output(python, FOREIGN / "mavsdk_station.py", *addresses, patience=120.0)
+        yield from (Row(**one) for one in json.loads(station.splitlines()[-1]))
+        mavproxy.terminate()
+        mavproxy.wait(10.0)
+        yield from log_of_mavproxy(python, folder)
+        simulator.wait(DURATION)
+        ended = {name: process.wait(20.0) for name, process in ours.items()}
+    summary = json.loads((folder / "simulator.out").read_text())
+    kept = summary["visibility_violations"] == 0 and summary["certified_while_lost"] == 0
+    yield Row("the simulator: sight kept", f"at most {summary['max_distance']:.2f} m", kept)
+    share, broken = summary["certified_share"], summary["certificate_broken"]
+    # a tick that a busy machine misses is not certified, and says so
+    yield Row("no certificate broken", f"certified {100.0 * share:.1f} % of the ticks", broken == 0)
+    for name in ("uav", "gateway"):
+        refused = json.loads((folder / f"{name}.out").read_text())["refused"]
+        yield Row(f"{name} ends in order", f"refused: {refused}", ended[name] == 0)
+
+
+def findings(folder: Path) -> Iterator[Row]:
+    """All checks, by real processes."""
+    python = environment("mavlink", NEEDED) / "python"
+    yield from unanswered(folder)
+    yield from along(folder, python)
+    yield from watched_and_flown(folder, python)
+
+
+if __name__ == "__main__":
+    sys.exit(report(findings, __doc__))

@@ -1,0 +1,117 @@
+"""Companions: commands of extensions and other packages that run beside a run or a recording, `--with NAME`."""
+
+import queue
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from bus import plugins
+from bus.errors import ScenarioError
+from outrider.running.child import Child
+
+_PATIENCE = 10.0
+"""Wall time for a companion to be ready, after which the run starts without waiting [s]."""
+_LAST_FRAME = 2.0
+"""Wall time for all companions to show the end of the run [s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Companion:
+    """The object of an entry point `outrider.companions`; the command of the same name is started.
+
+    `outrider run --with NAME:port=9000` starts `outrider NAME --connect ENDPOINT --run RUN --port 9000 --child`. It
+    reads a `outrider.running.parent.Start` from its standard input, with the operator's credential and the UAVs' law,
+    and ends with that input. It writes a line to its standard output once it is ready, which the user is shown, and
+    one once it has shown the end of the run. If it fails before it is ready, nothing is flown; later the run goes on.
+    """
+
+    realtime: float | None = None
+    """Pace of a run with it, in simulated seconds per second, unless the user sets one; None: as fast as it goes."""
+    replays: bool = False
+    """True: `outrider replay FILE --with NAME` calls the command with `--replay FILE`."""
+
+
+class Beside(NamedTuple):
+    """A companion that the user has asked for."""
+
+    name: str
+    words: tuple[str, ...]
+    """Options of its command."""
+    companion: Companion
+
+
+def parse_companion(text: str) -> Beside:
+    """Parse `NAME` or `NAME:OPTION=VALUE,OPTION`, and check that its extra is installed.
+
+    Raises:
+        ScenarioError: If there is no such companion, or a library of it is missing.
+    """
+    name, _, options = text.partition(":")
+    known = plugins.registered("companions")
+    if name not in known:
+        allowed = ", ".join(sorted(known)) or "none is installed"
+        raise ScenarioError(f"--with {text}: no such companion; allowed: {allowed}")
+    companion = plugins.load(known[name])
+    if not isinstance(companion, Companion):
+        raise ScenarioError(f"--with {text}: {known[name].value} is no Companion")
+    extra = plugins.extra_of(known[name])
+    if extra:
+        plugins.require(extra, f"--with {name}")
+    words: list[str] = []
+    for option in filter(None, options.split(",")):
+        field, separator, value = option.partition("=")
+        words += [f"--{field}", *([value] if separator else [])]
+    return Beside(name, tuple(words), companion)
+
+
+class Companions:
+    """The companions' processes of one run.
+
+    Args:
+        on_event: Called with a line for a person.
+    """
+
+    def __init__(self, on_event: Callable[[str], None]) -> None:
+        self._on_event = on_event
+        self._lines: dict[Child, queue.SimpleQueue[bytes | None]] = {}
+
+    def add(self, start: Callable[["queue.SimpleQueue[bytes | None]"], Child]) -> None:
+        """Add a process, started with a queue for its standard output."""
+        lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._lines[start(lines)] = lines
+
+    def failed_before_ready(self, is_over: Callable[[], bool]) -> Child | None:
+        """Wait until all are ready; return the first that has ended before."""
+        limit = time.monotonic() + _PATIENCE
+        for child, lines in self._lines.items():
+            while not is_over() and time.monotonic() < limit:
+                with suppress(queue.Empty):
+                    line = lines.get(timeout=0.1)
+                    if line is None:
+                        child.wait(_PATIENCE)
+                        return child
+                    self._on_event(line.decode().strip())
+                    break
+        return None
+
+    def await_end_shown(self) -> None:
+        """Wait until they have shown the end of the run, but not for long."""
+        limit = time.monotonic() + _LAST_FRAME
+        for child, lines in self._lines.items():
+            if child.ended is None:
+                with suppress(queue.Empty):
+                    lines.get(timeout=max(0.0, limit - time.monotonic()))
+
+    def report_lost(self) -> None:
+        """Report each companion that has ended before the run, once."""
+        for child in [child for child in self._lines if child.ended is not None]:
+            del self._lines[child]
+            self._on_event(f"{child.exit_report()}; the run goes on without it")
+
+
+def pace_with(companions: Sequence[Beside]) -> float | None:
+    """Return the pace of a run beside these companions; None: as fast as it goes."""
+    paces = [one.companion.realtime for one in companions if one.companion.realtime is not None]
+    return paces[0] if paces else None

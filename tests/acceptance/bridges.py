@@ -1,0 +1,49 @@
+"""The bridges against what others wrote: a program a bridge, each with environments of its own.
+
+`make bridge-test`, or `python tests/acceptance/bridges.py NAME ...`; without names all of them, one after the other.
+Each prints its findings as rows of a table; exit code 1 where one does not hold.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+FOLDER = Path(__file__).resolve().parent
+EXTENSIONS = FOLDER.parents[1] / "extensions"
+BRIDGES = {
+    "ros2": "outrider_ros2/tests/acceptance/ros2_nodes.py",
+    "bags": "outrider_ros2/tests/acceptance/ros2_bags.py",
+    "mavlink": "outrider_mavlink/tests/acceptance/mavlink_programs.py",
+    "fmi": "outrider_fmi/tests/acceptance/fmi_programs.py",
+}
+"""Programs in `extensions`, in this order."""
+
+
+def main(wanted: list[str]) -> int:
+    """Run the programs; the number of those that have failed."""
+    failed = 0
+    # What a flight compiles is there before the first one: on a new machine others would wait for it in vain.
+    words = ["run", "--in-process", "--duration", "1", "--no-files"]
+    subprocess.run([sys.executable, "-m", "outrider", *words], check=True, capture_output=True)
+    for name in wanted:
+        began = time.monotonic()
+        print(f"\n## {name}\n\n| what | found | |\n|---|---|---|", flush=True)
+        environ = os.environ | {"PYTHONPATH": str(FOLDER)}  # for bridge_checks
+        program = [sys.executable, EXTENSIONS / BRIDGES[name]]
+        code = subprocess.run(program, check=False, env=environ).returncode
+        failed += code != 0
+        word = "holds" if code == 0 else f"FAILS (exit code {code})"
+        print(f"\n{name}: {word}, {time.monotonic() - began:.0f} s", flush=True)
+    return failed
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("bridges", nargs="*", metavar="NAME", help=f"of {', '.join(BRIDGES)}")
+    asked = parser.parse_args().bridges
+    if unknown := [name for name in asked if name not in BRIDGES]:
+        parser.error(f"no bridge {unknown[0]!r}; there are {', '.join(BRIDGES)}")
+    sys.exit(1 if main(asked or list(BRIDGES)) else 0)
