@@ -270,9 +270,9 @@ class ClosedLoop:
             "visibility_violations": rows[:, UAV_METRICS.violations].copy(),
             "coverage_error": rows[:, UAV_METRICS.error] * counted,
             "mean_error": rows[:, UAV_METRICS.error_sum] / (ticks + 1) * counted,
-            "intervened": counts["intervened"] / watched,
+            "intervened": counts["overridden"] / watched,
             "certified": counts["certified"] / watched,
-            "certified_while_lost": counts["lost"].astype(np.float64),
+            "certified_while_lost": counts["certified_while_lost"].astype(np.float64),
             "certificate_broken": counts["broken"].astype(np.float64),
         }
 

@@ -148,7 +148,7 @@ class Assurance:
         ticks = int(count["ticks"])
         if not ticks:
             return None, None
-        return int(count["certified"]) / ticks, int(count["intervened"]) / ticks
+        return int(count["certified"]) / ticks, int(count["overridden"]) / ticks
 
     def status(self) -> CertificateStatus | None:
         """All of it as a message; None where no filter has watched over anything."""
