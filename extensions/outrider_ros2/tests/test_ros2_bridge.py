@@ -34,7 +34,7 @@ from sim.scene.known import geometry_of
 from staging import client_of, hosted, raw_session
 from statuses import PRESENT, Box, a_status
 
-GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], ros2=True)
+GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], extensions=["ros2"])
 SCENARIO = load_scenario("escort")
 STATUS_NOW = a_status(
     drivers={"ugv_0": "waypoints"}, vehicles=PRESENT, geometry=geometry_of(SCENARIO)
