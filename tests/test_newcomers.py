@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
-from unittest.mock import create_autospec
+from unittest.mock import Mock, create_autospec
 
 import msgspec
 import pytest
@@ -426,16 +426,11 @@ def test_ctrl_c_is_told_in_one_line_however_early_it_comes(monkeypatch, command)
     from outrider.cli import doctor
     from outrider.cli import main as module
 
-    def early(**_):
-        raise KeyboardInterrupt
-
-    def interrupted() -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(doctor, "command", interrupted)
+    early = create_autospec(doctor.command, side_effect=KeyboardInterrupt)
+    monkeypatch.setattr(doctor, "command", early)
     for name in ("doctor", "scenarios"):
         with monkeypatch.context() as m:
             if name == "scenarios":  # before the command's own code
-                m.setattr(module, "make_app", early)
+                m.setattr(module, "make_app", Mock(side_effect=KeyboardInterrupt))
             done = command(name)
         assert (done.returncode, done.stderr) == (130, "outrider: interrupted\n")
