@@ -454,7 +454,7 @@ def test_it_comes_to_rough_ground_as_slow_as_that_lets_it() -> None:
     track = _drive(p, memory, [[18.0, 2.5]], 600, (1.0, 2.5))
     speed = np.hypot(track[:, 2], track[:, 3])
     rough = (track[:, 0] > 10.0) & (track[:, 0] < 12.0)
-    assert speed[rough].max() < 1.05 * p.share * p.max_speed
+    assert speed[rough].max() < 1.05 * p.rough_share * p.max_speed
     assert speed.max() > 1.2
     assert track[-1, 0] == pytest.approx(18.0, abs=1e-3)
 

@@ -70,7 +70,9 @@ before = compiled()
 flight, _ = fly(scenario, 7, on_tick=control)
 late = compiled()
 clip_norm(1, 0, 1)  # of whole numbers, as nobody else asks for
-print(not controls, flight.world.tick, sorted(late - before), len(compiled()) > len(late))
+own = ('agents.laws.', 'agents.drivers.')  # each is compiled when it is flown first
+later = sorted(one for one in late - before if not one[0].startswith(own))
+print(not controls, flight.world.tick, later, len(compiled()) > len(late))
 """
 
 

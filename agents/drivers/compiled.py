@@ -130,17 +130,22 @@ class CompiledDriver:
         """As its file declares them."""
         row = DRIVERS[name]
         module = import_module(row.module)
-        self.memory: Any = fresh(module.Memory)[0]
-        """Record of its memory."""
-        if "key_0" in self.memory.dtype.names:
-            self.memory["key_0"], self.memory["key_1"] = words_of(briefing.key)
+        memory = fresh(module.Memory)
+        if "key_0" in memory.dtype.names:
+            memory["key_0"], memory["key_1"] = words_of(briefing.key)
         self.ground = told_ground(briefing)
         """Memory of the ground; without tiles if there are no hazards."""
-        (ugv,) = records(UgvParameters, [ugv_parameters(briefing, unbounded=row.unbounded)])
-        (parameters,) = records(type(self.parameters), [self.parameters])
-        self._command, self._fixed = module.command, (ugv, parameters, self.memory)
+        ugv = records(UgvParameters, [ugv_parameters(briefing, unbounded=row.unbounded)])
+        parameters = records(type(self.parameters), [self.parameters])
+        # Arrays of one row: a row by itself is read-only once it has been pickled.
+        self._command, self._fixed = module.command, (ugv, parameters, memory)
         self._route, self._looks = told_route(briefing), LookRows(briefing.dt)
         self._carries = briefing.ground is not None and briefing.ground.carries
+
+    @property
+    def memory(self) -> Any:  # noqa: ANN401 - the driver's own record
+        """Record of its memory."""
+        return self._fixed[2][0]
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """Return the acceleration [m/s²] for this observation."""
@@ -154,7 +159,8 @@ class CompiledDriver:
             flown=flown if self._carries else PLAIN,
         )
         own = Motion(*observation.position, *observation.velocity)
-        u_x, u_y = self._command(*self._fixed, inputs, observation.tick, own)
+        ugv, parameters, _ = (rows[0] for rows in self._fixed)
+        u_x, u_y = self._command(ugv, parameters, self.memory, inputs, observation.tick, own)
         return u_x, u_y
 
 

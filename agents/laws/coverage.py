@@ -14,6 +14,12 @@ Memory = CoverageMemory
 
 
 @compiled
+def weights(uav: UavParameters, law: Parameters, distance: float) -> tuple[float, float]:
+    """Return the weights alpha and beta of (17): coverage alone."""
+    return 0.0, 1.0
+
+
+@compiled
 def command(
     uav: UavParameters,
     law: Parameters,

@@ -42,24 +42,29 @@ class SelectedLaw:
         if self.row.needs_radius:
             r_v, v_g = briefing.visibility_radius, uav.target_max_speed
             switching_radius(r_v, uav.max_speed, v_g, uav.max_acceleration)
-        self.memory: Any = None if before is None else before.memory
-        """Record of its memory; None before the first law that has one."""
+        self._memory: Any = None if before is None else before._memory
         if not self.row.module:
             return
-        module, kept = import_module(self.row.module), self.memory
-        memory = self.memory = fresh(module.Memory)[0]
+        module, kept = import_module(self.row.module), self._memory
+        memory = self._memory = fresh(module.Memory)
         if "key_0" in memory.dtype.names:
             memory["key_0"], memory["key_1"] = words_of(briefing.key)
         if kept is not None:
             for name in set(kept.dtype.names) & set(memory.dtype.names):
                 memory[name] = kept[name]
-        (own,) = records(UavParameters, [uav])
-        (parameters,) = records(module.Parameters, [law_parameters(law)])
+        own = records(UavParameters, [uav])
+        parameters = records(module.Parameters, [law_parameters(law)])
+        # Arrays of one row: a row by itself is read-only once it has been pickled.
         self._command, self._fixed = module.command, (own, parameters, memory)
+
+    @property
+    def memory(self) -> Any:  # noqa: ANN401 - the law's own record
+        """Record of its memory; None before the first law that has one."""
+        return None if self._memory is None else self._memory[0]
 
     def command(
         self, coverage: FloatArray, tick: int, own: Motion, target: Target
     ) -> tuple[float, float]:
         """Return the nominal command [m/s²], before the bound of (1)."""
-        u_x, u_y = self._command(*self._fixed, coverage, tick, own, target)
+        u_x, u_y = self._command(*(rows[0] for rows in self._fixed), coverage, tick, own, target)
         return u_x, u_y

@@ -14,6 +14,12 @@ Memory = TrackingMemory
 
 
 @compiled
+def weights(uav: UavParameters, law: Parameters, distance: float) -> tuple[float, float]:
+    """Return the weights alpha and beta of (17): tracking alone."""
+    return 1.0, 0.0
+
+
+@compiled
 def command(
     uav: UavParameters,
     law: Parameters,

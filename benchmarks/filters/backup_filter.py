@@ -278,4 +278,4 @@ class BackupFilter:
             self._pending = [*self._pending[1:], (u_x, u_y)]
         known = bool(feasible and fresh)
         reason = "" if known else "the backup policy is not known to be safe"
-        return Verdict((u_x, u_y), bool(acts), known, reason, math.inf)
+        return Verdict((u_x, u_y), bool(acts), known, reason, math.inf, ())

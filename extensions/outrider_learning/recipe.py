@@ -91,14 +91,14 @@ def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of seve
     uav = next((one for one in scenario.vehicles if one.name == env.agent), None)
     if not isinstance(uav, Uav):
         raise ValueError(f"agent = {env.agent!r}: drives; allowed: a UAV")
-    patch = options["coverage_patch"]
+    patch = options.coverage_patch
     return ObservationRecipe(
         extent={name: value for name, value in extent_of(scenario, uav).items() if name in NEEDED},
         dt=scenario.dt,
-        estimate=options["estimate"],
-        gradient=options["gradient"],
+        estimate=options.estimate,
+        gradient=options.gradient,
         coverage_patch=None if patch is None else (int(patch[0]), float(patch[1])),
-        dtype=np.dtype(options["dtype"]).name,
+        dtype=np.dtype(options.dtype).name,
         layers=tuple(layers),
     )
 

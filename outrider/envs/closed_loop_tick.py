@@ -141,7 +141,6 @@ def _fly(
         said = Claim(sure, reports and acts != INNER, row[UAV_METRICS.lost] != 0.0, True)
         record_decision(tables.monitored[uav], state.certificates[world, uav], tick, said)
     one.outgoing_tick, one.outgoing[0], one.outgoing[1] = tick, u_x, u_y
-    one.outgoing_motion, one.outgoing_motions = -1, 0
     if guarded:
         one.outgoing_motion, one.outgoing_motions = hand_over(
             tables.safety[uav],

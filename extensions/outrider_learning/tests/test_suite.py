@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bus.messages import Command
-from outrider.envs import vector
+from outrider.envs import worlds
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.pilot_numbers import pilot_names
 from outrider.envs.vector import OutriderVectorEnv
@@ -159,7 +159,7 @@ def test_what_is_certified_out_of_sight_is_told_with_the_score(monkeypatch):
             super().begin(seeds, worlds)
 
     assert SLOW.evaluate("certified", seeds=[9000], secret=SECRET).certified_while_lost == 0
-    monkeypatch.setattr(vector, "ClosedLoop", Near)
+    monkeypatch.setattr(worlds, "ClosedLoop", Near)
     result = SLOW.evaluate("certified", seeds=[9000], secret=SECRET)
     # the tick with which sight is lost; then the task is over
     assert (result.lost, result.certified_while_lost) == (1, 1)
@@ -178,7 +178,7 @@ def test_a_certificate_that_ends_for_no_reason_is_told_with_the_score(monkeypatc
             self.tables.safety["max_age_ticks"] = 0
             super().begin(seeds, worlds)
 
-    monkeypatch.setattr(vector, "ClosedLoop", Impatient)
+    monkeypatch.setattr(worlds, "ClosedLoop", Impatient)
     board = leaderboard(["certified", "linear"], tasks=[TASK], seeds=[9000], secret=SECRET)
     told = {standing.entry: standing.certificate_broken for standing in board.standings}
     assert told["certified"] > told["linear"] == 0

@@ -13,7 +13,6 @@ import pytest
 import zenoh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_ros2_wire import truth_at
 
 from bus.access import new_credentials
 from bus.keys import CONTROL, COVERAGE, OPERATOR, SAMPLED_TRUTH, STATUS
@@ -32,9 +31,9 @@ from processes import wait_until
 from sim.scenario.loading import load_scenario
 from sim.scene.known import geometry_of
 from staging import client_of, hosted, raw_session
-from statuses import PRESENT, Box, a_status
+from statuses import PRESENT, Box, a_status, truth_at
 
-GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], ros2=True)
+GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], extensions=["ros2"])
 SCENARIO = load_scenario("escort")
 STATUS_NOW = a_status(
     drivers={"ugv_0": "waypoints"}, vehicles=PRESENT, geometry=geometry_of(SCENARIO)

@@ -35,7 +35,7 @@ from staging import GIVEN as PLAIN
 from staging import raw_session
 from stamps import seconds_of
 
-GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], ros2=True)
+GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], extensions=["ros2"])
 TEXT, ACCEL = PILOT_COMMANDS
 BESIDE = Attachment(sequence=1, time=0, gid=bytes(16)).encoded()
 KINDS: dict[str, Any] = {

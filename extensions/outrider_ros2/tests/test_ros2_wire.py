@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bus.errors import ScenarioError
-from bus.messages import CoverageMap, GroundMap, LinkStatus, UavReport, VehicleStatus
+from bus.messages import CoverageMap, GroundMap, LinkStatus, VehicleStatus
 from outrider.running.refused import Refused
 from outrider_ros2.conversion import PathTrack, RunView
 from outrider_ros2.interfaces import decode, encode, make, type_hash
@@ -28,15 +28,9 @@ from outrider_ros2.wire import (
 from sim.scenario.loading import load_scenario
 from sim.scene.known import scene_of
 from stamps import seconds_of
-from statuses import a_status, a_truth, a_vehicle
+from statuses import a_status, truth_at
 
 NODE = Node(domain=7, zid="8a1f", name="outrider", namespace="/fleet")
-
-
-def truth_at(tick=40):
-    uav, ugv = (a_vehicle(position, (0.25, -0.5)) for position in ((3.0, 4.5), (5.0, 4.0)))
-    report = UavReport(estimate=(6.0, 7.0), covariance=(0.04, 0.01, 0.09), age=0.0, refused=0)
-    return a_truth(tick * 0.05, uav, ugv, detection=(-2.125, 0.5), report=report)
 
 
 def _view():
