@@ -192,6 +192,9 @@ def test_a_missing_extra_is_one_line_that_says_what_to_install(
 ):
     needs(arguments)
 
+    package = module.partition(".")[0]
+    known = plugins.version_of
+
     def version(name: str) -> str:
         if name == package:
             raise PackageNotFoundError(name)

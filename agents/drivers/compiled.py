@@ -130,7 +130,7 @@ class CompiledDriver:
         """As its file declares them."""
         row = DRIVERS[name]
         module = import_module(row.module)
-        memory = fresh(module.Memory)
+        memory: Any = fresh(module.Memory)
         if "key_0" in memory.dtype.names:
             memory["key_0"], memory["key_1"] = words_of(briefing.key)
         self.ground = told_ground(briefing)

@@ -46,7 +46,8 @@ class SelectedLaw:
         if not self.row.module:
             return
         module, kept = import_module(self.row.module), self._memory
-        memory = self._memory = fresh(module.Memory)
+        memory: Any = fresh(module.Memory)
+        self._memory = memory
         if "key_0" in memory.dtype.names:
             memory["key_0"], memory["key_1"] = words_of(briefing.key)
         if kept is not None:
