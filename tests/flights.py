@@ -59,6 +59,7 @@ def certified(**numbers: float) -> SafetyBounds:
         max_command_delay=n.get("delay", 0.0),
         max_command_interval=n.get("outage", 0.0),
         max_tracking_error=n.get("tracking", 0.0),
+        margin=n.get("margin", 0.0),
     )
     area = {side: n[side] for side in ("width", "height") if side in n}
     bounds = {name: n[name] for name in ("v_a", "u_a", "v_g", "dt")}

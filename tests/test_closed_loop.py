@@ -131,7 +131,7 @@ def test_a_certificate_that_ends_is_counted_unless_an_assumption_has_failed() ->
     )
     loop = ClosedLoop(scenario, 1, error=True)
     assert _flown_with(loop, [5])["certificate_broken"] == 0.0
-    loop.tables.monitored["age"] += 100
+    loop.tables.monitored["max_age_ticks"] += 100
     assert _flown_with(loop, [5])["certificate_broken"] == 2.0
     assert _flown_with(loop, [6])["certificate_broken"] == 2.0  # an episode begins at 0
 
@@ -153,7 +153,7 @@ def test_a_broken_certificate_is_excused_by_actual_errors_alone(declared, given)
     scenario = small("certified", links=LinkTable(detections=dark), certificate=declared, **given)
     seeds = [5, 6, 7, 8, 9, 10]
     loop = ClosedLoop(scenario, len(seeds), error=True)
-    loop.tables.monitored["age"] += 100
+    loop.tables.monitored["max_age_ticks"] += 100
     broken = _flown_with(loop, seeds)["certificate_broken"].tolist()
     for k, seed in enumerate(seeds):
         record = fly(scenario, seed)[0].recorder

@@ -492,7 +492,7 @@ def test_it_is_told_how_often_a_recording_breaks_the_declared_assumptions(tmp_pa
             )
         )
         assert len(told) == 1
-        assert f"links.{kind}.trace: " in told[0]
+        assert f"links.{kind}.trace" in told[0]
         assert f"in {share} of the ticks of a round" in told[0]
 
 

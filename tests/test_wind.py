@@ -222,7 +222,10 @@ def test_the_wind_is_never_stronger_than_its_limit_and_has_its_mean_and_spread()
 
 
 def test_wind_flies_one_trajectory_in_the_environment_and_in_a_run() -> None:
-    flown_in_both(WINDY, 3)
+    """Without a listener: what the environment radios comes from the batch filter, which rounds otherwise."""
+    (ugv,) = WINDY.ugv
+    deaf = msgspec.structs.replace(ugv, driver="script")
+    flown_in_both(msgspec.structs.replace(WINDY, ugv=(deaf,)), 3)
 
 
 def test_wind_flies_one_trajectory_over_three_processes() -> None:

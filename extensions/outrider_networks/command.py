@@ -123,11 +123,12 @@ def bounds(
     network: options.NetworkName = "",
     json: Json = False,
 ) -> None:
-    """Print the smallest bounds that a run exceeds with at most a given probability.
+    """Print the smallest bounds for a given risk.
 
-    As options of `outrider run`: each line is a --set of a field of the table [certificate].
+    A run exceeds them with at most this probability. Each line is an option of `outrider run`: a --set of a field of
+    the table [certificate].
 
-    Example: outrider run $(outrider network bounds escort --risk 1e-3)
+    Example: outrider network bounds escort --risk 1e-3
     """
     from outrider.cli.console import OUT, print_json
     from outrider.running.resolve import resolve

@@ -320,6 +320,7 @@ def outage_shortfalls(link: Link, promise: SafetyBounds) -> Iterator[tuple[How, 
         if share == 0.0 and not played.whole:
             yield How.SOMETIMES, f"{told}: {link.inspected(played)} alone was inspected"
     else:
-        share = float(late_shares(p, window, ticks=scenario.ticks).mean())
+        late_share = late_shares(p, window, ticks=scenario.ticks)
+        share = float(late_share.mean()) if late_share.size else 0.0  # longer than the run
     if share * scenario.ticks > RARE:
         yield how_often(share), f"{told}: {late} in {percent(share)} {part}"

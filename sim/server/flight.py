@@ -21,6 +21,7 @@ from bus.messages import (
     Law,
     LinkKind,
     LinkSettings,
+    MotionPlan,
     Observation,
     RelativeInformation,
     Status,
@@ -431,7 +432,8 @@ def warm_up(scenario: Scenario) -> None:
         for _ in range(3):
             flight.observations()
             for k in range(len(world.names)):
-                world.send(k, world.tick, (0.0, 0.0))
+                motion = MotionPlan(begins=world.tick, parent=-1, acceleration=(0.0, 0.0))
+                world.send(k, world.tick, (0.0, 0.0), (motion,))
             for row in carried:
                 for _ in range(3):
                     links.send_object(row, world.tick + 1, None, world.tick)

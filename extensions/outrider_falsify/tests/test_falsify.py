@@ -133,7 +133,7 @@ def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a
             report = msgspec.structs.replace(
                 said.report, certified=seen.tick % 10 == 9, uncertified=""
             )
-            return msgspec.structs.replace(said, acceleration=(0.3, 0.3), report=report)
+            return msgspec.structs.replace(said, acceleration=(0.3, 0.3), motions=(), report=report)
 
         flight.fly(Piloted(pilots, "uav_0", act), on_tick=lambda: on_tick(flight))
         return flight, None
