@@ -62,7 +62,7 @@ MODULES = {
         "agents/estimation/estimator.py",
         "agents/drivers",
     ),
-    "The paper's laws": ("sim/models", "agents/control", "agents/laws"),
+    "The paper's laws": ("sim/models", "sim/models/sensors", "agents/control", "agents/laws"),
     "The bus": ("bus",),
     "Links": ("sim/channel", "sim/engine"),
 }
@@ -98,7 +98,12 @@ def modules() -> dict[str, list[str]]:
 
 
 def _dotted(file: str) -> str:
-    return file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+    return (
+        file.removeprefix("extensions/")
+        .removesuffix(".py")
+        .removesuffix("/__init__")
+        .replace("/", ".")
+    )
 
 
 def _api(file: str) -> str:
