@@ -72,7 +72,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def endpoint(tmp_path: Path) -> str:
-    """Of a router that listens in the test's folder."""
+    """Endpoint of a router that listens in the test's folder."""
     return f"unixsock-stream/{tmp_path / 'bus.sock'}"
 
 

@@ -271,9 +271,7 @@ def check_assumptions(promise: SafetyBounds) -> tuple[str, ...]:
     age, placed = promise.max_measurement_age, promise.placed_error
     delay, faults = promise.delay_ticks * promise.dt, list[str]()
     if not math.isfinite(promise.max_tracking_error):
-        faults.append(
-            f"w = {promise.max_tracking_error:g} m: how far the UAV is from where it is told that it is has no bound"
-        )
+        faults.append(f"w = {promise.max_tracking_error:g} m: the tracking error has no bound")
     elif not math.isfinite(placed):
         faults.append(
             f"eps = {placed:g} m: the noise of the detections is not cut, so none of them bounds the distance"

@@ -19,7 +19,7 @@ class UavParameters(NamedTuple):
     height: float
     """Q [m]."""
     cell: float
-    """Of the coverage grid [m]."""
+    """Width of a cell of the coverage grid [m]."""
     max_speed: float
     """v_a [m/s]."""
     max_acceleration: float

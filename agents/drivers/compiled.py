@@ -67,7 +67,7 @@ def driver_parameters(briefing: UgvBriefing, driver: str) -> Any:  # noqa: ANN40
 
 
 class Route(NamedTuple):
-    """The goal or velocity that a UGV has been told."""
+    """Goals and scripted velocities of a UGV."""
 
     goals: FloatArray
     """Waypoints [m], in order. Shape (goals, 2)."""

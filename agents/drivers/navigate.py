@@ -51,7 +51,7 @@ from sim.models.vehicles import (
 _STEPS = 64
 """So many tiles of the cheapest way it looks along."""
 _SHARES = (1.0, 0.5, 0.2, 0.05)
-"""Of the open way ahead: within which of them it tries to stop."""
+"""Shares of the free path ahead within which it tries to stop."""
 _ROUNDING = 1e-9
 """By this share a straight way may cost more a metre than the cheapest, and rough ground is driven on slower."""
 

@@ -7,13 +7,13 @@ from bus.messages import UgvBriefing
 from bus.registry import BOLD
 
 _PLAN_PERIOD = 0.2
-"""It keeps a plan for so long at least [s]."""
+"""Shortest time between two plans [s]."""
 PLAN_TILES = 8192
 """Greatest number of tiles that it settles in a tick when it plans: no tick takes much longer."""
 
 
 class NavigateParameters(UgvParameters, frozen=True, kw_only=True):
-    """Parameters of the driver `navigate`, whose functions read those of the UGV from the same record."""
+    """Parameters of the driver `navigate` and of its UGV."""
 
     tile: float
     """Side of a tile of the ground [m]."""

@@ -39,7 +39,7 @@ class DriverInputs(NamedTuple):
     ground: Any
     """`GroundMemory` of the UGV, changed in place. None: there are no hazards."""
     flown: int
-    """As in `agents.drivers.pending_stops.state_ahead`."""
+    """Motion that the vehicle flies, by its first tick; see `agents.drivers.pending_stops.state_ahead`."""
 
 
 def ugv_parameters(briefing: UgvBriefing, *, unbounded: bool) -> UgvParameters:

@@ -26,7 +26,7 @@ _BLOCKED_GOAL = 5
 UNSEEN_PRICE = 1.5
 """Cost of a metre on ground that nobody has seen, where the way is believed to go on; one on clear ground costs 1."""
 BESIDE_PRICE = 0.5
-"""Of one beside a blocked tile, in addition."""
+"""Additional cost of a tile beside a blocked one."""
 
 
 @compiled

@@ -70,7 +70,7 @@ class CoverageMemory(TrackingMemory):
     has_goal: bool
     """True while it keeps a point of (7)."""
     goal: Vector
-    """That point [m]."""
+    """Goal point [m], while `has_goal` is true."""
 
 
 @compiled

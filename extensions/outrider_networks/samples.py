@@ -18,10 +18,10 @@ MILLISECOND = 0.001
 _FINEST = 0.0002
 """Resolution at which a link is played [s]."""
 _TICKS = 100
-"""Of the played link between two messages, at most."""
+"""Largest number of ticks of a played link between two messages."""
 _MESSAGES = 20_000
 _KEY: Key = (np.uint64(0x6F757472), np.uint64(0x69646572))
-"""Of every played link: the same file and settings give the same numbers."""
+"""Seed of every played link: the same file and settings give the same numbers."""
 _MOST = 1_000_000
 """Messages of a recorded link that are looked at, from its first on."""
 

@@ -227,7 +227,7 @@ def _dicts(summary: Summary) -> Iterator[TextRow]:
         for reason, count in told.uncertified.items():
             yield f"{name} not certified", f"{count} ticks: {reason}"
     for name, status in summary.links.items():
-        if status.degraded:
+        if status.degraded and status.sent:
             parts = [f"{row.label} {row.text(getattr(status, row.name))}" for row in LINK_SHOWN]
             parts += [f"lost: {_counts(status.lost)}"] if any(status.lost.values()) else []
             yield f"link {name}", ", ".join(parts)

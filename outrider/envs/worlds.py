@@ -334,7 +334,7 @@ class Worlds:
         )
 
     def rewards(self, name: str) -> FloatArray:
-        """Of the last tick. Shape (num_envs,)."""
+        """Return the rewards of the last tick. Shape (num_envs,)."""
         return self.loop.state.rows.rewards[:, self._rows[name]].copy()
 
     def ends(self) -> tuple[BoolArray, BoolArray]:
@@ -359,7 +359,7 @@ class Worlds:
         return _masked({"final_obs": observations, "final_info": _masked(info, ended)}, ended)
 
     def _mission(self, name: str, ended: BoolArray) -> dict[str, Any]:
-        """How the missions of the ended episodes went, for a UGV."""
+        """Return the mission results of the ended episodes, for a UGV."""
         info: dict[str, Any] = {}
         if name in self.loop.ugvs and self.scenario.has_ground:
             for k in np.flatnonzero(ended).tolist():

@@ -12,7 +12,7 @@ import msgspec
 from bus.messages import LinkKind
 
 Total = Literal["", "max", "min", "mean", "sum", "rms", "first", "all", "any"]
-"""How one number is made of those of several UAVs, UGVs or links; empty: it is one number by itself."""
+"""Rule that merges the numbers of several UAVs, UGVs or links; empty: a single number."""
 Column = Literal["", "int64", "double", "bool", "string"]
 
 

@@ -23,7 +23,7 @@ class SafetyBounds(NamedTuple):
     """Largest speed of the UGV [m/s]."""
     width: float
     height: float
-    """Of the area with its walls, from 0 [m]; infinite: there are none on this axis."""
+    """Size of the walled area from 0 [m]; infinite: no walls on this axis."""
     max_measurement_error: float
     """eps: largest error of a detection, as a vector's norm [m]."""
     placed_error: float

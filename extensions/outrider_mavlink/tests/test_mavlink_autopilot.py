@@ -25,7 +25,7 @@ from sim.scenario.loading import load_scenario
 
 CHANGES = ("law.name=certified", "duration=15.0", "certificate.tracking=0.3")
 START = (7.0, -3.0, -12.0)
-"""Where the autopilot hovers in its own local frame: north, east, down [m]."""
+"""Hover position in the autopilot's local frame: north, east, down [m]."""
 
 
 class Autopilot(Station):
@@ -191,7 +191,7 @@ def test_bad_telemetry_is_counted_by_cause_and_changes_no_bit(along, plain):
 
 
 def believed(along, **changes):
-    """Whether telemetry of this kind is believed."""
+    """Return whether telemetry of this kind is accepted."""
     along.link.turn(0.0)
     before = along.link.reports
     along.autopilot.send(along.autopilot.report(**changes))
