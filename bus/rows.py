@@ -100,14 +100,3 @@ class HazardKindRow:
     """False if a vehicle that touches it is stuck or damaged."""
     slows: bool = False
     """True if a vehicle keeps only a share of its largest speed on it."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SavedPolicyRow:
-    """A library whose saved policies can drive."""
-
-    name: str
-    form: str
-    """Form of its name after the library's and a colon."""
-    load: str
-    """The function that loads one, from what stands after the colon and where it stood, for errors."""
