@@ -218,10 +218,11 @@ kilobyte.
 Ticks = Annotated[int, Meta(ge=0, le=1_000_000)]
 
 
-class MotionPlan(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """A motion that a command carries, for a receiver that flies it even where later commands are lost.
+class BackupTrajectory(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A backup trajectory: the acceleration of one tick, then a plan that ends at rest.
 
-    In JSON an array of these fields, in this order. Its name is the tick in which it begins.
+    A command carries it, and a receiver flies it even where later commands are lost. In JSON it is an array of these
+    fields, in this order. Its name is the tick in which it begins.
     """
 
     begins: Tick
@@ -509,7 +510,7 @@ class UavCommand(Message, frozen=True, kw_only=True):
 
     tick: Tick
     acceleration: Vector
-    motions: Annotated[tuple[MotionPlan, ...], Meta(max_length=MOST_CARRIED)] = ()
+    motions: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
     """The motions to be flown from the tick on in which the last of them begins, and before it those that it may
     have missed, one a tick, the oldest first. Without one the vehicle holds the acceleration, and brakes when no
     command comes.
@@ -535,7 +536,7 @@ class UgvCommand(Message, frozen=True, kw_only=True):
 
     tick: Tick
     acceleration: Vector
-    motions: Annotated[tuple[MotionPlan, ...], Meta(max_length=MOST_CARRIED)] = ()
+    motions: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
     """As of a UAV: the acceleration of a tick, and the stop that follows it. None: the command is held."""
     route: Annotated[tuple[Vector, ...], Meta(max_length=MOST_CORNERS)] | None = None
     """For observers, no vehicle reads it: the way that it plans to its goal, by its corners [m], from where it is; none

@@ -23,7 +23,7 @@ from bus.errors import ScenarioError
 from bus.messages import (
     MOST_CARRIED,
     MOST_CORNERS,
-    MotionPlan,
+    BackupTrajectory,
     UgvBriefing,
     UgvObservation,
     UgvReport,
@@ -32,7 +32,7 @@ from bus.messages import (
 from bus.registry import DRIVERS
 from bus.ticks import first_tick_from
 from sim.kernels.compile import FloatArray
-from sim.kernels.records import fresh, records
+from sim.kernels.records import fresh, records, struct_of
 from sim.models.ground import (
     CERTIFIED,
     NO_CLAIM,
@@ -173,7 +173,7 @@ class NavigateDriver(CompiledDriver):
         self._told: tuple[Vector, ...] = ()
         self._corners: PlaceArray = np.zeros(MOST_CORNERS, dtype=np.int32)
 
-    def motions(self, tick: int) -> tuple[MotionPlan, ...]:
+    def motions(self, tick: int) -> tuple[BackupTrajectory, ...]:
         """Return the motions that the command of this tick carries: its own, and those before it that may begin yet."""
         if not self._carries:
             return ()
@@ -182,7 +182,7 @@ class NavigateDriver(CompiledDriver):
         first = max(tick, last - MOST_CARRIED + 1)
         rows = [sent[begins % len(sent)] for begins in range(first, last + 1)]
         return tuple(
-            MotionPlan(begins, int(row["parent"]), (float(row["first_x"]), float(row["first_y"])))
+            struct_of(BackupTrajectory, row)
             for begins, row in zip(range(first, last + 1), rows, strict=True)
             if row["begins"] == begins
         )
