@@ -36,6 +36,16 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """Base of every message."""
 
 
+def or_infinite(bound: float | None) -> float:
+    """Return a bound of a message as a number, infinite where there is none."""
+    return math.inf if bound is None else float(bound)
+
+
+def or_none(bound: float) -> float | None:
+    """Return a bound as a message carries it: None where it is infinite."""
+    return None if math.isinf(bound) else bound
+
+
 class Limits(Message, frozen=True, kw_only=True):
     """Bounds of a double integrator (1); None where there is none."""
 
@@ -44,10 +54,10 @@ class Limits(Message, frozen=True, kw_only=True):
     max_acceleration: Positive | None
     """u_max [m/s²]."""
 
-
-def or_infinite(bound: float | None) -> float:
-    """A bound as a number: infinite where there is none."""
-    return math.inf if bound is None else float(bound)
+    @property
+    def numbers(self) -> tuple[float, float]:
+        """v_max [m/s] and u_max [m/s²], infinite where there is none."""
+        return or_infinite(self.max_speed), or_infinite(self.max_acceleration)
 
 
 class Area(Message, frozen=True, kw_only=True):
@@ -675,7 +685,7 @@ class UgvGuarantee(Message, frozen=True, kw_only=True):
     hold: the guarantee is wrong if there is one."""
 
 
-class Mission(Message, frozen=True, kw_only=True):
+class MissionResult(Message, frozen=True, kw_only=True):
     """The UGVs' way through ground with hazards, all together: for measuring, no vehicle is told."""
 
     arrived: bool
@@ -842,7 +852,7 @@ class Status(Message, frozen=True, kw_only=True):
     """Why not, by UAV."""
     certificates: CertificateStatus | None = None
     """Counts of what has been certified so far; None where no safety filter has watched over anything."""
-    mission: Mission | None = None
+    mission: MissionResult | None = None
     """The UGVs' way through; None where there are no hazards."""
     warnings: tuple[Text, ...] = ()
     """Assumptions of the certificate that the links cannot keep as they are now, a line each."""

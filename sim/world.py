@@ -16,7 +16,7 @@ from bus.messages import (
     GroundBlock,
     LinkKind,
     LinkSettings,
-    Mission,
+    MissionResult,
     SeenTile,
     UgvReport,
 )
@@ -236,7 +236,7 @@ class World:
             receive_block(self.ground, 0, n, self.tick, place, tile_states(block.tiles))
 
     @property
-    def mission(self) -> Mission | None:
+    def mission(self) -> MissionResult | None:
         """The UGVs' way through so far; None where there are no hazards."""
         if self.ground is None:
             return None

@@ -16,7 +16,12 @@ from agents.control.guard import (
 from agents.control.handover import certificate, check_assumptions
 from agents.control.underway import carried
 from bus.errors import ScenarioError
-from bus.messages import BackupTrajectory, UavBriefing, UavObservation, Vector, or_infinite
+from bus.messages import (
+    BackupTrajectory,
+    UavBriefing,
+    UavObservation,
+    Vector,
+)
 from bus.ticks import looks_of
 from sim.kernels.compile import compiled
 from sim.kernels.records import struct_of
@@ -59,14 +64,14 @@ def switching_radius(r_v: float, v_a: float, v_g: float, u_a: float) -> float:
 
 def bounds_of(briefing: UavBriefing) -> SafetyBounds:
     """Return the bounds of a UAV's safety filter, hand-over included."""
-    own, target = briefing.limits, briefing.target_limits
+    (v_a, u_a), (v_g, _) = briefing.limits.numbers, briefing.target_limits.numbers
     return certificate(
         safety_bounds(
             briefing.safety,
             visibility_radius=briefing.visibility_radius,
-            v_a=or_infinite(own.max_speed),
-            u_a=or_infinite(own.max_acceleration),
-            v_g=or_infinite(target.max_speed),
+            v_a=v_a,
+            u_a=u_a,
+            v_g=v_g,
             dt=briefing.dt,
             width=briefing.area.width,
             height=briefing.area.height,

@@ -21,7 +21,7 @@ from bus.messages import (
     GroundMap,
     LinkStatus,
     Message,
-    Mission,
+    MissionResult,
     Status,
     Truth,
 )
@@ -280,7 +280,7 @@ class Recording:
     """The counters of each link by the last status: nothing else of a recording tells."""
     certificates: CertificateStatus | None = None
     """The words of the safety filters by then, held against the truth; None where none watched."""
-    mission: Mission | None = None
+    mission: MissionResult | None = None
     """The UGVs' way through by then; None where there are no hazards."""
     damage: Damage = field(default_factory=Damage)
 
