@@ -23,7 +23,6 @@ from bus.messages import (
     UavObservation,
     UavReport,
     Vector,
-    or_infinite,
 )
 from bus.ticks import looks_of, radio_ticks
 from sim.kernels.compile import FloatArray
@@ -121,7 +120,7 @@ class UavPilot:
         return self._inner is not None or self._law.row.watched
 
     def _check_own_functions(self) -> None:
-        own, limits = self._law.row.own, self._briefing.limits
+        own = self._law.row.own
         if own == "uav_policy" and self._policy is None:
             raise ScenarioError(
                 "law.name = 'policy': needs a policy, given to the UAV as module:function or KIND:FILE"
@@ -137,8 +136,8 @@ class UavPilot:
                 raise ScenarioError(
                     "law.name = 'path': needs a path, given to the UAV as module:function"
                 )
-            v_a, u_a = (or_infinite(limits.max_speed), or_infinite(limits.max_acceleration))
-            v_g = or_infinite(self._briefing.target_limits.max_speed)
+            c = self._uav
+            v_a, v_g, u_a = c.max_speed, c.target_max_speed, c.max_acceleration
             check_path(self._path, _PATH_HORIZON, self._briefing.visibility_radius, v_a, v_g, u_a)
 
     def act(self, observation: UavObservation) -> UavCommand:

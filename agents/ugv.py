@@ -7,7 +7,7 @@ from typing import Protocol
 from agents.drivers.compiled import CompiledDriver, NavigateDriver
 from agents.drivers.policy import Policy, PolicyDriver
 from bus.errors import ScenarioError
-from bus.messages import MotionPlan, UgvBriefing, UgvCommand, UgvObservation, UgvReport
+from bus.messages import BackupTrajectory, UgvBriefing, UgvCommand, UgvObservation, UgvReport
 from bus.registry import DRIVERS, resolve
 
 
@@ -68,7 +68,7 @@ class UgvPilot:
         if observation.driver is not None:
             self._driver = self._make(observation.driver)
         acceleration, route = self._driver.drive(observation), None
-        motions: tuple[MotionPlan, ...] = ()
+        motions: tuple[BackupTrajectory, ...] = ()
         report: UgvReport | None = None
         if isinstance(self._driver, NavigateDriver):
             route = self._driver.new_route(observation.position)

@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from bus.messages import LinkSettings, Mission
+from bus.messages import LinkSettings, MissionResult
 from bus.profiles import PROFILES
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.style import INK, LIMIT, UGV, law_color, new_figure, save
@@ -43,12 +43,12 @@ class Row(NamedTuple):
     caution: str
     network: str
     law: str
-    missions: list[Mission]
+    missions: list[MissionResult]
     lost: int
     """Flights in which sight was lost."""
 
 
-def _flown(scenario: Scenario, seeds: int) -> tuple[list[Mission], int]:
+def _flown(scenario: Scenario, seeds: int) -> tuple[list[MissionResult], int]:
     loop = ClosedLoop(scenario, seeds, end_on_sight_lost=False, end_on_goals_reached=True)
     loop.begin(list(range(seeds)))
     loop.fly()

@@ -9,14 +9,14 @@ import secrets
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 UNFINISHED = ".unfinished"
 """End of the name of a file that is being written; a kill may leave it."""
 
 
-def open_regular(path: Path, most: int | None = None) -> BinaryIO:
+def open_regular(path: Path, most: int | None = None) -> BufferedReader:
     """Open a file for reading, without waiting at a FIFO and without reading a device.
 
     Args:

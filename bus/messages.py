@@ -36,6 +36,16 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """Base of every message."""
 
 
+def or_infinite(bound: float | None) -> float:
+    """Return a bound of a message as a number, infinite where there is none."""
+    return math.inf if bound is None else float(bound)
+
+
+def or_none(bound: float) -> float | None:
+    """Return a bound as a message carries it: None where it is infinite."""
+    return None if math.isinf(bound) else bound
+
+
 class Limits(Message, frozen=True, kw_only=True):
     """Bounds of a double integrator (1); None where there is none."""
 
@@ -44,10 +54,10 @@ class Limits(Message, frozen=True, kw_only=True):
     max_acceleration: Positive | None
     """u_max [m/s²]."""
 
-
-def or_infinite(bound: float | None) -> float:
-    """A bound as a number: infinite where there is none."""
-    return math.inf if bound is None else float(bound)
+    @property
+    def numbers(self) -> tuple[float, float]:
+        """v_max [m/s] and u_max [m/s²], infinite where there is none."""
+        return or_infinite(self.max_speed), or_infinite(self.max_acceleration)
 
 
 class Area(Message, frozen=True, kw_only=True):
@@ -218,10 +228,11 @@ kilobyte.
 Ticks = Annotated[int, Meta(ge=0, le=1_000_000)]
 
 
-class MotionPlan(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """A motion that a command carries, for a receiver that flies it even where later commands are lost.
+class BackupTrajectory(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A backup trajectory: the acceleration of one tick, then a plan that ends at rest.
 
-    In JSON an array of these fields, in this order. Its name is the tick in which it begins.
+    A command carries it, and a receiver flies it even where later commands are lost. In JSON it is an array of these
+    fields, in this order. Its name is the tick in which it begins.
     """
 
     begins: Tick
@@ -509,7 +520,7 @@ class UavCommand(Message, frozen=True, kw_only=True):
 
     tick: Tick
     acceleration: Vector
-    motions: Annotated[tuple[MotionPlan, ...], Meta(max_length=MOST_CARRIED)] = ()
+    motions: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
     """The motions to be flown from the tick on in which the last of them begins, and before it those that it may
     have missed, one a tick, the oldest first. Without one the vehicle holds the acceleration, and brakes when no
     command comes.
@@ -535,7 +546,7 @@ class UgvCommand(Message, frozen=True, kw_only=True):
 
     tick: Tick
     acceleration: Vector
-    motions: Annotated[tuple[MotionPlan, ...], Meta(max_length=MOST_CARRIED)] = ()
+    motions: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
     """As of a UAV: the acceleration of a tick, and the stop that follows it. None: the command is held."""
     route: Annotated[tuple[Vector, ...], Meta(max_length=MOST_CORNERS)] | None = None
     """For observers, no vehicle reads it: the way that it plans to its goal, by its corners [m], from where it is; none
@@ -674,7 +685,7 @@ class UgvGuarantee(Message, frozen=True, kw_only=True):
     hold: the guarantee is wrong if there is one."""
 
 
-class Mission(Message, frozen=True, kw_only=True):
+class MissionResult(Message, frozen=True, kw_only=True):
     """The UGVs' way through ground with hazards, all together: for measuring, no vehicle is told."""
 
     arrived: bool
@@ -841,7 +852,7 @@ class Status(Message, frozen=True, kw_only=True):
     """Why not, by UAV."""
     certificates: CertificateStatus | None = None
     """Counts of what has been certified so far; None where no safety filter has watched over anything."""
-    mission: Mission | None = None
+    mission: MissionResult | None = None
     """The UGVs' way through; None where there are no hazards."""
     warnings: tuple[Text, ...] = ()
     """Assumptions of the certificate that the links cannot keep as they are now, a line each."""

@@ -4,10 +4,13 @@ A time stamp is a tick times dt, never a sum. It becomes a tick again once, wher
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from bus.messages import Detection
+import numpy as np
+import numpy.typing as npt
+
+from bus.messages import Detection, RelativeInformation
 
 NO_TICK = -1
 """In place of a tick: a time stamp that is none of a tick."""
@@ -51,9 +54,14 @@ def tick_of(time: float, dt: float) -> int:
     return tick if abs(ticks - tick) <= DUST else NO_TICK
 
 
-def looks_of(detections: Iterable[Detection], dt: float) -> tuple[Look, ...]:
-    """The detections of a message; dt [s] is the length of a tick."""
+def looks_of(detections: Iterable[Detection | RelativeInformation], dt: float) -> tuple[Look, ...]:
+    """Return the relative positions of a message; dt [s] is the length of a tick."""
     return tuple(Look(tick_of(one.time, dt), *one.relative_position) for one in detections)
+
+
+def look_rows(looks: Sequence[Look]) -> npt.NDArray[np.float64]:
+    """Return relative positions as compiled code takes them, in the columns of `Look`. Shape (looks, 3)."""
+    return np.array(looks, dtype=np.float64).reshape(-1, len(Look._fields))
 
 
 def radio_ticks(dt: float) -> int:

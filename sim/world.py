@@ -10,13 +10,13 @@ import numpy as np
 
 from bus.messages import (
     TILE_LETTERS,
+    BackupTrajectory,
     CoverageMap,
     Detection,
     GroundBlock,
     LinkKind,
     LinkSettings,
-    Mission,
-    MotionPlan,
+    MissionResult,
     SeenTile,
     UgvReport,
 )
@@ -38,7 +38,7 @@ from sim.models.ground import (
     block_letters,
     tile_states,
 )
-from sim.models.motion import NO_MOTION, keep_motion, motion_row
+from sim.models.motion import NO_MOTION, keep_motion, received_motion
 from sim.scenario.types import LinkTable, Scenario, Uav
 
 _CODES = {words: code for code, words in UNCERTIFIED.items()}
@@ -197,7 +197,7 @@ class World:
         vehicle: int,
         answered: int,
         acceleration: tuple[float, float],
-        motions: Sequence[MotionPlan] = (),
+        motions: Sequence[BackupTrajectory] = (),
     ) -> None:
         """A vehicle's command sets out to its actuators in the coming tick; one a tick.
 
@@ -213,7 +213,7 @@ class World:
         row["outgoing_motions"] = len(motions)
         kept = self._batch.state.motions[self._number, vehicle]
         for motion in motions:
-            keep_motion(kept, motion_row(motion)[0], self.tick)
+            keep_motion(kept, received_motion(motion)[0], self.tick)
 
     def seen_ground(self, vehicle: int) -> tuple[SeenTile, ...]:
         """The tiles of which a vehicle's own sensor has told since the tick before."""
@@ -236,7 +236,7 @@ class World:
             receive_block(self.ground, 0, n, self.tick, place, tile_states(block.tiles))
 
     @property
-    def mission(self) -> Mission | None:
+    def mission(self) -> MissionResult | None:
         """The UGVs' way through so far; None where there are no hazards."""
         if self.ground is None:
             return None

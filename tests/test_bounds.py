@@ -59,15 +59,23 @@ def many_small() -> bytes:
 
 BOMBS: dict[str, tuple[Callable[[], bytes], str]] = {
     "declared": (lambda: chunk(zeros(1 << 30, told=True), 1 << 30), "16,777,216 are the most"),
-    "hidden": (lambda: chunk(zeros(64 << 20, told=False), 1 << 20), "Zstd|decompress"),
-    "belied": (lambda: chunk(zeros(64 << 20, told=True), 1 << 20), "that declares 1,048,576"),
+    "hidden": (lambda: chunk(zeros(64 << 20, told=False), 1 << 20), "that it declares"),
+    "belied": (
+        lambda: chunk(zeros(64 << 20, told=True), 1 << 20),
+        "1,048,576 bytes that it declares",
+    ),
     "small": (many_small, "unpacks to more than 200 times its size"),
     "filled": (
         lambda: chunk(zeros(16 << 20, told=True), 16 << 20) * 50,
-        "a chunk with a record of kind 0",
+        "damaged at byte 8: EndOfFile",
     ),
-    "unknown": (lambda: chunk(b"", 0, b"zip"), "packed with 'zip'"),
-    "sparse": (lambda: struct.pack("<BQ", 5, 1 << 30), "a record of 1,073,741,824 bytes"),
+    "unknown": (lambda: chunk(b"", 0, b"zip"), "compression type 'zip'"),
+    "trusted": (
+        lambda: struct.pack("<BQQQQIIQ", 6, 40, 0, 0, 0, 0, 0, 1 << 30),
+        "a part of 1073741824 bytes",
+    ),
+    "negative": (lambda: struct.pack("<BQHIQQ", 5, 21, 1, 0, 0, 0), "a part of -1 bytes"),
+    "sparse": (lambda: struct.pack("<BQ", 5, 1 << 30), "record has length 1073741824"),
 }
 
 
@@ -75,7 +83,7 @@ def bomb(folder: Path, name: str) -> Path:
     path = folder / f"{name}.mcap"
     with path.open("wb") as file:
         file.write(MAGIC + BOMBS[name][0]())
-        if name == "sparse":
+        if name in ("sparse", "trusted", "negative"):
             file.truncate(2 << 30)
     return path
 
@@ -111,7 +119,7 @@ def test_no_file_fills_the_memory_or_keeps_the_reader_waiting(tmp_path: Path) ->
     lines += [f"check {tmp_path / name}" for name in ("title.toml", "folder.toml")]
     lines += [
         f"replay {bomb(tmp_path, name)}"
-        for name in ("declared", "hidden", "belied", "filled", "small")
+        for name in ("declared", "hidden", "belied", "filled", "small", "trusted", "negative")
     ]
     done = python(_PEAK, input="\n".join(lines), check=False, timeout=120)
     assert done.returncode == 0, done.stderr

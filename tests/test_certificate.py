@@ -19,6 +19,7 @@ from flights import DT, PROMISED, R_S, R_V, U_A, V_A, V_G, certified
 from properties import PROPERTY
 from sim.kernels.compile import FloatArray
 from sim.kernels.records import RecordArray
+from sim.models.motion import no_motions
 from sim.models.safety import SafetyBounds, tick_sagitta
 from sim.models.vehicles import Motion, norm, step_vehicle
 
@@ -249,13 +250,6 @@ def test_the_servo_keeps_the_bound_and_stops_at_its_point(p_x, p_y, share, angle
     assert norm(p_x - z_x, p_y - z_y) < 0.05
 
 
-def holding(plan: c.Plan) -> RecordArray:
-    """A memory in which this plan is held."""
-    memory = c.no_plan()
-    c._hold(memory, plan)
-    return memory
-
-
 def ticks_left(memory: RecordArray) -> int:
     """The time that the plan that is held still takes."""
     return sum(int(memory[0][part]) for part in ("turn", "cruise", "brake"))
@@ -263,14 +257,16 @@ def ticks_left(memory: RecordArray) -> int:
 
 def last_seen_in(x: float, y: float, radius: float, tick: int) -> RecordArray:
     """A memory without a plan, but of the disc that held the UGV when the last was checked."""
-    memory = holding(c.Plan(0, 0, 0, 0.0, 0.0, 0.0, 0.0, discs.Disc(x, y, radius, tick)))
-    c.drop_plan(memory)
+    memory = no_motions(1)
+    c.set_end(memory, discs.Disc(x, y, radius, tick))
     return memory
 
 
-def fly_plan(promise: SafetyBounds, plan: c.Plan, state: list[float], g: FloatArray) -> list[float]:
-    """Let a plan act to its end while a UGV at g flees as fast as it may; the distances."""
-    held, (p_x, p_y, v_x, v_y) = holding(plan), state
+def fly_plan(
+    promise: SafetyBounds, held: RecordArray, state: list[float], g: FloatArray
+) -> list[float]:
+    """Let the plan that is held act to its end while a UGV at g flees as fast as it may; the distances."""
+    end, (p_x, p_y, v_x, v_y) = held["end"][0].copy(), state
     distances = [norm(p_x - g[0], p_y - g[1])]
     while ticks_left(held):
         u_x, u_y = c.follow(promise, held, v_x, v_y)
@@ -282,7 +278,7 @@ def fly_plan(promise: SafetyBounds, plan: c.Plan, state: list[float], g: FloatAr
         assert 0.0 - 1e-6 <= p_x <= promise.width + 1e-6 or promise.width == math.inf
         distances.append(norm(p_x - g[0], p_y - g[1]))
     assert norm(v_x, v_y) <= 2e-9
-    assert norm(p_x - plan.end.x, p_y - plan.end.y) <= 1e-8
+    assert norm(p_x - end[0], p_y - end[1]) <= 1e-8
     return distances
 
 
@@ -310,10 +306,9 @@ def test_a_plan_keeps_in_sight_whatever_agrees_with_the_detections(
     )
     make = c.stop_from if kind == "stop" else c.return_from
     known = c.known_from(q, detections, memory, 1, NOW, state[0], state[1])
-    plan = make(q, known, NOW, Motion(*state))
-    if not c.exists(plan):
+    if not make(q, known, memory, NOW, Motion(*state)):
         return
-    distances = fly_plan(q, plan, state, g)
+    distances = fly_plan(q, memory, state, g)
     assert max(distances) < R_V
     assert distances[-1] <= q.handover_radius + 1e-6
 
@@ -333,7 +328,7 @@ def test_from_rest_within_the_handover_radius_there_is_a_plan_to_every_later_det
     memory = last_seen_in(7.0, 7.0, radius, NOW)
     z = (7.0 + way * math.cos(where), 7.0 + way * math.sin(where), NOW - young_ticks)
     known = c.known_from(q, seen(z), memory, 0, NOW, 7.0, 7.0)
-    assert c.exists(c.return_from(q, known, NOW, Motion(7.0, 7.0, 0.0, 0.0)))
+    assert c.return_from(q, known, memory, NOW, Motion(7.0, 7.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("off", [-0.02, 0.02])
@@ -360,7 +355,7 @@ def test_within_the_certified_radius_every_inner_control_acts(
     x, y = far * room * math.cos(where), far * room * math.sin(where)
     v_x, v_y = share * V_A * math.cos(angle), share * V_A * math.sin(angle)
     u = (U_A * math.cos(wanted), U_A * math.sin(wanted))
-    answer = c.safe_control(q, seen((0.0, 0.0, 0)), c.no_plan(), 0, Motion(x, y, v_x, v_y), *u)
+    answer = c.safe_control(q, seen((0.0, 0.0, 0)), no_motions(1), 0, Motion(x, y, v_x, v_y), *u)
     assert answer == pytest.approx((*u, c.INNER))
 
 
@@ -376,7 +371,7 @@ def test_within_the_certified_radius_every_inner_control_acts(
 )
 def test_beyond_the_certified_radius_the_filter_acts(detections, here, wanted, answer):
     found = c.safe_control(
-        promise(age=1.0), seen(*detections), c.no_plan(), 0, Motion(*here), *wanted
+        promise(age=1.0), seen(*detections), no_motions(1), 0, Motion(*here), *wanted
     )
     assert found == pytest.approx(answer)
 
@@ -436,7 +431,7 @@ ROOM = {"age": 1.0, "width": 10.0, "height": 10.0}
 
 def test_a_vehicle_that_is_driven_into_a_wall_keeps_a_plan_there() -> None:
     q = promise(**ROOM)
-    detections, plan = seen((2.0, 5.0, 0)), c.no_plan()
+    detections, plan = seen((2.0, 5.0, 0)), no_motions(1)
     here, least = Motion(2.0, 5.0, 0.0, 0.0), 2.0
     for tick in range(400):
         detections["taken"][0] = tick
@@ -467,14 +462,14 @@ def test_a_wall_takes_only_residual_velocity_from_a_plan(x, y, share, angle, see
             0,
         )
     )
-    known = c.known_from(q, detections, c.no_plan(), 0, 0, x, y)
+    known = c.known_from(q, detections, no_motions(1), 0, 0, x, y)
     for make in (c.stop_from, c.return_from):
-        plan = make(q, known, 0, Motion(x, y, v_x, v_y))
-        if not c.exists(plan):
+        held = no_motions(1)
+        if not make(q, known, held, 0, Motion(x, y, v_x, v_y)):
             continue
         assert 0.0 <= x <= 10.0
         assert 0.0 <= y <= 10.0
-        state, held = Motion(x, y, v_x, v_y), holding(plan)
+        state = Motion(x, y, v_x, v_y)
         # A wall removes at most 1e-10 m/s, the residual velocity that a plan may start with.
         drift = 1e-11 + 1e-10 * max(1.0, ticks_left(held) * q.dt)
         while ticks_left(held):

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.messages import GroundBlock, Mission, UgvReport
+from bus.messages import GroundBlock, MissionResult, UgvReport
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
@@ -28,7 +28,7 @@ def on_unseen_ground(driver: str = "waypoints") -> Scenario:
     )
 
 
-def mission(world: World) -> Mission:
+def mission(world: World) -> MissionResult:
     assert world.mission is not None
     return world.mission
 

@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from bus.messages import LinkStatus, Mission, VehicleStatus
+from bus.messages import LinkStatus, MissionResult, VehicleStatus
 from outrider.cli import console
 from outrider.experiments.sweep.columns import RESULTS, row_of
 from outrider.running.flying import fly
@@ -45,7 +45,7 @@ def test_every_number_of_a_summary_is_a_row_and_every_row_a_field() -> None:
 @pytest.mark.parametrize(
     ("table", "struct", "other"),
     [
-        (MISSION, Mission, {"ground_certified_share", "guarantees"}),
+        (MISSION, MissionResult, {"ground_certified_share", "guarantees"}),
         (LINK, LinkStatus, {"degraded", "settings"}),
         (PROCESS, VehicleStatus, {"present", "last_fault"}),
     ],

@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 from agents.control.certificate import OUTAGE, UNCERTIFIED, UNCHECKED_MOTION
 from agents.control.handover import largest_interval
 from agents.control.visibility import SafetyFilter
-from bus.messages import MOST_CARRIED, MotionPlan, UavCommand
+from bus.messages import MOST_CARRIED, BackupTrajectory, UavCommand
 from flights import EVADED, PROMISED, certified, flown_in_both, told, uav_sees
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
 from processes import flown_both_ways
-from sim.models.motion import motion_plan, motion_row
+from sim.kernels.records import struct_of
+from sim.models.motion import received_motion
 from sim.scenario.types import Certificate, LinkTable, Uav
 from sim.server.flight import Flight
 from sim.world import World
@@ -34,8 +35,8 @@ LOST = SCENARIOS["lost commands"]
 RECORDED = Path(__file__).resolve().parent.parent / "examples" / "networks" / "wifi-far.csv"
 
 
-def rest(begins: int, parent: int = -1, **fields) -> MotionPlan:
-    return MotionPlan(begins, parent, (0.0, 0.0), **fields)
+def rest(begins: int, parent: int = -1, **fields) -> BackupTrajectory:
+    return BackupTrajectory(begins, parent, (0.0, 0.0), **fields)
 
 
 def still(outage: float | None = 1.0, delay: float = 0.2) -> World:
@@ -44,7 +45,7 @@ def still(outage: float | None = 1.0, delay: float = 0.2) -> World:
     return World(scenario, 1)
 
 
-def flown(world: World, commands: dict[int, tuple[MotionPlan, ...]], ticks: int) -> list:
+def flown(world: World, commands: dict[int, tuple[BackupTrajectory, ...]], ticks: int) -> list:
     """The motion that is flown in each tick; `commands` by the tick in which they set out."""
     told = []
     for tick in range(ticks):
@@ -79,7 +80,7 @@ def test_a_command_brings_the_motions_that_the_ones_before_it_should_have_brough
 
 def test_a_motion_is_flown_to_its_end_and_then_the_vehicle_rests() -> None:
     world = still()
-    plan = MotionPlan(0, -1, (0.2, 0.0), 2, 3, 4, (0.0, 0.1), (-0.05, -0.05))
+    plan = BackupTrajectory(0, -1, (0.2, 0.0), 2, 3, 4, (0.0, 0.1), (-0.05, -0.05))
     world.send(0, 0, (9.0, 9.0), (plan,))
     acted = []
     for _ in range(16):
@@ -95,12 +96,12 @@ def test_a_late_motion_acts_as_an_acceleration_once_the_vehicle_has_waited_too_l
     world = still(outage, 0.0)
     for tick in range(1, 4):
         world.move_to(tick)
-        world.send(0, tick - 1, (0.1, 0.0), (MotionPlan(tick - 1, tick - 2, (0.2, 0.0)),))
+        world.send(0, tick - 1, (0.1, 0.0), (BackupTrajectory(tick - 1, tick - 2, (0.2, 0.0)),))
         world.advance()
     assert world.flown(0) is None
     assert world.commands[0].tolist() == ([0.1, 0.0] if begun else [0.0, 0.0])
     tick = world.tick  # one that is in time takes over again
-    world.send(0, tick, (0.0, 0.0), (MotionPlan(tick, -1, (0.3, 0.0)),))
+    world.send(0, tick, (0.0, 0.0), (BackupTrajectory(tick, -1, (0.3, 0.0)),))
     world.advance()
     assert (world.flown(0), world.commands[0].tolist()) == (tick, [0.3, 0.0])
 
@@ -112,7 +113,7 @@ def test_a_command_without_a_motion_takes_over_and_one_with_takes_over_again() -
     world.send(0, 1, (0.1, 0.0))
     world.advance()
     assert (world.flown(0), world.commands[0].tolist()) == (None, [0.1, 0.0])
-    world.send(0, 2, (0.0, 0.0), (MotionPlan(2, -1, (0.3, 0.0)),))
+    world.send(0, 2, (0.0, 0.0), (BackupTrajectory(2, -1, (0.3, 0.0)),))
     world.advance()
     assert (world.flown(0), world.commands[0].tolist()) == (2, [0.3, 0.0])
 
@@ -120,7 +121,7 @@ def test_a_command_without_a_motion_takes_over_and_one_with_takes_over_again() -
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(st.integers(-2, 12), st.integers(-1, 12)), max_size=6))
 def test_whatever_motions_come_the_receiver_flies_one_that_came_or_rests(sent) -> None:
-    motions = [MotionPlan(max(0, begins), parent, (0.1, 0.0)) for begins, parent in sent]
+    motions = [BackupTrajectory(max(0, begins), parent, (0.1, 0.0)) for begins, parent in sent]
     world = still()
     told_flown = flown(
         world, {tick: (motion,) for tick, motion in enumerate(motions)}, len(motions)
@@ -131,8 +132,8 @@ def test_whatever_motions_come_the_receiver_flies_one_that_came_or_rests(sent) -
 
 
 def test_a_motion_survives_its_message() -> None:
-    motion = MotionPlan(7, 6, (0.1, -0.2), 1, 2, 3, (0.25, 0.5), (-0.125, 1e-9))
-    assert motion_plan(motion_row(motion)) == motion
+    motion = BackupTrajectory(7, 6, (0.1, -0.2), 1, 2, 3, (0.25, 0.5), (-0.125, 1e-9))
+    assert struct_of(BackupTrajectory, received_motion(motion)[0]) == motion
 
 
 # -- the pilot

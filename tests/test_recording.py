@@ -44,11 +44,11 @@ from outrider.recording.reader import (
     entries,
     flight_of,
     load,
-    repair,
     statuses,
     stream,
 )
 from outrider.recording.refly import refly, restore
+from outrider.recording.repair import repair
 from outrider.recording.schemas import (
     CHANGES,
     COMMANDS,

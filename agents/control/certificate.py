@@ -12,8 +12,6 @@ All positions in the world's frame [m], times in ticks, speeds [m/s], accelerati
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from agents.control.discs import (
     MARGIN,
     Disc,
@@ -26,7 +24,7 @@ from agents.control.discs import (
 )
 from agents.control.handover import REST, ROUNDING, rest_to_rest
 from sim.kernels.compile import compiled
-from sim.kernels.records import RecordArray, record_type
+from sim.kernels.records import RecordArray
 from sim.models.safety import SafetyBounds
 from sim.models.vehicles import (
     Motion,
@@ -78,41 +76,6 @@ UNCERTIFIED = {
 """Why a tick is not certified, by the code that `agents.control.guard.guard` gives."""
 
 
-class Plan(NamedTuple):
-    """A motion that ends at rest: a turn and a stop of constant acceleration, and between them a straight way."""
-
-    turn: int
-    cruise: int
-    brake: int
-    """Ticks of each part."""
-    turn_x: float
-    turn_y: float
-    """Acceleration of the turn [m/s²]."""
-    brake_x: float
-    brake_y: float
-    """Of the stop."""
-    end: Disc
-    """Around the place where it ends: what surely held the UGV when the plan was checked."""
-
-
-class HeldPlan(NamedTuple):
-    """The memory of `safe_control`: the plan that is held, a row of an array of one; the fields are those of `Plan`."""
-
-    valid: int
-    """1 where the UAV is where the plan has it."""
-    turn: int
-    cruise: int
-    brake: int
-    turn_x: float
-    turn_y: float
-    brake_x: float
-    brake_y: float
-    end_x: float
-    end_y: float
-    end_radius: float
-    end_tick: int
-
-
 class Known(NamedTuple):
     """Discs, each of which surely holds the UGV."""
 
@@ -158,25 +121,19 @@ def step_in_area(
     return Motion(x, y, w_x, w_y), norm(q_x - x, q_y - y)
 
 
-def no_plan() -> RecordArray:
-    """The filter's memory before its first plan: a row of `HeldPlan`. Shape (1,)."""
-    plan = np.zeros(1, dtype=record_type(HeldPlan))
-    clear_plan(plan)
-    return plan
-
-
-@compiled
-def clear_plan(plan: RecordArray) -> None:
-    """Let the memory be as before its first plan."""
-    _hold(plan, _nothing())
-    drop_plan(plan)
-
-
 @compiled
 def end_disc(plan: RecordArray) -> Disc:
     """The disc that surely held the UGV when the last plan was checked; infinite before the first."""
     held = plan[0]
-    return Disc(held.end_x, held.end_y, held.end_radius, held.end_tick)
+    return Disc(held.end[0], held.end[1], held.end_radius, held.end_tick)
+
+
+@compiled
+def set_end(plan: RecordArray, disc: Disc) -> None:
+    """Set the disc around the end of a plan. `plan`: a table of one row."""
+    held = plan[0]
+    held.end[0], held.end[1] = disc.x, disc.y
+    held.end_radius, held.end_tick = disc.radius, disc.tick
 
 
 @compiled
@@ -227,26 +184,19 @@ def farthest(
 
 
 @compiled
-def _nothing() -> Plan:
-    """No plan."""
-    return Plan(0, 0, 0, 0.0, 0.0, 0.0, 0.0, Disc(0.0, 0.0, math.inf, 0))
-
-
-@compiled
-def exists(found: Plan) -> bool:
-    """True if there is a plan: the UGV is within a finite radius of its end."""
-    return found.end.radius < math.inf
-
-
-@compiled
-def _hold(plan: RecordArray, found: Plan) -> None:
-    """Let this plan be the one that is held."""
+def _hold(
+    plan: RecordArray,
+    ticks: tuple[int, int, int],
+    turning: tuple[float, float],
+    braking: tuple[float, float],
+    end: Disc,
+) -> None:
+    """Hold a plan that has been checked: the ticks of its turn, cruise and brake, and its accelerations [m/s²]."""
     held = plan[0]
-    held.valid, held.turn, held.cruise, held.brake = 1, found.turn, found.cruise, found.brake
-    held.turn_x, held.turn_y = found.turn_x, found.turn_y
-    held.brake_x, held.brake_y = found.brake_x, found.brake_y
-    held.end_x, held.end_y = found.end.x, found.end.y
-    held.end_radius, held.end_tick = found.end.radius, found.end.tick
+    held.checked, held.turn, held.cruise, held.brake = 1, ticks[0], ticks[1], ticks[2]
+    held.turning[0], held.turning[1] = turning
+    held.braking[0], held.braking[1] = braking
+    set_end(plan, end)
 
 
 @compiled
@@ -323,8 +273,10 @@ def _end_radius(
 
 
 @compiled
-def stop_from(promise: SafetyBounds, known: Known, tick: int, here: Motion, least: int = 0) -> Plan:
-    """The plan to brake to a stop from this state at a tick; its disc is infinite if the UAV may not.
+def stop_from(
+    promise: SafetyBounds, known: Known, plan: RecordArray, tick: int, here: Motion, least: int = 0
+) -> bool:
+    """Hold the plan to brake to a stop from this state at a tick; False, and nothing changes, if the UAV may not.
 
     One that begins in this tick lasts for a tick at `least`: no other plan begins before.
 
@@ -340,15 +292,16 @@ def stop_from(promise: SafetyBounds, known: Known, tick: int, here: Motion, leas
     a_x, a_y = share * here.v_x, share * here.v_y
     x, y = here.p_x + 0.5 * here.v_x * duration, here.p_y + 0.5 * here.v_y * duration
     if not _is_in_area(promise, here.p_x, here.p_y):
-        return _nothing()
+        return False
     if ticks and not _stays_in_area(promise, here, a_x, a_y, duration):
-        return _nothing()
+        return False
     radius = _end_radius(promise, known, tick, x, y, max(ticks, least))
     if radius == math.inf:
-        return _nothing()
+        return False
     if not farthest(promise, known, tick, here.p_x, here.p_y, promise.radius) <= promise.radius:
-        return _nothing()
-    return Plan(0, 0, ticks, 0.0, 0.0, a_x, a_y, Disc(x, y, radius, tick))
+        return False
+    _hold(plan, (0, 0, ticks), (0.0, 0.0), (a_x, a_y), Disc(x, y, radius, tick))
+    return True
 
 
 @compiled
@@ -373,10 +326,12 @@ def _turn_is_safe(
 
 
 @compiled
-def _return_at(promise: SafetyBounds, known: Known, tick: int, here: Motion, speed: float) -> Plan:
-    """Return the plan of `return_from` at one speed [m/s]."""
+def _return_at(
+    promise: SafetyBounds, known: Known, plan: RecordArray, tick: int, here: Motion, speed: float
+) -> bool:
+    """Hold the plan of `return_from` at one speed [m/s]."""
     if not _is_in_area(promise, here.p_x, here.p_y):
-        return _nothing()
+        return False
     z_x = _off_walls(known.newest.x, promise.width)
     z_y = _off_walls(known.newest.y, promise.height)
     at_rest = norm(here.v_x, here.v_y) <= REST
@@ -393,7 +348,7 @@ def _return_at(promise: SafetyBounds, known: Known, tick: int, here: Motion, spe
         for _ in range(4):
             way = norm(z_x - q_x, z_y - q_y)
             if way <= _ON_THE_SPOT:
-                return _nothing()
+                return False
             w_x, w_y = speed * (z_x - q_x) / way, speed * (z_y - q_y) / way
             change = norm(w_x - here.v_x, w_y - here.v_y)
             turn = max(1, math.ceil(change / (promise.u_a * promise.dt) - ROUNDING))
@@ -402,42 +357,45 @@ def _return_at(promise: SafetyBounds, known: Known, tick: int, here: Motion, spe
         along = (z_x - q_x) * w_x + (z_y - q_y) * w_y
         left = along / (speed * speed * promise.dt) - 0.5 * stop  # ticks at constant speed
         if not left >= 0.0:
-            return _nothing()
+            return False
         cruise = int(left)
     level = (0.5 * turn + cruise + 0.5 * stop) * promise.dt
     end_x = here.p_x + 0.5 * here.v_x * turn * promise.dt + w_x * level
     end_y = here.p_y + 0.5 * here.v_y * turn * promise.dt + w_y * level
     radius = _end_radius(promise, known, tick, end_x, end_y, turn + cruise + stop)
     if radius == math.inf:
-        return _nothing()
+        return False
     a_x, a_y = 0.0, 0.0
     if turn:
         a_x, a_y = (w_x - here.v_x) / (turn * promise.dt), (w_y - here.v_y) / (turn * promise.dt)
     if not _stays_in_area(promise, here, a_x, a_y, turn * promise.dt):
-        return _nothing()
+        return False
     if not at_rest:  # from rest the way is a chord of the area
         way_on = Motion(q_x, q_y, end_x - q_x, end_y - q_y)
         if not _stays_in_area(promise, way_on, 0.0, 0.0, 1.0):
-            return _nothing()
+            return False
     if not _turn_is_safe(promise, known, tick, here, a_x, a_y, turn):
-        return _nothing()
+        return False
     b_x, b_y = (-w_x / (stop * promise.dt), -w_y / (stop * promise.dt)) if stop else (0.0, 0.0)
-    return Plan(turn, cruise, stop, a_x, a_y, b_x, b_y, Disc(end_x, end_y, radius, tick))
+    end = Disc(end_x, end_y, radius, tick)
+    _hold(plan, (turn, cruise, stop), (a_x, a_y), (b_x, b_y), end)
+    return True
 
 
 @compiled
-def return_from(promise: SafetyBounds, known: Known, tick: int, here: Motion) -> Plan:
-    """The plan to turn to the newest detection, fly there and stop, from this state at a tick.
+def return_from(
+    promise: SafetyBounds, known: Known, plan: RecordArray, tick: int, here: Motion
+) -> bool:
+    """Hold the plan to turn to the newest detection, fly there and stop, from this state at a tick.
 
-    Its disc is infinite if the UAV may not. The turn takes the velocity along a straight line to the one that leads
-    from the turn's end to the detection; bounds are kept, since both ends keep them. After it the way is straight,
-    and the bound is largest at one of its ends.
+    Returns False, and nothing changes, if the UAV may not. The turn takes the velocity along a straight line to the
+    one that leads from the turn's end to the detection; bounds are kept, since both ends keep them. After it the way
+    is straight, and the bound is largest at one of its ends.
     """
-    for share in _SPEEDS:
-        plan = _return_at(promise, known, tick, here, share * promise.v_a)
-        if exists(plan):
-            return plan
-    return _nothing()
+    for share in _SPEEDS:  # noqa: SIM110 - numba compiles no generator expression
+        if _return_at(promise, known, plan, tick, here, share * promise.v_a):
+            return True
+    return False
 
 
 @compiled
@@ -449,20 +407,20 @@ def follow(promise: SafetyBounds, plan: RecordArray, v_x: float, v_y: float) -> 
     held = plan[0]
     if held.turn > 0:
         held.turn -= 1
-        return held.turn_x, held.turn_y
+        return held.turning[0], held.turning[1]
     if held.cruise > 0:
         held.cruise -= 1
         return 0.0, 0.0
     if held.brake > 0:
         held.brake -= 1
-        return held.brake_x, held.brake_y
+        return held.braking[0], held.braking[1]
     return brake(v_x, v_y, promise.u_a, promise.dt)
 
 
 @compiled
 def drop_plan(plan: RecordArray) -> None:
     """The UAV is not where the plan in this memory has it: no plan is held."""
-    plan[0].valid = 0
+    plan[0].checked = 0
 
 
 @compiled
@@ -477,7 +435,7 @@ def _may_go_on(
 ) -> bool:
     """True if the UGV is surely within r_v now, and until the next tick where a wall keeps the UAV `over` [m] back."""
     within = (
-        plan[0].valid != 0
+        plan[0].checked != 0
         or farthest(promise, known, tick, here.p_x, here.p_y, promise.radius) <= promise.radius
     )
     if within and over > 0.0:
@@ -505,7 +463,7 @@ def safe_control(
     Args:
         promise: The declared numbers.
         detections: All that have arrived, as kept by `keep_detection`. (KEPT,)
-        plan: The filter's memory, changed in place. (1,)
+        plan: `CheckedTrajectory` of the plan that is held, changed in place. (1,)
         tick: In which the command acts.
         here: Where the UAV is then.
         u_x, u_y: What the inner control wants [m/s²].
@@ -518,23 +476,18 @@ def safe_control(
         u_x, u_y = brake(here.v_x, here.v_y, promise.u_a, promise.dt)
         return u_x, u_y, BEST_EFFORT
     held = plan[0]
-    going = held.valid != 0 and held.turn + held.cruise + held.brake > 0
+    going = held.checked != 0 and held.turn + held.cruise + held.brake > 0
     known = known_from(promise, detections, plan, new, tick, here.p_x, here.p_y)
     w_x, w_y = clip_norm(u_x, u_y, promise.u_a)
     then, over = step_in_area(promise, here, w_x, w_y)
     if _may_go_on(promise, known, plan, tick, here, then, over):
-        after = stop_from(promise, known, tick + 1, then)
-        if not exists(after):
-            after = return_from(promise, known, tick + 1, then)
-        if exists(after):
-            _hold(plan, after)
+        found = stop_from(promise, known, plan, tick + 1, then)
+        if found or return_from(promise, known, plan, tick + 1, then):
             return w_x, w_y, INNER
-    now = return_from(promise, known, tick, here)
-    if not exists(now) and not going:
-        now = stop_from(promise, known, tick, here, 1)
-    if exists(now):
-        _hold(plan, now)
-    if exists(now) or going:
+    found = return_from(promise, known, plan, tick, here)
+    if not found and not going:
+        found = stop_from(promise, known, plan, tick, here, 1)
+    if found or going:
         w_x, w_y = follow(promise, plan, here.v_x, here.v_y)
         return w_x, w_y, PLAN
     z = known.newest

@@ -24,9 +24,7 @@ from agents.control.certificate import (
     OUTAGE,
     TOO_OLD,
     UNCHECKED_MOTION,
-    clear_plan,
     contradicts_plan,
-    no_plan,
     safe_control,
 )
 from agents.control.discs import (
@@ -51,7 +49,7 @@ from agents.control.underway import (
 )
 from sim.kernels.compile import compiled
 from sim.kernels.records import RecordArray, record_type
-from sim.models.motion import NO_MOTION
+from sim.models.motion import NO_MOTION, clear_motions, no_motions
 from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion, within_walls
 
@@ -86,7 +84,7 @@ class GuardState(NamedTuple):
     detections: RecordArray
     """Places and times of detections: `KeptDetection`, as `keep_detection` keeps them. (KEPT,)"""
     plan: RecordArray
-    """The memory of `safe_control`: `HeldPlan`. (1,)"""
+    """The memory of `safe_control`: `CheckedTrajectory` of the plan that is held. (1,)"""
     track: RecordArray
     """`TrackTick` of the UAV's own ticks: k in row k % depth, until a later tick needs the row. (depth,)"""
     flags: RecordArray
@@ -116,7 +114,7 @@ def guard_state(delay_ticks: int, depth: int) -> GuardState:
         raise ValueError(f"depth must be at least 1, not {depth}")
     state = GuardState(
         detections=no_detections(),
-        plan=no_plan(),
+        plan=no_motions(1),
         track=np.zeros(depth, dtype=record_type(TrackTick)),
         flags=np.zeros(1, dtype=record_type(GuardFlags)),
         underway=underway(delay_ticks),
@@ -131,7 +129,7 @@ def begin_guard(state: GuardState) -> None:
     for k in range(state.detections.shape[0]):
         found = state.detections[k]
         found.x, found.y, found.taken = 0.0, 0.0, NEVER
-    clear_plan(state.plan)
+    clear_motions(state.plan)
     for k in range(state.track.shape[0]):
         place = state.track[k]
         place.x, place.y, place.tick = 0.0, 0.0, NEVER

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from agents.control.visibility import bounds_of
 from bus.errors import ScenarioError
-from bus.messages import UavBriefing, or_infinite
+from bus.messages import UavBriefing
 from bus.registry import SENSORS
 from sim.models.vehicles import raw_switching_radius
 
@@ -76,8 +76,7 @@ def uav_parameters(briefing: UavBriefing) -> UavParameters:
         raise ScenarioError(
             f"sensor.model = {briefing.sensor.model!r}: unknown; allowed: {', '.join(SENSORS)}"
         )
-    own, v_g = briefing.limits, or_infinite(briefing.target_limits.max_speed)
-    v_a, u_a = or_infinite(own.max_speed), or_infinite(own.max_acceleration)
+    (v_a, u_a), (v_g, _) = briefing.limits.numbers, briefing.target_limits.numbers
     return UavParameters(
         dt=float(briefing.dt),
         width=float(briefing.area.width),

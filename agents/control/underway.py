@@ -13,13 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.control.certificate import BEST_EFFORT, rest_radius, step_in_area
-from agents.control.discs import AS_EXPECTED
+from agents.control.certificate import BEST_EFFORT, end_disc, rest_radius, set_end, step_in_area
+from agents.control.discs import AS_EXPECTED, Disc
 from bus.messages import MOST_CARRIED
 from sim.kernels.compile import compiled
 from sim.kernels.records import RecordArray, record_type
 from sim.models.motion import (
-    NO_MOTION,
+    NO_CHECKED,
+    clear_motions,
     follow_on,
     keep_motion,
     motion_command,
@@ -40,9 +41,9 @@ class Underway(NamedTuple):
     """A pilot's memory of its motions; arrays that change in place."""
 
     sent: RecordArray
-    """`MotionRecord` of those that were sent: of the one that begins in tick k in row k % rows. (tau_c + 2,)"""
+    """`CheckedTrajectory` of those that were sent: of the one that begins in tick k in row k % rows. (tau_c + 2,)"""
     flown: RecordArray
-    """`MotionRecord` of what is flown now, and at the end of the course. (2,)"""
+    """`CheckedTrajectory` of what is flown now, and at the end of the course. (2,)"""
     expected: RecordArray
     """`Motion` of the UAV when the next tick begins. (2,)"""
 
@@ -73,23 +74,10 @@ def set_motion(rows: RecordArray, k: int, here: Motion) -> None:
 @compiled
 def begin_underway(state: Underway) -> None:
     """Nothing has been sent yet: an episode or a filter begins."""
-    for k in range(state.sent.shape[0]):
-        _clear(state.sent, k)
-    for k in (_NOW, _END):
-        _clear(state.flown, k)
+    clear_motions(state.sent)
+    clear_motions(state.flown)
+    for k in range(state.expected.shape[0]):
         set_motion(state.expected, k, Motion(0.0, 0.0, 0.0, 0.0))
-
-
-@compiled
-def _clear(rows: RecordArray, k: int) -> None:
-    """Let a row be that of no motion."""
-    row = rows[k]
-    row.begins, row.parent, row.age = NO_MOTION, NO_MOTION, 0
-    row.turn, row.cruise, row.brake = 0, 0, 0
-    row.first_x, row.first_y = 0.0, 0.0
-    row.turn_x, row.turn_y, row.brake_x, row.brake_y = 0.0, 0.0, 0.0, 0.0
-    row.arrived, row.plain, row.checked = 0, 0, 0
-    row.end_x, row.end_y, row.end_radius, row.end_tick = 0.0, 0.0, math.inf, 0
 
 
 @compiled
@@ -108,7 +96,7 @@ def _take_flown(state: Underway, tick: int, flown: int) -> None:
         if flown >= 0 and state.sent[row].begins == flown:
             state.flown[_NOW] = state.sent[row]
         else:
-            _clear(state.flown, _NOW)
+            state.flown[_NOW] = NO_CHECKED[0]
             state.flown[_NOW].begins, state.flown[_NOW].plain = flown, 1
     if flown >= 0:
         state.flown[_NOW].age = tick - flown
@@ -178,31 +166,32 @@ def take_rest(state: Underway, plan: RecordArray) -> None:
 
     With the disc around its end: the hand-over needs that one, and not that of a plan that was lost.
     """
-    m, held = state.flown[_END], plan[0]
-    held.valid = m.checked
-    behind = max(0, m.age - 1)
-    held.turn, behind = max(0, m.turn - behind), max(0, behind - m.turn)
-    held.cruise, behind = max(0, m.cruise - behind), max(0, behind - m.cruise)
-    held.brake = max(0, m.brake - behind)
-    held.turn_x, held.turn_y, held.brake_x, held.brake_y = m.turn_x, m.turn_y, m.brake_x, m.brake_y
-    if m.end_radius < math.inf:
-        held.end_x, held.end_y = m.end_x, m.end_y
-        held.end_radius, held.end_tick = m.end_radius, m.end_tick
+    last = end_disc(plan)
+    plan[0] = state.flown[_END]
+    held = plan[0]
+    behind = max(0, held.age - 1)
+    turn, cruise = held.turn, held.cruise
+    held.turn, behind = max(0, turn - behind), max(0, behind - turn)
+    held.cruise, behind = max(0, cruise - behind), max(0, behind - cruise)
+    held.brake = max(0, held.brake - behind)
+    if held.end_radius == math.inf:
+        set_end(plan, last)
 
 
 @compiled
 def _rests(rows: RecordArray, k: int) -> bool:
     """True if a motion of this pilot's leaves a UAV that is at rest where it is."""
     m = rows[k]
-    still = m.first_x == 0.0 and m.first_y == 0.0 and m.turn + m.cruise + m.brake == 0
+    still = (
+        m.acceleration[0] == 0.0 and m.acceleration[1] == 0.0 and m.turn + m.cruise + m.brake == 0
+    )
     return bool(still and m.plain == 0)
 
 
 @compiled
 def _check_rest(rows: RecordArray, k: int, tick: int, here: Motion, radius: float) -> None:
-    row = rows[k]
-    row.checked, row.end_x, row.end_y = 1, here.p_x, here.p_y
-    row.end_radius, row.end_tick = radius, tick
+    rows[k].checked = 1
+    set_end(rows[k : k + 1], Disc(here.p_x, here.p_y, radius, tick))
 
 
 @compiled
@@ -260,20 +249,13 @@ def send_motion(
         u_x, u_y: The first tick's acceleration [m/s²].
         acts: As from `safe_control`; without a plan the vehicle rests after the first tick.
     """
-    held = plan[0]
     begins = tick + promise.delay_ticks
     place = begins % state.sent.shape[0]
-    _clear(state.sent, place)
+    state.sent[place] = NO_CHECKED[0] if acts == BEST_EFFORT else plan[0]
     row = state.sent[place]
     row.begins, row.parent = begins, state.flown[_END].begins
-    row.first_x, row.first_y = u_x, u_y
-    if acts != BEST_EFFORT:
-        row.checked = 1
-        row.turn, row.cruise, row.brake = held.turn, held.cruise, held.brake
-        row.turn_x, row.turn_y = held.turn_x, held.turn_y
-        row.brake_x, row.brake_y = held.brake_x, held.brake_y
-        row.end_x, row.end_y = held.end_x, held.end_y
-        row.end_radius, row.end_tick = held.end_radius, held.end_tick
+    row.acceleration[0], row.acceleration[1] = u_x, u_y
+    row.age, row.arrived, row.plain = 0, 0, 0
     ahead = state.flown[_END : _END + 1]
     for k in (_LOST, _BEGUN):
         ahead[0] = state.flown[_NOW]

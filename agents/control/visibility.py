@@ -16,10 +16,16 @@ from agents.control.guard import (
 from agents.control.handover import certificate, check_assumptions
 from agents.control.underway import carried
 from bus.errors import ScenarioError
-from bus.messages import MotionPlan, UavBriefing, UavObservation, Vector, or_infinite
+from bus.messages import (
+    BackupTrajectory,
+    UavBriefing,
+    UavObservation,
+    Vector,
+)
 from bus.ticks import looks_of
 from sim.kernels.compile import compiled
-from sim.models.motion import NO_MOTION, motion_plan
+from sim.kernels.records import struct_of
+from sim.models.motion import NO_MOTION
 from sim.models.safety import SafetyBounds, safety_bounds
 from sim.models.vehicles import Motion, norm, raw_switching_radius
 
@@ -58,14 +64,14 @@ def switching_radius(r_v: float, v_a: float, v_g: float, u_a: float) -> float:
 
 def bounds_of(briefing: UavBriefing) -> SafetyBounds:
     """Return the bounds of a UAV's safety filter, hand-over included."""
-    own, target = briefing.limits, briefing.target_limits
+    (v_a, u_a), (v_g, _) = briefing.limits.numbers, briefing.target_limits.numbers
     return certificate(
         safety_bounds(
             briefing.safety,
             visibility_radius=briefing.visibility_radius,
-            v_a=or_infinite(own.max_speed),
-            u_a=or_infinite(own.max_acceleration),
-            v_g=or_infinite(target.max_speed),
+            v_a=v_a,
+            u_a=u_a,
+            v_g=v_g,
             dt=briefing.dt,
             width=briefing.area.width,
             height=briefing.area.height,
@@ -91,7 +97,7 @@ class Verdict(msgspec.Struct, frozen=True):
     """Why not."""
     distance: float
     """The UGV is surely no farther than this [m]; infinite before the first detection."""
-    motions: tuple[MotionPlan, ...]
+    motions: tuple[BackupTrajectory, ...]
     """The motions that the command is to carry; a receiver of bare accelerations ignores them."""
 
 
@@ -143,12 +149,12 @@ class SafetyFilter:
         u_x, u_y, flown = float(acceleration[0]), float(acceleration[1]), flown_in(observation)
         return self.verdict(tick, *guard(self.promise, self.state, tick, here, u_x, u_y, flown))
 
-    def _motions(self, tick: int) -> tuple[MotionPlan, ...]:
+    def _motions(self, tick: int) -> tuple[BackupTrajectory, ...]:
         """The motions that this tick's command carries: its own last, before it those that may be missing."""
         sent, last = self.state.underway.sent, tick + self.promise.delay_ticks
         count = carried(self.promise, self.state.underway, tick)
         places = [begins % len(sent) for begins in range(last - count + 1, last + 1)]
-        return tuple(motion_plan(sent[place : place + 1]) for place in places)
+        return tuple(struct_of(BackupTrajectory, sent[place]) for place in places)
 
     def verdict(
         self, tick: int, u_x: float, u_y: float, acts: int, code: int, distance: float

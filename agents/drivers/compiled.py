@@ -18,21 +18,20 @@ from agents.drivers.tile_map import (
     note_block,
     note_tiles,
 )
-from agents.looks import LookRows
 from bus.errors import ScenarioError
 from bus.messages import (
     MOST_CARRIED,
     MOST_CORNERS,
-    MotionPlan,
+    BackupTrajectory,
     UgvBriefing,
     UgvObservation,
     UgvReport,
     Vector,
 )
 from bus.registry import DRIVERS
-from bus.ticks import first_tick_from
+from bus.ticks import first_tick_from, look_rows, looks_of
 from sim.kernels.compile import FloatArray
-from sim.kernels.records import fresh, records
+from sim.kernels.records import fresh, records, struct_of
 from sim.models.ground import (
     CERTIFIED,
     NO_CLAIM,
@@ -139,7 +138,7 @@ class CompiledDriver:
         parameters = records(type(self.parameters), [self.parameters])
         # Arrays of one row: a row by itself is read-only once it has been pickled.
         self._command, self._fixed = module.command, (ugv, parameters, memory)
-        self._route, self._looks = told_route(briefing), LookRows(briefing.dt)
+        self._route, self._dt = told_route(briefing), float(briefing.dt)
         self._carries = briefing.ground is not None and briefing.ground.carries
 
     @property
@@ -152,9 +151,11 @@ class CompiledDriver:
         if observation.ground or observation.blocks:
             take_ground(self.ground, observation)
         flown = NO_MOTION if observation.flown is None else observation.flown
+        radio = look_rows(looks_of(observation.radio, self._dt))
         inputs = DriverInputs(
             *self._route,
-            *self._looks.take(observation.radio),
+            radio=radio,
+            received=len(radio),
             ground=self.ground if self.ground.tiles.size else None,
             flown=flown if self._carries else PLAIN,
         )
@@ -173,7 +174,7 @@ class NavigateDriver(CompiledDriver):
         self._told: tuple[Vector, ...] = ()
         self._corners: PlaceArray = np.zeros(MOST_CORNERS, dtype=np.int32)
 
-    def motions(self, tick: int) -> tuple[MotionPlan, ...]:
+    def motions(self, tick: int) -> tuple[BackupTrajectory, ...]:
         """Return the motions that the command of this tick carries: its own, and those before it that may begin yet."""
         if not self._carries:
             return ()
@@ -182,7 +183,7 @@ class NavigateDriver(CompiledDriver):
         first = max(tick, last - MOST_CARRIED + 1)
         rows = [sent[begins % len(sent)] for begins in range(first, last + 1)]
         return tuple(
-            MotionPlan(begins, int(row["parent"]), (float(row["first_x"]), float(row["first_y"])))
+            struct_of(BackupTrajectory, row)
             for begins, row in zip(range(first, last + 1), rows, strict=True)
             if row["begins"] == begins
         )

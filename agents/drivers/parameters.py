@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from agents.drivers.steering import Steering
-from bus.messages import UgvBriefing, or_infinite
+from bus.messages import UgvBriefing
 from sim.kernels.compile import FloatArray
 
 
@@ -44,12 +44,13 @@ class DriverInputs(NamedTuple):
 
 def ugv_parameters(briefing: UgvBriefing, *, unbounded: bool) -> UgvParameters:
     """Return the constants of the UGV that is briefed; `unbounded` keeps infinite bounds."""
-    wheel, limits = Steering(briefing), briefing.limits
+    wheel = Steering(briefing)
+    v_max, u_max = briefing.limits.numbers if unbounded else (wheel.v_max, wheel.u_max)
     return UgvParameters(
         dt=wheel.dt,
         width=float(briefing.area.width),
         height=float(briefing.area.height),
-        max_speed=or_infinite(limits.max_speed) if unbounded else wheel.v_max,
-        max_acceleration=or_infinite(limits.max_acceleration) if unbounded else wheel.u_max,
+        max_speed=v_max,
+        max_acceleration=u_max,
         goal_tolerance=float(briefing.goal_tolerance),
     )

@@ -48,7 +48,7 @@ def state_ahead(
         if plain:
             u_x, u_y = 0.0, 0.0
             if due.begins == tick + k:
-                u_x, u_y = due.first_x, due.first_y
+                u_x, u_y = due.acceleration[0], due.acceleration[1]
         else:
             follow_on(sent, ahead, tick + k)
             u_x, u_y = motion_command(
@@ -101,7 +101,8 @@ def note_sent(memory: GroundMemory, tick: int, parent: int, u_x: float, u_y: flo
     rows = memory.sent.shape[0]
     begins = tick + rows - 2
     row = memory.sent[begins % rows]
-    row.begins, row.parent, row.first_x, row.first_y = begins, parent, u_x, u_y
+    row.begins, row.parent = begins, parent
+    row.acceleration[0], row.acceleration[1] = u_x, u_y
 
 
 @compiled

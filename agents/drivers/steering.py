@@ -1,7 +1,7 @@
 """The wheel that every driver turns: a velocity, a goal or a halt, always within the UGV's bounds."""
 
 from agents.asking import LARGEST
-from bus.messages import UgvBriefing, UgvObservation, or_infinite
+from bus.messages import UgvBriefing, UgvObservation
 from sim.kernels.compile import compiled
 from sim.models.vehicles import Motion, brake, clip_norm, norm, speed_to_stop_within
 
@@ -58,9 +58,10 @@ class Steering:
     """
 
     def __init__(self, briefing: UgvBriefing) -> None:
-        self.v_max = min(or_infinite(briefing.limits.max_speed), LARGEST)
+        v_max, u_max = briefing.limits.numbers
+        self.v_max = min(v_max, LARGEST)
         """[m/s]"""
-        self.u_max = min(or_infinite(briefing.limits.max_acceleration), LARGEST)
+        self.u_max = min(u_max, LARGEST)
         """[m/s²]"""
         self.dt = float(briefing.dt)
         """Length of a tick [s]."""

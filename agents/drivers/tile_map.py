@@ -68,9 +68,9 @@ class GroundMemory(NamedTuple):
     place: PlaceArray
     """Of the search: a binary heap of tiles, and where in it each is. Shape (rows * columns,)."""
     sent: RecordArray
-    """`MotionRecord` of the commands that were sent: of the one that acts in tick k in row k % rows. (delay + 2,)"""
+    """`CheckedTrajectory` of the commands that were sent: that of tick k in row k % rows. (delay + 2,)"""
     flown: RecordArray
-    """`MotionRecord` of what the UGV flies, in a prediction. Shape (1,)."""
+    """`CheckedTrajectory` of what the UGV flies, in a prediction. Shape (1,)."""
     flags: RecordArray
     """`GroundFlags`. Shape (1,)."""
 

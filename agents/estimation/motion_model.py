@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.messages import Detector, Estimator, Limits, or_infinite
+from bus.messages import Detector, Estimator, Limits
 from bus.ticks import ticks_within
 from sim.kernels.compile import FloatArray, compiled
 
@@ -215,7 +215,7 @@ def kalman_parameters(
     """
     if not 0.0 < dt < math.inf:
         raise ValueError(f"dt must be positive and finite, not {dt}")
-    speed, manoeuvre = or_infinite(target.max_speed), settings.manoeuvre
+    (speed, _), manoeuvre = target.numbers, settings.manoeuvre
     deviation = acceleration_deviation(target=target, manoeuvre=manoeuvre, dt=dt)
     Q = process_noise(dt=dt, deviation=deviation)
     return KalmanParameters(

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from bus.errors import ScenarioError
-from bus.messages import UavBriefing, or_infinite
+from bus.messages import UavBriefing
 from bus.observations import UAV
 from outrider_learning.mlp import Mlp, load_policy
 from outrider_learning.policy_inputs import EscortView
@@ -121,7 +121,7 @@ class LearnedPolicy:
         """
         v_max = float(self.recipe["view"]["v_max"])
         check_made_for("dt", briefing.dt, self._dt)
-        check_made_for("max_speed", or_infinite(briefing.limits.max_speed), v_max)
+        check_made_for("max_speed", briefing.limits.numbers[0], v_max)
         return ()
 
     def __call__(self, observation: AgentObservation) -> Array:

@@ -16,7 +16,7 @@ from gymnasium import spaces
 
 from bus.errors import ScenarioError
 from bus.files import read_regular, writing
-from bus.messages import UavBriefing, or_infinite
+from bus.messages import UavBriefing
 from bus.observations import ROUNDING, UAV, by_name, largest, names
 from bus.policies import policy_forms
 from outrider_learning.learned import check_made_for
@@ -128,9 +128,7 @@ class SavedPolicy:
         if self._recipe.dt is not None:
             check_made_for("dt", briefing.dt, self._recipe.dt)
         most = largest(area, briefing.dt)["v_max"]
-        check_made_for(
-            "max_speed", min(or_infinite(briefing.limits.max_speed), most), made["v_max"]
-        )
+        check_made_for("max_speed", min(briefing.limits.numbers[0], most), made["v_max"])
         width, height = made["W"], made["H"]
         if area.width > width or area.height > height:
             return (

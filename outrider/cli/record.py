@@ -152,7 +152,7 @@ def _follow(session: "Session", recorder: "RunRecorder", stop: Stop) -> bool:
 
 def _repair(killed: Path, out: Path, *, json: bool) -> None:
     from outrider.cli.console import ERR, print_json
-    from outrider.recording.reader import repair
+    from outrider.recording.repair import repair
 
     saved = repair(killed, out)
     if json:

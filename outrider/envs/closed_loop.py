@@ -18,7 +18,7 @@ from agents.estimation.motion_model import (
     history_depth,
 )
 from agents.laws.dispatch import law_memories
-from bus.messages import LinkKind, LinkStatus, Mission
+from bus.messages import LinkKind, LinkStatus, MissionResult
 from outrider.envs.closed_loop_state import (
     GUARD_METRICS,
     CommandedState,
@@ -288,7 +288,7 @@ class ClosedLoop:
             "certified_distance": guard.bound,
         }
 
-    def mission(self, world: int) -> Mission:
+    def mission(self, world: int) -> MissionResult:
         """The mission of one world so far, where there are hazards."""
         if self.batch.ground is None:
             raise ValueError("there are no hazards, so there is no mission")

@@ -14,7 +14,7 @@ from gymnasium import logger
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
-from bus.messages import LinkStatus, Mission
+from bus.messages import LinkStatus, MissionResult
 from bus.observations import GRADIENT, UAV, as_rows
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.closed_loop_state import GUARD_METRICS
@@ -170,7 +170,7 @@ class Worlds:
         row = as_rows(loop.state.rows.uav_rows)[:, loop.uavs.index(name), :width]
         return form.shown(name, row, coverage=coverage)
 
-    def mission(self, world: int) -> Mission | None:
+    def mission(self, world: int) -> MissionResult | None:
         """The mission of one world so far; None where there are no hazards."""
         return self.loop.mission(world) if self.scenario.has_ground else None
 

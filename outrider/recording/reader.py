@@ -6,14 +6,14 @@ import zlib
 from collections import deque
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
-from io import BytesIO
+from io import BufferedReader, BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
 from bus.errors import ScenarioError
-from bus.files import open_regular, writing
+from bus.files import open_regular
 from bus.messages import (
     CertificateStatus,
     Change,
@@ -21,7 +21,7 @@ from bus.messages import (
     GroundMap,
     LinkStatus,
     Message,
-    Mission,
+    MissionResult,
     Status,
     Truth,
 )
@@ -33,16 +33,13 @@ with needs("record"):
     import lz4.frame
     import zstandard
     from mcap import records
-    from mcap.data_stream import ReadDataStream
-    from mcap.exceptions import McapError
+    from mcap.exceptions import EndOfFile, InvalidMagic, McapError, UnsupportedCompressionError
     from mcap.opcode import Opcode
-    from mcap.writer import Writer
+    from mcap.stream_reader import StreamReader
 
 Sent = TypeVar("Sent", bound=Message)
 
-_MAGIC = b"\x89MCAP0\r\n"
-_HEAD = 9
-"""Bytes before a record's content: its kind and its length."""
+_MAGIC_BYTES = 8
 _MOST_BYTES = 16 << 20
 """Of a record and of a chunk's content: the largest map of the ground, and as much again as a viewer is shown of it."""
 _SPARE, _RATIO = 32 << 20, 200
@@ -50,19 +47,13 @@ _SPARE, _RATIO = 32 << 20, 200
 
 Flights unpack to twelve times theirs, a short one of the largest area to 140 times."""
 _LEAST = 512
-"""A packed record counts as so many bytes at least: a million empty ones take their time and room, too."""
-_KINDS: dict[int, type[Any]] = {
-    Opcode.HEADER: records.Header,
-    Opcode.SCHEMA: records.Schema,
-    Opcode.CHANNEL: records.Channel,
-    Opcode.CHUNK: records.Chunk,
-}
+"""A packed record counts as so many bytes more: a million empty ones take their time and room, too."""
+_DATA_END = struct.pack("<BQI", Opcode.DATA_END, 4, 0)
+_KEPT = (records.Header, records.Schema, records.Channel, records.Message)
 _BROKEN = (
     McapError,
     struct.error,
-    UnicodeDecodeError,
     ValueError,
-    zlib.error,
     zstandard.ZstdError,
     RuntimeError,
     MemoryError,
@@ -92,82 +83,42 @@ class Entry:
     data: bytes
 
 
-def _open(path: Path) -> BinaryIO:
+class _Bounded(BufferedReader):
+    """A file that gives one record at most at a time: the library trusts the lengths within a record."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is None or not 0 <= size <= _MOST_BYTES:
+            raise ValueError(f"a record with a part of {size} bytes; {_MOST_BYTES:,} are the most")
+        return super().read(size)
+
+
+def _open(path: Path) -> BufferedReader:
     try:
-        file = open_regular(path)
+        return _Bounded(open_regular(path).detach())
     except (OSError, ValueError) as error:
         raise ScenarioError(
             f"{path}: {getattr(error, 'strerror', None) or error}; allowed: an MCAP file"
         ) from error
-    if file.read(len(_MAGIC)) != _MAGIC:
-        file.close()
-        raise ScenarioError(f"{path}: not an MCAP file; allowed: a recording of Outrider's")
-    return file
-
-
-class _Reader:
-    """The records of a file, and how much they may yet unpack to.
-
-    Args:
-        size: Of the file [bytes].
-    """
-
-    def __init__(self, size: int) -> None:
-        self._left = _SPARE + _RATIO * size
-
-    def parse(self, kind: int, content: bytes) -> list[Any]:
-        """The records in one record of the file: those of a chunk, or itself."""
-        data = ReadDataStream(BytesIO(content))
-        if kind == Opcode.MESSAGE:
-            return [records.Message.read(data, len(content))]
-        record = _KINDS[kind].read(data)
-        return self._broken_up(record) if kind == Opcode.CHUNK else [record]
-
-    def _broken_up(self, chunk: records.Chunk) -> list[Any]:
-        content = _unpacked(chunk)
-        if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
-            raise ValueError("a chunk's checksum is wrong")
-        data, found = ReadDataStream(BytesIO(content)), []
-        while data.count < len(content):
-            kind, length = data.read1(), data.read8()
-            self._left -= max(length, _LEAST)
-            if self._left < 0:
-                raise ValueError(f"it unpacks to more than {_RATIO} times its size")
-            if kind == Opcode.MESSAGE:
-                found.append(records.Message.read(data, length))
-            elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
-                found.append(_KINDS[kind].read(data))
-            else:
-                raise ValueError(f"a chunk with a record of kind {kind}")
-        return found
 
 
 def _unpacked(chunk: records.Chunk) -> bytes:
-    """The content of a chunk; neither its declared nor its true size may be more than fits."""
-    if chunk.uncompressed_size > _MOST_BYTES:
-        raise ValueError(
-            f"a chunk of {chunk.uncompressed_size:,} bytes; {_MOST_BYTES:,} are the most"
-        )
+    """Return the content of a chunk; neither its declared nor its true size may be more than fits."""
+    size, packed = chunk.uncompressed_size, BytesIO(chunk.data)
+    if size > _MOST_BYTES:
+        raise ValueError(f"a chunk of {size:,} bytes; {_MOST_BYTES:,} are the most")
     if chunk.compression == "zstd":
-        true = zstandard.frame_content_size(chunk.data)
-        # -1: the frame does not tell, and the limit holds while it is unpacked
-        if true not in (-1, chunk.uncompressed_size):
-            raise ValueError(f"a chunk of {true:,} bytes that declares {chunk.uncompressed_size:,}")
-        content: bytes = zstandard.decompress(chunk.data, chunk.uncompressed_size)
+        unpacker = zstandard.ZstdDecompressor(max_window_size=_MOST_BYTES)
+        content: bytes = unpacker.stream_reader(packed).read(size + 1)
     elif chunk.compression == "lz4":
-        content = lz4.frame.LZ4FrameDecompressor().decompress(
-            chunk.data, max_length=chunk.uncompressed_size + 1
-        )
+        content = lz4.frame.LZ4FrameFile(packed).read(size + 1)
     elif chunk.compression == "":
         content = chunk.data
     else:
-        raise ValueError(
-            f"a chunk packed with {chunk.compression[:20]!r}; read are zstd, lz4 and plain ones"
-        )
-    if len(content) != chunk.uncompressed_size:
-        raise ValueError(
-            f"a chunk of {len(content):,} bytes that declares {chunk.uncompressed_size:,}"
-        )
+        raise UnsupportedCompressionError(repr(chunk.compression[:20]))
+    if len(content) != size:
+        raise ValueError(f"a chunk that does not unpack to the {size:,} bytes that it declares")
+    if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
+        raise ValueError("a chunk's checksum is wrong")
     return content
 
 
@@ -184,35 +135,45 @@ def stream(path: Path, damage: Damage | None = None) -> Iterator[Any]:
     told = damage if damage is not None else Damage()
     with _open(path) as file:
         told.size = os.fstat(file.fileno()).st_size
-        told.end = len(_MAGIC)
-        reader = _Reader(told.size)
-        while True:
-            head = file.read(_HEAD)
-            if len(head) < _HEAD:
-                told.reason = "it ends without a footer"
-                return
-            kind, length = struct.unpack("<BQ", head)
-            if length > told.size - told.end - _HEAD:
-                told.reason = "it ends within a record"
-                return
-            if kind == Opcode.DATA_END:
-                told.end = told.size
-                return
-            if kind != Opcode.MESSAGE and kind not in _KINDS:
-                # indexes and statistics, which a stream has no use for
-                file.seek(length, os.SEEK_CUR)
-                told.end += _HEAD + length
-                continue
-            if length > _MOST_BYTES:
-                told.reason = f"damaged at byte {told.end}: a record of {length:,} bytes; {_MOST_BYTES:,} are the most"
-                return
-            try:
-                found = reader.parse(kind, file.read(length))
-            except _BROKEN as error:
-                told.reason = f"damaged at byte {told.end}: {' '.join(str(error).split()) or type(error).__name__}"
-                return
-            told.end += _HEAD + length
-            yield from found
+        told.end = min(_MAGIC_BYTES, told.size)
+        try:
+            yield from _records(file, told)
+        except InvalidMagic as error:
+            raise ScenarioError(
+                f"{path}: not an MCAP file; allowed: a recording of Outrider's"
+            ) from error
+        except _BROKEN as error:
+            words = " ".join(str(error).split()) or type(error).__name__
+            told.reason = f"damaged at byte {told.end}: {words}"
+            if isinstance(error, EndOfFile | struct.error) and file.tell() == told.size:
+                within = "without a footer" if told.end == told.size else "within a record"
+                told.reason = f"it ends {within}"
+
+
+def _records(file: BufferedReader, told: Damage) -> Iterator[Any]:
+    """Read the records of a file, those in its chunks too, and tell how far they reach."""
+    left = _SPARE + _RATIO * told.size
+    reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=_MOST_BYTES)
+    for record in reader.records:
+        if isinstance(record, records.DataEnd):
+            told.end = told.size
+            return
+        if isinstance(record, records.Chunk):
+            content = _unpacked(record)
+            left -= len(content)
+            # with an end of its own, which a cut record would swallow
+            packed = StreamReader(BytesIO(content + _DATA_END), skip_magic=True, emit_chunks=True)
+            for part in packed.records:
+                left -= _LEAST
+                if left < 0:
+                    raise ValueError(f"it unpacks to more than {_RATIO} times its size")
+                if isinstance(part, records.DataEnd):
+                    break
+                if isinstance(part, _KEPT):
+                    yield part
+        elif isinstance(record, _KEPT):
+            yield record
+        told.end = file.tell()
 
 
 def entries(
@@ -319,7 +280,7 @@ class Recording:
     """The counters of each link by the last status: nothing else of a recording tells."""
     certificates: CertificateStatus | None = None
     """The words of the safety filters by then, held against the truth; None where none watched."""
-    mission: Mission | None = None
+    mission: MissionResult | None = None
     """The UGVs' way through by then; None where there are no hazards."""
     damage: Damage = field(default_factory=Damage)
 
@@ -416,61 +377,3 @@ def flight_of(path: Path, number: int | None = None) -> Recording:
     if not flights[number].truths:
         raise ScenarioError(f"{path}: flight {number}: no tick in it")
     return flights[number]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Repair:
-    """The outcome of a repair."""
-
-    messages: int
-    lost_bytes: int
-    reason: str
-    """The fault; empty: none."""
-
-
-def repair(path: Path, out: Path) -> Repair:
-    """Write every whole record of a file into a new one that any reader of MCAP opens.
-
-    Args:
-        path: The killed file.
-        out: The new one; replaced if it is there.
-
-    Raises:
-        ScenarioError: If there is nothing to save, or both are the same file.
-        OSError: If the new file cannot be written.
-    """
-    if out.exists() and out.samefile(path):
-        raise ScenarioError(f"{out}: is the file to be repaired; allowed: another one")
-    damage = Damage()
-    found = stream(path, damage)
-    first = next(found, None)
-    if first is None:
-        raise ScenarioError(f"{path}: nothing whole is in it ({damage.reason})")
-    messages = 0
-    kinds, channels = {0: 0}, dict[int, int]()
-    with writing(out), out.open("wb") as file:
-        writer = Writer(file)
-        writer.start(
-            profile=getattr(first, "profile", ""), library=f"outrider repair of {path.name}"
-        )
-        for record in found:
-            if isinstance(record, records.Schema) and record.id not in kinds:
-                kinds[record.id] = writer.register_schema(record.name, record.encoding, record.data)
-            elif isinstance(record, records.Channel) and record.id not in channels:
-                channels[record.id] = writer.register_channel(
-                    record.topic,
-                    record.message_encoding,
-                    kinds.get(record.schema_id, 0),
-                    dict(record.metadata),
-                )
-            elif isinstance(record, records.Message) and record.channel_id in channels:
-                messages += 1
-                writer.add_message(
-                    channels[record.channel_id],
-                    record.log_time,
-                    record.data,
-                    record.publish_time,
-                    record.sequence,
-                )
-        writer.finish()  # type: ignore[no-untyped-call]
-    return Repair(messages=messages, lost_bytes=damage.size - damage.end, reason=damage.reason)

@@ -19,7 +19,7 @@ from outrider.running.ground_assumptions import ground_warnings
 from outrider.running.link_assumptions import (
     RARE,
     How,
-    Link,
+    InspectedLink,
     age_shortfalls,
     how_often,
     outage_shortfalls,
@@ -117,7 +117,7 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
             (LinkKind.DETECTIONS, "A2", age_shortfalls),
             (LinkKind.COMMANDS, "A5'", outage_shortfalls),
         ):
-            link = Link(scenario, table, uav.name, kind)
+            link = InspectedLink(scenario, table, uav.name, kind)
             found += [
                 Shortfall(uav.name, name, how, what, how is not How.CERTAIN)
                 for how, what in check(link, promise)

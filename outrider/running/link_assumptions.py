@@ -67,7 +67,7 @@ class _Played(NamedTuple):
     """True if all of the recording is inspected."""
 
 
-class Link:
+class InspectedLink:
     """A UAV's link of one kind with what follows from its settings."""
 
     def __init__(self, scenario: Scenario, table: LinkTable, uav: str, kind: LinkKind) -> None:
@@ -149,7 +149,7 @@ class Link:
 # A2: the age of the newest detection
 
 
-def age_shortfalls(link: Link, promise: SafetyBounds) -> Iterator[tuple[How, str]]:
+def age_shortfalls(link: InspectedLink, promise: SafetyBounds) -> Iterator[tuple[How, str]]:
     """Looks are at multiples of the detector's period; each that gets through arrives after `least` to `most` ticks."""
     scenario, p = link.scenario, link.parameters
     period, age = scenario.detection_period, promise.max_age_ticks
@@ -176,7 +176,9 @@ def age_shortfalls(link: Link, promise: SafetyBounds) -> Iterator[tuple[How, str
     yield from dark
 
 
-def _recorded_ages(link: Link, promise: SafetyBounds, limit: str) -> Iterator[tuple[How, str]]:
+def _recorded_ages(
+    link: InspectedLink, promise: SafetyBounds, limit: str
+) -> Iterator[tuple[How, str]]:
     """Ages that a recording causes by itself in every round, or together with looks that find nothing."""
     scenario, every = link.scenario, link.scenario.detection_period
     if promise.max_age_ticks >= scenario.ticks:
@@ -218,7 +220,9 @@ def _queue_ticks(parameters: LinkParameters, period: int) -> int | None:
     return waits + math.floor(parameters.spacing) - 1
 
 
-def _unlucky_ages(link: Link, promise: SafetyBounds, *, planned: bool) -> Iterator[tuple[How, str]]:
+def _unlucky_ages(
+    link: InspectedLink, promise: SafetyBounds, *, planned: bool
+) -> Iterator[tuple[How, str]]:
     """Ages that random losses cause; `planned`: with planned blackouts, which alone do not.
 
     At a sender whose messages wait, each of them is taken to have waited for as long as a full queue lasts.
@@ -251,7 +255,7 @@ def _unlucky_ages(link: Link, promise: SafetyBounds, *, planned: bool) -> Iterat
     yield how_often(share), f"{', '.join(filter(None, fields))}: {told}"
 
 
-def _dark_ages(link: Link, age: int, limit: str) -> Iterator[tuple[How, str]]:
+def _dark_ages(link: InspectedLink, age: int, limit: str) -> Iterator[tuple[How, str]]:
     """Planned blackouts after which the newest detection is too old before the next one can arrive."""
     scenario, period = link.scenario, link.scenario.detection_period
     rows = list(link.dark())
@@ -280,7 +284,7 @@ def _dark_ages(link: Link, age: int, limit: str) -> Iterator[tuple[How, str]]:
 # A5: a command acts exactly tau_c after its tick
 
 
-def outage_shortfalls(link: Link, promise: SafetyBounds) -> Iterator[tuple[How, str]]:
+def outage_shortfalls(link: InspectedLink, promise: SafetyBounds) -> Iterator[tuple[How, str]]:
     """Motions begin at most `outage` after one another: the packets of one link are lost or late for longer."""
     scenario, p, interval = link.scenario, link.parameters, promise.interval_ticks
     if interval >= scenario.ticks:

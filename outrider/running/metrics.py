@@ -178,7 +178,7 @@ MISSION = _table(
     Metric("found", "objects found", "", 0,
            "Objects that a vehicle's sensor has detected.", total="sum", column="int64"),
 )
-"""Metrics of all UGVs where there are hazards, as in the message `Mission`."""
+"""Metrics of all UGVs where there are hazards, as in the message `MissionResult`."""
 
 LINK = _table(
     Metric("delivery_ratio", "delivered", "%", 1,

@@ -12,7 +12,7 @@ from bus.messages import (
     CertificateStatus,
     Change,
     LinkStatus,
-    Mission,
+    MissionResult,
     UgvGuarantee,
     VehicleStatus,
 )
@@ -185,7 +185,7 @@ def certificate_fields(told: CertificateStatus | None) -> dict[str, Any]:
     }
 
 
-def mission_fields(mission: Mission | None) -> dict[str, Any]:
+def mission_fields(mission: MissionResult | None) -> dict[str, Any]:
     """The summary's fields on how the UGVs got through; None where there are no hazards."""
     if mission is None:
         return {}

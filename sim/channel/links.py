@@ -27,7 +27,8 @@ from sim.models.randomness import Key
 
 PER_TICK = {LinkKind.DETECTIONS: 1, LinkKind.COMMANDS: 1, LinkKind.OPERATOR: 64, LinkKind.RADIO: 8}
 """Messages for which a link has room in every tick; a UAV radios at most five."""
-
+_COUNTERS = ("sent", "delivered", "duplicated", "waiting", "flying")
+"""Counters that a link's record and its status have in common."""
 
 _WORLD = constant(0)
 """World of links that carry objects."""
@@ -146,11 +147,7 @@ def link_status(link: Any, settings: LinkSettings | None = None) -> LinkStatus: 
     lost = dict(zip(CAUSES, link["lost"].tolist(), strict=True))
     known = int(link["originals"]) + sum(lost.values())
     return LinkStatus(
-        sent=int(link["sent"]),
-        delivered=int(link["delivered"]),
-        duplicated=int(link["duplicated"]),
-        waiting=int(link["waiting"]),
-        flying=int(link["flying"]),
+        **{name: int(link[name]) for name in _COUNTERS},
         lost=lost,
         delivery_ratio=int(link["originals"]) / known if known else None,
         age=(int(link["tick"]) - float(link["newest"])) * dt if ages else None,

@@ -1,7 +1,5 @@
 """The briefing of each vehicle when it joins: its own row of the scenario, and of the others only their bounds."""
 
-import math
-
 from bus.messages import (
     Briefing,
     Detector,
@@ -12,6 +10,7 @@ from bus.messages import (
     UavGround,
     UgvBriefing,
     UgvGround,
+    or_none,
 )
 from sim.channel.description import longest_delay
 from sim.engine.run_keys import derive_key
@@ -21,21 +20,17 @@ from sim.models.safety import SafetyBounds, safety_bounds
 from sim.scenario.types import DEFAULT_AGE, Scenario, Uav, Ugv
 
 
-def _bound(value: float) -> float | None:
-    return None if math.isinf(value) else value
-
-
 def limits(vehicle: Uav | Ugv) -> Limits:
     """A vehicle's bounds as messages carry them."""
     return Limits(
-        max_speed=_bound(vehicle.max_speed), max_acceleration=_bound(vehicle.max_acceleration)
+        max_speed=or_none(vehicle.max_speed), max_acceleration=or_none(vehicle.max_acceleration)
     )
 
 
 def _error(scenario: Scenario) -> float | None:
     """The largest error of a detection [m]; None where it has no bound."""
     noise = scenario.detections.noise
-    return _bound(noise * scenario.noise_cut) if noise > 0.0 else 0.0
+    return or_none(noise * scenario.noise_cut) if noise > 0.0 else 0.0
 
 
 def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:
@@ -62,7 +57,7 @@ def safety_parameters(scenario: Scenario, uav: str) -> SafetyParameters:
     tracking = given.tracking
     if tracking is None:
         (vehicle,) = (one for one in scenario.uav if one.name == uav)
-        tracking = _bound(largest_tracking_error(scenario, vehicle))
+        tracking = or_none(largest_tracking_error(scenario, vehicle))
     return SafetyParameters(
         max_measurement_error=given.error if given.error is not None else _error(scenario),
         max_measurement_age=given.age or DEFAULT_AGE,
@@ -109,7 +104,7 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         law=scenario.law,
         detector=Detector(
             noise=scenario.detections.noise,
-            cut=_bound(scenario.noise_cut),
+            cut=or_none(scenario.noise_cut),
             period=scenario.detection_period * scenario.dt,
         ),
         estimator=scenario.estimator,

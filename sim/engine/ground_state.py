@@ -30,7 +30,7 @@ class GroundParameters(NamedTuple):
     """True if a vehicle that touches what blocks stays there; else it is damaged and drives on."""
 
 
-class MissionRecord(NamedTuple):
+class Progress(NamedTuple):
     """The columns of a table: how one UGV does."""
 
     way: float
@@ -94,7 +94,7 @@ class GroundState(NamedTuple):
     hits: npt.NDArray[np.uint8]
     """1 for each blocking hazard that a UGV has touched. Shape (worlds, UGVs, hazards)."""
     missions: RecordArray
-    """`MissionRecord`. Shape (worlds, UGVs)."""
+    """`Progress`. Shape (worlds, UGVs)."""
     received: TickArray
     """Time at which each UGV received each tile by radio first. Shape (worlds, UGVs, rows, columns)."""
     radioed: TileArray
@@ -106,7 +106,7 @@ class GroundState(NamedTuple):
     nearest: FloatArray
     """Smallest distance to each hazard [m]. Shape (worlds, UGVs, hazards)."""
     near: npt.NDArray[np.int32]
-    """Hazards that it could come nearer to than `ON_WAY` before they are listed anew; `MissionRecord.listed` of them.
+    """Hazards that it could come nearer to than `ON_WAY` before they are listed anew; `Progress.listed` of them.
 
     Shape (worlds, UGVs, hazards).
     """
@@ -136,7 +136,7 @@ def ground_of(scenario: Scenario, worlds: int) -> GroundState | None:
     rows = [(k, one) for k, one in enumerate(scenario.vehicles) if isinstance(one, Ugv)]
     vehicles, uavs, ugvs = len(scenario.vehicles), len(scenario.uav), len(rows)
     size, count = tables.tiles.shape, len(tables.hazards)
-    missions = np.zeros((worlds, ugvs), dtype=record_type(MissionRecord))
+    missions = np.zeros((worlds, ugvs), dtype=record_type(Progress))
     missions["arrived"] = missions["listed"] = -1
     return GroundState(
         parameters=records(GroundParameters, [parameters]),

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from bus.messages import BLOCK_SIDE, Mission, UgvGuarantee
+from bus.messages import BLOCK_SIDE, MissionResult, UgvGuarantee
 from sim.engine.ground_state import GroundState, TickArray
 from sim.engine.world_state import BatchState, BatchTables
 from sim.kernels.compile import FloatArray, IntArray, compiled
@@ -68,7 +68,7 @@ def note_claim(ugvs: RecordArray, ugv: int, claim: int) -> None:
     """A UGV claims this at the tick that is flown next, or nothing.
 
     Args:
-        ugvs: `MissionRecord` of each, is changed. Shape (UGVs,).
+        ugvs: `Progress` of each, is changed. Shape (UGVs,).
         ugv: Which.
         claim: NO_CLAIM, CERTIFIED, WAY_UNKNOWN or NO_STOP.
     """
@@ -194,7 +194,7 @@ def note_mission(tables: BatchTables, state: BatchState, ground: GroundState, wo
         _drive(tables, state, ground, world, n)
 
 
-def mission_numbers(mission: Mission) -> dict[str, float]:
+def mission_numbers(mission: MissionResult) -> dict[str, float]:
     """All of it by name, NaN for None."""
     told = msgspec.structs.asdict(mission)
     del told["guarantees"]
@@ -214,7 +214,7 @@ def _guarantee(row: RecordArray) -> UgvGuarantee:
 
 def mission_of(
     goal_rows: IntArray, ground: GroundState, world: int, dt: float, names: Sequence[str]
-) -> Mission:
+) -> MissionResult:
     """The mission of a world so far.
 
     Args:
@@ -232,7 +232,7 @@ def mission_of(
     way, ahead = float(ugvs["way"].sum()), (ground.met[world] - warned)[before]
     near = (ground.nearest[world] < NEAR_MISS) & (ground.hits[world] == 0) & blocks
     finds = kinds == FOUND
-    return Mission(
+    return MissionResult(
         arrived=arrived,
         mission_time=float(ugvs["arrived"].max() * dt) if arrived else None,
         hazards_hit=int(ground.hits[world].sum()),

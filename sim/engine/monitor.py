@@ -214,8 +214,8 @@ def record_tick(
 
     Args:
         tables: `SafetyBounds` and `CertificateCounters` of all UAVs.
-        evidence: The truth of this tick: `ArrivalRecord` of each UAV, `Vehicle` of each vehicle, and `MotionRecord` of
-            the motion that each flew.
+        evidence: The truth of this tick: `ArrivalRecord` of each UAV, `Vehicle` of each vehicle, and
+            `CheckedTrajectory` that each flew.
         place: Its row among the UAVs, its row among all vehicles, and the tick.
         answers: Whether it has a new command; else it has seen nothing either.
         said: A `Claim`.

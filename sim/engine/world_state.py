@@ -149,12 +149,12 @@ class BatchState(NamedTuple):
     coverage: FloatArray
     """C of (3) on the grid, all UAVs together. Shape (worlds, rows, columns)."""
     motions: RecordArray
-    """`MotionRecord` of each motion that commands carry; the one that begins in tick k is in row k % rows.
+    """`CheckedTrajectory` of each motion that commands carry; the one that begins in tick k is in row k % rows.
 
     Shape (worlds, vehicles, rows).
     """
     flown: RecordArray
-    """`MotionRecord` of the motion that each vehicle flies. Shape (worlds, vehicles, 1)."""
+    """`CheckedTrajectory` of the motion that each vehicle flies. Shape (worlds, vehicles, 1)."""
     links: RecordArray
     """`Link`: of the detections of each UAV, then of the commands of each vehicle, then of other kinds.
 

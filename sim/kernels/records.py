@@ -5,9 +5,9 @@ One array crosses a call from Python, whatever it holds, and a record costs no r
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,7 @@ import numpy.typing as npt
 RecordArray = npt.NDArray[np.void]
 """A structured array, one record for each element."""
 
+_T = TypeVar("_T")
 _KINDS = {float: np.float64, int: np.int64, bool: np.bool_, np.uint64: np.uint64}
 
 
@@ -70,6 +71,12 @@ def records(fields: type, rows: Sequence[Any]) -> RecordArray:
     for row, value in zip(table, rows, strict=True):
         fill(row, value)
     return table
+
+
+def struct_of(fields: Callable[..., _T], row: Any) -> _T:  # noqa: ANN401 - a record
+    """Return the struct of a record that has all its fields, and maybe more."""
+    values = (row[name].tolist() for name in getattr(fields, "__struct_fields__", ()))
+    return fields(*(tuple(one) if isinstance(one, list) else one for one in values))
 
 
 def fresh(fields: type, shape: tuple[int, ...] = (1,)) -> RecordArray:

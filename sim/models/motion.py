@@ -6,68 +6,62 @@ is the tick in which it begins: one pilot begins no two at once. See docs/explan
 carry a motion".
 """
 
-from typing import NamedTuple
+import math
 
+import msgspec
 import numpy as np
 
-from bus.messages import MotionPlan
+from bus.messages import BackupTrajectory, Vector
 from sim.kernels.compile import compiled
-from sim.kernels.records import RecordArray, record_type
+from sim.kernels.records import RecordArray, records
 from sim.models.vehicles import brake
 
 NO_MOTION = -1
 """In `begins`: none is flown, and the vehicle comes to rest."""
 
 
-class MotionRecord(NamedTuple):
-    """The columns of a table of motions, and of what the one who keeps it notes beside each."""
+class CheckedTrajectory(BackupTrajectory, frozen=True):
+    """A backup trajectory with the notes of its keeper, the pilot or the receiver; the notes never travel."""
 
-    begins: int
-    """The tick in which it begins; NO_MOTION: the row is empty."""
-    parent: int
-    """It begins only if this one is flown then; NO_MOTION: if none is."""
-    first_x: float
-    first_y: float
-    """Acceleration in its first tick [m/s²]."""
-    turn: int
-    cruise: int
-    brake: int
-    """Lengths of the plan after it [ticks]."""
-    turn_x: float
-    turn_y: float
-    brake_x: float
-    brake_y: float
-    """Accelerations of its turn and its brake [m/s²]."""
-    age: int
-    """Of one that is flown: ticks since it began."""
-    arrived: int
-    """By the receiver: 1 once a command that carries it has arrived."""
-    plain: int
-    """Of what is flown: by the receiver 1 where commands that carry no motion act, by the pilot where it is not its
-    own.
-    """
-    checked: int
-    """By the pilot: 1 if sight is kept on it, as long as the next one begins in time."""
-    end_x: float
-    end_y: float
-    end_radius: float
-    end_tick: int
-    """By the pilot: the disc around where it ends, in which the UGV surely was in that tick [m]; infinite: none is
-    known.
-    """
+    age: int = 0
+    """Ticks since it began, if it is flown."""
+    arrived: int = 0
+    """The receiver sets 1 once a command that carries it has arrived."""
+    plain: int = 0
+    """The receiver sets 1 where commands without a trajectory act, the pilot where it is not its own."""
+    checked: int = 0
+    """The pilot sets 1 if the UGV stays visible on it, as long as the next one begins in time."""
+    end: Vector = (0.0, 0.0)
+    end_radius: float = math.inf
+    end_tick: int = 0
+    """Disc around its end that surely held the UGV in that tick [m]; infinite: none is known."""
+
+
+NO_CHECKED = records(
+    CheckedTrajectory,
+    [CheckedTrajectory(begins=NO_MOTION, parent=NO_MOTION, acceleration=(0.0, 0.0))],
+)
+"""The empty row of `CheckedTrajectory`. Shape (1,)."""
+_TRAVELS = list(BackupTrajectory.__struct_fields__)
 
 
 def no_motions(*shape: int) -> RecordArray:
-    """Empty rows of `MotionRecord`."""
-    rows = np.zeros(shape, dtype=record_type(MotionRecord))
-    rows["begins"] = rows["parent"] = NO_MOTION
-    rows["end_radius"] = np.inf
+    """Return empty rows of `CheckedTrajectory`."""
+    rows: RecordArray = np.empty(shape, dtype=NO_CHECKED.dtype)
+    rows[...] = NO_CHECKED[0]
     return rows
 
 
 @compiled
+def clear_motions(rows: RecordArray) -> None:
+    """Empty all rows."""
+    for k in range(rows.shape[0]):
+        rows[k] = NO_CHECKED[0]
+
+
+@compiled
 def motion_command(
-    motion: MotionRecord, v_x: float, v_y: float, u_max: float, dt: float
+    motion: CheckedTrajectory, v_x: float, v_y: float, u_max: float, dt: float
 ) -> tuple[float, float]:
     """The acceleration [m/s²] of a vehicle that flies this motion, at its age.
 
@@ -79,13 +73,13 @@ def motion_command(
     """
     if motion.begins >= 0:
         if motion.age == 0:
-            return motion.first_x, motion.first_y
+            return motion.acceleration[0], motion.acceleration[1]
         if motion.age <= motion.turn:
-            return motion.turn_x, motion.turn_y
+            return motion.turning[0], motion.turning[1]
         if motion.age <= motion.turn + motion.cruise:
             return 0.0, 0.0
         if motion.age <= motion.turn + motion.cruise + motion.brake:
-            return motion.brake_x, motion.brake_y
+            return motion.braking[0], motion.braking[1]
     return brake(v_x, v_y, u_max, dt)
 
 
@@ -119,7 +113,7 @@ def follow_on(motions: RecordArray, flown: RecordArray, tick: int) -> bool:
 
 
 @compiled
-def keep_motion(motions: RecordArray, motion: MotionRecord, tick: int) -> None:
+def keep_motion(motions: RecordArray, motion: CheckedTrajectory, tick: int) -> None:
     """Keep a motion that sets out at this tick until it begins; one that is there already stays as it is.
 
     One that begins too late for the room there is, or should have begun already, is left out.
@@ -135,27 +129,8 @@ def keep_motion(motions: RecordArray, motion: MotionRecord, tick: int) -> None:
         motions[begins % rows].arrived = 0
 
 
-def motion_row(motion: MotionPlan) -> RecordArray:
-    """A motion as it comes in a message, as a table of one row."""
+def received_motion(trajectory: BackupTrajectory) -> RecordArray:
+    """Return a trajectory from a message as a table of one row."""
     row = no_motions(1)
-    row["begins"], row["parent"] = motion.begins, motion.parent
-    row["first_x"], row["first_y"] = motion.acceleration
-    row["turn"], row["cruise"], row["brake"] = motion.turn, motion.cruise, motion.brake
-    row["turn_x"], row["turn_y"] = motion.turning
-    row["brake_x"], row["brake_y"] = motion.braking
+    row[_TRAVELS] = msgspec.structs.astuple(trajectory)
     return row
-
-
-def motion_plan(row: RecordArray) -> MotionPlan:
-    """A motion of a table of one row, as it goes into a message."""
-    (m,) = (MotionRecord._make(one) for one in row.tolist())
-    return MotionPlan(
-        m.begins,
-        m.parent,
-        (m.first_x, m.first_y),
-        m.turn,
-        m.cruise,
-        m.brake,
-        (m.turn_x, m.turn_y),
-        (m.brake_x, m.brake_y),
-    )

@@ -6,7 +6,7 @@ The simulator counts with the same record (`sim.engine.monitor`). The proof is i
 import math
 from typing import NamedTuple
 
-from bus.messages import SafetyParameters
+from bus.messages import SafetyParameters, or_infinite
 from bus.ticks import first_tick_from, ticks_within
 from sim.kernels.compile import compiled
 
@@ -77,7 +77,7 @@ def safety_bounds(
         width, height: Of the area [m].
     """
     declared = safety.max_tracking_error, safety.max_measurement_error
-    tracking, error = (math.inf if bound is None else float(bound) for bound in declared)
+    tracking, error = map(or_infinite, declared)
     radius = float(visibility_radius - safety.margin) - tracking
     return SafetyBounds(
         dt=float(dt),

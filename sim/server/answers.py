@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
-from bus.messages import Command, MotionPlan, UavCommand, UavReport, VehicleStatus
+from bus.messages import BackupTrajectory, Command, UavCommand, UavReport, VehicleStatus
 from bus.registry import LAWS
 from sim.scenario.types import Scenario
 from sim.server.assurance import Assurance
@@ -16,7 +16,7 @@ _ROUNDING = 1e-9
 """So much longer, as a share, a command may be by rounding alone."""
 
 
-def _largest(motions: Iterable[MotionPlan]) -> float:
+def _largest(motions: Iterable[BackupTrajectory]) -> float:
     """The square of the longest acceleration of these motions [m²/s⁴]."""
     asked = ((one.acceleration, one.turning, one.braking) for one in motions)
     return max(x * x + y * y for three in asked for x, y in three)

@@ -12,6 +12,7 @@ import msgspec
 from bus.messages import (
     TILE_LETTERS,
     Action,
+    BackupTrajectory,
     Change,
     Command,
     Control,
@@ -21,7 +22,6 @@ from bus.messages import (
     Law,
     LinkKind,
     LinkSettings,
-    MotionPlan,
     Observation,
     RelativeInformation,
     Status,
@@ -432,7 +432,7 @@ def warm_up(scenario: Scenario) -> None:
         for _ in range(3):
             flight.observations()
             for k in range(len(world.names)):
-                motion = MotionPlan(begins=world.tick, parent=-1, acceleration=(0.0, 0.0))
+                motion = BackupTrajectory(begins=world.tick, parent=-1, acceleration=(0.0, 0.0))
                 world.send(k, world.tick, (0.0, 0.0), (motion,))
             for row in carried:
                 for _ in range(3):

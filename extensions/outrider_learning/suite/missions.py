@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from bus.messages import Mission
+from bus.messages import MissionResult
 from outrider.envs.pilot_numbers import pilot_names
 from outrider.envs.worlds import Worlds
 from outrider_learning.suite.scoring import Entry, Result, Team, begun, check_law, result_of
@@ -27,7 +27,7 @@ _MISSION = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MissionResult(Result):
+class MissionScore(Result):
     """The score of one entry in one mission."""
 
     arrived: int
@@ -53,7 +53,7 @@ def shortest_time(scenario: Scenario) -> float:
     return max(times)
 
 
-def mission_score(mission: Mission, shortest: float) -> float:
+def mission_score(mission: MissionResult, shortest: float) -> float:
     r"""The score of one flight, 0 to 100.
 
     $$ S = 100 \, a \, \min\left(1, \frac{T^*}{T}\right) \frac{n}{n^*} \frac{1}{1 + h} $$
@@ -88,7 +88,7 @@ def evaluate_mission(
     name: str,
     secret: str,
     settings: dict[str, Any],
-) -> MissionResult:
+) -> MissionScore:
     """Fly a mission with all seeds at once, and score it; arguments as of `scoring.evaluate`.
 
     Raises:
@@ -113,7 +113,7 @@ def evaluate_mission(
     shortest = shortest_time(scenario)
     finds = sum(mission.finds for mission in missions)
     return result_of(
-        MissionResult,
+        MissionScore,
         task,
         entry,
         [mission_score(mission, shortest) for mission in missions],

@@ -16,7 +16,7 @@ import pytest
 import outrider
 from agents.drivers.policy import PolicyDriver
 from bus.errors import ScenarioError
-from bus.messages import Mission, UgvCommand, UgvObservation
+from bus.messages import MissionResult, UgvCommand, UgvObservation
 from flights import Piloted
 from outrider.envs.env_pilots import pilots
 from outrider.experiments.intervals import interquartile_interval
@@ -73,7 +73,7 @@ def test_a_world_of_the_vector_environment_is_the_parallel_one_bit_for_bit() -> 
             paid[name] += reward
     final = all_infos["ugv_0"]["final_info"]
     told = infos["ugv_0"]
-    assert set(told) == {"goals_reached", *Mission.__struct_fields__} - {"guarantees"}
+    assert set(told) == {"goals_reached", *MissionResult.__struct_fields__} - {"guarantees"}
     assert infos["uav_0"] == {}  # nothing true gets to a UAV
     for key, value in told.items():
         assert np.array_equal(final[key][0], value, equal_nan=True)
@@ -213,7 +213,7 @@ def test_the_tasks_of_a_suite_with_a_number_never_change() -> None:
 def test_a_missions_score_is_the_share_of_the_shortest_time() -> None:
     none = dict.fromkeys(("hazards_hit", "near_misses", "finds", "found"), 0)
     told = {"hazards_on_way": 3, "warned": 3, "warned_before": 5.0, "seen_ahead": 0.5}
-    went = Mission(arrived=True, mission_time=50.0, still_time=0.0, **told, **none)
+    went = MissionResult(arrived=True, mission_time=50.0, still_time=0.0, **told, **none)
     changed = msgspec.structs.replace
     assert mission_score(went, 20.0) == pytest.approx(40.0)
     assert mission_score(changed(went, hazards_hit=1), 20.0) == pytest.approx(20.0)
