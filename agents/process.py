@@ -20,7 +20,7 @@ from bus.registry import DEFAULT_DRIVER, TELEOP
 from bus.session import Envelope, Outbox, Session, open_session
 
 if TYPE_CHECKING:
-    from agents.control.uav_policy import UavPolicy
+    from agents.laws.policy import UavPolicy
     from agents.uav import Inner
 
 _ROOM = 1024

@@ -6,13 +6,13 @@ from collections.abc import Callable
 import msgspec
 
 from agents.control.orbit import Path, check_path
-from agents.control.telling import GroundTeller
-from agents.control.uav_parameters import uav_parameters
-from agents.control.uav_policy import PolicyControl, TargetEstimate, UavPolicy
-from agents.control.visibility import SafetyFilter, Verdict
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimation.estimator import Estimate, estimator_of
+from agents.estimation.map_updates import GroundTeller
+from agents.laws.policy import PolicyControl, TargetEstimate, UavPolicy
 from agents.laws.selection import SelectedLaw
+from agents.safety.safety_filter import SafetyFilter, Verdict
+from agents.uav_parameters import uav_parameters
 from bus.errors import ScenarioError
 from bus.messages import (
     LONGEST_TEXT,
@@ -25,7 +25,7 @@ from bus.messages import (
     Vector,
 )
 from bus.ticks import looks_of, radio_ticks
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 from sim.models.field import accumulate, cover, coverage_error, empty_coverage
 from sim.models.vehicles import Motion, brake, clip_norm, norm
 

@@ -34,7 +34,7 @@ from agents.drivers.navigate_parameters import PLAN_TILES, NavigateParameters
 from agents.drivers.pending_stops import PLAIN, note_claim, note_sent, state_ahead
 from agents.drivers.planning import begin_search, search_on
 from agents.drivers.tile_map import GroundMemory, ground_memory, note_block, note_tiles
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 from sim.models.ground import (
     BLOCK,
     CERTIFIED,

@@ -17,7 +17,7 @@ from multiprocessing import get_context
 
 from markdown_tables import head, print_chosen
 
-from agents.control.handover import certificate, certified_radius, largest_age
+from agents.safety.handover import certificate, certified_radius, largest_age
 from bus.messages import SafetyParameters
 from bus.profiles import PROFILES
 from outrider.running.flying import InProcess, make_pilots
@@ -35,7 +35,7 @@ from outrider_falsify.conditions import (
     declared,
     spec_radius,
 )
-from sim.kernels.records import RecordArray
+from sim.compiling.records import RecordArray
 from sim.models.inner_loop import InnerLoop, needed_reserve, tracking_error
 from sim.models.safety import SafetyBounds, safety_bounds
 from sim.scenario.loading import load_scenario

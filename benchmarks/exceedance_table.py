@@ -29,8 +29,8 @@ from sim.channel.description import link_parameters
 from sim.channel.link_records import ARRIVED
 from sim.channel.links import exchange, new_links
 from sim.channel.recorded import RecordedLink, pack
-from sim.kernels.compile import IntArray, compiled
-from sim.kernels.records import RecordArray
+from sim.compiling.compile import IntArray, compiled
+from sim.compiling.records import RecordArray
 from sim.models.randomness import DETECTION_CHANCE, uniform
 
 DT, TICKS, SEED = 0.05, 1200, 1

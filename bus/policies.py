@@ -24,7 +24,7 @@ class PolicyKind:
     ugv: str = ""
     """Loader of a policy that drives a UGV: a function, or an object with a method `predict`."""
     uav: str = ""
-    """Loader of a policy that flies a UAV: `agents.control.uav_policy.UavPolicy`."""
+    """Loader of a policy that flies a UAV: `agents.laws.policy.UavPolicy`."""
 
 
 @functools.cache

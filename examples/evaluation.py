@@ -13,8 +13,8 @@ from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.worlds import Worlds
 from outrider.experiments.intervals import mean_interval
 from outrider_learning.learned import LearnedPolicy
+from sim.compiling.compile import FloatArray
 from sim.env.rewards import RewardWeights
-from sim.kernels.compile import FloatArray
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 

@@ -22,13 +22,13 @@ from bus.messages import (
 )
 from sim.channel.link_records import ARRIVED
 from sim.channel.links import Links
+from sim.compiling.compile import FloatArray, IntArray
+from sim.compiling.records import RecordArray
 from sim.engine.batch import Batch
 from sim.engine.ground_state import CONSTANTS, GroundState
 from sim.engine.mission import mission_of, note_claim, receive_block
 from sim.engine.world_state import BatchState, BatchTables
 from sim.engine.world_tick import measure
-from sim.kernels.compile import FloatArray, IntArray
-from sim.kernels.records import RecordArray
 from sim.models.ground import (
     CERTIFIED,
     NO_CLAIM,

@@ -22,8 +22,8 @@ from agents.estimation.motion_model import (
 from bus.messages import Detection, Detector, Estimator, Limits
 from bus.ticks import Look, looks_of
 from seeded import a_key
-from sim.kernels.compile import released
-from sim.kernels.records import records
+from sim.compiling.compile import released
+from sim.compiling.records import records
 from sim.models.randomness import DETECTION_NOISE, cut_normal_vector
 from sim.models.vehicles import Motion
 

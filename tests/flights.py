@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from agents.control.handover import certificate
-from agents.control.uav_parameters import Target, UavParameters, uav_parameters
 from agents.process import Pilot
+from agents.safety.handover import certificate
+from agents.uav_parameters import Target, UavParameters, uav_parameters
 from bus.law_parameters import law_parameters
 from bus.messages import (
     Area,
@@ -32,9 +32,9 @@ from outrider.envs.parallel import parallel_env
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import Summary
 from seeded import a_told_key
+from sim.compiling.compile import FloatArray
+from sim.compiling.records import fresh, records
 from sim.engine.briefing import uav_briefing
-from sim.kernels.compile import FloatArray
-from sim.kernels.records import fresh, records
 from sim.models.safety import SafetyBounds, safety_bounds
 from sim.models.vehicles import Motion
 from sim.scenario.loading import load_scenario

@@ -21,10 +21,10 @@ from outrider.cli.console import OUT, print_summary
 from outrider.experiments.sweep.columns import row_of
 from outrider.running.flying import make_pilots
 from outrider.running.summary import Summary, summarize
+from sim.compiling.records import record_type
 from sim.engine.briefing import briefing
 from sim.engine.monitor import NEVER, ArrivalRecord
 from sim.engine.world_state import Vehicle
-from sim.kernels.records import record_type
 from sim.models.motion import NO_MOTION, no_motions
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate, LinkTable, Scenario

@@ -9,8 +9,8 @@ from bus.profiles import PROFILES
 from bus.ticks import looks_of
 from flights import escort
 from sim.channel.link_records import ARRIVED
+from sim.compiling.threads import WorkerThreads
 from sim.engine.batch import Batch
-from sim.kernels.threads import WorkerThreads
 from sim.scenario.types import (
     Coverage,
     Detections,

@@ -13,8 +13,8 @@ from agents.estimation.motion_model import KalmanParameters, cut_variance, kalma
 from bus.messages import Detector, Estimator, Limits
 from bus.ticks import Look
 from filters import FREE, UGV, straying
-from sim.kernels.compile import released
-from sim.kernels.records import records
+from sim.compiling.compile import released
+from sim.compiling.records import records
 from sim.models.vehicles import Motion
 
 AGILE = Limits(max_speed=2.0, max_acceleration=None)

@@ -11,14 +11,14 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from agents.control import certificate as c
-from agents.control import discs, handover
-from agents.control.guard import track_ticks
+from agents.safety import discs, handover
+from agents.safety import trajectories as c
+from agents.safety.decision import track_ticks
 from bus.ticks import first_tick_from
 from flights import DT, PROMISED, R_S, R_V, U_A, V_A, V_G, certified
 from properties import PROPERTY
-from sim.kernels.compile import FloatArray
-from sim.kernels.records import RecordArray
+from sim.compiling.compile import FloatArray
+from sim.compiling.records import RecordArray
 from sim.models.motion import no_motions
 from sim.models.safety import SafetyBounds, tick_sagitta
 from sim.models.vehicles import Motion, norm, step_vehicle

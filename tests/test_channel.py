@@ -27,7 +27,7 @@ from sim.channel.jitter import SHAPES, jitter_quantile, jitter_share, normal_qua
 from sim.channel.link import begin_tick, receive, send
 from sim.channel.link_records import ARRIVED, CAUSES
 from sim.channel.links import change_links, exchange, link_status, new_links, place_traces
-from sim.kernels.compile import compiled
+from sim.compiling.compile import compiled
 from tabular import words
 
 MILLION = 1_000_000

@@ -17,7 +17,7 @@ import sim
 from bus.registry import SENSORS
 from processes import python
 from seeded import a_key
-from sim.kernels import compile as kernels
+from sim.compiling import compile as kernels
 
 
 def _compiled_functions() -> Iterator[tuple[str, Any]]:
@@ -37,7 +37,7 @@ _PAIR = {"p_ax": 20.7, "p_ay": 21.3, "p_gx": 20.0, "p_gy": 20.0, "r_o": 9.75, "d
 _SENSOR = {"peak": 0.9, "reach": 5.0}
 _ERROR = {name: _PAIR[name] for name in ("p_gx", "p_gy", "r_o", "desired")}
 KERNELS: dict[str, list[dict[str, Any]]] = {
-    "sim.kernels.lanes.lane_sum": [{"begin": 3, "count": count} for count in (77, *range(20))],
+    "sim.compiling.lanes.lane_sum": [{"begin": 3, "count": count} for count in (77, *range(20))],
     "sim.models.field.disc_chords": [
         {"p_x": 20.7, "p_y": p_y, "radius": radius, "rows": 160, "columns": 160}
         for radius in (0.01, 5.0, 9.75, 70.0)
@@ -123,7 +123,7 @@ def test_without_a_home_folder_there_is_no_cache_and_a_warning(monkeypatch, capl
 
 def test_a_relative_cache_home_is_ignored(tmp_path, monkeypatch) -> None:
     monkeypatch.delenv("OUTRIDER_CACHE", raising=False)
-    code = "from sim.kernels.compile import cache_folder; print(cache_folder())"
+    code = "from sim.compiling.compile import cache_folder; print(cache_folder())"
     own = os.environ | {"HOME": str(tmp_path / "home"), "XDG_CACHE_HOME": "shared"}
     told = python(code, env=own, cwd=tmp_path).stdout
     assert Path(told).parent == tmp_path / "home" / ".cache" / "outrider"

@@ -133,10 +133,10 @@ ON_BOARD = {
     "sim.models.sensors",
     "sim.models.sensors.hill",
     "sim.models.sensors.plateau",
-    "sim.kernels.compile",
-    "sim.kernels.dispatch",
-    "sim.kernels.lanes",
-    "sim.kernels.records",
+    "sim.compiling.compile",
+    "sim.compiling.dispatch",
+    "sim.compiling.lanes",
+    "sim.compiling.records",
 }
 """All that a vehicle carries of the simulator."""
 
@@ -153,7 +153,7 @@ def test_the_contract_names_every_part_of_the_simulator_that_is_no_model_on_boar
     rooms = {f"sim.{path.stem}" for path in (ROOT / "sim").glob("[!_]*.py")} | {
         f"sim.{path.parent.name}" for path in (ROOT / "sim").glob("*/__init__.py")
     }
-    shared = {"sim.models", "sim.kernels"}
+    shared = {"sim.models", "sim.compiling"}
     not_on_board = {
         f"{room}.{path.stem}"
         for room in shared
@@ -188,7 +188,7 @@ def test_the_import_contracts_catch_an_agent_that_reads_the_world(tmp_path: Path
     assert "agents.uav -> sim.world" in run.stdout
 
 
-ROOMS = {"sim.models", "sim.kernels"}
+ROOMS = {"sim.models", "sim.compiling"}
 REFUSES_FUNCTIONS = {"sim.input", "sim.input.faults"}
 """The user's own code is refused in one line."""
 OF_MESSAGES = {"sim.scene", "sim.scene.colors", "sim.scene.model"}

@@ -42,8 +42,8 @@ from flights import DT, R_V, U_G, V_A, V_G, distances, told_ugv
 from outrider.running.flying import InProcess, make_pilots
 from properties import PROPERTY
 from seeded import a_told_key
+from sim.compiling.records import records
 from sim.engine.briefing import briefing
-from sim.kernels.records import records
 from sim.models.ground import CLEAR
 from sim.models.vehicles import Motion, step_vehicle
 from sim.scenario.loading import load_scenario

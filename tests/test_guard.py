@@ -7,14 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from agents.control.certificate import (
-    BEST_EFFORT,
-    NO_DETECTION,
-    OUTAGE,
-    UNCERTIFIED,
-    UNCHECKED_MOTION,
-)
-from agents.control.guard import (
+from agents.safety.decision import (
     GuardState,
     begin_guard,
     guard,
@@ -22,7 +15,14 @@ from agents.control.guard import (
     note_detection,
     note_position,
 )
-from agents.control.visibility import SafetyFilter, bounds_of
+from agents.safety.safety_filter import SafetyFilter, bounds_of
+from agents.safety.trajectories import (
+    BEST_EFFORT,
+    NO_DETECTION,
+    OUTAGE,
+    UNCERTIFIED,
+    UNCHECKED_MOTION,
+)
 from bus.messages import (
     MOST_CARRIED,
     Area,

@@ -10,8 +10,8 @@ from scipy.ndimage import label
 
 from properties import PROPERTY
 from seeded import a_key
+from sim.compiling.records import records
 from sim.engine.run_keys import derive_keys
-from sim.kernels.records import records
 from sim.models.ground import (
     BLOCK,
     CLEAR,

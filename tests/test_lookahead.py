@@ -7,9 +7,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from agents.control.uav_parameters import Target
 from agents.laws.horizon import Ahead, look_ahead, worth
 from agents.uav import UavPilot
+from agents.uav_parameters import Target
 from bus.messages import Law, UavObservation
 from flights import DESIRED, escort, flown_law, told, uav_sees
 from outrider.envs.closed_loop import ClosedLoop

@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.control.certificate import OUTAGE, UNCERTIFIED, UNCHECKED_MOTION
-from agents.control.handover import largest_interval
-from agents.control.visibility import SafetyFilter
+from agents.safety.handover import largest_interval
+from agents.safety.safety_filter import SafetyFilter
+from agents.safety.trajectories import OUTAGE, UNCERTIFIED, UNCHECKED_MOTION
 from bus.messages import MOST_CARRIED, BackupTrajectory, UavCommand
 from flights import EVADED, PROMISED, certified, flown_in_both, told, uav_sees
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
 from processes import flown_both_ways
-from sim.kernels.records import struct_of
+from sim.compiling.records import struct_of
 from sim.models.motion import received_motion
 from sim.scenario.types import Certificate, LinkTable, Uav
 from sim.server.flight import Flight

@@ -19,9 +19,9 @@ from bus.observations import UAV, by_name
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import InProcess, make_pilots
+from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.engine.briefing import uav_briefing
 from sim.engine.run_keys import derive_key
-from sim.kernels.compile import FloatArray, IntArray, compiled
 from sim.models.randomness import (
     DETECTION_CHANCE,
     DETECTION_NOISE,

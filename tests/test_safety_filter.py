@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from agents.control.certificate import UNCERTIFIED, UNCHECKED_MOTION
-from agents.control.visibility import SafetyFilter, bounds_of
+from agents.safety.safety_filter import SafetyFilter, bounds_of
+from agents.safety.trajectories import UNCERTIFIED, UNCHECKED_MOTION
 from bus.messages import LinkSettings
 from flights import DT, U_A, V_A, distances, told, uav_sees
 from outrider.envs.parallel import parallel_env

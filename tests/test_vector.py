@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import outrider
-from agents.control.visibility import SafetyFilter
 from agents.estimation.estimator import estimator_of
+from agents.safety.safety_filter import SafetyFilter
 from bus.messages import UavObservation
 from bus.ticks import looks_of
 from outrider.envs.env_pilots import pilots

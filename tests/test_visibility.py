@@ -7,9 +7,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from agents.control.tracking import relative_motion
-from agents.control.uav_parameters import uav_parameters
 from agents.control.visibility import is_visible, switching_radius
 from agents.laws.selection import SelectedLaw
+from agents.uav_parameters import uav_parameters
 from bus.errors import ScenarioError
 from bus.messages import Region
 from bus.registry import LAWS

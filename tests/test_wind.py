@@ -7,15 +7,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from agents.control.handover import check_assumptions
+from agents.safety.handover import check_assumptions
 from bus.errors import ScenarioError
 from bus.messages import SeenTile, UavObservation
 from flights import EVADED, PROMISED, certified, flown_in_both, told
 from outrider.running.assumptions import shortfalls
 from outrider.running.flying import fly
 from processes import flown_both_ways
+from sim.compiling.records import record_type, records
 from sim.engine.batch import Batch
-from sim.kernels.records import record_type, records
 from sim.models.inner_loop import (
     InnerLoop,
     TrackingRecord,

@@ -1,6 +1,6 @@
 """Dynamic coverage for a double integrator, section III of the paper: (7), (8), (10) to (12), and the border of Q."""
 
-from sim.kernels.compile import compiled
+from sim.compiling.compile import compiled
 from sim.models.vehicles import Motion, norm, stopping_distance
 
 ZERO_GRADIENT = 1e-9

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 
 from bus.errors import ScenarioError
-from sim.kernels.compile import compiled
+from sim.compiling.compile import compiled
 
 Path = Callable[[float], tuple[tuple[float, float], tuple[float, float]]]
 """A path of one's own: time [s] to p_v [m], relative to the UGV, and its second derivative [m/s²]."""

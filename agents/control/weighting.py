@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 from bus.errors import ScenarioError
-from sim.kernels.compile import compiled
+from sim.compiling.compile import compiled
 
 Weighting = Callable[[float, float], tuple[float, float]]
 """A weighting of one's own: distance [m] and r_s [m] to alpha and beta."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from agents.drivers.navigate_parameters import NavigateParameters
 from agents.drivers.planning import is_beside_block
-from sim.kernels.compile import compiled
+from sim.compiling.compile import compiled
 from sim.models.ground import (
     BLOCK,
     ROUGH,

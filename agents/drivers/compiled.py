@@ -30,8 +30,8 @@ from bus.messages import (
 )
 from bus.registry import DRIVERS
 from bus.ticks import first_tick_from, look_rows, looks_of
-from sim.kernels.compile import FloatArray
-from sim.kernels.records import fresh, records, struct_of
+from sim.compiling.compile import FloatArray
+from sim.compiling.records import fresh, records, struct_of
 from sim.models.ground import (
     CERTIFIED,
     NO_CLAIM,

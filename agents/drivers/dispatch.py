@@ -14,9 +14,9 @@ from agents.drivers.compiled import driver_parameters
 from agents.drivers.parameters import DriverInputs, UgvParameters, ugv_parameters
 from bus.messages import UgvBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS
-from sim.kernels.compile import IntArray, compiled
-from sim.kernels.dispatch import commands
-from sim.kernels.records import RecordArray, fresh, record_type, records
+from sim.compiling.compile import IntArray, compiled
+from sim.compiling.dispatch import commands
+from sim.compiling.records import RecordArray, fresh, record_type, records
 from sim.models.vehicles import Motion
 
 _ROWS = {row.name: row for row in DRIVERS.values() if row.module}

@@ -22,7 +22,7 @@ from agents.drivers.parameters import DriverInputs, UgvParameters
 from agents.drivers.steering import velocity_control
 from bus.messages import UgvBriefing, Vector
 from bus.ticks import NO_TICK, first_tick_from, ticks_within
-from sim.kernels.compile import FloatArray, compiled, constant
+from sim.compiling.compile import FloatArray, compiled, constant
 from sim.models.randomness import WANDER, uniform
 from sim.models.vehicles import Motion, norm
 

@@ -33,7 +33,7 @@ from agents.drivers.planning import (
 from agents.drivers.steering import goal_control
 from agents.drivers.tile_map import GroundMemory
 from agents.drivers.waypoints import Memory, waypoint_command
-from sim.kernels.compile import FloatArray, compiled
+from sim.compiling.compile import FloatArray, compiled
 from sim.models.ground import (
     BLOCK,
     TOUCH,

@@ -6,7 +6,7 @@ import msgspec
 
 from agents.drivers.steering import Steering
 from bus.messages import UgvBriefing
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 
 
 class UgvParameters(msgspec.Struct, frozen=True, kw_only=True):

@@ -4,8 +4,8 @@ from agents.drivers.cautious import is_safe, known_open
 from agents.drivers.navigate_parameters import NavigateParameters
 from agents.drivers.tile_map import GroundMemory
 from bus.messages import MOST_CARRIED
-from sim.kernels.compile import compiled
-from sim.kernels.records import RecordArray
+from sim.compiling.compile import compiled
+from sim.compiling.records import RecordArray
 from sim.models.ground import CERTIFIED, NO_CLAIM, NO_STOP, WAY_UNKNOWN
 from sim.models.motion import NO_MOTION, follow_on, keep_motion, motion_command
 from sim.models.vehicles import Motion, brake, step_vehicle, within_walls

@@ -10,7 +10,7 @@ whatever is told meanwhile. The plan before is followed until it ends. The limit
 import math
 
 from agents.drivers.tile_map import GroundMemory, PlaceArray
-from sim.kernels.compile import FloatArray, compiled
+from sim.compiling.compile import FloatArray, compiled
 from sim.models.ground import BLOCK, ROUGH, UNSEEN, TileArray
 
 _DONE, _UNTOUCHED = -2, -1

@@ -10,7 +10,7 @@ import numpy as np
 
 from agents.drivers.parameters import DriverInputs, UgvParameters
 from agents.drivers.steering import velocity_control
-from sim.kernels.compile import compiled
+from sim.compiling.compile import compiled
 from sim.models.vehicles import Motion, brake
 
 

@@ -2,7 +2,7 @@
 
 from agents.asking import LARGEST
 from bus.messages import UgvBriefing, UgvObservation
-from sim.kernels.compile import compiled
+from sim.compiling.compile import compiled
 from sim.models.vehicles import Motion, brake, clip_norm, norm, speed_to_stop_within
 
 

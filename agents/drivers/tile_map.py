@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages import BLOCK_SIDE
-from sim.kernels.compile import FloatArray, IntArray, compiled
-from sim.kernels.records import RecordArray, records
+from sim.compiling.compile import FloatArray, IntArray, compiled
+from sim.compiling.records import RecordArray, records
 from sim.models.ground import BLOCK, NO_CLAIM, UNSEEN, TileArray
 from sim.models.motion import no_motions
 

@@ -4,7 +4,7 @@ import msgspec
 
 from agents.drivers.parameters import DriverInputs, UgvParameters
 from agents.drivers.steering import goal_control
-from sim.kernels.compile import FloatArray, compiled
+from sim.compiling.compile import FloatArray, compiled
 from sim.models.vehicles import Motion, next_goal
 
 

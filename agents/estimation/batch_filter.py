@@ -9,11 +9,11 @@ others are the ring of the last ticks, tick k in row 1 + k % depth, as they were
 
 import numpy as np
 
-from agents.control.uav_parameters import Target
-from agents.control.uav_tick import LOOK
 from agents.estimation.motion_model import KalmanParameters, bounded_scales
-from sim.kernels.compile import FloatArray, compiled
-from sim.kernels.records import RecordArray, record_type
+from agents.estimation.perception import LOOK
+from agents.uav_parameters import Target
+from sim.compiling.compile import FloatArray, compiled
+from sim.compiling.records import RecordArray, record_type
 from sim.models.vehicles import Motion, clip_norm
 
 

@@ -17,7 +17,6 @@ import msgspec
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from agents.control.uav_parameters import Target
 from agents.estimation.motion_model import (
     SPAN,
     KalmanParameters,
@@ -25,9 +24,10 @@ from agents.estimation.motion_model import (
     history_depth,
     kalman_parameters,
 )
+from agents.uav_parameters import Target
 from bus.messages import Detector, Estimator, Limits, UavBriefing
 from bus.ticks import NO_TICK, Look
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 from sim.models.vehicles import clip_norm
 
 

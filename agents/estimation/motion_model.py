@@ -7,7 +7,7 @@ import numpy as np
 
 from bus.messages import Detector, Estimator, Limits
 from bus.ticks import ticks_within
-from sim.kernels.compile import FloatArray, compiled
+from sim.compiling.compile import FloatArray, compiled
 
 SPAN = 60.0
 """Greatest delay of a detection that is still used, by default [s]."""

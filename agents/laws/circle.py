@@ -3,10 +3,10 @@ r"""Law `circle`: circles round the UGV, Klodt 2015, eq. (22) to (25)."""
 import math
 
 from agents.control.orbit import circle, orbit_control
-from agents.control.uav_parameters import Target, UavParameters
 from agents.laws.common import TrackingMemory, TrackingParameters, tracking_term
+from agents.uav_parameters import Target, UavParameters
 from bus.messages import Coordinate, Positive
-from sim.kernels.compile import FloatArray, compiled
+from sim.compiling.compile import FloatArray, compiled
 from sim.models.vehicles import Motion
 
 

@@ -16,10 +16,10 @@ from agents.control.coverage import (
     velocity_error,
 )
 from agents.control.tracking import tracking_output, tracking_step
-from agents.control.uav_parameters import Target, UavParameters
 from agents.control.weighting import combine
+from agents.uav_parameters import Target, UavParameters
 from bus.messages import Coordinate, Positive, Vector
-from sim.kernels.compile import FloatArray, compiled
+from sim.compiling.compile import FloatArray, compiled
 from sim.models.field import coverage_gradient, is_uncovered, nearest_uncovered
 from sim.models.randomness import FIRST, START_DIRECTION, uniform
 from sim.models.vehicles import Motion, norm

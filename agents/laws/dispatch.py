@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.control.uav_parameters import Target, UavParameters, uav_parameters
+from agents.uav_parameters import Target, UavParameters, uav_parameters
 from bus.law_parameters import law_parameters
 from bus.messages import Law, UavBriefing
 from bus.registry import LAWS
-from sim.kernels.compile import FloatArray, IntArray, compiled
-from sim.kernels.dispatch import commands
-from sim.kernels.records import RecordArray, fresh, record_type, records
+from sim.compiling.compile import FloatArray, IntArray, compiled
+from sim.compiling.dispatch import commands
+from sim.compiling.records import RecordArray, fresh, record_type, records
 from sim.models.vehicles import Motion, brake, clip_norm
 
 _ROWS = {row.name: row for row in LAWS.values() if row.module and not row.own}

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.control.uav_parameters import Target, UavParameters
 from agents.laws.common import border_margin
-from sim.kernels.compile import FloatArray, IntArray, compiled
+from agents.uav_parameters import Target, UavParameters
+from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.models.field import density, sensor_quality
 from sim.models.vehicles import Motion, clip_norm, norm, stopping_distance
 

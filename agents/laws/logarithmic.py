@@ -1,10 +1,10 @@
 r"""Law `logarithmic`: both terms, tracking without bound towards r_s, Klodt 2015, eq. (17) and (19)."""
 
-from agents.control.uav_parameters import Target, UavParameters
 from agents.control.weighting import logarithmic_weights
 from agents.laws.common import CoverageMemory, CoverageParameters, distance_to, weighted_command
+from agents.uav_parameters import Target, UavParameters
 from bus.messages import Positive
-from sim.kernels.compile import FloatArray, compiled
+from sim.compiling.compile import FloatArray, compiled
 from sim.models.vehicles import Motion
 
 

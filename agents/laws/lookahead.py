@@ -13,7 +13,6 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from agents.control.uav_parameters import Target, UavParameters
 from agents.laws.common import LawParameters
 from agents.laws.horizon import (
     LEGS,
@@ -25,8 +24,9 @@ from agents.laws.horizon import (
     look_ahead,
     worth,
 )
+from agents.uav_parameters import Target, UavParameters
 from bus.messages import Positive
-from sim.kernels.compile import FloatArray, compiled
+from sim.compiling.compile import FloatArray, compiled
 from sim.models.randomness import LOOKAHEAD_MOTION, Key, draw, to_uniform
 from sim.models.vehicles import Motion, clip_norm, norm
 

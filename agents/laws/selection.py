@@ -3,14 +3,14 @@
 from importlib import import_module
 from typing import Any
 
-from agents.control.uav_parameters import Target, UavParameters
 from agents.control.visibility import switching_radius
+from agents.uav_parameters import Target, UavParameters
 from bus.errors import ScenarioError
 from bus.law_parameters import law_parameters
 from bus.messages import Law, UavBriefing
 from bus.registry import LAWS
-from sim.kernels.compile import FloatArray
-from sim.kernels.records import fresh, records
+from sim.compiling.compile import FloatArray
+from sim.compiling.records import fresh, records
 from sim.models.randomness import words_of
 from sim.models.vehicles import Motion
 

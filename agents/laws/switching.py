@@ -1,9 +1,9 @@
 r"""Law `switching`: one term or the other, switched at r_s, Klodt 2015, eq. (17)."""
 
-from agents.control.uav_parameters import Target, UavParameters
 from agents.control.weighting import switching_weights
 from agents.laws.common import CoverageMemory, CoverageParameters, distance_to, weighted_command
-from sim.kernels.compile import FloatArray, compiled
+from agents.uav_parameters import Target, UavParameters
+from sim.compiling.compile import FloatArray, compiled
 from sim.models.vehicles import Motion
 
 

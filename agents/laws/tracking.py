@@ -1,8 +1,8 @@
 r"""Law `tracking`: follows the UGV, Klodt 2015, eq. (15) and (16)."""
 
-from agents.control.uav_parameters import Target, UavParameters
 from agents.laws.common import TrackingMemory, TrackingParameters, tracking_term
-from sim.kernels.compile import FloatArray, compiled
+from agents.uav_parameters import Target, UavParameters
+from sim.compiling.compile import FloatArray, compiled
 from sim.models.vehicles import Motion
 
 

@@ -1,8 +1,8 @@
 r"""Law `weighted`: both terms of (17), weighted by a function of the user's own."""
 
-from agents.control.uav_parameters import Target, UavParameters
 from agents.laws.common import CoverageMemory, CoverageParameters, weighted_command
-from sim.kernels.compile import FloatArray, compiled
+from agents.uav_parameters import Target, UavParameters
+from sim.compiling.compile import FloatArray, compiled
 from sim.models.vehicles import Motion
 
 

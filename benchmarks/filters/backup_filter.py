@@ -23,8 +23,7 @@ to be safe, and the backup policy acts; such ticks are counted as not feasible.
 
 import math
 
-from agents.control.certificate import Known
-from agents.control.discs import (
+from agents.safety.discs import (
     Disc,
     disc_of,
     drift,
@@ -35,11 +34,12 @@ from agents.control.discs import (
     no_detections,
     radius_at,
 )
-from agents.control.visibility import Verdict, bounds_of
+from agents.safety.safety_filter import Verdict, bounds_of
+from agents.safety.trajectories import Known
 from bus.messages import UavBriefing, UavObservation, Vector
 from bus.ticks import tick_of
-from sim.kernels.compile import compiled
-from sim.kernels.records import RecordArray
+from sim.compiling.compile import compiled
+from sim.compiling.records import RecordArray
 from sim.models.safety import SafetyBounds
 from sim.models.vehicles import (
     Motion,
@@ -226,7 +226,7 @@ def filtered(
 
 
 class BackupFilter:
-    """The filter of one UAV, with the calls of `agents.control.visibility.SafetyFilter`.
+    """The filter of one UAV, with the calls of `agents.safety.safety_filter.SafetyFilter`.
 
     Args:
         briefing: What the UAV is told when it joins.

@@ -23,8 +23,8 @@ from typing import Any
 import msgspec
 from backup_filter import BackupFilter
 
-from agents.control.visibility import SafetyFilter
 from agents.process import Pilot
+from agents.safety.safety_filter import SafetyFilter
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.messages import UavBriefing, UavCommand, UavObservation, Vector

@@ -62,7 +62,13 @@ MODULES = {
         "agents/estimation/estimator.py",
         "agents/drivers",
     ),
-    "The paper's laws": ("sim/models", "sim/models/sensors", "agents/control", "agents/laws"),
+    "The paper's laws": (
+        "sim/models",
+        "sim/models/sensors",
+        "agents/control",
+        "agents/laws",
+        "agents/safety",
+    ),
     "The bus": ("bus",),
     "Links": ("sim/channel", "sim/engine"),
 }

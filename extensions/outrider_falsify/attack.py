@@ -12,9 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.control.certificate import CERTIFIED, INNER, NO_DETECTION
-from agents.control.discs import KEPT, NEVER, bound_of, certified_distance, newest_detection
-from agents.control.guard import (
+from agents.control.tracking import tracking_output, tracking_step
+from agents.safety.decision import (
     GuardState,
     begin_guard,
     forget_commands,
@@ -23,7 +22,8 @@ from agents.control.guard import (
     note_detection,
     note_position,
 )
-from agents.control.tracking import tracking_output, tracking_step
+from agents.safety.discs import KEPT, NEVER, bound_of, certified_distance, newest_detection
+from agents.safety.trajectories import CERTIFIED, INNER, NO_DETECTION
 from bus.messages import LinkKind
 from bus.ticks import DUST
 from outrider_falsify.conditions import (
@@ -58,6 +58,8 @@ from outrider_falsify.opponents import (
 )
 from outrider_falsify.tick_distance import largest_between
 from sim.channel.link_records import ARRIVED
+from sim.compiling.compile import FloatArray, compiled, released
+from sim.compiling.records import RecordArray, record_type
 from sim.engine.batch import Batch
 from sim.engine.monitor import NEVER as NEVER_SEEN
 from sim.engine.monitor import (
@@ -80,8 +82,6 @@ from sim.engine.world_tick import (
     move,
     receive_commands,
 )
-from sim.kernels.compile import FloatArray, compiled, released
-from sim.kernels.records import RecordArray, record_type
 from sim.models.motion import keep_motion
 from sim.models.randomness import FIRST, draw
 from sim.models.safety import SafetyBounds

@@ -160,7 +160,7 @@ def command(
     from outrider.running.user_code import check_code, check_own_functions
     from outrider_falsify.engines import Wanted
     from outrider_falsify.limits import SearchLimits, base_of, beyond_declared
-    from sim.kernels.threads import cores
+    from sim.compiling.threads import cores
 
     limits_given = (max_delay, max_loss, max_blackout, max_command_delay, noise)
     if undegraded and any(given is not None for given in limits_given):

@@ -7,7 +7,7 @@ holds these as constants, so this file's text belongs to the compile cache's nam
 import math
 from typing import NamedTuple
 
-from agents.control.handover import certificate
+from agents.safety.handover import certificate
 from bus.messages import Area, LinkSettings, SafetyParameters, Sensor
 from outrider_falsify.lost_motions import LOSSES
 from sim.models.inner_loop import InnerLoop, needed_reserve, tracking_error

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from sim.kernels.compile import compiled
+from sim.compiling.compile import compiled
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)

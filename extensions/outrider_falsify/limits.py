@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import msgspec
 
-from agents.control.handover import check_assumptions
-from agents.control.visibility import bounds_of
+from agents.safety.handover import check_assumptions
+from agents.safety.safety_filter import bounds_of
 from bus.errors import ScenarioError
 from bus.messages import LinkSettings
 from bus.registry import LAWS

@@ -7,7 +7,7 @@ it lets through may come early, twice, and overtake; that is the link's.
 from typing import NamedTuple
 
 from outrider_falsify.draws import Words, next_share
-from sim.kernels.compile import compiled
+from sim.compiling.compile import compiled
 
 
 class Losses(NamedTuple):

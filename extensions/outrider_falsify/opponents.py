@@ -12,10 +12,10 @@ from outrider_falsify.conditions import (
     Conditions,
 )
 from outrider_falsify.draws import Words, next_share
+from sim.compiling.compile import compiled
+from sim.compiling.records import RecordArray
 from sim.engine.world_state import BatchState
 from sim.engine.world_tick import apply_disturbance
-from sim.kernels.compile import compiled
-from sim.kernels.records import RecordArray
 from sim.models.vehicles import Motion, brake, norm
 
 UAV, UGV = 0, 1

@@ -2,8 +2,8 @@
 
 import math
 
-from sim.kernels.compile import compiled
-from sim.kernels.records import RecordArray
+from sim.compiling.compile import compiled
+from sim.compiling.records import RecordArray
 from sim.models.vehicles import norm
 
 

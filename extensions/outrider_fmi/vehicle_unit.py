@@ -7,10 +7,10 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from agents.control.uav_parameters import uav_parameters
-from agents.control.visibility import bounds_of
 from agents.laws.selection import SelectedLaw
+from agents.safety.safety_filter import bounds_of
 from agents.uav import UavPilot
+from agents.uav_parameters import uav_parameters
 from agents.ugv import UgvPilot
 from bus.errors import ScenarioError
 from bus.messages import (

@@ -12,7 +12,7 @@ from outrider.cli.standard_files import print_text
 if TYPE_CHECKING:
     from rich.text import Text
 
-    from agents.control.uav_policy import UavPolicy
+    from agents.laws.policy import UavPolicy
     from outrider_learning.suite.board import Leaderboard, Standing
     from outrider_learning.suite.scoring import Entry, Result
     from outrider_learning.suite.tasks import Suite

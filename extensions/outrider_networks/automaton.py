@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.channel.gaps import LossChain, Mask, none_in_time, useful_shares
-from sim.kernels.compile import FloatArray, IntArray
+from sim.compiling.compile import FloatArray, IntArray
 
 _GROUP = 4096
 """Bases that are evaluated at a time."""

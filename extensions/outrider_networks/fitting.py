@@ -19,7 +19,7 @@ from outrider_networks.samples import Sample, drawn_sample, recorded_sample
 from sim.channel.description import extra_delays
 from sim.channel.jitter import SHAPES, jitter_quantile, jitter_share
 from sim.channel.recorded import Fates, RecordedLink, recording_of
-from sim.kernels.compile import FloatArray, compiled
+from sim.compiling.compile import FloatArray, compiled
 
 _LEVELS: FloatArray = 1.0 - 10.0 ** (-3.0 * (np.arange(400, dtype=np.float64) + 0.5) / 400.0)
 """Shares at which quantiles are compared: from the least to the longest but one in a thousand, each power of ten alike.

@@ -20,7 +20,7 @@ from sim.channel.description import link_parameters
 from sim.channel.gaps import Mask, age_window, command_window, loss_chain, shares_by_delay
 from sim.channel.link_records import OPPORTUNITIES, LinkParameters
 from sim.channel.recorded import RecordedLink
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 
 _MAHIMAHI = "it plays a Mahimahi file, in which what waits depends on all that was sent before"
 _LONG = "the recording is too long to be evaluated from each of its places"

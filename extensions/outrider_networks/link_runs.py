@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from outrider_networks.automaton import Plan, pushed, summed
 from sim.channel.gaps import LossChain
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 
 MOST_CELLS = 1e8
 """Largest effort for a run: its ticks times those of a window."""

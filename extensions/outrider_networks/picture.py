@@ -9,7 +9,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from outrider import style
 from outrider_networks.fitting import Fit
 from outrider_networks.samples import Sample
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 
 _LOOKS = {
     "recorded": (style.INK, "-", 2.6),

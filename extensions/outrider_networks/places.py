@@ -9,7 +9,7 @@ import numpy as np
 
 from sim.channel.gaps import Mask, delays_at
 from sim.channel.link_records import LinkParameters
-from sim.kernels.compile import FloatArray, IntArray
+from sim.compiling.compile import FloatArray, IntArray
 
 
 def delays_by_place(parameters: LinkParameters) -> IntArray:

@@ -11,7 +11,7 @@ from sim.channel.description import link_parameters
 from sim.channel.link_records import LinkParameters
 from sim.channel.links import first_arrivals
 from sim.channel.recorded import Fates, RecordedLink, recording_of
-from sim.kernels.compile import FloatArray, IntArray
+from sim.compiling.compile import FloatArray, IntArray
 from sim.models.randomness import Key
 
 MILLISECOND = 0.001

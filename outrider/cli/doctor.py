@@ -50,7 +50,7 @@ def _packages() -> Iterator[Finding]:
 
 
 def _cache() -> Iterator[Finding]:
-    from sim.kernels.compile import cache_folder
+    from sim.compiling.compile import cache_folder
 
     folder = cache_folder()
     if folder is None:
@@ -121,7 +121,7 @@ def _browser() -> Iterator[Finding]:
 def _machine() -> Iterator[Finding]:
     import resource
 
-    from sim.kernels.threads import cores
+    from sim.compiling.threads import cores
 
     count = cores()
     told = f"{count} for this process" + ("; three processes share it" if count == 1 else "")

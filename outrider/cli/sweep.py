@@ -140,7 +140,7 @@ def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any
     """
     from outrider.cli.console import runs_bar
     from outrider.experiments.sweep.running import cost_of, fly_sweep
-    from sim.kernels.threads import cores
+    from sim.compiling.threads import cores
 
     workers = jobs or (sum(client.ncores().values()) if client is not None else cores())
     costs = [cost_of(point.scenario) for point in plan.points]

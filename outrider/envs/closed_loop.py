@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from agents.control.certificate import UNCERTIFIED
-from agents.control.guard import guard_state
-from agents.control.telling import BLOCK_TILES, telling_memory
 from agents.drivers.dispatch import driver_memories
 from agents.estimation.batch_filter import estimator_rows
+from agents.estimation.map_updates import BLOCK_TILES, telling_memory
 from agents.estimation.motion_model import (
     SPAN,
     history_depth,
 )
 from agents.laws.dispatch import law_memories
+from agents.safety.decision import guard_state
+from agents.safety.trajectories import UNCERTIFIED
 from bus.messages import LinkKind, LinkStatus, MissionResult
 from outrider.envs.closed_loop_state import (
     GUARD_METRICS,
@@ -31,6 +31,7 @@ from outrider.envs.closed_loop_state import (
 from outrider.envs.closed_loop_tick import run_worlds
 from outrider.envs.pilot_numbers import PilotNumbers, loop_parameters, repeated, uses_radio
 from sim.channel.link_records import no_packets
+from sim.compiling.compile import FloatArray, IntArray
 from sim.engine.batch import Batch, Fresh, arrays_of
 from sim.engine.mission import mission_of
 from sim.engine.monitor import certificate_counters
@@ -39,7 +40,6 @@ from sim.engine.world_state import joined
 from sim.env.patch import CoveragePatch, given_patch
 from sim.env.rows import UAV_METRICS, row_state, row_tables
 from sim.env.settings import Settings, settings_of
-from sim.kernels.compile import FloatArray, IntArray
 from sim.models.ground import TileArray
 from sim.models.randomness import PILOT
 from sim.scenario.types import Scenario

@@ -2,15 +2,15 @@
 
 from typing import Any, NamedTuple
 
-from agents.control.guard import GuardState
-from agents.control.telling import TellingMemory
 from agents.drivers.dispatch import DriverTables
 from agents.drivers.tile_map import GroundMemory
+from agents.estimation.map_updates import TellingMemory
 from agents.laws.dispatch import LawTables
+from agents.safety.decision import GuardState
+from sim.compiling.compile import FloatArray, IntArray
+from sim.compiling.records import RecordArray
 from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rows import UAV_METRICS, RowState, RowTables
-from sim.kernels.compile import FloatArray, IntArray
-from sim.kernels.records import RecordArray
 from sim.models.ground import TileArray
 
 
@@ -23,7 +23,7 @@ class GuardMetrics(NamedTuple):
     bound: float
     """The distance that it bounds [m]."""
     code: float
-    """Why it was not certified: a key of `agents.control.certificate.UNCERTIFIED`, or its `CERTIFIED`."""
+    """Why it was not certified: a key of `agents.safety.trajectories.UNCERTIFIED`, or its `CERTIFIED`."""
 
 
 _FIRST = len(UAV_METRICS)

@@ -4,10 +4,13 @@ The pilots' own functions are called, so a vehicle that is flown in here gets th
 give over the bus. One pass a world, so that its grid stays near the core until the tick is done.
 """
 
-from agents.control.certificate import CERTIFIED as NOTHING_AGAINST
-from agents.control.certificate import INNER
-from agents.control.guard import GuardState, guard
-from agents.control.telling import (
+from agents.drivers.dispatch import driver_command
+from agents.drivers.parameters import DriverInputs
+from agents.drivers.pending_stops import PLAIN, hand_over_stops
+from agents.drivers.tile_map import GroundMemory, note_block, note_tiles
+from agents.estimation.batch_filter import estimate
+from agents.estimation.batch_filter import update as update_estimate
+from agents.estimation.map_updates import (
     BLOCK_TILES,
     block_words,
     next_block,
@@ -15,16 +18,13 @@ from agents.control.telling import (
     telling_of,
     word_state,
 )
-from agents.control.uav_parameters import Target
-from agents.control.uav_tick import uav_perceive
-from agents.control.underway import Underway, hand_over
-from agents.drivers.dispatch import driver_command
-from agents.drivers.parameters import DriverInputs
-from agents.drivers.pending_stops import PLAIN, hand_over_stops
-from agents.drivers.tile_map import GroundMemory, note_block, note_tiles
-from agents.estimation.batch_filter import estimate
-from agents.estimation.batch_filter import update as update_estimate
+from agents.estimation.perception import uav_perceive
 from agents.laws.dispatch import nominal_command
+from agents.safety.decision import GuardState, guard
+from agents.safety.pending import Underway, hand_over
+from agents.safety.trajectories import CERTIFIED as NOTHING_AGAINST
+from agents.safety.trajectories import INNER
+from agents.uav_parameters import Target
 from outrider.envs.closed_loop_state import (
     GUARD_METRICS,
     LoopParameters,
@@ -33,6 +33,8 @@ from outrider.envs.closed_loop_state import (
 )
 from sim.channel.link import begin_tick, receive, send
 from sim.channel.link_records import ARRIVED, Packet
+from sim.compiling.compile import FloatArray, IntArray, compiled, inlined, released
+from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState
 from sim.engine.mission import goals_of, note_claim, receive_block
 from sim.engine.monitor import (
@@ -47,8 +49,6 @@ from sim.engine.monitor import (
 from sim.engine.world_state import Vehicle
 from sim.engine.world_tick import begin_world, measure, world_tick
 from sim.env.rows import UAV_METRICS, advance_rows, observe_rows
-from sim.kernels.compile import FloatArray, IntArray, compiled, inlined, released
-from sim.kernels.records import RecordArray
 from sim.models.field import coverage_gradient, sample
 from sim.models.vehicles import Motion, norm
 

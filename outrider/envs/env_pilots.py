@@ -7,8 +7,8 @@ from typing import Any
 import numpy.typing as npt
 
 from agents.control.orbit import Path as VirtualPath
-from agents.control.telling import BLOCK_TILES, word_state
 from agents.control.weighting import Weighting
+from agents.estimation.map_updates import BLOCK_TILES, word_state
 from agents.uav import UavPilot
 from bus.messages import (
     BLOCK_SIDE,

@@ -6,20 +6,20 @@ from typing import Any, TypeVar, cast
 import msgspec
 import numpy as np
 
-from agents.control.guard import track_ticks
-from agents.control.handover import check_assumptions
-from agents.control.telling import telling_ticks
-from agents.control.uav_parameters import uav_parameters
-from agents.control.visibility import bounds_of
 from agents.drivers.compiled import told_ground, told_route
 from agents.drivers.dispatch import CODES as DRIVER_CODES
 from agents.drivers.dispatch import driver_tables
+from agents.estimation.map_updates import telling_ticks
 from agents.estimation.motion_model import (
     KalmanParameters,
     kalman_parameters,
 )
 from agents.laws.dispatch import CODES, law_tables
 from agents.laws.selection import SelectedLaw
+from agents.safety.decision import track_ticks
+from agents.safety.handover import check_assumptions
+from agents.safety.safety_filter import bounds_of
+from agents.uav_parameters import uav_parameters
 from bus.errors import ScenarioError
 from bus.messages import Law, UavBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
@@ -27,10 +27,10 @@ from bus.ticks import radio_ticks
 from outrider.envs.closed_loop_state import (
     LoopParameters,
 )
+from sim.compiling.records import records
 from sim.engine.briefing import uav_briefing, ugv_briefing
 from sim.env.patch import given_patch
 from sim.env.settings import Settings
-from sim.kernels.records import records
 from sim.models.safety import SafetyBounds
 from sim.scenario.types import Scenario
 

@@ -18,8 +18,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from outrider.envs.worlds import PICTURES, BatchStep, Worlds
+from sim.compiling.compile import FloatArray
 from sim.env.observation import AgentObservation
-from sim.kernels.compile import FloatArray
 from sim.scenario.types import Scenario
 
 

@@ -19,6 +19,7 @@ from bus.observations import GRADIENT, UAV, as_rows
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.closed_loop_state import GUARD_METRICS
 from outrider.envs.pilot_numbers import pilot_names
+from sim.compiling.compile import FloatArray, IntArray
 from sim.engine.mission import mission_numbers
 from sim.env.actions import take_batch
 from sim.env.observation import AgentObservation, ObservationFormat, one_of_world
@@ -27,7 +28,6 @@ from sim.env.seeds import Seeds
 from sim.env.settings import settings_of
 from sim.env.spaces import action_space
 from sim.env.view import BatchRendering
-from sim.kernels.compile import FloatArray, IntArray
 from sim.scenario.loading import given_scenario
 from sim.scenario.types import Scenario
 from sim.world import World

@@ -6,14 +6,14 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from agents.control.uav_parameters import Target, UavParameters, uav_parameters
 from agents.laws.common import CoverageMemory, coverage_velocity_error
+from agents.uav_parameters import Target, UavParameters, uav_parameters
 from bus.law_parameters import law_parameters
 from bus.registry import LAWS, resolve
 from outrider.running.summary import switching_radius_of
+from sim.compiling.compile import FloatArray
+from sim.compiling.records import fresh, records
 from sim.engine.briefing import uav_briefing
-from sim.kernels.compile import FloatArray
-from sim.kernels.records import fresh, records
 from sim.models.field import accumulate, cover, empty_coverage
 from sim.models.randomness import words_of
 from sim.models.vehicles import Motion

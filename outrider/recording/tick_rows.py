@@ -13,7 +13,7 @@ import numpy as np
 
 from bus.messages import EscortTruth, Truth, UavReport, Vector, VehicleTruth
 from outrider.recording.schemas import Commands
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 from sim.server.flight import Flight
 
 Reports = Sequence[UavReport | None]

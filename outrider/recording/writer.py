@@ -27,7 +27,7 @@ from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.schemas import CHANGES, COVERAGE, GROUND, STATUS, head_of
 from outrider.recording.tick_rows import TickTexts
 from outrider.running.assumptions import promise_warnings
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 from sim.scenario.types import Scenario
 from sim.scene.told_tiles import ground_map
 from sim.server.flight import Flight

@@ -10,8 +10,8 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from agents.control.handover import check_assumptions
-from agents.control.visibility import bounds_of
+from agents.safety.handover import check_assumptions
+from agents.safety.safety_filter import bounds_of
 from bus.messages import LinkKind
 from bus.registry import LAWS
 from bus.ticks import DUST

@@ -24,7 +24,7 @@ from sim.channel.link_records import DELAYS, LinkParameters
 from sim.channel.links import first_arrivals
 from sim.channel.recorded import Opportunities, recording_of
 from sim.channel.recorded import found as trace_named
-from sim.kernels.compile import IntArray
+from sim.compiling.compile import IntArray
 from sim.models.safety import SafetyBounds
 from sim.scenario.types import LinkTable, Scenario
 

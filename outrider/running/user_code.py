@@ -15,7 +15,7 @@ from outrider.running.user_modules import find_object
 from sim.input.faults import one_line
 
 if TYPE_CHECKING:
-    from agents.control.uav_policy import UavPolicy
+    from agents.laws.policy import UavPolicy
     from sim.scenario.types import Scenario
 
 
@@ -170,9 +170,9 @@ def check_own_functions(scenario: "Scenario") -> tuple[str, ...]:
     if not own_code(scenario):
         return ()
     from agents.control.orbit import check_path  # noqa: PLC0415 - nobody else needs the laws
-    from agents.control.uav_policy import check_fit  # noqa: PLC0415
     from agents.control.visibility import switching_radius  # noqa: PLC0415
     from agents.control.weighting import check_weighting  # noqa: PLC0415
+    from agents.laws.policy import check_fit  # noqa: PLC0415
     from sim.engine.briefing import uav_briefing  # noqa: PLC0415
 
     weighting = load_function(scenario.custom.weighting, what="custom.weighting")

@@ -14,7 +14,7 @@ from bus.errors import ScenarioError
 from bus.files import writing
 from outrider.recording.reader import Recording, coverages, grounds
 from outrider.recording.refly import external_uavs, from_the_start, restore
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 from sim.scenario.types import NO_UAV
 from sim.scene.colors import (
     COVERED,

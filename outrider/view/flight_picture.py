@@ -14,7 +14,7 @@ from matplotlib.transforms import offset_copy
 from bus.errors import shortened
 from bus.messages import GroundMap
 from outrider import style
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 from sim.scene.drawing import Map, legend_of
 from sim.scene.known import inner_radius, scene_of
 from sim.scene.model import Scene

@@ -20,9 +20,9 @@ from sim.channel.recorded import (
     recording_of,
     trace_faults,
 )
+from sim.compiling.compile import IntArray
 from sim.input.faults import Fault, near
 from sim.input.reading import as_raw, typed
-from sim.kernels.compile import IntArray
 
 KEEPS = ("newest", "oldest")
 """The messages that a full queue keeps."""

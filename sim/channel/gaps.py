@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from sim.channel.description import arrival_share
 from sim.channel.link_records import LinkParameters
-from sim.kernels.compile import FloatArray, IntArray
+from sim.compiling.compile import FloatArray, IntArray
 
 Mask = npt.NDArray[np.bool_]
 

@@ -2,7 +2,7 @@
 
 import math
 
-from sim.kernels.compile import compiled
+from sim.compiling.compile import compiled
 
 UNIFORM, NORMAL, EXPONENTIAL, PARETO = range(4)
 SHAPES = {"uniform": UNIFORM, "normal": NORMAL, "exponential": EXPONENTIAL, "pareto": PARETO}

@@ -48,8 +48,8 @@ from sim.channel.link_records import (
     LinkParameters,
     Packet,
 )
-from sim.kernels.compile import IntArray, compiled, constant
-from sim.kernels.records import RecordArray
+from sim.compiling.compile import IntArray, compiled, constant
+from sim.compiling.records import RecordArray
 from sim.models.randomness import (
     LINK_DELAY,
     LINK_LOSS,

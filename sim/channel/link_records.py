@@ -6,8 +6,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from bus.messages import Vector
-from sim.kernels.compile import IntArray
-from sim.kernels.records import RecordArray, record_type
+from sim.compiling.compile import IntArray
+from sim.compiling.records import RecordArray, record_type
 from sim.models.randomness import WordArray
 
 FLYING, WAITING, ARRIVED = range(3)
@@ -153,7 +153,7 @@ class Packet:
     block: int
     """Number of the block of tiles of a radio message; -1: relative position."""
     tiles: Annotated[IntArray, (4,)]
-    """States of its tiles, from `agents.control.telling.block_words`."""
+    """States of its tiles, from `agents.estimation.map_updates.block_words`."""
     due: int
     """Tick of arrival; -1: has arrived."""
     sent_at: int

@@ -21,8 +21,8 @@ from sim.channel.link_records import (
     reset_links,
 )
 from sim.channel.recorded import RecordedLink
-from sim.kernels.compile import FloatArray, IntArray, compiled, constant
-from sim.kernels.records import RecordArray, fill, record_type
+from sim.compiling.compile import FloatArray, IntArray, compiled, constant
+from sim.compiling.records import RecordArray, fill, record_type
 from sim.models.randomness import Key
 
 PER_TICK = {LinkKind.DETECTIONS: 1, LinkKind.COMMANDS: 1, LinkKind.OPERATOR: 64, LinkKind.RADIO: 8}

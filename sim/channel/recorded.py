@@ -20,8 +20,8 @@ from msgspec import Meta
 
 from bus.errors import ScenarioError
 from bus.messages import LinkSettings, Text
+from sim.compiling.compile import FloatArray, IntArray
 from sim.input.faults import Fault, shown
-from sim.kernels.compile import FloatArray, IntArray
 
 MOST_BYTES = 50 << 20
 """Of a recorded link's file."""

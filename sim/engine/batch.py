@@ -14,6 +14,8 @@ from bus.errors import ScenarioError
 from bus.messages import LinkKind, LinkSettings
 from bus.ticks import first_tick_from
 from sim.channel.description import check_link
+from sim.compiling.compile import IntArray, released
+from sim.compiling.threads import WorkerThreads
 from sim.engine.briefing import safety_parameters, ugv_carries, ugv_delay
 from sim.engine.ground_state import CONSTANTS, GroundState, ground_of
 from sim.engine.run_keys import derive_keys
@@ -27,8 +29,6 @@ from sim.engine.world_state import (
     world_parameters,
 )
 from sim.engine.world_tick import begin_world, world_tick
-from sim.kernels.compile import IntArray, released
-from sim.kernels.threads import WorkerThreads
 from sim.models.motion import no_motions
 from sim.models.randomness import HAZARD_FIELDS
 from sim.scenario.ground_tables import ground_tables, place_fields

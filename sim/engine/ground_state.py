@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sim.kernels.compile import FloatArray, IntArray
-from sim.kernels.records import RecordArray, record_type, records
+from sim.compiling.compile import FloatArray, IntArray
+from sim.compiling.records import RecordArray, record_type, records
 from sim.models.ground import TileArray
 from sim.scenario.ground_tables import ground_tables
 from sim.scenario.types import Scenario, Ugv

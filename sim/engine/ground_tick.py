@@ -7,9 +7,9 @@ arrays are empty, and nothing is done.
 
 import math
 
+from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.engine.ground_state import GroundParameters, GroundState
 from sim.engine.world_state import BatchState, Vehicle, WorldParameters
-from sim.kernels.compile import FloatArray, IntArray, compiled
 from sim.models.field import accumulate
 from sim.models.ground import (
     BLOCK,

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages import BLOCK_SIDE, MissionResult, UgvGuarantee
+from sim.compiling.compile import FloatArray, IntArray, compiled
+from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState, TickArray
 from sim.engine.world_state import BatchState, BatchTables
-from sim.kernels.compile import FloatArray, IntArray, compiled
-from sim.kernels.records import RecordArray
 from sim.models.ground import (
     BLOCK,
     CERTIFIED,

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.kernels.compile import compiled
-from sim.kernels.records import RecordArray, record_type
+from sim.compiling.compile import compiled
+from sim.compiling.records import RecordArray, record_type
 from sim.models.motion import waited
 from sim.models.safety import SafetyBounds
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from bus.registry import SENSORS
 from bus.ticks import MOST_TICKS
+from sim.compiling.compile import FloatArray, IntArray
+from sim.compiling.records import RecordArray, record_type, records
 from sim.engine.briefing import monitored_bounds, ugv_carries
-from sim.kernels.compile import FloatArray, IntArray
-from sim.kernels.records import RecordArray, record_type, records
 from sim.models.field import cover, empty_coverage
 from sim.models.inner_loop import TrackingRecord
 from sim.models.randomness import RUN_PURPOSES, WordArray

@@ -6,12 +6,12 @@ import numpy as np
 
 from sim.channel.link import begin_tick, receive, send
 from sim.channel.link_records import ARRIVED
+from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
+from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState
 from sim.engine.ground_tick import drive_on, keep_before, perceive_ground
 from sim.engine.mission import note_mission
 from sim.engine.world_state import BatchState, BatchTables, Vehicle, WorldParameters
-from sim.kernels.compile import FloatArray, IntArray, compiled, inlined
-from sim.kernels.records import RecordArray
 from sim.models.detection import detect
 from sim.models.field import accumulate, accumulate_with_gain, coverage_error
 from sim.models.inner_loop import step_error

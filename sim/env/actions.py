@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 
 LARGEST = 1e6
 """Larger components are nonsense [m/s²]; the same limit as on the bus."""

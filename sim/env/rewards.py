@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from sim.kernels.compile import compiled
+from sim.compiling.compile import compiled
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,13 +9,13 @@ import numpy as np
 
 from bus.observations import GRADIENT, UAV, UGV, record_type
 from sim.channel.link_records import ARRIVED
+from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
+from sim.compiling.records import RecordArray, columns, records
 from sim.engine.ground_state import GroundState
 from sim.engine.mission import goals_of
 from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rewards import RewardWeights, UavTerms, full_error, uav_terms, ugv_terms
 from sim.env.settings import Settings
-from sim.kernels.compile import FloatArray, IntArray, compiled, inlined
-from sim.kernels.records import RecordArray, columns, records
 from sim.models.vehicles import next_goal, norm
 from sim.scenario.types import Scenario, Uav
 

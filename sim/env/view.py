@@ -16,8 +16,8 @@ import numpy.typing as npt
 from bus.errors import OutriderError
 from bus.messages import HazardOutline, Vector
 from bus.plugins import needs
+from sim.compiling.compile import FloatArray, IntArray
 from sim.engine.batch import Batch
-from sim.kernels.compile import FloatArray, IntArray
 from sim.scene.known import scene_of
 from sim.scene.told_tiles import ground_map
 from sim.world import World

@@ -2,7 +2,7 @@
 
 import math
 
-from sim.kernels.compile import compiled
+from sim.compiling.compile import compiled
 from sim.models.randomness import (
     DETECTION_CHANCE,
     DETECTION_NOISE,

@@ -14,9 +14,9 @@ from importlib import import_module
 import numpy as np
 
 from bus.registry import SENSORS
-from sim.kernels.compile import FloatArray, IntArray, compiled
-from sim.kernels.dispatch import choice
-from sim.kernels.lanes import LANES, lane_sum, widened
+from sim.compiling.compile import FloatArray, IntArray, compiled
+from sim.compiling.dispatch import choice
+from sim.compiling.lanes import LANES, lane_sum, widened
 from sim.models.randomness import NEAREST_POINT, Key, uniform
 
 _SENSORS = tuple(import_module(row.module) for row in SENSORS.values())

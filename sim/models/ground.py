@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from bus.messages import BLOCK_SIDE, TILE_LETTERS
 from bus.registry import HAZARDS
-from sim.kernels.compile import FloatArray, compiled
-from sim.kernels.records import RecordArray
+from sim.compiling.compile import FloatArray, compiled
+from sim.compiling.records import RecordArray
 from sim.models.vehicles import norm
 
 TileArray = npt.NDArray[np.uint8]

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.kernels.compile import FloatArray, IntArray, compiled
-from sim.kernels.records import RecordArray
+from sim.compiling.compile import FloatArray, IntArray, compiled
+from sim.compiling.records import RecordArray
 from sim.models.ground import (
     BLOCK,
     CLEAR,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.kernels.compile import FloatArray, compiled
+from sim.compiling.compile import FloatArray, compiled
 from sim.models.vehicles import clip_norm
 
 _ENOUGH = 1e-6

@@ -12,8 +12,8 @@ import msgspec
 import numpy as np
 
 from bus.messages import BackupTrajectory, Vector
-from sim.kernels.compile import compiled
-from sim.kernels.records import RecordArray, records
+from sim.compiling.compile import compiled
+from sim.compiling.records import RecordArray, records
 from sim.models.vehicles import brake
 
 NO_MOTION = -1

@@ -12,7 +12,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from sim.kernels.compile import compiled, constant
+from sim.compiling.compile import compiled, constant
 
 Key = tuple[np.uint64, np.uint64]
 """Of draws. A vehicle's process is told one, its pilot's; the simulator knows the others."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from bus.messages import SafetyParameters, or_infinite
 from bus.ticks import first_tick_from, ticks_within
-from sim.kernels.compile import compiled
+from sim.compiling.compile import compiled
 
 
 class SafetyBounds(NamedTuple):
@@ -31,7 +31,7 @@ class SafetyBounds(NamedTuple):
     max_tracking_error: float
     """w: largest distance of the UAV from its reference position [m]."""
     radius: float
-    """r_v [m], less margin, w and the sagitta of a tick; `agents.control.handover.certificate` takes 10 µm off."""
+    """r_v [m], less margin, w and the sagitta of a tick; `agents.safety.handover.certificate` takes 10 µm off."""
     max_measurement_age: float
     """A: largest age of the newest measurement [s]."""
     max_age_ticks: int

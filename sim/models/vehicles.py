@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from sim.kernels.compile import FloatArray, compiled
+from sim.compiling.compile import FloatArray, compiled
 
 
 class Motion(NamedTuple):

@@ -9,7 +9,7 @@ n is normal in each axis: the exact sampling of an Ornstein-Uhlenbeck process.
 import math
 from typing import NamedTuple
 
-from sim.kernels.compile import compiled
+from sim.compiling.compile import compiled
 from sim.models.inner_loop import TrackingRecord
 from sim.models.randomness import FIRST, GUST, OWN_POSITION, Key, cut_normal_vector
 from sim.models.vehicles import clip_norm

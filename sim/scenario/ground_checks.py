@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 
 from bus.registry import CAUTIONS, DRIVERS, HAZARDS, TOUCHES
+from sim.compiling.compile import FloatArray, IntArray
 from sim.input.faults import Fault, unknown_name
-from sim.kernels.compile import FloatArray, IntArray
 from sim.models.ground import BLOCK, crosses_hazard, hazard_at, tile_index
 from sim.scenario.ground_tables import (
     corner_bounds,

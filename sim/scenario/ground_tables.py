@@ -9,8 +9,8 @@ import numpy as np
 
 from bus.messages import Vector
 from bus.registry import DRIVERS, HAZARDS
-from sim.kernels.compile import FloatArray, IntArray
-from sim.kernels.records import RecordArray, records
+from sim.compiling.compile import FloatArray, IntArray
+from sim.compiling.records import RecordArray, records
 from sim.models.ground import CLEAR, HazardRow, TileArray, fill_tiles, tile_index, tiles_shape
 from sim.models.hazard_fields import HazardFieldRow, place_hazards, work_array
 from sim.models.randomness import Key

@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Ellipse
 
 from bus.messages import GroundMap
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 from sim.scene.colors import COVERED, ESTIMATE, INK, MUTED, RULE, UAV, UGV
 from sim.scene.hazards import DrawnGround, legend_of_ground
 from sim.scene.model import Point, Ring, Scene

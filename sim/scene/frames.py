@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from bus.messages import GroundMap
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 from sim.scene.colors import COVERED, LIMIT, MUTED
 from sim.scene.drawing import DPI, Estimate, Map, key, legend_of, look
 from sim.scene.model import Scene

@@ -4,6 +4,7 @@ import math
 from collections import Counter
 
 from bus.messages import CertificateStatus, UavCommand
+from sim.compiling.records import RecordArray, records
 from sim.engine.briefing import monitored_bounds
 from sim.engine.monitor import (
     certificate_counters,
@@ -12,7 +13,6 @@ from sim.engine.monitor import (
     record_tracking_error,
     reset_filter,
 )
-from sim.kernels.records import RecordArray, records
 from sim.models.safety import SafetyBounds
 from sim.scenario.types import Scenario, Uav
 

@@ -32,7 +32,7 @@ from bus.messages import (
     VehicleTruth,
 )
 from bus.ticks import radio_ticks, tick_of
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 from sim.models.ground import UNSEEN
 from sim.scenario.types import NO_UAV, Scenario, Uav
 from sim.server.answers import Answers

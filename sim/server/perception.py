@@ -21,7 +21,7 @@ from bus.messages import (
     UgvObservation,
     Vector,
 )
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 from sim.world import World
 
 

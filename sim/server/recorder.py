@@ -12,11 +12,11 @@ import numpy as np
 
 from bus.messages import UavReport
 from sim.channel.link_records import ARRIVED
+from sim.compiling.compile import FloatArray, compiled
+from sim.compiling.records import RecordArray, record_type
 from sim.engine.monitor import NEVER, ArrivalRecord
 from sim.engine.world_state import BatchState, BatchTables
 from sim.engine.world_tick import measure
-from sim.kernels.compile import FloatArray, compiled
-from sim.kernels.records import RecordArray, record_type
 from sim.server.row_store import RowStore
 from sim.world import World
 

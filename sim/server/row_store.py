@@ -8,7 +8,7 @@ from typing import IO
 
 import numpy as np
 
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 
 
 class RowStore:

@@ -25,7 +25,7 @@ from outrider_falsify.conditions import (
     spec_radius,
 )
 from outrider_falsify.tick_distance import largest_in_tick
-from sim.kernels.records import RecordArray
+from sim.compiling.records import RecordArray
 from sim.models.safety import SafetyBounds
 
 OUTWARD, SPHERE = INNERS.outward, ERRORS.sphere

@@ -28,8 +28,8 @@ from outrider_fmi.export import export_vehicle, export_world
 from outrider_fmi.vehicle_unit import VehicleUnit
 from outrider_fmi.world_unit import WorldUnit
 from refusals import refused
+from sim.compiling.compile import FloatArray
 from sim.engine.briefing import briefing
-from sim.kernels.compile import FloatArray
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight

@@ -11,8 +11,8 @@ from bus.registry import LAWS
 from outrider.experiments.intervals import interquartile_interval
 from outrider_learning.suite.scoring import Entry, Result, evaluate, score_interval
 from outrider_learning.suite.tasks import NO_ESCORT, SEEDS, Suite, Task, suite
+from sim.compiling.threads import cores
 from sim.engine.run_keys import check_secret, new_secret
-from sim.kernels.threads import cores
 
 BASELINES = tuple(law.name for law in LAWS.values() if law.compared)
 """The entries that are always there to beat."""

@@ -15,12 +15,12 @@ from outrider.envs.pilot_numbers import pilot_names
 from outrider.envs.worlds import Worlds
 from outrider.experiments.intervals import mean_interval
 from outrider_learning.suite.tasks import SEEDS, Task
+from sim.compiling.compile import FloatArray
 from sim.engine.run_keys import check_secret, derive_secret, new_secret
 from sim.engine.world_state import first_coverage
 from sim.env.rows import UAV_METRICS
 from sim.env.seeds import Seeds
 from sim.env.settings import BatchPolicy
-from sim.kernels.compile import FloatArray
 from sim.models.field import coverage_error
 from sim.scenario.types import Scenario
 

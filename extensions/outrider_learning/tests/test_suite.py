@@ -18,10 +18,10 @@ from outrider_learning.suite.board import BASELINES, leaderboard, middle_cell
 from outrider_learning.suite.scoring import Team, evaluate
 from outrider_learning.suite.tasks import SEEDS, TASKS, Suite, Task, suite
 from refusals import refused
+from sim.compiling.compile import FloatArray
 from sim.engine.briefing import briefing
 from sim.engine.run_keys import derive_secret
 from sim.engine.world_state import first_coverage
-from sim.kernels.compile import FloatArray
 from sim.models.field import coverage_error
 from sim.scenario.checks import scenario_warnings
 from sim.server.flight import Flight

@@ -1,6 +1,6 @@
 """Sensor `hill`, that of the paper."""
 
-from sim.kernels.compile import compiled
+from sim.compiling.compile import compiled
 
 
 @compiled

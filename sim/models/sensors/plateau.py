@@ -1,6 +1,6 @@
 r"""Sensor `plateau`, which sees well over most of its disc: $S_a = M_a (1 - \rho^4/r^4)^2$ inside r, 0 outside."""
 
-from sim.kernels.compile import compiled
+from sim.compiling.compile import compiled
 
 
 @compiled

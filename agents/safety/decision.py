@@ -14,7 +14,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.control.certificate import (
+from agents.safety.discs import (
+    MOST_KEPT,
+    NEVER,
+    certified_distance,
+    keep_detection,
+    newest_detection,
+    no_detections,
+)
+from agents.safety.pending import (
+    Underway,
+    begin_underway,
+    check_rest,
+    doubt,
+    due_end,
+    is_expected,
+    send_motion,
+    take_observation,
+    take_rest,
+    underway,
+)
+from agents.safety.trajectories import (
     BEST_EFFORT,
     CERTIFIED,
     CONTRADICTED,
@@ -27,28 +47,8 @@ from agents.control.certificate import (
     contradicts_plan,
     safe_control,
 )
-from agents.control.discs import (
-    MOST_KEPT,
-    NEVER,
-    certified_distance,
-    keep_detection,
-    newest_detection,
-    no_detections,
-)
-from agents.control.underway import (
-    Underway,
-    begin_underway,
-    check_rest,
-    doubt,
-    due_end,
-    is_expected,
-    send_motion,
-    take_observation,
-    take_rest,
-    underway,
-)
-from sim.kernels.compile import compiled
-from sim.kernels.records import RecordArray, record_type
+from sim.compiling.compile import compiled
+from sim.compiling.records import RecordArray, record_type
 from sim.models.motion import NO_MOTION, clear_motions, no_motions
 from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion, within_walls

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.messages import BLOCK_SIDE, TILE_LETTERS, GroundBlock, SeenTile, UavBriefing
-from sim.kernels.compile import IntArray, compiled, inlined
+from sim.compiling.compile import IntArray, compiled, inlined
 from sim.models.ground import TileArray, block_letters, tiles_shape
 
 _REPEATS = 3

@@ -12,7 +12,7 @@ All positions in the world's frame [m], times in ticks, speeds [m/s], accelerati
 import math
 from typing import NamedTuple
 
-from agents.control.discs import (
+from agents.safety.discs import (
     MARGIN,
     Disc,
     disc_of,
@@ -22,9 +22,9 @@ from agents.control.discs import (
     newest_detection,
     radius_at,
 )
-from agents.control.handover import REST, ROUNDING, rest_to_rest
-from sim.kernels.compile import compiled
-from sim.kernels.records import RecordArray
+from agents.safety.handover import REST, ROUNDING, rest_to_rest
+from sim.compiling.compile import compiled
+from sim.compiling.records import RecordArray
 from sim.models.safety import SafetyBounds
 from sim.models.vehicles import (
     Motion,
@@ -73,7 +73,7 @@ UNCERTIFIED = {
     OUTAGE: "no motion can begin within what is declared of the one that is flown: commands are lost (outage > B)",
     UNCHECKED_MOTION: "the UAV flies, or may begin, a motion that was not checked from where it is",
 }
-"""Why a tick is not certified, by the code that `agents.control.guard.guard` gives."""
+"""Why a tick is not certified, by the code that `agents.safety.decision.guard` gives."""
 
 
 class Known(NamedTuple):

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.control.certificate import BEST_EFFORT, end_disc, rest_radius, set_end, step_in_area
-from agents.control.discs import AS_EXPECTED, Disc
+from agents.safety.discs import AS_EXPECTED, Disc
+from agents.safety.trajectories import BEST_EFFORT, end_disc, rest_radius, set_end, step_in_area
 from bus.messages import MOST_CARRIED
-from sim.kernels.compile import compiled
-from sim.kernels.records import RecordArray, record_type
+from sim.compiling.compile import compiled
+from sim.compiling.records import RecordArray, record_type
 from sim.models.motion import (
     NO_CHECKED,
     clear_motions,

@@ -1,6 +1,6 @@
 """Sums of eight interleaved partial sums, which the compiler turns into vector instructions."""
 
-from sim.kernels.compile import FloatArray, compiled
+from sim.compiling.compile import FloatArray, compiled
 
 LANES = 8
 """Number of partial sums, and of cells in a block."""

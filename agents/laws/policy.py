@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.asking import LARGEST, AskedPolicy, pair
-from agents.control.uav_parameters import UavParameters
+from agents.uav_parameters import UavParameters
 from bus.errors import ScenarioError
 from bus.messages import UavBriefing, UavObservation, Vector
 from bus.observations import GRADIENT, UAV, Row, clipped
 from bus.ticks import Look, looks_of
-from sim.kernels.compile import FloatArray
+from sim.compiling.compile import FloatArray
 from sim.models.field import coverage_gradient, sample
 
 UavPolicy = Callable[[Any], object]

@@ -1,10 +1,10 @@
 """Perception of the UAVs of a batch, compiled."""
 
-from agents.control.guard import GuardState, note_detection, note_position
-from agents.control.uav_parameters import UavParameters
+from agents.safety.decision import GuardState, note_detection, note_position
+from agents.uav_parameters import UavParameters
 from bus.ticks import Look
-from sim.kernels.compile import FloatArray, compiled
-from sim.kernels.records import columns
+from sim.compiling.compile import FloatArray, compiled
+from sim.compiling.records import columns
 from sim.models.field import accumulate
 from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion

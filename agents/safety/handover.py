@@ -9,9 +9,9 @@ import functools
 import math
 from collections.abc import Callable
 
-from agents.control.discs import AS_EXPECTED, MARGIN, MOST_KEPT, lens_distance
+from agents.safety.discs import AS_EXPECTED, MARGIN, MOST_KEPT, lens_distance
 from bus.ticks import ticks_within
-from sim.kernels.compile import compiled
+from sim.compiling.compile import compiled
 from sim.models.safety import SafetyBounds
 
 ROUNDING = 1e-12

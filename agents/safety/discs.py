@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.kernels.compile import compiled
-from sim.kernels.records import RecordArray, record_type
+from sim.compiling.compile import compiled
+from sim.compiling.records import RecordArray, record_type
 from sim.models.safety import SafetyBounds
 from sim.models.vehicles import norm
 
