@@ -14,7 +14,7 @@ from agents.drivers.policy import Policy
 from bus.access import Credential
 from bus.errors import BusError, PeerLost, ScenarioError
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, SIMULATOR_NAME, Party, Role
-from bus.messages import Command, UavBriefing, UavObservation, UgvBriefing, UgvObservation
+from bus.messages.vehicle import Command, UavBriefing, UavObservation, UgvBriefing, UgvObservation
 from bus.presence import Presence
 from bus.registry import DEFAULT_DRIVER, TELEOP
 from bus.session import Envelope, Outbox, Session, open_session

@@ -14,15 +14,14 @@ from agents.laws.selection import SelectedLaw
 from agents.safety.safety_filter import SafetyFilter, Verdict
 from agents.uav_parameters import uav_parameters
 from bus.errors import ScenarioError
-from bus.messages import (
-    LONGEST_TEXT,
-    Law,
+from bus.messages.base import LONGEST_TEXT, Vector
+from bus.messages.scenario import Law
+from bus.messages.vehicle import (
     RelativeInformation,
     UavBriefing,
     UavCommand,
     UavObservation,
     UavReport,
-    Vector,
 )
 from bus.ticks import looks_of, radio_ticks
 from sim.compiling.compile import FloatArray

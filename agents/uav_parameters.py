@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from agents.safety.safety_filter import bounds_of
 from bus.errors import ScenarioError
-from bus.messages import UavBriefing
+from bus.messages.vehicle import UavBriefing
 from bus.registry import SENSORS
 from sim.models.vehicles import raw_switching_radius
 

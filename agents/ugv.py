@@ -7,7 +7,13 @@ from typing import Protocol
 from agents.drivers.compiled import CompiledDriver, NavigateDriver
 from agents.drivers.policy import Policy, PolicyDriver
 from bus.errors import ScenarioError
-from bus.messages import BackupTrajectory, UgvBriefing, UgvCommand, UgvObservation, UgvReport
+from bus.messages.vehicle import (
+    BackupTrajectory,
+    UgvBriefing,
+    UgvCommand,
+    UgvObservation,
+    UgvReport,
+)
 from bus.registry import DRIVERS, resolve
 
 

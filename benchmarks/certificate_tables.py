@@ -18,7 +18,7 @@ from multiprocessing import get_context
 from markdown_tables import head, print_chosen
 
 from agents.safety.handover import certificate, certified_radius, largest_age
-from bus.messages import SafetyParameters
+from bus.messages.scenario import SafetyParameters
 from bus.profiles import PROFILES
 from outrider.running.flying import InProcess, make_pilots
 from outrider_falsify.attack import attack

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bus.messages import LinkSettings
+from bus.messages.links import LinkSettings
 from bus.profiles import PROFILES
 from bus.ticks import ticks_within
 from outrider.experiments.intervals import wilson_interval

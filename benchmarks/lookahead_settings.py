@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import track
 
 from bus.law_parameters import law_parameters
-from bus.messages import Law
+from bus.messages.scenario import Law
 from outrider.envs.closed_loop import ClosedLoop
 from sim.scenario.loading import load_scenario
 

@@ -16,7 +16,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from bus.messages import LinkSettings, MissionResult
+from bus.messages.links import LinkSettings
+from bus.messages.telemetry import MissionResult
 from bus.profiles import PROFILES
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.style import INK, LIMIT, UGV, law_color, new_figure, save

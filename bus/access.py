@@ -35,7 +35,7 @@ from bus.keys import (
     token,
     written_by,
 )
-from bus.messages import Name
+from bus.messages.base import Name
 from bus.roles import RESERVED, Roles, named_roles, own_grants, party_of, roles_among
 
 _PASSWORD_BYTES = 24

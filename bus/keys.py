@@ -9,14 +9,12 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from bus.errors import AccessDenied
-from bus.messages import (
-    Control,
-    CoverageMap,
+from bus.messages.base import Message
+from bus.messages.control import Control
+from bus.messages.ground import GroundMap
+from bus.messages.telemetry import CoverageMap, Status, Truth
+from bus.messages.vehicle import (
     Drive,
-    GroundMap,
-    Message,
-    Status,
-    Truth,
     UavBriefing,
     UavCommand,
     UavObservation,

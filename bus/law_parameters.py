@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from bus.errors import ScenarioError
-from bus.messages import Law, LawNumber
+from bus.messages.scenario import Law, LawNumber
 from bus.registry import LAWS
 
 

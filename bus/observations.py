@@ -14,7 +14,8 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from bus.messages import Area, Detection, UavObservation, UgvObservation
+from bus.messages.scenario import Area
+from bus.messages.vehicle import Detection, UavObservation, UgvObservation
 
 _Class = TypeVar("_Class", bound=type)
 

@@ -7,7 +7,7 @@ an independent simulator. Delays shorter than a tick arrive at the next tick, so
 of one tick.
 """
 
-from bus.messages import LinkSettings
+from bus.messages.links import LinkSettings
 
 PROFILES: dict[str, LinkSettings] = {
     # Nothing happens to anything.

@@ -11,7 +11,7 @@ import zenoh
 
 from bus.errors import BusError
 from bus.keys import Key
-from bus.messages import LONGEST_TEXT, Message
+from bus.messages.base import LONGEST_TEXT, Message
 
 _LOG = logging.getLogger("outrider.bus")
 WAKE_PERIOD = 0.1

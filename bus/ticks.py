@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from bus.messages import Detection, RelativeInformation
+from bus.messages.vehicle import Detection, RelativeInformation
 
 NO_TICK = -1
 """In place of a tick: a time stamp that is none of a tick."""

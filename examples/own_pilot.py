@@ -5,7 +5,7 @@ Start `outrider simulator` and `outrider ugv` in two terminals, and this file in
 
 from agents.process import fly
 from bus.keys import Party, Role
-from bus.messages import UavCommand
+from bus.messages.vehicle import UavCommand
 
 
 class Hover:

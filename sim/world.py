@@ -8,18 +8,10 @@ from typing import Self
 
 import numpy as np
 
-from bus.messages import (
-    TILE_LETTERS,
-    BackupTrajectory,
-    CoverageMap,
-    Detection,
-    GroundBlock,
-    LinkKind,
-    LinkSettings,
-    MissionResult,
-    SeenTile,
-    UgvReport,
-)
+from bus.messages.ground import TILE_LETTERS, GroundBlock, SeenTile
+from bus.messages.links import LinkKind, LinkSettings
+from bus.messages.telemetry import CoverageMap, MissionResult
+from bus.messages.vehicle import BackupTrajectory, Detection, UgvReport
 from sim.channel.link_records import ARRIVED
 from sim.channel.links import Links
 from sim.compiling.compile import FloatArray, IntArray

@@ -19,7 +19,8 @@ from agents.estimation.motion_model import (
     strayed_distance,
     supposed_acceleration,
 )
-from bus.messages import Detection, Detector, Estimator, Limits
+from bus.messages.scenario import Detector, Estimator, Limits
+from bus.messages.vehicle import Detection
 from bus.ticks import Look, looks_of
 from seeded import a_key
 from sim.compiling.compile import released

@@ -13,14 +13,11 @@ from agents.process import Pilot
 from agents.safety.handover import certificate
 from agents.uav_parameters import Target, UavParameters, uav_parameters
 from bus.law_parameters import law_parameters
-from bus.messages import (
-    Area,
+from bus.messages.scenario import Area, Law, Limits, SafetyParameters
+from bus.messages.vehicle import (
     Command,
     Detection,
-    Law,
-    Limits,
     Observation,
-    SafetyParameters,
     UavBriefing,
     UavObservation,
     UgvBriefing,

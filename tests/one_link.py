@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from bus.messages import LinkKind, LinkSettings, LinkStatus
+from bus.messages.links import LinkKind, LinkSettings, LinkStatus
 from sim.channel.links import Links
 from sim.channel.recorded import RecordedLink
 from sim.models.randomness import Key

@@ -13,7 +13,8 @@ from typing import Any
 
 from bus.access import read_credential
 from bus.keys import CONTROL, STATUS, Role
-from bus.messages import Action, Control, Status
+from bus.messages.control import Action, Control
+from bus.messages.telemetry import Status
 from bus.session import Session, open_session
 from outrider.running import launch
 from outrider.running.flying import fly

@@ -3,7 +3,8 @@
 from types import SimpleNamespace
 from typing import Any
 
-from bus.messages import EscortTruth, Status, Truth, UavReport, VehicleStatus, VehicleTruth
+from bus.messages.telemetry import EscortTruth, Status, Truth, VehicleStatus, VehicleTruth
+from bus.messages.vehicle import UavReport
 
 PRESENT = {name: VehicleStatus(present=True) for name in ("uav_0", "ugv_0")}
 """Both vehicles of an escort, for a status."""

@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 
 from agents.process import Pilot
 from agents.uav import UavPilot
-from bus.messages import Law, UavCommand, UavObservation, UavReport
+from bus.messages.scenario import Law
+from bus.messages.vehicle import UavCommand, UavObservation, UavReport
 from flights import R_V, Piloted, altered, escort
 from outrider.cli import replay
 from outrider.cli.console import OUT, print_summary

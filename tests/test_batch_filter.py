@@ -10,7 +10,7 @@ import pytest
 from agents.estimation.batch_filter import estimate, estimator_rows, update
 from agents.estimation.estimator import RelativeEstimator
 from agents.estimation.motion_model import KalmanParameters, cut_variance, kalman_parameters
-from bus.messages import Detector, Estimator, Limits
+from bus.messages.scenario import Detector, Estimator, Limits
 from bus.ticks import Look
 from filters import FREE, UGV, straying
 from sim.compiling.compile import released

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.control.coverage import border_distance, coverage_control, keep_off_border
-from bus.messages import Area, Law, Sensor
+from bus.messages.scenario import Area, Law, Sensor
 from flights import DT, R_V, U_A, V_A, errors, escort, tracks
 from outrider.running.flying import fly
 from properties import PROPERTY

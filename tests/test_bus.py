@@ -25,7 +25,8 @@ from bus.keys import (
     check_run_name,
     check_writes,
 )
-from bus.messages import Message, UavCommand, UgvCommand
+from bus.messages.base import Message
+from bus.messages.vehicle import UavCommand, UgvCommand
 from bus.session import Envelope, Session, open_session
 from mutations import real_messages
 from processes import python

@@ -5,7 +5,9 @@ import math
 import pytest
 
 from agents.uav import UavPilot
-from bus.messages import Law, LinkKind, LinkSettings, UavObservation
+from bus.messages.links import LinkKind, LinkSettings
+from bus.messages.scenario import Law
+from bus.messages.vehicle import UavObservation
 from outrider.running.flying import InProcess, make_pilots
 from sim.engine.briefing import briefing
 from sim.scenario.loading import load_scenario

@@ -35,7 +35,7 @@ from bus.certificates import (
 )
 from bus.errors import AccessDenied
 from bus.keys import COMMAND, Role
-from bus.messages import UavCommand
+from bus.messages.vehicle import UavCommand
 from bus.session import open_session
 from processes import free_port
 from staging import client_of, hosted, raw_session

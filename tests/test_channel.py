@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from bus.errors import ScenarioError
-from bus.messages import LinkSettings, LinkStatus
+from bus.messages.links import LinkSettings, LinkStatus
 from bus.profiles import PROFILES
 from one_link import OneLink
 from properties import PROPERTY

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from bus.errors import ScenarioError
-from bus.messages import Law, LinkKind
+from bus.messages.links import LinkKind
+from bus.messages.scenario import Law
 from bus.profiles import PROFILES
 from flights import altered
 from outrider.envs.closed_loop import ClosedLoop

@@ -17,7 +17,7 @@ from agents.control.coverage import (
 )
 from agents.laws.common import coverage_term
 from agents.uav import UavPilot
-from bus.messages import Area, Law, Sensor
+from bus.messages.scenario import Area, Law, Sensor
 from bus.registry import SENSORS
 from flights import (
     DESIRED,

@@ -26,17 +26,10 @@ import msgspec
 import pytest
 
 from bus.keys import CONTROL, OPERATOR, SAMPLED_TRUTH, STATUS, Party, Role
-from bus.messages import (
-    Action,
-    Area,
-    Control,
-    Drive,
-    Geometry,
-    Status,
-    Truth,
-    VehicleStatus,
-    VehicleTruth,
-)
+from bus.messages.control import Action, Control
+from bus.messages.scenario import Area
+from bus.messages.telemetry import Geometry, Status, Truth, VehicleStatus, VehicleTruth
+from bus.messages.vehicle import Drive
 from bus.session import Session, open_session
 from outrider.view.terminal.canvas import Canvas
 from outrider.view.terminal.palette import BACKGROUND

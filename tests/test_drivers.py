@@ -25,17 +25,9 @@ from agents.drivers.policy import PolicyDriver
 from agents.drivers.teleop import TeleopDriver
 from agents.ugv import Driver, UgvPilot
 from bus.errors import ScenarioError
-from bus.messages import (
-    Area,
-    Drive,
-    Limits,
-    RelativeInformation,
-    ScriptStep,
-    UgvBriefing,
-    UgvCommand,
-    UgvGround,
-    UgvObservation,
-)
+from bus.messages.ground import UgvGround
+from bus.messages.scenario import Area, Limits, ScriptStep
+from bus.messages.vehicle import Drive, RelativeInformation, UgvBriefing, UgvCommand, UgvObservation
 from bus.registry import DRIVERS as REGISTERED
 from bus.ticks import tick_of
 from flights import DT, R_V, U_G, V_A, V_G, distances, told_ugv

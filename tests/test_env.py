@@ -13,7 +13,8 @@ from gymnasium.error import ResetNeeded
 from pettingzoo.utils.conversions import aec_to_parallel, parallel_to_aec
 
 from bus.errors import ScenarioError
-from bus.messages import Area, UavBriefing, UgvBriefing
+from bus.messages.scenario import Area
+from bus.messages.vehicle import UavBriefing, UgvBriefing
 from outrider.envs.parallel import OutriderEnv, parallel_env
 from sim.engine.briefing import briefing
 from sim.env.spaces import FREE_ACCELERATION, extent_of

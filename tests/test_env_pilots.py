@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from agents.estimation.estimator import RelativeEstimator
-from bus.messages import Law
+from bus.messages.scenario import Law
 from bus.observations import UAV, by_name, uav_observation
 from bus.ticks import looks_of
 from flights import escort, flown_in_both, pairs, record, sha256

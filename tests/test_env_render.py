@@ -9,7 +9,7 @@ import pytest
 from matplotlib.colors import to_rgb
 
 from bus.errors import OutriderError
-from bus.messages import Area, Law
+from bus.messages.scenario import Area, Law
 from flights import pairs
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.messages import Region
+from bus.messages.scenario import Region
 from bus.observations import (
     SYMBOLS,
     TABLES,

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from agents.estimation.motion_model import acceleration_deviation as deviation_of
 from agents.estimation.motion_model import cut_variance, process_noise
-from bus.messages import Estimator, Limits
+from bus.messages.scenario import Estimator, Limits
 from bus.ticks import Look
 from filters import (
     DT,

@@ -11,7 +11,8 @@ from scipy.stats import chi2
 
 from agents.estimation.estimator import RelativeEstimator
 from agents.estimation.motion_model import SPAN, history_depth
-from bus.messages import Detection, Detector, Estimator, Limits
+from bus.messages.scenario import Detector, Estimator, Limits
+from bus.messages.vehicle import Detection
 from bus.ticks import looks_of
 from filters import (
     DT,

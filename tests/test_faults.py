@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.messages import Status
+from bus.messages.telemetry import Status
 from outrider import style
 from outrider.cli import scenarios
 from outrider.running import launch

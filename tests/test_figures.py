@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import reference_field as reference
-from bus.messages import Law
+from bus.messages.scenario import Law
 from flights import DESIRED, DT, R_S, R_V, R
 from outrider.experiments import paper_figures
 from outrider.experiments.claims import (

@@ -27,7 +27,7 @@ from bus.keys import (
     Party,
     Role,
 )
-from bus.messages import UavCommand, UgvCommand
+from bus.messages.vehicle import UavCommand, UgvCommand
 from bus.session import Inbox, Session, open_session
 from mutations import REFUSALS, mutated
 from staging import stage

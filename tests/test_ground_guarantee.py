@@ -4,7 +4,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.messages import GroundBlock, MissionResult, UgvReport
+from bus.messages.ground import GroundBlock
+from bus.messages.telemetry import MissionResult
+from bus.messages.vehicle import UgvReport
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env

@@ -16,7 +16,7 @@ from worlds import small
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 
 from bus.keys import GROUND, Role
-from bus.messages import GroundMap
+from bus.messages.ground import GroundMap
 from observed import recorded
 from outrider.cli import console
 from outrider.envs.env_pilots import pilots

@@ -23,13 +23,9 @@ from agents.safety.trajectories import (
     UNCERTIFIED,
     UNCHECKED_MOTION,
 )
-from bus.messages import (
-    MOST_CARRIED,
-    Area,
-    LinkSettings,
-    SafetyParameters,
-    UavBriefing,
-)
+from bus.messages.links import LinkSettings
+from bus.messages.scenario import Area, SafetyParameters
+from bus.messages.vehicle import MOST_CARRIED, UavBriefing
 from flights import DT, PROMISED, U_A, certified, escort, told, uav_sees
 from sim.engine.batch import arrays_of
 from sim.models.vehicles import Motion

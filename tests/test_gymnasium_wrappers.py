@@ -19,7 +19,7 @@ from gymnasium.wrappers import (
 
 import outrider
 from agents.drivers.policy import UgvRows
-from bus.messages import UgvObservation
+from bus.messages.vehicle import UgvObservation
 from outrider.envs.parallel import parallel_env
 from outrider.envs.vector import OutriderVectorEnv, vector_env
 from sim.scenario.loading import load_scenario

@@ -7,16 +7,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.messages import (
-    Action,
-    Control,
-    Drive,
-    LinkKind,
-    LinkSettings,
-    RelativeInformation,
-    UavCommand,
-    UgvCommand,
-)
+from bus.messages.control import Action, Control
+from bus.messages.links import LinkKind, LinkSettings
+from bus.messages.vehicle import Drive, RelativeInformation, UavCommand, UgvCommand
 from bus.profiles import PROFILES
 from flights import degraded, escort
 from outrider.envs.env_pilots import pilots

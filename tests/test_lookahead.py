@@ -10,7 +10,8 @@ import pytest
 from agents.laws.horizon import Ahead, look_ahead, worth
 from agents.uav import UavPilot
 from agents.uav_parameters import Target
-from bus.messages import Law, UavObservation
+from bus.messages.scenario import Law
+from bus.messages.vehicle import UavObservation
 from flights import DESIRED, escort, flown_law, told, uav_sees
 from outrider.envs.closed_loop import ClosedLoop
 from sim.models.field import accumulate, coverage_error, empty_coverage

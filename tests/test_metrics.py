@@ -6,7 +6,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from bus.messages import LinkStatus, MissionResult, VehicleStatus
+from bus.messages.links import LinkStatus
+from bus.messages.telemetry import MissionResult, VehicleStatus
 from outrider.cli import console
 from outrider.experiments.sweep.columns import RESULTS, row_of
 from outrider.running.flying import fly

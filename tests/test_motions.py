@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from agents.safety.handover import largest_interval
 from agents.safety.safety_filter import SafetyFilter
 from agents.safety.trajectories import OUTAGE, UNCERTIFIED, UNCHECKED_MOTION
-from bus.messages import MOST_CARRIED, BackupTrajectory, UavCommand
+from bus.messages.vehicle import MOST_CARRIED, BackupTrajectory, UavCommand
 from flights import EVADED, PROMISED, certified, flown_in_both, told, uav_sees
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env

@@ -36,7 +36,8 @@ from agents.drivers.planning import (
     take_plan,
 )
 from agents.drivers.tile_map import ground_memory, note_block, note_tiles
-from bus.messages import Area, Limits, UgvGround
+from bus.messages.ground import UgvGround
+from bus.messages.scenario import Area, Limits
 from flights import told_ugv
 from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, TOUCH, UNSEEN
 from sim.models.vehicles import Motion, brake, norm, step_vehicle

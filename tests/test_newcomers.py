@@ -18,7 +18,9 @@ pytest.importorskip("mcap", reason="the extra [record] is not installed")
 import jsonschema
 import typer
 
-from bus.messages import Action, Control, LinkKind, LinkSettings, UavCommand
+from bus.messages.control import Action, Control
+from bus.messages.links import LinkKind, LinkSettings
+from bus.messages.vehicle import UavCommand
 from bus.registry import LAWS
 from flights import Piloted
 from outrider.cli.main import make_app

@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 
 from bus.keys import OPERATOR
-from bus.messages import Action, Control, Drive, Law, LinkKind, LinkSettings
+from bus.messages.control import Action, Control
+from bus.messages.links import LinkKind, LinkSettings
+from bus.messages.scenario import Law
+from bus.messages.vehicle import Drive
 from outrider.running.assumptions import promise_warnings
 from outrider.running.flying import fly
 from processes import wait_until

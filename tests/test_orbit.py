@@ -18,7 +18,7 @@ from agents.control.orbit import (
     virtual_error_acceleration,
 )
 from bus.errors import ScenarioError
-from bus.messages import Area, Law
+from bus.messages.scenario import Area, Law
 from flights import DT, R_S, R_V, U_A, V_A, V_G, distances, escort, tracks
 from outrider.running.flying import fly
 from properties import PROPERTY

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from bus.messages import UgvObservation
+from bus.messages.vehicle import UgvObservation
 from sim.scenario.types import Run
 from sim.server.pace import Lockstep
 

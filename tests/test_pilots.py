@@ -13,7 +13,8 @@ from agents.drivers.waypoints import goal_control
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.errors import ScenarioError
-from bus.messages import Limits, Sensor, UavCommand, UgvObservation
+from bus.messages.scenario import Limits, Sensor
+from bus.messages.vehicle import UavCommand, UgvObservation
 from flights import DT, HERE, R_V, U_A, U_G, V_G, escort, told, told_ugv, tracks, uav_sees
 from outrider.running.flying import InProcess, fly, make_pilots
 from properties import PROPERTY

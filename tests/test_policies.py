@@ -15,7 +15,7 @@ import pytest
 import outrider
 from agents.drivers.policy import Policy, PolicyDriver, UgvRows
 from bus.errors import ScenarioError
-from bus.messages import Command, UgvObservation
+from bus.messages.vehicle import Command, UgvObservation
 from bus.observations import UGV, names
 from flights import DT, U_G, V_G, Piloted, told_ugv
 from outrider.envs.env_pilots import pilots

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bus.errors import ScenarioError
-from bus.messages import LinkKind, LinkSettings
+from bus.messages.links import LinkKind, LinkSettings
 from one_link import OneLink
 from outrider.running.assumptions import how_certifiable, promise_warnings, shortfalls
 from outrider.running.link_assumptions import How

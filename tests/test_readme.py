@@ -12,7 +12,7 @@ pytest.importorskip("outrider_learning", reason="the pages show extensions, too"
 import typer
 
 import outrider
-from bus.messages import LinkKind
+from bus.messages.links import LinkKind
 from outrider.cli.main import make_app
 from outrider.running.user_code import check_own_functions
 from pages import PAGES, ROOT, blocks, run_shown

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bus.messages import LinkSettings
+from bus.messages.links import LinkSettings
 from bus.ticks import looks_of
 from flights import DT, HERE, escort
 from outrider.running.flying import InProcess, fly, make_pilots

@@ -33,7 +33,8 @@ from mcap.reader import make_reader
 
 from bus.errors import ScenarioError
 from bus.keys import KEYS
-from bus.messages import Law, UavCommand
+from bus.messages.scenario import Law
+from bus.messages.vehicle import UavCommand
 from observed import recorded
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.observer import RunRecorder

@@ -17,18 +17,11 @@ from refusals import refused
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
 
-from bus.messages import (
-    Action,
-    Change,
-    Control,
-    Drive,
-    Law,
-    LinkKind,
-    LinkSettings,
-    Truth,
-    UavReport,
-    UgvObservation,
-)
+from bus.messages.control import Action, Change, Control
+from bus.messages.links import LinkKind, LinkSettings
+from bus.messages.scenario import Law
+from bus.messages.telemetry import Truth
+from bus.messages.vehicle import Drive, UavReport, UgvObservation
 from observed import Observer
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.reader import entries, flight_of, load

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from bus.keys import KEYS
-from bus.messages import LinkSettings
+from bus.messages.links import LinkSettings
 from bus.observations import SYMBOLS
 from outrider.cli.main import COMMANDS
 from outrider.running.metrics import TABLES

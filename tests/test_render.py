@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from bus.messages import Area, Law
+from bus.messages.scenario import Area, Law
 from flights import escort, pairs
 from outrider.running.flying import fly
 from outrider.view.flight_picture import SIZE, draw_flight, flight_figure

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from bus.messages import Observation, UavObservation
+from bus.messages.vehicle import Observation, UavObservation
 from bus.observations import UAV, by_name
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env

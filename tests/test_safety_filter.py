@@ -11,7 +11,7 @@ import pytest
 
 from agents.safety.safety_filter import SafetyFilter, bounds_of
 from agents.safety.trajectories import UNCERTIFIED, UNCHECKED_MOTION
-from bus.messages import LinkSettings
+from bus.messages.links import LinkSettings
 from flights import DT, U_A, V_A, distances, told, uav_sees
 from outrider.envs.parallel import parallel_env
 from outrider.running.assumptions import promise_warnings
@@ -206,7 +206,7 @@ def test_a_uav_that_starts_moving_is_certified_once_a_plan_after_the_first_detec
 def test_a_filter_may_be_taken_up_in_the_middle_of_a_flight() -> None:
     """An operator chooses the law while it flies: the certificate begins with the next detection."""
     from agents.uav import UavPilot
-    from bus.messages import Law
+    from bus.messages.scenario import Law
 
     scenario = watched("law.name=logarithmic", duration=10.0)
     pilot = UavPilot(told(scenario))

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from agents.drivers.compiled import CompiledDriver
 from bus.errors import ScenarioError
 from bus.law_parameters import law_parameters
-from bus.messages import Law, UgvObservation
+from bus.messages.scenario import Law
+from bus.messages.vehicle import UgvObservation
 from properties import PROPERTY
 from refusals import SHIPPED, SMALL, refusal, written
 from sim.engine.briefing import briefing

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from bus.law_parameters import law_parameters
-from bus.messages import Law
+from bus.messages.scenario import Law
 from bus.registry import LAWS
 from refusals import SHIPPED, SMALL, refusal, written
 from sim.scenario import world_checks

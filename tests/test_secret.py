@@ -16,7 +16,7 @@ pytest.importorskip("mcap", reason="the extra [record] is not installed")
 
 from bus.errors import ScenarioError
 from bus.keys import CONTROL, KEYS
-from bus.messages import Action, Control
+from bus.messages.control import Action, Control
 from fields import fields_within
 from flights import degraded, record
 from outrider.cli.options import secret_of

@@ -7,7 +7,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.messages import BLOCK_SIDE, GroundBlock, RelativeInformation, SeenTile, UavObservation
+from bus.messages.ground import BLOCK_SIDE, GroundBlock, SeenTile
+from bus.messages.vehicle import RelativeInformation, UavObservation
 from flights import Piloted, altered
 from outrider.running.flying import InProcess, make_pilots
 from sim.models.ground import BLOCK, CLEAR, ROUGH

@@ -17,7 +17,8 @@ from agents import process
 from agents.uav import UavPilot
 from bus.errors import ScenarioError
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, Party, Role
-from bus.messages import Action, Control, Drive, UavCommand, UgvCommand
+from bus.messages.control import Action, Control
+from bus.messages.vehicle import Drive, UavCommand, UgvCommand
 from flights import Piloted, degraded
 from outrider.running.flying import make_pilots
 from processes import wait_until

@@ -9,7 +9,8 @@ import pytest
 
 from agents.drivers.dispatch import CODES
 from bus.keys import KEYS, Key
-from bus.messages import LinkKind, ScriptStep
+from bus.messages.links import LinkKind
+from bus.messages.scenario import ScriptStep
 from bus.profiles import PROFILES
 from bus.registry import (
     DEFAULT_DRIVER,

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.messages import Detection
+from bus.messages.vehicle import Detection
 from bus.ticks import NO_TICK, first_tick_from, looks_of, tick_of, ticks_within
 
 steps = st.sampled_from([1e-4, 0.02, 0.05, 0.1, 1.0 / 3.0, 0.7, 3.0])

@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("outrider_networks", reason="links are fitted by it")
 
 from bus.errors import ScenarioError
-from bus.messages import LinkKind, LinkSettings
+from bus.messages.links import LinkKind, LinkSettings
 from bus.profiles import PROFILES
 from flights import degraded, flown_in_both
 from one_link import OneLink

@@ -19,7 +19,7 @@ from agents.control.tracking import (
     tracking_step,
 )
 from bus.law_parameters import law_parameters
-from bus.messages import Law
+from bus.messages.scenario import Law
 from flights import (
     DT,
     HERE,

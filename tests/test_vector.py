@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import outrider
 from agents.estimation.estimator import estimator_of
 from agents.safety.safety_filter import SafetyFilter
-from bus.messages import UavObservation
+from bus.messages.vehicle import UavObservation
 from bus.ticks import looks_of
 from outrider.envs.env_pilots import pilots
 from outrider_learning.repeat import ActionRepeat

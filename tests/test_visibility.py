@@ -11,7 +11,7 @@ from agents.control.visibility import is_visible, switching_radius
 from agents.laws.selection import SelectedLaw
 from agents.uav_parameters import uav_parameters
 from bus.errors import ScenarioError
-from bus.messages import Region
+from bus.messages.scenario import Region
 from bus.registry import LAWS
 from flights import DT, HERE, R_S, R_V, U_A, V_A, V_G, distances, escort, told
 from outrider.running.flying import fly

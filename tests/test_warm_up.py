@@ -9,7 +9,9 @@ import msgspec
 import pytest
 
 from bus.keys import CONTROL, Role
-from bus.messages import Action, Control, Law, LinkKind, LinkSettings
+from bus.messages.control import Action, Control
+from bus.messages.links import LinkKind, LinkSettings
+from bus.messages.scenario import Law
 from bus.registry import DEFAULT_DRIVER, DEFAULT_LAW, TELEOP
 from processes import (
     await_status,
@@ -28,7 +30,7 @@ import sys
 import msgspec
 from agents.process import warm_up as warm_up_pilot
 from bus.keys import Role
-from bus.messages import Action, Control
+from bus.messages.control import Action, Control
 from outrider.running.flying import fly
 from outrider.running.assumptions import promise_warnings
 from sim.models.vehicles import clip_norm

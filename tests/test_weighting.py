@@ -21,7 +21,7 @@ from agents.control.weighting import (
 )
 from agents.laws.common import coverage_term
 from bus.errors import ScenarioError
-from bus.messages import Law
+from bus.messages.scenario import Law
 from flights import HERE, R_S, escort, flown_law, target_at
 from outrider.running.flying import fly
 from properties import PROPERTY

@@ -9,7 +9,8 @@ import pytest
 
 from agents.safety.handover import check_assumptions
 from bus.errors import ScenarioError
-from bus.messages import SeenTile, UavObservation
+from bus.messages.ground import SeenTile
+from bus.messages.vehicle import UavObservation
 from flights import EVADED, PROMISED, certified, flown_in_both, told
 from outrider.running.assumptions import shortfalls
 from outrider.running.flying import fly

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import reference_field as reference
-from bus.messages import Area, Region, Sensor
+from bus.messages.scenario import Area, Region, Sensor
 from bus.registry import SENSORS
 from flights import DESIRED, DT, HERE, R_O, R_V, U_A, U_G, V_A, V_G, R, escort, tracks
 from outrider.running.flying import fly

@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from bus.messages import Estimator, Law, ScriptStep
+from bus.messages.scenario import Estimator, Law, ScriptStep
 from bus.profiles import PROFILES
 from flights import escort
 from sim.engine.batch import Batch

@@ -19,14 +19,14 @@ from agents.drivers.tile_map import (
     note_tiles,
 )
 from bus.errors import ScenarioError
-from bus.messages import (
+from bus.messages.base import Vector
+from bus.messages.ground import MOST_CORNERS
+from bus.messages.vehicle import (
     MOST_CARRIED,
-    MOST_CORNERS,
     BackupTrajectory,
     UgvBriefing,
     UgvObservation,
     UgvReport,
-    Vector,
 )
 from bus.registry import DRIVERS
 from bus.ticks import first_tick_from, look_rows, looks_of

@@ -12,7 +12,7 @@ import numpy as np
 
 from agents.drivers.compiled import driver_parameters
 from agents.drivers.parameters import DriverInputs, UgvParameters, ugv_parameters
-from bus.messages import UgvBriefing
+from bus.messages.vehicle import UgvBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS
 from sim.compiling.compile import IntArray, compiled
 from sim.compiling.dispatch import commands

@@ -20,7 +20,8 @@ from typing import Any
 from agents.drivers import wander
 from agents.drivers.parameters import DriverInputs, UgvParameters
 from agents.drivers.steering import velocity_control
-from bus.messages import UgvBriefing, Vector
+from bus.messages.base import Vector
+from bus.messages.vehicle import UgvBriefing
 from bus.ticks import NO_TICK, first_tick_from, ticks_within
 from sim.compiling.compile import FloatArray, compiled, constant
 from sim.models.randomness import WANDER, uniform

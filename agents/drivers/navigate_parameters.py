@@ -3,7 +3,7 @@
 import msgspec
 
 from agents.drivers.parameters import UgvParameters
-from bus.messages import UgvBriefing
+from bus.messages.vehicle import UgvBriefing
 from bus.registry import BOLD
 
 _PLAN_PERIOD = 0.2

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from agents.drivers.steering import Steering
-from bus.messages import UgvBriefing
+from bus.messages.vehicle import UgvBriefing
 from sim.compiling.compile import FloatArray
 
 

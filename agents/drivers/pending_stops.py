@@ -3,7 +3,7 @@
 from agents.drivers.cautious import is_safe, known_open
 from agents.drivers.navigate_parameters import NavigateParameters
 from agents.drivers.tile_map import GroundMemory
-from bus.messages import MOST_CARRIED
+from bus.messages.vehicle import MOST_CARRIED
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray
 from sim.models.ground import CERTIFIED, NO_CLAIM, NO_STOP, WAY_UNKNOWN

@@ -12,7 +12,7 @@ from agents.asking import LARGEST, AskedPolicy, pair
 from agents.drivers.compiled import take_ground, told_ground
 from agents.drivers.steering import Steering
 from bus.errors import ScenarioError
-from bus.messages import UgvBriefing, UgvObservation
+from bus.messages.vehicle import UgvBriefing, UgvObservation
 from bus.observations import UGV, Row, clipped
 from sim.models.ground import TileArray, tile_patches
 from sim.models.vehicles import next_goal
@@ -28,7 +28,7 @@ class RowPolicy(Protocol):
 
     `predict` may return the action alone or, as Stable-Baselines3 does, the action and a state. Where it has
     parameters of these names it is given `deterministic=True`, the `state` that it returned last, `episode_start`,
-    `dt` [s], and all that the UGV perceives as `perceived`, a `bus.messages.UgvObservation`.
+    `dt` [s], and all that the UGV perceives as `perceived`, a `bus.messages.vehicle.UgvObservation`.
     Where it has an `observation_space` that is a dictionary of `row` and `tiles`, it is given both, as the environment
     gives them on ground with hazards.
     """

@@ -1,7 +1,7 @@
 """The wheel that every driver turns: a velocity, a goal or a halt, always within the UGV's bounds."""
 
 from agents.asking import LARGEST
-from bus.messages import UgvBriefing, UgvObservation
+from bus.messages.vehicle import UgvBriefing, UgvObservation
 from sim.compiling.compile import compiled
 from sim.models.vehicles import Motion, brake, clip_norm, norm, speed_to_stop_within
 

@@ -1,7 +1,7 @@
 """A person at the wheel, over a link that may fall silent."""
 
 from agents.drivers.steering import Steering
-from bus.messages import Drive, UgvBriefing, UgvObservation
+from bus.messages.vehicle import Drive, UgvBriefing, UgvObservation
 from bus.ticks import ticks_within
 
 

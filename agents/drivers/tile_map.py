@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from bus.messages import BLOCK_SIDE
+from bus.messages.ground import BLOCK_SIDE
 from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.compiling.records import RecordArray, records
 from sim.models.ground import BLOCK, NO_CLAIM, UNSEEN, TileArray

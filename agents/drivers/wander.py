@@ -13,7 +13,8 @@ import numpy as np
 
 from agents.drivers.parameters import DriverInputs, UgvParameters
 from agents.drivers.steering import goal_control
-from bus.messages import UgvBriefing, Vector
+from bus.messages.base import Vector
+from bus.messages.vehicle import UgvBriefing
 from sim.compiling.compile import compiled
 from sim.models.randomness import FIRST, SECOND, WANDER, uniform
 from sim.models.vehicles import Motion, goal_reached, speed_to_stop_within, stopping_distance

@@ -25,7 +25,8 @@ from agents.estimation.motion_model import (
     kalman_parameters,
 )
 from agents.uav_parameters import Target
-from bus.messages import Detector, Estimator, Limits, UavBriefing
+from bus.messages.scenario import Detector, Estimator, Limits
+from bus.messages.vehicle import UavBriefing
 from bus.ticks import NO_TICK, Look
 from sim.compiling.compile import FloatArray
 from sim.models.vehicles import clip_norm

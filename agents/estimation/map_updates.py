@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.messages import BLOCK_SIDE, TILE_LETTERS, GroundBlock, SeenTile, UavBriefing
+from bus.messages.ground import BLOCK_SIDE, TILE_LETTERS, GroundBlock, SeenTile
+from bus.messages.vehicle import UavBriefing
 from sim.compiling.compile import IntArray, compiled, inlined
 from sim.models.ground import TileArray, block_letters, tiles_shape
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.messages import Detector, Estimator, Limits
+from bus.messages.scenario import Detector, Estimator, Limits
 from bus.ticks import ticks_within
 from sim.compiling.compile import FloatArray, compiled
 

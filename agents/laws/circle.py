@@ -5,7 +5,7 @@ import math
 from agents.control.orbit import circle, orbit_control
 from agents.laws.common import TrackingMemory, TrackingParameters, tracking_term
 from agents.uav_parameters import Target, UavParameters
-from bus.messages import Coordinate, Positive
+from bus.messages.base import Coordinate, Positive
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.vehicles import Motion
 

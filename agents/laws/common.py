@@ -18,7 +18,7 @@ from agents.control.coverage import (
 from agents.control.tracking import tracking_output, tracking_step
 from agents.control.weighting import combine
 from agents.uav_parameters import Target, UavParameters
-from bus.messages import Coordinate, Positive, Vector
+from bus.messages.base import Coordinate, Positive, Vector
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.field import coverage_gradient, is_uncovered, nearest_uncovered
 from sim.models.randomness import FIRST, START_DIRECTION, uniform

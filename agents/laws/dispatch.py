@@ -13,7 +13,8 @@ import numpy as np
 
 from agents.uav_parameters import Target, UavParameters, uav_parameters
 from bus.law_parameters import law_parameters
-from bus.messages import Law, UavBriefing
+from bus.messages.scenario import Law
+from bus.messages.vehicle import UavBriefing
 from bus.registry import LAWS
 from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.compiling.dispatch import commands

@@ -3,7 +3,7 @@ r"""Law `logarithmic`: both terms, tracking without bound towards r_s, Klodt 201
 from agents.control.weighting import logarithmic_weights
 from agents.laws.common import CoverageMemory, CoverageParameters, distance_to, weighted_command
 from agents.uav_parameters import Target, UavParameters
-from bus.messages import Positive
+from bus.messages.base import Positive
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.vehicles import Motion
 

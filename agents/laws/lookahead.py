@@ -25,7 +25,7 @@ from agents.laws.horizon import (
     worth,
 )
 from agents.uav_parameters import Target, UavParameters
-from bus.messages import Positive
+from bus.messages.base import Positive
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.randomness import LOOKAHEAD_MOTION, Key, draw, to_uniform
 from sim.models.vehicles import Motion, clip_norm, norm

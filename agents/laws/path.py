@@ -3,7 +3,7 @@ r"""Law `path`: a path of the user's own beside the UGV, Klodt 2015, eq. (20) to
 from agents.control.orbit import orbit_control
 from agents.laws.common import TrackingMemory, TrackingParameters, tracking_term
 from agents.uav_parameters import Target, UavParameters
-from bus.messages import Vector
+from bus.messages.base import Vector
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.vehicles import Motion
 

@@ -8,7 +8,8 @@ import numpy as np
 from agents.asking import LARGEST, AskedPolicy, pair
 from agents.uav_parameters import UavParameters
 from bus.errors import ScenarioError
-from bus.messages import UavBriefing, UavObservation, Vector
+from bus.messages.base import Vector
+from bus.messages.vehicle import UavBriefing, UavObservation
 from bus.observations import GRADIENT, UAV, Row, clipped
 from bus.ticks import Look, looks_of
 from sim.compiling.compile import FloatArray

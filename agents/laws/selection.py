@@ -7,7 +7,8 @@ from agents.control.visibility import switching_radius
 from agents.uav_parameters import Target, UavParameters
 from bus.errors import ScenarioError
 from bus.law_parameters import law_parameters
-from bus.messages import Law, UavBriefing
+from bus.messages.scenario import Law
+from bus.messages.vehicle import UavBriefing
 from bus.registry import LAWS
 from sim.compiling.compile import FloatArray
 from sim.compiling.records import fresh, records

@@ -15,7 +15,7 @@ import numpy as np
 
 from agents.safety.discs import AS_EXPECTED, Disc
 from agents.safety.trajectories import BEST_EFFORT, end_disc, rest_radius, set_end, step_in_area
-from bus.messages import MOST_CARRIED
+from bus.messages.vehicle import MOST_CARRIED
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray, record_type
 from sim.models.motion import (

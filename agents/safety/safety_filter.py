@@ -15,12 +15,8 @@ from agents.safety.decision import (
 from agents.safety.handover import certificate, check_assumptions
 from agents.safety.pending import carried
 from agents.safety.trajectories import CERTIFIED, INNER, UNCERTIFIED
-from bus.messages import (
-    BackupTrajectory,
-    UavBriefing,
-    UavObservation,
-    Vector,
-)
+from bus.messages.base import Vector
+from bus.messages.vehicle import BackupTrajectory, UavBriefing, UavObservation
 from bus.ticks import looks_of
 from sim.compiling.records import struct_of
 from sim.models.motion import NO_MOTION

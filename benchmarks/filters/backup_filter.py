@@ -36,7 +36,8 @@ from agents.safety.discs import (
 )
 from agents.safety.safety_filter import Verdict, bounds_of
 from agents.safety.trajectories import Known
-from bus.messages import UavBriefing, UavObservation, Vector
+from bus.messages.base import Vector
+from bus.messages.vehicle import UavBriefing, UavObservation
 from bus.ticks import tick_of
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray

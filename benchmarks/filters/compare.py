@@ -27,7 +27,8 @@ from agents.process import Pilot
 from agents.safety.safety_filter import SafetyFilter
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
-from bus.messages import UavBriefing, UavCommand, UavObservation, Vector
+from bus.messages.base import Vector
+from bus.messages.vehicle import UavBriefing, UavCommand, UavObservation
 from outrider.running.flying import InProcess
 from outrider.running.summary import summarize
 from sim.engine.briefing import briefing

@@ -4,7 +4,7 @@ import msgspec
 from structs import cell, fields, structs, text_of, words
 
 from bus.keys import KEYS, Role
-from bus.messages import Message
+from bus.messages.base import Message
 
 
 def keys() -> str:

@@ -16,7 +16,7 @@ import msgspec
 
 from bus import messages
 from bus.law_parameters import parameters_class
-from bus.messages import LinkKind
+from bus.messages.links import LinkKind
 from bus.profiles import PROFILES
 from bus.registry import LAWS
 from sim.scenario import types

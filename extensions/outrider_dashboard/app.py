@@ -16,7 +16,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from bus.messages import Vector
+from bus.messages.base import Vector
 from outrider.running.metrics import LINK, MISSION, NOW, PROCESS
 from outrider_dashboard.hub import Browser, Hub
 from outrider_dashboard.page_guard import LARGEST_HEAD, BoundedHead, Guard

@@ -4,7 +4,8 @@ import math
 from collections import deque
 from collections.abc import Callable
 
-from bus.messages import EscortTruth, LinkStatus, Status, Truth
+from bus.messages.links import LinkStatus
+from bus.messages.telemetry import EscortTruth, Status, Truth
 
 _FIRST_STRIDE = 0.1
 """Simulated time between two rows at first [s]; doubles whenever the history is full."""

@@ -13,7 +13,11 @@ from typing import Any
 import msgspec
 
 from bus.locator import LOOPBACK
-from bus.messages import Action, CoverageMap, GroundMap, Law, Message, Status, Truth
+from bus.messages.base import Message
+from bus.messages.control import Action
+from bus.messages.ground import GroundMap
+from bus.messages.scenario import Law
+from bus.messages.telemetry import CoverageMap, Status, Truth
 from outrider_dashboard.chart_data import ChartData
 from outrider_dashboard.controls.link_words import said_of_links
 from outrider_dashboard.controls.wheel import SharedWheel

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 from agents.drivers.steering import Steering
 from agents.ugv import UgvPilot
-from bus.messages import ScriptStep, UgvBriefing, UgvObservation, Vector
+from bus.messages.base import Vector
+from bus.messages.scenario import ScriptStep
+from bus.messages.vehicle import UgvBriefing, UgvObservation
 from outrider.running.flying import InProcess, make_pilots
 from sim.engine.briefing import ugv_briefing
 from sim.scenario.types import Scenario

@@ -24,7 +24,7 @@ from agents.safety.decision import (
 )
 from agents.safety.discs import KEPT, NEVER, bound_of, certified_distance, newest_detection
 from agents.safety.trajectories import CERTIFIED, INNER, NO_DETECTION
-from bus.messages import LinkKind
+from bus.messages.links import LinkKind
 from bus.ticks import DUST
 from outrider_falsify.conditions import (
     ANY,

@@ -8,7 +8,8 @@ import math
 from typing import NamedTuple
 
 from agents.safety.handover import certificate
-from bus.messages import Area, LinkSettings, SafetyParameters, Sensor
+from bus.messages.links import LinkSettings
+from bus.messages.scenario import Area, SafetyParameters, Sensor
 from outrider_falsify.lost_motions import LOSSES
 from sim.models.inner_loop import InnerLoop, needed_reserve, tracking_error
 from sim.models.safety import SafetyBounds, safety_bounds

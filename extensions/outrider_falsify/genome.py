@@ -7,7 +7,9 @@ from itertools import pairwise
 
 import msgspec
 
-from bus.messages import LinkSettings, Region, ScriptStep, Vector
+from bus.messages.base import Vector
+from bus.messages.links import LinkSettings
+from bus.messages.scenario import Region, ScriptStep
 from outrider_falsify.adversary import Tactics, cut
 from outrider_falsify.limits import SearchLimits, looks_until_seen, pair
 from sim.models.vehicles import stopping_distance

@@ -8,7 +8,7 @@ import msgspec
 from agents.safety.handover import check_assumptions
 from agents.safety.safety_filter import bounds_of
 from bus.errors import ScenarioError
-from bus.messages import LinkSettings
+from bus.messages.links import LinkSettings
 from bus.registry import LAWS
 from sim.engine.briefing import safety_parameters, uav_briefing
 from sim.scenario.types import DEFAULT_AGE, Certificate, LinkTable, Scenario, Uav, Ugv

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from bus.errors import ScenarioError
-from bus.messages import UavBriefing, UgvBriefing
+from bus.messages.vehicle import UavBriefing, UgvBriefing
 from outrider_fmi.vehicle_unit import VehicleUnit
 
 if TYPE_CHECKING:

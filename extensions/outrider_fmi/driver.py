@@ -16,7 +16,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from bus.errors import ScenarioError
-from bus.messages import UgvObservation
+from bus.messages.vehicle import UgvObservation
 from bus.observations import UGV, Row, names
 from bus.plugins import needs
 from outrider_fmi.variables import ACCELERATION, DRIVER_INPUTS, GOAL, OWN_STATE, RADIO

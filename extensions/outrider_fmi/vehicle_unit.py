@@ -13,7 +13,8 @@ from agents.uav import UavPilot
 from agents.uav_parameters import uav_parameters
 from agents.ugv import UgvPilot
 from bus.errors import ScenarioError
-from bus.messages import (
+from bus.messages.base import Vector
+from bus.messages.vehicle import (
     Detection,
     Drive,
     RelativeInformation,
@@ -22,7 +23,6 @@ from bus.messages import (
     UavObservation,
     UgvBriefing,
     UgvObservation,
-    Vector,
 )
 from bus.registry import DRIVERS, LAWS
 from bus.ticks import tick_of

@@ -6,7 +6,7 @@ It tells what an observer is told. An operator's wish crosses the operator's lin
 import msgspec
 
 from bus.errors import ScenarioError
-from bus.messages import Drive
+from bus.messages.vehicle import Drive
 from bus.registry import DRIVERS
 from outrider.running.flying import InProcess, make_pilots
 from outrider.running.user_code import own_code

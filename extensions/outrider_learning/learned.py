@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from bus.errors import ScenarioError
-from bus.messages import UavBriefing
+from bus.messages.vehicle import UavBriefing
 from bus.observations import UAV
 from outrider_learning.mlp import Mlp, load_policy
 from outrider_learning.policy_inputs import EscortView

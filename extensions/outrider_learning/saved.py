@@ -16,7 +16,7 @@ from gymnasium import spaces
 
 from bus.errors import ScenarioError
 from bus.files import read_regular, writing
-from bus.messages import UavBriefing
+from bus.messages.vehicle import UavBriefing
 from bus.observations import ROUNDING, UAV, by_name, largest, names
 from bus.policies import policy_forms
 from outrider_learning.learned import check_made_for

@@ -17,7 +17,8 @@ import msgspec
 
 from agents.uav import UavPilot
 from bus.errors import ScenarioError
-from bus.messages import UavBriefing, UavCommand, UavObservation, Vector
+from bus.messages.base import Vector
+from bus.messages.vehicle import UavBriefing, UavCommand, UavObservation
 from outrider.running.refused import Refusals, Refused
 from outrider_mavlink.dialect import MavMessage, mavlink, packed
 from outrider_mavlink.gateway import BEYOND_BOUNDS, NOT_FINITE, TOO_MANY

@@ -10,7 +10,7 @@ import typer
 from bus.errors import PeerLost, ScenarioError
 from bus.keys import SAMPLED_TRUTH, STATUS, Role
 from bus.locator import LOOPBACK, check_endpoint
-from bus.messages import Origin
+from bus.messages.scenario import Origin
 from outrider.cli import options
 from outrider.cli.stopping import Stop, stop_on_signals
 from outrider.cli.waiting import RouterTimer, await_status

@@ -2,7 +2,7 @@
 
 import math
 
-from bus.messages import Origin
+from bus.messages.scenario import Origin
 
 _EQUATOR = 6378137.0
 """Semi-major axis of WGS 84 [m]."""

@@ -7,7 +7,8 @@ import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-from bus.messages import Covariance, Origin, Vector
+from bus.messages.base import Covariance, Vector
+from bus.messages.scenario import Origin
 from outrider_mavlink.dialect import MavMessage, mavlink
 from outrider_mavlink.geodesy import geodetic
 

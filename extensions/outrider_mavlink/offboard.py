@@ -7,7 +7,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, NamedTuple
 
 from agents.uav import UavPilot
-from bus.messages import UavBriefing, UavCommand, UavObservation, Vector
+from bus.messages.base import Vector
+from bus.messages.vehicle import UavBriefing, UavCommand, UavObservation
 from bus.registry import LAWS
 from bus.ticks import ticks_within
 from outrider.running.refused import Refused

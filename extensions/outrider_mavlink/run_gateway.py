@@ -4,7 +4,10 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 
-from bus.messages import Action, Control, Law, Limits, Message, Status, Truth, Vector
+from bus.messages.base import Message, Vector
+from bus.messages.control import Action, Control
+from bus.messages.scenario import Law, Limits
+from bus.messages.telemetry import Status, Truth
 from bus.registry import LAWS, TELEOP
 from outrider.view.operator import Helm, RunClient
 from outrider_mavlink.dialect import MavMessage

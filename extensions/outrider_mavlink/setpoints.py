@@ -3,7 +3,9 @@
 import math
 from typing import NamedTuple
 
-from bus.messages import Limits, UavBriefing, UavObservation, Vector
+from bus.messages.base import Vector
+from bus.messages.scenario import Limits
+from bus.messages.vehicle import UavBriefing, UavObservation
 from outrider.running.refused import Refused
 from outrider_mavlink.dialect import MavMessage, mavlink
 from outrider_mavlink.gateway import BEYOND_BOUNDS, NOT_FINITE, NOT_SUPPORTED

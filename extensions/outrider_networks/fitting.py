@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from bus.messages import LinkSettings
+from bus.messages.links import LinkSettings
 from bus.profiles import PROFILES
 from outrider_networks.samples import Sample, drawn_sample, recorded_sample
 from sim.channel.description import extra_delays

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bus.messages import LinkSettings
+from bus.messages.links import LinkSettings
 from bus.ticks import DUST
 from outrider_networks.automaton import Plan, Window, endless_window, window_of
 from outrider_networks.link_runs import MOST_CELLS, SUMMED, DrawnRun, LinkRun, RecordedRun

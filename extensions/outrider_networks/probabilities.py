@@ -7,7 +7,7 @@ import functools
 import math
 from typing import NamedTuple
 
-from bus.messages import LinkSettings
+from bus.messages.links import LinkSettings
 from bus.ticks import ticks_within
 from outrider_networks.kinds import commands_run, detections_run
 from outrider_networks.link_runs import LinkRun, Probability

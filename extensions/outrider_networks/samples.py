@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.errors import ScenarioError
-from bus.messages import LinkSettings
+from bus.messages.links import LinkSettings
 from sim.channel.description import link_parameters
 from sim.channel.link_records import LinkParameters
 from sim.channel.links import first_arrivals

@@ -6,7 +6,8 @@ from typing import Any
 import msgspec
 
 from bus.errors import ScenarioError
-from bus.messages import MOST_CARRIED, LinkKind
+from bus.messages.links import LinkKind
+from bus.messages.vehicle import MOST_CARRIED
 from bus.registry import LAWS
 from bus.ticks import first_tick_from
 from outrider.running.assumptions import shortfalls

@@ -16,19 +16,10 @@ import msgspec
 import numpy as np
 
 from bus.errors import ScenarioError
-from bus.messages import (
-    CoverageMap,
-    EscortTruth,
-    Geometry,
-    GroundMap,
-    HazardOutline,
-    LinkStatus,
-    Message,
-    Status,
-    Truth,
-    Vector,
-    VehicleStatus,
-)
+from bus.messages.base import Message, Vector
+from bus.messages.ground import GroundMap, HazardOutline
+from bus.messages.links import LinkStatus
+from bus.messages.telemetry import CoverageMap, EscortTruth, Geometry, Status, Truth, VehicleStatus
 from outrider_ros2.interfaces import RosMessage, make
 from sim.scene.colors import FAINT, HAZARDS, LIMIT, rgb
 from sim.scene.model import Scene, observed_scene

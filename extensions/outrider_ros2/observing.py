@@ -5,7 +5,9 @@ from collections import Counter
 from dataclasses import dataclass
 
 from bus.keys import COVERAGE, GROUND, SAMPLED_TRUTH, STATUS, TRUTH, Key
-from bus.messages import CoverageMap, GroundMap, Message, Status, Truth
+from bus.messages.base import Message
+from bus.messages.ground import GroundMap
+from bus.messages.telemetry import CoverageMap, Status, Truth
 from bus.queues import Inbox
 from bus.session import Session
 from outrider.running.refused import Refusals

@@ -17,7 +17,8 @@ from typing import Any, Literal
 import msgspec
 
 from bus.errors import ScenarioError
-from bus.messages import Geometry, Message, Status
+from bus.messages.base import Message
+from bus.messages.telemetry import Geometry, Status
 from outrider.recording.reader import Recording, decoded, entries
 from outrider.recording.schemas import (
     CHANGES,

@@ -9,7 +9,10 @@ import time
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from bus.messages import Action, Control, Limits, Status, Vector
+from bus.messages.base import Vector
+from bus.messages.control import Action, Control
+from bus.messages.scenario import Limits
+from bus.messages.telemetry import Status
 from bus.registry import TELEOP
 from outrider.running.refused import Refusals, Refused
 from outrider.view.operator import Helm, RunClient

@@ -12,10 +12,10 @@ import msgspec
 
 from bus.errors import PeerLost
 from bus.keys import Party, Role
-from bus.messages import (
+from bus.messages.base import Message
+from bus.messages.vehicle import (
     Briefing,
     Command,
-    Message,
     Observation,
     UavCommand,
     UavObservation,

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from bus.messages import CoverageMap, GroundMap, Message, Status, Truth
+from bus.messages.base import Message
+from bus.messages.ground import GroundMap
+from bus.messages.telemetry import CoverageMap, Status, Truth
 from outrider_ros2 import conversion
 from outrider_ros2.conversion import RunView
 from outrider_ros2.interfaces import encode, type_hash

@@ -7,7 +7,7 @@ import typer
 
 from bus.errors import ScenarioError
 from bus.keys import Role
-from bus.messages import Status
+from bus.messages.telemetry import Status
 from bus.plugins import needs
 from outrider.cli import options
 from outrider.cli.stopping import Stop, stop_on_signals

@@ -6,7 +6,7 @@ import typer
 
 from bus.errors import ScenarioError
 from bus.keys import OBSERVER_NAME, SIMULATOR_NAME, STATUS, Party, Role
-from bus.messages import Status
+from bus.messages.telemetry import Status
 from outrider.cli import options
 from outrider.cli.stopping import Stop, stop_on_signals
 

@@ -4,7 +4,7 @@ import time
 from typing import TYPE_CHECKING
 
 from bus.keys import STATUS
-from bus.messages import Status
+from bus.messages.telemetry import Status
 from outrider.cli.stopping import Stop
 
 if TYPE_CHECKING:

@@ -18,7 +18,8 @@ from agents.estimation.motion_model import (
 from agents.laws.dispatch import law_memories
 from agents.safety.decision import guard_state
 from agents.safety.trajectories import UNCERTIFIED
-from bus.messages import LinkKind, LinkStatus, MissionResult
+from bus.messages.links import LinkKind, LinkStatus
+from bus.messages.telemetry import MissionResult
 from outrider.envs.closed_loop_state import (
     GUARD_METRICS,
     CommandedState,

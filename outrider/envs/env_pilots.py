@@ -10,11 +10,9 @@ from agents.control.orbit import Path as VirtualPath
 from agents.control.weighting import Weighting
 from agents.estimation.map_updates import BLOCK_TILES, word_state
 from agents.uav import UavPilot
-from bus.messages import (
-    BLOCK_SIDE,
-    TILE_LETTERS,
-    GroundBlock,
-    LinkKind,
+from bus.messages.ground import BLOCK_SIDE, TILE_LETTERS, GroundBlock
+from bus.messages.links import LinkKind
+from bus.messages.vehicle import (
     RelativeInformation,
     UavCommand,
     UavObservation,

@@ -15,12 +15,8 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
-from bus.messages import (
-    Briefing,
-    LinkStatus,
-    UavCommand,
-    UgvCommand,
-)
+from bus.messages.links import LinkStatus
+from bus.messages.vehicle import Briefing, UavCommand, UgvCommand
 from bus.observations import STATE, bounds, state_names, with_tables
 from outrider.envs.worlds import Worlds
 from sim.engine.briefing import briefing

@@ -21,7 +21,8 @@ from agents.safety.handover import check_assumptions
 from agents.safety.safety_filter import bounds_of
 from agents.uav_parameters import uav_parameters
 from bus.errors import ScenarioError
-from bus.messages import Law, UavBriefing
+from bus.messages.scenario import Law
+from bus.messages.vehicle import UavBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
 from bus.ticks import radio_ticks
 from outrider.envs.closed_loop_state import (

@@ -14,7 +14,8 @@ from gymnasium import logger
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
-from bus.messages import LinkStatus, MissionResult
+from bus.messages.links import LinkStatus
+from bus.messages.telemetry import MissionResult
 from bus.observations import GRADIENT, UAV, as_rows
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.closed_loop_state import GUARD_METRICS

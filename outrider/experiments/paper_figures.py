@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from bus.law_parameters import law_parameters
-from bus.messages import Region
+from bus.messages.scenario import Region
 from outrider import style
 from outrider.experiments.claims import (
     BESIDE,

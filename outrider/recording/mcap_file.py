@@ -12,7 +12,10 @@ from pathlib import Path
 
 import msgspec
 
-from bus.messages import CoverageMap, Drive, GroundMap, Message, Truth
+from bus.messages.base import Message
+from bus.messages.ground import GroundMap
+from bus.messages.telemetry import CoverageMap, Truth
+from bus.messages.vehicle import Drive
 from bus.plugins import needs
 from outrider.recording import schemas
 from outrider.recording.tick_rows import Tick

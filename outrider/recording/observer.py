@@ -4,7 +4,10 @@ import time
 from typing import Protocol
 
 from bus import keys
-from bus.messages import Change, CoverageMap, GroundMap, Message, Status, Truth
+from bus.messages.base import Message
+from bus.messages.control import Change
+from bus.messages.ground import GroundMap
+from bus.messages.telemetry import CoverageMap, Status, Truth
 from bus.session import Session
 from outrider.recording import schemas
 from outrider.recording.schemas import Commands, Head, Topic, head_of

@@ -14,17 +14,11 @@ import msgspec
 
 from bus.errors import ScenarioError
 from bus.files import open_regular
-from bus.messages import (
-    CertificateStatus,
-    Change,
-    CoverageMap,
-    GroundMap,
-    LinkStatus,
-    Message,
-    MissionResult,
-    Status,
-    Truth,
-)
+from bus.messages.base import Message
+from bus.messages.control import Change
+from bus.messages.ground import GroundMap
+from bus.messages.links import LinkStatus
+from bus.messages.telemetry import CertificateStatus, CoverageMap, MissionResult, Status, Truth
 from bus.plugins import needs
 from outrider.recording import schemas
 from sim.scenario.types import Scenario

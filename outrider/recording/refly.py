@@ -9,7 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bus.errors import ScenarioError
-from bus.messages import Action, Control, LinkKind, Truth
+from bus.messages.control import Action, Control
+from bus.messages.links import LinkKind
+from bus.messages.telemetry import Truth
 from outrider.recording.reader import Recording
 from sim.server.flight import Flight
 from sim.server.recorder import platform_row

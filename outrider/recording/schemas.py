@@ -14,20 +14,11 @@ import msgspec
 from msgspec import Meta
 
 from bus.errors import ScenarioError
-from bus.messages import (
-    Change,
-    CoverageMap,
-    Drive,
-    GroundMap,
-    Message,
-    Name,
-    NonNegative,
-    Status,
-    Text,
-    Tick,
-    Truth,
-    Vector,
-)
+from bus.messages.base import Message, Name, NonNegative, Text, Tick, Vector
+from bus.messages.control import Change
+from bus.messages.ground import GroundMap
+from bus.messages.telemetry import CoverageMap, Status, Truth
+from bus.messages.vehicle import Drive
 from sim.input.reading import apply_override, typed
 from sim.scenario.checks import check_scenario
 from sim.scenario.types import Scenario

@@ -11,7 +11,9 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from bus.messages import EscortTruth, Truth, UavReport, Vector, VehicleTruth
+from bus.messages.base import Vector
+from bus.messages.telemetry import EscortTruth, Truth, VehicleTruth
+from bus.messages.vehicle import UavReport
 from outrider.recording.schemas import Commands
 from sim.compiling.compile import FloatArray
 from sim.server.flight import Flight

@@ -9,7 +9,8 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bus.messages import CoverageMap, HazardOutline
+from bus.messages.ground import HazardOutline
+from bus.messages.telemetry import CoverageMap
 from bus.plugins import needs
 from sim.scenario.types import Scenario
 from sim.scene.colors import HAZARDS, rgb

@@ -11,18 +11,10 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from bus.messages import (
-    Action,
-    Change,
-    Control,
-    CoverageMap,
-    Drive,
-    GroundMap,
-    HazardOutline,
-    Status,
-    UavReport,
-    VehicleStatus,
-)
+from bus.messages.control import Action, Change, Control
+from bus.messages.ground import GroundMap, HazardOutline
+from bus.messages.telemetry import CoverageMap, Status, VehicleStatus
+from bus.messages.vehicle import Drive, UavReport
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.schemas import CHANGES, COVERAGE, GROUND, STATUS, head_of
 from outrider.recording.tick_rows import TickTexts

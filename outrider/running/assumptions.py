@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from agents.safety.handover import check_assumptions
 from agents.safety.safety_filter import bounds_of
-from bus.messages import LinkKind
+from bus.messages.links import LinkKind
 from bus.registry import LAWS
 from bus.ticks import DUST
 from outrider.running.ground_assumptions import ground_warnings

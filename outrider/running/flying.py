@@ -10,7 +10,7 @@ from agents.control.weighting import Weighting
 from agents.process import Pilot
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
-from bus.messages import Command, Observation, UavBriefing
+from bus.messages.vehicle import Command, Observation, UavBriefing
 from outrider.running.summary import Summary, summarize
 from outrider.running.user_code import check_code, load_function
 from sim.engine.briefing import briefing

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.messages import MOST_CARRIED, LinkKind
+from bus.messages.links import LinkKind
+from bus.messages.vehicle import MOST_CARRIED
 from bus.ticks import DUST, first_tick_from
 from sim.channel.description import link_parameters, longest_delay, longest_wait
 from sim.channel.gaps import (

@@ -9,7 +9,7 @@ from typing import Literal
 
 import msgspec
 
-from bus.messages import LinkKind
+from bus.messages.links import LinkKind
 
 Total = Literal["", "max", "min", "mean", "sum", "rms", "first", "all", "any"]
 """Rule that merges the numbers of several UAVs, UGVs or links; empty: a single number."""

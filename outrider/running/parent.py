@@ -10,7 +10,7 @@ import time
 import msgspec
 
 from bus.access import Credential, CredentialSet
-from bus.messages import Law
+from bus.messages.scenario import Law
 
 _PATIENCE = 10.0
 """Time for closing sessions and files after the parent has gone [s]."""

@@ -7,15 +7,9 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from bus.messages import (
-    Action,
-    CertificateStatus,
-    Change,
-    LinkStatus,
-    MissionResult,
-    UgvGuarantee,
-    VehicleStatus,
-)
+from bus.messages.control import Action, Change
+from bus.messages.links import LinkStatus
+from bus.messages.telemetry import CertificateStatus, MissionResult, UgvGuarantee, VehicleStatus
 
 if TYPE_CHECKING:
     from sim.server.flight import Flight

@@ -12,7 +12,7 @@ from matplotlib.image import AxesImage
 from matplotlib.transforms import offset_copy
 
 from bus.errors import shortened
-from bus.messages import GroundMap
+from bus.messages.ground import GroundMap
 from outrider import style
 from sim.compiling.compile import FloatArray
 from sim.scene.drawing import Map, legend_of

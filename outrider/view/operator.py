@@ -10,17 +10,11 @@ from collections.abc import Callable, Iterator, Sequence
 
 from bus import keys
 from bus.errors import BusError
-from bus.messages import (
-    Action,
-    Control,
-    CoverageMap,
-    Drive,
-    GroundMap,
-    Message,
-    Status,
-    Truth,
-    Vector,
-)
+from bus.messages.base import Message, Vector
+from bus.messages.control import Action, Control
+from bus.messages.ground import GroundMap
+from bus.messages.telemetry import CoverageMap, Status, Truth
+from bus.messages.vehicle import Drive
 from bus.presence import Presence
 from bus.queues import Outbox
 from bus.registry import TELEOP

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from bus.messages import LinkSettings
+from bus.messages.links import LinkSettings
 from bus.ticks import DUST, first_tick_from
 from sim.channel.jitter import NORMAL, SHAPES, UNIFORM, jitter_share
 from sim.channel.link_records import DELAYS, NOTHING, OPPORTUNITIES, LinkParameters

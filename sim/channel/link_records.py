@@ -5,7 +5,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from bus.messages import Vector
+from bus.messages.base import Vector
 from sim.compiling.compile import IntArray
 from sim.compiling.records import RecordArray, record_type
 from sim.models.randomness import WordArray

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from bus.messages import LinkKind, LinkSettings, LinkStatus
+from bus.messages.links import LinkKind, LinkSettings, LinkStatus
 from sim.channel.description import check_link, link_parameters, longest_wait
 from sim.channel.link import begin_tick, catch_up, receive, send
 from sim.channel.link_records import (

@@ -19,7 +19,8 @@ import numpy as np
 from msgspec import Meta
 
 from bus.errors import ScenarioError
-from bus.messages import LinkSettings, Text
+from bus.messages.base import Text
+from bus.messages.links import LinkSettings
 from sim.compiling.compile import FloatArray, IntArray
 from sim.input.faults import Fault, shown
 

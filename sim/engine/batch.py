@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.errors import ScenarioError
-from bus.messages import LinkKind, LinkSettings
+from bus.messages.links import LinkKind, LinkSettings
 from bus.ticks import first_tick_from
 from sim.channel.description import check_link
 from sim.compiling.compile import IntArray, released

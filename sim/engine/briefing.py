@@ -1,17 +1,10 @@
 """The briefing of each vehicle when it joins: its own row of the scenario, and of the others only their bounds."""
 
-from bus.messages import (
-    Briefing,
-    Detector,
-    Limits,
-    LinkKind,
-    SafetyParameters,
-    UavBriefing,
-    UavGround,
-    UgvBriefing,
-    UgvGround,
-    or_none,
-)
+from bus.messages.base import or_none
+from bus.messages.ground import UavGround, UgvGround
+from bus.messages.links import LinkKind
+from bus.messages.scenario import Detector, Limits, SafetyParameters
+from bus.messages.vehicle import Briefing, UavBriefing, UgvBriefing
 from sim.channel.description import longest_delay
 from sim.engine.run_keys import derive_key
 from sim.models.inner_loop import tracking_error

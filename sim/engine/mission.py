@@ -10,7 +10,8 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from bus.messages import BLOCK_SIDE, MissionResult, UgvGuarantee
+from bus.messages.ground import BLOCK_SIDE
+from bus.messages.telemetry import MissionResult, UgvGuarantee
 from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState, TickArray

@@ -6,7 +6,7 @@ one network.
 
 from collections.abc import Sequence
 
-from bus.messages import LinkKind
+from bus.messages.links import LinkKind
 from sim.channel.links import Links
 from sim.models.randomness import COMMAND_LINK, DETECTION_LINK, OPERATOR_LINK, RADIO_LINK
 from sim.scenario.types import Scenario, Uav, Ugv

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.errors import OutriderError
-from bus.messages import HazardOutline, Vector
+from bus.messages.base import Vector
+from bus.messages.ground import HazardOutline
 from bus.plugins import needs
 from sim.compiling.compile import FloatArray, IntArray
 from sim.engine.batch import Batch

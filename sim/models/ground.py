@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from bus.messages import BLOCK_SIDE, TILE_LETTERS
+from bus.messages.ground import BLOCK_SIDE, TILE_LETTERS
 from bus.registry import HAZARDS
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray

@@ -11,7 +11,8 @@ import math
 import msgspec
 import numpy as np
 
-from bus.messages import BackupTrajectory, Vector
+from bus.messages.base import Vector
+from bus.messages.vehicle import BackupTrajectory
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray, records
 from sim.models.vehicles import brake

@@ -6,7 +6,8 @@ The simulator counts with the same record (`sim.engine.monitor`). The proof is i
 import math
 from typing import NamedTuple
 
-from bus.messages import SafetyParameters, or_infinite
+from bus.messages.base import or_infinite
+from bus.messages.scenario import SafetyParameters
 from bus.ticks import first_tick_from, ticks_within
 from sim.compiling.compile import compiled
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.messages import Vector
+from bus.messages.base import Vector
 from bus.registry import DRIVERS, HAZARDS
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray, records

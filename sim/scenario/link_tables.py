@@ -4,7 +4,7 @@ from typing import Any
 
 import msgspec
 
-from bus.messages import LinkKind
+from bus.messages.links import LinkKind
 from bus.profiles import PROFILES
 from sim.input.faults import Fault, near
 

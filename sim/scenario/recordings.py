@@ -9,7 +9,7 @@ import msgspec
 
 from bus.errors import ScenarioError
 from bus.files import read_regular
-from bus.messages import LinkKind
+from bus.messages.links import LinkKind
 from sim.channel.recorded import MOST_BYTES, TRACE_RULE, RecordedLink, pack, read_recording
 from sim.input.faults import one_line
 from sim.scenario.types import LinkTable, Scenario

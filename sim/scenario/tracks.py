@@ -9,7 +9,7 @@ import msgspec
 
 from bus.errors import ScenarioError
 from bus.files import open_regular
-from bus.messages import ScriptStep
+from bus.messages.scenario import ScriptStep
 from sim.scenario.types import Scenario, Ugv
 
 _MOST_BYTES = 32 << 20

@@ -10,23 +10,9 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from bus.messages import (
-    Area,
-    Estimator,
-    Law,
-    Line,
-    LinkKind,
-    LinkSettings,
-    Name,
-    NonNegative,
-    Origin,
-    Positive,
-    Region,
-    ScriptStep,
-    Sensor,
-    Text,
-    Vector,
-)
+from bus.messages.base import Line, Name, NonNegative, Positive, Text, Vector
+from bus.messages.links import LinkKind, LinkSettings
+from bus.messages.scenario import Area, Estimator, Law, Origin, Region, ScriptStep, Sensor
 from bus.registry import CAUTIONS, DEFAULT_DRIVER, HAZARDS, TOUCHES
 from sim.channel.recorded import RecordedLink
 from sim.models.inner_loop import InnerLoop

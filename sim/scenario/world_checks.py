@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import msgspec
 
 from bus.keys import STAFF
-from bus.messages import LinkKind
+from bus.messages.links import LinkKind
 from sim.channel.description import least_ticks, link_faults, link_parameters
 from sim.input.faults import Fault, is_whole
 from sim.models.inner_loop import needed_reserve, tracking_error

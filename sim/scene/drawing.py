@@ -18,7 +18,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Ellipse
 
-from bus.messages import GroundMap
+from bus.messages.ground import GroundMap
 from sim.compiling.compile import FloatArray
 from sim.scene.colors import COVERED, ESTIMATE, INK, MUTED, RULE, UAV, UGV
 from sim.scene.hazards import DrawnGround, legend_of_ground

@@ -10,7 +10,7 @@ from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from bus.messages import GroundMap
+from bus.messages.ground import GroundMap
 from sim.compiling.compile import FloatArray
 from sim.scene.colors import COVERED, LIMIT, MUTED
 from sim.scene.drawing import DPI, Estimate, Map, key, legend_of, look

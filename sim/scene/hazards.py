@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.path import Path
 
-from bus.messages import GroundMap, HazardOutline
+from bus.messages.ground import GroundMap, HazardOutline
 from sim.scene.colors import FAINT, HAZARDS, INK, LIMIT, TILES, rgb
 from sim.scene.told_tiles import HIT, KNOWN, UNKNOWN
 

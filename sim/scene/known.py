@@ -2,7 +2,8 @@
 
 import math
 
-from bus.messages import Geometry, Vector
+from bus.messages.base import Vector
+from bus.messages.telemetry import Geometry
 from bus.registry import DRIVERS
 from sim.engine.briefing import limits
 from sim.scenario.types import Scenario, Ugv, switching_radius

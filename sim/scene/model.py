@@ -8,7 +8,7 @@ estimates) is handed to whatever draws.
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from bus.messages import Geometry
+from bus.messages.telemetry import Geometry
 from sim.scene.colors import LIMIT, UAV, UGV, color
 
 LABELS = {"r_v": "limit of sight", "r_s": "only tracking", "r": "range of the sensor"}

@@ -5,7 +5,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from bus.messages import GroundMap, HazardOutline, Vector
+from bus.messages.base import Vector
+from bus.messages.ground import GroundMap, HazardOutline
 from bus.registry import HAZARDS
 from sim.models.ground import FOUND, UNSEEN
 from sim.world import World

@@ -5,7 +5,8 @@ from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
-from bus.messages import BackupTrajectory, Command, UavCommand, UavReport, VehicleStatus
+from bus.messages.telemetry import VehicleStatus
+from bus.messages.vehicle import BackupTrajectory, Command, UavCommand, UavReport
 from bus.registry import LAWS
 from sim.scenario.types import Scenario
 from sim.server.assurance import Assurance

@@ -3,7 +3,8 @@
 import math
 from collections import Counter
 
-from bus.messages import CertificateStatus, UavCommand
+from bus.messages.telemetry import CertificateStatus
+from bus.messages.vehicle import UavCommand
 from sim.compiling.records import RecordArray, records
 from sim.engine.briefing import monitored_bounds
 from sim.engine.monitor import (

@@ -9,27 +9,20 @@ from typing import Protocol
 
 import msgspec
 
-from bus.messages import (
-    TILE_LETTERS,
-    Action,
+from bus.messages.base import Vector
+from bus.messages.control import Action, Change, Control
+from bus.messages.ground import TILE_LETTERS, GroundBlock
+from bus.messages.links import LinkKind, LinkSettings
+from bus.messages.scenario import Law
+from bus.messages.telemetry import EscortTruth, Status, Truth, VehicleTruth
+from bus.messages.vehicle import (
     BackupTrajectory,
-    Change,
     Command,
-    Control,
     Drive,
-    EscortTruth,
-    GroundBlock,
-    Law,
-    LinkKind,
-    LinkSettings,
     Observation,
     RelativeInformation,
-    Status,
-    Truth,
     UavCommand,
     UgvCommand,
-    Vector,
-    VehicleTruth,
 )
 from bus.ticks import radio_ticks, tick_of
 from sim.compiling.compile import FloatArray

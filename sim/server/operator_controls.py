@@ -7,7 +7,9 @@ import msgspec
 
 from bus.errors import ScenarioError
 from bus.keys import CONTROL, OPERATOR
-from bus.messages import LONGEST_TEXT, Action, Change, Control, Drive
+from bus.messages.base import LONGEST_TEXT
+from bus.messages.control import Action, Change, Control
+from bus.messages.vehicle import Drive
 from bus.registry import DRIVERS
 from bus.session import Session
 from sim.scenario.checks import check_scenario

@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Mapping
 from typing import NamedTuple
 
 from bus.errors import PeerLost
-from bus.messages import Command, Observation, UavObservation
+from bus.messages.vehicle import Command, Observation, UavObservation
 from bus.session import Session
 from sim.scenario.types import Run
 from sim.server.sessions import Slots

@@ -8,18 +8,17 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
-from bus.messages import (
+from bus.messages.base import Vector
+from bus.messages.ground import GroundBlock, SeenTile
+from bus.messages.links import LinkKind
+from bus.messages.scenario import Law
+from bus.messages.vehicle import (
     Detection,
     Drive,
-    GroundBlock,
-    Law,
-    LinkKind,
     Observation,
     RelativeInformation,
-    SeenTile,
     UavObservation,
     UgvObservation,
-    Vector,
 )
 from sim.compiling.compile import FloatArray
 from sim.world import World

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bus.messages import UavReport
+from bus.messages.vehicle import UavReport
 from sim.channel.link_records import ARRIVED
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray, record_type

@@ -4,7 +4,9 @@ import time
 from collections.abc import Callable, Mapping
 
 from bus.errors import PeerLost
-from bus.messages import Action, Change, Command, Observation, Status, VehicleStatus
+from bus.messages.control import Action, Change
+from bus.messages.telemetry import Status, VehicleStatus
+from bus.messages.vehicle import Command, Observation
 from bus.session import Session
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight

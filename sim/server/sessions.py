@@ -10,14 +10,9 @@ from dataclasses import dataclass, field
 import msgspec
 
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, Key, Role
-from bus.messages import (
-    LONGEST_TEXT,
-    Command,
-    Observation,
-    UavCommand,
-    UgvCommand,
-    VehicleStatus,
-)
+from bus.messages.base import LONGEST_TEXT
+from bus.messages.telemetry import VehicleStatus
+from bus.messages.vehicle import Command, Observation, UavCommand, UgvCommand
 from bus.session import Envelope, Outbox, Session
 from sim.engine.briefing import briefing
 from sim.scenario.types import Uav

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import msgspec
 
 from bus.keys import COVERAGE, GROUND, SAMPLED_TRUTH, STATUS, TRUTH
-from bus.messages import Status
+from bus.messages.telemetry import Status
 from bus.session import Session
 from sim.scenario.types import LinkTable, Scenario
 from sim.scene.known import geometry_of

@@ -209,7 +209,7 @@ import os
 from pathlib import Path
 from agents.process import fly
 from bus.access import read_credential
-from bus.messages import UavCommand
+from bus.messages.vehicle import UavCommand
 class Hover:
     def __init__(self, briefing):
         pass

@@ -25,7 +25,7 @@ import numpy as np
 
 from bus.access import read_credential
 from bus.keys import STATUS, Party, Role
-from bus.messages import Status
+from bus.messages.telemetry import Status
 from bus.session import open_session
 from outrider.running.flying import fly
 from sim.scenario.loading import load_scenario

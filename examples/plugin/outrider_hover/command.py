@@ -1,6 +1,6 @@
 """`outrider hover`: a pilot of one's own as a command."""
 
-from bus.messages import UavCommand
+from bus.messages.vehicle import UavCommand
 from outrider.cli import options
 
 

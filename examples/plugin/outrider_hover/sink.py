@@ -1,6 +1,6 @@
 """`outrider record track.csv --format csv`: the vehicles' positions, a line each."""
 
-from bus.messages import Truth
+from bus.messages.telemetry import Truth
 
 
 class CsvSink:

@@ -9,7 +9,9 @@ from typing import Any
 
 import msgspec
 
-from bus.messages import Action, Control, LinkKind, LinkSettings, Status
+from bus.messages.control import Action, Control
+from bus.messages.links import LinkKind, LinkSettings
+from bus.messages.telemetry import Status
 from bus.profiles import PROFILES
 
 ALL = "all"

@@ -7,7 +7,8 @@ import msgspec
 from nicegui import ui
 from nicegui.events import GenericEventArguments
 
-from bus.messages import LinkKind, LinkSettings, Status
+from bus.messages.links import LinkKind, LinkSettings
+from bus.messages.telemetry import Status
 from bus.profiles import PROFILES
 from outrider_dashboard.controls.link_words import (
     ALL,

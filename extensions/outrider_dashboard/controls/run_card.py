@@ -6,7 +6,9 @@ import time
 import msgspec
 from nicegui import ui
 
-from bus.messages import Action, Control, Law, Status
+from bus.messages.control import Action, Control
+from bus.messages.scenario import Law
+from bus.messages.telemetry import Status
 from bus.registry import DRIVERS, LAWS
 from outrider_dashboard.controls.links_card import LinkForm
 from outrider_dashboard.controls.widgets import (

@@ -4,7 +4,10 @@ import math
 import time
 from collections.abc import Callable
 
-from bus.messages import Control, Drive, Status, Vector
+from bus.messages.base import Vector
+from bus.messages.control import Control
+from bus.messages.telemetry import Status
+from bus.messages.vehicle import Drive
 from bus.registry import TELEOP
 from outrider.view.operator import Helm
 

@@ -5,7 +5,9 @@ from typing import Protocol
 
 import msgspec
 
-from bus.messages import Control, Drive, Message
+from bus.messages.base import Message
+from bus.messages.control import Control
+from bus.messages.vehicle import Drive
 
 
 class Playing(msgspec.Struct, frozen=True, kw_only=True):

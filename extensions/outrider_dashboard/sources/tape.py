@@ -7,7 +7,11 @@ from typing import TypeVar
 
 import msgspec
 
-from bus.messages import Control, CoverageMap, Drive, GroundMap, Message, Status, Truth
+from bus.messages.base import Message
+from bus.messages.control import Control
+from bus.messages.ground import GroundMap
+from bus.messages.telemetry import CoverageMap, Status, Truth
+from bus.messages.vehicle import Drive
 from bus.registry import DEFAULT_LAW
 from outrider.recording.reader import Recording, coverages, grounds, statuses
 from outrider_dashboard.sources.protocol import Playing, SourceState

@@ -6,7 +6,10 @@ from typing import Any
 import pytest
 
 from bus.keys import SIMULATOR_NAME, Party, Role
-from bus.messages import Action, Change, Control, Drive, Law, Status
+from bus.messages.control import Action, Change, Control
+from bus.messages.scenario import Law
+from bus.messages.telemetry import Status
+from bus.messages.vehicle import Drive
 from bus.registry import TELEOP
 from outrider_dashboard.controls.wheel import SharedWheel
 from outrider_dashboard.hub import running_law

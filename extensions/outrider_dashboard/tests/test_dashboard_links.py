@@ -5,17 +5,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from bus.messages import (
-    Action,
-    Change,
-    Control,
-    Limits,
-    LinkKind,
-    LinkSettings,
-    LinkStatus,
-    Status,
-    UavReport,
-)
+from bus.messages.control import Action, Change, Control
+from bus.messages.links import LinkKind, LinkSettings, LinkStatus
+from bus.messages.scenario import Limits
+from bus.messages.telemetry import Status
+from bus.messages.vehicle import UavReport
 from bus.profiles import PROFILES
 from observed import recorded
 from outrider.recording.reader import flight_of

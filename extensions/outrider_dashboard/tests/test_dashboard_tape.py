@@ -4,7 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from bus.messages import Action, Control, CoverageMap, Drive, Status, Truth
+from bus.messages.control import Action, Control
+from bus.messages.telemetry import CoverageMap, Status, Truth
+from bus.messages.vehicle import Drive
 from clocks import Clock
 from observed import recorded
 from outrider.recording.reader import flight_of

@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 
 from bus.errors import PeerLost
-from bus.messages import LinkKind, UavCommand, UavObservation
+from bus.messages.links import LinkKind
+from bus.messages.vehicle import UavCommand, UavObservation
 from flights import R_S, R_V, Piloted, distances
 from outrider.running.flying import fly, make_pilots
 from outrider_falsify import attacks, search

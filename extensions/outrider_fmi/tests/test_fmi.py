@@ -17,7 +17,7 @@ from pythonfmu3 import FmuBuilder
 from agents.uav import UavPilot
 from bus.errors import ScenarioError
 from bus.keys import Role
-from bus.messages import Drive, UavCommand, UavObservation
+from bus.messages.vehicle import Drive, UavCommand, UavObservation
 from flights import Piloted, record, sha256
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env

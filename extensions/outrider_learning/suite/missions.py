@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from bus.messages import MissionResult
+from bus.messages.telemetry import MissionResult
 from outrider.envs.pilot_numbers import pilot_names
 from outrider.envs.worlds import Worlds
 from outrider_learning.suite.scoring import Entry, Result, Team, begun, check_law, result_of

@@ -16,7 +16,8 @@ import pytest
 import outrider
 from agents.drivers.policy import PolicyDriver
 from bus.errors import ScenarioError
-from bus.messages import MissionResult, UgvCommand, UgvObservation
+from bus.messages.telemetry import MissionResult
+from bus.messages.vehicle import UgvCommand, UgvObservation
 from flights import Piloted
 from outrider.envs.env_pilots import pilots
 from outrider.experiments.intervals import interquartile_interval

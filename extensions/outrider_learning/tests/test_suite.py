@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bus.messages import Command
+from bus.messages.vehicle import Command
 from outrider.envs import worlds
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.pilot_numbers import pilot_names

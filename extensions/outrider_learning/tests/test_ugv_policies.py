@@ -18,7 +18,7 @@ import pytest
 import outrider
 from agents.drivers.policy import PolicyDriver, UgvRows
 from bus.errors import ScenarioError
-from bus.messages import UgvObservation
+from bus.messages.vehicle import UgvObservation
 from bus.policies import policy_kinds
 from bus.registry import resolve
 from flights import DT, told_ugv

@@ -11,7 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus.errors import ScenarioError
-from bus.messages import Action, Origin, VehicleStatus
+from bus.messages.control import Action
+from bus.messages.scenario import Origin
+from bus.messages.telemetry import VehicleStatus
 from outrider_mavlink.dialect import mavlink
 from outrider_mavlink.gateway import (
     BEYOND_BOUNDS,

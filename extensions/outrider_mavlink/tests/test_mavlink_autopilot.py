@@ -8,7 +8,7 @@ import pytest
 from test_mavlink import Station, of, texts
 
 from bus.errors import ScenarioError
-from bus.messages import UavObservation
+from bus.messages.vehicle import UavObservation
 from flights import distances, flown_by
 from outrider.running.flying import fly, make_pilots
 from outrider_mavlink import autopilot as module

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_mavlink import Station, of, second_station, texts
 
-from bus.messages import Limits, Origin
+from bus.messages.scenario import Limits, Origin
 from flights import distances, flown_by
 from outrider.running.flying import fly
 from outrider.running.refused import Refused

@@ -17,7 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus.errors import ScenarioError
-from bus.messages import MOST_CARRIED, LinkSettings
+from bus.messages.links import LinkSettings
+from bus.messages.vehicle import MOST_CARRIED
 from outrider_networks.link_runs import Probability
 from outrider_networks.probabilities import (
     age_exceedance,

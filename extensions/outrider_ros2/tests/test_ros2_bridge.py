@@ -16,7 +16,9 @@ from hypothesis import strategies as st
 
 from bus.access import new_credentials
 from bus.keys import CONTROL, COVERAGE, OPERATOR, SAMPLED_TRUTH, STATUS
-from bus.messages import Action, Control, CoverageMap, Limits
+from bus.messages.control import Action, Control
+from bus.messages.scenario import Limits
+from bus.messages.telemetry import CoverageMap
 from outrider.running.refused import Refused
 from outrider.view.operator import RunClient
 from outrider_ros2.conversion import header, view_of

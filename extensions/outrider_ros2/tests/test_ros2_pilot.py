@@ -15,12 +15,7 @@ from agents.ugv import UgvPilot
 from bus.access import new_credentials
 from bus.errors import PeerLost
 from bus.keys import Role
-from bus.messages import (
-    UavBriefing,
-    UavObservation,
-    UgvBriefing,
-    UgvObservation,
-)
+from bus.messages.vehicle import UavBriefing, UavObservation, UgvBriefing, UgvObservation
 from bus.session import open_session
 from outrider_ros2.conversion import header
 from outrider_ros2.interfaces import decode, encode, make

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from bus.errors import ScenarioError
-from bus.messages import CoverageMap, GroundMap, LinkStatus, VehicleStatus
+from bus.messages.ground import GroundMap
+from bus.messages.links import LinkStatus
+from bus.messages.telemetry import CoverageMap, VehicleStatus
 from outrider.running.refused import Refused
 from outrider_ros2.conversion import PathTrack, RunView
 from outrider_ros2.interfaces import decode, encode, make, type_hash

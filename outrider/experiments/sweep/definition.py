@@ -10,7 +10,7 @@ import msgspec
 from msgspec import Meta
 
 from bus.errors import ScenarioError
-from bus.messages import Line, Text
+from bus.messages.base import Line, Text
 from sim.input.faults import Fault, one_line
 from sim.input.reading import parse_override, parse_toml, typed
 from sim.scenario.loading import read_toml, scenario_names

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from rich.text import Text
 
-from bus.messages import EscortTruth, Status, VehicleStatus
+from bus.messages.telemetry import EscortTruth, Status, VehicleStatus
 from bus.registry import TELEOP
 from outrider.view.operator import SILENCE
 from outrider.view.terminal.palette import ALARM, EDGE, FAINT, GOOD, INK, LIMIT, UAV, UGV

@@ -6,7 +6,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from bus.messages import CoverageMap, GroundMap, Status, Truth
+from bus.messages.ground import GroundMap
+from bus.messages.telemetry import CoverageMap, Status, Truth
 from bus.registry import TELEOP
 from bus.session import Session
 from outrider.view.operator import Helm, RunClient

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from bus.messages import CoverageMap, GroundMap, Truth
+from bus.messages.ground import GroundMap
+from bus.messages.telemetry import CoverageMap, Truth
 from outrider.view.terminal.canvas import Canvas
 from outrider.view.terminal.palette import (
     BACKGROUND,

@@ -19,7 +19,7 @@ from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.access import client_settings, read_credential
 from bus.keys import Role
-from bus.messages import UavBriefing, UavObservation, UgvBriefing, UgvObservation
+from bus.messages.vehicle import UavBriefing, UavObservation, UgvBriefing, UgvObservation
 from outrider_ros2.conversion import header
 from outrider_ros2.interfaces import decode, encode, make
 from outrider_ros2.topics import BRIEFING, OBSERVATION, PILOT_COMMANDS, TopicRow, wire_topic
