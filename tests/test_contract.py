@@ -8,8 +8,19 @@ from typing import get_args, get_type_hints
 import msgspec
 import pytest
 
-from bus import keys, messages
+from bus import keys
 from bus.keys import KEYS, Role
+from bus.messages.base import Message
+from bus.messages.scenario import Law
+from bus.messages.vehicle import (
+    RelativeInformation,
+    UavBriefing,
+    UavCommand,
+    UavObservation,
+    UgvBriefing,
+    UgvCommand,
+    UgvObservation,
+)
 from fields import fields_within
 from processes import loaded_by, ran
 from tabular import words
@@ -37,7 +48,7 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
         ground tile telling column row state
         origin latitude longitude altitude
         vehicle dt visibility_radius law key past more"""
-    assert told(TO_UAV) == {*words(known), *fields_within(messages.Law)}
+    assert told(TO_UAV) == {*words(known), *fields_within(Law)}
 
 
 def test_the_ugv_is_told_these_fields_and_no_others() -> None:
@@ -51,15 +62,15 @@ def test_the_ugv_is_told_these_fields_and_no_others() -> None:
 
 def test_the_past_that_a_vehicle_is_told_is_its_own_observations_and_nothing_else() -> None:
     for told, seen in (
-        (messages.UavBriefing, messages.UavObservation),
-        (messages.UgvBriefing, messages.UgvObservation),
+        (UavBriefing, UavObservation),
+        (UgvBriefing, UgvObservation),
     ):
         assert get_args(get_type_hints(told)["past"]) == (seen, ...)
         assert get_type_hints(told)["more"] is bool
 
 
 @pytest.mark.parametrize("kind", TO_UAV)
-def test_no_message_to_the_uav_names_goal_path_input_or_plan(kind: type[messages.Message]) -> None:
+def test_no_message_to_the_uav_names_goal_path_input_or_plan(kind: type[Message]) -> None:
     forbidden = words(
         "goal goals waypoints driver acceleration command input plan truth seed secret vehicles"
     )
@@ -72,15 +83,15 @@ def test_no_message_to_the_ugv_names_the_uavs_velocity_input_or_law(kind):
         "law acceleration command estimate detections detector truth seed secret vehicles"
     )
     assert fields_within(kind).isdisjoint(forbidden)
-    nested = fields_within(messages.RelativeInformation)
+    nested = fields_within(RelativeInformation)
     assert nested == {"time", "relative_position", "coverage_error"}
 
 
 def test_what_a_uav_can_radio_has_no_velocity_and_no_input() -> None:
-    radio = get_type_hints(messages.UavCommand)["radio"]
+    radio = get_type_hints(UavCommand)["radio"]
     assert fields_within(radio) == {"time", "relative_position", "coverage_error"}
-    assert "radio" not in messages.UgvCommand.__struct_fields__
-    blocks = get_type_hints(messages.UavCommand)["blocks"]
+    assert "radio" not in UgvCommand.__struct_fields__
+    blocks = get_type_hints(UavCommand)["blocks"]
     assert fields_within(blocks) == {"column", "row", "tiles"}
 
 
@@ -90,11 +101,11 @@ def test_an_observation_smuggled_with_another_vehicles_velocity_is_refused() -> 
         b'"detections":[{"time":0.05,"relative_position":[1.0,0.0],"velocity":[0.1,0.0]}]}'
     )
     with pytest.raises(msgspec.ValidationError, match="unknown field `velocity`"):
-        msgspec.json.decode(smuggled, type=messages.UavObservation)
+        msgspec.json.decode(smuggled, type=UavObservation)
 
 
 def test_the_route_that_a_ugv_plans_goes_to_the_simulator_and_no_vehicle() -> None:
-    assert "route" in messages.UgvCommand.__struct_fields__
+    assert "route" in UgvCommand.__struct_fields__
     carrying = [key for key in KEYS if {"route", "routes"} & fields_within(key.message)]
     assert {role for key in carrying for role in key.readers} == {
         Role.SIMULATOR,
@@ -107,7 +118,7 @@ def test_the_route_that_a_ugv_plans_goes_to_the_simulator_and_no_vehicle() -> No
         b'{"tick":1,"time":0.05,"position":[1.0,1.0],"velocity":[0.0,0.0],"route":[[2.0,2.0]]}'
     )
     with pytest.raises(msgspec.ValidationError, match="unknown field `route`"):
-        msgspec.json.decode(smuggled, type=messages.UavObservation)
+        msgspec.json.decode(smuggled, type=UavObservation)
 
 
 def test_the_pilots_key_does_not_tell_the_runs_seed() -> None:

@@ -14,8 +14,8 @@ from typing import Any
 
 import msgspec
 
-from bus import messages
 from bus.law_parameters import parameters_class
+from bus.messages import links, scenario
 from bus.messages.links import LinkKind
 from bus.profiles import PROFILES
 from bus.registry import LAWS
@@ -53,7 +53,7 @@ def scenario_schema() -> dict[str, Any]:
     schema = msgspec.json.schema(Scenario)
     tables = schema["$defs"]
     for name, table in tables.items():
-        struct = getattr(types, name, None) or getattr(messages, name)
+        struct = next(vars(m)[name] for m in (types, scenario, links) if name in vars(m))
         docs = field_docs(struct) if "properties" in table else {}
         for field, told in docs.items():
             table["properties"][field]["description"] = told
