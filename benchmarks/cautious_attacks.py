@@ -282,7 +282,9 @@ class Receiver:
             return
         last, sent = tick + self._delay, self._memory.sent
         rows = [sent[k % len(sent)] for k in range(max(tick, last - 5), last + 1)]
-        packet = [tuple(row[["begins", "parent", "first_x", "first_y"]].tolist()) for row in rows]
+        packet = [
+            (int(row["begins"]), int(row["parent"]), *row["acceleration"].tolist()) for row in rows
+        ]
         late = int(self._rng.integers(0, self._delay + 3))  # two ticks too late at most
         self._coming.setdefault(tick + late, []).extend(packet)
 
