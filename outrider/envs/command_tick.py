@@ -162,9 +162,7 @@ def command(
 
 
 @compiled
-def obey(
-    vehicles: RecordArray, hand: IntArray, world: int, tick: int, actions: FloatArray
-) -> None:
+def obey(vehicles: RecordArray, hand: IntArray, world: int, tick: int, actions: FloatArray) -> None:
     """The commands of all vehicles, from outside; the backup plans that they carry are there already."""
     for v in range(hand.shape[0]):
         one = vehicles[world, v]
