@@ -138,6 +138,7 @@ ON_BOARD = {
     "sim.models.vehicles",
     "sim.models.field",
     "sim.models.ground",
+    "sim.models.hazards",
     "sim.models.motion",
     "sim.models.randomness",
     "sim.models.safety",

@@ -11,18 +11,8 @@ from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.engine.ground_state import GroundParameters, GroundState
 from sim.engine.world_state import BatchState, Vehicle, WorldParameters
 from sim.models.field import accumulate
-from sim.models.ground import (
-    BLOCK,
-    CERTIFIED,
-    CLEAR,
-    ROUGH,
-    UNSEEN,
-    TileArray,
-    crosses_hazard,
-    rough_share,
-    state_at,
-    tile_index,
-)
+from sim.models.ground import CERTIFIED, CLEAR, UNSEEN, TileArray, state_at, tile_index
+from sim.models.hazards import BLOCK, ROUGH, crosses_hazard, rough_share
 from sim.models.randomness import GROUND_LOOK, TILE_CHANCE, WordArray, key_of, uniform
 
 _POINTS = 8
