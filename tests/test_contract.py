@@ -142,6 +142,7 @@ ON_BOARD = {
     "sim.models.motion",
     "sim.models.randomness",
     "sim.models.safety",
+    "sim.models.sensor",
     "sim.models.sensors",
     "sim.models.sensors.hill",
     "sim.models.sensors.plateau",

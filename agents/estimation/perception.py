@@ -45,8 +45,6 @@ def uav_perceive(
             here.p_x,
             here.p_y,
             uav.sensor,
-            uav.sensor_peak,
-            uav.sensing_range,
             uav.cell,
             looked * uav.dt,
         )

@@ -50,8 +50,6 @@ def _add_cues(
             world_parameters.r_o,
             world_parameters.desired,
             world_parameters.sensor,
-            world_parameters.peak,
-            world_parameters.reach,
             world_parameters.cell,
         )
         if size > 0.0:

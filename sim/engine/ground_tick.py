@@ -64,13 +64,11 @@ def _look(
         x,
         y,
         numbers.sensor,
-        numbers.peak,
-        numbers.reach,
         settings.tile,
         settings.period * numbers.dt,
     )
-    first_row, end_row = _tile_range(y, numbers.reach, settings.tile, looked.shape[0])
-    first, end = _tile_range(x, numbers.reach, settings.tile, looked.shape[1])
+    first_row, end_row = _tile_range(y, numbers.sensor.reach, settings.tile, looked.shape[0])
+    first, end = _tile_range(x, numbers.sensor.reach, settings.tile, looked.shape[1])
     for row in range(first_row, end_row):
         sums, states, news = looked[row, first:end], known[row, first:end], 0
         for i in range(sums.size):  # several to a vector: mostly there is none
