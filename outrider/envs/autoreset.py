@@ -52,7 +52,7 @@ class AutoresetWorlds(Worlds):
         self.autoreset_mode = _checked_mode(autoreset_mode)
         """When an episode follows on one that has ended."""
         super().__init__(*arguments, **settings)
-        self._returns: FloatArray = np.zeros((self.num_envs, len(self.rows)))
+        self._returns: FloatArray = np.zeros((self.num_envs, len(self.loop.names)))
         """Of each episode so far, in the mode SAME_STEP."""
         self._over: BoolArray = np.zeros(self.num_envs, dtype=np.bool_)
         """The episodes that have ended and begin anew in the next step, in the mode NEXT_STEP."""
@@ -77,7 +77,7 @@ class AutoresetWorlds(Worlds):
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
             return self._step_or_begin(actions)
         ended = self.step(actions)
-        self._returns += self.loop.state.rows.rewards
+        self._returns += self.loop.state.rows.standings["reward"]
         rewards = {name: self.rewards(name) for name in self.learners}
         terminated, truncated = self.ends()
         final: dict[str, dict[str, Any]] = {name: {} for name in self.learners}
@@ -120,7 +120,7 @@ class AutoresetWorlds(Worlds):
         info = {key: value for key, value in told.items() if not key.startswith("_")}
         info |= self._mission(name, ended)
         info["episode"] = {
-            "r": np.where(ended, self._returns[:, self.rows[name]], 0.0),
+            "r": np.where(ended, self._returns[:, self.loop.names.index(name)], 0.0),
             "l": np.where(ended, self.loop.state.batch.ticks, 0),
             "_r": ended.copy(),
             "_l": ended.copy(),

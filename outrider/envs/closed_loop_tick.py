@@ -20,7 +20,7 @@ from sim.engine.monitor import (
     record_tracking_error,
 )
 from sim.engine.world_tick import begin_world, measure, world_tick
-from sim.env.rows import UAV_METRICS, advance_rows, observe_rows
+from sim.env.rows import advance_rows, observe_rows
 from sim.models.field import coverage_gradient, sample
 from sim.models.vehicles import norm
 
@@ -117,8 +117,8 @@ def _note_tick(tables: LoopTables, state: LoopState, world: int, over: bool) -> 
     """Count what the UAVs' certificates have come to at this tick."""
     for u in range(tables.batch.escorts.shape[0]):
         if over:
-            lost = state.rows.uavs[world, u, UAV_METRICS.lost] != 0.0
-            record_end(state.certificates[world, u], lost)
+            standing = state.rows.standings[world, tables.batch.escorts[u, 0]]
+            record_end(state.certificates[world, u], standing.lost)
         elif tables.guarded[u]:
             _note_evidence(tables, state, world, u)
 

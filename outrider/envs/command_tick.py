@@ -12,7 +12,6 @@ from agents.safety.trajectories import CERTIFIED as NOTHING_AGAINST
 from agents.safety.trajectories import INNER
 from agents.uav_parameters import Target
 from outrider.envs.closed_loop_state import (
-    GUARD_METRICS,
     LoopParameters,
     LoopState,
     LoopTables,
@@ -23,7 +22,6 @@ from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState
 from sim.engine.mission import goals_of, note_claim
 from sim.engine.monitor import Claim, record_decision
-from sim.env.rows import UAV_METRICS
 from sim.models.vehicles import Motion
 
 _RELATIVE, _GROUND = range(2)
@@ -41,7 +39,7 @@ def _fly(
     actions: FloatArray,
 ) -> None:
     """The command of a UAV, and what it radios."""
-    tick, row = state.batch.ticks[world], state.rows.uavs[world, uav]
+    tick, standing = state.batch.ticks[world], state.rows.standings[world, vehicle]
     one = state.batch.vehicles[world, vehicle]
     here = reference_of(one)
     guarded = tables.guarded[uav] != 0
@@ -58,13 +56,12 @@ def _fly(
     if guarded:
         held = guard_of(tables, state.guards, world, uav)
         u_x, u_y, acts, code, bound = guard(tables.safety[uav], held, tick, here, u_x, u_y, flown)
-        row[GUARD_METRICS.bound] = bound
-        row[GUARD_METRICS.acted] = 1.0 if acts != INNER else 0.0
+        standing.certified_distance, standing.intervened = bound, acts != INNER
         sure = code == NOTHING_AGAINST and tables.faults[uav] == 0
-        row[GUARD_METRICS.sure], row[GUARD_METRICS.code] = 1.0 if sure else 0.0, code
+        standing.certified, standing.uncertified = sure, code
         # a pilot that has seen nothing reports nothing
         reports = target.known or tables.hand[vehicle] >= 0
-        said = Claim(sure, reports and acts != INNER, row[UAV_METRICS.lost] != 0.0, True)
+        said = Claim(sure, reports and acts != INNER, standing.lost, True)
         record_decision(tables.monitored[uav], state.certificates[world, uav], tick, said)
     one.outgoing_tick, one.outgoing[0], one.outgoing[1] = tick, u_x, u_y
     if guarded:

@@ -17,12 +17,11 @@ from bus.messages.links import LinkStatus
 from bus.messages.telemetry import MissionResult
 from bus.observations import GRADIENT, UAV, as_rows
 from outrider.envs.closed_loop import ClosedLoop
-from outrider.envs.closed_loop_state import GUARD_METRICS
 from outrider.envs.pilot_numbers import pilot_names
 from sim.compiling.compile import FloatArray, IntArray
+from sim.compiling.records import RecordArray
 from sim.env.actions import take_batch
 from sim.env.observation import AgentObservation, ObservationFormat
-from sim.env.rows import UGV_METRICS
 from sim.env.seeds import Seeds
 from sim.env.settings import settings_of
 from sim.env.spaces import action_space
@@ -102,8 +101,6 @@ class Worlds:
             **settings,
         )
         """The worlds themselves."""
-        self.rows = {vehicle.name: k for k, vehicle in enumerate(self.scenario.vehicles)}
-        """Row of each vehicle in the rewards."""
         self.action_spaces = {v.name: action_space(v) for v in self.scenario.vehicles}
         self.observation_spaces = self._format.spaces
         self._seeds = [Seeds(self.scenario.seed + k) for k in range(self.num_envs)]
@@ -146,6 +143,10 @@ class Worlds:
         row = as_rows(loop.state.rows.uav_rows)[:, loop.uavs.index(name), :width]
         return form.shown(name, row, coverage=coverage)
 
+    def standings(self, name: str) -> RecordArray:
+        """Return the `sim.env.rows.Standing` of a vehicle in all worlds; a view."""
+        return self.loop.state.rows.standings[:, self.loop.names.index(name)]
+
     def mission(self, world: int) -> MissionResult | None:
         """The mission of one world so far; None where there are no hazards."""
         return self.loop.mission(world) if self.scenario.has_ground else None
@@ -157,23 +158,18 @@ class Worlds:
     def infos(self, name: str) -> dict[str, Any]:
         """Facts of a vehicle's own that are in no row, in all worlds, with Gymnasium's masks."""
         found: dict[str, Any] = {}
+        standings = self.standings(name)
         if name in self.loop.ugvs:
-            found["goals_reached"] = self.loop.state.rows.ugvs[
-                :, self.loop.ugvs.index(name), UGV_METRICS.reached
-            ].astype(np.int64)
+            found["goals_reached"] = standings["reached"].copy()
         elif self.is_filtered(name):
-            rows = self.loop.state.rows.uavs[:, self.loop.uavs.index(name)]
-            found["intervened"] = rows[:, GUARD_METRICS.acted] != 0.0
-            found["certified"] = rows[:, GUARD_METRICS.sure] != 0.0
-            found["certified_distance"] = rows[:, GUARD_METRICS.bound].copy()
+            for told in ("intervened", "certified", "certified_distance"):
+                found[told] = standings[told].copy()
         return found | {f"_{key}": np.ones(self.num_envs, dtype=np.bool_) for key in found}
 
     def info(self, name: str) -> dict[str, Any]:
         """The same in the first world as plain numbers, and why the safety filter has not certified its answer."""
-        state = self.loop.state.rows
         if name in self.loop.ugvs:
-            row = self.loop.ugvs.index(name)
-            return {"goals_reached": int(state.ugvs.item(0, row, UGV_METRICS.reached))}
+            return {"goals_reached": self.standings(name)["reached"].item(0)}
         return self.loop.verdict(name) if self.is_filtered(name) else {}
 
     def reset(
@@ -268,7 +264,7 @@ class Worlds:
 
     def rewards(self, name: str) -> FloatArray:
         """Return the rewards of the last tick. Shape (num_envs,)."""
-        return self.loop.state.rows.rewards[:, self.rows[name]].copy()
+        return self.standings(name)["reward"].copy()
 
     def ends(self) -> tuple[BoolArray, BoolArray]:
         """The episodes that have terminated, and those that were truncated."""
