@@ -17,6 +17,7 @@ from bus.profiles import PROFILES
 from flights import altered
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.running.flying import fly, make_pilots
+from sim.engine.batch import arrays_of
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
 from sim.scenario.loading import load_scenario
@@ -255,4 +256,5 @@ def test_an_episode_ends_by_itself_and_begins_anew_as_if_it_were_the_first() -> 
 
 
 def test_a_world_of_the_shipped_escort_needs_less_than_300_kb() -> None:
-    assert ClosedLoop(load_scenario("escort"), 2).bytes_per_world() < 300_000
+    state = ClosedLoop(load_scenario("escort"), 2).state
+    assert sum(array.nbytes for array in arrays_of(state)) < 2 * 300_000

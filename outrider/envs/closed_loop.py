@@ -31,7 +31,7 @@ from outrider.envs.closed_loop_tick import run_worlds
 from outrider.envs.pilot_numbers import PilotNumbers, loop_parameters, repeated, uses_radio
 from sim.channel.link_records import no_packets
 from sim.compiling.compile import FloatArray, IntArray
-from sim.engine.batch import Batch, Fresh, arrays_of
+from sim.engine.batch import Batch, Fresh
 from sim.engine.mission import mission_of
 from sim.engine.monitor import certificate_counters
 from sim.engine.run_keys import check_secret
@@ -312,10 +312,6 @@ class ClosedLoop:
     def links(self, world: int) -> dict[str, LinkStatus]:
         """The counters of each link of one world so far, by `vehicle/kind`."""
         return self.batch.links.status(world)
-
-    def bytes_per_world(self) -> int:
-        """Memory that one more world needs [bytes]."""
-        return sum(array.nbytes for array in arrays_of(self.state)) // self.worlds
 
     def close(self) -> None:
         """End the threads."""
