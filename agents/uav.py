@@ -182,8 +182,7 @@ class UavPilot:
         self._tick = tick
         if before is not None and tick > before:
             c, (x, y), looked = self._uav, observation.position, (tick - before) * dt
-            sensor = c.sensor, c.sensor_peak, c.sensing_range
-            accumulate(self.coverage, x, y, *sensor, c.cell, looked)
+            accumulate(self.coverage, x, y, c.sensor, c.cell, looked)
         if self.filter is not None:
             self.filter.see(observation)
 

@@ -7,6 +7,7 @@ from agents.safety.safety_filter import bounds_of
 from bus.errors import ScenarioError
 from bus.messages.vehicle import UavBriefing
 from bus.registry import SENSORS
+from sim.models.sensor import SensorParameters, sensor_parameters
 from sim.models.vehicles import raw_switching_radius
 
 
@@ -30,12 +31,8 @@ class UavParameters(NamedTuple):
     """r_s of (18) [m]; not positive where the UAV is too weak."""
     density_radius: float
     """r_o of (9) [m]."""
-    sensor: int
-    """Place of its model among the sensors."""
-    sensor_peak: float
-    """M_a of (2) [1/s]."""
-    sensing_range: float
-    """r of (2) [m]."""
+    sensor: SensorParameters
+    """S_a of (2)."""
     desired_coverage: float
     """C* of (4)."""
     max_distance: float
@@ -87,9 +84,7 @@ def uav_parameters(briefing: UavBriefing) -> UavParameters:
         target_max_speed=v_g,
         switching_radius=float(raw_switching_radius(briefing.visibility_radius, v_a, v_g, u_a)),
         density_radius=float(briefing.visibility_radius + briefing.sensor.range),
-        sensor=tuple(SENSORS).index(briefing.sensor.model),
-        sensor_peak=float(briefing.sensor.peak),
-        sensing_range=float(briefing.sensor.range),
+        sensor=sensor_parameters(briefing.sensor),
         desired_coverage=float(briefing.desired_coverage),
         max_distance=_max_distance(briefing),
     )

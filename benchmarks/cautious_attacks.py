@@ -35,17 +35,8 @@ from agents.drivers.pending_stops import PLAIN, note_claim, note_sent, state_ahe
 from agents.drivers.planning import begin_search, search_on
 from agents.drivers.tile_map import GroundMemory, ground_memory, note_block, note_tiles
 from sim.compiling.compile import FloatArray
-from sim.models.ground import (
-    BLOCK,
-    CERTIFIED,
-    CLEAR,
-    FOUND,
-    NO_CLAIM,
-    ROUGH,
-    UNSEEN,
-    WAY_UNKNOWN,
-    TileArray,
-)
+from sim.models.ground import CERTIFIED, CLEAR, NO_CLAIM, UNSEEN, WAY_UNKNOWN, TileArray
+from sim.models.hazards import BLOCK, FOUND, ROUGH
 from sim.models.motion import NO_MOTION
 from sim.models.vehicles import Motion, brake, clip_norm, norm, step_vehicle, within_walls
 

@@ -23,6 +23,7 @@ import pytest
 
 from outrider import parallel_env, vector_env
 from sim.models.field import accumulate, coverage_error, coverage_gradient
+from sim.models.sensor import SensorParameters
 from sim.scenario.loading import load_scenario
 from sim.world import World
 
@@ -67,6 +68,10 @@ def random_coverage(worlds: int) -> FloatArray:
     return np.random.default_rng(0).uniform(0.0, 2.5, (worlds, 160, 160))
 
 
+_SENSOR = SensorParameters(0, 1.0, 5.0)
+"""Of `escort`."""
+
+
 def start_positions(count: int) -> FloatArray:
     """Return the positions of UAV and UGV at the start of `escort`, repeated. Shape (count, 4)."""
     return np.tile(World(load_scenario("escort"), 1).position.ravel(), (count, 1))
@@ -79,9 +84,9 @@ def _kernels(grids: FloatArray, positions: FloatArray, begin: int, end: int) -> 
     for k in range(begin, end):
         grid = grids[k % len(grids)]
         a_x, a_y, g_x, g_y = positions[k, 0], positions[k, 1], positions[k, 2], positions[k, 3]
-        accumulate(grid, a_x, a_y, 0, 1.0, 5.0, 0.25, 0.05)
+        accumulate(grid, a_x, a_y, _SENSOR, 0.25, 0.05)
         total += coverage_error(grid, g_x, g_y, 9.75, 2.0, 0.25)
-        total += coverage_gradient(grid, a_x, a_y, g_x, g_y, 9.75, 2.0, 0, 1.0, 5.0, 0.25)[0]
+        total += coverage_gradient(grid, a_x, a_y, g_x, g_y, 9.75, 2.0, _SENSOR, 0.25)[0]
     return total
 
 
@@ -104,7 +109,7 @@ def engine_step() -> Iterator[tuple[Callable[[], object], int]]:
         world.received(0)
         world.measure()
         (a_x, a_y), (g_x, g_y) = world.position.tolist()
-        coverage_gradient(world.coverage, a_x, a_y, g_x, g_y, 9.75, 2.0, 0, 1.0, 5.0, 0.25)
+        coverage_gradient(world.coverage, a_x, a_y, g_x, g_y, 9.75, 2.0, _SENSOR, 0.25)
 
     yield step, 1
 

@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages.scenario import Area
-from bus.messages.vehicle import Detection, UavObservation, UgvObservation
 
 _Class = TypeVar("_Class", bound=type)
 
@@ -229,37 +228,3 @@ def state_names(vehicles: Iterable[tuple[str, Table]]) -> list[str]:
         *names(STATE),
         *(f"{name}.{entry}" for name, table in vehicles for entry in names(table)),
     ]
-
-
-def uav_observation(row: Row, *, dt: float) -> UavObservation:
-    """Return a UAV's row as the message that its pilot reads over the bus.
-
-    Args:
-        row: The entries of `UAV`.
-        dt: Length of a tick [s].
-    """
-    own = dict(zip(names(UAV), row.tolist(), strict=True))
-    tick = round(own["time"] / dt)
-    taken = tick - round(own["age"] / dt)
-    relative = own["relative_x"], own["relative_y"]
-    return UavObservation(
-        tick=tick,
-        time=tick * dt,
-        position=(own["x"], own["y"]),
-        velocity=(own["vx"], own["vy"]),
-        detections=(Detection(time=taken * dt, relative_position=relative),)
-        if own["detected"]
-        else (),
-    )
-
-
-def ugv_observation(row: Row, *, dt: float) -> UgvObservation:
-    """Return a UGV's row as the message that its pilot reads over the bus; arguments as for `uav_observation`."""
-    own = dict(zip(names(UGV), row.tolist(), strict=True))
-    tick = round(own["time"] / dt)
-    return UgvObservation(
-        tick=tick,
-        time=tick * dt,
-        position=(own["x"], own["y"]),
-        velocity=(own["vx"], own["vy"]),
-    )

@@ -89,7 +89,7 @@ class SensorRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HazardKindRow:
-    """A kind of hazards on the ground. What is one to a vehicle is in `sim.models.ground`."""
+    """A kind of hazards on the ground. Their geometry is in `sim.models.hazards`."""
 
     name: str
     code: int

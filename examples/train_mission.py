@@ -21,7 +21,8 @@ import outrider
 from outrider_learning.suite.board import leaderboard
 from outrider_learning.suite.scoring import Team
 from outrider_learning.suite.tasks import SEEDS, suite
-from sim.models.ground import BLOCK, UNSEEN
+from sim.models.ground import UNSEEN
+from sim.models.hazards import BLOCK
 
 HOLD = 20  # ticks, a second, between two decisions
 SECTORS, TILE, LAG = 16, 0.5, 8  # of the UGV's view; of the ground [m]; decisions

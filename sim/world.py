@@ -43,14 +43,11 @@ class World:
         scenario: What is flown.
         seed: Of all random numbers, with the secret.
         secret: Of the run, as `sim.engine.run_keys.check_secret` returns it; empty: none.
-        gains: Whether the decrease of e(t) by each look is counted.
     """
 
-    def __init__(
-        self, scenario: Scenario, seed: int, *, secret: str = "", gains: bool = False
-    ) -> None:
+    def __init__(self, scenario: Scenario, seed: int, *, secret: str = "") -> None:
         carried = (LinkKind.OPERATOR, LinkKind.RADIO)
-        batch = Batch(scenario, 1, gains=gains, threads=1, secret=secret, others=carried)
+        batch = Batch(scenario, 1, threads=1, secret=secret, others=carried)
         batch.begin((seed,))
         self._show(batch, 0, seed)
 

@@ -127,7 +127,7 @@ class FlownLaw(NamedTuple):
         return self.module.weights(self.uav, self.law, distance)
 
 
-def flown_law(scenario: Scenario, **changes: float) -> FlownLaw:
+def flown_law(scenario: Scenario, **changes: Any) -> FlownLaw:
     """The law of the scenario's UAV, whose constants are changed."""
     module = import_module(LAWS[scenario.law.name].module)
     (uav,) = records(UavParameters, [uav_parameters(told(scenario))._replace(**changes)])

@@ -91,8 +91,16 @@ SHORT = load_scenario("escort", overrides=["duration=1.0"])
 """The scenario of a run that this process launches."""
 
 
+NOBODY = launch.Watcher(
+    on_tick=lambda _tick: None,
+    on_event=lambda _line: None,
+    on_warnings=lambda _lines: None,
+    stop=lambda: 0,
+)
+
+
 def launched(
-    watcher: launch.Watcher = launch.NOBODY, *, scenario: Scenario = SHORT, **settings: Any
+    watcher: launch.Watcher = NOBODY, *, scenario: Scenario = SHORT, **settings: Any
 ) -> launch.Outcome:
     """The outcome of such a run over three processes."""
     return launch.launch(scenario, watcher, Output(), **settings)

@@ -5,6 +5,7 @@ import threading
 import numpy as np
 import pytest
 
+from bus.messages.links import LinkKind
 from bus.profiles import PROFILES
 from bus.ticks import looks_of
 from flights import escort
@@ -36,10 +37,18 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 
+def _alone(scenario, seed):
+    """A world of its own that counts the gains."""
+    others = (LinkKind.OPERATOR, LinkKind.RADIO)
+    batch = Batch(scenario, 1, gains=True, threads=1, others=others)
+    batch.begin((seed,))
+    return World.of_batch(batch, 0, seed)
+
+
 def _fly_both(scenario, seeds, ticks, **settings):
     batch = Batch(scenario, len(seeds), gains=True, **settings)
     batch.begin(seeds)
-    worlds = [World(scenario, seed, gains=True) for seed in seeds]
+    worlds = [_alone(scenario, seed) for seed in seeds]
     rng = np.random.default_rng(5)
     for _ in range(ticks):
         commands = rng.uniform(-0.4, 0.4, (len(seeds), len(scenario.vehicles), 2))

@@ -16,11 +16,10 @@ from bus.messages.scenario import Law
 from bus.profiles import PROFILES
 from flights import altered
 from outrider.envs.closed_loop import ClosedLoop
-from outrider.envs.closed_loop_state import GUARD_METRICS
 from outrider.running.flying import fly, make_pilots
+from sim.engine.batch import arrays_of
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
-from sim.env.rows import UAV_METRICS
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate, Detections, LinkTable, Scenario, Uav, Wind
 from sim.server.flight import Flight
@@ -108,13 +107,13 @@ def test_what_is_certified_out_of_sight_is_counted_in_every_world() -> None:
     loop = ClosedLoop(scenario, len(seeds), error=True, end_on_sight_lost=False)
     loop.tables.batch.world["r_v"] = 0.5
     loop.begin(seeds)
-    rows, counted = loop.state.rows.uavs[:, 0], np.zeros(len(seeds))
+    standings, counted = loop.state.rows.standings[:, 0], np.zeros(len(seeds))
     for _ in range(scenario.ticks):
-        far = rows[:, UAV_METRICS.distance] >= 0.5
+        far = standings["distance"] >= 0.5
         loop.fly(1)
         # said of the tick at which it was so far
-        counted += far & (rows[:, GUARD_METRICS.sure] == 1.0)
-    counted += (rows[:, UAV_METRICS.distance] >= 0.5) & (rows[:, GUARD_METRICS.sure] == 1.0)
+        counted += far & standings["certified"]
+    counted += (standings["distance"] >= 0.5) & standings["certified"]
     assert loop.metrics("uav_0")["certified_while_lost"].tolist() == counted.tolist()
     assert counted.min() > 100
 
@@ -243,7 +242,7 @@ def test_an_episode_ends_by_itself_and_begins_anew_as_if_it_were_the_first() -> 
         loop.fly(200)
     s, f = used.state, fresh.state
     for one, other in (
-        (s.rows.rewards, f.rows.rewards),
+        (s.rows.standings, f.rows.standings),
         (s.rows.uav_rows, f.rows.uav_rows),
         (s.rows.ugv_rows, f.rows.ugv_rows),
         (s.patches, f.patches),
@@ -257,4 +256,5 @@ def test_an_episode_ends_by_itself_and_begins_anew_as_if_it_were_the_first() -> 
 
 
 def test_a_world_of_the_shipped_escort_needs_less_than_300_kb() -> None:
-    assert ClosedLoop(load_scenario("escort"), 2).bytes_per_world() < 300_000
+    state = ClosedLoop(load_scenario("escort"), 2).state
+    assert sum(array.nbytes for array in arrays_of(state)) < 2 * 300_000

@@ -18,6 +18,7 @@ from bus.registry import SENSORS
 from processes import python
 from seeded import a_key
 from sim.compiling import compile as kernels
+from sim.models.sensor import SensorParameters
 
 
 def _compiled_functions() -> Iterator[tuple[str, Any]]:
@@ -34,7 +35,6 @@ FUNCTIONS = dict(_compiled_functions())
 
 _TRACK = {"p_x": 20.7, "p_y": 21.3, "duration": 0.43}
 _PAIR = {"p_ax": 20.7, "p_ay": 21.3, "p_gx": 20.0, "p_gy": 20.0, "r_o": 9.75, "desired": 2.0}
-_SENSOR = {"peak": 0.9, "reach": 5.0}
 _ERROR = {name: _PAIR[name] for name in ("p_gx", "p_gy", "r_o", "desired")}
 KERNELS: dict[str, list[dict[str, Any]]] = {
     "sim.compiling.lanes.lane_sum": [{"begin": 3, "count": count} for count in (77, *range(20))],
@@ -45,7 +45,7 @@ KERNELS: dict[str, list[dict[str, Any]]] = {
     ],
     **{
         f"sim.models.field.{name}": [
-            given | _SENSOR | {"sensor": sensor} for sensor in range(len(SENSORS))
+            given | {"sensor": SensorParameters(model, 0.9, 5.0)} for model in range(len(SENSORS))
         ]
         for name, given in (
             ("accumulate", _TRACK),
@@ -54,7 +54,9 @@ KERNELS: dict[str, list[dict[str, Any]]] = {
         )
     },
     "sim.models.field.coverage_error": [_ERROR, _ERROR | {"p_gx": 0.1}],
-    "sim.models.field.nearest_uncovered": [_PAIR | {"key": a_key(98765, 12345), "tick": 41}],
+    "agents.control.nearest_point.nearest_uncovered": [
+        _PAIR | {"key": a_key(98765, 12345), "tick": 41}
+    ],
 }
 
 

@@ -35,6 +35,7 @@ from flights import (
 )
 from outrider.running.flying import fly
 from properties import PROPERTY
+from sim.models.sensor import SensorParameters
 from sim.models.vehicles import Motion, clip_norm, norm, step_vehicle
 from sim.scenario.types import Scenario, Uav, Ugv, Visibility
 
@@ -146,8 +147,8 @@ def test_the_gain_of_the_gradient_drops_out() -> None:
     coverage = np.random.default_rng(1).uniform(0.0, 2.0, (160, 160))
     inputs = coverage, 0, Motion(21.0, 22.0, 0.1, 0.0), target_at(*HERE)
     one, ten = (
-        coverage_term(*flown_law(escort("coverage"), sensor_peak=peak)[1:], *inputs)
-        for peak in (1.0, 10.0)
+        coverage_term(*flown_law(escort("coverage"), sensor=sensor)[1:], *inputs)
+        for sensor in (SensorParameters(0, peak, 5.0) for peak in (1.0, 10.0))
     )
     assert one == pytest.approx(ten, rel=1e-12)
 

@@ -12,12 +12,13 @@ import pytest
 
 from agents.estimation.estimator import RelativeEstimator
 from bus.messages.scenario import Law
-from bus.observations import UAV, by_name, uav_observation
+from bus.observations import UAV, by_name
 from bus.ticks import looks_of
 from flights import escort, flown_in_both, pairs, record, sha256
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
+from row_messages import uav_observation
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Custom, Detections, Uav, Ugv
 

@@ -14,10 +14,9 @@ from bus.observations import (
     UGV,
     by_name,
     markdown,
-    uav_observation,
-    ugv_observation,
 )
 from outrider.envs.parallel import OutriderEnv, parallel_env
+from row_messages import uav_observation, ugv_observation
 from sim.scenario.types import Coverage, Detections, Scenario, Uav, Ugv
 from sim.server.flight import Flight
 from sim.world import World

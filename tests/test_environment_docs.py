@@ -14,10 +14,9 @@ from sim.env.settings import Settings
 
 pytest.importorskip("outrider_learning", reason="the pages show its suite")
 
-from outrider_learning.registration import env_ids
 from outrider_learning.suite import tasks
 from outrider_learning.suite.board import BASELINES, leaderboard
-from outrider_learning.suite.tasks import TASKS, Task, suite
+from outrider_learning.suite.tasks import MISSIONS, TASKS, Task, suite
 
 DEFAULTS = vars(Settings())
 VECTOR, SUITE = "docs/reference/vector-environment.md", "docs/reference/suite.md"
@@ -68,7 +67,7 @@ def test_the_tasks_told_are_the_suites() -> None:
     for row, task in zip(rows, TASKS, strict=True):
         assert re.findall(r"`([\w.]+)", row[2]) == list(task.changes)
     assert all(
-        name in (ESCORT, *env_ids())
+        name in (ESCORT, *(task.env_id for task in (*TASKS, *MISSIONS)))
         for name in re.findall(r"`(outrider/[\w-]+-v\d)`", PAGES[VECTOR])
     )
 

@@ -26,9 +26,8 @@ from sim.models.field import (
     empty_coverage,
     penalty,
     penalty_slope,
-    sensor_quality,
-    sensor_slope,
 )
+from sim.models.sensor import SensorParameters, sensor_quality, sensor_slope
 
 R, R_V, DESIRED = 5.0, 4.75, 2.0
 R_O = R_V + R
@@ -69,10 +68,9 @@ def places(draw: st.DrawFn) -> Place:
 @given(places())
 @settings(PROPERTY, max_examples=300)
 def test_accumulation_is_the_quality_times_the_time_on_every_cell(place: Place) -> None:
-    arguments = (place.p_ax, place.p_ay, place.sensor, 1.7, place.reach, place.cell, 0.05)
-    kernel = place.coverage.copy()
-    accumulate(kernel, *arguments)
-    wanted = reference.accumulate(place.coverage, *arguments)
+    sensor, kernel = SensorParameters(place.sensor, 1.7, place.reach), place.coverage.copy()
+    accumulate(kernel, place.p_ax, place.p_ay, sensor, place.cell, 0.05)
+    wanted = reference.accumulate(place.coverage, place.p_ax, place.p_ay, *sensor, place.cell, 0.05)
     np.testing.assert_allclose(kernel, wanted, rtol=1e-12, atol=1e-12 * 1.7 * 0.05)
 
 
@@ -89,9 +87,9 @@ def test_error_is_the_integral_over_the_whole_grid(place: Place) -> None:
 @settings(PROPERTY, max_examples=300)
 def test_gradient_is_the_integral_over_the_whole_grid(place: Place) -> None:
     arguments = (place.coverage, place.p_ax, place.p_ay, place.p_gx, place.p_gy, place.r_o, DESIRED)
-    arguments += (place.sensor, 1.7, place.reach, place.cell)
-    u_x, u_y, size = coverage_gradient(*arguments)
-    wanted = reference.coverage_gradient(*arguments)
+    sensor = SensorParameters(place.sensor, 1.7, place.reach)
+    u_x, u_y, size = coverage_gradient(*arguments, sensor, place.cell)
+    wanted = reference.coverage_gradient(*arguments, *sensor, place.cell)
     assert (u_x, u_y) == pytest.approx(wanted, rel=1e-12, abs=1e-12 * size)
 
 
@@ -101,7 +99,7 @@ def test_gradient_points_where_the_error_falls_fastest(sensor: int) -> None:
     for _ in range(20):
         coverage = rng.uniform(0.0, 1.5 * DESIRED, (80, 60))
         p_ax, p_ay, p_gx, p_gy = rng.uniform(-1.0, 16.0, 4)
-        rest = (p_gx, p_gy, R_O, DESIRED, sensor, 1.0, R, 0.25)
+        rest = (p_gx, p_gy, R_O, DESIRED, SensorParameters(sensor, 1.0, R), 0.25)
 
         def decrease(d_x: float, d_y: float, rest=rest, coverage=coverage, p=(p_ax, p_ay)) -> float:
             return error_decrease(coverage, p[0] + d_x, p[1] + d_y, *rest)
@@ -117,18 +115,18 @@ def test_gradient_points_where_the_error_falls_fastest(sensor: int) -> None:
 @pytest.mark.parametrize("p", [(20.0, 20.0), (20.125, 20.125), (20.0, 20.125), (6.5, 20.0)])
 def test_gradient_vanishes_in_symmetric_states_and_only_there(sensor, p):
     coverage = empty_coverage(40.0, 40.0, 0.25)
-    rest = (*p, R_O, DESIRED, sensor, 1.0, R, 0.25)
+    rest = (*p, R_O, DESIRED, SensorParameters(sensor, 1.0, R), 0.25)
     assert is_zero_gradient(*coverage_gradient(coverage, *p, *rest))
     assert not is_zero_gradient(*coverage_gradient(coverage, p[0] + 1e-6, p[1], *rest))
 
 
-def error_decrease(coverage, p_ax, p_ay, p_gx, p_gy, r_o, desired, sensor, peak, reach, cell):
+def error_decrease(coverage, p_ax, p_ay, p_gx, p_gy, r_o, desired, sensor, cell):
     r"""$-\dot e$ while the UGV stands: $\int h'(C^* - C)\, S_a(p_a, q)\, \phi\, dq$.
 
     Arguments as in `coverage_gradient`.
     """
     from_uav = reference.distances(coverage, p_ax, p_ay, cell)
-    quality = reference.sensor_quality(sensor, from_uav, peak, reach)
+    quality = reference.sensor_quality(sensor.model, from_uav, sensor.peak, sensor.reach)
     density_ = reference.density(reference.distances(coverage, p_gx, p_gy, cell), r_o)
     lack = 2.0 * np.maximum(0.0, desired - coverage)
     return float((lack * quality * density_).sum() * cell**2)
@@ -136,7 +134,7 @@ def error_decrease(coverage, p_ax, p_ay, p_gx, p_gy, r_o, desired, sensor, peak,
 
 def test_gradient_over_even_ground_points_to_the_ugv() -> None:
     coverage = empty_coverage(40.0, 40.0, 0.25)
-    rest = (20.0, 20.0, R_O, DESIRED, reference.HILL, 1.0, R, 0.25)
+    rest = (20.0, 20.0, R_O, DESIRED, SensorParameters(reference.HILL, 1.0, R), 0.25)
     u_x, u_y, size = coverage_gradient(coverage, 23.0, 20.0, *rest)
     assert u_x < -0.1 * size
     assert abs(u_y) < 1e-12 * size
@@ -146,40 +144,43 @@ def test_gradient_over_even_ground_points_to_the_ugv() -> None:
 def test_sensor_slope_is_the_derivative_of_its_quality(sensor: int) -> None:
     rho2 = np.linspace(0.01, 2.0 * R**2, 4001)
     d = 1e-4
-    slope = [sensor_slope(sensor, s, 1.3, R) for s in rho2]
+    parameters = SensorParameters(sensor, 1.3, R)
+    slope = [sensor_slope(parameters, s) for s in rho2]
     after, before = (
-        np.array([sensor_quality(sensor, s + step, 1.3, R) for s in rho2]) for step in (d, -d)
+        np.array([sensor_quality(parameters, s + step) for s in rho2]) for step in (d, -d)
     )
     np.testing.assert_allclose(slope, (after - before) / (2 * d), atol=1e-6)
 
 
 @pytest.mark.parametrize("sensor", range(len(SENSORS)), ids=SENSORS.keys())
 def test_sensor_falls_from_its_peak_to_nothing_at_its_range(sensor: int) -> None:
-    quality = np.array([sensor_quality(sensor, rho**2, 1.3, R) for rho in np.linspace(0.0, R, 501)])
+    parameters = SensorParameters(sensor, 1.3, R)
+    quality = np.array([sensor_quality(parameters, rho**2) for rho in np.linspace(0.0, R, 501)])
     assert quality[0] == 1.3
     assert quality[-1] == 0.0
     assert (np.diff(quality) <= 0.0).all()
     for rho in (R, math.nextafter(R, 9.0), 2.0 * R, 1e6):
-        assert sensor_quality(sensor, rho**2, 1.3, R) == 0.0
-        assert sensor_slope(sensor, rho**2, 1.3, R) == 0.0
+        assert sensor_quality(parameters, rho**2) == 0.0
+        assert sensor_slope(parameters, rho**2) == 0.0
 
 
 @given(st.floats(0.0, 9.0), st.floats(0.1, 10.0), st.floats(0.1, 8.0))
 @settings(PROPERTY)
 def test_hill_is_the_printed_sensor(rho: float, peak: float, reach: float) -> None:
     wanted = peak / reach**4 * (rho**2 - reach**2) ** 2 if rho <= reach else 0.0
-    found = sensor_quality(reference.HILL, rho**2, peak, reach)
+    found = sensor_quality(SensorParameters(reference.HILL, peak, reach), rho**2)
     assert found == pytest.approx(wanted, rel=1e-12, abs=1e-14 * peak)
 
 
 def test_sensors_differ() -> None:
-    qualities = {sensor_quality(sensor, 0.5 * R**2, 1.0, R) for sensor in range(len(SENSORS))}
+    sensors = [SensorParameters(sensor, 1.0, R) for sensor in range(len(SENSORS))]
+    qualities = {sensor_quality(sensor, 0.5 * R**2) for sensor in sensors}
     assert len(qualities) == len(SENSORS)
 
 
 def test_a_look_of_the_hill_sees_a_third_of_its_cylinder() -> None:
     coverage = empty_coverage(12.0, 12.0, 0.05)
-    accumulate(coverage, 6.0, 6.0, reference.HILL, 1.5, R, 0.05, 2.0)
+    accumulate(coverage, 6.0, 6.0, SensorParameters(reference.HILL, 1.5, R), 0.05, 2.0)
     assert coverage.sum() * 0.05**2 == pytest.approx(2.0 * 1.5 * math.pi * R**2 / 3.0, rel=1e-6)
 
 
@@ -187,9 +188,10 @@ def test_a_look_of_the_hill_sees_a_third_of_its_cylinder() -> None:
 def test_coverage_after_flying_past_is_the_integral_over_time(offset: float) -> None:
     """C = M/(r⁴v) ∫ (l² - s²)² ds over the chord 2l, which is 16/15 M l⁵ / (r⁴ v)."""
     coverage, v, dt = np.zeros((1, 1)), 0.6, 0.005
+    sensor = SensorParameters(reference.HILL, 1.0, R)
     for k in range(round(12.0 / (v * dt))):
         x = 0.5 - 6.0 + (k + 0.5) * v * dt
-        accumulate(coverage, x, 0.5 + offset, reference.HILL, 1.0, R, 1.0, dt)
+        accumulate(coverage, x, 0.5 + offset, sensor, 1.0, dt)
     half = math.sqrt(max(0.0, R**2 - offset**2))
     assert coverage[0, 0] == pytest.approx(16.0 / 15.0 * half**5 / (R**4 * v), rel=1e-5, abs=1e-12)
 
@@ -267,18 +269,19 @@ def test_covered_ground_keeps_the_larger_value() -> None:
 def test_the_gain_of_a_look_is_the_fall_of_the_error(sensor, place):
     ground = np.random.default_rng(3).uniform(0.0, 2.5, (160, 160))
     (p_x, p_y), (g_x, g_y), dt = place, (place[0] + 1.5, place[1] - 2.0), 0.05
-    plain, seen = ground.copy(), ground.copy()
-    accumulate(plain, p_x, p_y, sensor, 1.0, R, 0.25, dt)
-    gain = accumulate_with_gain(seen, p_x, p_y, g_x, g_y, R_O, DESIRED, sensor, 1.0, R, 0.25, dt)
+    plain, seen, parameters = ground.copy(), ground.copy(), SensorParameters(sensor, 1.0, R)
+    accumulate(plain, p_x, p_y, parameters, 0.25, dt)
+    rest = (p_x, p_y, g_x, g_y, R_O, DESIRED, parameters, 0.25)
+    gain = accumulate_with_gain(seen, *rest, dt)
     assert seen.tobytes() == plain.tobytes()
     before, after = (coverage_error(c, g_x, g_y, R_O, DESIRED, 0.25) for c in (ground, seen))
     assert gain == pytest.approx(before - after, rel=1e-9)
-    rate = error_decrease(ground, p_x, p_y, g_x, g_y, R_O, DESIRED, sensor, 1.0, R, 0.25)
+    rate = error_decrease(ground, *rest)
     # the penalty's second derivative over one tick
     assert 0.95 * rate * dt <= gain < rate * dt
 
 
 def test_seen_ground_gives_no_gain() -> None:
     ground = np.full((40, 40), DESIRED)
-    rest = (R_O, DESIRED, 0, 1.0, R, 0.25, 0.05)
+    rest = (R_O, DESIRED, SensorParameters(0, 1.0, R), 0.25, 0.05)
     assert accumulate_with_gain(ground, 5.0, 5.0, 5.0, 5.0, *rest) == 0.0

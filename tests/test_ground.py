@@ -13,21 +13,17 @@ from matplotlib.path import Path
 from bus.registry import HAZARDS
 from processes import python
 from properties import PROPERTY
-from sim.models.ground import (
+from sim.models.ground import CLEAR, UNSEEN, fill_tiles, state_at, tiles_shape
+from sim.models.hazards import (
     BLOCK,
-    CLEAR,
     FOUND,
     ROUGH,
     TOUCH,
-    UNSEEN,
     crosses_hazard,
     distance_to_hazard,
-    fill_tiles,
     hazard_at,
     point_in_hazard,
     rough_share,
-    state_at,
-    tiles_shape,
 )
 from sim.scenario.ground_checks import hazards_have_a_shape
 from sim.scenario.ground_tables import corners_of, hazard_rows

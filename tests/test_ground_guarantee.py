@@ -11,7 +11,8 @@ from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
-from sim.models.ground import BLOCK, CLEAR, UNCERTIFIED, UNSEEN, block_letters
+from sim.models.ground import CLEAR, UNCERTIFIED, UNSEEN, block_letters
+from sim.models.hazards import BLOCK
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Hazard, Scenario
 from sim.world import World

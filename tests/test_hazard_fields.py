@@ -12,17 +12,9 @@ from properties import PROPERTY
 from seeded import a_key
 from sim.compiling.records import records
 from sim.engine.run_keys import derive_keys
-from sim.models.ground import (
-    BLOCK,
-    CLEAR,
-    FOUND,
-    ROUGH,
-    HazardRow,
-    fill_tiles,
-    tile_index,
-    tiles_shape,
-)
+from sim.models.ground import CLEAR, fill_tiles, tile_index, tiles_shape
 from sim.models.hazard_fields import MOST_MISSES, HazardFieldRow, place_hazards, work_array
+from sim.models.hazards import BLOCK, FOUND, ROUGH, HazardRow
 from sim.models.randomness import HAZARD_FIELDS, HAZARD_PLACE, draw, key_of
 from sim.scenario.ground_tables import ground_tables, place_fields
 from sim.scenario.loading import load_scenario

@@ -45,7 +45,7 @@ def _flown(uav: Any, ahead: Ahead, motion: np.ndarray, looks: int) -> float:
     """The result of `worth`, by the world's own step and kernels: so many looks in each step."""
     seen = empty_coverage(uav["width"], uav["height"], uav["cell"])
     seen[:, 12:] = 0.7
-    sensor = uav["sensor"], uav["sensor_peak"], uav["sensing_range"], uav["cell"]
+    sensor = uav["sensor"], uav["cell"]
     unseen, saved, state = seen.copy(), 0.0, tuple(HERE)
     parts, tick = TICKS, ahead.step / TICKS
     tail = round(5.0 / ahead.step)

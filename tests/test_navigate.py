@@ -39,7 +39,8 @@ from agents.drivers.tile_map import ground_memory, note_block, note_tiles
 from bus.messages.ground import UgvGround
 from bus.messages.scenario import Area, Limits
 from flights import told_ugv
-from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, TOUCH, UNSEEN
+from sim.models.ground import CLEAR, UNSEEN
+from sim.models.hazards import BLOCK, FOUND, ROUGH, TOUCH
 from sim.models.vehicles import Motion, brake, norm, step_vehicle
 
 ROUGH_PRICE = 2.5

@@ -8,11 +8,12 @@ from scipy import stats
 
 import reference_field as reference
 from agents.control.coverage import symmetry_breaker
+from agents.control.nearest_point import is_uncovered, nearest_uncovered
 from agents.laws.common import way_to_uncovered
 from flights import DESIRED, HERE, R_O, escort, flown_law, target_at
 from properties import PROPERTY
 from seeded import a_key
-from sim.models.field import cover, empty_coverage, is_uncovered, nearest_uncovered
+from sim.models.field import cover, empty_coverage
 from sim.models.vehicles import Motion
 
 CELL = 0.25

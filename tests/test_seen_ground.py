@@ -11,7 +11,8 @@ from bus.messages.ground import BLOCK_SIDE, GroundBlock, SeenTile
 from bus.messages.vehicle import RelativeInformation, UavObservation
 from flights import Piloted, altered
 from outrider.running.flying import InProcess, make_pilots
-from sim.models.ground import BLOCK, CLEAR, ROUGH
+from sim.models.ground import CLEAR
+from sim.models.hazards import BLOCK, ROUGH
 from sim.scenario.types import Ground, Hazard, Scenario, Ugv
 from sim.server.flight import Flight
 from sim.server.perception import UgvPerception

@@ -26,7 +26,7 @@ from bus.registry import (
 from bus.rows import LawRow
 from outrider.cli import options
 from outrider.running.flying import fly
-from sim.models.field import sensor_quality, sensor_slope
+from sim.models.sensor import SensorParameters, sensor_quality, sensor_slope
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Custom, LinkTable, Ugv, VehicleLinks
 
@@ -67,13 +67,12 @@ def test_every_compiled_driver_drives_differently(name: str) -> None:
 @pytest.mark.parametrize("name", SENSORS)
 def test_every_sensor_has_its_branches(name: str) -> None:
     code, h = tuple(SENSORS).index(name), 1e-6
-    rise = (sensor_quality(code, 4.0 + h, 1.0, 5.0) - sensor_quality(code, 4.0 - h, 1.0, 5.0)) / (
-        2.0 * h
-    )
-    assert rise == pytest.approx(sensor_slope(code, 4.0, 1.0, 5.0), rel=1e-6)
+    sensor = SensorParameters(code, 1.0, 5.0)
+    rise = (sensor_quality(sensor, 4.0 + h) - sensor_quality(sensor, 4.0 - h)) / (2.0 * h)
+    assert rise == pytest.approx(sensor_slope(sensor, 4.0), rel=1e-6)
     others = set(range(len(SENSORS))) - {code}
     assert all(
-        sensor_quality(code, 4.0, 1.0, 5.0) != sensor_quality(other, 4.0, 1.0, 5.0)
+        sensor_quality(sensor, 4.0) != sensor_quality(sensor._replace(model=other), 4.0)
         for other in others
     )
 

@@ -9,6 +9,9 @@ from collections.abc import Callable
 from bus.errors import ScenarioError
 from sim.compiling.compile import compiled
 
+_SAMPLES = 2000
+"""Moments at which a path of one's own is looked at."""
+
 Path = Callable[[float], tuple[tuple[float, float], tuple[float, float]]]
 """A path of one's own: time [s] to p_v [m], relative to the UGV, and its second derivative [m/s²]."""
 
@@ -78,7 +81,7 @@ def circle(t: float, r_pv: float, omega: float) -> tuple[float, float, float, fl
 
 
 def check_path(
-    path: Path, duration: float, r_v: float, v_a: float, v_g: float, u_a: float, samples: int = 2000
+    path: Path, duration: float, r_v: float, v_a: float, v_g: float, u_a: float
 ) -> tuple[str, ...]:
     """Hold a path of one's own against what (5), (20) to (24) and the vehicle ask of it.
 
@@ -88,10 +91,10 @@ def check_path(
     Raises:
         ScenarioError: If it is no path: not two finite vectors, not inside r_v, or the second derivative is not one.
     """
-    step = min(1e-3, duration / samples)
+    step = min(1e-3, duration / _SAMPLES)
     fastest, hardest = (0.0, 0.0), (0.0, 0.0)
-    for index in range(samples + 1):
-        t = step + index * (duration - 2.0 * step) / samples
+    for index in range(_SAMPLES + 1):
+        t = step + index * (duration - 2.0 * step) / _SAMPLES
         try:
             (before, _), (here, acceleration), (after, _) = path(t - step), path(t), path(t + step)
             values = [

@@ -6,6 +6,9 @@ from collections.abc import Callable
 from bus.errors import ScenarioError
 from sim.compiling.compile import compiled
 
+_SAMPLES = 2000
+"""Distances up to r_s at which a weighting of one's own is asked."""
+
 Weighting = Callable[[float, float], tuple[float, float]]
 """A weighting of one's own: distance [m] and r_s [m] to alpha and beta."""
 
@@ -59,15 +62,15 @@ def logarithmic_weights(
     return 1.0, min(-k_beta * math.log(distance / r_s), limit)
 
 
-def check_weighting(weighting: Weighting, r_s: float, samples: int = 2000) -> None:
+def check_weighting(weighting: Weighting, r_s: float) -> None:
     """Hold a weighting of one's own against the conditions of the paper's Proposition 2, at many distances up to 3 r_s.
 
     Raises:
         ScenarioError: Where alpha or beta is no finite number >= 0, or where alpha = 1, beta = 0 fails for a
             distance >= r_s. It names the distance. Samples are no proof.
     """
-    for index in range(3 * samples + 1):
-        distance = r_s * (index / samples)
+    for index in range(3 * _SAMPLES + 1):
+        distance = r_s * (index / _SAMPLES)
         try:
             alpha, beta = weighting(distance, r_s)
             fine = math.isfinite(alpha) and math.isfinite(beta) and alpha >= 0.0 and beta >= 0.0

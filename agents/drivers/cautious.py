@@ -11,16 +11,8 @@ from typing import NamedTuple
 from agents.drivers.navigate_parameters import NavigateParameters
 from agents.drivers.planning import is_beside_block
 from sim.compiling.compile import compiled
-from sim.models.ground import (
-    BLOCK,
-    ROUGH,
-    TOUCH,
-    UNSEEN,
-    TileArray,
-    edge_within,
-    span,
-    tile_index,
-)
+from sim.models.ground import UNSEEN, TileArray, edge_within, span, tile_index
+from sim.models.hazards import BLOCK, ROUGH, TOUCH
 from sim.models.vehicles import Motion, norm, step_vehicle
 
 

@@ -32,14 +32,7 @@ from bus.registry import DRIVERS
 from bus.ticks import first_tick_from, look_rows, looks_of
 from sim.compiling.compile import FloatArray
 from sim.compiling.records import fresh, records, struct_of
-from sim.models.ground import (
-    CERTIFIED,
-    NO_CLAIM,
-    UNCERTIFIED,
-    tile_index,
-    tile_states,
-    tiles_shape,
-)
+from sim.models.ground import CERTIFIED, NO_CLAIM, UNCERTIFIED, tile_index, tile_states, tiles_shape
 from sim.models.motion import NO_MOTION
 from sim.models.randomness import words_of
 from sim.models.vehicles import Motion

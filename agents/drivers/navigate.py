@@ -34,11 +34,8 @@ from agents.drivers.steering import goal_control
 from agents.drivers.tile_map import GroundMemory
 from agents.drivers.waypoints import Memory, waypoint_command
 from sim.compiling.compile import FloatArray, compiled
-from sim.models.ground import (
-    BLOCK,
-    TOUCH,
-    tile_index,
-)
+from sim.models.ground import tile_index
+from sim.models.hazards import BLOCK, TOUCH
 from sim.models.vehicles import (
     Motion,
     brake,

@@ -11,7 +11,8 @@ import math
 
 from agents.drivers.tile_map import GroundMemory, PlaceArray
 from sim.compiling.compile import FloatArray, compiled
-from sim.models.ground import BLOCK, ROUGH, UNSEEN, TileArray
+from sim.models.ground import UNSEEN, TileArray
+from sim.models.hazards import BLOCK, ROUGH
 
 _DONE, _UNTOUCHED = -2, -1
 DIAGONAL = math.sqrt(2.0)

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from bus.messages.ground import BLOCK_SIDE
 from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.compiling.records import RecordArray, records
-from sim.models.ground import BLOCK, NO_CLAIM, UNSEEN, TileArray
+from sim.models.ground import NO_CLAIM, UNSEEN, TileArray
+from sim.models.hazards import BLOCK
 from sim.models.motion import no_motions
 
 _NEVER = -1

@@ -1,15 +1,16 @@
 """Perception of the UAVs of a batch, compiled."""
 
+from typing import Any
+
 from agents.safety.decision import GuardState, note_detection, note_position
 from agents.uav_parameters import UavParameters
 from bus.ticks import Look
 from sim.compiling.compile import FloatArray, compiled
-from sim.compiling.records import columns
 from sim.models.field import accumulate
 from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion
 
-LOOK = columns(Look)
+LOOK: Any = Look._make(range(3))
 """Columns of an array of looks."""
 
 
@@ -45,8 +46,6 @@ def uav_perceive(
             here.p_x,
             here.p_y,
             uav.sensor,
-            uav.sensor_peak,
-            uav.sensing_range,
             uav.cell,
             looked * uav.dt,
         )

@@ -15,12 +15,13 @@ from agents.control.coverage import (
     symmetry_breaker,
     velocity_error,
 )
+from agents.control.nearest_point import is_uncovered, nearest_uncovered
 from agents.control.tracking import tracking_output, tracking_step
 from agents.control.weighting import combine
 from agents.uav_parameters import Target, UavParameters
 from bus.messages.base import Coordinate, Positive, Vector
 from sim.compiling.compile import FloatArray, compiled
-from sim.models.field import coverage_gradient, is_uncovered, nearest_uncovered
+from sim.models.field import coverage_gradient
 from sim.models.randomness import FIRST, START_DIRECTION, uniform
 from sim.models.vehicles import Motion, norm
 
@@ -146,8 +147,6 @@ def coverage_velocity_error(
         uav.density_radius,
         uav.desired_coverage,
         uav.sensor,
-        uav.sensor_peak,
-        uav.sensing_range,
         uav.cell,
     )
     uncovered, other_x, other_y = True, 0.0, 0.0

@@ -11,7 +11,8 @@ import numpy as np
 from agents.laws.common import border_margin
 from agents.uav_parameters import Target, UavParameters
 from sim.compiling.compile import FloatArray, IntArray, compiled
-from sim.models.field import density, sensor_quality
+from sim.models.field import density
+from sim.models.sensor import sensor_quality
 from sim.models.vehicles import Motion, clip_norm, norm, stopping_distance
 
 PERIOD = 0.5
@@ -189,7 +190,7 @@ def look_ahead(
     v_x, v_y = expected_velocity(target)
     kept = kept_time(persistence, horizon)
     way_x, way_y = clip_norm(kept * v_x, kept * v_y, 2.0 * uav.density_radius)
-    ratio = max(1, math.ceil(uav.sensing_range / (_CELLS * uav.cell) - 1e-9))
+    ratio = max(1, math.ceil(uav.sensor.reach / (_CELLS * uav.cell) - 1e-9))
     cell = ratio * uav.cell
     size = math.ceil((2.0 * uav.density_radius + max(abs(way_x), abs(way_y))) / cell) + 2
     size = max(size, WINDOW)
@@ -305,21 +306,16 @@ def worth(
             * _STRAY_COST
             * strayed(uav, ahead.margin, own, ahead.track[k, 0], ahead.track[k, 1])
         )
-        i = min(max(math.floor((x - uav.sensing_range - ahead.x) / cell), 0), size - width)
-        first = max(math.floor((y - uav.sensing_range - ahead.y) / cell), 0)
-        end = min(math.floor((y + uav.sensing_range - ahead.y) / cell) + 1, size)
+        i = min(max(math.floor((x - uav.sensor.reach - ahead.x) / cell), 0), size - width)
+        first = max(math.floor((y - uav.sensor.reach - ahead.y) / cell), 0)
+        end = min(math.floor((y + uav.sensor.reach - ahead.y) / cell) + 1, size)
         left = ahead.x + (i + 0.5) * cell - x
         for j in range(first, end):
             up = ahead.y + (j + 0.5) * cell - y
             row, weight = lack[j, i : i + width], ahead.weight[k, j, i : i + width]
             for n in range(width):
                 off = left + n * cell
-                quality = (
-                    sensor_quality(
-                        uav.sensor, off * off + up * up, uav.sensor_peak, uav.sensing_range
-                    )
-                    * step
-                )
+                quality = sensor_quality(uav.sensor, off * off + up * up) * step
                 before = row[n]
                 seen = quality if quality < before else before
                 row[n] = before - seen

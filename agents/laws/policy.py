@@ -159,8 +159,6 @@ class PolicyControl:
             c.density_radius,
             c.desired_coverage,
             c.sensor,
-            c.sensor_peak,
-            c.sensing_range,
             c.cell,
         )
         return (u_x / size, u_y / size) if size > 0.0 else (0.0, 0.0)

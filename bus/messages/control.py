@@ -55,7 +55,7 @@ class Control(Message, frozen=True, kw_only=True):
                 return f"driver {self.driver} in {self.vehicle or 'every UGV'}"
             case Action.LINK:
                 settings = self.settings or LinkSettings()
-                changed = [f"{name} {value}" for name, value in settings.unlike().items()]
+                changed = [f"{name} {value}" for name, value in settings.changes().items()]
                 whose = self.vehicle or "every vehicle"
                 return f"link {self.link} of {whose}: {', '.join(changed) or 'perfect'}"
             case Action.SPEED:

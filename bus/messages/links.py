@@ -67,9 +67,9 @@ class LinkSettings(Message, frozen=True, kw_only=True):
     message_bytes: Annotated[int, Meta(ge=1, le=1_000_000)] = 1000
     """Size of a message where a Mahimahi file is played [bytes]: each of its lines lets 1,500 bytes leave."""
 
-    def unlike(self, other: "LinkSettings | None" = None) -> dict[str, Any]:
-        """The fields in which it differs from another link, by default a perfect one, as plain values."""
-        theirs = msgspec.to_builtins(other or LinkSettings())
+    def changes(self) -> dict[str, Any]:
+        """Return the fields in which it differs from a perfect link, as plain values."""
+        theirs = msgspec.to_builtins(LinkSettings())
         mine = msgspec.to_builtins(self)
         return {name: value for name, value in mine.items() if value != theirs[name]}
 

@@ -49,11 +49,6 @@ def turn_based(*, task: str, **settings: Any) -> "AECEnv[str, Any, Any]":  # noq
     return outrider.registration.turn_based(scenario=_TASKS[task].scenario, **settings)
 
 
-def env_ids() -> tuple[str, ...]:
-    """Return the names of all tasks."""
-    return tuple(task.env_id for task in _TASKS)
-
-
 def register() -> None:
     """Register the names, with PettingZoo too where it has been imported; again does nothing."""
     register_names({task.env_id: {"task": task.name} for task in _TASKS}, __name__)

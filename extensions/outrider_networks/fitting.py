@@ -127,7 +127,7 @@ def as_toml(settings: LinkSettings) -> str:
     """The fields that differ from a perfect link, as a scenario writes them."""
     lines = [
         f"{field} = {msgspec.json.encode(value).decode()}"
-        for field, value in settings.unlike().items()
+        for field, value in settings.changes().items()
     ]
     return "\n".join(["[links.detections]    # or commands, operator, radio", *lines])
 

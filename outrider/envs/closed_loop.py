@@ -21,10 +21,8 @@ from agents.safety.trajectories import UNCERTIFIED
 from bus.messages.links import LinkKind, LinkStatus
 from bus.messages.telemetry import MissionResult
 from outrider.envs.closed_loop_state import (
-    GUARD_METRICS,
     CommandedState,
     CommandedTables,
-    GuardMetrics,
     LoopParameters,
     LoopState,
     LoopTables,
@@ -33,13 +31,13 @@ from outrider.envs.closed_loop_tick import run_worlds
 from outrider.envs.pilot_numbers import PilotNumbers, loop_parameters, repeated, uses_radio
 from sim.channel.link_records import no_packets
 from sim.compiling.compile import FloatArray, IntArray
-from sim.engine.batch import Batch, Fresh, arrays_of
+from sim.engine.batch import Batch, Fresh
 from sim.engine.mission import mission_of
 from sim.engine.monitor import certificate_counters
 from sim.engine.run_keys import check_secret
 from sim.engine.world_state import joined
 from sim.env.patch import CoveragePatch, given_patch
-from sim.env.rows import UAV_METRICS, row_state, row_tables
+from sim.env.rows import row_state, row_tables
 from sim.env.settings import Settings, settings_of
 from sim.models.ground import TileArray
 from sim.models.randomness import PILOT
@@ -111,7 +109,7 @@ class ClosedLoop:
         )
         self.state: LoopState | CommandedState = CommandedState(
             batch=self.batch.state,
-            rows=row_state(rows, worlds, uav_metrics=len(GUARD_METRICS)),
+            rows=row_state(rows, worlds),
             certificates=np.repeat(certificate_counters(len(self.uavs))[None], worlds, axis=0),
         )
         self.faults = dict.fromkeys(self.uavs, "")
@@ -260,17 +258,17 @@ class ClosedLoop:
         `certificate_broken` those that it did not certify although the one before was and all assumptions held: any is
         a fault of the certificate.
         """
-        row, ticks = self.uavs.index(uav), self.state.batch.ticks
-        rows, counts = self.state.rows.uavs[:, row], self.state.certificates[:, row]
+        ticks, counts = self.state.batch.ticks, self.state.certificates[:, self.uavs.index(uav)]
+        standings = self.state.rows.standings[:, self.names.index(uav)]
         watched = np.maximum(counts["ticks"], 1.0)
         counted = np.where(self.has_error, 1.0, np.nan)
         return {
             "ticks": ticks.astype(np.float64),
-            "distance": rows[:, UAV_METRICS.distance].copy(),
-            "max_distance": rows[:, UAV_METRICS.max_distance].copy(),
-            "visibility_violations": rows[:, UAV_METRICS.violations].copy(),
-            "coverage_error": rows[:, UAV_METRICS.error] * counted,
-            "mean_error": rows[:, UAV_METRICS.error_sum] / (ticks + 1) * counted,
+            "distance": standings["distance"].copy(),
+            "max_distance": standings["max_distance"].copy(),
+            "visibility_violations": standings["violations"].astype(np.float64),
+            "coverage_error": standings["error"] * counted,
+            "mean_error": standings["error_sum"] / (ticks + 1) * counted,
             "intervened": counts["overridden"] / watched,
             "certified": counts["certified"] / watched,
             "certified_while_lost": counts["certified_while_lost"].astype(np.float64),
@@ -279,14 +277,13 @@ class ClosedLoop:
 
     def verdict(self, uav: str) -> dict[str, Any]:
         """What the safety filter has made of a UAV's action in the last tick, in the first world, as plain numbers."""
-        row = self.state.rows.uavs[0, self.uavs.index(uav), list(GUARD_METRICS)]
-        guard = GuardMetrics._make(row.tolist())
-        reason = self.faults[uav] or UNCERTIFIED.get(int(guard.code), "")
+        standing = self.state.rows.standings[0, self.names.index(uav)]
+        reason = self.faults[uav] or UNCERTIFIED.get(standing["uncertified"].item(), "")
         return {
-            "intervened": guard.acted != 0.0,
-            "certified": guard.sure != 0.0,
-            "uncertified": "" if guard.sure else reason,
-            "certified_distance": guard.bound,
+            "intervened": standing["intervened"].item(),
+            "certified": standing["certified"].item(),
+            "uncertified": "" if standing["certified"] else reason,
+            "certified_distance": standing["certified_distance"].item(),
         }
 
     def mission(self, world: int) -> MissionResult:
@@ -315,10 +312,6 @@ class ClosedLoop:
     def links(self, world: int) -> dict[str, LinkStatus]:
         """The counters of each link of one world so far, by `vehicle/kind`."""
         return self.batch.links.status(world)
-
-    def bytes_per_world(self) -> int:
-        """Memory that one more world needs [bytes]."""
-        return sum(array.nbytes for array in arrays_of(self.state)) // self.worlds
 
     def close(self) -> None:
         """End the threads."""

@@ -10,24 +10,8 @@ from agents.safety.decision import GuardState
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
 from sim.engine.world_state import BatchState, BatchTables
-from sim.env.rows import UAV_METRICS, RowState, RowTables
+from sim.env.rows import RowState, RowTables
 from sim.models.ground import TileArray
-
-
-class GuardMetrics(NamedTuple):
-    """The record of a UAV's safety filter: the columns of `RowState.uavs` after `UavMetrics`."""
-
-    acted: float
-    sure: float
-    """Of the last tick: whether it acted, and whether it was certified."""
-    bound: float
-    """The distance that it bounds [m]."""
-    code: float
-    """Why it was not certified: a key of `agents.safety.trajectories.UNCERTIFIED`, or its `CERTIFIED`."""
-
-
-_FIRST = len(UAV_METRICS)
-GUARD_METRICS: Any = GuardMetrics._make(range(_FIRST, _FIRST + len(GuardMetrics._fields)))
 
 
 class LoopParameters(NamedTuple):
@@ -63,7 +47,7 @@ class CommandedState(NamedTuple):
 
     batch: BatchState
     rows: RowState
-    """Observation rows, rewards and metrics."""
+    """Standings and observation rows."""
     certificates: RecordArray
     """`CertificateCounters` of each UAV. Shape (worlds, UAVs)."""
 

@@ -4,333 +4,25 @@ The pilots' own functions are called, so a vehicle that is flown in here gets th
 give over the bus. One pass a world, so that its grid stays near the core until the tick is done.
 """
 
-from agents.drivers.dispatch import driver_command
-from agents.drivers.parameters import DriverInputs
-from agents.drivers.pending_stops import PLAIN, hand_over_stops
-from agents.drivers.tile_map import GroundMemory, note_block, note_tiles
 from agents.estimation.batch_filter import estimate
-from agents.estimation.batch_filter import update as update_estimate
-from agents.estimation.map_updates import (
-    BLOCK_TILES,
-    block_words,
-    next_block,
-    note_tile,
-    telling_of,
-    word_state,
-)
-from agents.estimation.perception import uav_perceive
-from agents.laws.dispatch import nominal_command
-from agents.safety.decision import GuardState, guard
-from agents.safety.pending import Underway, hand_over
-from agents.safety.trajectories import CERTIFIED as NOTHING_AGAINST
-from agents.safety.trajectories import INNER
-from agents.uav_parameters import Target
-from outrider.envs.closed_loop_state import (
-    GUARD_METRICS,
-    LoopParameters,
-    LoopState,
-    LoopTables,
-)
-from sim.channel.link import begin_tick, receive, send
-from sim.channel.link_records import ARRIVED, Packet
-from sim.compiling.compile import FloatArray, IntArray, compiled, inlined, released
-from sim.compiling.records import RecordArray
+from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
+from outrider.envs.command_tick import command, obey
+from outrider.envs.perception_tick import perceive
+from outrider.envs.vehicle_parts import coverage_of
+from sim.channel.link_records import ARRIVED
+from sim.compiling.compile import FloatArray, IntArray, inlined, released
 from sim.engine.ground_state import GroundState
-from sim.engine.mission import goals_of, note_claim, receive_block
 from sim.engine.monitor import (
     NEVER,
-    Claim,
     record_arrival,
-    record_decision,
     record_end,
     record_interval,
     record_tracking_error,
 )
-from sim.engine.world_state import Vehicle
 from sim.engine.world_tick import begin_world, measure, world_tick
-from sim.env.rows import UAV_METRICS, advance_rows, observe_rows
+from sim.env.rows import advance_rows, observe_rows
 from sim.models.field import coverage_gradient, sample
-from sim.models.vehicles import Motion, norm
-
-_RELATIVE, _GROUND = range(2)
-"""Messages in `LoopState.outbox`."""
-
-
-@inlined
-def _guard_of(tables: LoopTables, state: GuardState, world: int, uav: int) -> GuardState:
-    delay, underway = tables.safety[uav].delay_ticks, state.underway
-    sent = Underway(
-        underway.sent[world, uav, : delay + 2],
-        underway.flown[world, uav],
-        underway.expected[world, uav],
-    )
-    return GuardState(
-        state.detections[world, uav],
-        state.plan[world, uav],
-        state.track[world, uav],
-        state.flags[world, uav],
-        sent,
-    )
-
-
-@inlined
-def _ground_of(tables: LoopTables, state: LoopState, world: int, ugv: int) -> GroundMemory:
-    grounds = state.grounds
-    return GroundMemory(
-        grounds.tiles[world, ugv],
-        grounds.sure[world, ugv],
-        grounds.draft[world, ugv],
-        grounds.way[world, ugv],
-        grounds.cost[world, ugv],
-        grounds.heap[world, ugv],
-        grounds.place[world, ugv],
-        grounds.sent[world, ugv, : tables.late[ugv]],
-        grounds.flown[world, ugv],
-        grounds.flags[world, ugv],
-    )
-
-
-@inlined
-def _coverage_of(parameters: LoopParameters, state: LoopState, world: int, uav: int) -> FloatArray:
-    coverage: FloatArray = (
-        state.maps[world, uav] if parameters.own_maps else state.batch.coverage[world]
-    )
-    return coverage
-
-
-@compiled
-def _reference_of(vehicle: Vehicle) -> Motion:
-    place, velocity = vehicle.reference_position, vehicle.reference_velocity
-    return Motion(place[0], place[1], velocity[0], velocity[1])
-
-
-@inlined
-def _fly(
-    parameters: LoopParameters,
-    tables: LoopTables,
-    state: LoopState,
-    world: int,
-    vehicle: int,
-    uav: int,
-    actions: FloatArray,
-) -> None:
-    """The command of a UAV, and what it radios."""
-    tick, row = state.batch.ticks[world], state.rows.uavs[world, uav]
-    one = state.batch.vehicles[world, vehicle]
-    here = _reference_of(one)
-    guarded = tables.guarded[uav] != 0
-    target = estimate(state.kalman, world, uav)
-    flown = state.batch.flown[world, vehicle, 0].begins
-    acts, code, bound = INNER, NOTHING_AGAINST, 0.0
-    if tables.hand[vehicle] < 0:
-        coverage = _coverage_of(parameters, state, world, uav)
-        u_x, u_y = nominal_command(
-            tables.laws, state.laws, (world, uav), coverage, tick, here, target
-        )
-    else:
-        u_x, u_y = actions[tables.hand[vehicle], 0], actions[tables.hand[vehicle], 1]
-    if guarded:
-        held = _guard_of(tables, state.guards, world, uav)
-        u_x, u_y, acts, code, bound = guard(tables.safety[uav], held, tick, here, u_x, u_y, flown)
-        row[GUARD_METRICS.bound] = bound
-        row[GUARD_METRICS.acted] = 1.0 if acts != INNER else 0.0
-        sure = code == NOTHING_AGAINST and tables.faults[uav] == 0
-        row[GUARD_METRICS.sure], row[GUARD_METRICS.code] = 1.0 if sure else 0.0, code
-        # a pilot that has seen nothing reports nothing
-        reports = target.known or tables.hand[vehicle] >= 0
-        said = Claim(sure, reports and acts != INNER, row[UAV_METRICS.lost] != 0.0, True)
-        record_decision(tables.monitored[uav], state.certificates[world, uav], tick, said)
-    one.outgoing_tick, one.outgoing[0], one.outgoing[1] = tick, u_x, u_y
-    if guarded:
-        one.outgoing_motion, one.outgoing_motions = hand_over(
-            tables.safety[uav],
-            _guard_of(tables, state.guards, world, uav).underway,
-            tick,
-            state.batch.motions[world, vehicle],
-        )
-    if parameters.radio:
-        _speak(parameters, state, world, uav, tick, here, target)
-
-
-@inlined
-def _speak(
-    parameters: LoopParameters,
-    state: LoopState,
-    world: int,
-    uav: int,
-    tick: int,
-    here: Motion,
-    target: Target,
-) -> None:
-    """Radio messages of a UAV at this tick."""
-    known, g_x, g_y = target.known, target.p_x, target.p_y
-    relative, ground = state.outbox[world, uav, _RELATIVE], state.outbox[world, uav, _GROUND]
-    relative.stamp = tick if known and tick % parameters.radio_ticks == 0 else -1.0
-    relative.block = -1
-    relative.vector[0], relative.vector[1] = here.p_x - g_x, here.p_y - g_y
-    ground.stamp = -1.0
-    if parameters.telling_ticks > 0 and known and tick % parameters.telling_ticks == 0:
-        memory = telling_of(state.telling, world, uav)
-        row, column = next_block(memory, parameters.tile, tick, g_x, g_y)
-        if row >= 0:
-            ground.stamp = tick
-            ground.block = row * memory.news.shape[1] + column
-            block_words(memory.tiles, row, column, ground.tiles)
-
-
-@inlined
-def _drive(
-    tables: LoopTables,
-    state: LoopState,
-    ground: GroundState | None,
-    world: int,
-    vehicle: int,
-    ugv: int,
-    actions: FloatArray,
-) -> None:
-    """The command of a UGV."""
-    tick, one = state.batch.ticks[world], state.batch.vehicles[world, vehicle]
-    one.outgoing_tick = tick
-    if tables.hand[vehicle] >= 0:
-        one.outgoing[0] = actions[tables.hand[vehicle], 0]
-        one.outgoing[1] = actions[tables.hand[vehicle], 1]
-        return
-    script = tables.scripts[tables.script_rows[ugv] : tables.script_rows[ugv + 1]]
-    goals = goals_of(tables.batch.goals, tables.batch.goal_rows, ugv)
-    radio, arrived = state.inboxes[world, ugv], state.arrived[world, ugv]
-    place, here = (world, ugv), _reference_of(one)
-    if ground is None:
-        inputs = DriverInputs(goals, script, radio, arrived, None, PLAIN)
-        one.outgoing[0], one.outgoing[1] = driver_command(
-            tables.drivers, state.drivers, place, inputs, tick, here
-        )
-    else:
-        memory = _ground_of(tables, state, world, ugv)
-        flown = state.batch.flown[world, vehicle, 0].begins if one.follows_motions else PLAIN
-        inputs = DriverInputs(goals, script, radio, arrived, memory, flown)
-        one.outgoing[0], one.outgoing[1] = driver_command(
-            tables.drivers, state.drivers, place, inputs, tick, here
-        )
-        note_claim(ground.missions[world], ugv, memory.flags[0].claim)
-        if one.follows_motions:
-            motions = state.batch.motions[world, vehicle]
-            one.outgoing_motion, one.outgoing_motions = hand_over_stops(memory, tick, motions)
-
-
-@inlined
-def _receive_block(
-    tables: LoopTables, state: LoopState, ground: GroundState, world: int, ugv: int, packet: Packet
-) -> None:
-    """A UGV is told of a block of tiles by radio."""
-    block, across = packet.block, state.telling.news.shape[3]
-    row, column, states = block // across, block % across, state.states[world, :BLOCK_TILES]
-    for place in range(BLOCK_TILES):
-        states[place] = word_state(packet.tiles, place)
-    note_block(_ground_of(tables, state, world, ugv), row, column, states)
-    receive_block(ground, world, ugv, state.batch.ticks[world], (row, column), states)
-
-
-@inlined
-def _feel_ground(
-    tables: LoopTables, state: LoopState, ground: GroundState, world: int, ugv: int
-) -> None:
-    """A UGV takes in the tiles that its bumper tells of."""
-    v = ground.ugvs[ugv]
-    columns, count = ground.tiles.shape[2], ground.told[world, v]
-    rows = state.places[world, 0, :count]
-    across = state.places[world, 1, :count]
-    states = state.states[world, :count]
-    for n in range(count):
-        rows[n], across[n] = ground.seen[world, v, n] // columns, ground.seen[world, v, n] % columns
-        states[n] = ground.known[world, v, rows[n], across[n]]
-    if count > 0:
-        note_tiles(_ground_of(tables, state, world, ugv), rows, across, states)
-
-
-@inlined
-def _radio(tables: LoopTables, state: LoopState, ground: GroundState | None, world: int) -> None:
-    """Send out the radio messages of the tick before, and receive those that arrive."""
-    tick, arrived = state.batch.ticks[world], state.arrived[world]
-    arrived[:] = 0
-    packets, traces = state.batch.packets, tables.batch.traces
-    for u in range(tables.receivers.shape[0]):
-        g, come = tables.receivers[u], state.inboxes[world, tables.receivers[u]]
-        # behind the links of detections and commands
-        link = state.batch.links[world, tables.receivers.shape[0] + tables.hand.shape[0] + u]
-        begin_tick(link, packets, world, traces, tick)
-        for k in range(state.outbox.shape[2]):
-            packet = state.outbox[world, u, k]
-            if packet.stamp >= 0.0:
-                send(link, packets, world, traces, packet)
-                packet.stamp = -1.0
-        for i in range(receive(link, packets, world)):
-            packet = packets[world, link.number, ARRIVED, i]
-            if packet.block < 0:
-                n = arrived[g]
-                come[n, 0], come[n, 1], come[n, 2] = (
-                    packet.stamp,
-                    packet.vector[0],
-                    packet.vector[1],
-                )
-                arrived[g] = n + 1
-            elif ground is not None:
-                _receive_block(tables, state, ground, world, g, packet)
-
-
-@inlined
-def _see_ground(
-    parameters: LoopParameters, state: LoopState, ground: GroundState, world: int, uav: int, v: int
-) -> None:
-    """Keep the tiles that a UAV's sensor has reported, to radio them."""
-    if parameters.telling_ticks > 0:
-        columns = ground.tiles.shape[2]
-        for n in range(ground.told[world, v]):
-            row, column = ground.seen[world, v, n] // columns, ground.seen[world, v, n] % columns
-            found = ground.known[world, v, row, column]
-            note_tile(telling_of(state.telling, world, uav), column, row, found)
-
-
-@inlined
-def _perceive(
-    parameters: LoopParameters,
-    tables: LoopTables,
-    state: LoopState,
-    ground: GroundState | None,
-    world: int,
-) -> None:
-    """Every UAV takes what has reached it at this tick into its map and its filters, every UGV its radio."""
-    escorts, tick = tables.batch.escorts, state.batch.ticks[world]
-    looks = state.looks[world]
-    looked = 1 if parameters.own_maps and tick > 0 else 0  # else the world has done it
-    for u in range(escorts.shape[0]):
-        here = _reference_of(state.batch.vehicles[world, escorts[u, 0]])
-        if ground is not None:
-            _see_ground(parameters, state, ground, world, u, escorts[u, 0])
-        arrived = state.batch.links[world, u].arrived
-        for n in range(arrived):
-            packet = state.batch.packets[world, u, ARRIVED, n]
-            looks[n, 0], looks[n, 1], looks[n, 2] = packet.stamp, packet.vector[0], packet.vector[1]
-        if looked > 0 or tables.guarded[u]:
-            uav_perceive(
-                tables.laws.uavs[u],
-                tables.safety[u],
-                tables.guarded[u] != 0,
-                _coverage_of(parameters, state, world, u),
-                _guard_of(tables, state.guards, world, u),
-                looked,
-                tick,
-                here,
-                looks,
-                arrived,
-            )
-        if tables.thinking[u]:
-            numbers, place = tables.kalman[u], (world, u)
-            update_estimate(numbers, state.kalman, place, tick, here, looks, arrived)
-    if parameters.radio:
-        _radio(tables, state, ground, world)
-    if ground is not None and state.grounds.tiles.shape[2] > 0:
-        for g in range(ground.ugvs.shape[0]):
-            _feel_ground(tables, state, ground, world, g)
+from sim.models.vehicles import norm
 
 
 @inlined
@@ -350,7 +42,7 @@ def _add_cues(
         row.age = state.kalman[world, uav, 0].age * world_parameters.dt
     if parameters.gradient:
         u_x, u_y, size = coverage_gradient(
-            state.maps[world, uav] if parameters.own_maps else state.batch.coverage[world],
+            coverage_of(parameters, state, world, uav),
             x,
             y,
             g_x,
@@ -358,8 +50,6 @@ def _add_cues(
             world_parameters.r_o,
             world_parameters.desired,
             world_parameters.sensor,
-            world_parameters.peak,
-            world_parameters.reach,
             world_parameters.cell,
         )
         if size > 0.0:
@@ -380,7 +70,7 @@ def _add_pictures(
         place = state.batch.vehicles[world, escorts[u, 0]].reference_position
         x, y = place[0], place[1]
         sample(
-            state.maps[world, u] if parameters.own_maps else state.batch.coverage[world],
+            coverage_of(parameters, state, world, u),
             x,
             y,
             world_parameters.desired,
@@ -414,35 +104,6 @@ def _note_evidence(tables: LoopTables, state: LoopState, world: int, uav: int) -
         record_tracking_error(tables.monitored, state.certificates[world], uav, off)
 
 
-@compiled
-def _obey(
-    vehicles: RecordArray, hand: IntArray, world: int, tick: int, actions: FloatArray
-) -> None:
-    """The commands of all vehicles, from outside; the backup plans that they carry are there already."""
-    for v in range(hand.shape[0]):
-        one = vehicles[world, v]
-        one.outgoing_tick = tick
-        one.outgoing[0], one.outgoing[1] = actions[hand[v], 0], actions[hand[v], 1]
-
-
-@inlined
-def _command(
-    parameters: LoopParameters,
-    tables: LoopTables,
-    state: LoopState,
-    ground: GroundState | None,
-    world: int,
-    actions: FloatArray,
-) -> None:
-    """The commands of all vehicles, of their pilots or from outside."""
-    for v in range(tables.rows.place.shape[0]):
-        place = tables.rows.place[v]
-        if place >= 0:
-            _fly(parameters, tables, state, world, v, place, actions)
-        else:
-            _drive(tables, state, ground, world, v, -1 - place, actions)
-
-
 @inlined
 def _note_actions(tables: LoopTables, state: LoopState, world: int, tick: int) -> None:
     """Count the actions of the UAVs that a safety filter watches over."""
@@ -456,8 +117,8 @@ def _note_tick(tables: LoopTables, state: LoopState, world: int, over: bool) -> 
     """Count what the UAVs' certificates have come to at this tick."""
     for u in range(tables.batch.escorts.shape[0]):
         if over:
-            lost = state.rows.uavs[world, u, UAV_METRICS.lost] != 0.0
-            record_end(state.certificates[world, u], lost)
+            standing = state.rows.standings[world, tables.batch.escorts[u, 0]]
+            record_end(state.certificates[world, u], standing.lost)
         elif tables.guarded[u]:
             _note_evidence(tables, state, world, u)
 
@@ -491,14 +152,14 @@ def run_worlds(
             begun = batch.ticks[k]
             if not beginning:
                 if parameters is None:
-                    _obey(batch.vehicles, tables.hand, k, begun, actions[k])
+                    obey(batch.vehicles, tables.hand, k, begun, actions[k])
                 else:
-                    _command(parameters, tables, state, ground, k, actions[k])
+                    command(parameters, tables, state, ground, k, actions[k])
                 world_tick(tables.batch, batch, ground, k, True)
             if parameters is not None:
                 if not beginning:
                     _note_actions(tables, state, k, begun)
-                _perceive(parameters, tables, state, ground, k)
+                perceive(parameters, tables, state, ground, k)
             error = tables.rows.episode[0].error
             escorts = tables.batch.escorts
             measure(tables.batch.world, batch.vehicles, escorts, batch.coverage, k, error)

@@ -189,7 +189,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self._follow()
         return (
             self._observations(),
-            dict(zip(names, rows.rewards[0].tolist(), strict=True)),
+            dict(zip(names, rows.standings["reward"][0].tolist(), strict=True)),
             dict.fromkeys(names, terminated),
             dict.fromkeys(names, truncated),
             self._infos(),

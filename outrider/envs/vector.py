@@ -17,7 +17,8 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from outrider.envs.worlds import PICTURES, BatchStep, Worlds
+from outrider.envs.autoreset import AutoresetWorlds, BatchStep
+from outrider.envs.worlds import PICTURES
 from sim.compiling.compile import FloatArray
 from sim.env.observation import AgentObservation
 from sim.scenario.types import Scenario
@@ -55,7 +56,7 @@ class OutriderVectorEnv(VectorEnv):
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **settings: Any,  # noqa: ANN401 - fields of `Settings`
     ) -> None:
-        self.worlds = Worlds(
+        self.worlds = AutoresetWorlds(
             scenario,
             num_envs,
             [agent],
@@ -158,7 +159,7 @@ class OutriderParallelVectorEnv:
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **settings: Any,  # noqa: ANN401 - fields of `Settings`
     ) -> None:
-        self.worlds = Worlds(
+        self.worlds = AutoresetWorlds(
             scenario,
             num_envs,
             agents,

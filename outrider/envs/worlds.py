@@ -12,19 +12,16 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import logger
 from gymnasium.error import ResetNeeded
-from gymnasium.vector import AutoresetMode
 
 from bus.messages.links import LinkStatus
 from bus.messages.telemetry import MissionResult
 from bus.observations import GRADIENT, UAV, as_rows
 from outrider.envs.closed_loop import ClosedLoop
-from outrider.envs.closed_loop_state import GUARD_METRICS
 from outrider.envs.pilot_numbers import pilot_names
 from sim.compiling.compile import FloatArray, IntArray
-from sim.engine.mission import mission_numbers
+from sim.compiling.records import RecordArray
 from sim.env.actions import take_batch
-from sim.env.observation import AgentObservation, ObservationFormat, one_of_world
-from sim.env.rows import UGV_METRICS
+from sim.env.observation import AgentObservation, ObservationFormat
 from sim.env.seeds import Seeds
 from sim.env.settings import settings_of
 from sim.env.spaces import action_space
@@ -34,15 +31,6 @@ from sim.scenario.types import Scenario
 from sim.world import World
 
 BoolArray = npt.NDArray[np.bool_]
-
-BatchStep = tuple[
-    dict[str, AgentObservation],
-    dict[str, FloatArray],
-    dict[str, BoolArray],
-    dict[str, BoolArray],
-    dict[str, dict[str, Any]],
-]
-"""Observations, rewards, terminations, truncations and infos of all worlds, by learner."""
 
 PICTURES: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}
 """Metadata of an environment that draws."""
@@ -58,15 +46,6 @@ def _checked_count(num_envs: int) -> int:
     return count
 
 
-def _checked_mode(mode: AutoresetMode | str) -> AutoresetMode:
-    modes = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP)
-    for one in modes:
-        if mode in (one, one.value):
-            return one
-    allowed = ", ".join(repr(one.value) for one in modes)
-    raise ValueError(f"autoreset_mode = {mode!r}; allowed: {allowed}")
-
-
 class Worlds:
     """Many worlds of one scenario, as every environment sees them.
 
@@ -76,7 +55,6 @@ class Worlds:
         learners: Vehicles whose actions come from outside; None: all.
         error: Whether e(t) is computed at every tick; if `uncovered` is paid, it is in any case.
         render_mode: None, or "rgb_array": `render` draws.
-        autoreset_mode: When an episode follows on one that has ended: SAME_STEP or NEXT_STEP.
         settings: By keyword: `sim.env.settings.Settings` says what each is.
 
     Raises:
@@ -92,15 +70,12 @@ class Worlds:
         *,
         error: bool = False,
         render_mode: str | None = None,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **settings: Any,  # noqa: ANN401 - fields of `Settings`
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise ValueError(
                 f"render_mode = {render_mode!r}; allowed: None, 'rgb_array'; outrider.parallel_env has a window"
             )
-        self.autoreset_mode = _checked_mode(autoreset_mode)
-        """When an episode follows on one that has ended."""
         self.settings = options = settings_of(settings)
         self.num_envs = _checked_count(num_envs)
         self.scenario = given_scenario(scenario, options.duration)
@@ -126,13 +101,10 @@ class Worlds:
             **settings,
         )
         """The worlds themselves."""
-        self._rows = {vehicle.name: k for k, vehicle in enumerate(self.scenario.vehicles)}
         self.action_spaces = {v.name: action_space(v) for v in self.scenario.vehicles}
         self.observation_spaces = self._format.spaces
         self._seeds = [Seeds(self.scenario.seed + k) for k in range(self.num_envs)]
         self._actions: FloatArray = np.zeros((self.num_envs, len(self._hands), 2))
-        self._returns: FloatArray = np.zeros((self.num_envs, len(names)))
-        self._over: BoolArray = np.zeros(self.num_envs, dtype=np.bool_)
         self.begun = False
         """True if there is an episode to step."""
         self._view = None if render_mode is None else BatchRendering(self.loop.batch)
@@ -171,6 +143,10 @@ class Worlds:
         row = as_rows(loop.state.rows.uav_rows)[:, loop.uavs.index(name), :width]
         return form.shown(name, row, coverage=coverage)
 
+    def standings(self, name: str) -> RecordArray:
+        """Return the `sim.env.rows.Standing` of a vehicle in all worlds; a view."""
+        return self.loop.state.rows.standings[:, self.loop.names.index(name)]
+
     def mission(self, world: int) -> MissionResult | None:
         """The mission of one world so far; None where there are no hazards."""
         return self.loop.mission(world) if self.scenario.has_ground else None
@@ -182,29 +158,27 @@ class Worlds:
     def infos(self, name: str) -> dict[str, Any]:
         """Facts of a vehicle's own that are in no row, in all worlds, with Gymnasium's masks."""
         found: dict[str, Any] = {}
+        standings = self.standings(name)
         if name in self.loop.ugvs:
-            found["goals_reached"] = self.loop.state.rows.ugvs[
-                :, self.loop.ugvs.index(name), UGV_METRICS.reached
-            ].astype(np.int64)
+            found["goals_reached"] = standings["reached"].copy()
         elif self.is_filtered(name):
-            rows = self.loop.state.rows.uavs[:, self.loop.uavs.index(name)]
-            found["intervened"] = rows[:, GUARD_METRICS.acted] != 0.0
-            found["certified"] = rows[:, GUARD_METRICS.sure] != 0.0
-            found["certified_distance"] = rows[:, GUARD_METRICS.bound].copy()
+            for told in ("intervened", "certified", "certified_distance"):
+                found[told] = standings[told].copy()
         return found | {f"_{key}": np.ones(self.num_envs, dtype=np.bool_) for key in found}
 
     def info(self, name: str) -> dict[str, Any]:
         """The same in the first world as plain numbers, and why the safety filter has not certified its answer."""
-        state = self.loop.state.rows
         if name in self.loop.ugvs:
-            row = self.loop.ugvs.index(name)
-            return {"goals_reached": int(state.ugvs.item(0, row, UGV_METRICS.reached))}
+            return {"goals_reached": self.standings(name)["reached"].item(0)}
         return self.loop.verdict(name) if self.is_filtered(name) else {}
 
     def reset(
         self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None
-    ) -> None:
+    ) -> IntArray:
         """Begin episodes: in all worlds, or in those of the boolean array `options["reset_mask"]`.
+
+        Returns:
+            The worlds in which an episode has begun.
 
         Raises:
             ValueError: If there are not as many seeds as worlds, or a seed or the mask is not allowed.
@@ -225,10 +199,10 @@ class Worlds:
         for k in which.tolist():
             self._seeds[k].begin(seeds[k])
         self.loop.begin([self._seeds[k].current for k in which.tolist()], which)
-        self._returns[which], self._over[which] = 0.0, False
         self.begun = True
         if self._view is not None:
             self._view.begin(which)
+        return which
 
     def _given(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
@@ -284,90 +258,18 @@ class Worlds:
         self.loop.step(self._actions, which)
         if self._view is not None:
             self._view.follow()
-        state, stepped = self.loop.state, slice(None) if which is None else which
-        self._returns[stepped] += state.rows.rewards[stepped]
-        ended: BoolArray = (state.rows.terminated | state.rows.truncated) != 0
+        rows = self.loop.state.rows
+        ended: BoolArray = (rows.terminated | rows.truncated) != 0
         return ended
-
-    def step_with_autoreset(self, actions: Mapping[str, npt.ArrayLike]) -> BatchStep:
-        """All worlds advance by one tick; an episode that ends begins anew, with the seed that follows from its last.
-
-        In the mode SAME_STEP it does so at once, and its last observation is in the infos; in the mode NEXT_STEP in the
-        next call, which ignores the actions in this world.
-
-        Args:
-            actions: As for `step`, whose errors it raises.
-        """
-        if self.autoreset_mode is AutoresetMode.NEXT_STEP:
-            return self._step_or_begin(actions)
-        ended = self.step(actions)
-        rewards = {name: self.rewards(name) for name in self.learners}
-        terminated, truncated = self.ends()
-        final: dict[str, dict[str, Any]] = {name: {} for name in self.learners}
-        if ended.any():
-            final = {name: self.final(name, ended) for name in self.learners}
-            self.reset(None, {"reset_mask": ended})
-        return self._stepped(rewards, terminated, truncated, final)
-
-    def _step_or_begin(self, actions: Mapping[str, npt.ArrayLike]) -> BatchStep:
-        over = self._over.copy()
-        ended = self.step(actions, np.flatnonzero(~over)) & ~over
-        if over.any():
-            self.reset(None, {"reset_mask": over})
-        self._over = ended
-        rewards = {name: self.rewards(name) for name in self.learners}
-        final = {name: _masked(self._mission(name, ended), ended) for name in self.learners}
-        return self._stepped(rewards, *self.ends(), final)
-
-    def _stepped(
-        self,
-        rewards: dict[str, FloatArray],
-        terminated: BoolArray,
-        truncated: BoolArray,
-        final: Mapping[str, dict[str, Any]],
-    ) -> BatchStep:
-        return (
-            {name: self.observe(name) for name in self.learners},
-            rewards,
-            {name: terminated.copy() for name in self.learners},
-            {name: truncated.copy() for name in self.learners},
-            {name: self.infos(name) | final[name] for name in self.learners},
-        )
 
     def rewards(self, name: str) -> FloatArray:
         """Return the rewards of the last tick. Shape (num_envs,)."""
-        return self.loop.state.rows.rewards[:, self._rows[name]].copy()
+        return self.standings(name)["reward"].copy()
 
     def ends(self) -> tuple[BoolArray, BoolArray]:
         """The episodes that have terminated, and those that were truncated."""
         state = self.loop.state
         return state.rows.terminated != 0, state.rows.truncated != 0
-
-    def final(self, name: str, ended: BoolArray) -> dict[str, Any]:
-        """The last observations and infos of the ended episodes, as Gymnasium's own vector environments give them."""
-        last, told = self.observe(name), self.infos(name)
-        observations = np.full(self.num_envs, None, dtype=object)
-        for k in np.flatnonzero(ended).tolist():
-            observations[k] = one_of_world(last, k)
-        info = {key: value for key, value in told.items() if not key.startswith("_")}
-        info |= self._mission(name, ended)
-        info["episode"] = {
-            "r": np.where(ended, self._returns[:, self._rows[name]], 0.0),
-            "l": np.where(ended, self.loop.state.batch.ticks, 0),
-            "_r": ended.copy(),
-            "_l": ended.copy(),
-        }
-        return _masked({"final_obs": observations, "final_info": _masked(info, ended)}, ended)
-
-    def _mission(self, name: str, ended: BoolArray) -> dict[str, Any]:
-        """Return the mission results of the ended episodes, for a UGV."""
-        info: dict[str, Any] = {}
-        if name in self.loop.ugvs and self.scenario.has_ground:
-            for k in np.flatnonzero(ended).tolist():
-                for key, number in mission_numbers(self.loop.mission(k)).items():
-                    none = np.zeros(self.num_envs, np.asarray(number).dtype)
-                    info.setdefault(key, none)[k] = number
-        return info
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
         """Each UAV's true standing in its episode, in all worlds: for people and logs, not for policies.
@@ -395,8 +297,3 @@ class Worlds:
         if not self.begun:
             raise ResetNeeded("render() before reset()")
         return self._view.render()
-
-
-def _masked(info: Mapping[str, Any], ended: BoolArray) -> dict[str, Any]:
-    """The entries, each with Gymnasium's mask of the worlds that have one."""
-    return {**info, **{f"_{key}": ended.copy() for key in info}}

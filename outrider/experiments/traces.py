@@ -74,7 +74,6 @@ def velocity_errors(flight: Flight) -> tuple[FloatArray, FloatArray]:
     (uav,), (law,) = records(UavParameters, [c]), records(type(parameters), [parameters])
     memory, coverage = fresh(CoverageMemory)[0], empty_coverage(c.width, c.height, c.cell)
     memory["key_0"], memory["key_1"] = words_of(told.key)
-    sensor = c.sensor, c.sensor_peak, c.sensing_range, c.cell
     for region in told.covered:
         cover(coverage, region.lower, region.upper, c.cell, c.desired_coverage)
     states = flight.recorder.states[:, flight.world.escorts[0, 0]]
@@ -83,7 +82,7 @@ def velocity_errors(flight: Flight) -> tuple[FloatArray, FloatArray]:
     for tick in range(flight.recorder.ticks):
         here = Motion(*states[tick, :4].tolist())
         if tick > 0:
-            accumulate(coverage, here.p_x, here.p_y, *sensor, c.dt)
+            accumulate(coverage, here.p_x, here.p_y, c.sensor, c.cell, c.dt)
         target = Target(True, estimates[tick, 0], estimates[tick, 1], 0.0, 0.0, 0.0, 0.0)
         errors[tick] = coverage_velocity_error(uav, law, memory, coverage, tick, here, target)
     return errors, errors + states[: flight.recorder.ticks, 2:4]

@@ -6,7 +6,8 @@ See docs/explanation/ground.md. Lost, late and scattered commands are none: comm
 from collections.abc import Iterator
 
 from bus.registry import CAUTIONS
-from sim.models.ground import BLOCK, TOUCH, span
+from sim.models.ground import span
+from sim.models.hazards import BLOCK, TOUCH
 from sim.scenario.ground_tables import ground_tables
 from sim.scenario.types import Scenario, Ugv
 

@@ -78,14 +78,6 @@ class Watcher(msgspec.Struct, frozen=True, kw_only=True):
     """Commands that run beside the run."""
 
 
-NOBODY = Watcher(
-    on_tick=lambda _tick: None,
-    on_event=lambda _line: None,
-    on_warnings=lambda _lines: None,
-    stop=lambda: 0,
-)
-
-
 def launch(
     scenario: Scenario,
     watcher: Watcher,

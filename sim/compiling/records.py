@@ -85,8 +85,3 @@ def fresh(fields: type, shape: tuple[int, ...] = (1,)) -> RecordArray:
     for name in table.dtype.names or ():
         table[name] = getattr(fields, name, 0)
     return table
-
-
-def columns(row: Any) -> Any:  # noqa: ANN401 - a type of named tuples, and one whose fields are whole numbers
-    """The place of each field of a row: a row whose values are their own places."""
-    return row._make(range(len(row._fields)))

@@ -11,18 +11,8 @@ from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.engine.ground_state import GroundParameters, GroundState
 from sim.engine.world_state import BatchState, Vehicle, WorldParameters
 from sim.models.field import accumulate
-from sim.models.ground import (
-    BLOCK,
-    CERTIFIED,
-    CLEAR,
-    ROUGH,
-    UNSEEN,
-    TileArray,
-    crosses_hazard,
-    rough_share,
-    state_at,
-    tile_index,
-)
+from sim.models.ground import CERTIFIED, CLEAR, UNSEEN, TileArray, state_at, tile_index
+from sim.models.hazards import BLOCK, ROUGH, crosses_hazard, rough_share
 from sim.models.randomness import GROUND_LOOK, TILE_CHANCE, WordArray, key_of, uniform
 
 _POINTS = 8
@@ -74,13 +64,11 @@ def _look(
         x,
         y,
         numbers.sensor,
-        numbers.peak,
-        numbers.reach,
         settings.tile,
         settings.period * numbers.dt,
     )
-    first_row, end_row = _tile_range(y, numbers.reach, settings.tile, looked.shape[0])
-    first, end = _tile_range(x, numbers.reach, settings.tile, looked.shape[1])
+    first_row, end_row = _tile_range(y, numbers.sensor.reach, settings.tile, looked.shape[0])
+    first, end = _tile_range(x, numbers.sensor.reach, settings.tile, looked.shape[1])
     for row in range(first_row, end_row):
         sums, states, news = looked[row, first:end], known[row, first:end], 0
         for i in range(sums.size):  # several to a vector: mostly there is none

@@ -17,19 +17,15 @@ from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState, TickArray
 from sim.engine.world_state import BatchState, BatchTables
 from sim.models.ground import (
-    BLOCK,
     CERTIFIED,
     CLEAR,
-    FOUND,
     NO_STOP,
-    ROUGH,
     UNCERTIFIED,
     UNSEEN,
     WAY_UNKNOWN,
-    distance_to_hazard,
-    may_be_within,
     tile_index,
 )
+from sim.models.hazards import BLOCK, FOUND, ROUGH, distance_to_hazard, may_be_within
 from sim.models.vehicles import next_goal, norm
 
 ON_WAY = 2.0

@@ -9,7 +9,6 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from bus.registry import SENSORS
 from bus.ticks import MOST_TICKS
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray, record_type, records
@@ -17,6 +16,7 @@ from sim.engine.briefing import monitored_bounds, ugv_carries
 from sim.models.field import cover, empty_coverage
 from sim.models.inner_loop import TrackingRecord
 from sim.models.randomness import RUN_PURPOSES, WordArray
+from sim.models.sensor import SensorParameters, sensor_parameters
 from sim.models.wind import DisturbanceRow
 from sim.scenario.types import Scenario, Uav, Ugv
 
@@ -30,9 +30,7 @@ class WorldParameters(NamedTuple):
     cell: float
     r_v: float
     r_o: float
-    sensor: int
-    peak: float
-    reach: float
+    sensor: SensorParameters
     desired: float
     sigma: float
     cut: float
@@ -53,9 +51,7 @@ def world_parameters(scenario: Scenario, *, gains: bool = False) -> WorldParamet
         cell=float(scenario.area.cell),
         r_v=float(scenario.visibility.radius),
         r_o=float(scenario.visibility.radius + scenario.sensor.range),
-        sensor=tuple(SENSORS).index(scenario.sensor.model),
-        peak=float(scenario.sensor.peak),
-        reach=float(scenario.sensor.range),
+        sensor=sensor_parameters(scenario.sensor),
         desired=float(scenario.coverage.desired),
         sigma=float(scenario.detections.noise),
         cut=float(scenario.noise_cut),

@@ -90,8 +90,6 @@ def _look(numbers: WorldParameters, state: BatchState, escorts: IntArray, world:
                 numbers.r_o,
                 numbers.desired,
                 numbers.sensor,
-                numbers.peak,
-                numbers.reach,
                 numbers.cell,
                 numbers.dt,
             )
@@ -101,8 +99,6 @@ def _look(numbers: WorldParameters, state: BatchState, escorts: IntArray, world:
                 uav.position[0],
                 uav.position[1],
                 numbers.sensor,
-                numbers.peak,
-                numbers.reach,
                 numbers.cell,
                 numbers.dt,
             )
@@ -117,7 +113,7 @@ def _detect(numbers: WorldParameters, uav: Vehicle, ugv: Vehicle, tick: int) -> 
             uav.position[0] - ugv.position[0],
             uav.position[1] - ugv.position[1],
             numbers.r_v,
-            numbers.reach,
+            numbers.sensor.reach,
             numbers.dropout,
             numbers.sigma,
             numbers.cut,

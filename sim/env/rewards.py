@@ -3,7 +3,6 @@
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from sim.compiling.compile import compiled
 
@@ -52,26 +51,9 @@ class RewardWeights:
                 )
 
 
-class UavTerms(NamedTuple):
-    """A UAV's reward of one tick, term by term."""
-
-    uncovered: float
-    seen: float
-    sight_lost: float
-    out_of_sight: float
-    effort: float
-    told: float
-
-
-class UgvTerms(NamedTuple):
-    """A UGV's reward of one tick, term by term."""
-
-    progress: float
-    goal: float
-    effort: float
-    hit: float
-    still: float
-
+UAV_TERMS: tuple[str, ...] = ("uncovered", "seen", "sight_lost", "out_of_sight", "effort", "told")
+UGV_TERMS: tuple[str, ...] = ("progress", "goal", "effort", "hit", "still")
+"""Terms of a vehicle's reward of one tick."""
 
 MISSION_TERMS = ("told", "hit", "still")
 """Those that are always 0 on ground without hazards."""
@@ -102,7 +84,7 @@ def uav_terms(
     dt: float,
     told: float,
 ) -> tuple[float, float, float, float, float, float]:
-    """A UAV's reward of one tick, in the order of `UavTerms`.
+    """A UAV's reward of one tick, in the order of `UAV_TERMS`.
 
     Args:
         weights: What is paid for.
@@ -138,7 +120,7 @@ def ugv_terms(
     hits: int,
     still: int,
 ) -> tuple[float, float, float, float, float]:
-    """A UGV's reward of one tick, in the order of `UgvTerms`.
+    """A UGV's reward of one tick, in the order of `UGV_TERMS`.
 
     Args:
         weights: What is paid for.

@@ -3,65 +3,67 @@
 A tick of the rows, once the world's is done and measured: `advance_rows`, then `observe_rows` where somebody looks.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from bus.observations import GRADIENT, UAV, UGV, record_type
 from sim.channel.link_records import ARRIVED
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
-from sim.compiling.records import RecordArray, columns, records
+from sim.compiling.records import RecordArray, fresh, records
 from sim.engine.ground_state import GroundState
 from sim.engine.mission import goals_of
 from sim.engine.world_state import BatchState, BatchTables
-from sim.env.rewards import RewardWeights, UavTerms, full_error, uav_terms, ugv_terms
+from sim.env.rewards import UAV_TERMS, RewardWeights, full_error, uav_terms, ugv_terms
 from sim.env.settings import Settings
 from sim.models.vehicles import next_goal, norm
 from sim.scenario.types import Scenario, Uav
 
 
-class UavMetrics(NamedTuple):
-    """A UAV's true standing: the columns of `RowState.uavs`."""
+class Standing:
+    """True standing of a vehicle in its episode: what a UAV's safety filter and its reward make of it, too."""
 
-    newest: float
-    """Tick of the newest detection that has reached it; -1: none."""
-    was_lost: float
-    lost: float
+    newest: float = -1.0
+    """Tick of the newest detection that has reached a UAV; -1: none."""
+    was_lost: bool
+    lost: bool
     """True if the distance was and is r_v or more."""
     distance: float
     max_distance: float
     """Now and at most [m]."""
-    violations: float
+    violations: int
     """Ticks out of sight."""
     error: float
     """e(t) [m²]; 0 where it is not computed."""
     error_sum: float
     """Over the ticks so far, the first included [m²]."""
-
-
-class UgvMetrics(NamedTuple):
-    """A UGV's true standing: the columns of `RowState.ugvs`."""
-
-    reached: float
-    """Goals."""
-    arrivals: float
+    intervened: bool
+    certified: bool
+    """True if the safety filter replaced the last action, and if it certified its answer."""
+    certified_distance: float
+    """Distance that it bounds [m]."""
+    uncertified: int
+    """Reason why it did not certify: a key of `agents.safety.trajectories.UNCERTIFIED`, or its `CERTIFIED`."""
+    reached: int
+    """Goals of a UGV."""
+    arrivals: int
     """Goals reached at this tick."""
     nearer: float
     """The way by which it came nearer to its goal [m]."""
     to_go: float
     """Way to the next goal [m]; 0 where none is left."""
-    told: float
-    hits: float
-    still: float
+    told: int
+    hits: int
+    still: int
     """Tiles that have come by radio, hazards that it has run into, ticks in which it stood still; 0 without hazards."""
-    new_told: float
-    new_hits: float
-    new_still: float
+    new_told: int
+    new_hits: int
+    new_still: int
     """Of them those of this tick."""
-
-
-UAV_METRICS, UGV_METRICS = columns(UavMetrics), columns(UgvMetrics)
-"""Columns of `RowState.uavs` and `RowState.ugvs`."""
+    terms: Annotated[FloatArray, (len(UAV_TERMS),)]
+    """Of the last reward: `UAV_TERMS` or `UGV_TERMS`."""
+    reward: float
+    """Of the last tick."""
 
 
 class EpisodeParameters(NamedTuple):
@@ -91,18 +93,12 @@ class RowTables(NamedTuple):
 class RowState(NamedTuple):
     """The rows of each world. All arrays have an axis for worlds in front."""
 
-    uavs: FloatArray
-    """`UavMetrics`; further columns are the caller's. Shape (worlds, UAVs, 8 or more)."""
-    ugvs: FloatArray
-    """`UgvMetrics`. Shape (worlds, UGVs, 10)."""
+    standings: RecordArray
+    """`Standing`. Shape (worlds, vehicles)."""
     uav_rows: RecordArray
     """`bus.observations.UAV`, and `GRADIENT`, which is the caller's. Shape (worlds, UAVs)."""
     ugv_rows: RecordArray
     """`bus.observations.UGV`. Shape (worlds, UGVs)."""
-    terms: FloatArray
-    """Of the last reward: `UavTerms` or `UgvTerms`. Shape (worlds, vehicles, 6)."""
-    rewards: FloatArray
-    """Of the last tick. Shape (worlds, vehicles)."""
     terminated: IntArray
     truncated: IntArray
     """Shape (worlds,)."""
@@ -133,58 +129,49 @@ def row_tables(scenario: Scenario, settings: Settings, *, error: bool) -> RowTab
     )
 
 
-def row_state(tables: RowTables, worlds: int, *, uav_metrics: int = 0) -> RowState:
-    """The state before the first look.
-
-    Args:
-        tables: The tables.
-        worlds: How many.
-        uav_metrics: Further columns of `uavs`.
-    """
+def row_state(tables: RowTables, worlds: int) -> RowState:
+    """Return the state of so many worlds before the first look."""
     vehicles, ugvs = len(tables.place), int((tables.place < 0).sum())
-    state = RowState(
-        uavs=np.zeros((worlds, vehicles - ugvs, len(UAV_METRICS) + uav_metrics)),
-        ugvs=np.zeros((worlds, ugvs, len(UGV_METRICS))),
+    return RowState(
+        standings=fresh(Standing, (worlds, vehicles)),
         uav_rows=np.zeros((worlds, vehicles - ugvs), dtype=record_type(UAV + GRADIENT)),
         ugv_rows=np.zeros((worlds, ugvs), dtype=record_type(UGV)),
-        terms=np.zeros((worlds, vehicles, len(UavTerms._fields))),
-        rewards=np.zeros((worlds, vehicles)),
         terminated=np.zeros(worlds, dtype=np.int64),
         truncated=np.zeros(worlds, dtype=np.int64),
     )
-    state.uavs[:, :, UAV_METRICS.newest] = -1.0
-    return state
 
 
 @inlined
 def _measure_uav(bt: BatchTables, bs: BatchState, state: RowState, world: int, uav: int) -> None:
     """Notes a UAV's true standing at this tick, and the newest detection that has reached it."""
-    row = state.uavs[world, uav]
-    vehicle = bs.vehicles[world, bt.escorts[uav, 0]]
+    v = bt.escorts[uav, 0]
+    row, vehicle = state.standings[world, v], bs.vehicles[world, v]
     distance, error = vehicle.distance, vehicle.coverage_error
-    row[UAV_METRICS.was_lost] = row[UAV_METRICS.lost]
-    row[UAV_METRICS.lost] = 1.0 if distance >= bt.world[0].r_v else 0.0
-    row[UAV_METRICS.distance] = distance
-    row[UAV_METRICS.max_distance] = max(row[UAV_METRICS.max_distance], distance)
-    row[UAV_METRICS.violations] += row[UAV_METRICS.lost]
-    row[UAV_METRICS.error] = error
-    row[UAV_METRICS.error_sum] += error
+    row.was_lost = row.lost
+    row.lost = distance >= bt.world[0].r_v
+    row.distance = distance
+    row.max_distance = max(row.max_distance, distance)
+    row.violations += 1 if row.lost else 0
+    row.error = error
+    row.error_sum += error
     for n in range(bs.links[world, uav].arrived):
         stamp = bs.packets[world, uav, ARRIVED, n].stamp
-        row[UAV_METRICS.newest] = max(row[UAV_METRICS.newest], stamp)
+        row.newest = max(row.newest, stamp)
 
 
 @inlined
-def _measure_mission(ground: GroundState, state: RowState, world: int, ugv: int) -> None:
+def _measure_mission(
+    bt: BatchTables, ground: GroundState, state: RowState, world: int, ugv: int
+) -> None:
     """Earnings of a UGV in this tick on ground with hazards."""
-    row, mission, hits = state.ugvs[world, ugv], ground.missions[world, ugv], 0
+    row, mission, hits = state.standings[world, bt.ugvs[ugv]], ground.missions[world, ugv], 0
     for n in range(ground.hits.shape[2]):
         hits += ground.hits[world, ugv, n]
-    row[UGV_METRICS.new_told] = mission.told - row[UGV_METRICS.told]
-    row[UGV_METRICS.new_hits] = hits - row[UGV_METRICS.hits]
-    row[UGV_METRICS.new_still] = mission.still - row[UGV_METRICS.still]
-    row[UGV_METRICS.told], row[UGV_METRICS.hits] = mission.told, hits
-    row[UGV_METRICS.still] = mission.still
+    row.new_told = mission.told - row.told
+    row.new_hits = hits - row.hits
+    row.new_still = mission.still - row.still
+    row.told, row.hits = mission.told, hits
+    row.still = mission.still
 
 
 @inlined
@@ -192,26 +179,25 @@ def _measure_ugv(
     bt: BatchTables, bs: BatchState, state: RowState, world: int, ugv: int, beginning: bool
 ) -> None:
     """A UGV turns to the next goal where it has reached one."""
-    row, position = state.ugvs[world, ugv], bs.vehicles[world, bt.ugvs[ugv]].position
-    x, y, reached = position[0], position[1], int(row[UGV_METRICS.reached])
+    row, position = state.standings[world, bt.ugvs[ugv]], bs.vehicles[world, bt.ugvs[ugv]].position
+    x, y, reached = position[0], position[1], row.reached
     goals = goals_of(bt.goals, bt.goal_rows, ugv)
-    row[UGV_METRICS.nearer], row[UGV_METRICS.arrivals] = 0.0, 0.0
+    row.nearer, row.arrivals = 0.0, 0
     if reached < goals.shape[0]:
         if not beginning:
             way = norm(x - goals[reached, 0], y - goals[reached, 1])
-            row[UGV_METRICS.nearer] = row[UGV_METRICS.to_go] - way
-        now, row[UGV_METRICS.to_go] = next_goal(goals, reached, bt.tolerances[ugv], x, y)
-        row[UGV_METRICS.arrivals], row[UGV_METRICS.reached] = now - reached, now
+            row.nearer = row.to_go - way
+        now, row.to_go = next_goal(goals, reached, bt.tolerances[ugv], x, y)
+        row.arrivals, row.reached = now - reached, now
 
 
 @inlined
 def _end(bt: BatchTables, tables: RowTables, state: RowState, world: int, left: int) -> int:
     """Tells if the episode is over, and for how many ticks a UAV out of sight pays."""
     lost, goals = False, bt.goals.shape[0]
-    for u in range(state.uavs.shape[1]):
-        lost = lost or state.uavs[world, u, UAV_METRICS.lost] != 0.0
-    for g in range(state.ugvs.shape[1]):
-        goals -= int(state.ugvs[world, g, UGV_METRICS.reached])
+    for v in range(state.standings.shape[1]):
+        lost = lost or state.standings[world, v].lost
+        goals -= state.standings[world, v].reached
     lost = tables.episode[0].end_on_sight_lost and lost
     arrived = tables.episode[0].end_on_goals and bt.goals.shape[0] > 0 and goals == 0
     state.terminated[world] = 1 if lost or arrived else 0
@@ -234,35 +220,32 @@ def _pay(
     for v in range(tables.place.shape[0]):
         vehicle = bs.vehicles[world, v]
         acceleration = vehicle.acceleration[0], vehicle.acceleration[1]
-        terms = state.terms[world, v]
+        row = state.standings[world, v]
+        terms = row.terms
         if tables.place[v] >= 0:
-            row, told = state.uavs[world, tables.place[v]], 0.0
+            told = 0.0
             if ground is not None:
                 tile, ugv = ground.parameters[0].tile, bt.escorts[tables.place[v], 1]
-                told = tile * tile * state.ugvs[world, -1 - tables.place[ugv], UGV_METRICS.new_told]
+                told = tile * tile * state.standings[world, ugv].new_told
             terms[0], terms[1], terms[2], terms[3], terms[4], terms[5] = uav_terms(
                 weights,
-                row[UAV_METRICS.error],
+                row.error,
                 vehicle.gain,
                 episode.full,
-                row[UAV_METRICS.lost] != 0.0,
-                row[UAV_METRICS.was_lost] != 0.0,
+                row.lost,
+                row.was_lost,
                 ticks_lost,
                 acceleration,
                 dt,
                 told,
             )
         else:
-            row = state.ugvs[world, -1 - tables.place[v]]
-            nearer, arrivals = row[UGV_METRICS.nearer], int(row[UGV_METRICS.arrivals])
-            hits, still = int(row[UGV_METRICS.new_hits]), int(row[UGV_METRICS.new_still])
             terms[0], terms[1], terms[2], terms[3], terms[4] = ugv_terms(
-                weights, nearer, arrivals, acceleration, dt, hits, still
+                weights, row.nearer, row.arrivals, acceleration, dt, row.new_hits, row.new_still
             )
-        reward = 0.0
+        row.reward = 0.0
         for n in range(terms.shape[0]):
-            reward += terms[n]
-        state.rewards[world, v] = reward
+            row.reward += terms[n]
 
 
 @compiled
@@ -284,12 +267,12 @@ def advance_rows(
         world: The world.
         beginning: Whether an episode begins: nobody is paid then.
     """
-    for u in range(state.uavs.shape[1]):
+    for u in range(state.uav_rows.shape[1]):
         _measure_uav(bt, bs, state, world, u)
-    for g in range(state.ugvs.shape[1]):
+    for g in range(state.ugv_rows.shape[1]):
         _measure_ugv(bt, bs, state, world, g, beginning)
         if ground is not None:
-            _measure_mission(ground, state, world, g)
+            _measure_mission(bt, ground, state, world, g)
     if not beginning:
         ticks_lost = _end(bt, tables, state, world, tables.episode[0].ticks - bs.ticks[world])
         _pay(bt, bs, ground, tables, state, world, ticks_lost)
@@ -303,7 +286,7 @@ def _observe_uav(
     row, dt = state.uav_rows[world, uav], bt.world[0].dt
     vehicle = bs.vehicles[world, bt.escorts[uav, 0]]
     position, velocity = vehicle.reference_position, vehicle.reference_velocity
-    time, newest = bs.ticks[world] * dt, state.uavs[world, uav, UAV_METRICS.newest]
+    time, newest = bs.ticks[world] * dt, state.standings[world, bt.escorts[uav, 0]].newest
     row.time, row.x, row.y = time, position[0], position[1]
     row.vx, row.vy = velocity[0], velocity[1]
     row.detected, row.relative_x, row.relative_y = 0.0, 0.0, 0.0
@@ -323,7 +306,7 @@ def _observe_ugv(bt: BatchTables, bs: BatchState, state: RowState, world: int, u
     """Write the row of a UGV."""
     row, vehicle = state.ugv_rows[world, ugv], bs.vehicles[world, bt.ugvs[ugv]]
     goals = goals_of(bt.goals, bt.goal_rows, ugv)
-    goal = int(state.ugvs[world, ugv, UGV_METRICS.reached])
+    goal = state.standings[world, bt.ugvs[ugv]].reached
     row.time = bs.ticks[world] * bt.world[0].dt
     row.x, row.y = vehicle.position[0], vehicle.position[1]
     row.vx, row.vy = vehicle.velocity[0], vehicle.velocity[1]
@@ -339,7 +322,7 @@ def observe_rows(
     bt: BatchTables, bs: BatchState, tables: RowTables, state: RowState, world: int
 ) -> None:
     """Write what everybody in a world observes; arguments as in `advance_rows`."""
-    for u in range(state.uavs.shape[1]):
+    for u in range(state.uav_rows.shape[1]):
         _observe_uav(bt, bs, tables, state, world, u)
-    for g in range(state.ugvs.shape[1]):
+    for g in range(state.ugv_rows.shape[1]):
         _observe_ugv(bt, bs, state, world, g)

@@ -1,8 +1,10 @@
 """True standing of each vehicle of one world of many in its episode, as numbers by name."""
 
+from typing import Any
+
 from bus.observations import UAV_STATE, UGV_STATE, Row, Table, as_rows
-from sim.env.rewards import MISSION_TERMS, UavTerms, UgvTerms
-from sim.env.rows import RowState, RowTables, UavMetrics, UgvMetrics
+from sim.env.rewards import MISSION_TERMS, UAV_TERMS, UGV_TERMS
+from sim.env.rows import RowState, RowTables
 from sim.scenario.types import Scenario, Ugv
 
 
@@ -28,12 +30,10 @@ class Standings:
         }
         """The entries of the state of each vehicle."""
 
-    def _uav(self, place: int) -> UavMetrics:
-        numbers = self._state.uavs[self._world, place, : len(UavMetrics._fields)]
-        return UavMetrics._make(numbers.tolist())
-
-    def _ugv(self, place: int) -> UgvMetrics:
-        return UgvMetrics._make(self._state.ugvs[self._world, -1 - place].tolist())
+    def _standing(self, name: str) -> dict[str, Any]:
+        """Return the `Standing` of a vehicle as plain numbers."""
+        standing = self._state.standings[self._world, self._numbers[name]]
+        return {field: standing[field].tolist() for field in standing.dtype.names}
 
     def row(self, name: str) -> Row:
         """The row of a vehicle, with all its columns; a view."""
@@ -46,37 +46,32 @@ class Standings:
         """The truth of a vehicle."""
         place, row = self._places[name], self.row(name).tolist()
         if place >= 0:
-            time, metrics = row[0], self._uav(place)
+            time, truly = row[0], self._standing(name)
             late = self._tables.episode["ticks"].item() * self._dt
-            age = time - metrics.newest * self._dt if metrics.newest >= 0.0 else late
-            return [*row[1:5], metrics.distance, metrics.error, age]
+            age = time - truly["newest"] * self._dt if truly["newest"] >= 0.0 else late
+            return [*row[1:5], truly["distance"], truly["error"], age]
         truth: list[float] = row[1:]
         return truth
 
     def metrics(self, name: str) -> dict[str, float]:
         """A vehicle's true standing, for people."""
-        place = self._places[name]
-        numbers = self._state.terms[self._world, self._numbers[name]].tolist()
-        found: dict[str, float]
-        terms: UavTerms | UgvTerms
-        if place >= 0:
-            m = self._uav(place)
+        truly, found = self._standing(name), dict[str, float]()
+        if self._places[name] >= 0:
             found = {
-                "distance": m.distance,
-                "margin": self._r_v - m.distance,
-                "max_distance": m.max_distance,
-                "visibility_violations": int(m.violations),
-                "coverage_error": m.error,
-                "uncovered_share": m.error / self._tables.episode["full"].item(),
+                "distance": truly["distance"],
+                "margin": self._r_v - truly["distance"],
+                "max_distance": truly["max_distance"],
+                "visibility_violations": truly["violations"],
+                "coverage_error": truly["error"],
+                "uncovered_share": truly["error"] / self._tables.episode["full"].item(),
             }
-            terms = UavTerms._make(numbers)
+            terms = UAV_TERMS
         else:
-            n = self._ugv(place)
-            found = {"goals_reached": int(n.reached), "way_to_goal": n.to_go}
-            terms = UgvTerms._make(numbers[: len(UgvTerms._fields)])
+            found = {"goals_reached": truly["reached"], "way_to_goal": truly["to_go"]}
+            terms = UGV_TERMS
         paid = {
             f"reward_{name}": term
-            for name, term in terms._asdict().items()
+            for name, term in zip(terms, truly["terms"], strict=False)
             if self._grounded or name not in MISSION_TERMS
         }
         return found | paid

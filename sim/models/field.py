@@ -3,52 +3,15 @@ r"""The coverage field: sensor (2), accumulation (3), error (4), density (9) and
 The grid's cells are squares with their centres at (i + ½)·cell; arrays are [row, column], row 0 at y = 0. The kernels
 walk the rows that a disc meets and, in each, the chord. Sums go through a row buffer and a fixed number of lanes, so
 the bits do not depend on who calls, nor on how the compiler arranges the loop.
-
-A sensor is a pair, the quality $S(\rho^2)$ and its slope $dS/d\rho^2$, with a range: a file, and a row of
-`bus.registry.SENSORS`.
 """
 
 import math
-from importlib import import_module
 
 import numpy as np
 
-from bus.registry import SENSORS
 from sim.compiling.compile import FloatArray, IntArray, compiled
-from sim.compiling.dispatch import choice
 from sim.compiling.lanes import LANES, lane_sum, widened
-from sim.models.randomness import NEAREST_POINT, Key, uniform
-
-_SENSORS = tuple(import_module(row.module) for row in SENSORS.values())
-_quality = choice([sensor.quality for sensor in _SENSORS])
-_slope = choice([sensor.slope for sensor in _SENSORS])
-
-NEAREST_TIE = 1e-9
-"""Uncovered points whose squared distances differ by less than this share are equally near."""
-
-
-@compiled
-def sensor_quality(sensor: int, rho2: float, peak: float, reach: float) -> float:
-    r"""Return the sensor quality $S_a$ of a sensor at squared distance $\rho^2$ [1/s].
-
-    Args:
-        sensor: Place of its row in `SENSORS`.
-        rho2: Squared distance from the UAV [m²].
-        peak: M_a, the quality right below the UAV [1/s].
-        reach: r, the sensor's range [m].
-    """
-    quality: float = _quality(sensor, (rho2, peak, reach))
-    return quality
-
-
-@compiled
-def sensor_slope(sensor: int, rho2: float, peak: float, reach: float) -> float:
-    r"""Return the slope $dS_a/d\rho^2$ [1/(s m²)] of the sensor quality, which makes (6) of any sensor.
-
-    Arguments as `sensor_quality`.
-    """
-    slope: float = _slope(sensor, (rho2, peak, reach))
-    return slope
+from sim.models.sensor import SensorParameters, sensor_quality, sensor_slope
 
 
 @compiled
@@ -132,13 +95,17 @@ def disc_chords(
 
 
 @compiled
+def _in_registers(sensor: SensorParameters) -> SensorParameters:
+    """Return the numbers of a record, which a loop that writes would otherwise read again for each cell."""
+    return SensorParameters(sensor.model, sensor.peak, sensor.reach)
+
+
+@compiled
 def accumulate(
     coverage: FloatArray,
     p_x: float,
     p_y: float,
-    sensor: int,
-    peak: float,
-    reach: float,
+    sensor: SensorParameters,
     cell: float,
     duration: float,
 ) -> None:
@@ -149,19 +116,19 @@ def accumulate(
     Args:
         coverage: C on the grid, changed in place.
         p_x, p_y: Position of the UAV [m].
-        sensor, peak, reach: The sensor, as in `sensor_quality`.
+        sensor: The sensor.
         cell: Width of a cell [m].
         duration: How long it looks from there [s].
     """
-    rows, columns = coverage.shape
-    first_row, chords = disc_chords(p_x, p_y, reach, cell, rows, columns)
+    (rows, columns), seeing = coverage.shape, _in_registers(sensor)
+    first_row, chords = disc_chords(p_x, p_y, seeing.reach, cell, rows, columns)
     for n in range(chords.shape[1]):
         j, first, end = first_row + n, chords[0, n], chords[1, n]
         d_y = (j + 0.5) * cell - p_y
         cells = coverage[j, first:end]
         for i in range(cells.size):
             d_x = (first + i + 0.5) * cell - p_x
-            cells[i] += sensor_quality(sensor, d_x * d_x + d_y * d_y, peak, reach) * duration
+            cells[i] += sensor_quality(seeing, d_x * d_x + d_y * d_y) * duration
 
 
 @compiled
@@ -173,9 +140,7 @@ def accumulate_with_gain(
     p_gy: float,
     r_o: float,
     desired: float,
-    sensor: int,
-    peak: float,
-    reach: float,
+    sensor: SensorParameters,
     cell: float,
     duration: float,
 ) -> float:
@@ -190,16 +155,16 @@ def accumulate_with_gain(
         coverage: C on the grid, changed in place, to the bit as by `accumulate`.
         p_ax, p_ay: Position of the UAV [m].
         p_gx, p_gy: Position of the UGV [m].
-        r_o, desired, sensor, peak, reach, cell: As in `coverage_gradient`.
+        r_o, desired, sensor, cell: As in `coverage_gradient`.
         duration: How long it looks from there [s].
 
     Returns:
         The fall of e [m²]; never negative.
     """
-    rows, columns = coverage.shape
+    (rows, columns), seeing = coverage.shape, _in_registers(sensor)
     terms = np.empty(columns + LANES)
     total = 0.0
-    first_row, chords = disc_chords(p_ax, p_ay, reach, cell, rows, columns)
+    first_row, chords = disc_chords(p_ax, p_ay, seeing.reach, cell, rows, columns)
     for n in range(chords.shape[1]):
         j, first, end = first_row + n, chords[0, n], chords[1, n]
         y = (j + 0.5) * cell
@@ -212,7 +177,7 @@ def accumulate_with_gain(
             x = (start + i + 0.5) * cell
             d_x, g_x = x - p_ax, x - p_gx
             before = cells[i]
-            after = before + sensor_quality(sensor, d_x * d_x + d_y * d_y, peak, reach) * duration
+            after = before + sensor_quality(seeing, d_x * d_x + d_y * d_y) * duration
             cells[i] = after if first <= start + i < end else before
             fall = penalty(desired - before) - penalty(desired - after)
             terms[i] = fall * density(g_x * g_x + g_y * g_y, r_o)
@@ -265,9 +230,7 @@ def coverage_gradient(
     p_gy: float,
     r_o: float,
     desired: float,
-    sensor: int,
-    peak: float,
-    reach: float,
+    sensor: SensorParameters,
     cell: float,
 ) -> tuple[float, float, float]:
     r"""The direction in which the UAV sees most that is new, with k = 1, Klodt 2015, eq. (6).
@@ -282,18 +245,18 @@ def coverage_gradient(
         p_gx, p_gy: Position of the UGV, as far as the caller knows it [m].
         r_o: Radius of the density (9) [m].
         desired: C*.
-        sensor, peak, reach: The sensor, as in `sensor_quality`.
+        sensor: The sensor.
         cell: Width of a cell [m].
 
     Returns:
         u_cov, x and y, and the size of its integrand, r times the sum of the magnitudes, against which "u_cov = 0"
         is judged.
     """
-    rows, columns = coverage.shape
+    (rows, columns), seeing = coverage.shape, _in_registers(sensor)
     pulls = np.empty(columns + LANES)
     weights = np.empty(columns + LANES)
     sum_x, sum_y, size = 0.0, 0.0, 0.0
-    first_row, chords = disc_chords(p_ax, p_ay, reach, cell, rows, columns)
+    first_row, chords = disc_chords(p_ax, p_ay, seeing.reach, cell, rows, columns)
     for n in range(chords.shape[1]):
         j, first, end = first_row + n, chords[0, n], chords[1, n]
         y = (j + 0.5) * cell
@@ -305,14 +268,14 @@ def coverage_gradient(
         for i in range(cells.size):
             x = (start + i + 0.5) * cell
             d_x, g_x = p_ax - x, p_gx - x
-            slope = 2.0 * sensor_slope(sensor, d_x * d_x + d_y * d_y, peak, reach)
+            slope = 2.0 * sensor_slope(seeing, d_x * d_x + d_y * d_y)
             weight = penalty_slope(desired - cells[i]) * slope * density(g_x * g_x + g_y * g_y, r_o)
             weights[i] = weight
             pulls[i] = weight * d_x
         row_weight = lane_sum(weights, first - start, end - first)
         sum_x += lane_sum(pulls, first - start, end - first)
         sum_y += row_weight * d_y
-        size += abs(row_weight) * reach
+        size += abs(row_weight) * seeing.reach
     area = cell * cell
     return sum_x * area, sum_y * area, size * area
 
@@ -334,71 +297,6 @@ def coverage_shares(coverage: FloatArray, desired: float) -> tuple[float, float]
             covered += 1 if cells[i] >= desired else 0
         seen += lane_sum(terms, 0, columns)
     return covered / (rows * columns), seen / (rows * columns)
-
-
-@compiled
-def is_uncovered(
-    coverage: FloatArray,
-    q_x: float,
-    q_y: float,
-    p_gx: float,
-    p_gy: float,
-    r_o: float,
-    desired: float,
-    cell: float,
-) -> bool:
-    """True if the cell around q lacks coverage and lies in the support of the density: conditions 1 and 2 of (7)."""
-    rows, columns = coverage.shape
-    i = min(max(int(q_x / cell), 0), columns - 1)
-    j = min(max(int(q_y / cell), 0), rows - 1)
-    d_x, d_y = q_x - p_gx, q_y - p_gy
-    return coverage[j, i] < desired and d_x * d_x + d_y * d_y < r_o * r_o
-
-
-@compiled
-def nearest_uncovered(
-    coverage: FloatArray,
-    p_ax: float,
-    p_ay: float,
-    p_gx: float,
-    p_gy: float,
-    r_o: float,
-    desired: float,
-    cell: float,
-    key: Key,
-    tick: int,
-) -> tuple[bool, float, float]:
-    r"""The nearest point that lacks coverage within the support of the density, $\tilde q$ of (7).
-
-    Among equally near ones one is drawn at random.
-
-    Args:
-        coverage, p_ax, p_ay, p_gx, p_gy, r_o, desired, cell: As in `coverage_gradient`.
-        key, tick: Of the draw.
-
-    Returns:
-        Whether there is one, and its x and y [m].
-    """
-    rows, columns = coverage.shape
-    nearest, ties, q_x, q_y = math.inf, 0, 0.0, 0.0
-    first_row, chords = disc_chords(p_gx, p_gy, r_o, cell, rows, columns)
-    for n in range(chords.shape[1]):
-        j, first, end = first_row + n, chords[0, n], chords[1, n]
-        y = (j + 0.5) * cell
-        for i in range(first, end):
-            if coverage[j, i] >= desired:
-                continue
-            x = (i + 0.5) * cell
-            if (x - p_gx) * (x - p_gx) + (y - p_gy) * (y - p_gy) >= r_o * r_o:
-                continue
-            d2 = (x - p_ax) * (x - p_ax) + (y - p_ay) * (y - p_ay)
-            if d2 < nearest - NEAREST_TIE * nearest or ties == 0:
-                nearest, ties, q_x, q_y = d2, 1, x, y
-            elif d2 <= nearest + NEAREST_TIE * nearest:
-                ties += 1  # each of n equals is kept with chance 1/n
-                if uniform(key, NEAREST_POINT, tick, ties) * ties < 1.0:
-                    q_x, q_y = x, y
-    return ties > 0, q_x, q_y
 
 
 def empty_coverage(width: float, height: float, cell: float) -> FloatArray:

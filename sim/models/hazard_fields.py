@@ -17,16 +17,8 @@ import numpy as np
 
 from sim.compiling.compile import FloatArray, IntArray, compiled
 from sim.compiling.records import RecordArray
-from sim.models.ground import (
-    BLOCK,
-    CLEAR,
-    FOUND,
-    TileArray,
-    add_disc,
-    disc_columns,
-    disc_rows,
-    state_at,
-)
+from sim.models.ground import CLEAR, TileArray, add_disc, disc_columns, disc_rows, state_at
+from sim.models.hazards import BLOCK, FOUND
 from sim.models.randomness import HAZARD_PLACE, Key, draw, to_uniform
 from sim.models.vehicles import norm
 
@@ -51,7 +43,7 @@ class HazardFieldRow(NamedTuple):
     largest: float
     """Radii [m]."""
     share: float
-    """As in `sim.models.ground.HazardRow`."""
+    """As in `sim.models.hazards.HazardRow`."""
     clear: float
     """Distance that its discs keep from all stops [m]."""
 

@@ -11,7 +11,8 @@ import numpy as np
 from bus.registry import CAUTIONS, DRIVERS, HAZARDS, TOUCHES
 from sim.compiling.compile import FloatArray, IntArray
 from sim.input.faults import Fault, unknown_name
-from sim.models.ground import BLOCK, crosses_hazard, hazard_at, tile_index
+from sim.models.ground import tile_index
+from sim.models.hazards import BLOCK, crosses_hazard, hazard_at
 from sim.scenario.ground_tables import (
     corner_bounds,
     corners_of,

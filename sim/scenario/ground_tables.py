@@ -11,8 +11,9 @@ from bus.messages.base import Vector
 from bus.registry import DRIVERS, HAZARDS
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray, records
-from sim.models.ground import CLEAR, HazardRow, TileArray, fill_tiles, tile_index, tiles_shape
+from sim.models.ground import CLEAR, TileArray, fill_tiles, tile_index, tiles_shape
 from sim.models.hazard_fields import HazardFieldRow, place_hazards, work_array
+from sim.models.hazards import HazardRow
 from sim.models.randomness import Key
 from sim.scenario.types import Hazard, HazardField, Scenario, Ugv
 

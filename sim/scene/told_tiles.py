@@ -8,7 +8,8 @@ import numpy as np
 from bus.messages.base import Vector
 from bus.messages.ground import GroundMap, HazardOutline
 from bus.registry import HAZARDS
-from sim.models.ground import FOUND, UNSEEN
+from sim.models.ground import UNSEEN
+from sim.models.hazards import FOUND
 from sim.world import World
 
 SEEN = 5

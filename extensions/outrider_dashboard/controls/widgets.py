@@ -129,9 +129,9 @@ def select_row(
     return made
 
 
-def readout(meaning: str, *, classes: str = "", text: str = "") -> ui.label:
+def readout(meaning: str, *, classes: str = "") -> ui.label:
     """A number beside a control, with its meaning as a tooltip."""
-    return ui.label(text).classes(f"readout {classes}").props(f'title="{meaning}"')
+    return ui.label("").classes(f"readout {classes}").props(f'title="{meaning}"')
 
 
 def slider(label: str, *, props: str = "", **more: Any) -> ui.slider:  # noqa: ANN401 - NiceGUI's

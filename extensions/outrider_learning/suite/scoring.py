@@ -18,7 +18,6 @@ from outrider_learning.suite.tasks import SEEDS, Task
 from sim.compiling.compile import FloatArray
 from sim.engine.run_keys import check_secret, derive_secret, new_secret
 from sim.engine.world_state import first_coverage
-from sim.env.rows import UAV_METRICS
 from sim.env.seeds import Seeds
 from sim.env.settings import BatchPolicy
 from sim.models.field import coverage_error
@@ -92,14 +91,16 @@ class _Meter:
     def note(self) -> None:
         """Take in the tick that all worlds are at."""
         state = self._loop.state
-        self.in_sight &= ~(state.rows.uavs[:, :, UAV_METRICS.lost] != 0.0).any(axis=1)
-        ugvs = state.batch.vehicles["position"][:, self._loop.tables.batch.escorts[:, 1]]
+        uavs, ugvs = self._loop.tables.batch.escorts.T
+        standings = state.rows.standings[:, uavs]
+        self.in_sight &= ~standings["lost"].any(axis=1)
+        places = state.batch.vehicles["position"][:, ugvs]
         which = np.flatnonzero(self.in_sight)
         if which.size == 0:
             return
-        error = state.rows.uavs[which, :, UAV_METRICS.error]
+        error = standings["error"][which]
         most = np.array(
-            [[self._unseen(x, y) for x, y in of_world] for of_world in ugvs[which].tolist()]
+            [[self._unseen(x, y) for x, y in of_world] for of_world in places[which].tolist()]
         )
         share = np.ones_like(error)  # where there is nothing to see, all of it has been seen
         np.divide(most - error, most, out=share, where=most > 0.0)

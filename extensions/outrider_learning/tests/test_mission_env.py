@@ -29,7 +29,8 @@ from outrider_learning.suite.tasks import MISSIONS, SEEDS, TASKS, Task
 from refusals import refused
 from sim.engine.briefing import briefing
 from sim.env.observation import one_of_world
-from sim.models.ground import BLOCK, CLEAR, OUTSIDE, ROUGH, UNSEEN
+from sim.models.ground import CLEAR, OUTSIDE, UNSEEN
+from sim.models.hazards import BLOCK, ROUGH
 from sim.scenario.loading import load_scenario, shipped_text
 from sim.scenario.types import Hazard, Scenario
 from sim.server.flight import Flight

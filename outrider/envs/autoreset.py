@@ -1,0 +1,143 @@
+"""Worlds whose episodes begin anew by themselves, as Gymnasium's vector environments do it."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
+
+from outrider.envs.worlds import BoolArray, Worlds
+from sim.compiling.compile import FloatArray, IntArray
+from sim.engine.mission import mission_numbers
+from sim.env.observation import AgentObservation, one_of_world
+
+BatchStep = tuple[
+    dict[str, AgentObservation],
+    dict[str, FloatArray],
+    dict[str, BoolArray],
+    dict[str, BoolArray],
+    dict[str, dict[str, Any]],
+]
+"""Observations, rewards, terminations, truncations and infos of all worlds, by learner."""
+
+
+def _checked_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    modes = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP)
+    for one in modes:
+        if mode in (one, one.value):
+            return one
+    allowed = ", ".join(repr(one.value) for one in modes)
+    raise ValueError(f"autoreset_mode = {mode!r}; allowed: {allowed}")
+
+
+class AutoresetWorlds(Worlds):
+    """Many worlds in each of which an episode follows on one that has ended.
+
+    Args:
+        autoreset_mode: When it does: SAME_STEP or NEXT_STEP.
+        arguments: Those of `Worlds`.
+
+    Raises:
+        ScenarioError: If the scenario cannot be flown.
+        ValueError: If another argument is not allowed.
+    """
+
+    def __init__(
+        self,
+        *arguments: Any,  # noqa: ANN401 - those of `Worlds`
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        **settings: Any,  # noqa: ANN401 - fields of `Settings`
+    ) -> None:
+        self.autoreset_mode = _checked_mode(autoreset_mode)
+        """When an episode follows on one that has ended."""
+        super().__init__(*arguments, **settings)
+        self._returns: FloatArray = np.zeros((self.num_envs, len(self.loop.names)))
+        """Of each episode so far, in the mode SAME_STEP."""
+        self._over: BoolArray = np.zeros(self.num_envs, dtype=np.bool_)
+        """The episodes that have ended and begin anew in the next step, in the mode NEXT_STEP."""
+
+    def reset(
+        self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None
+    ) -> IntArray:
+        """Begin episodes; as in `Worlds`."""
+        which = super().reset(seed, options)
+        self._returns[which], self._over[which] = 0.0, False
+        return which
+
+    def step_with_autoreset(self, actions: Mapping[str, npt.ArrayLike]) -> BatchStep:
+        """All worlds advance by one tick; an episode that ends begins anew, with the seed that follows from its last.
+
+        In the mode SAME_STEP it does so at once, and its last observation is in the infos; in the mode NEXT_STEP in the
+        next call, which ignores the actions in this world.
+
+        Args:
+            actions: As for `step`, whose errors it raises.
+        """
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP:
+            return self._step_or_begin(actions)
+        ended = self.step(actions)
+        self._returns += self.loop.state.rows.standings["reward"]
+        rewards = {name: self.rewards(name) for name in self.learners}
+        terminated, truncated = self.ends()
+        final: dict[str, dict[str, Any]] = {name: {} for name in self.learners}
+        if ended.any():
+            final = {name: self._final(name, ended) for name in self.learners}
+            self.reset(None, {"reset_mask": ended})
+        return self._stepped(rewards, terminated, truncated, final)
+
+    def _step_or_begin(self, actions: Mapping[str, npt.ArrayLike]) -> BatchStep:
+        over = self._over
+        ended = self.step(actions, np.flatnonzero(~over)) & ~over
+        if over.any():
+            self.reset(None, {"reset_mask": over})
+        self._over = ended
+        rewards = {name: self.rewards(name) for name in self.learners}
+        final = {name: _masked(self._mission(name, ended), ended) for name in self.learners}
+        return self._stepped(rewards, *self.ends(), final)
+
+    def _stepped(
+        self,
+        rewards: dict[str, FloatArray],
+        terminated: BoolArray,
+        truncated: BoolArray,
+        final: Mapping[str, dict[str, Any]],
+    ) -> BatchStep:
+        return (
+            {name: self.observe(name) for name in self.learners},
+            rewards,
+            {name: terminated.copy() for name in self.learners},
+            {name: truncated.copy() for name in self.learners},
+            {name: self.infos(name) | final[name] for name in self.learners},
+        )
+
+    def _final(self, name: str, ended: BoolArray) -> dict[str, Any]:
+        """The last observations and infos of the ended episodes, as Gymnasium's own vector environments give them."""
+        last, told = self.observe(name), self.infos(name)
+        observations = np.full(self.num_envs, None, dtype=object)
+        for k in np.flatnonzero(ended).tolist():
+            observations[k] = one_of_world(last, k)
+        info = {key: value for key, value in told.items() if not key.startswith("_")}
+        info |= self._mission(name, ended)
+        info["episode"] = {
+            "r": np.where(ended, self._returns[:, self.loop.names.index(name)], 0.0),
+            "l": np.where(ended, self.loop.state.batch.ticks, 0),
+            "_r": ended.copy(),
+            "_l": ended.copy(),
+        }
+        return _masked({"final_obs": observations, "final_info": _masked(info, ended)}, ended)
+
+    def _mission(self, name: str, ended: BoolArray) -> dict[str, Any]:
+        """Return the mission results of the ended episodes, for a UGV."""
+        info: dict[str, Any] = {}
+        if name in self.loop.ugvs and self.scenario.has_ground:
+            for k in np.flatnonzero(ended).tolist():
+                for key, number in mission_numbers(self.loop.mission(k)).items():
+                    none = np.zeros(self.num_envs, np.asarray(number).dtype)
+                    info.setdefault(key, none)[k] = number
+        return info
+
+
+def _masked(info: Mapping[str, Any], ended: BoolArray) -> dict[str, Any]:
+    """The entries, each with Gymnasium's mask of the worlds that have one."""
+    return {**info, **{f"_{key}": ended.copy() for key in info}}

@@ -1,0 +1,167 @@
+"""Commands of a tick of the closed loop, of the vehicles' pilots or from outside, and what the UAVs radio."""
+
+from agents.drivers.dispatch import driver_command
+from agents.drivers.parameters import DriverInputs
+from agents.drivers.pending_stops import PLAIN, hand_over_stops
+from agents.estimation.batch_filter import estimate
+from agents.estimation.map_updates import block_words, next_block, telling_of
+from agents.laws.dispatch import nominal_command
+from agents.safety.decision import guard
+from agents.safety.pending import hand_over
+from agents.safety.trajectories import CERTIFIED as NOTHING_AGAINST
+from agents.safety.trajectories import INNER
+from agents.uav_parameters import Target
+from outrider.envs.closed_loop_state import (
+    LoopParameters,
+    LoopState,
+    LoopTables,
+)
+from outrider.envs.vehicle_parts import coverage_of, ground_of, guard_of, reference_of
+from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
+from sim.compiling.records import RecordArray
+from sim.engine.ground_state import GroundState
+from sim.engine.mission import goals_of, note_claim
+from sim.engine.monitor import Claim, record_decision
+from sim.models.vehicles import Motion
+
+_RELATIVE, _GROUND = range(2)
+"""Messages in `LoopState.outbox`."""
+
+
+@inlined
+def _fly(
+    parameters: LoopParameters,
+    tables: LoopTables,
+    state: LoopState,
+    world: int,
+    vehicle: int,
+    uav: int,
+    actions: FloatArray,
+) -> None:
+    """The command of a UAV, and what it radios."""
+    tick, standing = state.batch.ticks[world], state.rows.standings[world, vehicle]
+    one = state.batch.vehicles[world, vehicle]
+    here = reference_of(one)
+    guarded = tables.guarded[uav] != 0
+    target = estimate(state.kalman, world, uav)
+    flown = state.batch.flown[world, vehicle, 0].begins
+    acts, code, bound = INNER, NOTHING_AGAINST, 0.0
+    if tables.hand[vehicle] < 0:
+        coverage = coverage_of(parameters, state, world, uav)
+        u_x, u_y = nominal_command(
+            tables.laws, state.laws, (world, uav), coverage, tick, here, target
+        )
+    else:
+        u_x, u_y = actions[tables.hand[vehicle], 0], actions[tables.hand[vehicle], 1]
+    if guarded:
+        held = guard_of(tables, state.guards, world, uav)
+        u_x, u_y, acts, code, bound = guard(tables.safety[uav], held, tick, here, u_x, u_y, flown)
+        standing.certified_distance, standing.intervened = bound, acts != INNER
+        sure = code == NOTHING_AGAINST and tables.faults[uav] == 0
+        standing.certified, standing.uncertified = sure, code
+        # a pilot that has seen nothing reports nothing
+        reports = target.known or tables.hand[vehicle] >= 0
+        said = Claim(sure, reports and acts != INNER, standing.lost, True)
+        record_decision(tables.monitored[uav], state.certificates[world, uav], tick, said)
+    one.outgoing_tick, one.outgoing[0], one.outgoing[1] = tick, u_x, u_y
+    if guarded:
+        one.outgoing_motion, one.outgoing_motions = hand_over(
+            tables.safety[uav],
+            guard_of(tables, state.guards, world, uav).underway,
+            tick,
+            state.batch.motions[world, vehicle],
+        )
+    if parameters.radio:
+        _speak(parameters, state, world, uav, tick, here, target)
+
+
+@inlined
+def _speak(
+    parameters: LoopParameters,
+    state: LoopState,
+    world: int,
+    uav: int,
+    tick: int,
+    here: Motion,
+    target: Target,
+) -> None:
+    """Radio messages of a UAV at this tick."""
+    known, g_x, g_y = target.known, target.p_x, target.p_y
+    relative, ground = state.outbox[world, uav, _RELATIVE], state.outbox[world, uav, _GROUND]
+    relative.stamp = tick if known and tick % parameters.radio_ticks == 0 else -1.0
+    relative.block = -1
+    relative.vector[0], relative.vector[1] = here.p_x - g_x, here.p_y - g_y
+    ground.stamp = -1.0
+    if parameters.telling_ticks > 0 and known and tick % parameters.telling_ticks == 0:
+        memory = telling_of(state.telling, world, uav)
+        row, column = next_block(memory, parameters.tile, tick, g_x, g_y)
+        if row >= 0:
+            ground.stamp = tick
+            ground.block = row * memory.news.shape[1] + column
+            block_words(memory.tiles, row, column, ground.tiles)
+
+
+@inlined
+def _drive(
+    tables: LoopTables,
+    state: LoopState,
+    ground: GroundState | None,
+    world: int,
+    vehicle: int,
+    ugv: int,
+    actions: FloatArray,
+) -> None:
+    """The command of a UGV."""
+    tick, one = state.batch.ticks[world], state.batch.vehicles[world, vehicle]
+    one.outgoing_tick = tick
+    if tables.hand[vehicle] >= 0:
+        one.outgoing[0] = actions[tables.hand[vehicle], 0]
+        one.outgoing[1] = actions[tables.hand[vehicle], 1]
+        return
+    script = tables.scripts[tables.script_rows[ugv] : tables.script_rows[ugv + 1]]
+    goals = goals_of(tables.batch.goals, tables.batch.goal_rows, ugv)
+    radio, arrived = state.inboxes[world, ugv], state.arrived[world, ugv]
+    place, here = (world, ugv), reference_of(one)
+    if ground is None:
+        inputs = DriverInputs(goals, script, radio, arrived, None, PLAIN)
+        one.outgoing[0], one.outgoing[1] = driver_command(
+            tables.drivers, state.drivers, place, inputs, tick, here
+        )
+    else:
+        memory = ground_of(tables, state, world, ugv)
+        flown = state.batch.flown[world, vehicle, 0].begins if one.follows_motions else PLAIN
+        inputs = DriverInputs(goals, script, radio, arrived, memory, flown)
+        one.outgoing[0], one.outgoing[1] = driver_command(
+            tables.drivers, state.drivers, place, inputs, tick, here
+        )
+        note_claim(ground.missions[world], ugv, memory.flags[0].claim)
+        if one.follows_motions:
+            motions = state.batch.motions[world, vehicle]
+            one.outgoing_motion, one.outgoing_motions = hand_over_stops(memory, tick, motions)
+
+
+@inlined
+def command(
+    parameters: LoopParameters,
+    tables: LoopTables,
+    state: LoopState,
+    ground: GroundState | None,
+    world: int,
+    actions: FloatArray,
+) -> None:
+    """The commands of all vehicles, of their pilots or from outside."""
+    for v in range(tables.rows.place.shape[0]):
+        place = tables.rows.place[v]
+        if place >= 0:
+            _fly(parameters, tables, state, world, v, place, actions)
+        else:
+            _drive(tables, state, ground, world, v, -1 - place, actions)
+
+
+@compiled
+def obey(vehicles: RecordArray, hand: IntArray, world: int, tick: int, actions: FloatArray) -> None:
+    """The commands of all vehicles, from outside; the backup plans that they carry are there already."""
+    for v in range(hand.shape[0]):
+        one = vehicles[world, v]
+        one.outgoing_tick = tick
+        one.outgoing[0], one.outgoing[1] = actions[hand[v], 0], actions[hand[v], 1]

@@ -1,0 +1,129 @@
+"""Perception of a tick of the closed loop: maps, filters, radio, and the tiles that vehicles are told of."""
+
+from agents.drivers.tile_map import note_block, note_tiles
+from agents.estimation.batch_filter import update as update_estimate
+from agents.estimation.map_updates import BLOCK_TILES, note_tile, telling_of, word_state
+from agents.estimation.perception import uav_perceive
+from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
+from outrider.envs.vehicle_parts import coverage_of, ground_of, guard_of, reference_of
+from sim.channel.link import begin_tick, receive, send
+from sim.channel.link_records import ARRIVED, Packet
+from sim.compiling.compile import inlined
+from sim.engine.ground_state import GroundState
+from sim.engine.mission import receive_block
+
+
+@inlined
+def _receive_block(
+    tables: LoopTables, state: LoopState, ground: GroundState, world: int, ugv: int, packet: Packet
+) -> None:
+    """A UGV is told of a block of tiles by radio."""
+    block, across = packet.block, state.telling.news.shape[3]
+    row, column, states = block // across, block % across, state.states[world, :BLOCK_TILES]
+    for place in range(BLOCK_TILES):
+        states[place] = word_state(packet.tiles, place)
+    note_block(ground_of(tables, state, world, ugv), row, column, states)
+    receive_block(ground, world, ugv, state.batch.ticks[world], (row, column), states)
+
+
+@inlined
+def _feel_ground(
+    tables: LoopTables, state: LoopState, ground: GroundState, world: int, ugv: int
+) -> None:
+    """A UGV takes in the tiles that its bumper tells of."""
+    v = ground.ugvs[ugv]
+    columns, count = ground.tiles.shape[2], ground.told[world, v]
+    rows = state.places[world, 0, :count]
+    across = state.places[world, 1, :count]
+    states = state.states[world, :count]
+    for n in range(count):
+        rows[n], across[n] = ground.seen[world, v, n] // columns, ground.seen[world, v, n] % columns
+        states[n] = ground.known[world, v, rows[n], across[n]]
+    if count > 0:
+        note_tiles(ground_of(tables, state, world, ugv), rows, across, states)
+
+
+@inlined
+def _radio(tables: LoopTables, state: LoopState, ground: GroundState | None, world: int) -> None:
+    """Send out the radio messages of the tick before, and receive those that arrive."""
+    tick, arrived = state.batch.ticks[world], state.arrived[world]
+    arrived[:] = 0
+    packets, traces = state.batch.packets, tables.batch.traces
+    for u in range(tables.receivers.shape[0]):
+        g, come = tables.receivers[u], state.inboxes[world, tables.receivers[u]]
+        # behind the links of detections and commands
+        link = state.batch.links[world, tables.receivers.shape[0] + tables.hand.shape[0] + u]
+        begin_tick(link, packets, world, traces, tick)
+        for k in range(state.outbox.shape[2]):
+            packet = state.outbox[world, u, k]
+            if packet.stamp >= 0.0:
+                send(link, packets, world, traces, packet)
+                packet.stamp = -1.0
+        for i in range(receive(link, packets, world)):
+            packet = packets[world, link.number, ARRIVED, i]
+            if packet.block < 0:
+                n = arrived[g]
+                come[n, 0], come[n, 1], come[n, 2] = (
+                    packet.stamp,
+                    packet.vector[0],
+                    packet.vector[1],
+                )
+                arrived[g] = n + 1
+            elif ground is not None:
+                _receive_block(tables, state, ground, world, g, packet)
+
+
+@inlined
+def _see_ground(
+    parameters: LoopParameters, state: LoopState, ground: GroundState, world: int, uav: int, v: int
+) -> None:
+    """Keep the tiles that a UAV's sensor has reported, to radio them."""
+    if parameters.telling_ticks > 0:
+        columns = ground.tiles.shape[2]
+        for n in range(ground.told[world, v]):
+            row, column = ground.seen[world, v, n] // columns, ground.seen[world, v, n] % columns
+            found = ground.known[world, v, row, column]
+            note_tile(telling_of(state.telling, world, uav), column, row, found)
+
+
+@inlined
+def perceive(
+    parameters: LoopParameters,
+    tables: LoopTables,
+    state: LoopState,
+    ground: GroundState | None,
+    world: int,
+) -> None:
+    """Every UAV takes what has reached it at this tick into its map and its filters, every UGV its radio."""
+    escorts, tick = tables.batch.escorts, state.batch.ticks[world]
+    looks = state.looks[world]
+    looked = 1 if parameters.own_maps and tick > 0 else 0  # else the world has done it
+    for u in range(escorts.shape[0]):
+        here = reference_of(state.batch.vehicles[world, escorts[u, 0]])
+        if ground is not None:
+            _see_ground(parameters, state, ground, world, u, escorts[u, 0])
+        arrived = state.batch.links[world, u].arrived
+        for n in range(arrived):
+            packet = state.batch.packets[world, u, ARRIVED, n]
+            looks[n, 0], looks[n, 1], looks[n, 2] = packet.stamp, packet.vector[0], packet.vector[1]
+        if looked > 0 or tables.guarded[u]:
+            uav_perceive(
+                tables.laws.uavs[u],
+                tables.safety[u],
+                tables.guarded[u] != 0,
+                coverage_of(parameters, state, world, u),
+                guard_of(tables, state.guards, world, u),
+                looked,
+                tick,
+                here,
+                looks,
+                arrived,
+            )
+        if tables.thinking[u]:
+            numbers, place = tables.kalman[u], (world, u)
+            update_estimate(numbers, state.kalman, place, tick, here, looks, arrived)
+    if parameters.radio:
+        _radio(tables, state, ground, world)
+    if ground is not None and state.grounds.tiles.shape[2] > 0:
+        for g in range(ground.ugvs.shape[0]):
+            _feel_ground(tables, state, ground, world, g)

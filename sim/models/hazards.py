@@ -1,0 +1,223 @@
+"""Geometry of hazards on the ground: discs and polygons.
+
+Hazards are closed: a point on the edge of one touches it. All functions work on tables of `HazardRow`; rows of kind 0
+are empty.
+"""
+
+import math
+from typing import NamedTuple
+
+from bus.registry import HAZARDS
+from sim.compiling.compile import FloatArray, compiled
+from sim.compiling.records import RecordArray
+from sim.models.vehicles import norm
+
+ROUGH, BLOCK, FOUND = HAZARDS["rough"].code, HAZARDS["block"].code, HAZARDS["find"].code
+"""Kinds of hazards, and states of the tiles that they touch. BLOCK goes before ROUGH, and ROUGH before FOUND."""
+
+TOUCH = 1e-9
+"""A hazard or a way that is nearer to a tile than this touches it [m].
+
+Rounding moves no point so far, in areas of up to 10 km: it hides no hazard that a vehicle runs into."""
+
+
+class HazardRow(NamedTuple):
+    """The columns of a table of hazards."""
+
+    kind: int
+    """Code of a row of `bus.registry.HAZARDS`; 0: there is no hazard in this row."""
+    share: float
+    """Of its largest speed that a vehicle keeps on it; 1 unless it is rough."""
+    x: float
+    y: float
+    """Centre of the disc, or of a circle around the polygon [m]."""
+    radius: float
+    """Of the disc; 0: it is a polygon [m]."""
+    reach: float
+    """Nothing of it is farther from (x, y) than this [m]."""
+    first: int
+    """Row of its first corner in the table of corners."""
+    corners: int
+    """Number of its corners; 0: it is a disc."""
+
+
+@compiled
+def _segment_distance2(a_x: float, a_y: float, b_x: float, b_y: float, x: float, y: float) -> float:
+    """Squared distance of (x, y) to the segment from a to b [m²]."""
+    d_x, d_y, e_x, e_y = b_x - a_x, b_y - a_y, x - a_x, y - a_y
+    along, length2 = e_x * d_x + e_y * d_y, d_x * d_x + d_y * d_y
+    if along > 0.0:
+        share = 1.0 if along >= length2 else along / length2
+        e_x, e_y = e_x - share * d_x, e_y - share * d_y
+    return e_x * e_x + e_y * e_y
+
+
+@compiled
+def _met(
+    p_x: float, p_y: float, d_x: float, d_y: float, a_x: float, a_y: float, b_x: float, b_y: float
+) -> float:
+    """Share of the way from p by d at which it meets the segment from a to b; infinite: not at all, or along it."""
+    e_x, e_y = b_x - a_x, b_y - a_y
+    turn = d_x * e_y - d_y * e_x
+    if turn == 0.0:
+        return math.inf
+    way = ((a_x - p_x) * e_y - (a_y - p_y) * e_x) / turn
+    along = ((a_x - p_x) * d_y - (a_y - p_y) * d_x) / turn
+    return way if 0.0 <= way <= 1.0 and 0.0 <= along <= 1.0 else math.inf
+
+
+@compiled
+def distance_to_hazard(
+    hazards: RecordArray, corners: FloatArray, k: int, x: float, y: float
+) -> float:
+    """Distance of a point to a hazard; 0 in it and on its edge.
+
+    Args:
+        hazards: A table of `HazardRow`.
+        corners: Of all polygons, counted round each [m]. Shape (corners, 2).
+        k: Which hazard.
+        x, y: The point [m].
+
+    Returns:
+        The distance [m].
+    """
+    row = hazards[k]
+    if row["corners"] == 0:
+        away: float = norm(x - row["x"], y - row["y"]) - row["radius"]
+        return max(away, 0.0)
+    end = row["first"] + row["corners"]
+    inside, nearest = False, math.inf
+    a_x, a_y = corners[end - 1, 0], corners[end - 1, 1]
+    for n in range(row["first"], end):
+        b_x, b_y = corners[n, 0], corners[n, 1]
+        nearest = min(nearest, _segment_distance2(a_x, a_y, b_x, b_y, x, y))
+        if (a_y > y) != (b_y > y) and x < a_x + (b_x - a_x) * (y - a_y) / (b_y - a_y):
+            inside = not inside
+        a_x, a_y = b_x, b_y
+    return 0.0 if inside else math.sqrt(nearest)
+
+
+@compiled
+def may_be_within(hazards: RecordArray, k: int, x: float, y: float, distance: float) -> bool:
+    """False only if a point is farther from a hazard than this distance [m], by the circle around it.
+
+    Arguments as `distance_to_hazard`.
+    """
+    row = hazards[k]
+    d_x, d_y, far = x - row["x"], y - row["y"], row["reach"] + distance
+    return bool(d_x * d_x + d_y * d_y <= far * far)
+
+
+@compiled
+def point_in_hazard(hazards: RecordArray, corners: FloatArray, k: int, x: float, y: float) -> bool:
+    """True if a point touches a hazard. Arguments as `distance_to_hazard`."""
+    near = may_be_within(hazards, k, x, y, TOUCH)
+    return near and distance_to_hazard(hazards, corners, k, x, y) == 0.0
+
+
+@compiled
+def hazard_at(hazards: RecordArray, corners: FloatArray, kind: int, x: float, y: float) -> int:
+    """The first hazard of a kind that a point touches; -1: none.
+
+    Args:
+        hazards, corners: As in `distance_to_hazard`.
+        kind: The code of a row of `HAZARDS`.
+        x, y: The point [m].
+    """
+    for k in range(hazards.shape[0]):
+        if hazards[k]["kind"] == kind and point_in_hazard(hazards, corners, k, x, y):
+            return k
+    return -1
+
+
+@compiled
+def rough_share(hazards: RecordArray, corners: FloatArray, x: float, y: float) -> float:
+    """Share of its largest speed that a vehicle keeps at a point: the least of the rough hazards there, 1 without one.
+
+    Args:
+        hazards, corners: As in `distance_to_hazard`.
+        x, y: The point [m].
+    """
+    least = 1.0
+    for k in range(hazards.shape[0]):
+        row = hazards[k]
+        if (
+            row["kind"] == ROUGH
+            and row["share"] < least
+            and point_in_hazard(hazards, corners, k, x, y)
+        ):
+            least = row["share"]
+    return least
+
+
+@compiled
+def way_to_hazard(
+    hazards: RecordArray,
+    corners: FloatArray,
+    k: int,
+    start: tuple[float, float],
+    end: tuple[float, float],
+) -> float:
+    """Share of the straight way from start to end at which it first touches a hazard; infinite: it does not.
+
+    Args:
+        hazards, corners, k: As in `distance_to_hazard`.
+        start, end: Points [m].
+
+    Returns:
+        From 0, it starts there, to 1, it ends there.
+    """
+    row = hazards[k]
+    p_x, p_y = start
+    d_x, d_y = end[0] - p_x, end[1] - p_y
+    if point_in_hazard(hazards, corners, k, p_x, p_y):
+        return 0.0
+    first = 1.0 if point_in_hazard(hazards, corners, k, end[0], end[1]) else math.inf
+    if row["corners"] == 0:
+        # |p + t d - c| = r: the smaller root, where the way comes in
+        length2, radius = d_x * d_x + d_y * d_y, row["radius"]
+        f_x, f_y = p_x - row["x"], p_y - row["y"]
+        half = f_x * d_x + f_y * d_y
+        square = half * half - length2 * (f_x * f_x + f_y * f_y - radius * radius)
+        if square < 0.0 or length2 == 0.0:
+            return first
+        way = (-half - math.sqrt(square)) / length2
+        return min(first, way) if 0.0 <= way <= 1.0 else first
+    last = row["first"] + row["corners"] - 1
+    a_x, a_y = corners[last, 0], corners[last, 1]
+    for n in range(row["first"], last + 1):
+        b_x, b_y = corners[n, 0], corners[n, 1]
+        first = min(first, _met(p_x, p_y, d_x, d_y, a_x, a_y, b_x, b_y))
+        a_x, a_y = b_x, b_y
+    return first
+
+
+@compiled
+def crosses_hazard(
+    hazards: RecordArray,
+    corners: FloatArray,
+    kind: int,
+    start: tuple[float, float],
+    end: tuple[float, float],
+) -> tuple[int, float]:
+    """The hazard of a kind that the straight way from start to end touches first, and the share of the way to it.
+
+    Within a tick a vehicle leaves this straight line by no more than u dt² / 8.
+
+    Args:
+        hazards, corners: As in `distance_to_hazard`.
+        kind: The code of a row of `HAZARDS`.
+        start, end: Points [m].
+
+    Returns:
+        Its row, and the share from 0 to 1; -1 and infinity: the way touches none.
+    """
+    found, first = -1, math.inf
+    length = norm(end[0] - start[0], end[1] - start[1])
+    for k in range(hazards.shape[0]):
+        near = may_be_within(hazards, k, start[0], start[1], length + TOUCH)
+        if near and hazards[k]["kind"] == kind:
+            way = way_to_hazard(hazards, corners, k, start, end)
+            if way < first:
+                found, first = k, way
+    return found, first

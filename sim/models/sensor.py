@@ -1,0 +1,49 @@
+r"""The sensor (2) of a UAV, as a record, and its quality and slope.
+
+A sensor is a pair, the quality $S(\rho^2)$ and its slope $dS/d\rho^2$, with a range: a file in `sim.models.sensors`,
+and a row of `bus.registry.SENSORS`.
+"""
+
+from importlib import import_module
+from typing import NamedTuple
+
+from bus.messages.scenario import Sensor
+from bus.registry import SENSORS
+from sim.compiling.compile import compiled
+from sim.compiling.dispatch import choice
+
+_SENSORS = tuple(import_module(row.module) for row in SENSORS.values())
+_quality = choice([sensor.quality for sensor in _SENSORS])
+_slope = choice([sensor.slope for sensor in _SENSORS])
+
+
+class SensorParameters(NamedTuple):
+    """Numbers of a sensor; compiled code takes a record with these fields as well."""
+
+    model: int
+    """Place of its row in `SENSORS`."""
+    peak: float
+    """M_a, the quality right below the UAV [1/s]."""
+    reach: float
+    """r, its range [m]."""
+
+
+def sensor_parameters(sensor: Sensor) -> SensorParameters:
+    """Return the numbers of a sensor that is known."""
+    return SensorParameters(
+        tuple(SENSORS).index(sensor.model), float(sensor.peak), float(sensor.range)
+    )
+
+
+@compiled
+def sensor_quality(sensor: SensorParameters, rho2: float) -> float:
+    r"""Return the sensor quality $S_a$ at squared distance $\rho^2$ [m²] from the UAV [1/s]."""
+    quality: float = _quality(sensor.model, (rho2, sensor.peak, sensor.reach))
+    return quality
+
+
+@compiled
+def sensor_slope(sensor: SensorParameters, rho2: float) -> float:
+    r"""Return the slope $dS_a/d\rho^2$ [1/(s m²)] of the sensor quality, which makes (6) of any sensor."""
+    slope: float = _slope(sensor.model, (rho2, sensor.peak, sensor.reach))
+    return slope
