@@ -61,7 +61,7 @@ def outcomes(
     """Every pattern of messages that get through, one a tick, with its chance: bursts are summed over by hand."""
     p = link_parameters(link, DT)
     turn = np.array([[1.0 - p.bad_enter, p.bad_enter], [1.0 - p.bad_stay, p.bad_stay]])
-    through = (1.0 - dropout) * (1.0 - p.loss) * np.array([1.0, 1.0 - p.burst_loss])
+    through = (1.0 - dropout) * (1.0 - link.loss) * np.array([1.0, 1.0 - link.burst_loss])
     found = []
     for pattern in itertools.product((False, True), repeat=ticks):
         states = np.array([1.0 - p.bad_share, p.bad_share])
