@@ -23,7 +23,7 @@ def limits(vehicle: Uav | Ugv) -> Limits:
 def _error(scenario: Scenario) -> float | None:
     """The largest error of a detection [m]; None where it has no bound."""
     noise = scenario.detections.noise
-    return or_none(noise * scenario.noise_cut) if noise > 0.0 else 0.0
+    return or_none(noise * scenario.detections.cut) if noise > 0.0 else 0.0
 
 
 def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:
@@ -97,7 +97,7 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         law=scenario.law,
         detector=Detector(
             noise=scenario.detections.noise,
-            cut=or_none(scenario.noise_cut),
+            cut=or_none(scenario.detections.cut),
             period=scenario.detection_period * scenario.dt,
         ),
         estimator=scenario.estimator,

@@ -48,8 +48,8 @@ class Detections(_Table, frozen=True, kw_only=True):
 
     noise: NonNegative = 0.0
     """Standard deviation per axis [m]."""
-    cut: NonNegative = 3.0
-    """The noise vector's norm is cut at this many standard deviations; 0 switches the cut off."""
+    cut: Bound = 3.0
+    """The noise vector's norm is cut at this many standard deviations; inf: not cut."""
     rate: Positive = 20.0
     """Looks per second [1/s]; a whole number of ticks must fit between two."""
     dropout: Share = 0.0
@@ -399,11 +399,6 @@ class Scenario(_Table, frozen=True, kw_only=True):
     def ground_period(self) -> int:
         """Ticks between two looks of a UAV at the ground."""
         return max(1, round(1.0 / (self.ground.rate * self.dt)))
-
-    @property
-    def noise_cut(self) -> float:
-        """The cut of the detection noise in standard deviations; infinite where it is switched off."""
-        return self.detections.cut or math.inf
 
 
 def switching_radius(scenario: Scenario, uav: Uav, ugv: Ugv) -> float:
