@@ -97,8 +97,8 @@ def test_runs_environments_and_batches_count_alike(change: str) -> None:
     loop = ClosedLoop(scenario, 1, threads=1)
     loop.begin([3])
     loop.fly()
-    told = summary.guarantees["ugv_0"]
+    told = summary.mission.guarantees["ugv_0"]
     assert told.ticks == 500
     assert told.certified > 400
-    assert mission(env.unwrapped.world).guarantees == summary.guarantees
-    assert loop.mission(0).guarantees == summary.guarantees
+    assert mission(env.unwrapped.world).guarantees == summary.mission.guarantees
+    assert loop.mission(0).guarantees == summary.mission.guarantees

@@ -20,8 +20,8 @@ from bus.observations import GRADIENT, UAV, as_rows
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.closed_loop_state import GUARD_METRICS
 from outrider.envs.pilot_numbers import pilot_names
+from outrider.running.metrics import MISSION, numbers
 from sim.compiling.compile import FloatArray, IntArray
-from sim.engine.mission import mission_numbers
 from sim.env.actions import take_batch
 from sim.env.observation import AgentObservation, ObservationFormat, one_of_world
 from sim.env.rows import UGV_METRICS
@@ -364,7 +364,7 @@ class Worlds:
         info: dict[str, Any] = {}
         if name in self.loop.ugvs and self.scenario.has_ground:
             for k in np.flatnonzero(ended).tolist():
-                for key, number in mission_numbers(self.loop.mission(k)).items():
+                for key, number in numbers(MISSION, self.loop.mission(k)).items():
                     none = np.zeros(self.num_envs, np.asarray(number).dtype)
                     info.setdefault(key, none)[k] = number
         return info
