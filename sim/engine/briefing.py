@@ -1,5 +1,7 @@
 """The briefing of each vehicle when it joins: its own row of the scenario, and of the others only their bounds."""
 
+from typing import Any
+
 from bus.messages.base import or_none
 from bus.messages.ground import UavGround, UgvGround
 from bus.messages.links import LinkKind
@@ -75,9 +77,16 @@ def monitored_bounds(scenario: Scenario, uav: str) -> SafetyBounds:
     )
 
 
-def _key(scenario: Scenario, name: str, seed: int, secret: str) -> str:
-    names = [vehicle.name for vehicle in scenario.vehicles]
-    return derive_key(seed, PILOT, names.index(name), secret)
+def _common(scenario: Scenario, vehicle: Uav | Ugv, seed: int, secret: str) -> dict[str, Any]:
+    """Return the fields of `VehicleBriefing`."""
+    row = [one.name for one in scenario.vehicles].index(vehicle.name)
+    return {
+        "vehicle": vehicle.name,
+        "dt": scenario.dt,
+        "area": scenario.area,
+        "limits": limits(vehicle),
+        "key": derive_key(seed, PILOT, row, secret),
+    }
 
 
 def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> UavBriefing:
@@ -85,10 +94,7 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
     uav = {one.name: one for one in scenario.uav}[name]
     escorted = {ugv.name: ugv for ugv in scenario.ugv}[uav.escorts]
     return UavBriefing(
-        vehicle=name,
-        dt=scenario.dt,
-        area=scenario.area,
-        limits=limits(uav),
+        **_common(scenario, uav, seed, secret),
         target_limits=limits(escorted),
         visibility_radius=scenario.visibility.radius,
         sensor=scenario.sensor,
@@ -107,7 +113,6 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         if scenario.has_ground
         else None,
         origin=scenario.origin,
-        key=_key(scenario, name, seed, secret),
     )
 
 
@@ -115,10 +120,7 @@ def ugv_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
     """The briefing of a UGV; arguments and errors as of `briefing`."""
     ugv = {one.name: one for one in scenario.ugv}[name]
     return UgvBriefing(
-        vehicle=name,
-        dt=scenario.dt,
-        area=scenario.area,
-        limits=limits(ugv),
+        **_common(scenario, ugv, seed, secret),
         driver=ugv.driver,
         goals=ugv.goals,
         goal_tolerance=ugv.goal_tolerance,
@@ -134,7 +136,6 @@ def ugv_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         )
         if scenario.has_ground
         else None,
-        key=_key(scenario, name, seed, secret),
     )
 
 
