@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.messages.ground import GroundBlock
+from bus.messages.ground import GroundBlock, Hazard
 from bus.messages.telemetry import MissionResult
 from bus.messages.vehicle import UgvReport
 from outrider.envs.closed_loop import ClosedLoop
@@ -13,7 +13,7 @@ from outrider.envs.parallel import parallel_env
 from outrider.running.flying import fly
 from sim.models.ground import BLOCK, CLEAR, UNCERTIFIED, UNSEEN, block_letters
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Hazard, Scenario
+from sim.scenario.types import Scenario
 from sim.world import World
 from test_seen_ground import on
 

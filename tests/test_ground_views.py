@@ -16,7 +16,7 @@ from worlds import small
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 
 from bus.keys import GROUND, Role
-from bus.messages.ground import GroundMap
+from bus.messages.ground import GroundMap, Hazard
 from observed import recorded
 from outrider.cli import console
 from outrider.envs.env_pilots import pilots
@@ -34,7 +34,7 @@ from outrider.view.flight_picture import draw_flight
 from outrider.view.terminal.palette import UGV
 from outrider.view.terminal.teleoperation import DriveView
 from outrider.view.terminal.topview import Trails, draw
-from sim.scenario.types import Ground, Hazard, Scenario, Ugv
+from sim.scenario.types import Ground, Scenario, Ugv
 from sim.scene.colors import HAZARDS, LIMIT
 from sim.scene.drawing import Map
 from sim.scene.known import geometry_of, scene_of

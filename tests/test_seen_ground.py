@@ -7,12 +7,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.messages.ground import BLOCK_SIDE, GroundBlock, SeenTile
+from bus.messages.ground import BLOCK_SIDE, GroundBlock, Hazard, SeenTile
 from bus.messages.vehicle import RelativeInformation, UavObservation
 from flights import Piloted, altered
 from outrider.running.flying import InProcess, make_pilots
 from sim.models.ground import BLOCK, CLEAR, ROUGH
-from sim.scenario.types import Ground, Hazard, Scenario, Ugv
+from sim.scenario.types import Ground, Scenario, Ugv
 from sim.server.flight import Flight
 from sim.server.perception import UgvPerception
 from sim.world import World

@@ -9,7 +9,7 @@ import pytest
 
 from agents.safety.handover import check_assumptions
 from bus.errors import ScenarioError
-from bus.messages.ground import SeenTile
+from bus.messages.ground import Hazard, SeenTile
 from bus.messages.vehicle import UavObservation
 from flights import EVADED, PROMISED, certified, flown_in_both, told
 from outrider.running.assumptions import shortfalls
@@ -25,7 +25,7 @@ from sim.models.inner_loop import (
     tracking_error,
 )
 from sim.scenario.checks import check_scenario
-from sim.scenario.types import Certificate, Hazard, LinkTable, Tracking, Uav, Wind
+from sim.scenario.types import Certificate, LinkTable, Tracking, Uav, Wind
 from sim.world import World
 from worlds import LOSSY, SCENARIOS, small, step
 

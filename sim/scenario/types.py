@@ -11,6 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from bus.messages.base import Line, Name, NonNegative, Positive, Text, Vector
+from bus.messages.ground import DEFAULT_SHARE, Hazard, SpeedShare, speed_share
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Area, Estimator, Law, Origin, Region, ScriptStep, Sensor
 from bus.registry import CAUTIONS, DEFAULT_DRIVER, HAZARDS, TOUCHES
@@ -91,43 +92,7 @@ class Tracking(_Table, frozen=True, kw_only=True):
         return InnerLoop(self.position_gain, self.velocity_gain, self.reserve)
 
 
-SpeedShare = Annotated[float, Meta(gt=0.0, le=1.0)]
-DEFAULT_SHARE = 0.4
-"""Of its largest speed that a vehicle keeps on rough ground where no share is given."""
-MOST_CORNERS = 1000
-SAME_CORNER = 1e-3 + 1e-9
-"""Corners of a polygon that are no farther apart than a millimetre, but for rounding, are one [m]."""
 MOST_HAZARDS = 10_000
-
-
-class Hazard(_Table, frozen=True, kw_only=True):
-    """A disc or a polygon of ground that a vehicle should know of; no vehicle is told of it."""
-
-    kind: Name
-    """A row of `bus.registry.HAZARDS`: `block`, not to be touched; `rough`, to be driven slowly; `find`, to find."""
-    center: Vector | None = None
-    """Of a disc [m]."""
-    radius: Positive | None = None
-    """Of a disc [m]."""
-    polygon: Annotated[tuple[Vector, ...], Meta(max_length=MOST_CORNERS)] = ()
-    """Instead of a disc: its corners in order round it, either way [m]. Its sides do not meet but at corners."""
-    share: SpeedShare | None = None
-    """If it is rough: of its largest speed that a vehicle keeps on it; by default 0.4."""
-
-    def __post_init__(self) -> None:
-        """Merge corners that follow each other within `SAME_CORNER`, the last and the first too."""
-        corners: list[Vector] = []
-        for corner in self.polygon:
-            if not corners or math.dist(corner, corners[-1]) > SAME_CORNER:
-                corners.append(corner)
-        while len(corners) > 1 and math.dist(corners[0], corners[-1]) <= SAME_CORNER:
-            corners.pop()
-        msgspec.structs.force_setattr(self, "polygon", tuple(corners))
-
-    @property
-    def speed_share(self) -> float:
-        """Of its largest speed that a vehicle keeps on it."""
-        return _speed_share(self.kind, self.share)
 
 
 class HazardField(_Table, frozen=True, kw_only=True):
@@ -147,13 +112,7 @@ class HazardField(_Table, frozen=True, kw_only=True):
     @property
     def speed_share(self) -> float:
         """Of its largest speed that a vehicle keeps on one."""
-        return _speed_share(self.kind, self.share)
-
-
-def _speed_share(kind: str, share: float | None) -> float:
-    if not HAZARDS[kind].slows:
-        return 1.0
-    return DEFAULT_SHARE if share is None else share
+        return speed_share(self.kind, self.share)
 
 
 class Ground(_Table, frozen=True, kw_only=True):
