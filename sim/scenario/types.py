@@ -76,22 +76,6 @@ class Wind(_Table, frozen=True, kw_only=True):
         return most if self.limit is None or most == 0.0 else self.limit
 
 
-class Tracking(_Table, frozen=True, kw_only=True):
-    """A UAV's inner loop, which holds it to its commands' track, where wind or a wrong own position take it off."""
-
-    position_gain: Positive = 1.0
-    """Acceleration by the error of the position [1/s²]."""
-    velocity_gain: Positive = 2.0
-    """And by that of the velocity [1/s]."""
-    reserve: Positive = 0.5
-    """Largest acceleration for this, beyond max_acceleration [m/s²]."""
-
-    @property
-    def loop(self) -> InnerLoop:
-        """The same for the models."""
-        return InnerLoop(self.position_gain, self.velocity_gain, self.reserve)
-
-
 MOST_HAZARDS = 10_000
 
 
@@ -147,7 +131,8 @@ class Uav(_Table, frozen=True, kw_only=True):
     """Largest error of its own position [m]. The error drifts; the inner loop cannot tell it from one of its own."""
     own_error_time: Positive = 30.0
     """After this time a third of that error is left [s]."""
-    tracking: Tracking = Tracking()
+    tracking: InnerLoop = InnerLoop()
+    """Its inner loop, which holds it to its commands' track, where wind or a wrong own position take it off."""
 
 
 class Ugv(_Table, frozen=True, kw_only=True):

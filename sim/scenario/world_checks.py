@@ -249,7 +249,7 @@ def inner_loops_hold(scenario: Scenario) -> Iterator[Fault]:
     $k_d dt < 2$ and $k_p dt < 2 k_d$, by Jury's criterion.
     """
     for k, uav in enumerate(scenario.uav):
-        path, loop, wind = f"uav.{k}.tracking", uav.tracking.loop, scenario.wind.largest
+        path, loop, wind = f"uav.{k}.tracking", uav.tracking, scenario.wind.largest
         k_p, k_d = loop.position_gain, loop.velocity_gain
         if wind == 0.0 and uav.own_error == 0.0:
             continue
