@@ -178,7 +178,10 @@ def wind() -> Iterator[str]:
     heads = " | ".join(f"W {most:g} m/s², ε_a {own:g} m" for most, own in pushes)
     yield head(f"k_p [1/s²], k_d [1/s]; w [m] (reserve [m/s²]) at | {heads}")
     for gains in ((1.0, 2.0), (2.25, 3.0), (4.0, 4.0), (1.0, 1.0), (1.0, 0.4)):
-        loop, cells = InnerLoop(*gains, math.inf), []
+        loop, cells = (
+            InnerLoop(position_gain=gains[0], velocity_gain=gains[1], reserve=math.inf),
+            [],
+        )
         for push in pushes:
             off, least = (of(loop, *push, NUMBERS["dt"]) for of in (tracking_error, needed_reserve))
             cells.append(f"{off:.3f} ({least:.3f})")

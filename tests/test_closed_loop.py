@@ -3,6 +3,7 @@
 Whoever flies and drives in it gives the commands of the pilots in a single flight.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -139,7 +140,7 @@ def test_a_certificate_that_ends_is_counted_unless_an_assumption_has_failed() ->
 @pytest.mark.parametrize(
     ("declared", "given"),
     [
-        (Certificate(age=1.0, error=0.29), {"detections": Detections(noise=0.1, cut=0.0)}),
+        (Certificate(age=1.0, error=0.29), {"detections": Detections(noise=0.1, cut=math.inf)}),
         (
             Certificate(age=1.0, tracking=0.08),
             {"wind": Wind(gust=0.05), "uav": Uav(position=(8.0, 7.0), own_error=0.05)},

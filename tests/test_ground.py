@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.path import Path
 
+from bus.messages.ground import Hazard
 from bus.registry import HAZARDS
 from processes import python
 from properties import PROPERTY
@@ -28,7 +29,6 @@ from sim.models.hazards import (
 from sim.scenario.ground_checks import hazards_have_a_shape
 from sim.scenario.ground_tables import corners_of, hazard_rows
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Hazard
 
 ESCORT = load_scenario("escort")
 GEOMETRY = settings(PROPERTY, max_examples=60)

@@ -45,13 +45,16 @@ def test_a_cautious_ugv_enters_no_unknown_tile_over_bad_links(profile: str) -> N
     scenario = load_scenario("minefield", overrides=[f"links.profile={profile}"])
     for seed in range(3):
         summary = fly(scenario, seed)[1]
-        assert summary.entered_unknown_tile == 0
-        assert summary.arrived
+        assert summary.mission is not None
+        assert summary.mission.entered_unknown_tile == 0
+        assert summary.mission.arrived
 
 
 def test_entering_unknown_tiles_is_counted() -> None:
     bold = load_scenario("minefield", overrides=["ugv.0.driver=waypoints"])
-    assert (fly(bold, 1)[1].entered_unknown_tile or 0) > 0
+    mission = fly(bold, 1)[1].mission
+    assert mission is not None
+    assert mission.entered_unknown_tile > 0
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.messages.ground import GroundBlock
+from bus.messages.ground import GroundBlock, Hazard
 from bus.messages.telemetry import MissionResult
 from bus.messages.vehicle import UgvReport
 from outrider.envs.closed_loop import ClosedLoop
@@ -14,7 +14,7 @@ from outrider.running.flying import fly
 from sim.models.ground import CLEAR, UNCERTIFIED, UNSEEN, block_letters
 from sim.models.hazards import BLOCK
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Hazard, Scenario
+from sim.scenario.types import Scenario
 from sim.world import World
 from test_seen_ground import on
 
@@ -98,8 +98,8 @@ def test_runs_environments_and_batches_count_alike(change: str) -> None:
     loop = ClosedLoop(scenario, 1, threads=1)
     loop.begin([3])
     loop.fly()
-    told = summary.guarantees["ugv_0"]
+    told = summary.mission.guarantees["ugv_0"]
     assert told.ticks == 500
     assert told.certified > 400
-    assert mission(env.unwrapped.world).guarantees == summary.guarantees
-    assert loop.mission(0).guarantees == summary.guarantees
+    assert mission(env.unwrapped.world).guarantees == summary.mission.guarantees
+    assert loop.mission(0).guarantees == summary.mission.guarantees

@@ -1,5 +1,6 @@
 """Gymnasium's wrappers take the environment of one vehicle, whose observations are all bounded."""
 
+import math
 from typing import Any
 
 import gymnasium
@@ -26,11 +27,11 @@ from sim.scenario.loading import load_scenario
 from sim.scenario.types import Detections, Scenario, Ugv
 from worlds import FREE, ONE
 
-NOISY = msgspec.structs.replace(ONE, detections=Detections(noise=30.0, cut=0.0))
+NOISY = msgspec.structs.replace(ONE, detections=Detections(noise=30.0, cut=math.inf))
 """Detections whose noise is as large as the area and has no bound."""
 FAST = msgspec.structs.replace(
     FREE,
-    detections=Detections(noise=30.0, cut=0.0),
+    detections=Detections(noise=30.0, cut=math.inf),
     ugv=(Ugv(position=(10.0, 10.0), max_speed=2000.0, max_acceleration=1e6),),
 )
 """The UAV has no limit, and the UGV crosses the area in less than a tick."""

@@ -87,7 +87,7 @@ def test_the_summary_says_nothing_of_an_escort(flown, capsys) -> None:
     escort += ("mean_error", "final_error", "estimate_rmse", "detection_rmse", "certified_share")
     assert {name: told[name] for name in escort} == dict.fromkeys(escort)
     assert told["visibility_violations"] == told["crossings"] == told["detections"] == 0
-    assert told["hazards_hit"] == 0
+    assert told["mission"]["hazards_hit"] == 0
     console.print_summary(summary, [])
     table = capsys.readouterr().out
     assert "no UAV" in table

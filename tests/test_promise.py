@@ -31,8 +31,8 @@ def certified(*overrides: str) -> Scenario:
 BROKEN = rows("""
 A1 | SOMETIMES | detections.noise=0.5 & certificate.error=1.2 | certificate.error = 1.2 m
 A1 | THROUGHOUT | detections.noise=0.5 & certificate.error=0.2 | 92.2 % are larger
-A1 | SOMETIMES | detections.cut=0 & certificate.error=0.4 | detections.cut = 0
-none | THROUGHOUT | detections.cut=0 | the noise of the detections is not cut
+A1 | SOMETIMES | detections.cut=inf & certificate.error=0.4 | detections.cut = inf
+none | THROUGHOUT | detections.cut=inf | the noise of the detections is not cut
 A2 | CERTAIN | detections.rate=1.0 & certificate.age=0.5 | detections.rate = 1 /s
 A2 | THROUGHOUT | links.detections.delay=1.05 | links.detections.delay = 1.05
 A2 | SOMETIMES | links.detections.delay=0.95 & links.detections.jitter=0.3 | links.detections.jitter = 0.3

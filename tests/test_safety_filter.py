@@ -90,7 +90,7 @@ def test_a_broken_assumption_is_told_with_its_name(changes: str, reason: str) ->
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        (["detections.cut=0"], "eps = inf m: the noise of the detections is not cut"),
+        (["detections.cut=inf"], "eps = inf m: the noise of the detections is not cut"),
         (["certificate.age=60.0"], "too much for r_v"),
         (["certificate.delay=30.0"], "too much for r_v"),
     ],

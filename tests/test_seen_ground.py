@@ -7,13 +7,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.messages.ground import BLOCK_SIDE, GroundBlock, SeenTile
+from bus.messages.ground import BLOCK_SIDE, GroundBlock, Hazard, SeenTile
 from bus.messages.vehicle import RelativeInformation, UavObservation
 from flights import Piloted, altered
 from outrider.running.flying import InProcess, make_pilots
 from sim.models.ground import CLEAR
 from sim.models.hazards import BLOCK, ROUGH
-from sim.scenario.types import Ground, Hazard, Scenario, Ugv
+from sim.scenario.types import Ground, Scenario, Ugv
 from sim.server.flight import Flight
 from sim.server.perception import UgvPerception
 from sim.world import World
@@ -199,7 +199,7 @@ def test_a_block_that_says_what_the_uavs_sensor_has_not_told_is_not_sent(
     scenario = msgspec.structs.replace(on(DISC), duration=5.0)
     flight = Flight(scenario, 1)
     flight.fly(altered(make_pilots(scenario, 1), "uav_0", lambda _: {"blocks": (forged,)}))
-    assert flight.refused_radio == {"uav_0": scenario.ticks}
+    assert flight.radio.refused == {"uav_0": scenario.ticks}
     assert not blocks_received(flight)
 
 
@@ -247,7 +247,7 @@ def test_relative_information_is_of_its_tick_and_comes_five_times_a_second() -> 
     flight.fly(altered(make_pilots(scenario, 1), "uav_0", talkative), on_tick=note)
     ticks = list(range(0, scenario.ticks, 4))
     assert [one.time for one in received] == [tick * scenario.dt for tick in ticks]  # to the bit
-    assert flight.refused_radio == {"uav_0": 4 * scenario.ticks - len(ticks)}
+    assert flight.radio.refused == {"uav_0": 4 * scenario.ticks - len(ticks)}
 
 
 def test_the_sign_of_a_zero_carries_nothing_either() -> None:
@@ -276,7 +276,7 @@ def test_the_blocks_that_a_ugv_receives_are_what_the_uav_has_seen_of_the_ground_
                 row, column = block.row * 8 + place // 8, block.column * 8 + place % 8
                 if letter != "?":
                     received[row, column] = "?.~#*".index(letter)
-    assert flight.refused_radio == {"uav_0": 0}
+    assert flight.radio.refused == {"uav_0": 0}
     assert (received[received > 0] == known[received > 0]).all()
     assert (received > 0).sum() > 0.5 * (known > 0).sum()
     assert {BLOCK, ROUGH} <= set(received.ravel().tolist())

@@ -9,7 +9,7 @@ import pytest
 
 from agents.safety.handover import check_assumptions
 from bus.errors import ScenarioError
-from bus.messages.ground import SeenTile
+from bus.messages.ground import Hazard, SeenTile
 from bus.messages.vehicle import UavObservation
 from flights import EVADED, PROMISED, certified, flown_in_both, told
 from outrider.running.assumptions import shortfalls
@@ -18,14 +18,14 @@ from processes import flown_both_ways
 from sim.compiling.records import record_type, records
 from sim.engine.batch import Batch
 from sim.models.inner_loop import (
+    Disturbance,
     InnerLoop,
-    TrackingRecord,
     needed_reserve,
     step_error,
     tracking_error,
 )
 from sim.scenario.checks import check_scenario
-from sim.scenario.types import Certificate, Hazard, LinkTable, Tracking, Uav, Wind
+from sim.scenario.types import Certificate, LinkTable, Uav, Wind
 from sim.world import World
 from worlds import LOSSY, SCENARIOS, small, step
 
@@ -40,18 +40,19 @@ LOOPS = [(1.0, 2.0), (1.0, 0.4), (4.0, 3.0), (0.2, 1.5)]
 """Without oscillation, with much, with some, and slow: k_p [1/s²], k_d [1/s]."""
 
 
+def loop_of(k_p: float, k_d: float, reserve: float) -> InnerLoop:
+    return InnerLoop(position_gain=k_p, velocity_gain=k_d, reserve=reserve)
+
+
 def errors(loop: InnerLoop, wind: np.ndarray, own: np.ndarray, dt: float) -> np.ndarray:
     """Where the error is under these winds and own positions, by tick: x, y [m] and the feedback's size [m/s²]."""
-    (row,), found = np.zeros(1, record_type(TrackingRecord)), []
+    (row,), found = np.zeros(1, record_type(Disturbance)), []
     (gains,) = records(InnerLoop, [loop])
-    for (row["wind_x"], row["wind_y"]), (row["own_x"], row["own_y"]) in zip(wind, own, strict=True):
-        before = row["v_x"], row["v_y"]
+    for row["wind"], row["position_error"] in zip(wind, own, strict=True):
+        before = row["error_rate"].copy()
         step_error(gains, row, dt)
-        asked = [
-            (row[f"v_{axis}"] - was) / dt - row[f"wind_{axis}"]
-            for axis, was in zip("xy", before, strict=True)
-        ]
-        found.append((row["x"], row["y"], math.hypot(*asked)))
+        asked = (row["error_rate"] - before) / dt - row["wind"]
+        found.append((*row["error"], math.hypot(*asked)))
     return np.array(found)
 
 
@@ -61,7 +62,7 @@ def errors(loop: InnerLoop, wind: np.ndarray, own: np.ndarray, dt: float) -> np.
 @pytest.mark.parametrize("gains", LOOPS)
 @pytest.mark.parametrize(("wind", "own", "dt"), [(0.2, 0.0, DT), (0.1, 0.3, DT), (0.1, 0.3, 0.3)])
 def test_the_worst_wind_comes_to_the_bound_and_no_other_beyond(gains, wind, own, dt) -> None:
-    loop = InnerLoop(*gains, math.inf)
+    loop = loop_of(*gains, math.inf)
     bound, ticks = tracking_error(loop, wind, own, dt), 1500
     silent = np.zeros((ticks, 2))
     kick = silent.copy()
@@ -85,20 +86,20 @@ def test_the_worst_wind_comes_to_the_bound_and_no_other_beyond(gains, wind, own,
 
 
 def test_without_oscillation_the_bound_is_the_wind_by_the_gain_and_the_own_error() -> None:
-    loop = InnerLoop(1.0, 2.0, 5.0)
+    loop = loop_of(1.0, 2.0, 5.0)
     assert tracking_error(loop, 0.2, 0.3, 0.001) == pytest.approx(0.5, abs=1e-5)
     assert tracking_error(loop, 0.0, 0.0, DT) == 0.0
 
 
 def test_the_reserve_that_is_needed_is_enough_and_less_is_not() -> None:
-    needed = needed_reserve(InnerLoop(1.0, 2.0, math.inf), 0.2, 0.1, DT)
-    assert math.isfinite(tracking_error(InnerLoop(1.0, 2.0, needed), 0.2, 0.1, DT))
-    assert tracking_error(InnerLoop(1.0, 2.0, 0.999 * needed), 0.2, 0.1, DT) == math.inf
+    needed = needed_reserve(loop_of(1.0, 2.0, math.inf), 0.2, 0.1, DT)
+    assert math.isfinite(tracking_error(loop_of(1.0, 2.0, needed), 0.2, 0.1, DT))
+    assert tracking_error(loop_of(1.0, 2.0, 0.999 * needed), 0.2, 0.1, DT) == math.inf
 
 
 @pytest.mark.parametrize("gains", [(1.0, 41.0), (90.0, 2.0), (0.5, 0.0)])
 def test_an_unstable_loop_has_no_bound(gains) -> None:
-    assert tracking_error(InnerLoop(*gains, 1e6), 0.1, 0.0, DT) == math.inf
+    assert tracking_error(loop_of(*gains, 1e6), 0.1, 0.0, DT) == math.inf
 
 
 # -- the certificate
@@ -213,7 +214,7 @@ def test_the_wind_is_never_stronger_than_its_limit_and_has_its_mean_and_spread()
     for _ in range(60):
         step(batch, np.zeros((40, 2, 2)))
         row = batch.state.vehicles["disturbance"][:, 0]
-        found.append(np.stack([row["wind_x"], row["wind_y"]], axis=-1))
+        found.append(row["wind"].copy())
     wind = np.array(found)
     assert np.hypot(wind[..., 0], wind[..., 1]).max() <= 0.4 * (1.0 + 1e-12)
     assert wind.mean(axis=(0, 1)) == pytest.approx([0.1, 0.0], abs=0.02)
@@ -275,5 +276,5 @@ def test_the_reserve_that_a_refusal_names_is_enough() -> None:
     with pytest.raises(ScenarioError) as refused:
         check_scenario(small("certified", wind=Wind(mean=(1.0, 0.0))))
     least = float(str(refused.value).split("allowed: ")[1].split()[0])
-    uav = Uav(position=(8.0, 7.0), tracking=Tracking(reserve=least))
+    uav = Uav(position=(8.0, 7.0), tracking=InnerLoop(reserve=least))
     assert check_scenario(small("certified", wind=Wind(mean=(1.0, 0.0)), uav=uav))

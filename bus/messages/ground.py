@@ -1,11 +1,13 @@
 """Tiles of the ground, and the map of it that radio messages and telemetry carry."""
 
+import math
 from typing import Annotated
 
 import msgspec
 from msgspec import Meta
 
 from bus.messages.base import Message, Name, NonNegative, Place, Positive, Tick, Vector
+from bus.registry import HAZARDS
 
 TILE_LETTERS = "?.~#*"
 """Names of the states of a tile in messages: not seen, clear, rough, blocked, and clear with a find on it."""
@@ -70,16 +72,61 @@ class UgvGround(Message, frozen=True, kw_only=True):
     vehicle brakes where none does."""
 
 
-class HazardOutline(Message, frozen=True, kw_only=True):
-    """A hazard as it truly lies on the ground, a disc or a polygon."""
+SpeedShare = Annotated[float, Meta(gt=0.0, le=1.0)]
+DEFAULT_SHARE = 0.4
+"""Share of its maximum speed that a vehicle keeps on rough ground where none is given."""
+MOST_POLYGON_CORNERS = 1000
+SAME_CORNER = 1e-3 + 1e-9
+"""Corners of a polygon that are no farther apart than a millimetre, but for rounding, are one [m]."""
+
+
+def speed_share(kind: str, share: float | None) -> float:
+    """Return the share of its maximum speed that a vehicle keeps on a hazard; `share`: as given for a rough one."""
+    if not HAZARDS[kind].slows:
+        return 1.0
+    return DEFAULT_SHARE if share is None else share
+
+
+class Hazard(Message, frozen=True, kw_only=True):
+    """A disc or a polygon of ground that a vehicle should know of; no vehicle is told of it."""
 
     kind: Name
-    """A row of `bus.registry.HAZARDS`."""
-    center: Vector = (0.0, 0.0)
-    radius: NonNegative = 0.0
-    """Of the disc [m]; 0: it is a polygon."""
-    corners: tuple[Vector, ...] = ()
-    """Of the polygon, in order round it [m]."""
+    """A row of `bus.registry.HAZARDS`: `block`, not to be touched; `rough`, to be driven slowly; `find`, to find."""
+    center: Vector | None = None
+    """Of a disc [m]."""
+    radius: Positive | None = None
+    """Of a disc [m]."""
+    polygon: Annotated[tuple[Vector, ...], Meta(max_length=MOST_POLYGON_CORNERS)] = ()
+    """Instead of a disc: its corners in order round it, either way [m]. Its sides do not meet but at corners."""
+    share: SpeedShare | None = None
+    """If it is rough: of its largest speed that a vehicle keeps on it; by default 0.4."""
+
+    def __post_init__(self) -> None:
+        """Merge corners that follow each other within `SAME_CORNER`, the last and the first too."""
+        corners: list[Vector] = []
+        for corner in self.polygon:
+            if not corners or math.dist(corner, corners[-1]) > SAME_CORNER:
+                corners.append(corner)
+        while len(corners) > 1 and math.dist(corners[0], corners[-1]) <= SAME_CORNER:
+            corners.pop()
+        msgspec.structs.force_setattr(self, "polygon", tuple(corners))
+
+    @property
+    def speed_share(self) -> float:
+        """Share of its maximum speed that a vehicle keeps on it."""
+        return speed_share(self.kind, self.share)
+
+    @property
+    def bounds(self) -> tuple[Vector, Vector]:
+        """Lower and upper corner of the rectangle around the polygon, or twice the center of the disc [m]."""
+        x, y = zip(*(self.polygon or (self.center or (0.0, 0.0),)), strict=True)
+        return (min(x), min(y)), (max(x), max(y))
+
+    @property
+    def middle(self) -> Vector:
+        """Center of the disc, or of the rectangle around the polygon [m]."""
+        low, high = self.bounds
+        return 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])
 
 
 class GroundMap(Message, frozen=True, kw_only=True):
@@ -99,5 +146,5 @@ class GroundMap(Message, frozen=True, kw_only=True):
     """Of each hazard: 0, no UGV knows of it, or nobody has found it; 1, one does; 2, one has hit it."""
     routes: dict[Name, tuple[Vector, ...]] = {}
     """The way that each UGV plans to its goal, by its corners [m], from where it is; no vehicle is told."""
-    hazards: tuple[HazardOutline, ...] = ()
+    hazards: tuple[Hazard, ...] = ()
     """In a recording only in a flight's first map: they stay where they are."""

@@ -106,6 +106,8 @@ class MissionResult(Message, frozen=True, kw_only=True):
     """Time from then until it came so near, in the mean of those [s]; None: there are none."""
     seen_ahead: Share | None
     """Share of the way that led over tiles which had come by radio before; None: nobody has moved."""
+    ground_certified_share: Share | None = None
+    """Share of the ticks at which cautious UGVs were certified, of those in which they reported it; None: none did."""
     entered_unknown_tile: Tick = 0
     """Ticks in which a UGV drove over a tile that it did not know to be drivable, of all UGVs."""
     ground_certificate_broken: Tick = 0

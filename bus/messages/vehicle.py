@@ -66,8 +66,8 @@ class BackupTrajectory(msgspec.Struct, frozen=True, array_like=True, forbid_unkn
     """Accelerations while it turns and brakes [m/s²]."""
 
 
-class UavBriefing(Message, frozen=True, kw_only=True):
-    """All a UAV is told when it joins.
+class VehicleBriefing(Message, frozen=True, kw_only=True):
+    """All a vehicle is told when it joins.
 
     One that joins again is told its own past too, in parts: each is a briefing of its own.
     """
@@ -77,6 +77,20 @@ class UavBriefing(Message, frozen=True, kw_only=True):
     """Time between two ticks [s]."""
     area: Area
     limits: Limits
+    key: PilotKey
+    """Of the pilot's own random numbers.
+
+    Where the run has a secret it leads to nothing else: not to the seed, nor to any other
+    draw. Where it has none, whoever tries all seeds finds the run's: there the seed is the secret."""
+    more: bool = False
+    """True if another part of the past follows."""
+    episode: Tick = 0
+    """Number of the flight that this is for."""
+
+
+class UavBriefing(VehicleBriefing, frozen=True, kw_only=True):
+    """All a UAV is told when it joins."""
+
     target_limits: Limits
     """The bounds of the UGV it escorts."""
     visibility_radius: Positive
@@ -96,26 +110,13 @@ class UavBriefing(Message, frozen=True, kw_only=True):
     """None: there are no hazards, and nothing is told of the ground."""
     origin: Origin = Origin()
     """Place on Earth that its positions are counted from, for bridges to programs that count in degrees."""
-    key: PilotKey
-    """Of the pilot's own random numbers.
-
-    Where the run has a secret it leads to nothing else: not to the seed, nor to any other
-    draw. Where it has none, whoever tries all seeds finds the run's: there the seed is the secret."""
     past: "tuple[UavObservation, ...]" = ()
     """Its observations so far in this run, tick by tick; where its process was away, without detections."""
-    more: bool = False
-    """True if another part of the past follows."""
-    episode: Tick = 0
-    """Number of the flight that this is for."""
 
 
-class UgvBriefing(Message, frozen=True, kw_only=True):
-    """All a UGV is told when it joins; its past as a UAV's."""
+class UgvBriefing(VehicleBriefing, frozen=True, kw_only=True):
+    """All a UGV is told when it joins."""
 
-    vehicle: Name
-    dt: Positive
-    area: Area
-    limits: Limits
     driver: Name
     """A row of `bus.registry.DRIVERS`."""
     goals: tuple[Vector, ...]
@@ -128,10 +129,8 @@ class UgvBriefing(Message, frozen=True, kw_only=True):
     """Time that an operator's last word counts [s]; then the driver `teleop` brakes."""
     ground: UgvGround | None = None
     """None: there are no hazards, and nothing is told of the ground."""
-    key: PilotKey
     past: "tuple[UgvObservation, ...]" = ()
-    more: bool = False
-    episode: Tick = 0
+    """As a UAV's."""
 
 
 class Detection(Message, frozen=True, kw_only=True):
@@ -154,28 +153,31 @@ class RelativeInformation(Message, frozen=True, kw_only=True):
     """e(t) of (4) on the UAV's own map [m²]."""
 
 
-class UavObservation(Message, frozen=True, kw_only=True):
-    """The perception of a UAV at a tick."""
+class VehicleObservation(Message, frozen=True, kw_only=True):
+    """The perception of a vehicle at a tick."""
 
     tick: Tick
     time: NonNegative
     position: Vector
-    """Its place as its inner loop believes and steers it [m]: in wind or with a wrong own position not quite the
-    true one.
-    """
+    """Its reference position [m]: in wind or with a position error not quite the true one of a UAV."""
     velocity: Vector
-    """Likewise [m/s]."""
-    detections: tuple[Detection, ...] = ()
+    """Its reference velocity [m/s]."""
+    ground: tuple[SeenTile, ...] = ()
+    """Tiles that its own sensor has reported since the tick before; a UAV's each once, when covered enough."""
     flown: Tick | None = None
     """The motion that the vehicle flew in the tick before: that in which it began; None: it flew none."""
-    ground: tuple[SeenTile, ...] = ()
-    """Tiles that its sensor has told of since the tick before: each once, when it has been looked at enough."""
-    law: Law | None = None
-    """The law to fly from this tick on; None: the one before."""
     over: bool = False
     """True: the run has ended at this tick and no command is awaited."""
     episode: Tick = 0
     """Number of the flight; a reset begins the next."""
+
+
+class UavObservation(VehicleObservation, frozen=True, kw_only=True):
+    """The perception of a UAV at a tick."""
+
+    detections: tuple[Detection, ...] = ()
+    law: Law | None = None
+    """The law to fly from this tick on; None: the one before."""
 
 
 class Drive(Message, frozen=True, kw_only=True):
@@ -189,26 +191,16 @@ class Drive(Message, frozen=True, kw_only=True):
     """The goal [m]."""
 
 
-class UgvObservation(Message, frozen=True, kw_only=True):
+class UgvObservation(VehicleObservation, frozen=True, kw_only=True):
     """The perception of a UGV at a tick."""
 
-    tick: Tick
-    time: NonNegative
-    position: Vector
-    velocity: Vector
     radio: tuple[RelativeInformation, ...] = ()
     blocks: tuple[GroundBlock, ...] = ()
     """The blocks that have come by radio, of the ground that the UAV has seen."""
-    ground: tuple[SeenTile, ...] = ()
-    """Tiles that its own bumper has seen since the tick before."""
     operator: tuple[Drive, ...] = ()
     """The operators' messages that have come to the vehicle at this tick, the oldest first."""
     driver: Name | None = None
     """The driver from this tick on, a row of `bus.registry.DRIVERS`; None: the one before."""
-    flown: Tick | None = None
-    """The motion that the vehicle flew in the tick before: that in which it began; None: it flew none."""
-    over: bool = False
-    episode: Tick = 0
 
 
 class UavReport(Message, frozen=True, kw_only=True):

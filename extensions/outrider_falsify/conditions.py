@@ -20,7 +20,6 @@ from sim.scenario.types import (
     Detections,
     LinkTable,
     Scenario,
-    Tracking,
     Uav,
     Ugv,
     VehicleLinks,
@@ -227,22 +226,19 @@ def _strength(conditions: Conditions) -> float:
     return 1.0 if conditions.jumps else conditions.wind
 
 
-def _inner_loop(conditions: Conditions, dt: float) -> Tracking:
+def _inner_loop(conditions: Conditions, dt: float) -> InnerLoop:
     """The UAV's inner loop, with just the reserve that it needs."""
     k_p, k_d = conditions.gains
-    needed = needed_reserve(
-        InnerLoop(k_p, k_d, math.inf), _strength(conditions), conditions.own_error, dt
-    )
-    return Tracking(position_gain=k_p, velocity_gain=k_d, reserve=needed or 1.0)
+    loop = InnerLoop(position_gain=k_p, velocity_gain=k_d, reserve=math.inf)
+    needed = needed_reserve(loop, _strength(conditions), conditions.own_error, dt)
+    return InnerLoop(position_gain=k_p, velocity_gain=k_d, reserve=needed or 1.0)
 
 
 def farthest_off(conditions: Conditions, dt: float) -> float:
     """The UAV's largest distance from what it is told, w [m]; at a tick of dt [s]."""
     if conditions.jumps:
         return conditions.jumps
-    return tracking_error(
-        _inner_loop(conditions, dt).loop, conditions.wind, conditions.own_error, dt
-    )
+    return tracking_error(_inner_loop(conditions, dt), conditions.wind, conditions.own_error, dt)
 
 
 def scenario_of(promise: SafetyBounds, conditions: Conditions) -> Scenario:

@@ -238,7 +238,8 @@ def _push(
     if kind <= WINDS.random:
         return math.cos(plots[UGV].wind), math.sin(plots[UGV].wind)
     if kind == WINDS.pumping:
-        return direction(off.v_x, off.v_y) if norm(off.v_x, off.v_y) > 0.0 else (e_x, e_y)
+        v_x, v_y = off.error_rate[0], off.error_rate[1]
+        return direction(v_x, v_y) if norm(v_x, v_y) > 0.0 else (e_x, e_y)
     if kind == WINDS.turns:
         return direction(acting[0], acting[1])
     return (e_x, e_y) if dark > 0 else (-e_x, -e_y)
@@ -276,8 +277,9 @@ def disturb(
         1.0 if conditions.jumps > 0.0 else conditions.wind,
         state.vehicles[0, UAV].disturbance,
     )
-    row.wind_x, row.wind_y = strength * w_x, strength * w_y
-    row.own_x, row.own_y = -conditions.own_error * w_x, -conditions.own_error * w_y
+    row.wind[0], row.wind[1] = strength * w_x, strength * w_y
+    row.position_error[0] = -conditions.own_error * w_x
+    row.position_error[1] = -conditions.own_error * w_y
     return kind
 
 
@@ -285,8 +287,7 @@ def disturb(
 def jump(conditions: Conditions, state: BatchState) -> None:
     """Put the UAV off what it is told, the way that its wind blows."""
     row = state.vehicles[0, UAV].disturbance
-    row.x = conditions.jumps * row.wind_x
-    row.y = conditions.jumps * row.wind_y
-    row.v_x = 0.0
-    row.v_y = 0.0
+    for axis in range(2):
+        row.error[axis] = conditions.jumps * row.wind[axis]
+        row.error_rate[axis] = 0.0
     apply_disturbance(state.vehicles[0, UAV])

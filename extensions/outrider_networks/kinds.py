@@ -171,9 +171,9 @@ def _queued(
         if extra >= 1.0:
             continue
         waited = (
-            parameters.queue * (misses + 1) * period
+            parameters.settings.queue * (misses + 1) * period
             if parameters.newest
-            else math.ceil(parameters.queue * parameters.spacing)
+            else math.ceil(parameters.settings.queue * parameters.spacing)
         )
         begins = range(misses + 1) if dropout > 0.0 and not left.all() else (0,)
         schedules = tuple(

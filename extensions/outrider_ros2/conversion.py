@@ -17,7 +17,7 @@ import numpy as np
 
 from bus.errors import ScenarioError
 from bus.messages.base import Message, Vector
-from bus.messages.ground import GroundMap, HazardOutline
+from bus.messages.ground import GroundMap, Hazard
 from bus.messages.links import LinkStatus
 from bus.messages.telemetry import CoverageMap, EscortTruth, Geometry, Status, Truth, VehicleStatus
 from outrider_ros2.interfaces import RosMessage, make
@@ -88,7 +88,7 @@ class RunView:
     dt: float
     """Time between two ticks [s]."""
     tracks: dict[str, PathTrack] = field(default_factory=dict)
-    hazards: tuple[HazardOutline, ...] = ()
+    hazards: tuple[Hazard, ...] = ()
     """Of the flight: a recording tells them in its first map alone."""
     own: tuple[RosMessage, ...] = ()
     """Diagnostics of the bridge itself."""
@@ -439,13 +439,13 @@ def hazards(view: RunView, told: GroundMap) -> RosMessage:
     for number, (outline, state) in enumerate(zip(view.hazards, told.states, strict=False)):
         colour = _colour(LIMIT if state > 1 else HAZARDS[outline.kind], 1.0 if state else FAINT)
         mark = partial(marker, frame=MAP, name=outline.kind, number=number, colour=colour)
-        if outline.radius > 0.0:
-            side = 2.0 * outline.radius
-            found.append(mark(shape=_CYLINDER, position=outline.center, scale=(side, side, _FLAT)))
-        else:
-            first, *rest = outline.corners
+        if outline.polygon:
+            first, *rest = outline.polygon
             corners = [one for pair in pairwise(rest) for one in (first, *pair)]
             found.append(mark(shape=_TRIANGLES, points=corners))
+        else:
+            side = 2.0 * (outline.radius or 0.0)
+            found.append(mark(shape=_CYLINDER, position=outline.middle, scale=(side, side, _FLAT)))
     return make("visualization_msgs/msg/MarkerArray", markers=found)
 
 

@@ -201,10 +201,10 @@ def _shown(metric: Metric, value: object) -> Text:
     return Text(metric.text(value), style=_style(metric, value))
 
 
-def _metrics(table: dict[str, Metric], summary: Summary, *left_out: str) -> Iterator[TextRow]:
+def _metrics(table: dict[str, Metric], struct: msgspec.Struct, *left_out: str) -> Iterator[TextRow]:
     """Rows of a table's metrics that exist; of those that are guaranteed only what contradicts that."""
     for metric in table.values():
-        value = getattr(summary, metric.name)
+        value = getattr(struct, metric.name)
         if metric.name in left_out or value is None or (metric.guaranteed and value == metric.goal):
             continue
         text = _shown(metric, value)
@@ -223,7 +223,7 @@ def _dicts(summary: Summary) -> Iterator[TextRow]:
     """Rows of what is counted by reason, UGV, link, vehicle or process."""
     for reason, count in summary.uncertified.items():
         yield "not certified", f"{count} ticks: {reason}"
-    for name, told in summary.guarantees.items():
+    for name, told in (summary.mission.guarantees if summary.mission else {}).items():
         for reason, count in told.uncertified.items():
             yield f"{name} not certified", f"{count} ticks: {reason}"
     for name, status in summary.links.items():
@@ -248,8 +248,8 @@ def _rows(summary: Summary) -> Iterator[TextRow]:
     if summary.law is not None:
         yield from _metrics(UAV, summary)
     yield from _metrics(CERTIFICATE, summary)
-    if summary.hazards_hit is not None:
-        yield from _metrics(MISSION, summary, *([] if summary.finds else ["finds", "found"]))
+    if (mission := summary.mission) is not None:
+        yield from _metrics(MISSION, mission, *([] if mission.finds else ["finds", "found"]))
     for change in summary.changes:
         yield f"operator at {change.tick * summary.dt:.2f} s", change.control.in_words()
     yield from _dicts(summary)

@@ -69,7 +69,7 @@ def _refly(recording: "Recording", *, json: bool) -> None:
 
     from outrider.cli.console import ERR, OUT, print_json
     from outrider.recording.refly import refly
-    from outrider.running.summary import certificate_fields, mission_fields
+    from outrider.running.summary import certificate_fields
 
     with ERR.status("flying it again"):
         found = refly(recording)
@@ -84,7 +84,7 @@ def _refly(recording: "Recording", *, json: bool) -> None:
             "difference": found.difference,
             "note": found.note,
             **certificate_fields(recording.certificates),
-            **mission_fields(recording.mission),
+            "mission": recording.mission,
         }
         print_json(told)
     else:
@@ -148,7 +148,7 @@ def _play(recording: "Recording", speed: float) -> None:
 def _tell(recording: "Recording", *, json: bool) -> None:
     from outrider.cli.console import OUT, print_json, print_summary
     from outrider.recording.refly import from_the_start, restore
-    from outrider.running.summary import certificate_fields, mission_fields, summarize
+    from outrider.running.summary import certificate_fields, summarize
 
     told = _facts(recording)
     if recording.head.scenario is not None and from_the_start(recording):
@@ -159,7 +159,7 @@ def _tell(recording: "Recording", *, json: bool) -> None:
             platform=recording.head.platform,
             links=recording.links,
             **certificate_fields(recording.certificates),
-            **mission_fields(recording.mission),
+            mission=recording.mission,
         )
         if json:
             print_json({**msgspec.to_builtins(summary), **told})

@@ -8,8 +8,8 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from outrider.envs.worlds import BoolArray, Worlds
+from outrider.running.metrics import MISSION, numbers
 from sim.compiling.compile import FloatArray, IntArray
-from sim.engine.mission import mission_numbers
 from sim.env.observation import AgentObservation, one_of_world
 
 BatchStep = tuple[
@@ -132,7 +132,7 @@ class AutoresetWorlds(Worlds):
         info: dict[str, Any] = {}
         if name in self.loop.ugvs and self.scenario.has_ground:
             for k in np.flatnonzero(ended).tolist():
-                for key, number in mission_numbers(self.loop.mission(k)).items():
+                for key, number in numbers(MISSION, self.loop.mission(k)).items():
                     none = np.zeros(self.num_envs, np.asarray(number).dtype)
                     info.setdefault(key, none)[k] = number
         return info

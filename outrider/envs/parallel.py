@@ -19,8 +19,8 @@ from bus.messages.links import LinkStatus
 from bus.messages.vehicle import Briefing, UavCommand, UgvCommand
 from bus.observations import STATE, bounds, state_names, with_tables
 from outrider.envs.worlds import Worlds
+from outrider.running.metrics import MISSION, numbers
 from sim.engine.briefing import briefing
-from sim.engine.mission import mission_numbers
 from sim.engine.run_keys import check_secret
 from sim.env.actions import take_actions
 from sim.env.observation import AgentObservation, Array, one_of_world
@@ -227,7 +227,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
                     key: one for key, one in links.items() if key.rpartition("/")[0] == name
                 }
             if mission is not None and name in self.worlds.loop.ugvs:
-                info.update(mission_numbers(mission))
+                info.update(numbers(MISSION, mission))
         return infos
 
     def _observations(self) -> dict[str, AgentObservation]:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from gymnasium.error import ResetNeeded
 
 from outrider.envs.worlds import PICTURES, Worlds
-from sim.engine.mission import mission_numbers
+from outrider.running.metrics import MISSION, numbers
 from sim.env.actions import take_actions
 from sim.env.observation import AgentObservation, one_of_world
 from sim.env.seeds import Seeds
@@ -115,7 +115,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         info = self.worlds.info(self.agent)
         mission = self.worlds.mission(0) if self._over else None
         at_wheel = self.agent in self.worlds.loop.ugvs
-        return info | (mission_numbers(mission) if mission is not None and at_wheel else {})
+        return info | (numbers(MISSION, mission) if mission is not None and at_wheel else {})
 
     @property
     def episode_seed(self) -> int:

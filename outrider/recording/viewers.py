@@ -9,7 +9,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bus.messages.ground import HazardOutline
+from bus.messages.ground import Hazard
 from bus.messages.telemetry import CoverageMap
 from bus.plugins import needs
 from sim.scenario.types import Scenario
@@ -60,11 +60,11 @@ def _ring(ring: Ring) -> messages.LinePrimitive:
     )
 
 
-def _outline(hazard: HazardOutline) -> messages.LinePrimitive:
+def _outline(hazard: Hazard) -> messages.LinePrimitive:
     """The edge of a hazard on the ground."""
     angles = [2.0 * math.pi * k / 24 for k in range(24)]
-    (x, y), r = hazard.center, hazard.radius
-    edge = hazard.corners or [(x + r * math.cos(a), y + r * math.sin(a)) for a in angles]
+    (x, y), r = hazard.middle, hazard.radius or 0.0
+    edge = hazard.polygon or [(x + r * math.cos(a), y + r * math.sin(a)) for a in angles]
     return messages.LinePrimitive(
         type=messages.LinePrimitiveLineType.LineLoop,
         thickness=0.08,
@@ -211,7 +211,7 @@ class Viewers:
         # protobuf joins the two lists of entities
         self._scenes.log(self._hazards + self._bodies + moving, log_time=time_ns)
 
-    def hazards(self, hazards: Sequence[HazardOutline]) -> None:
+    def hazards(self, hazards: Sequence[Hazard]) -> None:
         """Show these on the ground from the next scene on."""
         outlines = [_outline(hazard) for hazard in hazards[:_MOST_HAZARDS]]
         entity = messages.SceneEntity(frame_id="world", id="hazards", lines=outlines)

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from bus.messages.control import Action, Change, Control
-from bus.messages.ground import GroundMap, HazardOutline
+from bus.messages.ground import GroundMap, Hazard
 from bus.messages.telemetry import CoverageMap, Status, VehicleStatus
 from bus.messages.vehicle import Drive, UavReport
 from outrider.recording.mcap_file import RecordingFile
@@ -159,7 +159,7 @@ class FlightRecorder:
 
     def _take_up(self, flight: Flight) -> None:
         self._flight, self._next_map, self._next_status = flight, 0, 0
-        self._hazards: tuple[HazardOutline, ...] | None = None
+        self._hazards: tuple[Hazard, ...] | None = None
         self._degradations = 0
         self._pace = (time.monotonic(), 0)
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from enum import StrEnum
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from bus.messages.links import LinkKind
@@ -76,7 +77,9 @@ class InspectedLink:
         self.settings, self.path = table.of(uav, kind), table.path_of(uav, kind)
         p = link_parameters(self.settings, scenario.dt, traces=table.traces)
         self.parameters: LinkParameters = p
-        self.least = first_tick_from(p.delay + (p.least if p.jitter > 0.0 else 0.0), p.dt)
+        self.least = first_tick_from(
+            self.settings.delay + (p.least if self.settings.jitter > 0.0 else 0.0), p.dt
+        )
         self.most = first_tick_from(longest_delay(self.settings), p.dt)
 
     def named(self, *fields: str) -> str:
@@ -214,9 +217,9 @@ def _queue_ticks(parameters: LinkParameters, period: int) -> int | None:
     if parameters.spacing <= period + DUST:
         return None
     waits = (
-        (parameters.queue - 1) * period + 1
+        (parameters.settings.queue - 1) * period + 1
         if parameters.newest
-        else math.floor(parameters.queue * parameters.spacing)
+        else math.floor(parameters.settings.queue * parameters.spacing)
     )
     return waits + math.floor(parameters.spacing) - 1
 
@@ -233,7 +236,9 @@ def _unlucky_ages(
     if promise.max_age_ticks >= scenario.ticks:
         return
     if p.spacing > period + DUST:
-        waited = p.queue * period if p.newest else math.ceil(p.queue * p.spacing)
+        waited = (
+            link.settings.queue * period if p.newest else math.ceil(link.settings.queue * p.spacing)
+        )
         period = math.ceil(p.spacing - DUST)
     if not planned:
         p = p._replace(blackouts=_NO_BLACKOUTS)
@@ -311,7 +316,10 @@ def outage_shortfalls(link: InspectedLink, promise: SafetyBounds) -> Iterator[tu
     if p.spacing > 1.0 + DUST:
         yield How.SOMETIMES, f"{told}: {late}, as packets wait and are dropped"
         return
-    certain = late_shares(p._replace(loss=0.0, bursts=False, up=0.0), window, ticks=scenario.ticks)
+    lossless = p._replace(
+        settings=msgspec.structs.replace(p.settings, loss=0.0), bursts=False, up=0.0
+    )
+    certain = late_shares(lossless, window, ticks=scenario.ticks)
     blackouts = [(f, a) for f, a in link.dark() if certain[f:a].max(initial=0.0) == 1.0]
     for first, after in blackouts:
         span = f"{link.seconds(first)} to {link.seconds(after)}"

@@ -4,6 +4,7 @@ Summary, `--json`, console, sweep columns, the page's tiles and the reference ar
 field of that name in `outrider.running.summary.Summary`, or in the message that its table names.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
@@ -266,7 +267,7 @@ TABLES = {
 """All tables, by the heading of their section in the reference."""
 
 SUMMARY = RUN | UAV | CERTIFICATE | MISSION
-"""Metrics that are fields of a run's summary."""
+"""Metrics of a run's summary; those of the mission are fields of `Summary.mission`."""
 
 
 def columns() -> dict[str, Column]:
@@ -276,6 +277,12 @@ def columns() -> dict[str, Column]:
         found |= {f"{kind}_{row.name}": row.column for row in LINK.values() if row.column}
     found |= {row.name: row.column for row in SWEEP.values()}
     return found
+
+
+def numbers(table: dict[str, Metric], struct: msgspec.Struct) -> dict[str, float]:
+    """Return the metrics of a table by name, from the struct that has them; NaN for None."""
+    values = {name: getattr(struct, name) for name in table}
+    return {name: math.nan if value is None else value for name, value in values.items()}
 
 
 def total(metric: Metric, values: Iterable[float | None]) -> float | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from bus.messages.control import Action, Change
 from bus.messages.links import LinkStatus
-from bus.messages.telemetry import CertificateStatus, MissionResult, UgvGuarantee, VehicleStatus
+from bus.messages.telemetry import CertificateStatus, MissionResult, VehicleStatus
 
 if TYPE_CHECKING:
     from sim.server.flight import Flight
@@ -77,22 +77,8 @@ class Summary(UavMetrics, frozen=True, kw_only=True):
     longest_outage: float | None = None
     declared_tracking: float | None = None
     tracking_error: float | None = None
-    arrived: bool | None = None
-    mission_time: float | None = None
-    hazards_hit: int | None = None
-    near_misses: int | None = None
-    hazards_on_way: int | None = None
-    warned: int | None = None
-    warned_before: float | None = None
-    seen_ahead: float | None = None
-    ground_certified_share: float | None = None
-    entered_unknown_tile: int | None = None
-    ground_certificate_broken: int | None = None
-    guarantees: dict[str, UgvGuarantee] = {}
-    """Certified ticks of each UGV, and the reasons of the other ticks."""
-    still_time: float | None = None
-    finds: int | None = None
-    found: int | None = None
+    mission: MissionResult | None = None
+    """Mission of the UGVs; None where there are no hazards."""
     uavs: dict[str, UavMetrics] = {}
     """Metrics of each UAV."""
     links: dict[str, LinkStatus] = {}
@@ -179,16 +165,6 @@ def certificate_fields(told: CertificateStatus | None) -> dict[str, Any]:
     }
 
 
-def mission_fields(mission: MissionResult | None) -> dict[str, Any]:
-    """The summary's fields on how the UGVs got through; None where there are no hazards."""
-    if mission is None:
-        return {}
-    told = mission.guarantees.values()
-    ticks, certified = sum(one.ticks for one in told), sum(one.certified for one in told)
-    share = certified / ticks if ticks else None
-    return {**msgspec.structs.asdict(mission), "ground_certified_share": share}
-
-
 def _uav_metrics(flight: "Flight", rows: list[int]) -> dict[str, Any]:
     """Return the metrics of some UAVs together, from their recorded states and reports.
 
@@ -269,7 +245,7 @@ def summarize(
         missing_commands=dict(flight.answers.missing),
         faults=_faults(vehicles or {}, flight.answers.shortened),
         tracking_error=recorder.tracking_error,
-        **mission_fields(world.mission),
+        mission=world.mission,
         links=world.links.status(),
         traces={one.name: one.sha256 for one in world.link_table.traces},
         realtime=realtime,

@@ -62,9 +62,11 @@ def longest_wait(parameters: LinkParameters) -> int:
     """The longest wait of a message at its sender that is not dropped [ticks]."""
     p = parameters
     if p.replay != OPPORTUNITIES:
-        return math.ceil(p.queue * p.spacing)
-    each = math.ceil(p.message_bytes / p.opportunity)
-    rounds, last = np.divmod(np.arange(len(p.trace)) + (p.queue + 1) * each + 1, len(p.trace))
+        return math.ceil(p.settings.queue * p.spacing)
+    each = math.ceil(p.settings.message_bytes / p.opportunity)
+    rounds, last = np.divmod(
+        np.arange(len(p.trace)) + (p.settings.queue + 1) * each + 1, len(p.trace)
+    )
     waits = p.trace[last, 0] + p.period * rounds - p.trace[:, 0]  # [ms]
     return math.ceil(float(waits.max()) / (1000.0 * p.dt)) + 1
 
@@ -222,36 +224,28 @@ def link_parameters(
         len(blackouts),
     )
     return LinkParameters(
+        settings=settings,
         perfect=not bursts and not any(harmless) and replay == NOTHING,
         dt=dt,
-        delay=settings.delay,
-        jitter=j,
         jitter_shape=shape,
         least=least,
         most=most,
         low=jitter_share(shape, j, least) if j > 0.0 else 0.0,
         high=jitter_share(shape, j, most) if j > 0.0 else 1.0,
-        reorder=settings.reorder,
-        reorder_delay=settings.reorder_delay,
-        loss=settings.loss,
         bursts=bursts,
-        burst_loss=settings.burst_loss,
         bad_share=share,
         bad_stay=1.0 - (1.0 - share) * decay,
         bad_enter=share * decay,
         blackouts=blackouts,
         up=settings.blackout_interval / dt,
         down=settings.blackout_length / dt,
-        duplicates=settings.duplicates,
         spacing=1.0 / (settings.bandwidth * dt) if settings.bandwidth > 0.0 else 0.0,
-        queue=settings.queue,
         newest=settings.keep == "newest",
         longest=longest,
         room=2 * room if settings.duplicates > 0.0 else room,
         replay=replay,
         trace=trace,
         period=period,
-        message_bytes=settings.message_bytes,
         opportunity=OPPORTUNITY,
     )
 
@@ -265,32 +259,31 @@ def least_ticks(parameters: LinkParameters) -> int:
     if parameters.replay == DELAYS:
         arrives = parameters.trace[parameters.trace[:, 1] >= 0, 1]
         return int(arrives.min()) if arrives.size else 0
-    waits = 0
+    settings, waits = parameters.settings, 0
     if parameters.spacing > 1.0 + DUST:
         waits = (
-            parameters.queue
-            if parameters.newest
-            else math.floor(parameters.queue * parameters.spacing)
+            settings.queue if parameters.newest else math.floor(settings.queue * parameters.spacing)
         )
     least = waits + first_tick_from(
-        parameters.delay + (parameters.least if parameters.jitter > 0.0 else 0.0), parameters.dt
+        settings.delay + (parameters.least if settings.jitter > 0.0 else 0.0), parameters.dt
     )
     return max(least, 1) if parameters.replay == OPPORTUNITIES else least
 
 
 def arrival_share(parameters: LinkParameters, ticks: int) -> float:
     """The share of the messages neither lost nor queued that arrive within so many ticks after they were sent."""
+    settings = parameters.settings
 
     def within(extra: float) -> float:
-        if parameters.jitter == 0.0 or extra >= parameters.most:
+        if settings.jitter == 0.0 or extra >= parameters.most:
             return 1.0 if extra >= parameters.most else 0.0
         share = (
-            jitter_share(parameters.jitter_shape, parameters.jitter, max(extra, parameters.least))
+            jitter_share(parameters.jitter_shape, settings.jitter, max(extra, parameters.least))
             - parameters.low
         ) / (parameters.high - parameters.low)
         return 0.0 if extra < parameters.least else min(max(share, 0.0), 1.0)
 
-    room = (ticks + DUST) * parameters.dt - parameters.delay
-    return (1.0 - parameters.reorder) * within(room) + parameters.reorder * within(
-        room - parameters.reorder_delay
+    room = (ticks + DUST) * parameters.dt - settings.delay
+    return (1.0 - settings.reorder) * within(room) + settings.reorder * within(
+        room - settings.reorder_delay
     )

@@ -116,7 +116,7 @@ def _mixed(shares: FloatArray, rows: FloatArray) -> FloatArray:
 
 def loss_chain(parameters: LinkParameters, dropout: float = 0.0) -> LossChain:
     """Return the chain of a link; messages are also lost before it, each with the probability `dropout`."""
-    through = (1.0 - dropout) * (1.0 - parameters.loss)
+    through = (1.0 - dropout) * (1.0 - parameters.settings.loss)
     turn, share, kept = np.ones((1, 1)), np.ones(1), np.array([through])
     if parameters.bursts:
         turn = np.array(
@@ -126,7 +126,7 @@ def loss_chain(parameters: LinkParameters, dropout: float = 0.0) -> LossChain:
             ]
         )
         share = np.array([1.0 - parameters.bad_share, parameters.bad_share])
-        kept = np.array([through, through * (1.0 - parameters.burst_loss)])
+        kept = np.array([through, through * (1.0 - parameters.settings.burst_loss)])
     return LossChain(turn, share, kept, parameters.up, parameters.down)
 
 

@@ -77,16 +77,16 @@ def _flight_time(parameters: LinkParameters, share: float, held: bool, later: fl
         held: Whether the packet is held back.
         later: Time after the tick [s].
     """
-    extra = 0.0
-    if parameters.jitter > 0.0:
+    settings, extra = parameters.settings, 0.0
+    if settings.jitter > 0.0:
         extra = jitter_quantile(
             parameters.jitter_shape,
-            parameters.jitter,
+            settings.jitter,
             parameters.low + share * (parameters.high - parameters.low),
         )
         extra = min(max(extra, parameters.least), parameters.most)
     return _first_tick_from(
-        parameters.delay + extra + (parameters.reorder_delay if held else 0.0) + later,
+        settings.delay + extra + (settings.reorder_delay if held else 0.0) + later,
         parameters.dt,
     )
 
@@ -175,25 +175,26 @@ def _transmit(link: Link, packets: RecordArray, w: int, packet: Packet, later: f
         packet: The packet; changed.
         later: Time after the link's tick at which it leaves [s].
     """
-    p, key, bad = link.parameters, _key_of(link), link.bad == 1
+    p, s = link.parameters, link.parameters.settings
+    key, bad = _key_of(link), link.bad == 1
     if link.blackout:
         link.lost[BLACKOUT] += 1
         return
     twice, held = False, False
-    if p.loss > 0.0 or bad or p.duplicates > 0.0 or p.reorder > 0.0:
+    if s.loss > 0.0 or bad or s.duplicates > 0.0 or s.reorder > 0.0:
         word_0, word_1, word_2, word_3 = draw(key, LINK_LOSS, packet.sent_at, packet.number)
-        if bad and to_uniform(word_1) < p.burst_loss:
+        if bad and to_uniform(word_1) < s.burst_loss:
             link.lost[BURST] += 1
             return
-        if to_uniform(word_0) < p.loss:
+        if to_uniform(word_0) < s.loss:
             link.lost[LOSS] += 1
             return
-        twice, held = to_uniform(word_2) < p.duplicates, to_uniform(word_3) < p.reorder
+        twice, held = to_uniform(word_2) < s.duplicates, to_uniform(word_3) < s.reorder
     share, share_too, held_too = 0.0, 0.0, False
-    if p.jitter > 0.0 or twice:
+    if s.jitter > 0.0 or twice:
         word_0, word_1, word_2, _ = draw(key, LINK_DELAY, packet.sent_at, packet.number)
         share, share_too = to_uniform(word_0), to_uniform(word_1)
-        held_too = to_uniform(word_2) < p.reorder
+        held_too = to_uniform(word_2) < s.reorder
     _fly(link, packets, w, packet, link.tick + _flight_time(p, share, held, later))
     if twice and link.flying < link.room:
         link.duplicated += 1
@@ -265,7 +266,7 @@ def _leave_queue(link: Link) -> int:
 @compiled
 def _grant(link: Link, packets: RecordArray, w: int, traces: IntArray, tick: int) -> None:
     """Let packets leave at the recorded opportunities since the link's tick, up to this one, which is the next."""
-    p = link.parameters
+    p, message_bytes = link.parameters, link.parameters.settings.message_bytes
     offset = trace_offset(_key_of(link), p.period)
     begin = in_milliseconds(tick - 1, p.dt) + offset
     end = in_milliseconds(tick, p.dt) + offset
@@ -277,10 +278,10 @@ def _grant(link: Link, packets: RecordArray, w: int, traces: IntArray, tick: int
             return
         bytes_left = p.opportunity
         while bytes_left > 0 and link.waiting > 0:
-            used = min(bytes_left, p.message_bytes - link.granted)
+            used = min(bytes_left, message_bytes - link.granted)
             bytes_left -= used
             link.granted += used
-            if link.granted == p.message_bytes:
+            if link.granted == message_bytes:
                 link.granted = 0
                 # at least a moment past the tick, so that a packet which leaves after a tick arrives after it
                 later = max(0.001 * (now - offset) - (tick - 1) * p.dt, 2.0 * DUST * p.dt)
@@ -331,7 +332,7 @@ def _wait(link: Link, packets: RecordArray, w: int, packet: Packet) -> None:
         link.number,
         1 if link.granted > 0 else 0,
     )  # the first that waits is leaving already
-    if link.waiting - begun >= link.parameters.queue:
+    if link.waiting - begun >= link.parameters.settings.queue:
         link.lost[QUEUE] += 1
         if not link.parameters.newest:
             return

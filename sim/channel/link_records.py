@@ -6,6 +6,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from bus.messages.base import Vector
+from bus.messages.links import LinkSettings
 from sim.compiling.compile import IntArray
 from sim.compiling.records import RecordArray, record_type
 from sim.models.randomness import WordArray
@@ -23,16 +24,16 @@ NOTHING, DELAYS, OPPORTUNITIES = range(3)
 
 
 class LinkParameters(NamedTuple):
-    """Parameters of one link. Made by `sim.channel.description.link_parameters`."""
+    """Parameters of one link: its settings, and what follows from them at a length of a tick.
 
+    Made by `sim.channel.description.link_parameters`. The record holds the numbers among the settings.
+    """
+
+    settings: LinkSettings
     perfect: bool
     """True if the link delivers every message at once."""
     dt: float
     """[s]"""
-    delay: float
-    """[s]"""
-    jitter: float
-    """Scale of the extra delay [s]."""
     jitter_shape: int
     """A value of `sim.channel.jitter.SHAPES`."""
     least: float
@@ -41,12 +42,7 @@ class LinkParameters(NamedTuple):
     low: float
     high: float
     """Shares of the unbounded extra delays below these bounds. Drawing between them equals drawing until it fits."""
-    reorder: float
-    reorder_delay: float
-    """[s]"""
-    loss: float
     bursts: bool
-    burst_loss: float
     bad_share: float
     bad_stay: float
     bad_enter: float
@@ -56,10 +52,8 @@ class LinkParameters(NamedTuple):
     up: float
     down: float
     """Mean time between two random blackouts, and their length [ticks]; up is 0: none."""
-    duplicates: float
     spacing: float
     """Time between two packets that leave [ticks]; 0: no limit."""
-    queue: int
     newest: bool
     """True if a full queue keeps the newest packets."""
     longest: int
@@ -72,7 +66,6 @@ class LinkParameters(NamedTuple):
     """Rows in order of time. Delays: (first tick, delay in ticks or -1); opportunities: (time in ms, 0)."""
     period: int
     """Length of a loop of the trace [ticks or ms]; the last opportunity is at its end."""
-    message_bytes: int
     opportunity: int
     """Bytes that may leave at each opportunity."""
     first_blackout: int = 0

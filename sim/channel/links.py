@@ -168,14 +168,17 @@ def _change_link(link: Any, lists: RecordArray, new: LinkParameters) -> tuple[An
     """
     old, room = link["parameters"], int(link["room"])
     granted = new.replay == OPPORTUNITIES
-    continues = old["replay"] == new.replay and old["message_bytes"] == new.message_bytes
+    continues = (
+        old["replay"] == new.replay
+        and old["settings"]["message_bytes"] == new.settings.message_bytes
+    )
     if not (granted and continues):
         link["granted"] = 0
     begun, waiting = int(link["granted"] > 0), int(link["waiting"])
     queued = lists[WAITING, (link["first_waiting"] + np.arange(waiting)) % room]
-    keeps = np.arange(waiting) - begun
+    keeps, queue = np.arange(waiting) - begun, new.settings.queue
     if new.spacing > 0.0 or granted:
-        surplus = keeps < waiting - begun - new.queue if new.newest else keeps >= new.queue
+        surplus = keeps < waiting - begun - queue if new.newest else keeps >= queue
         surplus &= keeps >= 0
         link["lost"][QUEUE] += surplus.sum()
         queued = queued[~surplus]

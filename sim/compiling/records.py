@@ -15,6 +15,9 @@ import numpy.typing as npt
 RecordArray = npt.NDArray[np.void]
 """A structured array, one record for each element."""
 
+Pair = Annotated[npt.NDArray[np.float64], (2,)]
+"""A vector in a record, x before y."""
+
 _T = TypeVar("_T")
 _KINDS = {float: np.float64, int: np.int64, bool: np.bool_, np.uint64: np.uint64}
 

@@ -1,5 +1,7 @@
 """The briefing of each vehicle when it joins: its own row of the scenario, and of the others only their bounds."""
 
+from typing import Any
+
 from bus.messages.base import or_none
 from bus.messages.ground import UavGround, UgvGround
 from bus.messages.links import LinkKind
@@ -23,13 +25,12 @@ def limits(vehicle: Uav | Ugv) -> Limits:
 def _error(scenario: Scenario) -> float | None:
     """The largest error of a detection [m]; None where it has no bound."""
     noise = scenario.detections.noise
-    return or_none(noise * scenario.noise_cut) if noise > 0.0 else 0.0
+    return or_none(noise * scenario.detections.cut) if noise > 0.0 else 0.0
 
 
 def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:
     """Largest true distance of a UAV from where it is told that it is, w [m]; infinite where that has no bound."""
-    wind, loop = scenario.wind.largest, uav.tracking.loop
-    return tracking_error(loop, wind, uav.own_error, scenario.dt)
+    return tracking_error(uav.tracking, scenario.wind.largest, uav.own_error, scenario.dt)
 
 
 def ugv_carries(scenario: Scenario, ugv: Ugv) -> bool:
@@ -75,9 +76,16 @@ def monitored_bounds(scenario: Scenario, uav: str) -> SafetyBounds:
     )
 
 
-def _key(scenario: Scenario, name: str, seed: int, secret: str) -> str:
-    names = [vehicle.name for vehicle in scenario.vehicles]
-    return derive_key(seed, PILOT, names.index(name), secret)
+def _common(scenario: Scenario, vehicle: Uav | Ugv, seed: int, secret: str) -> dict[str, Any]:
+    """Return the fields of `VehicleBriefing`."""
+    row = [one.name for one in scenario.vehicles].index(vehicle.name)
+    return {
+        "vehicle": vehicle.name,
+        "dt": scenario.dt,
+        "area": scenario.area,
+        "limits": limits(vehicle),
+        "key": derive_key(seed, PILOT, row, secret),
+    }
 
 
 def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> UavBriefing:
@@ -85,10 +93,7 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
     uav = {one.name: one for one in scenario.uav}[name]
     escorted = {ugv.name: ugv for ugv in scenario.ugv}[uav.escorts]
     return UavBriefing(
-        vehicle=name,
-        dt=scenario.dt,
-        area=scenario.area,
-        limits=limits(uav),
+        **_common(scenario, uav, seed, secret),
         target_limits=limits(escorted),
         visibility_radius=scenario.visibility.radius,
         sensor=scenario.sensor,
@@ -97,7 +102,7 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         law=scenario.law,
         detector=Detector(
             noise=scenario.detections.noise,
-            cut=or_none(scenario.noise_cut),
+            cut=or_none(scenario.detections.cut),
             period=scenario.detection_period * scenario.dt,
         ),
         estimator=scenario.estimator,
@@ -107,7 +112,6 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         if scenario.has_ground
         else None,
         origin=scenario.origin,
-        key=_key(scenario, name, seed, secret),
     )
 
 
@@ -115,10 +119,7 @@ def ugv_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
     """The briefing of a UGV; arguments and errors as of `briefing`."""
     ugv = {one.name: one for one in scenario.ugv}[name]
     return UgvBriefing(
-        vehicle=name,
-        dt=scenario.dt,
-        area=scenario.area,
-        limits=limits(ugv),
+        **_common(scenario, ugv, seed, secret),
         driver=ugv.driver,
         goals=ugv.goals,
         goal_tolerance=ugv.goal_tolerance,
@@ -134,7 +135,6 @@ def ugv_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         )
         if scenario.has_ground
         else None,
-        key=_key(scenario, name, seed, secret),
     )
 
 

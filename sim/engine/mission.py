@@ -6,7 +6,6 @@ No vehicle is told of any of it.
 import math
 from collections.abc import Sequence
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -191,13 +190,6 @@ def note_mission(tables: BatchTables, state: BatchState, ground: GroundState, wo
         _drive(tables, state, ground, world, n)
 
 
-def mission_numbers(mission: MissionResult) -> dict[str, float]:
-    """All of it by name, NaN for None."""
-    told = msgspec.structs.asdict(mission)
-    del told["guarantees"]
-    return {name: math.nan if value is None else value for name, value in told.items()}
-
-
 def _guarantee(row: RecordArray) -> UgvGuarantee:
     by_reason = {WAY_UNKNOWN: int(row["way_unknown"]), NO_STOP: int(row["no_stop"])}
     return UgvGuarantee(
@@ -229,6 +221,9 @@ def mission_of(
     way, ahead = float(ugvs["way"].sum()), (ground.met[world] - warned)[before]
     near = (ground.nearest[world] < NEAR_MISS) & (ground.hits[world] == 0) & blocks
     finds = kinds == FOUND
+    guarantees = {name: _guarantee(row) for name, row in zip(names, ugvs, strict=True)}
+    reported = sum(one.ticks for one in guarantees.values())
+    certified = sum(one.certified for one in guarantees.values())
     return MissionResult(
         arrived=arrived,
         mission_time=float(ugvs["arrived"].max() * dt) if arrived else None,
@@ -238,9 +233,10 @@ def mission_of(
         warned=int(before.sum()),
         warned_before=float(ahead.mean() * dt) if ahead.size else None,
         seen_ahead=float(ugvs["seen_way"].sum()) / way if way > 0.0 else None,
+        ground_certified_share=certified / reported if reported else None,
         entered_unknown_tile=int(ugvs["entered"].sum()),
         ground_certificate_broken=int(ugvs["broken"].sum()),
-        guarantees={name: _guarantee(row) for name, row in zip(names, ugvs, strict=True)},
+        guarantees=guarantees,
         still_time=float(ugvs["still"].sum() * dt),
         finds=int(finds.sum()),
         found=int((ground.found[world][finds] > 0).sum()),

@@ -11,13 +11,13 @@ import numpy as np
 
 from bus.ticks import MOST_TICKS
 from sim.compiling.compile import FloatArray, IntArray
-from sim.compiling.records import RecordArray, record_type, records
+from sim.compiling.records import Pair, RecordArray, record_type, records
 from sim.engine.briefing import monitored_bounds, ugv_carries
 from sim.models.field import cover, empty_coverage
-from sim.models.inner_loop import TrackingRecord
+from sim.models.inner_loop import Disturbance
 from sim.models.randomness import RUN_PURPOSES, WordArray
 from sim.models.sensor import SensorParameters, sensor_parameters
-from sim.models.wind import DisturbanceRow
+from sim.models.wind import DisturbanceParameters
 from sim.scenario.types import Scenario, Uav, Ugv
 
 
@@ -54,16 +54,12 @@ def world_parameters(scenario: Scenario, *, gains: bool = False) -> WorldParamet
         sensor=sensor_parameters(scenario.sensor),
         desired=float(scenario.coverage.desired),
         sigma=float(scenario.detections.noise),
-        cut=float(scenario.noise_cut),
+        cut=float(scenario.detections.cut),
         dropout=float(scenario.detections.dropout),
         period=scenario.detection_period,
         hold_ticks=round(scenario.hold / scenario.dt),
         gains=gains,
     )
-
-
-Pair = Annotated[FloatArray, (2,)]
-"""A vector in a record, x before y."""
 
 
 class Vehicle:
@@ -108,7 +104,7 @@ class Vehicle:
     distance: float
     coverage_error: float
     """Distance of a UAV to its UGV [m] and e(t) (4) with the true p_g [m²], when they were last measured."""
-    disturbance: TrackingRecord
+    disturbance: Disturbance
     """Tracking error of a UAV and its causes."""
     keys: Annotated[WordArray, (RUN_PURPOSES, 2)]
     """Keys of its random draws."""
@@ -126,7 +122,7 @@ class BatchTables(NamedTuple):
     traces: IntArray
     """Planned blackouts and recorded links of all links. Shape (any, 2)."""
     disturbances: RecordArray
-    """`DisturbanceRow` of each UAV. Shape (UAVs,); (0,) if nothing disturbs them."""
+    """`DisturbanceParameters` of each UAV. Shape (UAVs,); (0,) if nothing disturbs them."""
     goals: FloatArray
     """Goals of all UGVs [m]. Shape (any, 2)."""
     goal_rows: IntArray
@@ -194,14 +190,13 @@ def escorts_of(scenario: Scenario) -> IntArray:
 
 
 def disturbances_of(scenario: Scenario) -> RecordArray:
-    """Disturbance of each UAV beside its commands: rows of `DisturbanceRow`, shape (UAVs,), or none if nothing acts."""
+    """Return the `DisturbanceParameters` of each UAV. Shape (UAVs,); (0,) if nothing disturbs them."""
     wind, dt = scenario.wind, scenario.dt
     uavs = [one for one in scenario.vehicles if isinstance(one, Uav)] if scenario.disturbed else []
     rows = [
-        DisturbanceRow(
-            *uav.tracking.loop,
-            mean_x=wind.mean[0],
-            mean_y=wind.mean[1],
+        DisturbanceParameters(
+            loop=uav.tracking,
+            mean=wind.mean,
             gust=wind.gust,
             gust_kept=math.exp(-dt / wind.gust_time),
             limit=wind.largest,
@@ -210,7 +205,7 @@ def disturbances_of(scenario: Scenario) -> RecordArray:
         )
         for uav in uavs
     ]
-    return records(DisturbanceRow, rows)
+    return records(DisturbanceParameters, rows)
 
 
 def batch_tables(scenario: Scenario, parameters: WorldParameters, traces: IntArray) -> BatchTables:

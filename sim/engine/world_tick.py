@@ -60,10 +60,9 @@ def _move(
 def apply_disturbance(vehicle: Vehicle) -> None:
     """Apply the disturbance: true state = reference state + tracking error."""
     off = vehicle.disturbance
-    vehicle.position[0] = vehicle.reference_position[0] + off.x
-    vehicle.position[1] = vehicle.reference_position[1] + off.y
-    vehicle.velocity[0] = vehicle.reference_velocity[0] + off.v_x
-    vehicle.velocity[1] = vehicle.reference_velocity[1] + off.v_y
+    for i in range(2):
+        vehicle.position[i] = vehicle.reference_position[i] + off.error[i]
+        vehicle.velocity[i] = vehicle.reference_velocity[i] + off.error_rate[i]
 
 
 @compiled
@@ -296,7 +295,7 @@ def move(tables: BatchTables, state: BatchState, ground: GroundState | None, wor
         _be_at_reference(state.vehicles[world, v])
     for u in range(tables.disturbances.shape[0]):
         uav = state.vehicles[world, tables.escorts[u, 0]]
-        step_error(tables.disturbances[u], uav.disturbance, numbers.dt)
+        step_error(tables.disturbances[u].loop, uav.disturbance, numbers.dt)
         apply_disturbance(uav)
     _look(numbers, state, tables.escorts, world)
     _perceive(tables, state, ground, world)

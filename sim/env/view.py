@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from bus.errors import OutriderError
 from bus.messages.base import Vector
-from bus.messages.ground import HazardOutline
+from bus.messages.ground import Hazard
 from bus.plugins import needs
 from sim.compiling.compile import FloatArray, IntArray
 from sim.engine.batch import Batch
@@ -98,7 +98,7 @@ class Drawing:
 
     def __init__(self) -> None:
         self._frames: Frames | None = None
-        self._hazards: tuple[HazardOutline, ...] = ()
+        self._hazards: tuple[Hazard, ...] = ()
 
     def __getstate__(self) -> dict[str, Any]:
         """A copy draws on a canvas of its own."""

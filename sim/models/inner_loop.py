@@ -14,7 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bus.messages.base import Message, Positive
 from sim.compiling.compile import FloatArray, compiled
+from sim.compiling.records import Pair
 from sim.models.vehicles import clip_norm
 
 _ENOUGH = 1e-6
@@ -25,38 +27,32 @@ _DUST = 1e-9
 """The share by which a reserve may fall short of what is needed and still be that."""
 
 
-class InnerLoop(NamedTuple):
-    """The gains of an inner loop, and what it may use."""
+class InnerLoop(Message, frozen=True, kw_only=True):
+    """A UAV's inner loop, which holds it to its reference against wind and position errors."""
 
-    position_gain: float
-    """k_p [1/s²]."""
-    velocity_gain: float
-    """k_d [1/s]."""
-    reserve: float
-    """u_r, beyond the bound of (1) [m/s²]."""
+    position_gain: Positive = 1.0
+    """k_p: acceleration by the error of the position [1/s²]."""
+    velocity_gain: Positive = 2.0
+    """k_d: acceleration by the error of the velocity [1/s]."""
+    reserve: Positive = 0.5
+    """u_r: largest acceleration for this, beyond max_acceleration [m/s²]."""
 
 
-class TrackingRecord:
-    """The columns of a table: how each UAV is off its reference, and what acts on it in the coming tick."""
+class Disturbance:
+    """Record: tracking error of a UAV, and what acts on it in the coming tick."""
 
-    x: float
-    y: float
-    """True position less that of the reference [m]."""
-    v_x: float
-    v_y: float
-    """True velocity less that of the reference [m/s]."""
-    wind_x: float
-    wind_y: float
-    """The wind's acceleration [m/s²]."""
-    own_x: float
-    own_y: float
-    """Error of the own position as it is measured [m]."""
-    gust_x: float
-    gust_y: float
-    """The wind less its mean, before its limit [m/s²]."""
-    drift_x: float
-    drift_y: float
-    """The own position's error before its limit [m]."""
+    error: Pair
+    """True position minus reference position [m]."""
+    error_rate: Pair
+    """True velocity minus reference velocity [m/s]."""
+    wind: Pair
+    """Acceleration by the wind [m/s²]."""
+    position_error: Pair
+    """Error of the measured own position [m]."""
+    gust: Pair
+    """Wind minus its mean, before its limit [m/s²]."""
+    drift: Pair
+    """Position error before its limit [m]."""
 
 
 class Responses(NamedTuple):
@@ -69,24 +65,24 @@ class Responses(NamedTuple):
 
 
 @compiled
-def step_error(loop: InnerLoop, row: TrackingRecord, dt: float) -> None:
+def step_error(loop: InnerLoop, row: Disturbance, dt: float) -> None:
     """Advance the tracking error over a tick, exactly, as the accelerations are held over it.
 
     Args:
-        loop: Gains and reserve, or a record that has them.
+        loop: Gains and reserve.
         row: The error and its causes; changed.
         dt: Length of the tick [s].
     """
-    u_x, u_y = clip_norm(
-        -loop.position_gain * (row.x + row.own_x) - loop.velocity_gain * row.v_x,
-        -loop.position_gain * (row.y + row.own_y) - loop.velocity_gain * row.v_y,
+    off, rate, measured = row.error, row.error_rate, row.position_error
+    feedback = clip_norm(
+        -loop.position_gain * (off[0] + measured[0]) - loop.velocity_gain * rate[0],
+        -loop.position_gain * (off[1] + measured[1]) - loop.velocity_gain * rate[1],
         loop.reserve,
     )
-    a_x, a_y = u_x + row.wind_x, u_y + row.wind_y
-    row.x += (row.v_x + 0.5 * a_x * dt) * dt
-    row.y += (row.v_y + 0.5 * a_y * dt) * dt
-    row.v_x += a_x * dt
-    row.v_y += a_y * dt
+    for axis in range(2):
+        a = feedback[axis] + row.wind[axis]
+        off[axis] += (rate[axis] + 0.5 * a * dt) * dt
+        rate[axis] += a * dt
 
 
 @functools.lru_cache(maxsize=256)

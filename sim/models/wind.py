@@ -9,22 +9,19 @@ n is normal in each axis: the exact sampling of an Ornstein-Uhlenbeck process.
 import math
 from typing import NamedTuple
 
+from bus.messages.base import Vector
 from sim.compiling.compile import compiled
-from sim.models.inner_loop import TrackingRecord
+from sim.models.inner_loop import Disturbance, InnerLoop
 from sim.models.randomness import FIRST, GUST, OWN_POSITION, Key, cut_normal_vector
 from sim.models.vehicles import clip_norm
 
 
-class DisturbanceRow(NamedTuple):
-    """The columns of a table: what acts on each UAV beside its commands, and its inner loop."""
+class DisturbanceParameters(NamedTuple):
+    """What acts on a UAV beside its commands, and its inner loop."""
 
-    position_gain: float
-    velocity_gain: float
-    reserve: float
-    """As in `sim.models.inner_loop.InnerLoop`."""
-    mean_x: float
-    mean_y: float
-    """Of the wind [m/s²]."""
+    loop: InnerLoop
+    mean: Vector
+    """Mean of the wind [m/s²]."""
     gust: float
     """Standard deviation of the wind per axis [m/s²]."""
     gust_kept: float
@@ -52,7 +49,7 @@ def _drifted(
 
 
 @compiled
-def draw_disturbance(row: DisturbanceRow, state: TrackingRecord, key: Key, tick: int) -> None:
+def draw_disturbance(row: DisturbanceParameters, state: Disturbance, key: Key, tick: int) -> None:
     """Draw the wind of the coming tick, and the error of the own position in it.
 
     Args:
@@ -61,13 +58,10 @@ def draw_disturbance(row: DisturbanceRow, state: TrackingRecord, key: Key, tick:
         key: Of the draws.
         tick: The coming one.
     """
-    state.gust_x, state.gust_y = _drifted(
-        state.gust_x, state.gust_y, row.gust, row.gust_kept, key, GUST, tick
+    gust, wind, drift, error = state.gust, state.wind, state.drift, state.position_error
+    gust[0], gust[1] = _drifted(gust[0], gust[1], row.gust, row.gust_kept, key, GUST, tick)
+    wind[0], wind[1] = clip_norm(row.mean[0] + gust[0], row.mean[1] + gust[1], row.limit)
+    drift[0], drift[1] = _drifted(
+        drift[0], drift[1], 0.5 * row.own_error, row.own_kept, key, OWN_POSITION, tick
     )
-    state.wind_x, state.wind_y = clip_norm(
-        row.mean_x + state.gust_x, row.mean_y + state.gust_y, row.limit
-    )
-    state.drift_x, state.drift_y = _drifted(
-        state.drift_x, state.drift_y, 0.5 * row.own_error, row.own_kept, key, OWN_POSITION, tick
-    )
-    state.own_x, state.own_y = clip_norm(state.drift_x, state.drift_y, row.own_error)
+    error[0], error[1] = clip_norm(drift[0], drift[1], row.own_error)

@@ -8,20 +8,20 @@ from functools import lru_cache
 import msgspec
 import numpy as np
 
+from bus.messages.ground import Hazard
 from bus.registry import CAUTIONS, DRIVERS, HAZARDS, TOUCHES
 from sim.compiling.compile import FloatArray, IntArray
 from sim.input.faults import Fault, unknown_name
 from sim.models.ground import tile_index
 from sim.models.hazards import BLOCK, crosses_hazard, hazard_at
 from sim.scenario.ground_tables import (
-    corner_bounds,
     corners_of,
     ground_tables,
     hazard_rows,
     place_fields,
     stops,
 )
-from sim.scenario.types import MOST_HAZARDS, Hazard, HazardField, Scenario
+from sim.scenario.types import MOST_HAZARDS, HazardField, Scenario
 from sim.scenario.world_checks import Check
 
 _MOST_TILES = 1_000_000
@@ -150,7 +150,7 @@ def hazards_lie_in_area(scenario: Scenario) -> Iterator[Fault]:
     width, height = scenario.area.width, scenario.area.height
     allowed = f"[0, {width:g}] x [0, {height:g}] m"
     for k, hazard in enumerate(scenario.hazard):
-        low, high = corner_bounds(hazard.polygon or (hazard.center or (0.0, 0.0),))
+        low, high = hazard.bounds
         reach = hazard.radius or 0.0
         if hazard.kind == "find":
             if not (low[0] >= 0.0 and low[1] >= 0.0 and high[0] <= width and high[1] <= height):

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.messages.base import Vector
+from bus.messages.ground import Hazard
 from bus.registry import DRIVERS, HAZARDS
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray, records
@@ -15,7 +16,7 @@ from sim.models.ground import CLEAR, TileArray, fill_tiles, tile_index, tiles_sh
 from sim.models.hazard_fields import HazardFieldRow, place_hazards, work_array
 from sim.models.hazards import HazardRow
 from sim.models.randomness import Key
-from sim.scenario.types import Hazard, HazardField, Scenario, Ugv
+from sim.scenario.types import HazardField, Scenario, Ugv
 
 _WAY_BITS = 63
 """So many ways have a bit of their own; further ones have words that add up to none but with a chance of 2^-63."""
@@ -123,20 +124,9 @@ def _rows(hazards: tuple[Hazard, ...]) -> Iterator[HazardRow]:
     first = 0
     for hazard in hazards:
         kind, count, radius = HAZARDS[hazard.kind].code, len(hazard.polygon), hazard.radius or 0.0
-        if count:
-            low, high = corner_bounds(hazard.polygon)
-            x, y = 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])
-            reach = 0.5 * math.dist(low, high)
-        else:
-            (x, y), reach = hazard.center or (0.0, 0.0), radius
-        yield HazardRow(kind, hazard.speed_share, x, y, radius, reach, first, count)
+        reach = 0.5 * math.dist(*hazard.bounds) if count else radius
+        yield HazardRow(kind, hazard.speed_share, *hazard.middle, radius, reach, first, count)
         first += count
-
-
-def corner_bounds(polygon: tuple[Vector, ...]) -> tuple[Vector, Vector]:
-    """The lower and the upper corner of the rectangle around a polygon [m]."""
-    x, y = zip(*polygon, strict=True)
-    return (min(x), min(y)), (max(x), max(y))
 
 
 def stops(ugv: Ugv) -> tuple[Vector, ...]:

@@ -11,6 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from bus.messages.base import Line, Name, NonNegative, Positive, Text, Vector
+from bus.messages.ground import DEFAULT_SHARE, Hazard, SpeedShare, speed_share
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Area, Estimator, Law, Origin, Region, ScriptStep, Sensor
 from bus.registry import CAUTIONS, DEFAULT_DRIVER, HAZARDS, TOUCHES
@@ -48,8 +49,8 @@ class Detections(_Table, frozen=True, kw_only=True):
 
     noise: NonNegative = 0.0
     """Standard deviation per axis [m]."""
-    cut: NonNegative = 3.0
-    """The noise vector's norm is cut at this many standard deviations; 0 switches the cut off."""
+    cut: Bound = 3.0
+    """The noise vector's norm is cut at this many standard deviations; inf: not cut."""
     rate: Positive = 20.0
     """Looks per second [1/s]; a whole number of ticks must fit between two."""
     dropout: Share = 0.0
@@ -75,59 +76,7 @@ class Wind(_Table, frozen=True, kw_only=True):
         return most if self.limit is None or most == 0.0 else self.limit
 
 
-class Tracking(_Table, frozen=True, kw_only=True):
-    """A UAV's inner loop, which holds it to its commands' track, where wind or a wrong own position take it off."""
-
-    position_gain: Positive = 1.0
-    """Acceleration by the error of the position [1/s²]."""
-    velocity_gain: Positive = 2.0
-    """And by that of the velocity [1/s]."""
-    reserve: Positive = 0.5
-    """Largest acceleration for this, beyond max_acceleration [m/s²]."""
-
-    @property
-    def loop(self) -> InnerLoop:
-        """The same for the models."""
-        return InnerLoop(self.position_gain, self.velocity_gain, self.reserve)
-
-
-SpeedShare = Annotated[float, Meta(gt=0.0, le=1.0)]
-DEFAULT_SHARE = 0.4
-"""Of its largest speed that a vehicle keeps on rough ground where no share is given."""
-MOST_CORNERS = 1000
-SAME_CORNER = 1e-3 + 1e-9
-"""Corners of a polygon that are no farther apart than a millimetre, but for rounding, are one [m]."""
 MOST_HAZARDS = 10_000
-
-
-class Hazard(_Table, frozen=True, kw_only=True):
-    """A disc or a polygon of ground that a vehicle should know of; no vehicle is told of it."""
-
-    kind: Name
-    """A row of `bus.registry.HAZARDS`: `block`, not to be touched; `rough`, to be driven slowly; `find`, to find."""
-    center: Vector | None = None
-    """Of a disc [m]."""
-    radius: Positive | None = None
-    """Of a disc [m]."""
-    polygon: Annotated[tuple[Vector, ...], Meta(max_length=MOST_CORNERS)] = ()
-    """Instead of a disc: its corners in order round it, either way [m]. Its sides do not meet but at corners."""
-    share: SpeedShare | None = None
-    """If it is rough: of its largest speed that a vehicle keeps on it; by default 0.4."""
-
-    def __post_init__(self) -> None:
-        """Merge corners that follow each other within `SAME_CORNER`, the last and the first too."""
-        corners: list[Vector] = []
-        for corner in self.polygon:
-            if not corners or math.dist(corner, corners[-1]) > SAME_CORNER:
-                corners.append(corner)
-        while len(corners) > 1 and math.dist(corners[0], corners[-1]) <= SAME_CORNER:
-            corners.pop()
-        msgspec.structs.force_setattr(self, "polygon", tuple(corners))
-
-    @property
-    def speed_share(self) -> float:
-        """Of its largest speed that a vehicle keeps on it."""
-        return _speed_share(self.kind, self.share)
 
 
 class HazardField(_Table, frozen=True, kw_only=True):
@@ -147,13 +96,7 @@ class HazardField(_Table, frozen=True, kw_only=True):
     @property
     def speed_share(self) -> float:
         """Of its largest speed that a vehicle keeps on one."""
-        return _speed_share(self.kind, self.share)
-
-
-def _speed_share(kind: str, share: float | None) -> float:
-    if not HAZARDS[kind].slows:
-        return 1.0
-    return DEFAULT_SHARE if share is None else share
+        return speed_share(self.kind, self.share)
 
 
 class Ground(_Table, frozen=True, kw_only=True):
@@ -188,7 +131,8 @@ class Uav(_Table, frozen=True, kw_only=True):
     """Largest error of its own position [m]. The error drifts; the inner loop cannot tell it from one of its own."""
     own_error_time: Positive = 30.0
     """After this time a third of that error is left [s]."""
-    tracking: Tracking = Tracking()
+    tracking: InnerLoop = InnerLoop()
+    """Its inner loop, which holds it to its commands' track, where wind or a wrong own position take it off."""
 
 
 class Ugv(_Table, frozen=True, kw_only=True):
@@ -399,11 +343,6 @@ class Scenario(_Table, frozen=True, kw_only=True):
     def ground_period(self) -> int:
         """Ticks between two looks of a UAV at the ground."""
         return max(1, round(1.0 / (self.ground.rate * self.dt)))
-
-    @property
-    def noise_cut(self) -> float:
-        """The cut of the detection noise in standard deviations; infinite where it is switched off."""
-        return self.detections.cut or math.inf
 
 
 def switching_radius(scenario: Scenario, uav: Uav, ugv: Ugv) -> float:

@@ -22,8 +22,8 @@ _TICK = (1e-6, 1.0)
 _WIDEST = 1e6
 """Largest side of Q [m]: the messages carry no larger coordinates."""
 _LARGEST_BOUND = 1e12
-"""Largest finite bound of a vehicle that the messages carry."""
-_BOUND = re.compile(r"(uav|ugv)\.\d+\.(max_speed|max_acceleration)")
+"""Largest finite bound that the messages carry."""
+_BOUND = re.compile(r"(uav|ugv)\.\d+\.(max_speed|max_acceleration)|detections\.cut")
 _ROUNDING = 1e-12
 
 
@@ -56,7 +56,7 @@ def _floats(value: object, path: str) -> Iterator[tuple[str, float]]:
 
 
 def numbers_are_finite(scenario: Scenario) -> Iterator[Fault]:
-    """NaN nowhere, infinity only as a vehicle's bound: the types' own bounds let both pass."""
+    """NaN nowhere, infinity only where a bound is missing: the types' own bounds let both pass."""
     for path, value in _floats(scenario, ""):
         bound = _BOUND.fullmatch(path) is not None
         allowed = f"numbers up to {_LARGEST_BOUND:g}, or inf" if bound else "finite numbers"
@@ -249,7 +249,7 @@ def inner_loops_hold(scenario: Scenario) -> Iterator[Fault]:
     $k_d dt < 2$ and $k_p dt < 2 k_d$, by Jury's criterion.
     """
     for k, uav in enumerate(scenario.uav):
-        path, loop, wind = f"uav.{k}.tracking", uav.tracking.loop, scenario.wind.largest
+        path, loop, wind = f"uav.{k}.tracking", uav.tracking, scenario.wind.largest
         k_p, k_d = loop.position_gain, loop.velocity_gain
         if wind == 0.0 and uav.own_error == 0.0:
             continue

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.path import Path
 
-from bus.messages.ground import GroundMap, HazardOutline
+from bus.messages.ground import GroundMap, Hazard
 from sim.scene.colors import FAINT, HAZARDS, INK, LIMIT, TILES, rgb
 from sim.scene.told_tiles import HIT, KNOWN, UNKNOWN
 
@@ -24,10 +24,10 @@ _FOUND: dict[str, Any] = {"color": HAZARDS["find"], "markeredgecolor": INK}
 _NOT_FOUND: dict[str, Any] = {"color": "white", "markeredgecolor": HAZARDS["find"]}
 
 
-def _outline(hazard: HazardOutline) -> Path:
-    if hazard.corners:
-        return Path([*hazard.corners, hazard.corners[0]], closed=True)
-    return Path.circle(hazard.center, hazard.radius)
+def _outline(hazard: Hazard) -> Path:
+    if hazard.polygon:
+        return Path([*hazard.polygon, hazard.polygon[0]], closed=True)
+    return Path.circle(hazard.middle, hazard.radius or 0.0)
 
 
 class DrawnGround:
@@ -41,7 +41,7 @@ class DrawnGround:
     def __init__(self, axes: Axes, ground: GroundMap) -> None:
         self._kinds = [hazard.kind for hazard in ground.hazards]
         self._outlines = [_outline(hazard) for hazard in ground.hazards]
-        self._centers = np.array([one.center for one in ground.hazards]).reshape(-1, 2)
+        self._centers = np.array([one.middle for one in ground.hazards]).reshape(-1, 2)
         width, height = ground.columns * ground.tile, ground.rows * ground.tile
         self._veil = axes.imshow(
             np.zeros((1, 1, 4)),

@@ -6,7 +6,7 @@ from types import MappingProxyType
 import numpy as np
 
 from bus.messages.base import Vector
-from bus.messages.ground import GroundMap, HazardOutline
+from bus.messages.ground import GroundMap, Hazard
 from bus.registry import HAZARDS
 from sim.models.ground import UNSEEN
 from sim.models.hazards import FOUND
@@ -20,25 +20,22 @@ _NO_ROUTES: Mapping[str, tuple[Vector, ...]] = MappingProxyType({})
 _KINDS = {row.code: name for name, row in HAZARDS.items()}
 
 
-def hazards_of(world: World) -> tuple[HazardOutline, ...]:
+def hazards_of(world: World) -> tuple[Hazard, ...]:
     """The hazards of a world, those of the scenario and those that were drawn for this flight."""
     ground = world.ground
     if ground is None:
         return ()
-    rows = ground.hazards[0]
-    found = []
-    for row in rows[rows["kind"] > 0]:
-        first, count = int(row["first"]), int(row["corners"])
-        corners = ground.corners[first : first + count].tolist()
-        found.append(
-            HazardOutline(
-                kind=_KINDS[int(row["kind"])],
-                center=(float(row["x"]), float(row["y"])),
-                radius=float(row["radius"]),
-                corners=tuple((x, y) for x, y in corners),
-            )
+    given = world.scenario.hazard
+    drawn = ground.hazards[0, len(given) :]
+    return *given, *(
+        Hazard(
+            kind=_KINDS[int(row["kind"])],
+            center=(float(row["x"]), float(row["y"])),
+            radius=float(row["radius"]),
+            share=float(row["share"]),
         )
-    return tuple(found)
+        for row in drawn[drawn["kind"] > 0]
+    )
 
 
 def _ahead(route: tuple[Vector, ...], place: Vector) -> tuple[Vector, ...]:
@@ -53,7 +50,7 @@ def _ahead(route: tuple[Vector, ...], place: Vector) -> tuple[Vector, ...]:
 
 def ground_map(
     world: World,
-    hazards: tuple[HazardOutline, ...] | None = None,
+    hazards: tuple[Hazard, ...] | None = None,
     routes: Mapping[str, tuple[Vector, ...]] = _NO_ROUTES,
 ) -> GroundMap | None:
     """The ground of a world as it is shown now; None where it has no hazards.

@@ -11,7 +11,7 @@ import msgspec
 
 from bus.messages.base import Vector
 from bus.messages.control import Action, Change, Control
-from bus.messages.ground import TILE_LETTERS, GroundBlock
+from bus.messages.ground import GroundBlock
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Law
 from bus.messages.telemetry import EscortTruth, Status, Truth, VehicleTruth
@@ -20,16 +20,14 @@ from bus.messages.vehicle import (
     Command,
     Drive,
     Observation,
-    RelativeInformation,
     UavCommand,
     UgvCommand,
 )
-from bus.ticks import radio_ticks, tick_of
 from sim.compiling.compile import FloatArray
-from sim.models.ground import UNSEEN
 from sim.scenario.types import NO_UAV, Scenario, Uav
 from sim.server.answers import Answers
 from sim.server.perception import News, Perception, UavPerception, UgvPerception
+from sim.server.radio import Radio
 from sim.server.recorder import Recorder
 from sim.world import World
 
@@ -113,13 +111,8 @@ class Flight:
         self._stopped = self._abandoned = False
         self._ticks = scenario.ticks
         self._uav_row = {uav.name: k for k, uav in enumerate(self.world.uavs)}
-        self._grounded = scenario.has_ground
-        self._radio_ticks = radio_ticks(self.world.parameters.dt)
-        self._radioed: dict[str, int | None] = dict.fromkeys(self._uav_row)
-        self.refused_radio: dict[str, int] = dict.fromkeys(self._uav_row, 0)
-        """Radio messages of each UAV that were not sent: of another time, too soon after the last one, or of ground of
-        which its sensor has not told that.
-        """
+        self.radio = Radio(self.world)
+        """Sends what the UAVs radio."""
         self._listened = -1
 
     @property
@@ -273,55 +266,12 @@ class Flight:
                 continue
             world.send(k, command.tick, command.acceleration, command.motions)
             if isinstance(command, UavCommand):
-                if command.radio or command.blocks:
-                    self._send_radio(k, name, command)
+                self.radio.send(k, command)
             elif command.route is not None:
                 self.routes[name] = command.route
         tick = world.tick
         world.advance()
         self._answers.note(tick, commands, self.law.name)
-
-    def _send_radio(self, vehicle: int, name: str, command: UavCommand) -> None:
-        """Let what a UAV radios set out, as far as the simulator knows it for the truth."""
-        for message in command.radio:
-            self._set_out(name, self._due(name, command.tick, message))
-        for block in command.blocks:
-            self._set_out(name, self._told_block(vehicle, block))
-
-    def _set_out(self, uav: str, message: RelativeInformation | GroundBlock | None) -> None:
-        if message is None:
-            self.refused_radio[uav] += 1
-        else:  # it arrives at the next tick at the earliest
-            tick, links = self.world.tick, self.world.links
-            links.send_object(links.row(LinkKind.RADIO, uav), tick + 1, message, tick)
-
-    def _due(self, uav: str, tick: int, message: RelativeInformation) -> RelativeInformation | None:
-        """A message with the time of the tick that its command answers; None: of another, or too soon after the last.
-
-        The stamp may be off by rounding, and carries nothing by that.
-        """
-        dt, last = self.world.parameters.dt, self._radioed[uav]
-        time = tick * dt
-        if message.time != time or not tick:  # where the sign of a zero would do
-            if tick_of(message.time, dt) != tick:
-                return None
-            message = msgspec.structs.replace(message, time=time)
-        if last is not None and tick < last + self._radio_ticks:
-            return None
-        self._radioed[uav] = tick
-        return message
-
-    def _told_block(self, vehicle: int, block: GroundBlock) -> GroundBlock | None:
-        """A block with all that the UAV's own sensor has told of its tiles, whatever the UAV leaves out; or None.
-
-        So the states carry nothing else, and neither do blocks of which nothing is known, or beyond the area.
-        """
-        if not self._grounded:
-            return None
-        unseen = TILE_LETTERS[UNSEEN]
-        known = self.world.known_block(vehicle, block.row, block.column)
-        told = all(said in (unseen, true) for said, true in zip(block.tiles, known, strict=True))
-        return msgspec.structs.replace(block, tiles=known) if told and known.strip(unseen) else None
 
     def take_down(self) -> None:
         """Settle the answers to the tick before and record this one; again at the same tick it changes nothing.

@@ -94,6 +94,21 @@ class Perception(ABC):
             for tick, (x, y, v_x, v_y) in enumerate(told.tolist(), begin)
         )
 
+    def _common(
+        self, tick: int, motion: tuple[Vector, Vector], *, known: bool, over: bool
+    ) -> dict[str, Any]:
+        """Return the fields of `VehicleObservation`; arguments as of `_observation`."""
+        return {
+            "tick": tick,
+            "time": tick * self._dt,
+            "position": motion[0],
+            "velocity": motion[1],
+            "ground": self._ground.get(tick, ()) if known else (),
+            "flown": self._world.flown(self.row) if tick == self._world.tick else None,
+            "over": over,
+            "episode": self._episode,
+        }
+
     @abstractmethod
     def _observation(
         self,
@@ -140,18 +155,8 @@ class UavPerception(Perception):
         over: bool = False,
     ) -> UavObservation:
         news = self.news.get(tick, _NO_NEWS)
-        return UavObservation(
-            tick=tick,
-            time=tick * self._dt,
-            position=motion[0],
-            velocity=motion[1],
-            detections=arrived,
-            ground=self._ground.get(tick, ()) if known else (),
-            flown=self._world.flown(self.row) if tick == self._world.tick else None,
-            law=news.law,
-            over=over,
-            episode=self._episode,
-        )
+        common = self._common(tick, motion, known=known, over=over)
+        return UavObservation(**common, detections=arrived, law=news.law)
 
 
 class UgvPerception(Perception):
@@ -197,16 +202,9 @@ class UgvPerception(Perception):
     ) -> UgvObservation:
         news = self.news.get(tick, _NO_NEWS)
         return UgvObservation(
-            tick=tick,
-            time=tick * self._dt,
-            position=motion[0],
-            velocity=motion[1],
+            **self._common(tick, motion, known=known, over=over),
             radio=arrived,
             blocks=self.blocks.get(tick, ()) if known else (),
-            ground=self._ground.get(tick, ()) if known else (),
             operator=news.operator if known else (),
             driver=news.driver,
-            flown=self._world.flown(self.row) if tick == self._world.tick else None,
-            over=over,
-            episode=self._episode,
         )

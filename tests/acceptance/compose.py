@@ -623,8 +623,9 @@ class Checks:
         for scenario in ("minefield", "rubble", "rescue"):
             flown = self.docker.flown(OUTRIDER_SCENARIO=scenario)
             same_flight(flown, self.docker.reference(scenario=scenario))
-            expect(flown["hazards_hit"] == 0, f"{scenario}: {flown['hazards_hit']} hazards hit")
-            when = f"after {flown['mission_time']:.0f} s" if flown["arrived"] else "not in time"
+            mission = flown["mission"]
+            expect(mission["hazards_hit"] == 0, f"{scenario}: {mission['hazards_hit']} hazards hit")
+            when = f"after {mission['mission_time']:.0f} s" if mission["arrived"] else "not in time"
             told.append(f"{scenario}: no hazard hit, arrived {when}")
         return f"the same bits; {'; '.join(told)}"
 

@@ -6,6 +6,13 @@ import { colorOfVehicle } from "./legends.js";
 const HATCH = 7; // between two lines on rough ground [px]
 const [UNKNOWN, HIT] = [0, 2]; // states of a hazard; 1: a UGV knows of it
 
+// The centre of the rectangle around a polygon.
+const middle = (corners) =>
+  [0, 1].map((axis) => {
+    const values = corners.map((corner) => corner[axis]);
+    return (Math.min(...values) + Math.max(...values)) / 2;
+  });
+
 export class Hazards {
   constructor(store) {
     this.store = store;
@@ -51,9 +58,10 @@ export class Hazards {
     c.setLineDash([]);
   }
 
-  drawOne(c, { X, Y, scale }, { kind, center, radius, corners }, state) {
+  drawOne(c, { X, Y, scale }, { kind, center, radius, polygon }, state) {
     const { colors } = this.store;
-    const [x, y] = [X(center[0]), Y(center[1])];
+    const place = center ?? middle(polygon);
+    const [x, y] = [X(place[0]), Y(place[1])];
     const color = colors.hazards[kind];
     if (kind === "find") {
       star(c, x, y, 8);
@@ -66,7 +74,7 @@ export class Hazards {
     }
     c.globalAlpha = state === UNKNOWN ? colors.faint : 1;
     c.beginPath();
-    if (corners.length) for (const corner of corners) c.lineTo(X(corner[0]), Y(corner[1]));
+    if (polygon.length) for (const corner of polygon) c.lineTo(X(corner[0]), Y(corner[1]));
     else c.arc(x, y, radius * scale, 0, 2 * Math.PI);
     c.closePath();
     c.fillStyle = state === HIT ? colors.limit : kind === "rough" ? this.hatch(c, color) : color;

@@ -14,6 +14,7 @@ from gymnasium.vector import SyncVectorEnv
 from gymnasium.vector.utils import batch_space
 
 import outrider
+from bus.messages.ground import Hazard
 from outrider.envs.env_pilots import pilots
 from outrider.envs.worlds import Worlds
 from outrider_learning.learned import LearnedPolicy, make_view
@@ -24,7 +25,6 @@ from processes import loaded_by
 from refusals import refused
 from sim.models.ground import CLEAR
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Hazard
 from tabular import words
 from worlds import raw
 

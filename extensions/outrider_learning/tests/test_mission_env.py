@@ -16,6 +16,7 @@ import pytest
 import outrider
 from agents.drivers.policy import PolicyDriver
 from bus.errors import ScenarioError
+from bus.messages.ground import Hazard
 from bus.messages.telemetry import MissionResult
 from bus.messages.vehicle import UgvCommand, UgvObservation
 from flights import Piloted
@@ -32,7 +33,7 @@ from sim.env.observation import one_of_world
 from sim.models.ground import CLEAR, OUTSIDE, UNSEEN
 from sim.models.hazards import BLOCK, ROUGH
 from sim.scenario.loading import load_scenario, shipped_text
-from sim.scenario.types import Hazard, Scenario
+from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 from worlds import equal, small
 

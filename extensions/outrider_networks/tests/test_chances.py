@@ -61,7 +61,7 @@ def outcomes(
     """Every pattern of messages that get through, one a tick, with its chance: bursts are summed over by hand."""
     p = link_parameters(link, DT)
     turn = np.array([[1.0 - p.bad_enter, p.bad_enter], [1.0 - p.bad_stay, p.bad_stay]])
-    through = (1.0 - dropout) * (1.0 - p.loss) * np.array([1.0, 1.0 - p.burst_loss])
+    through = (1.0 - dropout) * (1.0 - link.loss) * np.array([1.0, 1.0 - link.burst_loss])
     found = []
     for pattern in itertools.product((False, True), repeat=ticks):
         states = np.array([1.0 - p.bad_share, p.bad_share])
@@ -352,13 +352,13 @@ def test_bounds_share_the_risk_equally() -> None:
     looks = LOOKS | {"ticks": one.ticks}
     assert both["certificate.age"] == smallest_age(detections, **looks, risk=5e-4).value
     assert both["certificate.outage"] == smallest_outage(commands, **packets, risk=5e-4).value
-    uncut = bounds_for(scenario("detections.cut=0"), 1.5e-3).set
+    uncut = bounds_for(scenario("detections.cut=inf"), 1.5e-3).set
     assert uncut["certificate.age"] == both["certificate.age"]
     assert uncut["certificate.error"] == smallest_error(0.1, math.inf, one.ticks, 5e-4)
 
 
 def test_with_the_bounds_of_a_risk_a_run_meets_it() -> None:
-    links = ["links.commands.loss=0.1", "detections.cut=0"]
+    links = ["links.commands.loss=0.1", "detections.cut=inf"]
     found = bounds_for(scenario(*links), 1e-2).set
     declared = scenario(*links, *(f"{field}={value!r}" for field, value in found.items()))
     chances = exceedance(declared)
@@ -379,7 +379,7 @@ def test_a_risk_that_no_bound_meets_is_refused() -> None:
         "links.commands.blackouts=[[5.0,3.0]]",
         "links.detections.blackouts=[[30.0,20.0]]",
         "certificate.age=60.0",
-        "detections.cut=0",
+        "detections.cut=inf",
     ],
 )
 def test_where_another_assumption_is_broken_no_loss_probability_is_known(broken: str) -> None:

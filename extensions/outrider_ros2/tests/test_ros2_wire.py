@@ -144,7 +144,7 @@ def test_coverage_is_a_grid_in_percent():
 def test_hazards_are_markers_that_keep_their_number_and_are_told_once():
     outlines = [
         {"kind": "block", "center": [1.0, 2.0], "radius": 0.5},
-        {"kind": "rough", "corners": [[0, 0], [1, 0], [1, 1], [0, 1]]},
+        {"kind": "rough", "polygon": [[0, 0], [1, 0], [1, 1], [0, 1]]},
     ]
     told = msgspec.convert(
         {

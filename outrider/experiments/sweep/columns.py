@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from outrider.running.metrics import LINK, LINK_COLUMNS, columns, total
+from outrider.running.metrics import LINK, LINK_COLUMNS, MISSION, columns, total
 from outrider.running.summary import Summary
 
 FIRST = {
@@ -37,7 +37,10 @@ def row_of(summary: Summary, seconds: float) -> dict[str, Any]:
         summary: Of the run.
         seconds: Its wall time [s].
     """
-    row: dict[str, Any] = {name: getattr(summary, name, None) for name in RESULTS}
+    row: dict[str, Any] = {
+        name: getattr(summary.mission if name in MISSION else summary, name, None)
+        for name in RESULTS
+    }
     farthest = summary.max_distance
     return row | {
         **_link_columns(summary),

@@ -166,12 +166,12 @@ def _paint_hazards(canvas: Canvas, window: _Window, ground: GroundMap) -> None:
     """Draws the hazards: those that the UGVs do not know faint."""
     for hazard, state in zip(ground.hazards, ground.states, strict=True):
         color = LIMIT if state == HIT else (HAZARDS if state else UNKNOWN)[hazard.kind]
-        if hazard.corners:
-            corners = [window.dot(corner) for corner in hazard.corners]
+        if hazard.polygon:
+            corners = [window.dot(corner) for corner in hazard.polygon]
             for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
                 canvas.line(*start, *end, color)
         elif hazard.kind != "find":
-            canvas.circle(*window.dot(hazard.center), hazard.radius / window.scale, color)
+            canvas.circle(*window.dot(hazard.middle), (hazard.radius or 0.0) / window.scale, color)
 
 
 def _mark_hazards(canvas: Canvas, window: _Window, ground: GroundMap) -> None:
@@ -179,9 +179,9 @@ def _mark_hazards(canvas: Canvas, window: _Window, ground: GroundMap) -> None:
     for hazard, state in zip(ground.hazards, ground.states, strict=True):
         if hazard.kind == "find":
             color = (HAZARDS if state else UNKNOWN)[hazard.kind]
-            canvas.letter(*window.dot(hazard.center), "★" if state else "☆", color)
+            canvas.letter(*window.dot(hazard.middle), "★" if state else "☆", color)
         elif state == HIT:
-            canvas.letter(*window.dot(hazard.center), "✗", LIMIT)
+            canvas.letter(*window.dot(hazard.middle), "✗", LIMIT)
 
 
 def _paint_area(canvas: Canvas, window: _Window, scene: Scene) -> None:
