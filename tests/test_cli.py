@@ -274,7 +274,7 @@ def test_credentials_are_made_once_and_each_party_gets_its_own(here, command) ->
 
 
 def test_a_password_may_come_from_the_environment(here, command, monkeypatch):
-    from bus.access import read_credential
+    from bus.credentials import read_credential
     from bus.errors import ScenarioError
     from bus.keys import Role
     from outrider.cli.options import credential_of

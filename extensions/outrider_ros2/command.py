@@ -245,7 +245,7 @@ def _follow(session: "Session", observer: "RosObserver", stop: Stop) -> bool:
 
 def _role_of(name: str, credentials: Path | None) -> Role:
     """The kind of vehicle, by its credentials; without them by how its name begins."""
-    from bus.access import read_credential
+    from bus.credentials import read_credential
 
     kinds = (Role.UAV, Role.UGV)
     if credentials is not None:

@@ -33,7 +33,7 @@ from outrider_falsify.limits import SearchLimits, base_of, beyond_declared, need
 from outrider_falsify.pool import Workers
 from processes import OUTRIDER, PIPES
 from sim.scenario.checks import check_scenario
-from sim.scenario.loading import load_scenario
+from sim.scenario.loading import load_scenario, shipped_text
 from sim.scenario.resolved import as_toml
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
@@ -352,3 +352,12 @@ def test_ctrl_c_keeps_the_best(tmp_path: Path) -> None:
     told = json.loads(out)
     assert told["violations"] > 0
     assert (tmp_path / told["scenario"]).exists()
+
+
+def test_a_search_asks_before_it_loads_code_of_a_file(here, command) -> None:
+    (here / "theirs.py").write_text("from pathlib import Path\nPath('loaded').touch()\n")
+    text = shipped_text("escort").replace('driver = "waypoints"', 'driver = "policy"')
+    (here / "theirs.toml").write_text(f'{text}\n[custom]\npolicy = "theirs:policy"\n')
+    refused = command("falsify", "theirs.toml")
+    assert (refused.returncode, "--allow-code" in refused.stderr) == (2, True)
+    assert not (here / "loaded").exists()

@@ -14,7 +14,7 @@ import zenoh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.access import new_credentials
+from bus.credentials import new_credentials
 from bus.keys import CONTROL, COVERAGE, OPERATOR, SAMPLED_TRUTH, STATUS
 from bus.messages.control import Action, Control
 from bus.messages.scenario import Limits
