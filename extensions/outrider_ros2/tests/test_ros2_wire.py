@@ -14,9 +14,9 @@ from bus.messages.ground import GroundMap
 from bus.messages.links import LinkStatus
 from bus.messages.telemetry import CoverageMap, VehicleStatus
 from outrider.running.refused import Refused
-from outrider_ros2.conversion import PathTrack, RunView
 from outrider_ros2.interfaces import decode, encode, make, type_hash
 from outrider_ros2.roles import PILOT
+from outrider_ros2.run_view import PathTrack, RunView
 from outrider_ros2.topics import PILOT_COMMANDS, PILOT_TOPICS, TOPICS, messages_of, wire_topic
 from outrider_ros2.wire import (
     LATCHED,
