@@ -79,6 +79,6 @@ def endpoint(tmp_path: Path) -> str:
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A refused client shows it by trying in vain; here not for long."""
-    from bus import session
+    from bus import joining
 
-    monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", 600)
+    monkeypatch.setitem(joining._CLIENT, "connect/timeout_ms", 600)

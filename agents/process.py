@@ -11,13 +11,14 @@ import msgspec
 from agents.control.orbit import Path
 from agents.control.weighting import Weighting
 from agents.drivers.policy import Policy
-from bus.access import Credential
+from bus.credentials import Credential
 from bus.errors import BusError, PeerLost, ScenarioError
+from bus.joining import open_session
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, SIMULATOR_NAME, Party, Role
 from bus.messages.vehicle import Command, UavBriefing, UavObservation, UgvBriefing, UgvObservation
 from bus.presence import Presence
 from bus.registry import DEFAULT_DRIVER, TELEOP
-from bus.session import Envelope, Outbox, Session, open_session
+from bus.session import Envelope, Outbox, Session
 
 if TYPE_CHECKING:
     from agents.laws.policy import UavPolicy

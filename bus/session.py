@@ -1,94 +1,40 @@
-"""Opening, closing, joining and leaving: with its queues the only place that speaks Zenoh."""
+"""One process on the bus: with its queues and its joining the only place that speaks Zenoh."""
 
-import json
 import logging
-import os
-import resource
 import threading
-import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import zenoh
 
-from bus.access import ROUTER_FILE, Credential, CredentialSet, client_settings, router_settings
-from bus.certificates import Identity, check_identity, expiry_warning, find_fault
-from bus.errors import AccessDenied, BusError
+from bus.errors import AccessDenied
 from bus.keys import (
-    KEYS,
     PLACES,
     Delivery,
     Key,
     Party,
     Role,
     check_reads,
-    check_run_name,
     check_writes,
-    largest_payloads,
-    read_by,
     slot_token,
     token,
     token_owner,
-    written_by,
 )
-from bus.locator import UNIX, Locator, check_endpoint
 from bus.queues import WAKE_PERIOD, Envelope, Inbox, Outbox
 
-__all__ = ["Envelope", "Inbox", "Outbox", "Session", "open_session"]
+__all__ = ["Envelope", "Inbox", "Outbox", "Session"]
 
 _LOG = logging.getLogger("outrider.bus")
 _ROOM = 256
 """Messages that wait in an inbox before their writers must."""
-_LARGE = 1 << 20
-"""Payloads [bytes] that router and clients let through at least: keys of extensions may carry so much."""
 _LOOK = 2.0
 """The longest time for which a session looks which places of its party are taken [s]."""
-_OPENED_IN: set[int] = set()
-"""Process ids of this process and of those that it was forked from, if they have opened a session."""
-_PROBED = ("tcp", "tls", "ws", UNIX)
-"""Protocols of which a plain connection shows whether a router listens."""
-_PROBE = 0.05
-"""Interval at which a client looks whether its router listens [s]."""
-_HEADER = 4096
-"""Room for a message's frame beside its payload [bytes]."""
-
-_COMMON: dict[str, Any] = {
-    "scouting/multicast/enabled": False,
-    "scouting/gossip/enabled": False,
-    "scouting/delay": 0,
-    "transport/shared_memory/enabled": False,
-    "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,
-}
-_CLIENT: dict[str, Any] = {
-    "mode": "client",
-    "connect/timeout_ms": 10_000,
-    "connect/exit_on_failure": True,
-    "connect/retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 2},
-    "transport/link/tx/lease": 1000,
-    "transport/unicast/open_timeout": 3000,
-}
-_ROUTER: dict[str, Any] = {
-    "mode": "router",
-    "listen/exit_on_failure": True,
-    # Who connects and says nothing must not keep others out: by default 100 of these do so for 10 s.
-    "transport/unicast/accept_pending": 2000,
-    "transport/unicast/accept_timeout": 2000,
-    "transport/unicast/max_sessions": 1000,
-}
-
-
-def _config(settings: Mapping[str, Any]) -> zenoh.Config:
-    config = zenoh.Config()
-    for path, value in settings.items():
-        config.insert_json5(path, json.dumps(value))
-    return config
 
 
 class Session:
     """One process on the bus, in one run.
 
-    Use `open_session`.
+    Use `bus.joining.open_session`.
     """
 
     def __init__(
@@ -281,223 +227,3 @@ class Session:
         self._kept.append(
             self._zenoh.liveliness().declare_subscriber(expression, see, history=True)
         )
-
-
-def _reason(error: zenoh.ZError) -> str:
-    """Zenoh's reason without the place in its source."""
-    return str(error).splitlines()[0].rpartition(" at /")[0] or str(error)
-
-
-def _received(largest: int) -> dict[str, Any]:
-    """Drops larger messages before their fragments are put together."""
-    return {"transport/link/rx/max_message_size": largest + _HEADER}
-
-
-def _dropped(run: str) -> dict[str, Any]:
-    """Drops payloads that are larger than their key allows before anybody's inbox keeps them."""
-    return {
-        "low_pass_filter": [
-            {
-                "id": f"largest-{size}",
-                "flows": ["ingress"],
-                "messages": ["put", "delete", "query", "reply"],
-                "key_exprs": list(expressions),
-                "size_limit": size,
-            }
-            for size, expressions in largest_payloads(run).items()
-        ]
-    }
-
-
-def _allow_open_files() -> None:
-    """As many open files as this user may have.
-
-    Each connection is one, and 1,024 of those who say nothing keep others out.
-    """
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if soft != hard:
-        with suppress(OSError, ValueError):
-            resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
-
-
-def _open_router(
-    listen: tuple[str, ...], party: Party, run: str, given: CredentialSet | None
-) -> zenoh.Session:
-    _allow_open_files()
-    largest = max(_LARGE, *(key.largest for key in KEYS if key.writer is not party.role))
-    with router_settings(given) as access:
-        settings = (
-            _COMMON
-            | _ROUTER
-            | _received(largest)
-            | _dropped(run)
-            | access
-            | {"listen/endpoints": list(listen)}
-        )
-        try:
-            return zenoh.open(_config(settings))
-        except zenoh.ZError as error:
-            raise BusError(f"cannot listen on {', '.join(listen)}: {_reason(error)}") from error
-
-
-def _explained(
-    endpoint: str, credential: Credential, identity: Identity, error: BusError
-) -> BusError:
-    """Names the fault that keeps a certificate from a router; all that Zenoh says is that it could not connect."""
-    found = Locator.of(endpoint)
-    try:
-        fault = find_fault(found.host, int(found.port), identity)
-    except OSError:
-        return error
-    return AccessDenied(
-        f"the router at {endpoint} {fault or 'refuses this process'} (as {credential.name})"
-    )
-
-
-def _check_protocol(endpoints: tuple[str, ...], *, certified: bool) -> None:
-    """Refuse what could not work, or would send in the clear.
-
-    Raises:
-        AccessDenied: If an endpoint and the credentials do not fit together.
-    """
-    for endpoint in endpoints:
-        if certified and not endpoint.startswith("tls/"):
-            raise AccessDenied(
-                f"endpoint {endpoint}: these credentials are certificates, so it must begin with tls/"
-            )
-        if endpoint.startswith("tls/") and not certified:
-            raise AccessDenied(
-                f"endpoint {endpoint}: needs certificates; `outrider credentials --tls` makes them"
-            )
-
-
-def _check_certificate(identity: Identity, name: str) -> None:
-    warning = expiry_warning(name, check_identity(identity, name))
-    if warning:
-        _LOG.warning("%s", warning)
-
-
-def _await_router(router: Locator, endpoint: str, join_timeout: float) -> None:
-    """Wait until the router accepts connections. A signal ends this wait; in Zenoh's own it would be ignored.
-
-    Raises:
-        BusError: If it does not do so in time.
-    """
-    limit = time.monotonic() + join_timeout
-    while fault := router.connection_fault():
-        if time.monotonic() >= limit:
-            raise BusError(f"no router at {endpoint} within {join_timeout:g} s: {fault}")
-        time.sleep(_PROBE)
-
-
-def _open_client(
-    connect: str, party: Party, credential: Credential | None, join_timeout: float | None
-) -> zenoh.Session:
-    router = Locator.of(connect)
-    limit = _CLIENT["connect/timeout_ms"]
-    if join_timeout is not None:
-        wanted = round(1000.0 * join_timeout)
-        if router.protocol in _PROBED:
-            _await_router(router, connect, join_timeout)
-            # A router that is there refuses this process for good, or is crowded for a while.
-            limit = min(wanted, limit)
-        else:
-            limit = wanted
-    largest = max((_LARGE, *(key.largest for key in (*read_by(party), *written_by(party)))))
-    settings = _COMMON | _CLIENT | _received(largest) | client_settings(credential)
-    settings |= {"connect/endpoints": [connect], "connect/timeout_ms": limit}
-    try:
-        return zenoh.open(_config(settings))
-    except zenoh.ZError as error:
-        missing = f"no router at {connect} within {limit / 1000.0:g} s"
-        if router.protocol not in _PROBED:
-            raise BusError(f"{missing} ({_reason(error)})") from error
-        fault = router.connection_fault()
-        if fault:
-            raise BusError(f"{missing}: {fault}") from error
-        if credential is not None and credential.tls is not None:
-            raise _explained(connect, credential, credential.tls, BusError(missing)) from error
-        who = (
-            "without credentials"
-            if credential is None
-            else f"as {credential.name}: is the password the run's, and is it a router?"
-        )
-        raise AccessDenied(f"{connect} accepts connections, but not this process {who}") from error
-
-
-def _refuse_fork() -> None:
-    """Refuse a forked process whose parent has had a session: Zenoh would wait for ever for threads of the parent.
-
-    Raises:
-        BusError: If this is one.
-    """
-    if _OPENED_IN - {os.getpid()}:
-        raise BusError(
-            "a forked process cannot open a session on the bus after its parent has opened one; allowed: a process "
-            "that is started otherwise, such as by multiprocessing.get_context('spawn')"
-        )
-    _OPENED_IN.add(os.getpid())
-
-
-@contextmanager
-def open_session(
-    party: Party,
-    run: str,
-    *,
-    connect: str = "",
-    listen: tuple[str, ...] = (),
-    credential: Credential | None = None,
-    given: CredentialSet | None = None,
-    join_timeout: float | None = None,
-) -> Iterator[Session]:
-    """Join the bus.
-
-    Args:
-        party: Who this process is.
-        run: Name of the run.
-        connect: Endpoint of the router, such as `tcp/127.0.0.1:7447`; then this process is its client.
-        listen: Endpoints to listen on; then this process is the router.
-        credential: By what a client is known.
-        given: By what a router knows its clients; None lets everybody in to everything.
-        join_timeout: Time for which a client tries to reach a router that is away [s]; None: 10 s. A router that
-            refuses the client is tried for 10 s at most.
-
-    Raises:
-        ValueError: If the run's name cannot be part of a key.
-        ScenarioError: If an endpoint is not one, or its host has no address.
-        BusError: If the router cannot be reached, an endpoint cannot be listened on, or this process was forked from
-            one that has opened a session.
-        AccessDenied: If the router does not know the credential, or it does not fit the endpoint, or its
-            certificate is not good.
-    """
-    check_run_name(run)
-    if credential is not None and credential.party != party:
-        raise AccessDenied(
-            f"{party.name} ({party.role}) cannot use the credentials of {credential.name} ({credential.role})"
-        )
-    if listen:
-        name, identity = ROUTER_FILE, None if given is None else given.tls
-    else:
-        name, identity = party.name, None if credential is None else credential.tls
-    _check_protocol(listen or (connect,), certified=identity is not None)
-    for endpoint in listen or (connect,):
-        check_endpoint(endpoint)
-    _refuse_fork()
-    if identity is not None:
-        _check_certificate(identity, name)
-    opened = (
-        _open_router(listen, party, run, given)
-        if listen
-        else _open_client(connect, party, credential, join_timeout)
-    )
-    session = Session(opened, party, run, hosts=bool(listen))
-    if listen and given is not None and given.tls is not None:
-        session.report_unknown_certificates(frozenset(one.name for one in given.parties))
-    try:
-        yield session
-    finally:
-        session.close()
-        try:
-            opened.close()  # type: ignore[no-untyped-call]
-        except zenoh.ZError as error:  # what was to be said has been said
-            _LOG.warning("the session did not close in time: %s", str(error).partition(" at /")[0])

@@ -11,11 +11,12 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from bus.access import read_credential
+from bus.credentials import read_credential
+from bus.joining import open_session
 from bus.keys import CONTROL, STATUS, Role
 from bus.messages.control import Action, Control
 from bus.messages.telemetry import Status
-from bus.session import Session, open_session
+from bus.session import Session
 from outrider.running import launch
 from outrider.running.flying import fly
 from outrider.running.parent import Output

@@ -7,9 +7,10 @@ from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from pathlib import Path
 
-from bus.access import new_credentials, read_credential, write_credentials
+from bus.credentials import new_credentials, read_credential, write_credentials
+from bus.joining import open_session
 from bus.keys import CONTROL
-from bus.session import Session, open_session
+from bus.session import Session
 from processes import fly_to, free_port, started, wait_until
 
 SECONDS = 200.0

@@ -19,10 +19,12 @@ import zenoh
 from agents import process
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
-from bus import session
-from bus.access import Credential, CredentialSet, client_settings, new_credentials
+from bus import joining
+from bus.access import client_settings
+from bus.credentials import Credential, CredentialSet, new_credentials
+from bus.joining import open_session
 from bus.keys import BRIEFING, COMMAND, CONTROL, OBSERVATION, STATUS
-from bus.session import Session, open_session
+from bus.session import Session
 from outrider.running.flying import fly
 from processes import status_in, wait_until
 from sim.scenario.loading import load_scenario
@@ -220,8 +222,8 @@ def stage(folder, ticks, *, scenario=None, is_open=False, **options):
 def raw_session(endpoint: str, credential: Credential | None, **settings: Any) -> zenoh.Session:
     """A session that asks nobody's leave and does not say whose it is."""
     own = {name.replace("__", "/"): value for name, value in settings.items()}
-    known = session._COMMON | session._CLIENT | client_settings(credential)
-    return zenoh.open(session._config(known | {"connect/endpoints": [endpoint]} | own))
+    known = joining._COMMON | joining._CLIENT | client_settings(credential)
+    return zenoh.open(joining._config(known | {"connect/endpoints": [endpoint]} | own))
 
 
 @contextmanager

@@ -15,19 +15,20 @@ import pytest
 import zenoh
 
 from bus import access
-from bus.access import (
+from bus.access import access_control, grants
+from bus.certificates import new_authority
+from bus.credentials import (
     Credential,
     CredentialSet,
-    access_control,
-    grants,
+    give_folder,
     new_certificates,
     new_credentials,
     read_credential,
     read_credentials,
     write_credentials,
 )
-from bus.certificates import new_authority
 from bus.errors import AccessDenied
+from bus.joining import open_session
 from bus.keys import (
     KEYS,
     PLACES,
@@ -38,7 +39,7 @@ from bus.keys import (
     check_writes,
     token,
 )
-from bus.session import Session, open_session
+from bus.session import Session
 from outrider.running.child import child_environment
 from processes import free_port
 from staging import Received, everybody, hosted, listening, raw_session, settled
@@ -373,7 +374,7 @@ def test_links_are_not_followed_where_credentials_are_given_away(tmp_path: Path)
     assert victim.read_text() == "mine"
     (tmp_path / "link").symlink_to(folder)
     with pytest.raises(OSError, match=r"Not a directory|symbolic"):
-        access.give_folder(tmp_path / "link", (os.geteuid(), os.getegid()))
+        give_folder(tmp_path / "link", (os.geteuid(), os.getegid()))
 
 
 def test_no_process_of_a_vehicle_inherits_the_pages_token_or_the_users_credentials(

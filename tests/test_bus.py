@@ -9,6 +9,7 @@ import pytest
 import zenoh
 
 from bus.errors import AccessDenied
+from bus.joining import open_session
 from bus.keys import (
     COVERAGE,
     KEYS,
@@ -27,7 +28,7 @@ from bus.keys import (
 )
 from bus.messages.base import Message
 from bus.messages.vehicle import UavCommand, UgvCommand
-from bus.session import Envelope, Session, open_session
+from bus.session import Envelope, Session
 from mutations import real_messages
 from processes import python
 
@@ -224,7 +225,7 @@ FORKED = """
 import multiprocessing, sys
 from bus.errors import BusError
 from bus.keys import Party, Role
-from bus.session import open_session
+from bus.joining import open_session
 
 def join(told):
     try:

@@ -14,8 +14,16 @@ import pytest
 pytest.importorskip("cryptography", reason="the extra [tls] is not installed")
 import zenoh
 
-from bus import session
-from bus.access import (
+from bus import joining
+from bus.certificates import (
+    Identity,
+    check_identity,
+    expiry_warning,
+    hosts_of,
+    issue,
+    new_authority,
+)
+from bus.credentials import (
     Credential,
     CredentialSet,
     new_certificates,
@@ -25,18 +33,11 @@ from bus.access import (
     replace_credentials,
     write_credentials,
 )
-from bus.certificates import (
-    Identity,
-    check_identity,
-    expiry_warning,
-    hosts_of,
-    issue,
-    new_authority,
-)
 from bus.errors import AccessDenied
+from bus.joining import open_session
 from bus.keys import COMMAND, Role
 from bus.messages.vehicle import UavCommand
-from bus.session import open_session
+from bus.session import Session
 from processes import free_port
 from staging import client_of, hosted, raw_session
 from tabular import rows
@@ -139,7 +140,7 @@ def test_who_is_not_of_the_run_is_refused_by_the_router_and_told_why(
         "a router's certificate": known_as(identity(hosts=("127.0.0.1",))),
         "expired": known_as(identity(days=-0.5)),
     }[kind]
-    monkeypatch.setattr(session, "_check_certificate", lambda *_: None)  # here the router is asked
+    monkeypatch.setattr(joining, "_check_certificate", lambda *_: None)  # here the router is asked
     with hosted(endpoint, GIVEN):
         with pytest.raises(zenoh.ZError):
             raw_session(endpoint, credential)
@@ -154,7 +155,7 @@ def test_a_client_trusts_nobody_but_its_router(endpoint, monkeypatch):
     assert "has a certificate that is not for '127.0.0.2'" in told
     assert "`outrider credentials --tls --router HOST`" in told
     thief = CredentialSet(run=RUN, parties=GIVEN.parties, tls=GIVEN.of("ugv_0").tls)
-    monkeypatch.setattr(session, "_check_certificate", lambda *_: None)
+    monkeypatch.setattr(joining, "_check_certificate", lambda *_: None)
     with hosted(endpoint, thief):
         assert "is not a router's" in refusal(endpoint, UAV)
 
@@ -170,7 +171,7 @@ def test_certificates_and_unencrypted_endpoints_do_not_go_together() -> None:
         pass
 
 
-def passes(router: session.Session, client: session.Session) -> bool:
+def passes(router: Session, client: Session) -> bool:
     """Whether a command of the UAV arrives."""
     inbox = router.inbox_of_all({"uav_0": COMMAND[Role.UAV]})
     outbox = client.outbox(COMMAND[Role.UAV], "uav_0")
@@ -206,7 +207,7 @@ def test_certificates_are_renewed_while_the_router_goes_on(endpoint, monkeypatch
 
     The old one is refused then, a new one is let in.
     """
-    monkeypatch.setattr(session, "_check_certificate", lambda *_: None)
+    monkeypatch.setattr(joining, "_check_certificate", lambda *_: None)
     seconds = 3.0
     ends = time.monotonic() + seconds
     old = known_as(identity(days=seconds / 86400))

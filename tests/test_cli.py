@@ -104,14 +104,16 @@ scenario to show | scenarios show circel | circle
 falsify, unknown law | falsify --law fancy | law.name = "fancy"
 falsify, no runs | falsify --runs 0 | --runs
 falsify, no time | falsify --minutes 0 | --minutes
-falsify, negative limit | falsify --max-delay -1 | --max-delay
-falsify, all is lost | falsify --max-loss 1.5 | --max-loss
-falsify, undegraded with noise | falsify --undegraded --noise 0.1 | --undegraded
-falsify, nothing to promise | falsify --law certified --max-blackout 60 | nothing can be certified within
+falsify, negative limit | falsify --limit delay=-1 | --limit delay=-1: out of range; allowed: 0 to 30
+falsify, all is lost | falsify --limit loss=1.5 | allowed: 0 to 0.99
+falsify, undegraded with noise | falsify --limit none --limit noise=0.1 | --limit none
+falsify, unknown limit | falsify --limit los=0.1 | allowed: delay, loss
+falsify, limit without a number | falsify --limit loss | loss=NUMBER
+falsify, nothing to promise | falsify --law certified --limit blackout=60 | nothing can be certified within
 falsify, several pairs | falsify pairs.toml | 2 UAVs and 2 UGVs
 falsify, control of another law | falsify --control tracking --law linear | --control
 falsify, engine of another law | falsify --law linear --engine attack | --engine
-falsify, error not in the grid | falsify --law certified --eps 0.4 | allowed: 0, 0.3
+falsify, error not in the grid | falsify --law certified --error 0.4 | allowed: 0, 0.3
 falsify, no whole tick | falsify --duration 0.07 | duration = 0.07
 falsify, a folder | falsify --out . | is a folder
 sweep, unknown law | sweep escort --law fancy | law.name = "fancy"
@@ -274,7 +276,7 @@ def test_credentials_are_made_once_and_each_party_gets_its_own(here, command) ->
 
 
 def test_a_password_may_come_from_the_environment(here, command, monkeypatch):
-    from bus.access import read_credential
+    from bus.credentials import read_credential
     from bus.errors import ScenarioError
     from bus.keys import Role
     from outrider.cli.options import credential_of

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bus import session
+from bus import joining
 from bus.errors import AccessDenied
 from bus.keys import PLACES
 from processes import free_port
@@ -21,8 +21,8 @@ def test_a_client_joins_beside_connections_that_say_nothing_or_nonsense(
     without: str, zenohs_own: int, patience: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Room for many and patience with none each suffice; with neither it takes 10 s."""
-    monkeypatch.setitem(session._ROUTER, f"transport/unicast/{without}", zenohs_own)
-    monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", patience)
+    monkeypatch.setitem(joining._ROUTER, f"transport/unicast/{without}", zenohs_own)
+    monkeypatch.setitem(joining._CLIENT, "connect/timeout_ms", patience)
     port = free_port()
     endpoint = f"tcp/127.0.0.1:{port}"
     with ExitStack() as stack:

@@ -25,12 +25,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from bus.joining import open_session
 from bus.keys import CONTROL, OPERATOR, SAMPLED_TRUTH, STATUS, Party, Role
 from bus.messages.control import Action, Control
 from bus.messages.scenario import Area
 from bus.messages.telemetry import Geometry, Status, Truth, VehicleStatus, VehicleTruth
 from bus.messages.vehicle import Drive
-from bus.session import Session, open_session
+from bus.session import Session
 from outrider.view.terminal.canvas import Canvas
 from outrider.view.terminal.palette import BACKGROUND
 from outrider.view.terminal.panel import ErrorCurve, banner, numbers

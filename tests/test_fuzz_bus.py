@@ -14,7 +14,8 @@ import msgspec
 import pytest
 import zenoh
 
-from bus import session
+from bus import joining
+from bus.joining import open_session
 from bus.keys import (
     CONTROL,
     OPERATOR,
@@ -28,7 +29,7 @@ from bus.keys import (
     Role,
 )
 from bus.messages.vehicle import UavCommand, UgvCommand
-from bus.session import Inbox, Session, open_session
+from bus.session import Inbox, Session
 from mutations import REFUSALS, mutated
 from staging import stage
 
@@ -106,8 +107,8 @@ def wire(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Wire]:
     """A busy machine may stop the reader for longer than a writer waits, or a link lives: here no message is lost."""
     patience, lease = "queue/congestion_control/block/wait_before_close", "lease"
     for settings, name, value in (
-        (session._COMMON, patience, 20_000_000),  # [µs]
-        (session._CLIENT, lease, 20_000),  # [ms]
+        (joining._COMMON, patience, 20_000_000),  # [µs]
+        (joining._CLIENT, lease, 20_000),  # [ms]
     ):
         assert f"transport/link/tx/{name}" in settings
         monkeypatch.setitem(settings, f"transport/link/tx/{name}", value)

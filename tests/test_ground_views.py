@@ -163,13 +163,6 @@ def test_every_view_draws_the_route(planned, tmp_path: Path) -> None:
     drawn = Map(Figure().add_subplot(), scene_of(flight.scenario), hazards=ground)
     (line,) = [one for one in drawn.artists if getattr(one, "is_dashed", lambda: False)()]
     assert line.get_xydata().tolist() == [list(corner) for corner in ground.routes["ugv_0"]]
-    Hub = pytest.importorskip("outrider_dashboard.hub", exc_type=ImportError).Hub
-    Tape = pytest.importorskip("outrider_dashboard.sources.tape").Tape
-    hub = Hub(Tape(flight_of(path), 1.0, lambda: 0.0))
-    hub.source.wind(6.0)  # type: ignore[attr-defined]
-    hub.take_in()
-    frame = msgspec.json.decode(hub.frame(hub.welcome("127.0.0.1")))
-    assert frame["ground"]["routes"] == {"ugv_0": [list(one) for one in ground.routes["ugv_0"]]}
     recording, shown = flight_of(path), []
     *_, status = statuses(recording.path, flight=0)
     status = msgspec.structs.replace(status, geometry=geometry_of(flight.scenario))
@@ -252,21 +245,6 @@ def test_a_film_shows_hazards_faint_then_strong_and_red_where_one_was_hit(flown)
     first, last = Film(flight_of(path)).frames([0.0, 40.0])
     assert count(last, HAZARDS["block"]) > count(first, HAZARDS["block"])
     assert count(last, LIMIT) > count(first, LIMIT) + 200
-
-
-def test_the_page_is_given_the_ground_as_the_tape_goes_on(flown) -> None:
-    Hub = pytest.importorskip("outrider_dashboard.hub", exc_type=ImportError).Hub
-    Tape = pytest.importorskip("outrider_dashboard.sources.tape").Tape
-    hub = Hub(Tape(flight_of(flown[0]), 1.0, lambda: 0.0))
-    hub.take_in()
-    browser = hub.welcome("127.0.0.1")
-    frame = msgspec.json.decode(hub.frame(browser))
-    assert len(frame["ground"]["hazards"]) == len(HAZARDOUS)
-    assert "ground" not in msgspec.json.decode(hub.frame(browser))
-    hub.source.wind(40.0)  # type: ignore[attr-defined]
-    hub.take_in()
-    frame = msgspec.json.decode(hub.frame(browser))
-    assert (frame["ground"]["tick"], frame["status"]["mission"]["hazards_hit"]) == (800, 1)
 
 
 def test_the_terminal_marks_what_was_hit_and_what_was_found(flown) -> None:

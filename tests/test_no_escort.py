@@ -21,7 +21,7 @@ from outrider.experiments.sweep.columns import row_of
 from outrider.experiments.sweep.definition import Block, Sweep
 from outrider.experiments.sweep.plan import lay_out
 from outrider.experiments.sweep.running import cost_of
-from outrider.recording.reader import flight_of
+from outrider.recording.reader import flight_of, statuses
 from outrider.recording.refly import refly
 from outrider.running.flying import fly
 from outrider.running.resolve import resolve
@@ -103,12 +103,8 @@ def test_every_view_shows_a_ugv_alone(flown) -> None:
     recording = flight_of(path)
     frame = next(iter(Film(recording).frames([10.0])))
     assert frame.std() > 0.0
-    Hub = pytest.importorskip("outrider_dashboard.hub", exc_type=ImportError).Hub
-    Tape = pytest.importorskip("outrider_dashboard.sources.tape").Tape
-    hub = Hub(Tape(recording, 1.0, lambda: 0.0))
-    hub.take_in()
-    assert [vehicle.name for vehicle in hub._scene.vehicles] == ["ugv_0"]
-    status = msgspec.structs.replace(hub.status, geometry=geometry_of(alone()))
+    *_, status = statuses(path, flight=0)
+    status = msgspec.structs.replace(status, geometry=geometry_of(alone()))
     view = DriveView(status=status, truth=flight.truth())
     canvas = draw(view, "ugv_0", Trails(), width=60, height=20, wide=True)
     assert any(segment.text.strip() for row in range(20) for segment in canvas.row(row))

@@ -13,16 +13,9 @@ from bus.messages.links import LinkSettings
 from bus.observations import SYMBOLS
 from outrider.cli.main import COMMANDS
 from outrider.running.metrics import TABLES
-from outrider_fmi import variables
-from outrider_ros2.topics import PILOT_COMMANDS, PILOT_TOPICS, TOPICS
 from pages import PAGES
 from sim.scenario.loading import scenario_names
 from sim.scenario.types import Scenario
-
-pytest.importorskip("outrider_learning", reason="the pages show extensions, too")
-for _library in ("rosbags", "xxhash", "fmpy"):
-    pytest.importorskip(_library, reason="a page shows what needs it")
-
 
 GENERATORS = Path(__file__).resolve().parent.parent / "docs" / "generators"
 
@@ -38,7 +31,7 @@ def test_every_command_has_its_section_with_an_example_and_no_option_without_a_w
     sections = dict(
         part.split("\n", 1) for part in ("\n" + generator.page()).split("\n## outrider ")[1:]
     )
-    assert set(sections) >= {*COMMANDS, "suite", "scenarios show"}
+    assert set(sections) >= {*COMMANDS, "scenarios show"}
     for name, text in sections.items():
         assert f"```sh\noutrider {name}" in text
         rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| `")]
@@ -86,18 +79,6 @@ def test_every_field_of_a_scenario_is_told_in_its_table(generator: ModuleType) -
     ]
 
 
-@pytest.mark.parametrize("generator", ["ros2_topics"], indirect=True)
-def test_every_topic_of_ros_2_is_told_with_its_type(generator: ModuleType) -> None:
-    for rows, text in (
-        (TOPICS, generator.observed()),
-        ((*PILOT_TOPICS, *PILOT_COMMANDS), generator.own()),
-    ):
-        lines = text.splitlines()[2:]
-        assert len(lines) == len(rows)
-        for row, line in zip(rows, lines, strict=True):
-            assert f"{row.name}` | `{row.interface}` | " in line
-
-
 @pytest.mark.parametrize("generator", ["observations"], indirect=True)
 def test_every_entry_of_an_observation_is_on_a_page(generator: ModuleType) -> None:
     marks = {mark for page in PAGES.values() for mark in re.findall(r"<!-- generated: (\w+)", page)}
@@ -109,13 +90,3 @@ def test_every_entry_of_an_observation_is_on_a_page(generator: ModuleType) -> No
             assert line.startswith(f"| {k} | `{entry.name}` | {entry.meaning} | ")
     symbols = generator.symbols()
     assert all(f"| `{name}` | {meaning} |" in symbols for name, meaning in SYMBOLS.items())
-
-
-@pytest.mark.parametrize("generator", ["fmi_variables"], indirect=True)
-def test_every_variable_of_a_unit_is_told_with_its_unit(generator: ModuleType) -> None:
-    text = generator.pilots() + generator.world() + generator.driver()
-    tables = [rows for rows in vars(variables).values() if isinstance(rows, tuple)]
-    assert len(tables) >= 8
-    for one in {one for rows in tables for one in rows}:
-        unit = f"Float64, {one.unit}" if one.unit else "Boolean"
-        assert f"{one.name}` | {unit} | {one.about} |" in text

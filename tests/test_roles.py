@@ -3,7 +3,8 @@
 import pytest
 
 from bus import plugins, roles
-from bus.access import access_control, grants, new_credentials
+from bus.access import access_control, grants
+from bus.credentials import new_credentials
 from bus.errors import AccessDenied, ScenarioError
 from bus.keys import OBSERVER_NAME, STATUS, UAV_OBSERVATION, Grant, Party, Role, check_reads
 from bus.roles import Roles, check_roles, own_grants, party_of

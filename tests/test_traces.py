@@ -1,4 +1,4 @@
-"""Recorded links: what becomes of each message, against plain Python; the same bits everywhere; bad files; the fit."""
+"""Recorded links: what becomes of each message, against plain Python; the same bits everywhere; bad files."""
 
 import json
 import math
@@ -9,8 +9,6 @@ import msgspec
 import numpy as np
 import pytest
 
-pytest.importorskip("outrider_networks", reason="links are fitted by it")
-
 from bus.errors import ScenarioError
 from bus.messages.links import LinkKind, LinkSettings
 from bus.profiles import PROFILES
@@ -19,8 +17,6 @@ from one_link import OneLink
 from outrider.running import link_assumptions
 from outrider.running.assumptions import promise_warnings
 from outrider.running.flying import fly
-from outrider_networks.fitting import fit_link
-from outrider_networks.samples import drawn_sample
 from processes import outrider, run_json
 from refusals import SMALL, refusal
 from seeded import a_key
@@ -33,7 +29,6 @@ from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable
 from sim.server.flight import Flight
 from sim.world import World
-from tabular import words
 from worlds import step
 
 DT = 0.05
@@ -494,98 +489,3 @@ def test_it_is_told_how_often_a_recording_breaks_the_declared_assumptions(tmp_pa
         assert len(told) == 1
         assert f"links.{kind}.trace" in told[0]
         assert f"in {share} of the ticks of a round" in told[0]
-
-
-def written(settings: LinkSettings, interval: float) -> RecordedLink:
-    """Messages over a drawn link, as a table."""
-    sample = drawn_sample(settings, interval)
-    rows = [
-        f"{k * interval:.4f},{'lost' if math.isnan(took) else f'{took:.5f}'}"
-        for k, took in enumerate(sample.delay.tolist())
-    ]
-    return a_trace("sent,delay\n" + "\n".join(rows))
-
-
-FEW = "outrider_networks.samples._MESSAGES", 500
-"""For fits of which it is not asked which profile comes nearest."""
-
-
-def test_the_fit_finds_the_settings_of_a_drawn_link_and_its_profile() -> None:
-    poor = PROFILES["wifi-poor"]
-    fit, _ = fit_link(written(poor, 0.05))
-    assert fit.nearest == "wifi-poor"
-    assert fit.factor < 1.1 < fit.profiles["lte"]
-    found = fit.settings
-    assert found.jitter_shape == "pareto"
-    for field, within in (
-        ("delay", 0.1),
-        ("jitter", 0.1),
-        ("loss", 0.2),
-        ("burst_length", 0.2),
-        ("burst_interval", 0.2),
-        ("burst_loss", 0.1),
-    ):
-        assert getattr(found, field) == pytest.approx(getattr(poor, field), rel=within), field
-    assert check_link(found, "fit") == found
-    assert 'jitter_shape = "pareto"' in fit.toml
-
-
-def test_the_fit_tells_blackouts_and_lonely_losses_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    wanted = LinkSettings(
-        delay=0.1, jitter=0.02, jitter_shape="normal", jitter_cut=0.1, loss=0.02,
-        blackout_length=0.4, blackout_interval=20.0,
-    )  # fmt: skip
-    recorded = written(wanted, 0.04)
-    monkeypatch.setattr(*FEW)
-    found = fit_link(recorded)[0].settings
-    assert found.jitter_shape == "normal"
-    assert found.burst_length == 0.0
-    for field, within in (
-        ("delay", 0.05),
-        ("jitter", 0.1),
-        ("loss", 0.2),
-        ("blackout_length", 0.05),
-        ("blackout_interval", 0.5),  # three standard deviations: there are only some forty
-    ):
-        assert getattr(found, field) == pytest.approx(getattr(wanted, field), rel=within), field
-
-
-def test_the_fit_finds_an_outage_between_opportunities() -> None:
-    times = [time for time in range(1, 30_001) if not 15_000 < time < 16_000]
-    fit, _ = fit_link(a_trace("\n".join(map(str, times))))
-    assert fit.settings.blackout_length == 1.0
-    assert fit.settings.blackout_interval == pytest.approx(29.0)
-    assert fit.factor < 1.5
-    assert fit.lost > 0.0  # a full queue drops messages, as in a run
-
-
-def test_a_profile_that_comes_nearer_than_the_fit_is_named(monkeypatch) -> None:
-    odd = LinkSettings(delay=0.05, reorder=0.3, reorder_delay=1.0)
-    monkeypatch.setattr("outrider_networks.fitting.PROFILES", {"odd": odd})
-    fit, _ = fit_link(written(odd, 0.05))
-    assert fit.profiles["odd"] < fit.factor
-    assert any("the profile odd comes nearer" in note for note in fit.notes)
-
-
-def test_the_fit_of_a_steady_link_is_its_delay_and_nothing_else(monkeypatch) -> None:
-    monkeypatch.setattr(*FEW)
-    steady = fit_link(a_trace("sent,delay\n0,0.25\n0.1,0.25\n0.2,0.25\n"))[0]
-    assert steady.settings == LinkSettings(delay=0.25)
-
-
-def test_the_command_fits_a_mahimahi_file_and_draws_it(here, command, monkeypatch) -> None:
-    monkeypatch.setattr(*FEW)
-    (here / "drive").write_text("\n".join(str(k * k) for k in range(1, 60)))
-    told = command(*words("network fit drive --message-bytes 90 --out fit.png --json"))
-    assert told.returncode == 0, told.stderr
-    fit = json.loads(told.stdout)
-    assert fit["lost"] == 0.0
-    assert fit["delay"]["most"] < 0.119
-    assert "Mbit/s on average; longest time without an opportunity 117 ms" in fit["notes"][-1]
-    assert (here / "fit.png").read_bytes().startswith(b"\x89PNG")
-    (here / "drive").write_text("sent,delay\n0,lost\n")
-    told = command("network", "fit", "drive")
-    assert told.returncode == 2
-    assert told.stderr == (
-        "outrider: drive: no message arrives; allowed: a recording with one that does\n"
-    )

@@ -4,9 +4,8 @@ import shlex
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -15,124 +14,34 @@ from bus.plugins import require
 from bus.registry import LAWS
 from outrider.cli.options import AllowCode, Json, ScenarioName, Set
 from outrider.cli.stopping import stop_on_signals
+from outrider_falsify import options
 
 if TYPE_CHECKING:
     from outrider_falsify.engines import Found, Wanted
+    from outrider_falsify.limits import SearchLimits
+    from sim.scenario.types import Scenario
 
 _MINUTES = 1.0
-_FLIGHT, _ATTACK = 60.0, 200.0
-"""The length of a run by default [s]."""
-_DELAY, _COMMAND_DELAY, _LOSS, _BLACKOUT = 1.0, 0.5, 0.3, 5.0
-"""The limits by default [s], [s], share, [s]."""
 _LINE = 10.0
 """The time between two lines of progress without a terminal [s]; one more comes at the first violation."""
 
 
-Expect = Literal["none", "some"]
-"""The violations that are expected; the exit code tells whether it is so."""
-
-
-class ControlGuard(StrEnum):
-    """Guards that are known to be wrong."""
-
-    TRACKING = "tracking"
-    ARGMIN = "argmin"
-    PAPER_RADIUS = "paper-radius"
-    SWITCHING = "switching"
-
-
 def command(
     scenario: ScenarioName = "escort",
-    law: Annotated[
-        str | None, typer.Option("--law", help="The law to be broken, instead of the scenario's.")
-    ] = None,
-    undegraded: Annotated[
-        bool,
-        typer.Option(
-            "--undegraded",
-            help="No noise and a perfect network: the UGV's motion and the start alone.",
-        ),
-    ] = False,
-    runs: Annotated[
-        int | None, typer.Option(help="How many runs; the same seed finds the same.", min=1)
-    ] = None,
-    minutes: Annotated[
-        float | None, typer.Option(help="For how long; 1 minute by default.", min=0.01)
-    ] = None,
-    max_delay: Annotated[
-        float | None,
-        typer.Option(
-            help=f"Of a detection, jitter and all, in s; {_DELAY:g} by default.", min=0.0, max=30.0
-        ),
-    ] = None,
-    max_loss: Annotated[
-        float | None,
-        typer.Option(
-            help=f"Share of detections that are lost; {_LOSS:g} by default.", min=0.0, max=0.99
-        ),
-    ] = None,
-    max_blackout: Annotated[
-        float | None,
-        typer.Option(
-            help=f"Of the detections, in s; {_BLACKOUT:g} by default.", min=0.0, max=1000.0
-        ),
-    ] = None,
-    max_command_delay: Annotated[
-        float | None,
-        typer.Option(
-            help=f"Of the UAV's commands, in s; {_COMMAND_DELAY:g} by default.", min=0.0, max=30.0
-        ),
-    ] = None,
-    noise: Annotated[
-        float | None,
-        typer.Option(
-            help="Of the detections: standard deviation per axis in m; the scenario's by default.",
-            min=0.0,
-            max=100.0,
-        ),
-    ] = None,
-    duration: Annotated[
-        float | None,
-        typer.Option(
-            help=f"Of a run in s; {_FLIGHT:g} by default, {_ATTACK:g} for the attack.", min=0.05
-        ),
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Of the search.", min=0, max=2**53 - 1)] = 1,
-    jobs: Annotated[
-        int | None, typer.Option(help="Worker processes; one a core by default.", min=1, max=1024)
-    ] = None,
-    first: Annotated[
-        bool, typer.Option("--first", help="End with the first violation, not with the budget.")
-    ] = False,
-    expect: Annotated[
-        Expect | None,
-        typer.Option(help="Exit with 1 if violations are found (none), or if none is (some)."),
-    ] = None,
-    engine: Annotated[
-        Literal["flights", "attack"] | None,
-        typer.Option(
-            help="For the law certified: whole flights alone, or the compiled attack alone."
-        ),
-    ] = None,
-    control: Annotated[
-        ControlGuard | None,
-        typer.Option(
-            help="Attack a guard that is known to be wrong in the place of the filter, to see that it is caught."
-        ),
-    ] = None,
-    eps: Annotated[
-        float | None,
-        typer.Option(help="For the attack: only this largest error of a detection, in m."),
-    ] = None,
+    law: options.Law = None,
+    limit: options.Limit = None,
+    runs: options.Runs = None,
+    minutes: options.Minutes = None,
+    duration: options.Duration = None,
+    seed: options.Seed = 1,
+    jobs: options.Jobs = None,
+    expect: options.Expected = None,
+    engine: options.OneEngine = None,
+    control: options.Control = None,
+    error: options.Error = None,
     changes: Set = None,
     allow_code: AllowCode = False,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Where the counterexample goes; counterexample-LAW.toml by default.",
-        ),
-    ] = None,
+    out: options.Out = None,
     json: Json = False,
 ) -> None:
     """Search for a run in which the UAV loses sight of its UGV.
@@ -153,20 +62,14 @@ def command(
     The exit code is 0 whatever is found, unless --expect says otherwise; 130 after Ctrl-C, which keeps the best.
     Needs the extra [falsify].
 
-    Example: outrider falsify --law switching --undegraded
+    Example: outrider falsify --law switching --limit none
     """
-    from outrider.cli.console import print_warnings
     from outrider.running.resolve import resolve
     from outrider.running.user_code import check_code, check_own_functions
     from outrider_falsify.engines import Wanted
-    from outrider_falsify.limits import SearchLimits, base_of, beyond_declared
+    from outrider_falsify.limits import SearchLimits
     from sim.compiling.threads import cores
 
-    limits_given = (max_delay, max_loss, max_blackout, max_command_delay, noise)
-    if undegraded and any(given is not None for given in limits_given):
-        raise typer.BadParameter(
-            "--undegraded allows no --noise and no --max-...: leave one of them out"
-        )
     if control is not None and (law not in (None, "certified") or engine == "flights"):
         raise typer.BadParameter(
             "--control stands in the place of the law certified in the attack; leave --law and --engine out"
@@ -174,59 +77,60 @@ def command(
     flown, named = resolve(
         scenario,
         law="certified" if control is not None else law,
-        duration=_FLIGHT if duration is None else duration,
+        duration=options.FLIGHT if duration is None else duration,
         changes=changes,
     )
     check_code(flown, named, source=scenario, allowed=allow_code)
     check_own_functions(flown)
     certified = LAWS[flown.law.name].watched
-    if (engine is not None or eps is not None) and not certified:
-        raise typer.BadParameter("--engine and --eps are for the law certified")
+    if (engine is not None or error is not None) and not certified:
+        raise typer.BadParameter("--engine and --error are for the law certified")
     flies = control is None and engine != "attack"
     attacks = certified and (control is not None or engine != "flights")
-    limits = SearchLimits()
-    if not undegraded:
-        limits = SearchLimits(
-            delay=_DELAY if max_delay is None else max_delay,
-            loss=_LOSS if max_loss is None else max_loss,
-            blackout=_BLACKOUT if max_blackout is None else max_blackout,
-            command_delay=_COMMAND_DELAY if max_command_delay is None else max_command_delay,
-            noise=flown.detections.noise if noise is None else noise,
-        )
-    raised: tuple[str, ...] = ()
-    if attacks and eps is not None:
-        from outrider_falsify.attack_grid import EPS
-
-        if eps not in EPS:
-            raise typer.BadParameter(
-                f"--eps {eps:g}: not in the attack's grid; allowed: {', '.join(f'{e:g}' for e in EPS)}"
-            )
-    if flies:
-        require("falsify")
-        given, flown = flown, base_of(flown, limits)
-        if flown.hold > given.hold:
-            raised = (
-                f"hold = {given.hold:g} s is raised to {flown.hold:g} s, the latest command that the limits allow",
-            )
+    limits = SearchLimits(**options.limits_of(limit, flown.detections.noise))
+    if attacks:
+        _check_error(error)
     _check_out(out)
     wanted = Wanted(
-        base=flown,
+        base=_base(flown, limits) if flies else flown,
         limits=limits,
         flies=flies,
         attacks=attacks,
         runs=runs,
         minutes=_MINUTES if runs is None and minutes is None else minutes,
-        attack_duration=duration or _ATTACK,
+        attack_duration=duration or options.ATTACK,
         seed=seed,
         jobs=jobs or cores(),
-        first=first,
         control=None if control is None else str(control),
-        eps=eps,
+        eps=error,
         out=out,
     )
-    if flies:
-        print_warnings((*raised, *beyond_declared(flown, limits)))
     _search(wanted, expect, json=json)
+
+
+def _check_error(error: float | None) -> None:
+    """Refuse an error that the attack does not try."""
+    from outrider_falsify.attack_grid import EPS
+
+    if error is not None and error not in EPS:
+        allowed = ", ".join(f"{one:g}" for one in EPS)
+        raise typer.BadParameter(f"--error {error:g}: not in the attack's grid; allowed: {allowed}")
+
+
+def _base(given: "Scenario", limits: "SearchLimits") -> "Scenario":
+    """Return the scenario that every flight starts from; warn of what the limits change or exceed in it."""
+    from outrider.cli.console import print_warnings
+    from outrider_falsify.limits import base_of, beyond_declared
+
+    require("falsify")
+    base = base_of(given, limits)
+    raised: tuple[str, ...] = ()
+    if base.hold > given.hold:
+        raised = (
+            f"hold = {given.hold:g} s is raised to {base.hold:g} s, the latest command that the limits allow",
+        )
+    print_warnings((*raised, *beyond_declared(base, limits)))
+    return base
 
 
 def _check_out(out: Path | None) -> None:
@@ -238,7 +142,7 @@ def _check_out(out: Path | None) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
 
 
-def _search(wanted: "Wanted", expect: Expect | None, *, json: bool) -> None:
+def _search(wanted: "Wanted", expect: options.Expected, *, json: bool) -> None:
     from outrider.cli.console import ERR, OUT, print_json
     from outrider_falsify.engines import Found, save, search
 
@@ -301,9 +205,10 @@ _KINDS = "place, what breaks A5'"
 
 
 def _lines(found: "Found") -> Iterator[str]:
+    """Tell what was found."""
     from outrider.running.user_code import foreign_code
 
-    wanted, flights, attacks = found.wanted, found.flights, found.attacks
+    wanted = found.wanted
     law = (
         wanted.base.law.name
         if wanted.control is None
@@ -312,45 +217,8 @@ def _lines(found: "Found") -> Iterator[str]:
     rate = found.runs / found.seconds if found.seconds > 0.0 else 0.0
     much = f"{found.runs:,} runs in {found.seconds:.1f} s, {rate:.1f} runs/s"
     yield f"{law}: {found.violations:,} violations of r_v = {wanted.base.visibility.radius:g} m in {much}"
-    if flights.runs:
-        yield f"  flights: {flights.violations:,} of {flights.runs:,} lose sight; the farthest {flights.worst:.4f} m"
-        if LAWS[wanted.base.law.name].watched:
-            share = f"not every tick was certified in {flights.uncertified:,}"
-            yield (
-                f"    {share}; in {flights.lost - flights.violations:,} sight was lost after nothing was "
-                "promised any more"
-            )
-            yield f"    certified while lost: {flights.certified_while_lost:,} ticks"
-            yield f"    certificate lost while all assumptions held: {flights.certificate_broken:,} times"
-    if attacks.worst is not None:
-        worst = attacks.worst
-        over = f"over {attacks.combinations:,} combinations of network and error"
-        said = "are certified while sight is lost" if wanted.control is None else "lose sight"
-        yield (
-            f"  attack: {attacks.violations:,} of {attacks.runs:,} {over} {said}; the farthest "
-            f"{worst.worst_distance:.6f} m"
-        )
-        if wanted.control is None:
-            yield f"    the certificate is lost although its assumptions hold in {attacks.broken:,}"
-            yield f"    not every tick was certified in {attacks.uncertified:,}; sight was lost in {attacks.lost:,}"
-            yield (
-                f"    {_KINDS:46}{'runs':>8}{'lost':>8}{'certified, lost':>17}"
-                f"{'broken':>8}{'uncertified':>13}"
-            )
-            for name, one in sorted(attacks.kinds.items()):
-                counts = f"{one.runs:8,}{one.lost:8,}{one.violations:17,}{one.broken:8,}"
-                yield f"    {name:46}{counts}{one.uncertified / one.runs:13.1%}"
-        else:
-            yield "    nothing certifies here"
-    if found.attack_again is not None and attacks.worst is not None:
-        c = attacks.worst.conditions
-        dark = f"motions lost for up to {c.outage:g} s, " if c.outage else ""
-        dark += (
-            f"blackouts up to {c.blackout_time:g} s, detections up to {c.latency:g} s and commands "
-            f"{c.delay:g} s late"
-        )
-        yield f"  The worst attack: errors up to {attacks.worst.eps:g} m, {dark}. Again:"
-        yield f"    {found.attack_again}"
+    yield from _flight_lines(found)
+    yield from _attack_lines(found)
     if found.path is not None:
         yield "  The worst flight:"
         yield from (f"    {line}" for line in found.words)
@@ -358,3 +226,52 @@ def _lines(found: "Found") -> Iterator[str]:
         # the file names what the command has named
         code = " --allow-code" if foreign_code(wanted.base) else ""
         yield f"  outrider run {shlex.quote(str(found.path))} --in-process{code} flies it again: {found.sha256}"
+
+
+def _flight_lines(found: "Found") -> Iterator[str]:
+    flights = found.flights
+    if not flights.runs:
+        return
+    yield f"  flights: {flights.violations:,} of {flights.runs:,} lose sight; the farthest {flights.worst:.4f} m"
+    if LAWS[found.wanted.base.law.name].watched:
+        share = f"not every tick was certified in {flights.uncertified:,}"
+        yield (
+            f"    {share}; in {flights.lost - flights.violations:,} sight was lost after nothing was "
+            "promised any more"
+        )
+        yield f"    certified while lost: {flights.certified_while_lost:,} ticks"
+        yield f"    certificate lost while all assumptions held: {flights.certificate_broken:,} times"
+
+
+def _attack_lines(found: "Found") -> Iterator[str]:
+    wanted, attacks = found.wanted, found.attacks
+    if attacks.worst is None:
+        return
+    worst = attacks.worst
+    over = f"over {attacks.combinations:,} combinations of network and error"
+    said = "are certified while sight is lost" if wanted.control is None else "lose sight"
+    yield (
+        f"  attack: {attacks.violations:,} of {attacks.runs:,} {over} {said}; the farthest "
+        f"{worst.worst_distance:.6f} m"
+    )
+    if wanted.control is None:
+        yield f"    the certificate is lost although its assumptions hold in {attacks.broken:,}"
+        yield f"    not every tick was certified in {attacks.uncertified:,}; sight was lost in {attacks.lost:,}"
+        yield (
+            f"    {_KINDS:46}{'runs':>8}{'lost':>8}{'certified, lost':>17}"
+            f"{'broken':>8}{'uncertified':>13}"
+        )
+        for name, one in sorted(attacks.kinds.items()):
+            counts = f"{one.runs:8,}{one.lost:8,}{one.violations:17,}{one.broken:8,}"
+            yield f"    {name:46}{counts}{one.uncertified / one.runs:13.1%}"
+    else:
+        yield "    nothing certifies here"
+    if found.attack_again is not None:
+        c = worst.conditions
+        dark = f"motions lost for up to {c.outage:g} s, " if c.outage else ""
+        dark += (
+            f"blackouts up to {c.blackout_time:g} s, detections up to {c.latency:g} s and commands "
+            f"{c.delay:g} s late"
+        )
+        yield f"  The worst attack: errors up to {worst.eps:g} m, {dark}. Again:"
+        yield f"    {found.attack_again}"

@@ -42,8 +42,6 @@ class Wanted:
     """[s]"""
     seed: int = 1
     jobs: int = 1
-    first: bool = False
-    """True if the first violation is enough."""
     control: str | None = None
     """A guard that is to be caught, a row of `CONTROLS`."""
     eps: float | None = None
@@ -158,7 +156,7 @@ def search(
     wanted, began = found.wanted, time.monotonic()
 
     def ends() -> bool:
-        return asked() or (wanted.first and found.violations > 0)
+        return asked()
 
     try:
         if wanted.flies:

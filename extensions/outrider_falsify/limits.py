@@ -121,7 +121,7 @@ def _check_promise(base: Scenario, limits: SearchLimits) -> None:
     )
     faults = check_assumptions(bounds_of(uav_briefing(latest, base.uav[0].name, 0)))
     if faults:
-        allowed = "narrower limits (--max-delay, --max-blackout, --max-loss, --noise), or a certificate in the scenario"
+        allowed = "narrower limits (--limit), or a certificate in the scenario"
         raise ScenarioError(
             f"{base.name}: nothing can be certified within these limits: {faults[0]}; allowed: {allowed}"
         )

@@ -19,57 +19,66 @@ if TYPE_CHECKING:
     from sim.env.observation import AgentObservation
     from sim.scenario.types import Scenario
 
+_Law = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--law",
+        help="Laws, between commas; by default the paper's and certified, in missions also 'none', a UGV without "
+        "an escort; or no law beside a --uav-policy. May be repeated.",
+    ),
+]
+_UavPolicy = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--uav-policy",
+        metavar="POLICY",
+        help="A policy of your own, a UAV's observations in all worlds in, its accelerations out, or a saved one, "
+        f"with the observation that it was trained on: {policy_forms('uav')}; may be repeated.",
+    ),
+]
+_Name = Annotated[
+    str,
+    typer.Option(
+        "--suite",
+        help="Which: suite-v1, scored by what was seen, or missions-v1, by how the UGV got through.",
+    ),
+]
+_Only = Annotated[list[str] | None, typer.Option(help="Only this task; may be repeated.")]
+_Estimate = Annotated[
+    bool,
+    typer.Option(
+        "--estimate",
+        help="Policies observe the filter's estimate in the place of the raw detection.",
+    ),
+]
+_Gradient = Annotated[
+    bool,
+    typer.Option("--gradient", help="Policies observe the direction to new ground besides."),
+]
+_SafetyFilter = Annotated[
+    bool, typer.Option("--safety-filter", help="Policies fly inside the safety filter.")
+]
+_Seeds = Annotated[int, typer.Option(help="Fly only the first so many seeds.", min=1, max=20)]
+_Markdown = Annotated[
+    bool, typer.Option("--markdown", help="Print the table as Markdown on stdout.")
+]
+_ListTasks = Annotated[
+    bool, typer.Option("--list", help="Tell what the tasks are, and fly nothing.")
+]
+
 
 def command(
-    law: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--law",
-            help="Laws, between commas; by default the paper's and certified, in missions also 'none', a UGV without "
-            "an escort; or no law beside a --uav-policy. May be repeated.",
-        ),
-    ] = None,
-    uav_policy: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--uav-policy",
-            metavar="POLICY",
-            help="A policy of your own, a UAV's observations in all worlds in, its accelerations out, or a saved one, "
-            f"with the observation that it was trained on: {policy_forms('uav')}; may be repeated.",
-        ),
-    ] = None,
-    name: Annotated[
-        str,
-        typer.Option(
-            "--suite",
-            help="Which: suite-v1, scored by what was seen, or missions-v1, by how the UGV got through.",
-        ),
-    ] = "suite-v1",
-    only: Annotated[list[str] | None, typer.Option(help="Only this task; may be repeated.")] = None,
-    estimate: Annotated[
-        bool,
-        typer.Option(
-            "--estimate",
-            help="Policies observe the filter's estimate in the place of the raw detection.",
-        ),
-    ] = False,
-    gradient: Annotated[
-        bool,
-        typer.Option("--gradient", help="Policies observe the direction to new ground besides."),
-    ] = False,
-    safety_filter: Annotated[
-        bool, typer.Option("--safety-filter", help="Policies fly inside the safety filter.")
-    ] = False,
-    seeds: Annotated[
-        int, typer.Option(help="Fly only the first so many seeds.", min=1, max=20)
-    ] = 20,
+    law: _Law = None,
+    uav_policy: _UavPolicy = None,
+    name: _Name = "suite-v1",
+    only: _Only = None,
+    estimate: _Estimate = False,
+    gradient: _Gradient = False,
+    safety_filter: _SafetyFilter = False,
+    seeds: _Seeds = 20,
     secret: Secret = "",
-    markdown: Annotated[
-        bool, typer.Option("--markdown", help="Print the table as Markdown on stdout.")
-    ] = False,
-    list_tasks: Annotated[
-        bool, typer.Option("--list", help="Tell what the tasks are, and fly nothing.")
-    ] = False,
+    markdown: _Markdown = False,
+    list_tasks: _ListTasks = False,
     json: Json = False,
 ) -> None:
     """Score laws and policies over the benchmark's tasks.

@@ -31,64 +31,71 @@ _LINGER = 0.6
 """The time for which a run that is over is still told [s]: one that is reset goes on."""
 _NICE = 5
 """On a machine that is busy the run goes first."""
+_TRUTH = "telemetry, the truth among it,"
 _TURN = 0.02
 """The longest time between two looks at the run [s]."""
 
+_Out = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--to",
+        metavar="HOST:PORT",
+        help=f"A ground station that is told of the run; may be repeated. By default {_OUT}, "
+        "where QGroundControl and MAVProxy listen, and with --vehicle "
+        f"{_OFFBOARD}, where MAVSDK does; neither if --in or --autopilot is given.",
+    ),
+]
+_Listen = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--in",
+        metavar="HOST:PORT",
+        help="Where ground stations and programs may ask; may be repeated. With --autopilot "
+        f"by default {_AUTOPILOT}, to which PX4 sends.",
+    ),
+]
+_Private = Annotated[
+    bool,
+    typer.Option(
+        "--private",
+        help="Send to a random port of this machine, and print it, instead of the usual one.",
+    ),
+]
+_Vehicle = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="Join as this UAV, with its credentials, and fly it by setpoints inside the safety filter.",
+    ),
+]
+_Autopilot = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="Join as this UAV, and let a real autopilot fly along: its telemetry in, its setpoints out.",
+    ),
+]
+_First = Annotated[
+    int,
+    typer.Option("--first-system", help="Number of the first vehicle's system.", min=1, max=200),
+]
+_Height = Annotated[
+    float,
+    typer.Option(help="Height in m at which UAVs are told to fly: a run is flat.", min=0.0),
+]
+
 
 def command(
-    out: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--to",
-            metavar="HOST:PORT",
-            help=f"A ground station that is told of the run; may be repeated. By default {_OUT}, "
-            "where QGroundControl and MAVProxy listen, and with --vehicle "
-            f"{_OFFBOARD}, where MAVSDK does; neither if --in or --autopilot is given.",
-        ),
-    ] = None,
-    listen: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--in",
-            metavar="HOST:PORT",
-            help="Where ground stations and programs may ask; may be repeated. With --autopilot "
-            f"by default {_AUTOPILOT}, to which PX4 sends.",
-        ),
-    ] = None,
-    private: Annotated[
-        bool,
-        typer.Option(
-            "--private",
-            help="Send to a random port of this machine, and print it, instead of the usual one.",
-        ),
-    ] = False,
-    vehicle: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="Join as this UAV, with its credentials, and fly it by setpoints inside the safety filter.",
-        ),
-    ] = "",
-    autopilot: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="Join as this UAV, and let a real autopilot fly along: its telemetry in, its setpoints out.",
-        ),
-    ] = "",
+    out: _Out = None,
+    listen: _Listen = None,
+    private: _Private = False,
+    vehicle: _Vehicle = "",
+    autopilot: _Autopilot = "",
     connect: options.Connect = options.DEFAULT_ENDPOINT,
     run: options.RunName = options.DEFAULT_RUN,
     credentials: options.CredentialFile = None,
-    first: Annotated[
-        int,
-        typer.Option(
-            "--first-system", help="Number of the first vehicle's system.", min=1, max=200
-        ),
-    ] = 1,
-    height: Annotated[
-        float,
-        typer.Option(help="Height in m at which UAVs are told to fly: a run is flat.", min=0.0),
-    ] = 10.0,
+    first: _First = 1,
+    height: _Height = 10.0,
     join_timeout: options.JoinTimeout = 30.0,
     insecure: options.Insecure = False,
     json: options.Json = False,
@@ -114,27 +121,20 @@ def command(
     """
     from outrider.cli.console import print_json
     from outrider_mavlink.identity import VehicleSystem
-    from outrider_mavlink.udp import Network, parse_address, private_port
+    from outrider_mavlink.udp import private_port
 
     check_endpoint(connect)
     if vehicle and autopilot:
         raise typer.BadParameter("--vehicle or --autopilot, not both")
-    told, asked = out or [], listen or []
+    if private and (out or autopilot):
+        raise typer.BadParameter(f"--private or {'--to' if out else '--autopilot'}, not both")
     if private:
-        for option, given in {"--to": out, "--autopilot": autopilot}.items():
-            if given:
-                raise typer.BadParameter(f"--private or {option}, not both")
-        told = [f"127.0.0.1:{private_port()}"]
+        out = [f"127.0.0.1:{private_port()}"]
     elif out is None and listen is None:
-        told = [] if autopilot else [_OFFBOARD if vehicle else _OUT]
-        asked = [_AUTOPILOT] if autopilot else []
-    listening = {text: parse_address(text, listens=True) for text in asked}
-    _check_listening(listening, insecure=insecure)
-    network = Network(
-        [parse_address(text, listens=False) for text in told], list(listening.values())
-    )
-    what = "telemetry, the truth among it," if not (vehicle or autopilot) else "telemetry"
-    _say_where("setpoints" if autopilot else what, told, asked, private=private)
+        out = [] if autopilot else [_OFFBOARD if vehicle else _OUT]
+        listen = [_AUTOPILOT] if autopilot else []
+    what = "telemetry" if vehicle else "setpoints" if autopilot else _TRUTH
+    network = _open_network(what, out or [], listen or [], private=private, insecure=insecure)
     began = time.monotonic()
     try:
         if vehicle or autopilot:
@@ -155,6 +155,24 @@ def command(
         print_json(found)
     else:
         sys.stderr.write(_story(found) + "\n")
+
+
+def _open_network(
+    what: str, told: list[str], asked: list[str], *, private: bool, insecure: bool
+) -> "Network":
+    """Open the sockets that tell and are asked, after it is said what goes where.
+
+    Raises:
+        ScenarioError: If an address is not one, or strangers reach it.
+    """
+    from outrider_mavlink.udp import Network, parse_address
+
+    listening = {text: parse_address(text, listens=True) for text in asked}
+    _check_listening(listening, insecure=insecure)
+    telling = [parse_address(text, listens=False) for text in told]
+    network = Network(telling, list(listening.values()))
+    _say_where(what, told, asked, private=private)
+    return network
 
 
 def _say_where(what: str, told: list[str], asked: list[str], *, private: bool) -> None:

@@ -19,6 +19,30 @@ if TYPE_CHECKING:
 
 app = typer.Typer(rich_markup_mode=None)
 
+_Domain = Annotated[int, typer.Option(help="ROS 2's domain id, 0 to 232.", envvar="ROS_DOMAIN_ID")]
+_Namespace = Annotated[str, typer.Option(help="Before the names of all topics, such as /fleet.")]
+_Operator = Annotated[
+    bool,
+    typer.Option(
+        "--operator",
+        help="Take /ugv_0/cmd_vel and the services /pause, /step and /reset too; needs the operator's credentials.",
+    ),
+]
+_Vehicle = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="Join as this vehicle, with its credentials: a ROS 2 node flies it by the topics /NAME/pilot/...",
+    ),
+]
+_EveryTick = Annotated[
+    bool,
+    typer.Option(
+        "--every-tick",
+        help="Publish the truth of every tick; by default some 40 a second of wall time.",
+    ),
+]
+
 
 @app.callback(invoke_without_command=True)
 def command(
@@ -26,34 +50,12 @@ def command(
     connect: options.Connect = options.DEFAULT_ENDPOINT,
     run: options.RunName = options.DEFAULT_RUN,
     credentials: options.CredentialFile = None,
-    domain: Annotated[
-        int, typer.Option(help="ROS 2's domain id, 0 to 232.", envvar="ROS_DOMAIN_ID")
-    ] = 0,
-    namespace: Annotated[
-        str, typer.Option(help="Before the names of all topics, such as /fleet.")
-    ] = "",
-    operator: Annotated[
-        bool,
-        typer.Option(
-            "--operator",
-            help="Take /ugv_0/cmd_vel and the services /pause, /step and /reset too; needs the operator's credentials.",
-        ),
-    ] = False,
-    vehicle: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="Join as this vehicle, with its credentials: a ROS 2 node flies it by the topics /NAME/pilot/...",
-        ),
-    ] = "",
+    domain: _Domain = 0,
+    namespace: _Namespace = "",
+    operator: _Operator = False,
+    vehicle: _Vehicle = "",
     join_timeout: options.JoinTimeout = 30.0,
-    every_tick: Annotated[
-        bool,
-        typer.Option(
-            "--every-tick",
-            help="Publish the truth of every tick; by default some 40 a second of wall time.",
-        ),
-    ] = False,
+    every_tick: _EveryTick = False,
     json: options.Json = False,
 ) -> None:
     """Show a run to ROS 2 nodes, or let them fly its vehicles.
@@ -79,7 +81,6 @@ def command(
     """
     if context.invoked_subcommand is not None:
         return
-    from outrider.cli.console import ERR, print_json
     from outrider_ros2.interfaces import require_extra
     from outrider_ros2.roles import BRIDGE
     from outrider_ros2.wire import check_domain, check_namespace
@@ -88,11 +89,7 @@ def command(
     check_domain(domain)
     space = check_namespace(namespace)
     if vehicle:
-        alone = {"--operator": operator, "--namespace": space, "--every-tick": every_tick}
-        for option in (option for option, given in alone.items() if given):
-            raise typer.BadParameter(
-                f"{option} and --vehicle: these options do not go together; a vehicle's topics are /NAME/pilot/..."
-            )
+        _check_alone({"--operator": operator, "--namespace": space, "--every-tick": every_tick})
         kind = _role_of(vehicle, credentials)
         joining = options.joining(kind, vehicle, connect, run, credentials, join_timeout)
         _fly(joining, domain=domain, json=json)
@@ -105,6 +102,25 @@ def command(
         observer, lost = _observe(
             session, stop, domain=domain, namespace=space, every_tick=every_tick
         )
+    _tell(observer, domain, lost=lost, every_tick=every_tick, json=json)
+    if lost:
+        raise PeerLost(f"the router at {connect} has gone")
+
+
+def _check_alone(others: dict[str, object]) -> None:
+    """Refuse options that a vehicle's own topics do not have."""
+    for option in (option for option, given in others.items() if given):
+        raise typer.BadParameter(
+            f"{option} and --vehicle: these options do not go together; a vehicle's topics are /NAME/pilot/..."
+        )
+
+
+def _tell(
+    observer: "RosObserver", domain: int, *, lost: bool, every_tick: bool, json: bool
+) -> None:
+    """Print what was published."""
+    from outrider.cli.console import ERR, print_json
+
     found = {
         "domain": domain,
         "topics": observer.topics,
@@ -119,8 +135,6 @@ def command(
         sent = sum(observer.topics.values())
         missing = f", {observer.missing_ticks} ticks missing" if every_tick else ""
         ERR.tell(f"{sent} messages on {len(observer.topics)} topics{missing}")
-    if lost:
-        raise PeerLost(f"the router at {connect} has gone")
 
 
 @app.command("export")
@@ -245,7 +259,7 @@ def _follow(session: "Session", observer: "RosObserver", stop: Stop) -> bool:
 
 def _role_of(name: str, credentials: Path | None) -> Role:
     """The kind of vehicle, by its credentials; without them by how its name begins."""
-    from bus.access import read_credential
+    from bus.credentials import read_credential
 
     kinds = (Role.UAV, Role.UGV)
     if credentials is not None:

@@ -11,9 +11,10 @@ from bus.messages.telemetry import CoverageMap, Status, Truth
 from bus.queues import Inbox
 from bus.session import Session
 from outrider.running.refused import Refusals
-from outrider_ros2.conversion import OK, WARN, RunView, diagnostic, view_of
+from outrider_ros2.diagnostics import OK, WARN, diagnostic
 from outrider_ros2.ros_commands import RosCommands
 from outrider_ros2.ros_node import RosNode, RosPublisher, log_refused
+from outrider_ros2.run_view import RunView, view_of
 from outrider_ros2.topics import TOPICS, TopicRow, messages_of, wire_topic
 
 _ROOM = 4096

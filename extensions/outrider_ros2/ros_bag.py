@@ -36,8 +36,8 @@ from outrider.recording.schemas import (
     ugv_of,
 )
 from outrider_ros2.bag_records import RECORDS, RECORDS_TYPE, BagRecord
-from outrider_ros2.conversion import RunView, view_of
 from outrider_ros2.interfaces import encode, make, require_extra, type_hash, type_store
+from outrider_ros2.run_view import RunView, view_of
 from outrider_ros2.topics import TOPICS, TopicRow, messages_of
 from outrider_ros2.wire import Qos
 from sim.scenario.types import Scenario

@@ -8,10 +8,10 @@ from typing import Any
 from bus.messages.base import Message
 from bus.messages.ground import GroundMap
 from bus.messages.telemetry import CoverageMap, Status, Truth
-from outrider_ros2 import conversion
-from outrider_ros2.conversion import RunView
+from outrider_ros2 import conversion, diagnostics, pictures
 from outrider_ros2.interfaces import encode, type_hash
 from outrider_ros2.roles import PILOT
+from outrider_ros2.run_view import RunView
 from outrider_ros2.wire import (
     CLOCK,
     LATCHED,
@@ -154,7 +154,7 @@ TOPICS: tuple[TopicRow, ...] = (
         name="discs",
         interface="visualization_msgs/msg/MarkerArray",
         qos=LATCHED,
-        convert=lambda view, _message, _name: conversion.discs(view),
+        convert=lambda view, _message, _name: pictures.discs(view),
         about="Limit of sight, range of the sensor, the vehicles, edge of the area; moving with the frames.",
     ),
     TopicRow(
@@ -162,7 +162,7 @@ TOPICS: tuple[TopicRow, ...] = (
         interface="nav_msgs/msg/OccupancyGrid",
         qos=LATCHED,
         source=CoverageMap,
-        convert=lambda view, told, _name: conversion.coverage(view, told),
+        convert=lambda view, told, _name: pictures.coverage(view, told),
         about="Share of the desired coverage of each cell, in percent; at most five times a second.",
     ),
     TopicRow(
@@ -170,7 +170,7 @@ TOPICS: tuple[TopicRow, ...] = (
         interface="nav_msgs/msg/OccupancyGrid",
         qos=LATCHED,
         source=GroundMap,
-        convert=lambda view, told, _name: conversion.ground(view, told),
+        convert=lambda view, told, _name: pictures.ground(view, told),
         about="The ground as the UGVs know it: -1 unknown, 0 clear, 50 rough, 100 blocked.",
     ),
     TopicRow(
@@ -178,14 +178,14 @@ TOPICS: tuple[TopicRow, ...] = (
         interface="visualization_msgs/msg/MarkerArray",
         qos=LATCHED,
         source=GroundMap,
-        convert=lambda view, told, _name: conversion.hazards(view, told),
+        convert=lambda view, told, _name: pictures.hazards(view, told),
         about="The hazards as they truly lie on the ground; faint where no UGV knows of one, red where one was hit.",
     ),
     TopicRow(
         name="diagnostics",
         interface="diagnostic_msgs/msg/DiagnosticArray",
         source=Status,
-        convert=lambda view, status, _name: conversion.diagnostics(status, view.own),
+        convert=lambda view, status, _name: diagnostics.diagnostics(status, view.own),
         about="The run, its links, its vehicles' processes; what is certified, and why not.",
     ),
 )

@@ -90,8 +90,8 @@ def command(
 
     Example: outrider credentials credentials --scenario escort --run flight
     """
-    from bus.access import new_certificates, new_credentials, write_credentials
     from bus.certificates import PARTY_DAYS, new_authority
+    from bus.credentials import new_certificates, new_credentials, write_credentials
     from outrider.cli.console import OUT, print_json
 
     added = [name for name in extensions or () if name]  # `--roles=` of a container adds none
@@ -161,7 +161,8 @@ def _renew(
     """New certificates for parties that have some, in the place of the old ones; the run's name, and the files."""
     from msgspec.structs import replace
 
-    from bus.access import (
+    from bus.certificates import AUTHORITY_DAYS, PARTY_DAYS, ROUTER_HOSTS, hosts_of, issue
+    from bus.credentials import (
         AUTHORITY_FILE,
         ROUTER_FILE,
         read_authority,
@@ -169,7 +170,6 @@ def _renew(
         read_credentials,
         replace_credentials,
     )
-    from bus.certificates import AUTHORITY_DAYS, PARTY_DAYS, ROUTER_HOSTS, hosts_of, issue
 
     authority = read_authority(folder / f"{AUTHORITY_FILE}.json")
     router = read_credentials(folder / f"{ROUTER_FILE}.json")
@@ -197,8 +197,8 @@ def _renew(
 
 def _check(folder: Path, *, json: bool) -> int:
     """Tell of every file in a folder whether it is good, and how long."""
-    from bus.access import ROUTER_FILE, read_credential, read_credentials
     from bus.certificates import Identity, check_identity, expiry_warning
+    from bus.credentials import ROUTER_FILE, read_credential, read_credentials
     from outrider.cli.console import OUT, print_json
 
     if not folder.is_dir():

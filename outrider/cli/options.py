@@ -20,7 +20,7 @@ from bus.registry import (
 
 if TYPE_CHECKING:
     from agents.process import MakePilot
-    from bus.access import Credential
+    from bus.credentials import Credential
     from bus.session import Session
 
 ScenarioName = Annotated[str, typer.Argument(help="A shipped scenario's name, or a TOML file.")]
@@ -252,7 +252,7 @@ def staff_of(file: Path | None, role: Role) -> "tuple[Party, Credential | None]"
     Raises:
         AccessDenied: If the file is somebody else's.
     """
-    from bus.access import read_credential
+    from bus.credentials import read_credential
 
     found = credential_of(None, role, role.value) if file is None else read_credential(file)
     if found is None:
@@ -276,7 +276,7 @@ class Joining(NamedTuple):
 
     def session(self) -> "AbstractContextManager[Session]":
         """Its session; errors as of `open_session`."""
-        from bus.session import open_session
+        from bus.joining import open_session
 
         return open_session(
             self.party,
@@ -325,7 +325,7 @@ def credential_of(file: Path | None, role: str, name: str) -> "Credential | None
         AccessDenied: If the file is not this party's.
         ScenarioError: If the password cannot be one.
     """
-    from bus.access import Credential, read_credential
+    from bus.credentials import Credential, read_credential
 
     if file is not None:
         found = read_credential(file)

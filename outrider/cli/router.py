@@ -39,8 +39,8 @@ def command(
 
     Example: outrider router --listen tcp/0.0.0.0:17447 --credentials credentials/router.json
     """
-    from bus.access import read_credentials
-    from bus.session import open_session
+    from bus.credentials import read_credentials
+    from bus.joining import open_session
     from outrider.cli.console import ERR
 
     endpoints = tuple(listen or (options.DEFAULT_ENDPOINT,))

@@ -87,8 +87,8 @@ def command(
 
     Example: outrider simulator escort --listen tcp/127.0.0.1:17447 --out runs/mine
     """
-    from bus.access import read_credentials
-    from bus.session import open_session
+    from bus.credentials import read_credentials
+    from bus.joining import open_session
     from outrider.cli.console import (
         ERR,
         flight_progress,

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import msgspec
 
-from bus.access import new_credentials, write_credential
+from bus.credentials import new_credentials, write_credential
 from bus.errors import PeerLost
 from bus.keys import OBSERVER_NAME, OPERATOR_NAME, SIMULATOR_NAME
 from bus.locator import UNIX

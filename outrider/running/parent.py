@@ -9,7 +9,7 @@ import time
 
 import msgspec
 
-from bus.access import Credential, CredentialSet
+from bus.credentials import Credential, CredentialSet
 from bus.messages.scenario import Law
 
 _PATIENCE = 10.0

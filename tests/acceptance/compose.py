@@ -51,9 +51,9 @@ UP = ("up", "--exit-code-from", "simulator")
 FOLLOW = """
 import os, sys, time
 from pathlib import Path
-from bus.access import read_credentials
+from bus.credentials import read_credentials
 from bus.keys import STATUS, Party, Role
-from bus.session import open_session
+from bus.joining import open_session
 given = read_credentials(Path(os.environ["OUTRIDER_CREDENTIALS"]))
 observer = Party(role=Role.OBSERVER, name="observer")
 with open_session(observer, given.run, connect="tcp/127.0.0.1:17447", credential=given.of("observer")) as session:
@@ -68,7 +68,8 @@ CLIENT = """
 import json, os, sys, time
 from pathlib import Path
 import zenoh
-from bus.access import client_settings, read_credential
+from bus.access import client_settings
+from bus.credentials import read_credential
 zenoh.init_log_from_env_or("off")
 def client(endpoint, known, seconds=2.0):
     settings = {
@@ -208,7 +209,7 @@ PILOT = """
 import os
 from pathlib import Path
 from agents.process import fly
-from bus.access import read_credential
+from bus.credentials import read_credential
 from bus.messages.vehicle import UavCommand
 class Hover:
     def __init__(self, briefing):

@@ -23,10 +23,10 @@ from typing import IO
 
 import numpy as np
 
-from bus.access import read_credential
+from bus.credentials import read_credential
+from bus.joining import open_session
 from bus.keys import STATUS, Party, Role
 from bus.messages.telemetry import Status
-from bus.session import open_session
 from outrider.running.flying import fly
 from sim.scenario.loading import load_scenario
 

@@ -1,5 +1,6 @@
 """Units of FMI 3.0: what is exported flies the same bits, knows no more and drives; what cannot is told in a line."""
 
+import importlib
 import json
 import math
 import sys
@@ -23,6 +24,7 @@ from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.user_code import foreign_code
+from outrider_fmi import variables
 from outrider_fmi.driver import FmuPolicy
 from outrider_fmi.export import export_vehicle, export_world
 from outrider_fmi.vehicle_unit import VehicleUnit
@@ -372,3 +374,32 @@ def test_the_law_of_a_pilots_unit_is_the_scenarios() -> None:
     values = every_input(unit, 1.0)
     got = unit.step(0.0, DT, values | {"detection.time": 0.0})
     assert (got["certified"], got["margin"]) == (False, -math.inf)
+
+
+def test_a_unit_that_unpacks_to_much_is_refused(tmp_path: Path) -> None:
+    with (
+        zipfile.ZipFile(tmp_path / "big.fmu", "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("modelDescription.xml", "w", force_zip64=True) as file,
+    ):
+        for _ in range(257):
+            file.write(bytes(1 << 20))
+    with pytest.raises(ScenarioError, match="unpacks to 257 MiB; allowed: 256 MiB"):
+        FmuPolicy(str(tmp_path / "big.fmu"), "policy")
+
+
+def test_the_group_without_a_command_prints_its_help(command) -> None:
+    made = command("fmu")
+    assert made.returncode == 2
+    assert "Usage: outrider fmu" in made.stderr.splitlines()[0]
+    assert "Commands:" in made.stderr.splitlines()
+
+
+def test_every_variable_of_a_unit_is_told_with_its_unit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(Path(__file__).parents[3] / "docs" / "generators")
+    generator = importlib.import_module("fmi_variables")
+    text = generator.pilots() + generator.world() + generator.driver()
+    tables = [rows for rows in vars(variables).values() if isinstance(rows, tuple)]
+    assert len(tables) >= 8
+    for one in {one for rows in tables for one in rows}:
+        unit = f"Float64, {one.unit}" if one.unit else "Boolean"
+        assert f"{one.name}` | {unit} | {one.about} |" in text

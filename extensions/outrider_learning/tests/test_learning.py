@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import os
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -329,3 +330,18 @@ def test_a_repeat_of_no_whole_number_is_refused(ticks: Any) -> None:
 def test_a_repeat_needs_the_mode_same_step() -> None:
     with pytest.raises(ValueError, match="SAME_STEP"):
         ActionRepeat(SyncVectorEnv([lambda: gymnasium.make("CartPole-v1")]), 2)
+
+
+def test_files_of_policies_are_bounded(tmp_path: Path) -> None:
+    fifo, large, packed = tmp_path / "fifo", tmp_path / "large", tmp_path / "packed.npz"
+    os.mkfifo(fifo)
+    with large.open("wb") as file:
+        file.truncate(1 << 31)
+    np.savez_compressed(packed, recipe=np.zeros(20 << 20))
+    for path, wrong in (
+        (fifo, "not a regular file"),
+        (large, "larger than"),
+        (packed, "unpacks to more than 64 MiB"),
+    ):
+        with pytest.raises(ValueError, match=wrong):
+            load_policy(path)

@@ -4,7 +4,8 @@ from typing import Any
 
 import zenoh
 
-from bus.access import access_control, new_credentials
+from bus.access import access_control
+from bus.credentials import new_credentials
 from bus.errors import AccessDenied
 from bus.keys import KEYS, Key, Role, check_reads, check_writes
 from outrider_ros2.roles import (

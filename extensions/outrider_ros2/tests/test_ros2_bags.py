@@ -31,9 +31,9 @@ from outrider.recording.refly import refly
 from outrider.recording.schemas import head_of
 from outrider_ros2.bag_reader import import_bag
 from outrider_ros2.bag_records import RECORDS, RECORDS_TYPE
-from outrider_ros2.conversion import view_of
 from outrider_ros2.interfaces import decode, encode, make, type_hash, type_store
 from outrider_ros2.ros_bag import RECORDS_QOS, RosBag, copy_flight
+from outrider_ros2.run_view import view_of
 from outrider_ros2.topics import TOPICS, messages_of
 from sim.scenario.types import Ugv
 from sim.scene.known import geometry_of

@@ -14,19 +14,20 @@ import zenoh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.access import new_credentials
+from bus.credentials import new_credentials
 from bus.keys import CONTROL, COVERAGE, OPERATOR, SAMPLED_TRUTH, STATUS
 from bus.messages.control import Action, Control
 from bus.messages.scenario import Limits
 from bus.messages.telemetry import CoverageMap
 from outrider.running.refused import Refused
 from outrider.view.operator import RunClient
-from outrider_ros2.conversion import header, view_of
+from outrider_ros2.conversion import header
 from outrider_ros2.interfaces import decode, encode, make, request_of, response_of
 from outrider_ros2.observing import RosObserver
 from outrider_ros2.roles import NO_HASH
 from outrider_ros2.ros_commands import TWISTS, RosCommands, wish_of
 from outrider_ros2.ros_node import RosNode
+from outrider_ros2.run_view import view_of
 from outrider_ros2.topics import TOPICS, wire_topic
 from outrider_ros2.wire import Attachment, WireTopic
 from processes import wait_until

@@ -12,11 +12,11 @@ import staging
 from agents.process import fly, warm_up
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
-from bus.access import new_credentials
+from bus.credentials import new_credentials
 from bus.errors import PeerLost
+from bus.joining import open_session
 from bus.keys import Role
 from bus.messages.vehicle import UavBriefing, UavObservation, UgvBriefing, UgvObservation
-from bus.session import open_session
 from outrider_ros2.conversion import header
 from outrider_ros2.interfaces import decode, encode, make
 from outrider_ros2.ros_node import RosNode

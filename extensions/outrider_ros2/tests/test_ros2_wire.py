@@ -1,7 +1,9 @@
 """ROS 2's wire format, and our telemetry as its messages."""
 
+import importlib
 import math
 import struct
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -12,10 +14,10 @@ from bus.messages.ground import GroundMap
 from bus.messages.links import LinkStatus
 from bus.messages.telemetry import CoverageMap, VehicleStatus
 from outrider.running.refused import Refused
-from outrider_ros2.conversion import PathTrack, RunView
 from outrider_ros2.interfaces import decode, encode, make, type_hash
 from outrider_ros2.roles import PILOT
-from outrider_ros2.topics import PILOT_TOPICS, TOPICS, messages_of, wire_topic
+from outrider_ros2.run_view import PathTrack, RunView
+from outrider_ros2.topics import PILOT_COMMANDS, PILOT_TOPICS, TOPICS, messages_of, wire_topic
 from outrider_ros2.wire import (
     LATCHED,
     SENSOR,
@@ -224,3 +226,16 @@ def test_a_time_is_split_without_loss():
         odometry = _by_topic(truth_at(tick))["/uav_0/odom"]
         assert math.isclose(seconds_of(odometry.header.stamp), tick * 0.05, abs_tol=1e-9)
         assert 0 <= odometry.header.stamp.nanosec < 10**9
+
+
+def test_every_topic_of_ros_2_is_told_with_its_type(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(Path(__file__).parents[3] / "docs" / "generators")
+    generator = importlib.import_module("ros2_topics")
+    for rows, text in (
+        (TOPICS, generator.observed()),
+        ((*PILOT_TOPICS, *PILOT_COMMANDS), generator.own()),
+    ):
+        lines = text.splitlines()[2:]
+        assert len(lines) == len(rows)
+        for row, line in zip(rows, lines, strict=True):
+            assert f"{row.name}` | `{row.interface}` | " in line

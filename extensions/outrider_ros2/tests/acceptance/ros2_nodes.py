@@ -21,7 +21,8 @@ from typing import Any
 import zenoh
 from bridge_checks import Row, environment, free_port, output, outrider, report, started
 
-from bus.access import client_settings, read_credential
+from bus.access import client_settings
+from bus.credentials import read_credential
 from outrider.running.flying import fly
 from outrider_ros2.interfaces import encode, make, type_hash
 from outrider_ros2.ros_commands import TWISTS

@@ -17,7 +17,8 @@ import zenoh.ext
 from agents.process import warm_up
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
-from bus.access import client_settings, read_credential
+from bus.access import client_settings
+from bus.credentials import read_credential
 from bus.keys import Role
 from bus.messages.vehicle import UavBriefing, UavObservation, UgvBriefing, UgvObservation
 from outrider_ros2.conversion import header

@@ -8,13 +8,14 @@ import gymnasium
 import msgspec
 import numpy as np
 import pytest
-from gymnasium.vector import SyncVectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.vector.utils import batch_space
 from gymnasium.wrappers import FrameStackObservation
 
 import outrider
 from bus.observations import GRADIENT, UAV, UGV, by_name
 from outrider_learning.egocentric import UAV_BODY, UGV_BODY, Egocentric
+from outrider_learning.repeat import ActionRepeat
 from outrider_learning.stacking import Stack
 from outrider_learning.transformation import Transformation, Transformed
 from pages import blocks, run_shown
@@ -263,3 +264,9 @@ def test_what_does_not_fit_is_refused_in_one_line() -> None:
 def test_the_examples_of_the_page_run(block: int) -> None:
     page = "docs/how-to/learning-observations.md"
     run_shown(blocks("python", page)[block], page)
+
+
+def test_other_libraries_find_the_mode_through_each_layer() -> None:
+    env = outrider.vector_env(ONE, num_envs=2)
+    for layer in (ActionRepeat(env, 2), Transformed(env, Stack(2))):
+        assert layer.autoreset_mode is AutoresetMode.SAME_STEP
