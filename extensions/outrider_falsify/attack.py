@@ -13,17 +13,16 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.control.tracking import tracking_output, tracking_step
-from agents.safety.decision import (
-    GuardState,
-    begin_guard,
-    forget_commands,
-    guard,
-    guard_state,
-    note_detection,
-    note_position,
+from agents.safety.decision import CERTIFIED, NOMINAL, decide
+from agents.safety.discs import KEPT, NEVER, bound_of, certified_distance, newest_disc
+from agents.safety.memory import (
+    FilterMemory,
+    add_measurement,
+    add_position,
+    filter_memory,
+    invalidate_plans,
+    reset_memory,
 )
-from agents.safety.discs import KEPT, NEVER, bound_of, certified_distance, newest_detection
-from agents.safety.trajectories import CERTIFIED, INNER, NO_DETECTION
 from bus.messages.links import LinkKind
 from bus.ticks import DUST
 from outrider_falsify.conditions import (
@@ -241,8 +240,8 @@ def _begin_plots(room: Room, random: Words, u_a: float, u_g: float) -> None:
 @compiled
 def _switch_command(
     conditions: Conditions,
-    promise: SafetyBounds,
-    detections: RecordArray,
+    bounds: SafetyBounds,
+    discs: RecordArray,
     plots: RecordArray,
     tick: int,
     here: Motion,
@@ -251,21 +250,21 @@ def _switch_command(
 ) -> tuple[float, float]:
     """The command of a law that switches, beyond its radius [m/s²]; z is p_a - p_g of the newest detection [m]."""
     if conditions.law >= GUARDS.switch_tracking:
-        return clip_norm(plots[UAV].output_x, plots[UAV].output_y, promise.u_a)
+        return clip_norm(plots[UAV].output_x, plots[UAV].output_y, bounds.u_a)
     if conditions.law == GUARDS.switch_best:
         least = math.inf
         for k in range(KEPT):
-            if detections[k].taken == NEVER:
+            if discs[k].tick == NEVER:
                 continue
-            r = bound_of(promise, detections, k, tick, here.p_x, here.p_y)
+            r = bound_of(bounds, discs, k, tick, here.p_x, here.p_y)
             if r < least:
                 least = r
-                z_x, z_y = here.p_x - detections[k].x, here.p_y - detections[k].y
+                z_x, z_y = here.p_x - discs[k].x, here.p_y - discs[k].y
     e_x, e_y = direction(z_x, z_y)
     return clip_norm(
-        (-promise.v_a * e_x - here.v_x) / promise.dt,
-        (-promise.v_a * e_y - here.v_y) / promise.dt,
-        promise.u_a,
+        (-bounds.v_a * e_x - here.v_x) / bounds.dt,
+        (-bounds.v_a * e_y - here.v_y) / bounds.dt,
+        bounds.u_a,
     )
 
 
@@ -290,10 +289,10 @@ def _delay_command(conditions: Conditions, room: Room, random: Words, tick: int,
 
 @compiled
 def _darken(
-    conditions: Conditions, promise: SafetyBounds, room: Room, random: Words, tick: int
+    conditions: Conditions, bounds: SafetyBounds, room: Room, random: Words, tick: int
 ) -> None:
     """Begin a blackout now and then, with a detection at least since the last one."""
-    trouble, now, longest = room.trouble[0], room.now, round(conditions.blackout_time / promise.dt)
+    trouble, now, longest = room.trouble[0], room.now, round(conditions.blackout_time / bounds.dt)
     if trouble.dark > 0 or trouble.seen == 0 or tick <= 20 or longest == 0:
         return
     if conditions.blackout == BLACKOUTS.periodic:
@@ -310,9 +309,9 @@ def _darken(
 def fly_one(
     tables: BatchTables,
     state: BatchState,
-    memory: GuardState,
+    memory: FilterMemory,
     room: Room,
-    promise: SafetyBounds,
+    bounds: SafetyBounds,
     conditions: Conditions,
     random: Words,
     ticks: int,
@@ -324,7 +323,7 @@ def fly_one(
         tables, state: The world. UAV 0 is vehicle 0, the UGV vehicle 1.
         memory: Of the filter.
         room: Of all else.
-        promise: The declared numbers; the laws that switch use its bounds only.
+        bounds: Bounds of the filter.
         conditions: Who guards and who attacks.
         random: State of the adversary's draws. (1,)
         ticks: Length of the run.
@@ -333,8 +332,8 @@ def fly_one(
     uav_row, ugv_row, result = state.vehicles[0, UAV], state.vehicles[0, UGV], results[0]
     plots, trouble, before, now = room.plots, room.trouble[0], room.before, room.now
     counts = room.counts[0]
-    dt, u_a, d_ticks = promise.dt, promise.u_a, promise.delay_ticks
-    u_g = conditions.u_g if math.isfinite(conditions.u_g) else 2.0 * promise.v_g / dt
+    dt, u_a, d_ticks = bounds.dt, bounds.u_a, bounds.delay_ticks
+    u_g = conditions.u_g if math.isfinite(conditions.u_g) else 2.0 * bounds.v_g / dt
     inner = choose(random, conditions.inner, len(INNERS))
     ugv = choose(random, conditions.ugv, len(UGVS))
     error = choose(random, conditions.error, len(ERRORS))
@@ -354,12 +353,11 @@ def fly_one(
     if disturbed:
         plots[UGV].wind = 2.0 * math.pi * next_share(random)
         blows = choose(random, conditions.blows, len(WINDS))
-    begin_guard(memory)
+    reset_memory(memory)
     begin_world(tables, state, None, 0)
     filtering, first_seen, seen_ticks = True, -1, 0
     total, intervened, uncertified = 0.0, 0, 0
     reset_counters(counts)
-    acts, code = INNER, NO_DETECTION
     result.max_distance, result.max_excess, result.max_age = 0.0, -math.inf, 0.0
     result.certified_lost, result.broken, result.max_certified = 0.0, 0.0, 0.0
     _keep_states(state, now)
@@ -373,16 +371,16 @@ def fly_one(
         d = norm(x, y)
         # what has reached the UAV's computer
         if trouble.away == 0:
-            note_position(memory, tick, here.p_x, here.p_y)
+            add_position(memory, tick, here.p_x, here.p_y)
             for n in range(state.links[0, 0].arrived):
                 packet = state.packets[0, 0, ARRIVED, n]
                 taken, (d_x, d_y) = int(packet.stamp), packet.vector
-                record_arrival(promise, counts, taken, packet.error)
-                note_detection(promise, memory, taken, tick, d_x, d_y, here.p_x, here.p_y)
-        detections = memory.detections
-        new = newest_detection(detections)
-        bound = certified_distance(promise, detections, tick, here.p_x, here.p_y)
-        age = tick - detections[new].taken  # if there is any
+                record_arrival(bounds, counts, taken, packet.error)
+                add_measurement(bounds, memory, taken, (d_x, d_y), tick, here)
+        discs = memory.discs
+        new = newest_disc(discs)
+        bound = certified_distance(bounds, discs, tick, here.p_x, here.p_y)
+        age = tick - discs[new].tick  # if there is any
         result.max_distance = max(result.max_distance, d)
         if new >= 0:
             result.max_excess = max(result.max_excess, d - bound)
@@ -396,7 +394,7 @@ def fly_one(
                 inner = choose(random, conditions.inner, len(INNERS))
         z_x, z_y = 0.0, 0.0
         if new >= 0:
-            z_x, z_y = here.p_x - detections[new].x, here.p_y - detections[new].y
+            z_x, z_y = here.p_x - discs[new].x, here.p_y - discs[new].y
         if inner == INNERS.tracking or conditions.law >= GUARDS.switch_tracking:
             o_x, o_y = tracking_output(xc_x, xc_y, z_x, z_y, _C_C, _D_C)
             plots[UAV].output_x, plots[UAV].output_y = o_x, o_y
@@ -408,31 +406,34 @@ def fly_one(
             if conditions.disturbance == DISTURBANCES.law_changes and next_share(random) < 0.01:
                 filtering = not filtering
                 if filtering:
-                    begin_guard(memory)
+                    reset_memory(memory)
                     reset_filter(counts)
-                    note_position(memory, tick, here.p_x, here.p_y)
+                    add_position(memory, tick, here.p_x, here.p_y)
             leaves = conditions.disturbance == DISTURBANCES.rejoins and trouble.away == 0
             if leaves and next_share(random) < 0.005:
                 trouble.away = 1 + int(next_share(random) * 20)
             if trouble.away > 0:
                 trouble.away -= 1
                 if trouble.away == 0:
-                    forget_commands(memory)
+                    invalidate_plans(memory)
             elif filtering:
                 begun = state.flown[0, UAV, 0].begins
-                u_x, u_y, acts, code, _ = guard(promise, memory, tick, here, u_x, u_y, begun)
+                decide(bounds, memory, tick, here, u_x, u_y, begun)
+                decision = memory.decision[0]
+                u_x, u_y = decision.acceleration[0], decision.acceleration[1]
                 carrying = not conditions.bare
-                certified = code == CERTIFIED
-                intervened += acts != INNER
-                said = Claim(certified, acts != INNER, d >= conditions.r_v, True)
-                record_decision(promise, counts, tick, said)
+                certified = decision.reason == CERTIFIED
+                overridden = decision.source != NOMINAL
+                intervened += overridden
+                said = Claim(certified, overridden, d >= conditions.r_v, True)
+                record_decision(bounds, counts, tick, said)
                 reported = True
         elif (
             new >= 0
             and (norm(z_x, z_y) if conditions.law == GUARDS.paper else bound) >= conditions.radius
         ):
             intervened += 1
-            u_x, u_y = _switch_command(conditions, promise, detections, plots, tick, here, z_x, z_y)
+            u_x, u_y = _switch_command(conditions, bounds, discs, plots, tick, here, z_x, z_y)
         counts.certified_before = counts.certified_before and reported
         if first_seen >= 0:
             seen_ticks += 1
@@ -446,7 +447,7 @@ def fly_one(
         sent[0], sent[1], sent[2] = u_x, u_y, 1.0 if carrying else 0.0
         then = -1 if trouble.away > 0 else _delay_command(conditions, room, random, tick, dt)
         if carrying:
-            held, under = memory.plan[0], memory.underway.sent
+            held, under = memory.plan[0], memory.pending.sent
             left = held.turn + held.cruise + held.brake
             pending = Pending(tick, d_ticks, allowed, d / conditions.r_v, left)
             lost, plots[UAV].losing = loses(losses, random, plots[UAV].losing, pending)
@@ -476,9 +477,9 @@ def fly_one(
             jump(conditions, state)
         _keep_states(state, now)
         x, y = now[UAV].p_x - now[UGV].p_x, now[UAV].p_y - now[UGV].p_y
-        _darken(conditions, promise, room, random, tick)
+        _darken(conditions, bounds, room, random, tick)
         n_x, n_y = detection_error(
-            error, random, tick, promise.max_measurement_error * conditions.error_share, x, y, plots
+            error, random, tick, bounds.max_measurement_error * conditions.error_share, x, y, plots
         )
         trouble.seen = 1 if trouble.dark == 0 else 0
         if trouble.dark > 0:
@@ -490,7 +491,7 @@ def fly_one(
         deliver_detections(tables, state, 0)
         flown = state.flown[0, UAV, 0]
         bare = uav_row.command_tick if flown.plain == 1 else NEVER_SEEN
-        record_interval(promise, counts, tick, flown.begins, bare)
+        record_interval(bounds, counts, tick, flown.begins, bare)
         if counts.interval_kept and certified:
             most = largest_between(before, now, dt)
             result.max_certified = max(result.max_certified, most)
@@ -503,12 +504,12 @@ def fly_one(
 
 
 def attack(
-    promise: SafetyBounds, conditions: Conditions, seed: int, first: int, runs: int, duration: float
+    bounds: SafetyBounds, conditions: Conditions, seed: int, first: int, runs: int, duration: float
 ) -> RecordArray:
     """Runs of an attack from `first` on.
 
     Args:
-        promise: The declared numbers.
+        bounds: Bounds of the filter.
         conditions: Who guards, who attacks, over which network.
         seed: Of all draws.
         first: Number of the first run.
@@ -518,16 +519,16 @@ def attack(
     Returns:
         `AttackResult` of each. Shape (runs,).
     """
-    batch = Batch(scenario_of(promise, conditions), 1, threads=1)
+    batch = Batch(scenario_of(bounds, conditions), 1, threads=1)
     late = batch.links.longest(LinkKind.DETECTIONS) + 1
-    memory, rest = guard_state(promise.delay_ticks, max(1, late)), empty_room()
+    memory, rest = filter_memory(bounds.delay_ticks, max(1, late)), empty_room()
     results, random = np.zeros(runs, record_type(AttackResult)), np.empty(1, np.uint64)
-    world, ticks = (batch.tables, batch.state), round(duration / promise.dt)
+    world, ticks = (batch.tables, batch.state), round(duration / bounds.dt)
     for k in range(runs):
         random[0] = draw(
             (np.uint64(seed), np.uint64(_ATTACK) << np.uint64(32)), FIRST, first + k, 0
         )[0]
         batch.restore([int(random[0] >> np.uint64(11))], [0])
-        fly_one(*world, memory, rest, promise, conditions, random, ticks, results[k : k + 1])
+        fly_one(*world, memory, rest, bounds, conditions, random, ticks, results[k : k + 1])
     batch.workers.close()
     return results

@@ -20,13 +20,11 @@ from agents.estimation.map_updates import (
 )
 from agents.estimation.perception import uav_perceive
 from agents.laws.dispatch import nominal_command
-from agents.safety.decision import GuardState, guard
-from agents.safety.pending import Underway, hand_over
-from agents.safety.trajectories import CERTIFIED as NOTHING_AGAINST
-from agents.safety.trajectories import INNER
+from agents.safety.decision import CERTIFIED, NOMINAL, decide
+from agents.safety.memory import FilterMemory
+from agents.safety.pending import PendingCommands, hand_over
 from agents.uav_parameters import Target
 from outrider.envs.closed_loop_state import (
-    GUARD_METRICS,
     LoopParameters,
     LoopState,
     LoopTables,
@@ -57,19 +55,19 @@ _RELATIVE, _GROUND = range(2)
 
 
 @inlined
-def _guard_of(tables: LoopTables, state: GuardState, world: int, uav: int) -> GuardState:
-    delay, underway = tables.safety[uav].delay_ticks, state.underway
-    sent = Underway(
-        underway.sent[world, uav, : delay + 2],
-        underway.flown[world, uav],
-        underway.expected[world, uav],
-    )
-    return GuardState(
-        state.detections[world, uav],
-        state.plan[world, uav],
-        state.track[world, uav],
-        state.flags[world, uav],
-        sent,
+def _filter_of(tables: LoopTables, filters: FilterMemory, world: int, uav: int) -> FilterMemory:
+    delay, pending = tables.safety[uav].delay_ticks, filters.pending
+    return FilterMemory(
+        filters.discs[world, uav],
+        filters.plan[world, uav],
+        filters.track[world, uav],
+        filters.flags[world, uav],
+        PendingCommands(
+            pending.sent[world, uav, : delay + 2],
+            pending.flown[world, uav],
+            pending.expected[world, uav],
+        ),
+        filters.decision[world, uav],
     )
 
 
@@ -118,10 +116,9 @@ def _fly(
     tick, row = state.batch.ticks[world], state.rows.uavs[world, uav]
     one = state.batch.vehicles[world, vehicle]
     here = _reference_of(one)
-    guarded = tables.guarded[uav] != 0
+    filtered = tables.filtered[uav] != 0
     target = estimate(state.kalman, world, uav)
     flown = state.batch.flown[world, vehicle, 0].begins
-    acts, code, bound = INNER, NOTHING_AGAINST, 0.0
     if tables.hand[vehicle] < 0:
         coverage = _coverage_of(parameters, state, world, uav)
         u_x, u_y = nominal_command(
@@ -129,22 +126,21 @@ def _fly(
         )
     else:
         u_x, u_y = actions[tables.hand[vehicle], 0], actions[tables.hand[vehicle], 1]
-    if guarded:
-        held = _guard_of(tables, state.guards, world, uav)
-        u_x, u_y, acts, code, bound = guard(tables.safety[uav], held, tick, here, u_x, u_y, flown)
-        row[GUARD_METRICS.bound] = bound
-        row[GUARD_METRICS.acted] = 1.0 if acts != INNER else 0.0
-        sure = code == NOTHING_AGAINST and tables.faults[uav] == 0
-        row[GUARD_METRICS.sure], row[GUARD_METRICS.code] = 1.0 if sure else 0.0, code
+    if filtered:
+        memory = _filter_of(tables, state.filters, world, uav)
+        decide(tables.safety[uav], memory, tick, here, u_x, u_y, flown)
+        decision = memory.decision[0]
+        u_x, u_y = decision.acceleration[0], decision.acceleration[1]
+        certified, overridden = decision.reason == CERTIFIED, decision.source != NOMINAL
         # a pilot that has seen nothing reports nothing
         reports = target.known or tables.hand[vehicle] >= 0
-        said = Claim(sure, reports and acts != INNER, row[UAV_METRICS.lost] != 0.0, True)
+        said = Claim(certified, reports and overridden, row[UAV_METRICS.lost] != 0.0, True)
         record_decision(tables.monitored[uav], state.certificates[world, uav], tick, said)
     one.outgoing_tick, one.outgoing[0], one.outgoing[1] = tick, u_x, u_y
-    if guarded:
+    if filtered:
         one.outgoing_motion, one.outgoing_motions = hand_over(
             tables.safety[uav],
-            _guard_of(tables, state.guards, world, uav).underway,
+            _filter_of(tables, state.filters, world, uav).pending,
             tick,
             state.batch.motions[world, vehicle],
         )
@@ -310,13 +306,13 @@ def _perceive(
         for n in range(arrived):
             packet = state.batch.packets[world, u, ARRIVED, n]
             looks[n, 0], looks[n, 1], looks[n, 2] = packet.stamp, packet.vector[0], packet.vector[1]
-        if looked > 0 or tables.guarded[u]:
+        if looked > 0 or tables.filtered[u]:
             uav_perceive(
                 tables.laws.uavs[u],
                 tables.safety[u],
-                tables.guarded[u] != 0,
+                tables.filtered[u] != 0,
                 _coverage_of(parameters, state, world, u),
-                _guard_of(tables, state.guards, world, u),
+                _filter_of(tables, state.filters, world, u),
                 looked,
                 tick,
                 here,
@@ -447,7 +443,7 @@ def _command(
 def _note_actions(tables: LoopTables, state: LoopState, world: int, tick: int) -> None:
     """Count the actions of the UAVs that a safety filter watches over."""
     for u in range(tables.batch.escorts.shape[0]):
-        if tables.guarded[u]:
+        if tables.filtered[u]:
             _note_action(tables, state, world, u, tick)
 
 
@@ -458,7 +454,7 @@ def _note_tick(tables: LoopTables, state: LoopState, world: int, over: bool) -> 
         if over:
             lost = state.rows.uavs[world, u, UAV_METRICS.lost] != 0.0
             record_end(state.certificates[world, u], lost)
-        elif tables.guarded[u]:
+        elif tables.filtered[u]:
             _note_evidence(tables, state, world, u)
 
 

@@ -14,11 +14,12 @@ from gymnasium import logger
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
+from agents.safety.decision import CERTIFIED, NOMINAL
+from bus.messages.base import or_infinite
 from bus.messages.links import LinkStatus
 from bus.messages.telemetry import MissionResult
 from bus.observations import GRADIENT, UAV, as_rows
 from outrider.envs.closed_loop import ClosedLoop
-from outrider.envs.closed_loop_state import GUARD_METRICS
 from outrider.envs.pilot_numbers import pilot_names
 from sim.compiling.compile import FloatArray, IntArray
 from sim.engine.mission import mission_numbers
@@ -187,10 +188,10 @@ class Worlds:
                 :, self.loop.ugvs.index(name), UGV_METRICS.reached
             ].astype(np.int64)
         elif self.is_filtered(name):
-            rows = self.loop.state.rows.uavs[:, self.loop.uavs.index(name)]
-            found["intervened"] = rows[:, GUARD_METRICS.acted] != 0.0
-            found["certified"] = rows[:, GUARD_METRICS.sure] != 0.0
-            found["certified_distance"] = rows[:, GUARD_METRICS.bound].copy()
+            rows = self.loop.decisions(name)
+            found["intervened"] = rows["source"] != NOMINAL
+            found["certified"] = rows["reason"] == CERTIFIED
+            found["certified_distance"] = rows["certified_distance"].copy()
         return found | {f"_{key}": np.ones(self.num_envs, dtype=np.bool_) for key in found}
 
     def info(self, name: str) -> dict[str, Any]:
@@ -199,7 +200,15 @@ class Worlds:
         if name in self.loop.ugvs:
             row = self.loop.ugvs.index(name)
             return {"goals_reached": int(state.ugvs.item(0, row, UGV_METRICS.reached))}
-        return self.loop.verdict(name) if self.is_filtered(name) else {}
+        if not self.is_filtered(name):
+            return {}
+        decision = self.loop.decision(name)
+        return {
+            "intervened": decision.overridden,
+            "certified": decision.certified,
+            "uncertified": decision.reason.value if decision.reason else "",
+            "certified_distance": or_infinite(decision.certified_distance),
+        }
 
     def reset(
         self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None
