@@ -10,13 +10,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from agents.safety.decision import CERTIFIED
 from bus.errors import ScenarioError
 from bus.messages.links import LinkKind
 from bus.messages.scenario import Law
 from bus.profiles import PROFILES
 from flights import altered
 from outrider.envs.closed_loop import ClosedLoop
-from outrider.envs.closed_loop_state import GUARD_METRICS
 from outrider.running.flying import fly, make_pilots
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
@@ -109,12 +109,13 @@ def test_what_is_certified_out_of_sight_is_counted_in_every_world() -> None:
     loop.tables.batch.world["r_v"] = 0.5
     loop.begin(seeds)
     rows, counted = loop.state.rows.uavs[:, 0], np.zeros(len(seeds))
+    decisions = loop.decisions("uav_0")
     for _ in range(scenario.ticks):
         far = rows[:, UAV_METRICS.distance] >= 0.5
         loop.fly(1)
         # said of the tick at which it was so far
-        counted += far & (rows[:, GUARD_METRICS.sure] == 1.0)
-    counted += (rows[:, UAV_METRICS.distance] >= 0.5) & (rows[:, GUARD_METRICS.sure] == 1.0)
+        counted += far & (decisions["reason"] == CERTIFIED)
+    counted += (rows[:, UAV_METRICS.distance] >= 0.5) & (decisions["reason"] == CERTIFIED)
     assert loop.metrics("uav_0")["certified_while_lost"].tolist() == counted.tolist()
     assert counted.min() > 100
 

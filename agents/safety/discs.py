@@ -245,8 +245,8 @@ def lens_distance(
 ) -> float:
     """Return the largest distance from p of a point in two discs' intersection [m].
 
-    The farthest common point is the far point of one disc if that lies in the other, else a corner of the lens; of discs that touch, but for
-    rounding, the point where they do. Discs that do not meet (no UGV can be in both: an assumption is broken) give the
+    Their farthest common point is the far point of one disc if that lies in the other, else a corner of the lens; of
+    discs that touch, but for rounding, the point where they do. Discs that do not meet (no UGV can be in both: an assumption is broken) give the
     smaller of the two bounds; an infinite radius is no disc.
 
     Args:

@@ -133,8 +133,8 @@ def _way_fits(bounds: SafetyBounds, k: int, radius: float) -> bool:
 def unfit_way(bounds: SafetyBounds, likely: int, radius: float) -> int:
     """Return the steps of a way to a newer measurement on which a motion from rest leaves r_v.
 
-    The UGV is within `radius` at its start. Over all ways in steps of half a centimetre, more where r_v is large: between two of them the motion with the same
-    ticks scales with the way, so that no point of it and no disc moves by more than a step. The farther a detection,
+    The UGV is within `radius` at its start. Over all ways in steps of half a centimetre, more where r_v is large:
+    between two of them the motion with the same ticks scales with the way, so that no point of it and no disc moves by more than a step. The farther a detection,
     the younger it is: way + rho <= E + 2 eps.
 
     Args:
@@ -177,7 +177,7 @@ def handover_radius(bounds: SafetyBounds) -> float:
 
 @functools.lru_cache(maxsize=1024)
 def certificate(bounds: SafetyBounds) -> SafetyBounds:
-    """Add the hand-over to declared bounds: R_h and E stay NaN where there is none; `valid` says if all assumptions hold."""
+    """Add R_h and E to declared bounds, NaN where there is no hand-over, and `valid`."""
     b, radius, reach = bounds, math.nan, math.nan
     finite = all(
         math.isfinite(x) for x in (b.radius, b.v_a, b.v_g, b.placed_error, b.max_measurement_age)
