@@ -1,9 +1,6 @@
 """The UAV's pilot: observation in, command out."""
 
-import math
 from collections.abc import Callable
-
-import msgspec
 
 from agents.control.orbit import Path, check_path
 from agents.control.weighting import Weighting, check_weighting
@@ -11,12 +8,13 @@ from agents.estimation.estimator import Estimate, estimator_of
 from agents.estimation.map_updates import GroundTeller
 from agents.laws.policy import PolicyControl, TargetEstimate, UavPolicy
 from agents.laws.selection import SelectedLaw
-from agents.safety.safety_filter import SafetyFilter, Verdict
+from agents.safety.safety_filter import SafetyFilter
 from agents.uav_parameters import uav_parameters
 from bus.errors import ScenarioError
-from bus.messages.base import LONGEST_TEXT, Vector
+from bus.messages.base import Vector
 from bus.messages.scenario import Law
 from bus.messages.vehicle import (
+    BackupTrajectory,
     RelativeInformation,
     UavBriefing,
     UavCommand,
@@ -33,24 +31,6 @@ Inner = Callable[[UavObservation], Vector | None]
 
 _PATH_HORIZON = 600.0
 """The time that a path of one's own is checked ahead [s]: a pilot does not know how long the run will be."""
-
-
-def _report(estimate: Estimate, verdict: Verdict | None) -> UavReport:
-    report = UavReport(
-        estimate=estimate.position,
-        covariance=estimate.covariance,
-        age=estimate.age,
-        refused=estimate.refused,
-    )
-    if verdict is None:
-        return report
-    return msgspec.structs.replace(
-        report,
-        certified=verdict.certified,
-        uncertified=verdict.reason[:LONGEST_TEXT],
-        intervened=verdict.intervened,
-        certified_distance=verdict.distance if math.isfinite(verdict.distance) else None,
-    )
 
 
 class UavPilot:
@@ -149,9 +129,12 @@ class UavPilot:
         estimate = self._estimate
         if wanted is None:
             wanted = self._nominal(observation)
-        verdict = None if self.filter is None else self.filter.filter(observation, wanted)
-        acceleration = wanted if verdict is None else verdict.acceleration
-        motions = () if verdict is None else verdict.motions
+        acceleration, decision = wanted, None
+        motions: tuple[BackupTrajectory, ...] = ()
+        if self.filter is not None:
+            decision = self.filter.filter(observation, wanted)
+            acceleration = decision.acceleration
+            motions = self.filter.backup_trajectories(tick)
         if estimate is None:
             return UavCommand(tick=tick, acceleration=acceleration, motions=motions)
         target_position = estimate.position
@@ -161,13 +144,19 @@ class UavPilot:
             motions=motions,
             radio=() if tick % self._radio_ticks else self._radio(observation, *target_position),
             blocks=self.teller.blocks(tick, target_position),
-            report=_report(estimate, verdict),
+            report=UavReport(
+                estimate=target_position,
+                covariance=estimate.covariance,
+                age=estimate.age,
+                refused=estimate.refused,
+                decision=decision,
+            ),
         )
 
     def forget_commands(self) -> None:
         """The last answers may not have been sent."""
         if self.filter is not None:
-            self.filter.forget_commands()
+            self.filter.invalidate_plans()
 
     def perceive(self, observation: UavObservation) -> None:
         """Update map, estimator and safety filter, also by an observation that comes too late to be answered."""

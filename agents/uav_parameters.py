@@ -58,8 +58,8 @@ class Target(NamedTuple):
 
 def _max_distance(briefing: UavBriefing) -> float:
     """Return r_v of the safety filter less the largest declared error of a detection [m]."""
-    promise = bounds_of(briefing)
-    distance = promise.radius - promise.placed_error
+    bounds = bounds_of(briefing)
+    distance = bounds.radius - bounds.placed_error
     return float(distance if math.isfinite(distance) else briefing.visibility_radius)
 
 

@@ -67,7 +67,7 @@ def radius() -> Iterator[str]:
     rows += [(0.3, 0.05, 0.5), (0.3, 0.05, 1.0), (0.3, 15.0, 1.0)]
     for eps, age, delay in rows:
         c = _certificate(eps=eps, age=age, delay=delay)
-        cells = f"{c.handover_radius:.3f} | {c.handover_bound:.2f} | {_r_cert(c):.2f}"
+        cells = f"{c.handover_radius:.3f} | {c.handover_bound:.2f} | {certified_radius(c):.2f}"
         yield f"| {eps:g} | {age:g} | {delay:g} | {cells} |"
     yield ""
     errors = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5)
@@ -193,7 +193,7 @@ def _bounds(told: str, found: list[SafetyBounds]) -> Iterator[str]:
     for name, row in (
         ("R_h [m]", [f"{c.handover_radius:.3f}" for c in found]),
         ("E [m]", [f"{c.handover_bound:.2f}" for c in found]),
-        ("r_cert [m]", [f"{_r_cert(c):.2f}" for c in found]),
+        ("r_cert [m]", [f"{certified_radius(c):.2f}" for c in found]),
     ):
         yield f"| {name} at {told} | {' | '.join(row).replace('nan', '–')} |"
 
@@ -203,14 +203,6 @@ def _oldest(told: str, found: list[SafetyBounds]) -> str:
     ages = [largest_age(c) for c in found]
     row = " | ".join("–" if math.isnan(age) else f"{age:.1f}" for age in ages)
     return f"| largest A [s] at {told} | {row} |"
-
-
-def _r_cert(promise: SafetyBounds) -> float:
-    c = promise
-    delay, wait = c.delay_ticks * c.dt, (c.interval_ticks - 1) * c.dt
-    return certified_radius(
-        c.handover_radius, c.v_a, c.u_a, c.v_g, c.dt, delay, wait, c.max_tracking_error
-    )
 
 
 def _unreliable() -> dict[str, tuple[Conditions, float]]:
@@ -280,7 +272,10 @@ def _flown(task: tuple[str, str, int]) -> tuple[float, float, int, float]:
         on_tick=lambda: said.append(flight.answers.reports[0]),
     )
     distance, error = flight.recorder.escorts[:, 0, 0], flight.recorder.escorts[:, 0, 1]
-    certified = [report is not None and bool(report.certified) for report in said]
+    certified = [
+        report is not None and report.decision is not None and report.decision.certified
+        for report in said
+    ]
     false = sum(distance[tick] >= 4.75 for tick, sure in enumerate(certified) if sure)
     return sum(certified) / len(certified), float(error.mean()), int(false), float(distance.max())
 

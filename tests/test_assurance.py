@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from agents.process import Pilot
 from agents.uav import UavPilot
+from bus.messages.decision import FilterDecision, NotCertified, Source
 from bus.messages.scenario import Law
 from bus.messages.vehicle import UavCommand, UavObservation, UavReport
 from flights import R_V, Piloted, altered, escort
@@ -44,15 +45,21 @@ DELAYED = load_scenario(
 """Commands act two ticks late, and the newest detection is never older than ten ticks."""
 
 
-def said(certified: bool | None, *, distance: float = 1.0, reason: str = "") -> UavReport:
+def said(certified: bool | None, *, distance: float = 1.0) -> UavReport:
+    decision = None
+    if certified is not None:
+        decision = FilterDecision(
+            acceleration=(0.0, 0.0),
+            source=Source.NOMINAL,
+            reason=None if certified else NotCertified.NO_PLAN,
+            certified_distance=distance,
+        )
     return UavReport(
         estimate=(1.0, 2.0),
         covariance=(1.0, 0.0, 1.0),
         age=0.0,
         refused=0,
-        certified=certified,
-        certified_distance=distance if certified is not None else None,
-        uncertified=reason,
+        decision=decision,
     )
 
 
@@ -84,7 +91,7 @@ def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) 
         assurance.track(0, truth["off"])
     if truth["excused"]:
         assurance.excuse(0)
-    report = None if certified is None else said(certified, reason="" if certified else "because")
+    report = None if certified is None else said(certified)
     answered = tick if truth["current"] else tick - 1
     arrivals, flown = np.zeros(1, record_type(ArrivalRecord)), no_motions(2)
     arrivals["newest"] = max((taken for taken, _ in truth["arrivals"]), default=NEVER)
@@ -325,10 +332,10 @@ def test_a_recording_tells_the_same_counts_and_each_tick_s_claim(lied):
     _, summary, path = lied
     truths = flight_of(path).truths
     reports = [truth.escorts[0].report for truth in truths[1:]]  # what was said at the tick before
-    assert [report is not None and report.certified for report in reports] == [
+    assert [report is not None and report.decision.certified for report in reports] == [
         tick != 7 for tick in range(LOSING.ticks)
     ]
-    assert {report.certified_distance for report in reports if report is not None} == {0.5}
+    assert {report.decision.certified_distance for report in reports if report is not None} == {0.5}
     lies = [
         t.escorts[0].distance >= R_V
         for t, report in zip(truths, reports, strict=False)
@@ -369,10 +376,10 @@ def test_the_table_has_a_line_for_each_fault_of_the_certificate_and_none_without
 
 
 def losing_the_thread(scenario: Scenario) -> Piloted:
-    """The pilots, but now and then the UAV says without a reason that it is not certified."""
+    """The pilots, but now and then the UAV says that it is not certified."""
 
     def says(seen: UavObservation) -> dict[str, Any]:
-        return {"report": said(seen.tick % 50 != 49, reason="no reason at all")}
+        return {"report": said(seen.tick % 50 != 49)}
 
     return altered(make_pilots(scenario, 7), "uav_0", says)
 
@@ -403,7 +410,7 @@ def test_a_flight_s_certificate_is_broken_only_where_the_truth_keeps_what_is_dec
     flight = Flight(scenario, 7)
     flight.fly(losing_the_thread(scenario))
     assert flight.answers.assurance.certificate_broken == broken
-    assert flight.answers.assurance.reasons["no reason at all"] == 4
+    assert flight.answers.assurance.reasons[NotCertified.NO_PLAN] == 4
 
 
 def test_a_law_that_is_ordered_in_flight_excuses_the_tick_at_which_it_begins() -> None:

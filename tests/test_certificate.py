@@ -11,9 +11,10 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from agents.safety import discs, handover
+from agents.safety import decision, discs, handover
 from agents.safety import trajectories as c
-from agents.safety.decision import track_ticks
+from agents.safety.area import step_in_area
+from agents.safety.memory import track_ticks
 from bus.ticks import first_tick_from
 from flights import DT, PROMISED, R_S, R_V, U_A, V_A, V_G, certified
 from properties import PROPERTY
@@ -41,10 +42,10 @@ NOW = 400
 """A tick with some past."""
 
 
-def seen(*detections: tuple[float, float, int]) -> RecordArray:
-    """These detections and no others."""
-    kept = discs.no_detections()
-    kept[: len(detections)] = list(detections)
+def seen(*detections: tuple[float, float, int], eps: float = 0.3) -> RecordArray:
+    """Return the discs of these detections and no others."""
+    kept = discs.no_discs()
+    kept[: len(detections)] = [(x, y, eps, tick) for x, y, tick in detections]
     return kept
 
 
@@ -66,19 +67,19 @@ def away(p: FloatArray, g: FloatArray) -> FloatArray:
 def test_the_certified_distance_is_never_less_than_the_distance(seed: int, eps: float) -> None:
     """Any UGV within its speed, any error within eps, late and overtaking detections, and gaps."""
     rng = np.random.default_rng(seed)
-    q, kept, g, p = promise(eps=eps), discs.no_detections(), rng.normal(size=2), rng.normal(size=2)
-    underway: list[tuple[float, float, int]] = []
+    q, kept, g, p = promise(eps=eps), discs.no_discs(), rng.normal(size=2), rng.normal(size=2)
+    pending: list[tuple[float, float, int]] = []
     newest = -1
     for tick in range(400):
         if rng.random() < 0.7:
             z = g + in_disc(rng, eps)
-            underway.append((z[0], z[1], tick))
-        for z_x, z_y, taken in [one for one in underway if rng.random() < 0.3]:
-            underway.remove((z_x, z_y, taken))
-            assert discs.keep_detection(q, kept, z_x, z_y, taken, tick, p[0], p[1])
+            pending.append((z[0], z[1], tick))
+        for z_x, z_y, taken in [one for one in pending if rng.random() < 0.3]:
+            pending.remove((z_x, z_y, taken))
+            assert discs.add_disc(q, kept, discs.Disc(z_x, z_y, eps, taken), tick, *p)
             newest = max(newest, taken)
-            assert kept["taken"].max() == newest
-            assert kept["taken"][discs.newest_detection(kept)] == newest
+            assert kept["tick"].max() == newest
+            assert kept["tick"][discs.newest_disc(kept)] == newest
         assert np.linalg.norm(p - g) <= discs.certified_distance(q, kept, tick, *p) + 1e-9
         course = in_disc(rng, V_G) if rng.random() < 0.2 else V_G * away(p, g)
         g = g + DT * course
@@ -89,13 +90,13 @@ def test_the_certified_distance_is_never_less_than_the_distance(seed: int, eps: 
 @settings(PROPERTY, max_examples=60)
 def test_what_is_dropped_can_only_raise_the_bound(seed: int, eps: float) -> None:
     rng = np.random.default_rng(seed)
-    q, kept, g = promise(eps=eps), discs.no_detections(), np.zeros(2)
-    every: list[tuple[float, float, int]] = []
+    q, kept, g = promise(eps=eps), discs.no_discs(), np.zeros(2)
+    every: list[tuple[float, float, float, int]] = []
     for tick in range(60):
         g = g + DT * in_disc(rng, V_G)
         z, p = g + in_disc(rng, eps), rng.normal(size=2)
-        discs.keep_detection(q, kept, z[0], z[1], tick, tick, p[0], p[1])
-        every.append((z[0], z[1], tick))
+        discs.add_disc(q, kept, discs.Disc(*z, eps, tick), tick, *p)
+        every.append((z[0], z[1], eps, tick))
         full = np.array(every, dtype=kept.dtype)
         bound, least = (discs.certified_distance(q, rows, tick, *p) for rows in (kept, full))
         assert bound >= least
@@ -108,10 +109,10 @@ def test_an_older_detection_that_comes_late_never_takes_the_place_of_a_newer_one
     v_g: float,
 ) -> None:
     """Of a UGV that cannot move both discs are the same."""
-    kept = discs.no_detections()
+    kept = discs.no_discs()
     for taken in (10, 1, 10):
-        discs.keep_detection(promise(v_g=v_g), kept, 1.0, 0.5, taken, 10, 0.0, 0.0)
-        assert kept["taken"].max() == 10
+        discs.add_disc(promise(v_g=v_g), kept, discs.Disc(1.0, 0.5, 0.3, taken), 10, 0.0, 0.0)
+        assert kept["tick"].max() == 10
 
 
 @given(st.integers(1, 40_000), st.sampled_from([0.05, 0.02, 1e-3, 5e-4, 1e-4]))
@@ -125,16 +126,18 @@ def test_commands_act_in_the_tick_in_which_their_link_delivers_them(ms: int, dt:
 
 
 def test_the_bound_without_a_detection_is_infinite() -> None:
-    kept = discs.no_detections()
+    kept = discs.no_discs()
     assert discs.certified_distance(promise(), kept, 20, 0.0, 0.0) == math.inf
-    assert discs.newest_detection(discs.no_detections()) == -1
+    assert discs.newest_disc(discs.no_discs()) == -1
 
 
 def test_detections_that_cannot_both_be_right_are_noticed() -> None:
     for apart, agrees in ((0.6 + 0.2, True), (0.6 + 0.2 + 1e-3, False)):
         for stamp in (40, 0):
             kept = seen((0.0, 0.0, 20))
-            found = discs.keep_detection(promise(), kept, apart, 0.0, stamp, 60, 0.0, 0.0)
+            found = discs.add_disc(
+                promise(), kept, discs.Disc(apart, 0.0, 0.3, stamp), 60, 0.0, 0.0
+            )
             assert found is agrees
 
 
@@ -187,9 +190,7 @@ def test_from_rest_to_rest_the_bounds_are_kept_and_the_way_is_exact(way: float, 
 def ways_down(**numbers: float) -> list[float]:
     """R_h and r_cert of a certificate; a radius that there is not counts as none."""
     q = promise(**numbers)
-    radius = handover.certified_radius(
-        q.handover_radius, q.v_a, q.u_a, q.v_g, q.dt, q.delay_ticks * q.dt
-    )
+    radius = handover.certified_radius(q)
     return [-1.0 if math.isnan(x) else x for x in (q.handover_radius, radius)]
 
 
@@ -215,7 +216,7 @@ def test_the_radii_move_with_each_number_in_one_direction(name, values, sign):
 
 def test_with_perfect_information_the_certified_radius_is_the_papers() -> None:
     q = promise(dt=0.002, eps=0.0, age=0.0)
-    radius = handover.certified_radius(q.handover_radius, q.v_a, q.u_a, q.v_g, q.dt, 0.0)
+    radius = handover.certified_radius(q)
     assert R_S - 0.02 < radius < R_S
 
 
@@ -232,10 +233,9 @@ def test_a_delay_of_commands_counts_as_age() -> None:
 
 def test_the_shipped_numbers() -> None:
     q = promise(age=0.05)
-    assert handover.certified_radius(q.handover_radius, V_A, U_A, V_G, DT, 0.0) == pytest.approx(
-        3.61, abs=0.01
-    )
+    assert handover.certified_radius(q) == pytest.approx(3.61, abs=0.01)
     assert handover.check_assumptions(promise(age=15.05)) == ()
+    assert promise(age=15.05).valid
     assert 17.0 < handover.largest_age(q) < 18.0
 
 
@@ -296,7 +296,7 @@ def test_a_plan_keeps_in_sight_whatever_agrees_with_the_detections(
     g = np.array([10.0, 10.0])
     older = int(rng.integers(0, 120))
     first, second = g + in_disc(rng, V_G * older * DT) + in_disc(rng, eps), g + in_disc(rng, eps)
-    detections = seen((first[0], first[1], NOW - older), (second[0], second[1], NOW))
+    detections = seen((first[0], first[1], NOW - older), (second[0], second[1], NOW), eps=eps)
     centre = rng.uniform(1.0, 19.0, 2) if seed % 3 else g
     state = [g[0] + far * math.cos(where), g[1] + far * math.sin(where), 0.0, 0.0]
     state[2:] = [share * V_A * math.cos(angle), share * V_A * math.sin(angle)]
@@ -305,7 +305,7 @@ def test_a_plan_keeps_in_sight_whatever_agrees_with_the_detections(
         *((*(g + last), norm(last[0], last[1])) if seed % 5 else (*centre, math.inf)), NOW
     )
     make = c.stop_from if kind == "stop" else c.return_from
-    known = c.known_from(q, detections, memory, 1, NOW, state[0], state[1])
+    known = discs.known_discs(q, detections, c.end_disc(memory), 1, NOW, Motion(*state))
     if not make(q, known, memory, NOW, Motion(*state)):
         return
     distances = fly_plan(q, memory, state, g)
@@ -327,8 +327,9 @@ def test_from_rest_within_the_handover_radius_there_is_a_plan_to_every_later_det
     way = far * min(q.handover_bound + 2.0 * eps - rho, radius + rho)
     memory = last_seen_in(7.0, 7.0, radius, NOW)
     z = (7.0 + way * math.cos(where), 7.0 + way * math.sin(where), NOW - young_ticks)
-    known = c.known_from(q, seen(z), memory, 0, NOW, 7.0, 7.0)
-    assert c.return_from(q, known, memory, NOW, Motion(7.0, 7.0, 0.0, 0.0))
+    here = Motion(7.0, 7.0, 0.0, 0.0)
+    known = discs.known_discs(q, seen(z, eps=eps), c.end_disc(memory), 0, NOW, here)
+    assert c.return_from(q, known, memory, NOW, here)
 
 
 @pytest.mark.parametrize("off", [-0.02, 0.02])
@@ -340,7 +341,8 @@ def test_a_plan_may_end_only_where_the_newest_detection_s_own_bound_is_within_re
     assert radius - rho < way < radius + rho  # the discs meet
     assert radius + growth < q.handover_radius
     z = (7.0 + way, 7.0, NOW - q.max_age_ticks)
-    known = c.known_from(q, seen(z), last_seen_in(7.0, 7.0, radius, NOW), 0, NOW, 7.0, 7.0)
+    end, here = discs.Disc(7.0, 7.0, radius, NOW), Motion(7.0, 7.0, 0.0, 0.0)
+    known = discs.known_discs(q, seen(z), end, 0, NOW, here)
     bound = c._end_radius(q, known, NOW, 7.0, 7.0, ticks)
     assert math.isinf(bound) == (off > 0.0)
 
@@ -351,26 +353,28 @@ def test_within_the_certified_radius_every_inner_control_acts(
     far: float, where: float, share: float, angle: float, wanted: float, eps: float
 ) -> None:
     q = promise(eps=eps, age=1.0)
-    room = handover.certified_radius(q.handover_radius, V_A, U_A, V_G, DT, 0.0) - eps
+    room = handover.certified_radius(q) - eps
     x, y = far * room * math.cos(where), far * room * math.sin(where)
     v_x, v_y = share * V_A * math.cos(angle), share * V_A * math.sin(angle)
     u = (U_A * math.cos(wanted), U_A * math.sin(wanted))
-    answer = c.safe_control(q, seen((0.0, 0.0, 0)), no_motions(1), 0, Motion(x, y, v_x, v_y), *u)
-    assert answer == pytest.approx((*u, c.INNER))
+    answer = decision.choose_control(
+        q, seen((0.0, 0.0, 0), eps=eps), no_motions(1), 0, Motion(x, y, v_x, v_y), *u
+    )
+    assert answer == pytest.approx((*u, decision.NOMINAL))
 
 
 @pytest.mark.parametrize(
     ("detections", "here", "wanted", "answer"),
     [
-        ([(0.0, 0.0, 0)], (3.36, 0.0, V_A, 0.0), (U_A, 0.0), (-U_A, 0.0, c.PLAN)),
-        ([(0.0, 0.0, 0)], (3.36, 0.0, -V_A, 0.0), (U_A, 0.0), (U_A, 0.0, c.INNER)),
-        ([(0.0, 0.0, 0)], (6.0, 0.0, 0.0, 0.0), (U_A, 0.0), (-U_A, 0.0, c.BEST_EFFORT)),
-        ([], (1.0, 1.0, 0.3, 0.0), (U_A, U_A), (-U_A, 0.0, c.BEST_EFFORT)),
+        ([(0.0, 0.0, 0)], (3.36, 0.0, V_A, 0.0), (U_A, 0.0), (-U_A, 0.0, decision.BACKUP)),
+        ([(0.0, 0.0, 0)], (3.36, 0.0, -V_A, 0.0), (U_A, 0.0), (U_A, 0.0, decision.NOMINAL)),
+        ([(0.0, 0.0, 0)], (6.0, 0.0, 0.0, 0.0), (U_A, 0.0), (-U_A, 0.0, decision.BEST_EFFORT)),
+        ([], (1.0, 1.0, 0.3, 0.0), (U_A, U_A), (-U_A, 0.0, decision.BEST_EFFORT)),
     ],
     ids=["outward is stopped", "return is left alone", "out of reach", "no detection: it brakes"],
 )
 def test_beyond_the_certified_radius_the_filter_acts(detections, here, wanted, answer):
-    found = c.safe_control(
+    found = decision.choose_control(
         promise(age=1.0), seen(*detections), no_motions(1), 0, Motion(*here), *wanted
     )
     assert found == pytest.approx(answer)
@@ -395,6 +399,7 @@ def test_an_assumption_that_fails_names_itself_with_its_numbers(numbers, text):
     (reason,) = handover.check_assumptions(promise(**numbers))
     assert re.search(text, reason), reason
     assert math.isnan(promise(**numbers).handover_radius)
+    assert not promise(**numbers).valid
 
 
 @pytest.mark.parametrize(
@@ -410,6 +415,7 @@ def test_numbers_beyond_what_can_be_computed_with_are_not_certified(
 ) -> None:
     (reason,) = handover.check_assumptions(promise(**numbers))
     assert text in reason
+    assert not promise(**numbers).valid
 
 
 def test_a_detection_is_of_use_for_as_long_as_is_declared() -> None:
@@ -434,10 +440,10 @@ def test_a_vehicle_that_is_driven_into_a_wall_keeps_a_plan_there() -> None:
     detections, plan = seen((2.0, 5.0, 0)), no_motions(1)
     here, least = Motion(2.0, 5.0, 0.0, 0.0), 2.0
     for tick in range(400):
-        detections["taken"][0] = tick
-        u_x, u_y, acts = c.safe_control(q, detections, plan, tick, here, -U_A, 0.0)
-        assert acts != c.BEST_EFFORT
-        here, _ = c.step_in_area(q, here, u_x, u_y)
+        detections["tick"][0] = tick
+        u_x, u_y, source = decision.choose_control(q, detections, plan, tick, here, -U_A, 0.0)
+        assert source != decision.BEST_EFFORT
+        here, _ = step_in_area(q, here, u_x, u_y)
         least = min(least, here.p_x)
     assert least < 0.05
 
@@ -462,7 +468,9 @@ def test_a_wall_takes_only_residual_velocity_from_a_plan(x, y, share, angle, see
             0,
         )
     )
-    known = c.known_from(q, detections, no_motions(1), 0, 0, x, y)
+    known = discs.known_discs(
+        q, detections, c.end_disc(no_motions(1)), 0, 0, Motion(x, y, v_x, v_y)
+    )
     for make in (c.stop_from, c.return_from):
         held = no_motions(1)
         if not make(q, known, held, 0, Motion(x, y, v_x, v_y)):
@@ -475,7 +483,7 @@ def test_a_wall_takes_only_residual_velocity_from_a_plan(x, y, share, angle, see
         while ticks_left(held):
             u_x, u_y = c.follow(q, held, state.v_x, state.v_y)
             free = step_vehicle(*state, u_x, u_y, q.v_a, q.u_a, q.dt)[:4]
-            state, _ = c.step_in_area(q, state, u_x, u_y)
+            state, _ = step_in_area(q, state, u_x, u_y)
             assert np.allclose(state, free, rtol=0.0, atol=drift)
 
 

@@ -51,7 +51,9 @@ def told(changes, seed, on_tick=None):
 
     def note() -> None:
         said.append(
-            None if flight.answers.reports[0] is None else flight.answers.reports[0].certified
+            None
+            if flight.answers.reports[0] is None
+            else flight.answers.reports[0].decision.certified
         )
         if on_tick is not None:
             on_tick(flight)

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from agents.safety.decision import CERTIFIED
 from bus.errors import ScenarioError
 from bus.messages.links import LinkKind
 from bus.messages.scenario import Law
@@ -109,12 +110,13 @@ def test_what_is_certified_out_of_sight_is_counted_in_every_world() -> None:
     loop.tables.batch.world["r_v"] = 0.5
     loop.begin(seeds)
     standings, counted = loop.state.rows.standings[:, 0], np.zeros(len(seeds))
+    decisions = loop.decisions("uav_0")
     for _ in range(scenario.ticks):
         far = standings["distance"] >= 0.5
         loop.fly(1)
         # said of the tick at which it was so far
-        counted += far & standings["certified"]
-    counted += (standings["distance"] >= 0.5) & standings["certified"]
+        counted += far & (decisions["reason"] == CERTIFIED)
+    counted += (standings["distance"] >= 0.5) & (decisions["reason"] == CERTIFIED)
     assert loop.metrics("uav_0")["certified_while_lost"].tolist() == counted.tolist()
     assert counted.min() > 100
 

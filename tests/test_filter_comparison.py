@@ -55,9 +55,9 @@ def test_the_peer_takes_the_nearest_input_that_keeps_its_barrier(compare: Module
         return watch.filter(seen, wanted)
 
     assert answer(1.0, 0.0, (0.3, 0.0)).acceleration == (0.3, 0.0)
-    assert not answer(1.0, 0.0, (0.3, 0.0)).intervened
+    assert not answer(1.0, 0.0, (0.3, 0.0)).overridden
     bounded = answer(3.77, 0.55, (0.3, 0.0))
-    assert bounded.intervened
+    assert bounded.overridden
     assert bounded.certified
     assert -0.3 < bounded.acceleration[0] < 0.3
     assert math.hypot(*bounded.acceleration) <= 0.3 + 1e-9

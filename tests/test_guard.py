@@ -1,28 +1,21 @@
 """The safety filter: what it is by its parts, and what it does about detections and commands that go astray."""
 
-import math
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
-from agents.safety.decision import (
-    GuardState,
-    begin_guard,
-    guard,
-    guard_state,
-    note_detection,
-    note_position,
+from agents.safety.decision import decide
+from agents.safety.memory import (
+    FilterMemory,
+    add_measurement,
+    add_position,
+    filter_memory,
+    reset_memory,
 )
-from agents.safety.safety_filter import SafetyFilter, bounds_of
-from agents.safety.trajectories import (
-    BEST_EFFORT,
-    NO_DETECTION,
-    OUTAGE,
-    UNCERTIFIED,
-    UNCHECKED_MOTION,
-)
+from agents.safety.safety_filter import SafetyFilter, bounds_of, decision_of
+from bus.messages.decision import NotCertified, Source
 from bus.messages.links import LinkSettings
 from bus.messages.scenario import Area, SafetyParameters
 from bus.messages.vehicle import MOST_CARRIED, UavBriefing
@@ -50,41 +43,48 @@ def observed(tick, *found, time=None):
     return uav_sees(tick, *looks, position=(20.0 + 0.01 * tick, 20.0), **other)
 
 
-def kept_by(state: GuardState) -> list[tuple[float, float, int]]:
+def at(x: float, y: float) -> Motion:
+    """A UAV at rest."""
+    return Motion(x, y, 0.0, 0.0)
+
+
+def kept_by(memory: FilterMemory) -> list[tuple[float, float, int]]:
     """The detections that a filter has kept: where [m], and in which tick."""
-    return state.detections[state.detections["taken"] >= 0].tolist()
+    return memory.discs[memory.discs["tick"] >= 0][["x", "y", "tick"]].tolist()
 
 
 @pytest.mark.parametrize("delay", [0.0, 3 * DT])
 def test_a_memory_that_begins_again_is_as_fresh_as_a_new_one(delay: float) -> None:
-    promise = bounds_of(declared(delay))
-    fresh, used = guard_state(promise.delay_ticks, 8), guard_state(promise.delay_ticks, 8)
-    verdict = guard(promise, used, 0, Motion(20.0, 20.0, 0.1, 0.0), 0.1, 0.0)
-    assert verdict[2:] == (BEST_EFFORT, NO_DETECTION, math.inf)
+    bounds = bounds_of(declared(delay))
+    fresh, used = filter_memory(bounds.delay_ticks, 8), filter_memory(bounds.delay_ticks, 8)
+    decide(bounds, used, 0, Motion(20.0, 20.0, 0.1, 0.0), 0.1, 0.0)
+    decision = decision_of(used.decision[0])
+    assert (decision.source, decision.reason) == (Source.BEST_EFFORT, NotCertified.NO_MEASUREMENT)
+    assert decision.certified_distance is None
     parts = arrays_of(used)
     for part in parts:
         part[:] = np.array(-5).astype(part.dtype)
-    begin_guard(used)
+    reset_memory(used)
     assert [part.tobytes() for part in parts] == [part.tobytes() for part in arrays_of(fresh)]
     assert [part.dtype for part in parts] == [part.dtype for part in arrays_of(fresh)]
 
 
 def test_a_track_has_room_for_a_tick() -> None:
     with pytest.raises(ValueError, match="at least 1, not 0"):
-        guard_state(1, 0)
+        filter_memory(1, 0)
 
 
 @pytest.mark.parametrize("taken", [-1, -8, 0, 3, 4, 10, 12, 19])
 def test_a_detection_of_a_tick_that_was_not_noted_is_ignored(taken: int) -> None:
     """Before the start, missed, later than now, or so long ago that another tick has its place in the track of 8."""
-    promise = bounds_of(declared())
-    state = guard_state(promise.delay_ticks, 8)
+    bounds = bounds_of(declared())
+    state = filter_memory(bounds.delay_ticks, 8)
     for tick in (0, 1, 2, 3, 5, 6, 7, 8, 11):  # 8 and 11 take the places of 0 and 3
-        note_position(state, tick, 20.0 + tick, 20.0)
+        add_position(state, tick, 20.0 + tick, 20.0)
     before = [part.tobytes() for part in arrays_of(state)]
-    note_detection(promise, state, taken, 11, 0.5, 0.0, 31.0, 20.0)
+    add_measurement(bounds, state, taken, (0.5, 0.0), 11, at(31.0, 20.0))
     assert [part.tobytes() for part in arrays_of(state)] == before
-    note_detection(promise, state, 7, 11, 0.5, 0.0, 31.0, 20.0)
+    add_measurement(bounds, state, 7, (0.5, 0.0), 11, at(31.0, 20.0))
     assert kept_by(state) == [(26.5, 20.0, 7)]
 
 
@@ -93,9 +93,9 @@ def test_a_process_that_was_away_ignores_what_was_taken_meanwhile() -> None:
     for tick in (0, 1, 2, 7, 8):
         watch.see(observed(tick))
     watch.see(observed(9, *((tick * DT, 0.0, 1.0) for tick in (3, 4, 5, 6))))
-    assert kept_by(watch.state) == []
+    assert kept_by(watch.memory) == []
     watch.see(observed(10, (2 * DT, 0.0, 1.0)))
-    assert watch.state.detections["taken"].max() == 2
+    assert watch.memory.discs["tick"].max() == 2
 
 
 def test_a_detection_of_no_tick_or_of_the_future_is_not_used() -> None:
@@ -103,37 +103,37 @@ def test_a_detection_of_no_tick_or_of_the_future_is_not_used() -> None:
     for tick in range(6):
         watch.see(observed(tick))
     watch.see(observed(6, (3.4 * DT, 0.0, 1.0), (1e12, 0.0, 1.0), (7 * DT, 0.0, 1.0)))
-    assert kept_by(watch.state) == []
+    assert kept_by(watch.memory) == []
     watch.see(observed(7, (sum([DT] * 3), 0.0, 1.0)))  # a sum of ticks, 0.15000000000000002 s
-    assert kept_by(watch.state) == [(20.03, 19.0, 3)]
+    assert kept_by(watch.memory) == [(20.03, 19.0, 3)]
 
 
 def test_where_the_ugv_was_detected_is_clipped_into_the_area() -> None:
-    promise = bounds_of(declared())
-    state = guard_state(promise.delay_ticks, 8)
-    note_position(state, 0, 0.2, promise.height - 0.1)
-    note_detection(promise, state, 0, 0, 0.3, -0.3, 0.2, promise.height - 0.1)
-    assert kept_by(state) == [(0.0, promise.height, 0)]
+    bounds = bounds_of(declared())
+    state = filter_memory(bounds.delay_ticks, 8)
+    add_position(state, 0, 0.2, bounds.height - 0.1)
+    add_measurement(bounds, state, 0, (0.3, -0.3), 0, at(0.2, bounds.height - 0.1))
+    assert kept_by(state) == [(0.0, bounds.height, 0)]
 
 
 def test_a_contradiction_is_remembered_until_the_filter_begins_again() -> None:
-    promise = bounds_of(declared())
-    state = guard_state(promise.delay_ticks, 8)
+    bounds = bounds_of(declared())
+    state = filter_memory(bounds.delay_ticks, 8)
     for tick in range(2):
-        note_position(state, tick, 20.0, 20.0)
-        note_detection(promise, state, tick, tick, 2.0 * tick, 0.0, 20.0, 20.0)
+        add_position(state, tick, 20.0, 20.0)
+        add_measurement(bounds, state, tick, (2.0 * tick, 0.0), tick, at(20.0, 20.0))
         assert state.flags["contradicted"] == tick
-    note_detection(promise, state, 1, 1, 2.0, 0.0, 20.0, 20.0)
+    add_measurement(bounds, state, 1, (2.0, 0.0), 1, at(20.0, 20.0))
     assert state.flags["contradicted"] == 1
-    begin_guard(state)
+    reset_memory(state)
     assert state.flags["contradicted"] == 0
 
 
 def test_where_there_are_no_walls_a_detection_stays_where_it_is() -> None:
-    promise = certified(**PROMISED, eps=0.3, age=1.0)
-    state = guard_state(promise.delay_ticks, 8)
-    note_position(state, 0, -7.0, 3.0)
-    note_detection(promise, state, 0, 0, 1.0, 5.0, -7.0, 3.0)
+    bounds = certified(**PROMISED, eps=0.3, age=1.0)
+    state = filter_memory(bounds.delay_ticks, 8)
+    add_position(state, 0, -7.0, 3.0)
+    add_measurement(bounds, state, 0, (1.0, 5.0), 0, at(-7.0, 3.0))
     assert kept_by(state) == [(-8.0, -2.0, 0)]
 
 
@@ -149,8 +149,9 @@ class Vehicle:
     def __init__(
         self, delay: float = 0.0, outage: float | None = None, *, bare: bool = False, **fields: Any
     ) -> None:
-        bounds = Certificate(delay=delay, outage=outage, error=0.0)
-        scenario = escort("certified", certificate=bounds, **fields)
+        scenario = escort(
+            "certified", certificate=Certificate(delay=delay, outage=outage, error=0.0), **fields
+        )
         self.world, self.filter, self._bare = World(scenario, 1), SafetyFilter(told(scenario)), bare
 
     @property
@@ -159,7 +160,9 @@ class Vehicle:
         row = self.world.vehicles[0]
         return (*row["position"].tolist(), *row["velocity"].tolist())
 
-    def fly(self, wanted: tuple[float, float], *, lose: bool = False, late: int = 0) -> str:
+    def fly(
+        self, wanted: tuple[float, float], *, lose: bool = False, late: int = 0
+    ) -> NotCertified | None:
         """Fly one tick and return why it is not certified; its command is lost, or sets out `late` [ticks]."""
         world, tick = self.world, self.world.tick
         p_x, p_y, v_x, v_y = self.motion
@@ -168,11 +171,12 @@ class Vehicle:
         look = (tick * DT, (p_x - g_x, p_y - g_y))
         seen = uav_sees(tick, look, position=(p_x, p_y), velocity=(v_x, v_y), flown=flown)
         self.filter.see(seen)
-        verdict = self.filter.filter(seen, wanted)
+        decision = self.filter.filter(seen, wanted)
+        motions = () if self._bare else self.filter.backup_trajectories(tick)
         if not lose:
-            world.send(0, tick, verdict.acceleration, () if self._bare else verdict.motions)
+            world.send(0, tick, decision.acceleration, motions)
         world.advance()
-        return verdict.reason
+        return decision.reason
 
 
 OUT, BACK = (U_A, 0.0), (-U_A, 0.0)
@@ -182,42 +186,42 @@ OUT, BACK = (U_A, 0.0), (-U_A, 0.0)
 def test_after_a_lost_command_nothing_is_certified_until_the_next_motion_begins(delay) -> None:
     uav, d = Vehicle(delay), round(delay / DT)
     for _ in range(20):
-        assert uav.fly(OUT) == ""
+        assert uav.fly(OUT) is None
     lost = range(3, 3 + (MOST_CARRIED if d else 1))  # all that carry the first of them
     said = [uav.fly(BACK if k % 2 else OUT, lose=k in lost) for k in range(3 * d + 10)]
     told = 3 + d + 1  # the tick after the one in which its motion should have begun
-    assert said[:told] == [""] * told
-    assert said[told : told + d + 1] == [UNCERTIFIED[OUTAGE]] * (d + 1)
-    assert set(said[told + d + 1 :]) == {""}
+    assert said[:told] == [None] * told
+    assert said[told : told + d + 1] == [NotCertified.COMMAND_INTERVAL] * (d + 1)
+    assert set(said[told + d + 1 :]) == {None}
 
 
 def test_lost_commands_within_the_declared_time_keep_the_certificate() -> None:
     uav = Vehicle(0.5, outage=1.5)
-    assert {uav.fly(OUT, lose=tick % 25 > 20) for tick in range(200)} == {""}
+    assert {uav.fly(OUT, lose=tick % 25 > 20) for tick in range(200)} == {None}
 
 
 def test_commands_that_may_not_have_been_sent_are_not_relied_on() -> None:
     uav = Vehicle(0.3)
     for _ in range(10):
-        assert uav.fly(OUT) == ""
-    uav.filter.forget_commands()
+        assert uav.fly(OUT) is None
+    uav.filter.invalidate_plans()
     said = [uav.fly(OUT) for _ in range(9)]
-    assert said == [UNCERTIFIED[UNCHECKED_MOTION]] * 7 + [""] * 2
+    assert said == [NotCertified.UNCHECKED_PLAN] * 7 + [None] * 2
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.5])
 def test_a_uav_that_starts_moving_is_certified_from_its_first_motion_on(delay: float) -> None:
     uav, d = Vehicle(delay, uav=Uav(position=(20.0, 20.0), velocity=(0.3, 0.0))), round(delay / DT)
     said = [uav.fly(OUT) for _ in range(d + 10)]
-    assert "" not in said[:d]
-    assert set(said[d + 1 :]) == {""}
+    assert None not in said[:d]
+    assert set(said[d + 1 :]) == {None}
 
 
 def test_a_receiver_of_bare_accelerations_is_certified_where_commands_act_at_once() -> None:
     uav = Vehicle(bare=True)
     said = [uav.fly(OUT if tick % 2 else BACK, lose=tick == 25) for tick in range(60)]
-    assert said[26] != ""
-    assert set(said[:26] + said[28:]) == {""}
+    assert said[26] is not None
+    assert set(said[:26] + said[28:]) == {None}
 
 
 @pytest.mark.parametrize(("delay", "outage"), [(0.1, None), (0.0, 1.0)])
@@ -225,11 +229,11 @@ def test_a_receiver_of_bare_accelerations_is_not_certified_otherwise(delay, outa
     """Not longer than its rest at the start is a plan."""
     uav = Vehicle(delay, outage, bare=True, links=LinkTable(commands=LinkSettings(delay=delay)))
     said = [uav.fly(OUT) for _ in range(60)]
-    assert "" not in said[3:]
+    assert None not in said[3:]
 
 
 def test_a_course_knows_the_walls() -> None:
     """The vehicle stops at a wall; a filter that did not know would find it off its course."""
     uav = Vehicle(0.5, area=Area(width=21.0, height=21.0, cell=0.5))
-    assert {uav.fly((U_A, 0.1)) for _ in range(300)} == {""}
+    assert {uav.fly((U_A, 0.1)) for _ in range(300)} == {None}
     assert uav.motion[0] == 21.0

@@ -162,7 +162,7 @@ def test_an_operator_degrades_a_link_while_it_flies(tmp_path: Path) -> None:
             status(
                 lambda s: (
                     s.certified == {"uav_0": False}
-                    and "older than declared" in s.uncertified["uav_0"]
+                    and s.uncertified["uav_0"] == "MEASUREMENT_TOO_OLD"
                 )
             )
             status(lambda s: s.links["uav_0/detections"].lost["loss"] > 100)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from agents.safety.handover import largest_interval
 from agents.safety.safety_filter import SafetyFilter
-from agents.safety.trajectories import OUTAGE, UNCERTIFIED, UNCHECKED_MOTION
+from bus.messages.decision import NotCertified
 from bus.messages.vehicle import MOST_CARRIED, BackupTrajectory, UavCommand
 from flights import EVADED, PROMISED, certified, flown_in_both, told, uav_sees
 from outrider.envs.env_pilots import pilots
@@ -227,14 +227,14 @@ def test_a_silence_that_is_longer_than_declared_is_told_by_its_name() -> None:
         certificate=Certificate(delay=0.4, outage=2.0),
     )
     _, summary = fly(scenario, 1)
-    assert summary.uncertified[UNCERTIFIED[OUTAGE]] >= 15
+    assert summary.uncertified[NotCertified.COMMAND_INTERVAL] >= 15
     assert summary.certified_while_lost == summary.certificate_broken == 0
     assert summary.certified_share > 0.8
 
 
 def reasons(
     delay: float, outage: float, ticks: range, flown, moved=lambda _: (8.0, 7.0)
-) -> list[str]:
+) -> list[NotCertified | None]:
     """A filter's answers to each tick, at rest and with one detection in the first; `flown` and `moved` by tick."""
     declared = Certificate(delay=delay, outage=outage)
     pilot, found = SafetyFilter(told(small("certified", certificate=declared))), []
@@ -250,8 +250,8 @@ def test_an_outage_is_told_as_soon_as_nothing_that_is_under_way_can_end_it_in_ti
     """And not as a plan that is missing, when it is too late: the next motion begins tau_c from now, or later."""
     # what begins in tick 14 is lost
     said = reasons(0.4, 0.3, range(20), lambda tick: None if tick < 9 else min(tick - 1, 13))
-    assert said[:15] == [""] * 15
-    assert set(said[15:]) == {UNCERTIFIED[OUTAGE]}
+    assert said[:15] == [None] * 15
+    assert set(said[15:]) == {NotCertified.COMMAND_INTERVAL}
 
 
 def test_a_vehicle_that_is_pushed_off_its_motion_is_told_and_certified_again() -> None:
@@ -261,16 +261,16 @@ def test_a_vehicle_that_is_pushed_off_its_motion_is_told_and_certified_again() -
         flown=lambda tick: None if tick < 3 else tick - 1,
         moved=lambda tick: (8.0, 7.0) if tick < 6 else (8.1, 7.0),
     )
-    assert said[:6] == [""] * 6
-    assert said[6].startswith("the UAV is not where")
-    assert set(said[7:]) == {""}  # at rest it is checked anew at once
+    assert said[:6] == [None] * 6
+    assert said[6] is NotCertified.OFF_TRAJECTORY
+    assert set(said[7:]) == {None}  # at rest it is checked anew at once
 
 
 def test_what_another_pilot_has_sent_is_not_trusted() -> None:
     """A filter that is told of a motion that it has not sent certifies nothing until its own are flown."""
     said = reasons(0.1, 1.0, range(40, 52), lambda tick: 39 if tick < 43 else tick - 1)
-    assert said[0] == UNCERTIFIED[UNCHECKED_MOTION]
-    assert said[-1] == ""
+    assert said[0] == NotCertified.UNCHECKED_PLAN
+    assert said[-1] is None
 
 
 def test_what_the_vehicle_tells_that_it_flies_does_not_depend_on_the_ugv() -> None:

@@ -431,7 +431,7 @@ def test_a_pilot_of_ours_that_sees_nothing_is_not_taken_for_one_of_the_users():
     dark = {"duration": 3.0, "links.detections.blackouts": [[0.0, 10.0]]}
     _, summary = fly(load_scenario("escort", overrides=dark), 7)
     assert summary.law == "certified"
-    assert summary.uncertified == {"the UAV has no estimate yet, or its command did not come": 60}
+    assert summary.uncertified == {"NO_REPORT": 60}
 
 
 def test_ctrl_c_is_told_in_one_line_however_early_it_comes(monkeypatch, command):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agents.safety.safety_filter import SafetyFilter, bounds_of
-from agents.safety.trajectories import UNCERTIFIED, UNCHECKED_MOTION
+from bus.messages.decision import NotCertified
 from bus.messages.links import LinkSettings
 from flights import DT, U_A, V_A, distances, told, uav_sees
 from outrider.envs.parallel import parallel_env
@@ -54,7 +54,7 @@ def test_sight_is_kept_and_certified_in_every_tick(network: list[str], seed: int
     flight, summary = fly(scenario, seed)
     assert summary.max_distance < R_V
     until = int(np.flatnonzero(~np.isnan(flight.recorder.escorts[:, 0, 4]))[0])
-    silent = {"the UAV has no estimate yet, or its command did not come": until}
+    silent = {NotCertified.NO_REPORT: until}
     assert summary.uncertified == {cause: count for cause, count in silent.items() if count}
     assert flight.answers.assurance.certified == flight.answers.assurance.ticks - until
     assert summary.certified_while_lost == summary.certificate_broken == 0
@@ -75,15 +75,15 @@ def test_undegraded_the_filter_leaves_the_law_alone() -> None:
 @pytest.mark.parametrize(
     ("changes", "reason"),
     rows("""
-links.detections.blackouts=[[20.0,6.0]] | older than declared
-links.commands.delay=0.5 certificate.delay=0.0 | no motion can begin within
-detections.noise=0.5 certificate.error=0.2 | contradict
+links.detections.blackouts=[[20.0,6.0]] | MEASUREMENT_TOO_OLD
+links.commands.delay=0.5 certificate.delay=0.0 | COMMAND_INTERVAL
+detections.noise=0.5 certificate.error=0.2 | CONTRADICTION
 """),
 )
 def test_a_broken_assumption_is_told_with_its_name(changes: str, reason: str) -> None:
     _, summary = fly(watched(*words(changes), duration=60.0), 7)
     assert summary.certified_share < 1.0
-    assert any(reason in line for line in summary.uncertified)
+    assert reason in summary.uncertified
     assert summary.certified_while_lost == summary.certificate_broken == 0
 
 
@@ -100,7 +100,8 @@ def test_what_cannot_be_certified_is_told_before_it_is_flown_and_at_every_tick(c
     assert any(reason in line for line in promise_warnings(scenario))
     _, summary = fly(scenario, 7)
     assert summary.certified_share == 0.0
-    assert any(reason in told for told in summary.uncertified)
+    assert set(summary.uncertified) <= {NotCertified.ASSUMPTIONS, NotCertified.NO_REPORT}
+    assert NotCertified.ASSUMPTIONS in summary.uncertified
 
 
 def test_what_is_declared_follows_from_the_scenario() -> None:
@@ -167,15 +168,15 @@ def test_nonsense_is_refused_before_anything_is_filtered(agent, action) -> None:
 
 def test_a_tick_that_is_not_certified_says_why() -> None:
     for change, reason in (
-        ("certificate.age=60.0", "too much for r_v"),
-        ("uav.0.position=[7.0, 9.0]", "no detection"),
+        ("certificate.age=60.0", "ASSUMPTIONS"),
+        ("uav.0.position=[7.0, 9.0]", "NO_MEASUREMENT"),
     ):
         blind = msgspec.structs.replace(watched(change, duration=5.0), detections=DROPPED)
         env = parallel_env(blind, safety_filter=True)
         env.reset(seed=7)
         *_, infos = env.step(dict.fromkeys(env.agents, np.zeros(2)))
         assert not infos["uav_0"]["certified"]
-        assert reason in infos["uav_0"]["uncertified"]
+        assert infos["uav_0"]["uncertified"] == reason
 
 
 def test_the_filter_keeps_sight_whatever_the_observations_are_rounded_to() -> None:
@@ -198,9 +199,9 @@ def test_a_uav_that_starts_moving_is_certified_once_a_plan_after_the_first_detec
         duration=10.0,
     )
     _, summary = fly(scenario, 7)
-    silent = "the UAV has no estimate yet, or its command did not come"
-    assert set(summary.uncertified) == {silent, UNCERTIFIED[UNCHECKED_MOTION]}
-    assert summary.uncertified[UNCERTIFIED[UNCHECKED_MOTION]] <= 0.5 / 0.05 + 1
+    unchecked = NotCertified.UNCHECKED_PLAN
+    assert set(summary.uncertified) == {NotCertified.NO_REPORT, unchecked}
+    assert summary.uncertified[unchecked] <= 0.5 / 0.05 + 1
 
 
 def test_a_filter_may_be_taken_up_in_the_middle_of_a_flight() -> None:
@@ -214,12 +215,11 @@ def test_a_filter_may_be_taken_up_in_the_middle_of_a_flight() -> None:
     there = {"position": (7.0, 9.0)}
     pilot.act(uav_sees(0, (0.0, (0.0, 1.0)), **there))
     command = pilot.act(uav_sees(1, law=Law(name="certified"), **there))
-    assert command.report.certified is False
-    assert "no detection" in command.report.uncertified
+    assert command.report.decision.reason is NotCertified.NO_MEASUREMENT
     command = pilot.act(uav_sees(2, (0.1, (0.0, 1.0)), **there))
-    assert command.report.certified_distance == pytest.approx(1.3)
+    assert command.report.decision.certified_distance == pytest.approx(1.3)
     moved = step_vehicle(7.0, 9.0, 0.0, 0.0, *command.acceleration, V_A, U_A, DT)
     there = {"position": moved[:2], "velocity": moved[2:4]}
     command = pilot.act(uav_sees(3, **there))  # it flies a plan that was checked
-    assert command.report.certified is True
+    assert command.report.decision.certified
     assert bounds_of(told(scenario)).placed_error == pytest.approx(0.3)

@@ -1,5 +1,6 @@
 """One vehicle, one world: world 0 of the vector environment to the bit, and what Gymnasium asks of an environment."""
 
+import math
 import warnings
 from typing import Any
 
@@ -62,8 +63,8 @@ def test_what_it_returns_has_gymnasiums_types() -> None:
     assert info == {
         "intervened": False,
         "certified": False,
-        "uncertified": "",
-        "certified_distance": 0.0,
+        "uncertified": "NO_MEASUREMENT",
+        "certified_distance": math.inf,
     }
     seen, reward, terminated, truncated, info = env.step([0, 0])
     assert env.observation_space.contains(seen)

@@ -32,7 +32,7 @@ from sim.world import World
 from worlds import step
 
 DT = 0.05
-AGED = "the newest detection is older than declared (age > A)"
+AGED = "MEASUREMENT_TOO_OLD"
 TABLE = "# by hand\nsent [s],delay [s]\n5.0,0.1\n5.2,lost\n5.3,0\n5.3,0.24\n5.5,\n5.51,0.05\n"
 """The round is 0.52 s long, eleven ticks: the last row lasts 10 ms, as the gap before it."""
 HAND = [0.1] * 4 + [None] * 2 + [0.24] * 4 + [None]

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from agents.safety.decision import GuardState, note_detection, note_position
+from agents.safety.memory import FilterMemory, add_measurement, add_position
 from agents.uav_parameters import UavParameters
 from bus.ticks import Look
 from sim.compiling.compile import FloatArray, compiled
@@ -17,10 +17,10 @@ LOOK: Any = Look._make(range(3))
 @compiled
 def uav_perceive(
     uav: UavParameters,
-    promise: SafetyBounds,
-    guarded: bool,
+    bounds: SafetyBounds,
+    filtered: bool,
     coverage: FloatArray,
-    guard: GuardState,
+    memory: FilterMemory,
     looked: int,
     tick: int,
     here: Motion,
@@ -30,10 +30,10 @@ def uav_perceive(
     """Take in what is seen of the ground, and for the safety filter where the UAV is and what has arrived.
 
     Args:
-        uav, promise: Constants of the UAV, and parameters of the safety filter.
-        guarded: Whether the safety filter watches over the UAV.
+        uav, bounds: Constants of the UAV, and bounds of the safety filter.
+        filtered: Whether the safety filter watches over the UAV.
         coverage: The UAV's coverage grid C, changed in place. Shape (rows, columns).
-        guard: Memory of the safety filter, changed in place.
+        memory: Memory of the safety filter, changed in place.
         looked: Ticks for which it has looked at the ground below since it perceived last; 0: not at all.
         tick: Now.
         here: Where it is.
@@ -49,8 +49,8 @@ def uav_perceive(
             uav.cell,
             looked * uav.dt,
         )
-    if guarded:
-        note_position(guard, tick, here.p_x, here.p_y)
+    if filtered:
+        add_position(memory, tick, here.p_x, here.p_y)
         for n in range(arrived):
             taken, x, y = int(looks[n, LOOK.taken]), looks[n, LOOK.x], looks[n, LOOK.y]
-            note_detection(promise, guard, taken, tick, x, y, here.p_x, here.p_y)
+            add_measurement(bounds, memory, taken, (x, y), tick, here)

@@ -1,4 +1,7 @@
-"""The UGV's place by its detections: each puts it into a disc that grows with time. World frame [m], times in ticks."""
+"""Position of the UGV by its measurements: each puts it into a disc that grows with time.
+
+Positions in the world's frame [m], times in ticks.
+"""
 
 import math
 from typing import NamedTuple
@@ -8,22 +11,22 @@ import numpy as np
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray, record_type
 from sim.models.safety import SafetyBounds
-from sim.models.vehicles import norm
+from sim.models.vehicles import Motion, norm
 
 KEPT = 16
-"""Detections that are kept: the newest, and those that bound the distance best."""
+"""Number of discs that are kept: the newest, and those that bound the distance best."""
 
 MOST_KEPT = 1_000_000
 """Ticks for which own positions are kept at most, and after which no detection is of use."""
 
 NEVER = -1
-"""The tick of what has not been: of an empty row of detections, of a place in a track where nothing was noted."""
+"""Tick of an empty row."""
 
 MARGIN = 1e-5
 """Taken off every radius [m], so that rounding changes no answer of the proof: more than all of its errors together."""
 
 AS_EXPECTED = 1e-10
-"""A state nearer than this [m, m/s] to the expected one is that. The course goes on from the state, so that a lost
+"""A state nearer than this [m, m/s] to the expected one is that. The prediction starts from the state, so that a lost
 command is seen at once or has no consequence; a thousand ticks of this are less than `MARGIN`."""
 
 _NESTED = 1e-6
@@ -33,18 +36,8 @@ _TOUCHING = 1e-9
 """Discs that are no farther apart than this [m] touch: whether they meet would be decided by rounding."""
 
 
-class KeptDetection(NamedTuple):
-    """A row of the detections that are kept."""
-
-    x: float
-    y: float
-    """The place of the detected UGV [m]."""
-    taken: int
-    """In which tick; NEVER: the row is empty."""
-
-
 class Disc(NamedTuple):
-    """The UGV was surely in here at that tick; from then on, and before, the disc grows at v_g."""
+    """Disc in which the UGV surely was at a tick; from then on, and before, it grows at v_g."""
 
     x: float
     y: float
@@ -52,108 +45,116 @@ class Disc(NamedTuple):
     radius: float
     """At the tick [m]."""
     tick: int
+    """NEVER: the row is empty."""
 
 
-def no_detections() -> RecordArray:
-    """Room for the detections that are kept, none yet: rows of `KeptDetection`. Shape (KEPT,)."""
-    kept = np.zeros(KEPT, dtype=record_type(KeptDetection))
-    kept["taken"] = NEVER
-    return kept
+class KnownDiscs(NamedTuple):
+    """Discs, each of which surely holds the UGV."""
+
+    newest: Disc
+    """Of the newest measurement."""
+    nearest: Disc
+    """Of the measurement with the least bound."""
+    end: Disc
+    """Around the end of the last plan; its radius is infinite before the first."""
+    single: bool
+    """True if the newest measurement is also the nearest."""
+
+
+def no_discs() -> RecordArray:
+    """Return empty rows of `Disc`, for those that are kept. Shape (KEPT,)."""
+    discs = np.zeros(KEPT, dtype=record_type(Disc))
+    discs["tick"] = NEVER
+    return discs
 
 
 @compiled
-def drift(promise: SafetyBounds, ticks: int) -> float:
-    """The longest way of the UGV in so many ticks [m]."""
-    return promise.v_g * (ticks * promise.dt)
+def drift(bounds: SafetyBounds, ticks: int) -> float:
+    """Return the longest way of the UGV in this number of ticks [m]."""
+    return bounds.v_g * (ticks * bounds.dt)
 
 
 @compiled
-def disc_of(promise: SafetyBounds, detections: RecordArray, row: int) -> Disc:
-    """The disc that a detection puts the UGV into."""
-    found = detections[row]
-    return Disc(found.x, found.y, promise.placed_error, found.taken)
+def disc_in(discs: RecordArray, row: int) -> Disc:
+    """Return the disc in a row."""
+    disc = discs[row]
+    return Disc(disc.x, disc.y, disc.radius, disc.tick)
 
 
 @compiled
-def radius_at(promise: SafetyBounds, disc: Disc, tick: int) -> float:
-    """Radius of a disc that holds the UGV at this tick [m]; also at one before the disc's own."""
-    return disc.radius + drift(promise, abs(tick - disc.tick))
+def radius_at(bounds: SafetyBounds, disc: Disc, tick: int) -> float:
+    """Return the radius of a disc that holds the UGV at this tick [m]; also at one before the disc's own."""
+    return disc.radius + drift(bounds, abs(tick - disc.tick))
 
 
 @compiled
 def bound_of(
-    promise: SafetyBounds, detections: RecordArray, row: int, tick: int, x: float, y: float
+    bounds: SafetyBounds, discs: RecordArray, row: int, tick: int, x: float, y: float
 ) -> float:
-    """Upper bound of the distance from (x, y) to the UGV at a tick [m], by one detection."""
-    disc = disc_of(promise, detections, row)
-    return norm(x - disc.x, y - disc.y) + radius_at(promise, disc, tick)
+    """Return an upper bound of the distance from (x, y) to the UGV at a tick [m], by one measurement."""
+    disc = discs[row]
+    return norm(x - disc.x, y - disc.y) + radius_at(bounds, disc, tick)
 
 
 @compiled
 def certified_distance(
-    promise: SafetyBounds, detections: RecordArray, tick: int, x: float, y: float
+    bounds: SafetyBounds, discs: RecordArray, tick: int, x: float, y: float
 ) -> float:
-    r"""Upper bound of the true distance [m], $d_{cert} = \min_i \|p_a - z_i\| + \epsilon + 2 w + v_g (t - t_i)$.
+    r"""Return an upper bound of the true distance [m].
 
-    One w is that of where the UAV is now, one of where it was at the detection. Infinite without any.
+    $$ d_{cert} = \min_i \|p_a - z_i\| + \epsilon + 2 w + v_g (t - t_i) $$
+
+    One w is the tracking error now, the other that at the detection. Infinite without any measurement.
 
     Args:
-        promise: The declared numbers.
-        detections: As kept. (rows,)
+        bounds: Bounds of the filter.
+        discs: As kept. (rows,)
         tick: Now.
-        x, y: Position of the UAV, as it is told [m].
+        x, y: Reference position of the UAV [m].
     """
-    k = nearest(promise, detections, tick, x, y)
+    k = nearest(bounds, discs, tick, x, y)
     if k < 0:
         return math.inf
-    return promise.max_tracking_error + bound_of(promise, detections, k, tick, x, y)
+    return bounds.max_tracking_error + bound_of(bounds, discs, k, tick, x, y)
 
 
 @compiled
-def nearest(promise: SafetyBounds, detections: RecordArray, tick: int, x: float, y: float) -> int:
-    """The row whose bound is least; -1 if there is no detection."""
+def nearest(bounds: SafetyBounds, discs: RecordArray, tick: int, x: float, y: float) -> int:
+    """Return the row whose bound is least; -1 if there is no measurement."""
     least, found = math.inf, -1
-    for k in range(detections.shape[0]):
-        if detections[k].taken != NEVER:
-            bound = bound_of(promise, detections, k, tick, x, y)
+    for k in range(discs.shape[0]):
+        if discs[k].tick != NEVER:
+            bound = bound_of(bounds, discs, k, tick, x, y)
             if bound < least:
                 least, found = bound, k
     return found
 
 
 @compiled
-def newest_detection(detections: RecordArray) -> int:
-    """The row of the detection that was taken last; -1 if there is none."""
+def newest_disc(discs: RecordArray) -> int:
+    """Return the row of the newest measurement; -1 if there is none."""
     last, found = NEVER, -1
-    for k in range(detections.shape[0]):
-        if detections[k].taken > last:
-            last, found = detections[k].taken, k
+    for k in range(discs.shape[0]):
+        if discs[k].tick > last:
+            last, found = discs[k].tick, k
     return found
 
 
 @compiled
-def keep_detection(
-    promise: SafetyBounds,
-    detections: RecordArray,
-    z_x: float,
-    z_y: float,
-    taken: int,
-    tick: int,
-    p_x: float,
-    p_y: float,
+def add_disc(
+    bounds: SafetyBounds, discs: RecordArray, new: Disc, tick: int, p_x: float, p_y: float
 ) -> bool:
-    r"""Take a detection that has arrived into the ones that are kept, in any order of arrival.
+    r"""Add the disc of a measurement to those that are kept, in any order of arrival.
 
-    One whose disc holds another's is dropped: it can never again give the least bound. If there is no room, the one
-    with the largest bound at the UAV's position goes, but never the newest. A subset of detections bounds the
-    distance as well.
+    One that holds another is dropped: it can never again give the least bound. If there is no room, the one with the
+    largest bound at the UAV's position goes, but never the newest. A subset of measurements bounds the distance as
+    well.
 
     Args:
-        promise: The declared numbers.
-        detections: Kept so far, changed in place. (rows,)
-        z_x, z_y: Where the UGV was detected [m]: own position when it was taken less the measured p_a - p_g; where
+        bounds: Bounds of the filter.
+        discs: Kept so far, changed in place. (rows,)
+        new: The disc around the measured position: own position at the detection less the detected p_a - p_g; where
             there are walls, clipped to the area, which brings it nearer to every point in it.
-        taken: The tick in which it was taken.
         tick: Now.
         p_x, p_y: Position of the UAV now [m].
 
@@ -162,45 +163,91 @@ def keep_detection(
         does not, eps or v_g is not what was declared.
     """
     agrees, place, worst, largest = True, -1, -1, -math.inf
-    newest = newest_detection(detections)
+    newest = newest_disc(discs)
     dominated = False
-    for k in range(detections.shape[0]):
-        kept = detections[k]
-        if kept.taken == NEVER:
+    for k in range(discs.shape[0]):
+        kept = discs[k]
+        if kept.tick == NEVER:
             place = k
             continue
-        apart, driven = norm(kept.x - z_x, kept.y - z_y), drift(promise, taken - kept.taken)
-        if apart > 2.0 * promise.placed_error + abs(driven) + MARGIN:
+        apart, driven = norm(kept.x - new.x, kept.y - new.y), drift(bounds, new.tick - kept.tick)
+        if apart > 2.0 * bounds.placed_error + abs(driven) + MARGIN:
             agrees = False
-        if apart <= driven and taken > kept.taken:  # its disc holds the new one
-            detections[k].taken = NEVER
+        if apart <= driven and new.tick > kept.tick:  # its disc holds the new one
+            discs[k].tick = NEVER
             place = k
         elif apart <= -driven:
             dominated = True
         else:
-            bound = bound_of(promise, detections, k, tick, p_x, p_y)
-            if bound > largest and (k != newest or taken > kept.taken):
+            bound = bound_of(bounds, discs, k, tick, p_x, p_y)
+            if bound > largest and (k != newest or new.tick > kept.tick):
                 worst, largest = k, bound
     if dominated:
         return agrees
     if place < 0:
-        own = norm(p_x - z_x, p_y - z_y) + promise.placed_error + drift(promise, tick - taken)
-        if worst < 0 or (own >= largest and taken <= detections[newest].taken):
+        own = norm(p_x - new.x, p_y - new.y) + new.radius + drift(bounds, tick - new.tick)
+        if worst < 0 or (own >= largest and new.tick <= discs[newest].tick):
             return agrees
         place = worst
-    row = detections[place]
-    row.x, row.y, row.taken = z_x, z_y, taken
+    row = discs[place]
+    row.x, row.y, row.radius, row.tick = new.x, new.y, new.radius, new.tick
     return agrees
+
+
+@compiled
+def known_discs(
+    bounds: SafetyBounds, discs: RecordArray, end: Disc, newest: int, tick: int, here: Motion
+) -> KnownDiscs:
+    """Return the discs that bound the distance from a state at this tick best.
+
+    Args:
+        bounds: Bounds of the filter.
+        discs: As kept. (rows,)
+        end: Around the end of the last plan.
+        newest: Row of the newest measurement.
+        tick: Tick of the state.
+        here: State of the UAV then.
+    """
+    near = nearest(bounds, discs, tick, here.p_x, here.p_y)
+    return KnownDiscs(disc_in(discs, newest), disc_in(discs, near), end, near == newest)
+
+
+@compiled
+def farthest(
+    bounds: SafetyBounds, known: KnownDiscs, tick: int, x: float, y: float, enough: float
+) -> float:
+    """Return an upper bound of the distance from (x, y) to the UGV at a tick [m], from all that is known.
+
+    Args:
+        bounds: Bounds of the filter.
+        known: The discs that hold the UGV.
+        tick: Tick of the bound.
+        x, y: Position from which the distance is bounded [m].
+        enough: A bound that is not more than this need not be made tighter [m].
+    """
+    n, e, b = known.newest, known.end, known.nearest
+    n_r = radius_at(bounds, n, tick)
+    bound: float = norm(x - n.x, y - n.y) + n_r
+    if bound <= enough:
+        return bound
+    e_r = radius_at(bounds, e, tick)
+    bound = min(bound, lens_distance(x, y, n.x, n.y, n_r, e.x, e.y, e_r))
+    if bound <= enough or known.single:
+        return bound
+    b_r = radius_at(bounds, b, tick)
+    bound = min(bound, lens_distance(x, y, n.x, n.y, n_r, b.x, b.y, b_r))
+    return min(bound, lens_distance(x, y, b.x, b.y, b_r, e.x, e.y, e_r))
 
 
 @compiled
 def lens_distance(
     p_x: float, p_y: float, a_x: float, a_y: float, r_a: float, b_x: float, b_y: float, r_b: float
 ) -> float:
-    """The largest distance from p of a point in two discs' intersection [m]: their farthest common point, exactly.
+    """Return the largest distance from p of a point in two discs' intersection [m].
 
-    It is the far point of one disc if that lies in the other, else a corner of the lens; of discs that touch, but for
-    rounding, the point where they do. Discs that do not meet (no UGV can be in both: an assumption is broken) give the
+    Their farthest common point is the far point of one disc if that lies in the other, else a corner of the lens; of
+    discs that touch, but for rounding, the point where they do. Discs that do not meet (no UGV can be in both: an
+    assumption is broken) give the
     smaller of the two bounds; an infinite radius is no disc.
 
     Args:

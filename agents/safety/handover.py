@@ -1,6 +1,4 @@
-"""The numbers of a certificate, found when a scenario loads.
-
-What is declared, and the hand-over from one plan to the next.
+"""Hand-over from one plan to the next, and check of the declared numbers; both when a scenario loads.
 
 The proof is in docs/explanation/certificate.md. SI units.
 """
@@ -54,7 +52,7 @@ def rest_to_rest(way: float, v_a: float, u_a: float, dt: float) -> tuple[int, in
 def motion_stays_within(
     limit: float, radius: float, rho: float, way: float, turn: int, cruise: int, drift: float
 ) -> bool:
-    """True if the UGV stays within a distance while the UAV flies from rest to a new detection.
+    """Return whether the UGV stays within a distance while the UAV flies from rest to a new detection.
 
     Two discs hold the UGV at the start.
 
@@ -96,7 +94,7 @@ def largest_disc(bounds: SafetyBounds) -> float:
 
 @compiled
 def handover_bound(bounds: SafetyBounds, radius: float) -> float:
-    r"""E [m]: if the newest detection's own bound is at most this, the plan to any later one ends within `radius`, R_h.
+    r"""Return E [m]: within this bound of the newest measurement, the plan to any later one ends within `radius`, R_h.
 
     $$ E = \frac{v_a}{v_g}\left(R_h - \rho_A (1 - v_g/v_a) - v_g (v_a/u_a + 2 dt + B - dt)\right) - 2 \epsilon $$
 
@@ -114,7 +112,7 @@ def handover_bound(bounds: SafetyBounds, radius: float) -> float:
 
 @compiled
 def _way_fits(bounds: SafetyBounds, k: int, radius: float) -> bool:
-    """True if every motion of a way of k steps stays within r_v, or no detection is so far; see `unfit_way`."""
+    """Return whether every motion of a way of k steps stays within r_v, or no detection is so far; see `unfit_way`."""
     b, step = bounds, max(_GRID, bounds.radius / _STEPS)
     way, reach = k * step, handover_bound(bounds, radius)
     rest = min(largest_disc(b), reach + 2.0 * b.placed_error - way + step)
@@ -133,10 +131,11 @@ def _way_fits(bounds: SafetyBounds, k: int, radius: float) -> bool:
 
 @compiled
 def unfit_way(bounds: SafetyBounds, likely: int, radius: float) -> int:
-    """Steps of a way to a newer detection on which a motion from rest leaves r_v, the UGV within `radius` at its start.
+    """Return the steps of a way to a newer measurement on which a motion from rest leaves r_v.
 
-    Over all ways in steps of half a centimetre, more where r_v is large: between two of them the motion with the same
-    ticks scales with the way, so that no point of it and no disc moves by more than a step. The farther a detection,
+    The UGV is within `radius` at its start. Over all ways in steps of half a centimetre, more where r_v is large:
+    between two of them the motion with the same ticks scales with the way, so that no point of it and no disc moves
+    by more than a step. The farther a detection,
     the younger it is: way + rho <= E + 2 eps.
 
     Args:
@@ -159,7 +158,7 @@ def unfit_way(bounds: SafetyBounds, likely: int, radius: float) -> int:
 
 @compiled
 def handover_radius(bounds: SafetyBounds) -> float:
-    """R_h [m]: from rest, with the UGV surely within it, every plan to a newer detection stays within r_v.
+    """Return R_h [m]: from rest, with the UGV surely within it, every plan to a newer detection stays within r_v.
 
     NaN if there is none.
 
@@ -179,7 +178,7 @@ def handover_radius(bounds: SafetyBounds) -> float:
 
 @functools.lru_cache(maxsize=1024)
 def certificate(bounds: SafetyBounds) -> SafetyBounds:
-    """Add the hand-over to declared bounds: R_h and E stay NaN where `check_assumptions` names a fault."""
+    """Add R_h and E to declared bounds, NaN where there is no hand-over, and `valid`."""
     b, radius, reach = bounds, math.nan, math.nan
     finite = all(
         math.isfinite(x) for x in (b.radius, b.v_a, b.v_g, b.placed_error, b.max_measurement_age)
@@ -187,45 +186,32 @@ def certificate(bounds: SafetyBounds) -> SafetyBounds:
     if finite and 0.0 <= b.v_g < b.v_a and b.u_a > 0.0:
         radius = float(handover_radius(b))
         reach = float(handover_bound(b, radius))
-    return b._replace(radius=b.radius - MARGIN, handover_radius=radius, handover_bound=reach)
+    valid = not math.isnan(radius) and not _declared_faults(b)
+    return b._replace(
+        radius=b.radius - MARGIN, handover_radius=radius, handover_bound=reach, valid=valid
+    )
 
 
-@compiled
-def certified_radius(
-    handover: float,
-    v_a: float,
-    u_a: float,
-    v_g: float,
-    dt: float,
-    delay: float,
-    wait: float = 0.0,
-    tracking: float = 0.0,
-) -> float:
-    r"""r_cert [m]: while d_cert is less, every inner control acts, whatever the velocity.
+def certified_radius(bounds: SafetyBounds) -> float:
+    r"""Return r_cert [m]: while d_cert is less, every nominal control acts, whatever the velocity.
 
     $$ r_{cert} = R_h + w - \frac{v_a^2}{2 u_a} - \frac{v_a v_g}{u_a}
        - (\tfrac32 v_a + 2 v_g) dt - (v_a + v_g) \tau_c - v_g (B - dt) $$
 
-    With $R_h \to r_v - v_g^2 / (2 u_a)$ this is (18) as dt and tau_c go to 0. Beyond it the filter decides by the
-    velocity that the UAV really has: r_cert is for display, for tuning and for tests.
-
-    Args:
-        handover: R_h [m].
-        v_a, u_a, v_g: Bounds [m/s], [m/s²], [m/s].
-        dt: Length of a tick [s].
-        delay: tau_c [s].
-        wait: B - dt [s].
-        tracking: w [m], which d_cert holds, but R_h, around where the UAV is told that it is, does not.
+    With $R_h \to r_v - v_g^2 / (2 u_a)$ this is (18) as dt and tau_c go to 0. w is in d_cert, but not in R_h. Beyond
+    r_cert the filter decides by the UAV's velocity: r_cert is for display, for tuning and for tests.
     """
-    stop = 0.5 * v_a * v_a / u_a + v_a * v_g / u_a
+    b = bounds
+    stop = 0.5 * b.v_a * b.v_a / b.u_a + b.v_a * b.v_g / b.u_a
+    late = (b.v_a + b.v_g) * b.delay_ticks * b.dt + b.v_g * (b.interval_ticks - 1) * b.dt
     return (
-        handover - stop - (1.5 * v_a + 2.0 * v_g) * dt - (v_a + v_g) * delay - v_g * wait + tracking
+        b.handover_radius - stop - (1.5 * b.v_a + 2.0 * b.v_g) * b.dt - late + b.max_tracking_error
     )
 
 
-def _largest(promise: SafetyBounds, fits: Callable[[float], bool]) -> float:
-    """The largest time [s] that fits, to a hundredth; NaN if there is none."""
-    low, high = 0.0, promise.radius / max(promise.v_g, 1e-9)
+def _largest(bounds: SafetyBounds, fits: Callable[[float], bool]) -> float:
+    """Return the largest time [s] that fits, to a hundredth; NaN if there is none."""
+    low, high = 0.0, bounds.radius / max(bounds.v_g, 1e-9)
     if not fits(low):
         return math.nan
     while high - low > 0.01:
@@ -258,72 +244,87 @@ def largest_interval(bounds: SafetyBounds) -> float:
     )
 
 
-def _largest_place(promise: SafetyBounds) -> float:
-    """The largest coordinate in an area with walls [m]; 0 without."""
-    return max(size if math.isfinite(size) else 0.0 for size in (promise.width, promise.height))
+def _error_fault(bounds: SafetyBounds) -> str:
+    """Return the fault of the declared tracking and measurement errors; empty without one."""
+    tracking, placed = bounds.max_tracking_error, bounds.placed_error
+    if not math.isfinite(tracking):
+        return f"w = {tracking:g} m: the tracking error has no bound"
+    if not math.isfinite(placed):
+        return f"eps = {placed:g} m: the noise of the detections is not cut, so none of them bounds the distance"
+    return ""
 
 
-def check_assumptions(promise: SafetyBounds) -> tuple[str, ...]:
-    """The assumptions that do not hold, one line each with its numbers.
+def _speed_fault(bounds: SafetyBounds) -> str:
+    """Return the fault of the speeds; empty without one."""
+    v_a, v_g = bounds.v_a, bounds.v_g
+    if not math.isfinite(v_a) or not math.isfinite(v_g):
+        return f"v_a = {v_a:g} m/s, v_g = {v_g:g} m/s: both speeds must be bounded"
+    if not v_g < v_a:
+        return f"v_a = {v_a:g} m/s: the UAV must be faster than the UGV, v_g = {v_g:g} m/s"
+    return ""
+
+
+def _acceleration_fault(bounds: SafetyBounds) -> str:
+    """Return the fault of the UAV's acceleration; empty without one."""
+    u_a, change = bounds.u_a, bounds.u_a * bounds.dt
+    if not u_a > 0.0:
+        return f"u_a = {u_a:g} m/s²: must be positive"
+    if change < _LEAST_STEP:
+        return (
+            f"u_a = {u_a:g} m/s²: changes the speed by {change:g} m/s in a tick, "
+            f"too little for a lost command to be noticed; {_LEAST_STEP:g} m/s at least"
+        )
+    return ""
+
+
+def _age_fault(bounds: SafetyBounds) -> str:
+    """Return the fault of the age of measurements; empty without one."""
+    b, age = bounds, bounds.max_measurement_age
+    if not math.isfinite(age):
+        return f"A = {age:g} s: the age of the newest detection has no bound"
+    if b.max_age_ticks >= MOST_KEPT:
+        return f"A = {age:g} s: {b.max_age_ticks:,} ticks; no detection is used that is older than {MOST_KEPT:,}"
+    largest = max(size if math.isfinite(size) else 0.0 for size in (b.width, b.height))
+    strayed = 0.5 * math.ulp(largest) * (b.max_age_ticks + b.delay_ticks)
+    if strayed > 0.5 * MARGIN:
+        return (
+            f"area = {b.width:g} m x {b.height:g} m: far from its corner rounding alone moves the "
+            f"UGV by up to {strayed:.2g} m in A = {age:g} s, which no margin covers"
+        )
+    return ""
+
+
+def _declared_faults(bounds: SafetyBounds) -> tuple[str, ...]:
+    """Return the faults of the declared numbers, one line each."""
+    checks = _error_fault, _age_fault, _speed_fault, _acceleration_fault
+    return tuple(fault for check in checks if (fault := check(bounds)))
+
+
+def _handover_fault(bounds: SafetyBounds) -> str:
+    """Return the text for bounds without a hand-over, with the limits up to which there is one."""
+    b, age, delay = bounds, bounds.max_measurement_age, bounds.delay_ticks * bounds.dt
+    rho, most = b.placed_error + b.v_g * (age + delay), largest_age(b)
+    terms, sizes = "eps", f"eps {b.placed_error:g} m"
+    if b.max_tracking_error > 0.0:
+        terms = "eps + w"
+        sizes = f"eps {b.max_measurement_error:g} m, w {b.max_tracking_error:g} m"
+    limit = "for no A" if math.isnan(most) else f"for A up to {most:.2f} s"
+    if b.interval_ticks > 1:
+        most = largest_interval(b)
+        limit += ", or for no B" if math.isnan(most) else f", or for B up to {most:.2f} s"
+        limit += f", not {b.interval_ticks * b.dt:g} s"
+    return (
+        f"{terms} + v_g (A + tau_c) = {rho:.4g} m ({sizes}, A {age:g} s, tau_c {delay:g} s): "
+        f"too much for r_v = {b.radius:.4g} m; with these numbers the hand-over holds {limit}"
+    )
+
+
+def check_assumptions(bounds: SafetyBounds) -> tuple[str, ...]:
+    """Return the assumptions that do not hold, one line each with its numbers.
 
     Empty if all hold that are known when a run is loaded.
     """
-    age, placed = promise.max_measurement_age, promise.placed_error
-    delay, faults = promise.delay_ticks * promise.dt, list[str]()
-    if not math.isfinite(promise.max_tracking_error):
-        faults.append(f"w = {promise.max_tracking_error:g} m: the tracking error has no bound")
-    elif not math.isfinite(placed):
-        faults.append(
-            f"eps = {placed:g} m: the noise of the detections is not cut, so none of them bounds the distance"
-        )
-    if not math.isfinite(age):
-        faults.append(f"A = {age:g} s: the age of the newest detection has no bound")
-    if not math.isfinite(promise.v_a) or not math.isfinite(promise.v_g):
-        faults.append(
-            f"v_a = {promise.v_a:g} m/s, v_g = {promise.v_g:g} m/s: both speeds must be bounded"
-        )
-    elif not promise.v_g < promise.v_a:
-        faults.append(
-            f"v_a = {promise.v_a:g} m/s: the UAV must be faster than the UGV, v_g = {promise.v_g:g} m/s"
-        )
-    if not promise.u_a > 0.0:
-        faults.append(f"u_a = {promise.u_a:g} m/s²: must be positive")
-    elif promise.u_a * promise.dt < _LEAST_STEP:
-        faults.append(
-            f"u_a = {promise.u_a:g} m/s²: changes the speed by {promise.u_a * promise.dt:g} m/s in a tick, "
-            f"too little for a lost command to be noticed; {_LEAST_STEP:g} m/s at least"
-        )
-    if math.isfinite(age) and promise.max_age_ticks >= MOST_KEPT:
-        faults.append(
-            f"A = {age:g} s: {promise.max_age_ticks:,} ticks; no detection is used that is older than {MOST_KEPT:,}"
-        )
-    elif math.isfinite(age):
-        strayed = (
-            0.5 * math.ulp(_largest_place(promise)) * (promise.max_age_ticks + promise.delay_ticks)
-        )
-        if strayed > 0.5 * MARGIN:
-            faults.append(
-                f"area = {promise.width:g} m x {promise.height:g} m: far from its corner rounding alone moves the "
-                f"UGV by up to {strayed:.2g} m in A = {age:g} s, which no margin covers"
-            )
-    if not faults and math.isnan(promise.handover_radius):
-        rho, most = (
-            placed + promise.v_g * (age + delay),
-            largest_age(promise),
-        )
-        terms, sizes = "eps", f"eps {placed:g} m"
-        if promise.max_tracking_error > 0.0:
-            terms, sizes = (
-                "eps + w",
-                f"eps {promise.max_measurement_error:g} m, w {promise.max_tracking_error:g} m",
-            )
-        limit = "for no A" if math.isnan(most) else f"for A up to {most:.2f} s"
-        if promise.interval_ticks > 1:
-            most = largest_interval(promise)
-            limit += ", or for no B" if math.isnan(most) else f", or for B up to {most:.2f} s"
-            limit += f", not {promise.interval_ticks * promise.dt:g} s"
-        faults.append(
-            f"{terms} + v_g (A + tau_c) = {rho:.4g} m ({sizes}, A {age:g} s, tau_c {delay:g} s): "
-            f"too much for r_v = {promise.radius:.4g} m; with these numbers the hand-over holds {limit}"
-        )
-    return tuple(faults)
+    faults = _declared_faults(bounds)
+    if not faults and math.isnan(bounds.handover_radius):
+        return (_handover_fault(bounds),)
+    return faults

@@ -25,18 +25,19 @@ import math
 
 from agents.safety.discs import (
     Disc,
-    disc_of,
+    KnownDiscs,
+    add_disc,
+    disc_in,
     drift,
-    keep_detection,
     lens_distance,
     nearest,
-    newest_detection,
-    no_detections,
+    newest_disc,
+    no_discs,
     radius_at,
 )
-from agents.safety.safety_filter import Verdict, bounds_of
-from agents.safety.trajectories import Known
+from agents.safety.safety_filter import bounds_of
 from bus.messages.base import Vector
+from bus.messages.decision import FilterDecision, NotCertified, Source
 from bus.messages.vehicle import UavBriefing, UavObservation
 from bus.ticks import tick_of
 from sim.compiling.compile import compiled
@@ -85,7 +86,9 @@ def backup_policy(
 
 
 @compiled
-def worst_distance(promise: SafetyBounds, known: Known, tick: int, x: float, y: float) -> float:
+def worst_distance(
+    promise: SafetyBounds, known: KnownDiscs, tick: int, x: float, y: float
+) -> float:
     """The largest distance of the UGV from (x, y) [m] at a tick, by the newest disc and the one of least bound."""
     a, b = known.newest, known.nearest
     a_r, b_r = radius_at(promise, a, tick), radius_at(promise, b, tick)
@@ -97,7 +100,7 @@ def worst_distance(promise: SafetyBounds, known: Known, tick: int, x: float, y: 
 
 @compiled
 def flow_value(
-    promise: SafetyBounds, known: Known, tick: int, spent: int, here: Motion, enough: float
+    promise: SafetyBounds, known: KnownDiscs, tick: int, spent: int, here: Motion, enough: float
 ) -> float:
     """h_I [m] of the state in which the UAV is `spent` ticks after this one.
 
@@ -138,7 +141,7 @@ def flow_value(
 @compiled
 def value_after(
     promise: SafetyBounds,
-    known: Known,
+    known: KnownDiscs,
     tick: int,
     here: Motion,
     u_x: float,
@@ -182,10 +185,10 @@ def filtered(
     """
     c = promise
     p_x, p_y, v_x, v_y = here
-    new = newest_detection(discs)
+    new = newest_disc(discs)
     near = nearest(c, discs, tick, p_x, p_y)
-    known = Known(
-        disc_of(c, discs, new), disc_of(c, discs, near), Disc(0.0, 0.0, math.inf, 0), new == near
+    known = KnownDiscs(
+        disc_in(discs, new), disc_in(discs, near), Disc(0.0, 0.0, math.inf, 0), new == near
     )
     z = known.newest
     b_x, b_y = backup_policy(p_x, p_y, v_x, v_y, z.x, z.y, c.v_a, c.u_a, c.dt)
@@ -237,7 +240,7 @@ class BackupFilter:
     def __init__(self, briefing: UavBriefing, *, gamma: float = 1.0) -> None:
         self.promise = bounds_of(briefing)
         self.gamma = gamma
-        self._discs = no_detections()
+        self._discs = no_discs()
         self._track: dict[int, Vector] = {}
         self._pending: list[Vector] = [(0.0, 0.0)] * self.promise.delay_ticks
 
@@ -252,9 +255,9 @@ class BackupFilter:
             if was is not None:
                 z_x = min(max(was[0] - found.relative_position[0], 0.0), c.width)
                 z_y = min(max(was[1] - found.relative_position[1], 0.0), c.height)
-                keep_detection(c, self._discs, z_x, z_y, taken, tick, p_x, p_y)
+                add_disc(c, self._discs, Disc(z_x, z_y, c.placed_error, taken), tick, p_x, p_y)
 
-    def filter(self, observation: UavObservation, acceleration: Vector) -> Verdict:
+    def filter(self, observation: UavObservation, acceleration: Vector) -> FilterDecision:
         """The nearest input [m/s²] that keeps the barrier.
 
         `certified` says whether there is one that is known to be safe.
@@ -265,12 +268,12 @@ class BackupFilter:
             p_x, p_y, v_x, v_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, x, y, c.v_a, c.u_a, c.dt)
             p_x, v_x = within_walls(p_x, v_x, c.width)
             p_y, v_y = within_walls(p_y, v_y, c.height)
-        new = newest_detection(self._discs)
+        new = newest_disc(self._discs)
         if new < 0:
             u_x, u_y = clip_norm(-v_x / c.dt, -v_y / c.dt, c.u_a)
             acts, feasible, fresh = True, False, False
         else:
-            fresh = tick - int(self._discs[new]["taken"]) <= c.max_age_ticks
+            fresh = tick - int(self._discs[new]["tick"]) <= c.max_age_ticks
             wanted = (float(acceleration[0]), float(acceleration[1]))
             u_x, u_y, acts, feasible = filtered(
                 c, self._discs, tick, Motion(p_x, p_y, v_x, v_y), *wanted, self.gamma
@@ -278,5 +281,9 @@ class BackupFilter:
         if self._pending:
             self._pending = [*self._pending[1:], (u_x, u_y)]
         known = bool(feasible and fresh)
-        reason = "" if known else "the backup policy is not known to be safe"
-        return Verdict((u_x, u_y), bool(acts), known, reason, math.inf, ())
+        return FilterDecision(
+            acceleration=(u_x, u_y),
+            source=Source.BACKUP if acts else Source.NOMINAL,
+            reason=None if known else NotCertified.NO_PLAN,
+            certified_distance=None,
+        )

@@ -103,7 +103,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FilteredPilot(UavPilot):
-    """A pilot of the inner control with a filter around it; the filter's calls are timed and its verdicts counted.
+    """A pilot of the inner control with a filter around it; the filter's calls are timed and its decisions counted.
 
     Args:
         told: What the UAV is told when it joins.
@@ -130,11 +130,11 @@ class FilteredPilot(UavPilot):
             return msgspec.structs.replace(command, acceleration=wanted)
         began = time.thread_time_ns()
         self._around.see(observation)
-        verdict = self._around.filter(observation, wanted)
+        decision = self._around.filter(observation, wanted)
         self.nanoseconds += time.thread_time_ns() - began
-        self.known.append(bool(verdict.certified))
-        self.interventions += bool(verdict.intervened)
-        return msgspec.structs.replace(command, acceleration=verdict.acceleration)
+        self.known.append(bool(decision.certified))
+        self.interventions += decision.overridden
+        return msgspec.structs.replace(command, acceleration=decision.acceleration)
 
     def _away(self, own: Vector, target: Vector) -> Vector:
         x, y = own[0] - target[0], own[1] - target[1]

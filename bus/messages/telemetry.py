@@ -16,6 +16,7 @@ from bus.messages.base import (
     Vector,
 )
 from bus.messages.control import Change
+from bus.messages.decision import NotCertified
 from bus.messages.links import LinkStatus
 from bus.messages.scenario import Area, Limits, Origin
 from bus.messages.vehicle import UavReport
@@ -172,7 +173,7 @@ class CertificateStatus(Message, frozen=True, kw_only=True):
     """Those that were certified."""
     intervened: Tick
     """Those in which a filter acted instead of the law."""
-    uncertified: dict[Text, Tick] = {}
+    uncertified: dict[NotCertified, Tick] = {}
     """Those that were not certified, by reason."""
     certified_while_lost: Tick = 0
     """Those that were certified although the UGV was out of sight: the certificate is wrong if there is one."""
@@ -219,8 +220,8 @@ class Status(Message, frozen=True, kw_only=True):
     geometry: Geometry | None = None
     certified: dict[Name, bool] = {}
     """True if sight is certified to be kept, by UAV; only those that a safety filter watches over."""
-    uncertified: dict[Name, Text] = {}
-    """Why not, by UAV."""
+    uncertified: dict[Name, NotCertified] = {}
+    """Reason why not, by UAV."""
     certificates: CertificateStatus | None = None
     """Counts of what has been certified so far; None where no safety filter has watched over anything."""
     mission: MissionResult | None = None

@@ -17,6 +17,7 @@ from bus.messages.base import (
     Ticks,
     Vector,
 )
+from bus.messages.decision import FilterDecision
 from bus.messages.ground import (
     MOST_BLOCKS,
     MOST_CORNERS,
@@ -214,14 +215,8 @@ class UavReport(Message, frozen=True, kw_only=True):
     """Time since the newest detection that was believed [s]."""
     refused: Tick
     """Detections refused by the gate so far."""
-    certified: bool | None = None
-    """True if sight is certified to be kept from here on; None: no filter watches over this law."""
-    uncertified: Text = ""
-    """Why not."""
-    intervened: bool = False
-    """True if the safety filter acted instead of the law."""
-    certified_distance: NonNegative | None = None
-    """The UGV is surely no farther than this [m]."""
+    decision: FilterDecision | None = None
+    """Decision of the safety filter; None: no filter watches over this law."""
 
 
 class UavCommand(Message, frozen=True, kw_only=True):

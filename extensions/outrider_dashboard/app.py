@@ -17,6 +17,7 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from bus.messages.base import Vector
+from bus.messages.decision import WHAT_HAPPENED
 from outrider.running.metrics import LINK, MISSION, NOW, PROCESS
 from outrider_dashboard.hub import Browser, Hub
 from outrider_dashboard.page_guard import LARGEST_HEAD, BoundedHead, Guard
@@ -156,6 +157,7 @@ async def _send_frames(hub: Hub, browser: Browser, channel: WebSocket) -> None:
         "colors": drawn(),
         "steer": hub.source.may_steer,
         "metrics": METRICS,
+        "reasons": WHAT_HAPPENED,
     }
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
         await channel.send_text(msgspec.json.encode(hello).decode())

@@ -13,16 +13,15 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.control.tracking import tracking_output, tracking_step
-from agents.safety.decision import (
-    begin_guard,
-    forget_commands,
-    guard,
-    guard_state,
-    note_detection,
-    note_position,
+from agents.safety.decision import CERTIFIED, NOMINAL, decide
+from agents.safety.discs import KEPT, NEVER, bound_of, certified_distance, newest_disc
+from agents.safety.memory import (
+    add_measurement,
+    add_position,
+    filter_memory,
+    invalidate_plans,
+    reset_memory,
 )
-from agents.safety.discs import KEPT, NEVER, bound_of, certified_distance, newest_detection
-from agents.safety.trajectories import CERTIFIED, INNER
 from bus.messages.links import LinkKind
 from outrider_falsify.attack_records import (
     AttackResult,
@@ -110,8 +109,8 @@ class Order(NamedTuple):
 @compiled
 def _switch_command(
     conditions: Conditions,
-    promise: SafetyBounds,
-    detections: RecordArray,
+    bounds: SafetyBounds,
+    discs: RecordArray,
     plots: RecordArray,
     tick: int,
     here: Motion,
@@ -120,45 +119,45 @@ def _switch_command(
 ) -> tuple[float, float]:
     """The command of a law that switches, beyond its radius [m/s²]; z is p_a - p_g of the newest detection [m]."""
     if conditions.law >= GUARDS.switch_tracking:
-        return clip_norm(plots[UAV].output_x, plots[UAV].output_y, promise.u_a)
+        return clip_norm(plots[UAV].output_x, plots[UAV].output_y, bounds.u_a)
     if conditions.law == GUARDS.switch_best:
         least = math.inf
         for k in range(KEPT):
-            if detections[k].taken == NEVER:
+            if discs[k].tick == NEVER:
                 continue
-            r = bound_of(promise, detections, k, tick, here.p_x, here.p_y)
+            r = bound_of(bounds, discs, k, tick, here.p_x, here.p_y)
             if r < least:
                 least = r
-                z_x, z_y = here.p_x - detections[k].x, here.p_y - detections[k].y
+                z_x, z_y = here.p_x - discs[k].x, here.p_y - discs[k].y
     e_x, e_y = direction(z_x, z_y)
     return clip_norm(
-        (-promise.v_a * e_x - here.v_x) / promise.dt,
-        (-promise.v_a * e_y - here.v_y) / promise.dt,
-        promise.u_a,
+        (-bounds.v_a * e_x - here.v_x) / bounds.dt,
+        (-bounds.v_a * e_y - here.v_y) / bounds.dt,
+        bounds.u_a,
     )
 
 
 @compiled
 def _take_in(run: Run, view: View) -> Known:
     """Let what has arrived reach the UAV's computer, and hold its bound against the truth."""
-    promise, memory, here, tick = run.promise, run.memory, view.here, view.tick
+    bounds, memory, here, tick = run.bounds, run.memory, view.here, view.tick
     result = run.results[0]
     if run.room.trouble[0].away == 0:
-        note_position(memory, tick, here.p_x, here.p_y)
+        add_position(memory, tick, here.p_x, here.p_y)
         for n in range(run.state.links[0, 0].arrived):
             packet = run.state.packets[0, 0, ARRIVED, n]
             taken, (d_x, d_y) = int(packet.stamp), packet.vector
-            record_arrival(promise, run.room.counts[0], taken, packet.error)
-            note_detection(promise, memory, taken, tick, d_x, d_y, here.p_x, here.p_y)
-    detections = memory.detections
-    new = newest_detection(detections)
-    bound = certified_distance(promise, detections, tick, here.p_x, here.p_y)
+            record_arrival(bounds, run.room.counts[0], taken, packet.error)
+            add_measurement(bounds, memory, taken, (d_x, d_y), tick, here)
+    discs = memory.discs
+    new = newest_disc(discs)
+    bound = certified_distance(bounds, discs, tick, here.p_x, here.p_y)
     result.max_distance = max(result.max_distance, view.distance)
     z_x, z_y = 0.0, 0.0
     if new >= 0:
         result.max_excess = max(result.max_excess, view.distance - bound)
-        result.max_age = max(result.max_age, (tick - detections[new].taken) * promise.dt)
-        z_x, z_y = here.p_x - detections[new].x, here.p_y - detections[new].y
+        result.max_age = max(result.max_age, (tick - discs[new].tick) * bounds.dt)
+        z_x, z_y = here.p_x - discs[new].x, here.p_y - discs[new].y
     return Known(new, bound, z_x, z_y)
 
 
@@ -166,7 +165,7 @@ def _take_in(run: Run, view: View) -> Known:
 def _want(run: Run, view: View, known: Known) -> tuple[float, float]:
     """Return the command that the adversary in the UAV wants [m/s²]."""
     conditions, random, plots = run.conditions, run.random, run.room.plots
-    dt, u_a, roles, (z_x, z_y) = run.promise.dt, run.promise.u_a, run.room.roles[0], known[2:]
+    dt, u_a, roles, (z_x, z_y) = run.bounds.dt, run.bounds.u_a, run.room.roles[0], known[2:]
     if next_share(random) < 0.01:
         redraw(random, plots, UAV, u_a)
         if conditions.inner == ANY and next_share(random) < 0.3:
@@ -190,22 +189,24 @@ def _filter(run: Run, view: View, u_x: float, u_y: float) -> Order:
     if conditions.disturbance == DISTURBANCES.law_changes and next_share(random) < 0.01:
         roles.filtering = not roles.filtering
         if roles.filtering:
-            begin_guard(memory)
+            reset_memory(memory)
             reset_filter(counts)
-            note_position(memory, view.tick, here.p_x, here.p_y)
+            add_position(memory, view.tick, here.p_x, here.p_y)
     leaves = conditions.disturbance == DISTURBANCES.rejoins and trouble.away == 0
     if leaves and next_share(random) < 0.005:
         trouble.away = 1 + int(next_share(random) * 20)
     if trouble.away > 0:
         trouble.away -= 1
         if trouble.away == 0:
-            forget_commands(memory)
+            invalidate_plans(memory)
     elif roles.filtering:
         begun = run.state.flown[0, UAV, 0].begins
-        u_x, u_y, acts, code, _ = guard(run.promise, memory, view.tick, here, u_x, u_y, begun)
-        certified, acted = code == CERTIFIED, acts != INNER
+        decide(run.bounds, memory, view.tick, here, u_x, u_y, begun)
+        decision = memory.decision[0]
+        u_x, u_y = decision.acceleration[0], decision.acceleration[1]
+        certified, acted = decision.reason == CERTIFIED, decision.source != NOMINAL
         said = Claim(certified, acted, view.distance >= conditions.r_v, True)
-        record_decision(run.promise, counts, view.tick, said)
+        record_decision(run.bounds, counts, view.tick, said)
         return Order(u_x, u_y, acted, certified, not conditions.bare, True)
     return Order(u_x, u_y, False, False, False, False)
 
@@ -221,9 +222,9 @@ def _decide(run: Run, view: View, known: Known) -> Order:
     far = norm(z_x, z_y) if conditions.law == GUARDS.paper else known.bound
     acted = known.new >= 0 and far >= conditions.radius
     if acted:
-        detections, plots = run.memory.detections, run.room.plots
+        discs, plots = run.memory.discs, run.room.plots
         u_x, u_y = _switch_command(
-            conditions, run.promise, detections, plots, view.tick, view.here, z_x, z_y
+            conditions, run.bounds, discs, plots, view.tick, view.here, z_x, z_y
         )
     return Order(u_x, u_y, acted, False, False, False)
 
@@ -247,7 +248,7 @@ def _drive(run: Run, view: View) -> None:
     """Let the UGV's adversary send its command."""
     conditions, random, plots, roles = run.conditions, run.random, run.room.plots, run.room.roles[0]
     u_g, moving, ugv = (
-        ugv_bound(run.promise, conditions),
+        ugv_bound(run.bounds, conditions),
         run.room.now[UGV],
         run.state.vehicles[0, UGV],
     )
@@ -282,11 +283,11 @@ def _step(run: Run, view: View) -> None:
 @compiled
 def _detect(run: Run, tick: int) -> None:
     """Let the world detect the UGV; the adversary chooses which detections are made, and with which error."""
-    conditions, random, room, promise = run.conditions, run.random, run.room, run.promise
+    conditions, random, room, bounds = run.conditions, run.random, run.room, run.bounds
     trouble, found = room.trouble[0], run.state.vehicles[0, UAV].detection
     x, y, _ = apart(room.now)
-    darken(conditions, promise, room, random, tick)
-    size = promise.max_measurement_error * conditions.error_share
+    darken(conditions, bounds, room, random, tick)
+    size = bounds.max_measurement_error * conditions.error_share
     n_x, n_y = detection_error(room.roles[0].error, random, tick, size, x, y, room.plots)
     trouble.seen = 1 if trouble.dark == 0 else 0
     if trouble.dark > 0:
@@ -303,9 +304,9 @@ def _judge(run: Run, tick: int, certified: bool) -> None:
     counts, result, room = run.room.counts[0], run.results[0], run.room
     flown = run.state.flown[0, UAV, 0]
     bare = run.state.vehicles[0, UAV].command_tick if flown.plain == 1 else NEVER_SEEN
-    record_interval(run.promise, counts, tick, flown.begins, bare)
+    record_interval(run.bounds, counts, tick, flown.begins, bare)
     if counts.interval_kept and certified:
-        most = largest_between(room.before, room.now, run.promise.dt)
+        most = largest_between(room.before, room.now, run.bounds.dt)
         result.max_certified = max(result.max_certified, most)
         result.certified_lost += most >= run.conditions.r_v
 
@@ -342,12 +343,12 @@ def fly_one(run: Run, ticks: int) -> None:
 
 
 def attack(
-    promise: SafetyBounds, conditions: Conditions, seed: int, first: int, runs: int, duration: float
+    bounds: SafetyBounds, conditions: Conditions, seed: int, first: int, runs: int, duration: float
 ) -> RecordArray:
     """Runs of an attack from `first` on.
 
     Args:
-        promise: The declared numbers.
+        bounds: The declared numbers.
         conditions: Who guards, who attacks, over which network.
         seed: Of all draws.
         first: Number of the first run.
@@ -357,15 +358,15 @@ def attack(
     Returns:
         `AttackResult` of each. Shape (runs,).
     """
-    batch = Batch(scenario_of(promise, conditions), 1, threads=1)
+    batch = Batch(scenario_of(bounds, conditions), 1, threads=1)
     late = batch.links.longest(LinkKind.DETECTIONS) + 1
     results, random = np.zeros(runs, record_type(AttackResult)), np.empty(1, np.uint64)
     run = Run(
         tables=batch.tables,
         state=batch.state,
-        memory=guard_state(promise.delay_ticks, max(1, late)),
+        memory=filter_memory(bounds.delay_ticks, max(1, late)),
         room=empty_room(),
-        promise=promise,
+        bounds=bounds,
         conditions=conditions,
         random=random,
         results=results,
@@ -375,6 +376,6 @@ def attack(
             (np.uint64(seed), np.uint64(_ATTACK) << np.uint64(32)), FIRST, first + k, 0
         )[0]
         batch.restore([int(random[0] >> np.uint64(11))], [0])
-        fly_one(run._replace(results=results[k : k + 1]), round(duration / promise.dt))
+        fly_one(run._replace(results=results[k : k + 1]), round(duration / bounds.dt))
     batch.workers.close()
     return results

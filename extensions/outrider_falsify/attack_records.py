@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.safety.decision import GuardState
+from agents.safety.memory import FilterMemory
 from outrider_falsify.conditions import Conditions
 from outrider_falsify.draws import Words
 from outrider_falsify.opponents import UAV, UGV, Plot
@@ -117,11 +117,11 @@ class Run(NamedTuple):
     tables: BatchTables
     state: BatchState
     """The world. UAV 0 is vehicle 0, the UGV vehicle 1."""
-    memory: GuardState
+    memory: FilterMemory
     """Of the filter."""
     room: Room
     """Of all else."""
-    promise: SafetyBounds
+    bounds: SafetyBounds
     """The declared numbers; the laws that switch use its bounds only."""
     conditions: Conditions
     """Who guards and who attacks."""

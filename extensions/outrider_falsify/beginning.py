@@ -2,7 +2,7 @@
 
 import math
 
-from agents.safety.decision import begin_guard
+from agents.safety.memory import reset_memory
 from outrider_falsify.attack_records import Room, Run, keep_states
 from outrider_falsify.conditions import AREAS, ERRORS, INNERS, UGVS, WINDS, Conditions
 from outrider_falsify.draws import Words, next_share
@@ -87,10 +87,10 @@ def _begin_plots(room: Room, random: Words, u_a: float, u_g: float) -> None:
 
 
 @compiled
-def ugv_bound(promise: SafetyBounds, conditions: Conditions) -> float:
+def ugv_bound(bounds: SafetyBounds, conditions: Conditions) -> float:
     """Return the UGV's largest acceleration [m/s²]; where it has none, what turns it back within a tick."""
     u_g: float = conditions.u_g
-    return u_g if math.isfinite(u_g) else 2.0 * promise.v_g / promise.dt
+    return u_g if math.isfinite(u_g) else 2.0 * bounds.v_g / bounds.dt
 
 
 @compiled
@@ -121,7 +121,7 @@ def begin(run: Run) -> None:
     roles.inner = choose(random, conditions.inner, len(INNERS))
     roles.ugv = choose(random, conditions.ugv, len(UGVS))
     roles.error = choose(random, conditions.error, len(ERRORS))
-    _begin_plots(run.room, random, run.promise.u_a, ugv_bound(run.promise, conditions))
+    _begin_plots(run.room, random, run.bounds.u_a, ugv_bound(run.bounds, conditions))
     roles.rate = 0.05 + 1.5 * next_share(random)
     roles.controller_x, roles.controller_y = 0.0, 0.0
     _place(conditions, run.tables, run.state, random)
@@ -133,7 +133,7 @@ def begin(run: Run) -> None:
     if run.tables.disturbances.shape[0] > 0:
         plots[UGV].wind = 2.0 * math.pi * next_share(random)
         roles.blows = choose(random, conditions.blows, len(WINDS))
-    begin_guard(run.memory)
+    reset_memory(run.memory)
     begin_world(run.tables, run.state, None, 0)
     roles.filtering = True
     _reset_result(run)

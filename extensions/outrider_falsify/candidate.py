@@ -77,7 +77,8 @@ def flown(
 
     def see(flight: Flight) -> None:
         report = flight.answers.reports[0]
-        certified[flight.world.tick - 1] = report is not None and bool(report.certified)
+        decision = None if report is None else report.decision
+        certified[flight.world.tick - 1] = decision is not None and decision.certified
 
     if candidate.kind == "adversary":
         flight, script = fly_adversary(scenario, tactics_of(candidate.vector, scenario), see)

@@ -33,10 +33,10 @@ def _delay_command(conditions: Conditions, room: Room, random: Words, tick: int,
 
 @compiled
 def darken(
-    conditions: Conditions, promise: SafetyBounds, room: Room, random: Words, tick: int
+    conditions: Conditions, bounds: SafetyBounds, room: Room, random: Words, tick: int
 ) -> None:
     """Begin a blackout now and then, with a detection at least since the last one."""
-    trouble, now, longest = room.trouble[0], room.now, round(conditions.blackout_time / promise.dt)
+    trouble, now, longest = room.trouble[0], room.now, round(conditions.blackout_time / bounds.dt)
     if trouble.dark > 0 or trouble.seen == 0 or tick <= 20 or longest == 0:
         return
     if conditions.blackout == BLACKOUTS.periodic:
@@ -52,10 +52,10 @@ def darken(
 @compiled
 def _lose_motion(run: Run, view: View) -> bool:
     """Keep the motion that a command carries in the world; return true if the adversary loses it."""
-    promise, conditions, plots = run.promise, run.conditions, run.room.plots
-    tick, d_ticks = view.tick, promise.delay_ticks
-    allowed = int(conditions.outage / promise.dt + DUST)
-    held, under = run.memory.plan[0], run.memory.underway.sent
+    bounds, conditions, plots = run.bounds, run.conditions, run.room.plots
+    tick, d_ticks = view.tick, bounds.delay_ticks
+    allowed = int(conditions.outage / bounds.dt + DUST)
+    held, under = run.memory.plan[0], run.memory.pending.sent
     left = held.turn + held.cruise + held.brake
     pending = Pending(tick, d_ticks, allowed, view.distance / conditions.r_v, left)
     kind = run.room.roles[0].losses
@@ -67,16 +67,16 @@ def _lose_motion(run: Run, view: View) -> bool:
 @compiled
 def send_command(run: Run, view: View, u_x: float, u_y: float, carrying: bool) -> None:
     """Let the UAV's command set out [m/s²], with a motion or bare, or one of before, or none."""
-    room, promise = run.room, run.promise
+    room, bounds = run.room, run.bounds
     uav = run.state.vehicles[0, UAV]
     sent = room.ring[view.tick % RING]
     sent[0], sent[1], sent[2] = u_x, u_y, 1.0 if carrying else 0.0
     then = -1
     if room.trouble[0].away == 0:
-        then = _delay_command(run.conditions, room, run.random, view.tick, promise.dt)
+        then = _delay_command(run.conditions, room, run.random, view.tick, bounds.dt)
     if carrying and _lose_motion(run, view):
         then = -1
     sent, uav.outgoing_tick = room.ring[then % RING], then
     uav.outgoing[0], uav.outgoing[1] = sent[0], sent[1]
-    uav.outgoing_motion = then + promise.delay_ticks if sent[2] > 0.0 else -1
+    uav.outgoing_motion = then + bounds.delay_ticks if sent[2] > 0.0 else -1
     uav.outgoing_motions = 1 if sent[2] > 0.0 else 0

@@ -189,9 +189,10 @@ class VehicleUnit:
         if report is not None:
             told["estimate.valid"] = True
             told["estimate.x"], told["estimate.y"] = report.estimate
-            told["certified"] = bool(report.certified)
-            if report.certified_distance is not None:
-                told["margin"] = self._visible - report.certified_distance
+            decision = report.decision
+            told["certified"] = decision is not None and decision.certified
+            if decision is not None and decision.certified_distance is not None:
+                told["margin"] = self._visible - decision.certified_distance
         for message in command.radio:
             told["radio.new"], told["radio.time"] = True, message.time
             told["radio.x"], told["radio.y"] = message.relative_position

@@ -330,9 +330,7 @@ class AutopilotPilot:
         )
         if self._follows or command.report is None:
             return command
-        nothing = msgspec.structs.replace(
-            command.report, certified=None, uncertified="", certified_distance=None
-        )
+        nothing = msgspec.structs.replace(command.report, decision=None)
         return msgspec.structs.replace(command, report=nothing)
 
     def prepare(self) -> None:

@@ -94,7 +94,8 @@ class OffboardPilot:
         command = self._pilot.act(observation)
         self.ticks += 1
         self.setpoint_ticks += self._by_setpoint
-        if command.report is not None and command.report.intervened:
+        decision = None if command.report is None else command.report.decision
+        if decision is not None and decision.overridden:
             self.interventions += 1
             self.intervened_at = observation.time
         self.flown = Flown(observation, command, self._by_setpoint)
@@ -156,13 +157,15 @@ class OffboardGateway(Gateway):
             better="the safety filter lets everything through",
             critical=False,
         )
-        self.judge(
-            system,
-            "certified",
-            wrong=not report.certified,
-            worse=f"sight is not certified: {report.uncertified}",
-            better="sight is certified again",
-        )
+        if report.decision is not None:
+            reason = report.decision.reason
+            self.judge(
+                system,
+                "certified",
+                wrong=reason is not None,
+                worse=f"sight is not certified: {reason.text if reason else ''}",
+                better="sight is certified again",
+            )
 
     def setpoint(self, peer: Peer, system: VehicleSystem, message: MavMessage) -> None:
         """Take a setpoint of the ground station that steers, or refuse it."""

@@ -107,8 +107,8 @@ class RunGateway(Gateway):
             worse = f"{name} is lost: its process has gone"
             self._judge(name, "process", wrong=gone, worse=worse, better=f"{name} is back")
         for name, certified in status.certified.items():
-            reason = status.uncertified.get(name, "")
-            worse = f"sight is not certified: {reason}"
+            reason = status.uncertified.get(name)
+            worse = f"sight is not certified: {reason.text if reason else ''}"
             self._judge(
                 name, "filter", wrong=not certified, worse=worse, better="sight is certified again"
             )

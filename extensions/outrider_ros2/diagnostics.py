@@ -108,7 +108,7 @@ def diagnostics(status: Status, own: Iterable[RosMessage] = ()) -> RosMessage:
             level=OK if certified else WARN,
             message="sight is certified to be kept"
             if certified
-            else f"not certified: {status.uncertified.get(name, 'no reason is told')}",
+            else f"not certified: {status.uncertified[name].text}",
         )
         for name, certified in status.certified.items()
     ]

@@ -221,8 +221,8 @@ def _counts(counts: Mapping[str, int]) -> str:
 
 def _dicts(summary: Summary) -> Iterator[TextRow]:
     """Rows of what is counted by reason, UGV, link, vehicle or process."""
-    for reason, count in summary.uncertified.items():
-        yield "not certified", f"{count} ticks: {reason}"
+    for why, count in summary.uncertified.items():
+        yield "not certified", f"{count} ticks: {why.text}"
     for name, told in (summary.mission.guarantees if summary.mission else {}).items():
         for reason, count in told.uncertified.items():
             yield f"{name} not certified", f"{count} ticks: {reason}"

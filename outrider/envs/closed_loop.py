@@ -16,8 +16,9 @@ from agents.estimation.motion_model import (
     history_depth,
 )
 from agents.laws.dispatch import law_memories
-from agents.safety.decision import guard_state
-from agents.safety.trajectories import UNCERTIFIED
+from agents.safety.memory import filter_memory
+from agents.safety.safety_filter import decision_of
+from bus.messages.decision import FilterDecision
 from bus.messages.links import LinkKind, LinkStatus
 from bus.messages.telemetry import MissionResult
 from outrider.envs.closed_loop_state import (
@@ -31,6 +32,7 @@ from outrider.envs.closed_loop_tick import run_worlds
 from outrider.envs.pilot_numbers import PilotNumbers, loop_parameters, repeated, uses_radio
 from sim.channel.link_records import no_packets
 from sim.compiling.compile import FloatArray, IntArray
+from sim.compiling.records import RecordArray
 from sim.engine.batch import Batch, Fresh
 from sim.engine.mission import mission_of
 from sim.engine.monitor import certificate_counters
@@ -112,8 +114,6 @@ class ClosedLoop:
             rows=row_state(rows, worlds),
             certificates=np.repeat(certificate_counters(len(self.uavs))[None], worlds, axis=0),
         )
-        self.faults = dict.fromkeys(self.uavs, "")
-        """Why nothing of each UAV's flight can be certified; empty: it can."""
         if self._needs_pilots(options):
             self._add_pilots(chosen, options)
         # all but the batch, which knows its own
@@ -133,7 +133,6 @@ class ClosedLoop:
         numbers = PilotNumbers(
             self.scenario, self.uavs, self.ugvs, set(self.external), chosen, settings.safety_filter
         )
-        self.faults = dict(zip(self.uavs, numbers.faults, strict=True))
         parameters = loop_parameters(self.scenario, settings, radio=numbers.radio)
         self.parameters = parameters
         self.tables = self._pilot_tables(numbers, parameters)
@@ -147,8 +146,7 @@ class ClosedLoop:
             laws=numbers.laws,
             drivers=numbers.drivers,
             thinking=(numbers.thinking | needed).astype(np.int64),
-            guarded=numbers.guarded.astype(np.int64),
-            faults=np.array([bool(fault) for fault in numbers.faults], dtype=np.int64),
+            filtered=numbers.filtered.astype(np.int64),
             receivers=np.array(
                 [self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]],
                 dtype=np.int64,
@@ -167,7 +165,7 @@ class ClosedLoop:
         worlds, batch, area = self.worlds, self.batch, self.scenario.area
         late = batch.links.longest(LinkKind.DETECTIONS)
         depth = min(late + 1, history_depth(SPAN, self.scenario.dt))
-        guard = guard_state(numbers.longest, min(late + 1, numbers.track))
+        fresh = filter_memory(numbers.longest, min(late + 1, numbers.track))
         uavs, ugvs = len(self.uavs), len(self.ugvs)
         room = batch.links.packets.shape[3]
         told_room = 0
@@ -181,7 +179,7 @@ class ClosedLoop:
             laws=law_memories(numbers.laws, worlds),
             drivers=driver_memories(numbers.drivers, worlds),
             kalman=repeated(estimator_rows(depth), worlds, uavs),
-            guards=repeated(guard, worlds, uavs),
+            filters=repeated(fresh, worlds, uavs),
             grounds=repeated(numbers.ground, worlds, ugvs),
             outbox=no_packets(worlds, uavs, 2),
             looks=np.zeros((worlds, room, 3)),
@@ -275,16 +273,16 @@ class ClosedLoop:
             "certificate_broken": counts["broken"].astype(np.float64),
         }
 
-    def verdict(self, uav: str) -> dict[str, Any]:
-        """What the safety filter has made of a UAV's action in the last tick, in the first world, as plain numbers."""
-        standing = self.state.rows.standings[0, self.names.index(uav)]
-        reason = self.faults[uav] or UNCERTIFIED.get(standing["uncertified"].item(), "")
-        return {
-            "intervened": standing["intervened"].item(),
-            "certified": standing["certified"].item(),
-            "uncertified": "" if standing["certified"] else reason,
-            "certified_distance": standing["certified_distance"].item(),
-        }
+    def decisions(self, uav: str) -> RecordArray:
+        """Return `FilterDecision` of a UAV's last tick, in each world. Shape (worlds,)."""
+        if not isinstance(self.state, LoopState):
+            raise ValueError("there are no safety filters, so there are no decisions")
+        rows: RecordArray = self.state.filters.decision[:, self.uavs.index(uav), 0]
+        return rows
+
+    def decision(self, uav: str) -> FilterDecision:
+        """Return the decision on a UAV's action in the last tick, in the first world."""
+        return decision_of(self.decisions(uav)[0])
 
     def mission(self, world: int) -> MissionResult:
         """The mission of one world so far, where there are hazards."""

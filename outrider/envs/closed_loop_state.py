@@ -6,7 +6,7 @@ from agents.drivers.dispatch import DriverTables
 from agents.drivers.tile_map import GroundMemory
 from agents.estimation.map_updates import TellingMemory
 from agents.laws.dispatch import LawTables
-from agents.safety.decision import GuardState
+from agents.safety.memory import FilterMemory
 from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
 from sim.engine.world_state import BatchState, BatchTables
@@ -62,10 +62,8 @@ class LoopTables(NamedTuple):
     drivers: DriverTables
     thinking: IntArray
     """For each UAV whether its estimate is needed. Shape (UAVs,)."""
-    guarded: IntArray
+    filtered: IntArray
     """For each UAV whether the safety filter watches over it. Shape (UAVs,)."""
-    faults: IntArray
-    """For each UAV whether its certificate's assumptions fail. Shape (UAVs,)."""
     receivers: IntArray
     """For each UAV the row among the UGVs of the one that receives its radio. Shape (UAVs,)."""
     kalman: RecordArray
@@ -94,7 +92,8 @@ class LoopState(NamedTuple):
     """`PerDriver`: memories of the drivers. Shape (worlds, UGVs) each."""
     kalman: RecordArray
     """`EstimatorRow` of each UAV. Shape (worlds, UAVs, 1 + depth): see `agents.estimation.batch_filter`."""
-    guards: GuardState
+    filters: FilterMemory
+    """Memory of each UAV's safety filter. Shape (worlds, UAVs, ...)."""
     grounds: GroundMemory
     """The ground as each UGV knows it; without tiles where there are no hazards. Shape (worlds, UGVs, ...)."""
     outbox: RecordArray

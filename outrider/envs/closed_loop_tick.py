@@ -108,7 +108,7 @@ def _note_evidence(tables: LoopTables, state: LoopState, world: int, uav: int) -
 def _note_actions(tables: LoopTables, state: LoopState, world: int, tick: int) -> None:
     """Count the actions of the UAVs that a safety filter watches over."""
     for u in range(tables.batch.escorts.shape[0]):
-        if tables.guarded[u]:
+        if tables.filtered[u]:
             _note_action(tables, state, world, u, tick)
 
 
@@ -119,7 +119,7 @@ def _note_tick(tables: LoopTables, state: LoopState, world: int, over: bool) -> 
         if over:
             standing = state.rows.standings[world, tables.batch.escorts[u, 0]]
             record_end(state.certificates[world, u], standing.lost)
-        elif tables.guarded[u]:
+        elif tables.filtered[u]:
             _note_evidence(tables, state, world, u)
 
 

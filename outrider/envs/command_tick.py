@@ -6,17 +6,15 @@ from agents.drivers.pending_stops import PLAIN, hand_over_stops
 from agents.estimation.batch_filter import estimate
 from agents.estimation.map_updates import block_words, next_block, telling_of
 from agents.laws.dispatch import nominal_command
-from agents.safety.decision import guard
+from agents.safety.decision import CERTIFIED, NOMINAL, decide
 from agents.safety.pending import hand_over
-from agents.safety.trajectories import CERTIFIED as NOTHING_AGAINST
-from agents.safety.trajectories import INNER
 from agents.uav_parameters import Target
 from outrider.envs.closed_loop_state import (
     LoopParameters,
     LoopState,
     LoopTables,
 )
-from outrider.envs.vehicle_parts import coverage_of, ground_of, guard_of, reference_of
+from outrider.envs.vehicle_parts import coverage_of, filter_of, ground_of, reference_of
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
 from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState
@@ -42,10 +40,9 @@ def _fly(
     tick, standing = state.batch.ticks[world], state.rows.standings[world, vehicle]
     one = state.batch.vehicles[world, vehicle]
     here = reference_of(one)
-    guarded = tables.guarded[uav] != 0
+    filtered = tables.filtered[uav] != 0
     target = estimate(state.kalman, world, uav)
     flown = state.batch.flown[world, vehicle, 0].begins
-    acts, code, bound = INNER, NOTHING_AGAINST, 0.0
     if tables.hand[vehicle] < 0:
         coverage = coverage_of(parameters, state, world, uav)
         u_x, u_y = nominal_command(
@@ -53,21 +50,21 @@ def _fly(
         )
     else:
         u_x, u_y = actions[tables.hand[vehicle], 0], actions[tables.hand[vehicle], 1]
-    if guarded:
-        held = guard_of(tables, state.guards, world, uav)
-        u_x, u_y, acts, code, bound = guard(tables.safety[uav], held, tick, here, u_x, u_y, flown)
-        standing.certified_distance, standing.intervened = bound, acts != INNER
-        sure = code == NOTHING_AGAINST and tables.faults[uav] == 0
-        standing.certified, standing.uncertified = sure, code
+    if filtered:
+        memory = filter_of(tables, state.filters, world, uav)
+        decide(tables.safety[uav], memory, tick, here, u_x, u_y, flown)
+        decision = memory.decision[0]
+        u_x, u_y = decision.acceleration[0], decision.acceleration[1]
+        certified, overridden = decision.reason == CERTIFIED, decision.source != NOMINAL
         # a pilot that has seen nothing reports nothing
         reports = target.known or tables.hand[vehicle] >= 0
-        said = Claim(sure, reports and acts != INNER, standing.lost, True)
+        said = Claim(certified, reports and overridden, standing.lost, True)
         record_decision(tables.monitored[uav], state.certificates[world, uav], tick, said)
     one.outgoing_tick, one.outgoing[0], one.outgoing[1] = tick, u_x, u_y
-    if guarded:
+    if filtered:
         one.outgoing_motion, one.outgoing_motions = hand_over(
             tables.safety[uav],
-            guard_of(tables, state.guards, world, uav).underway,
+            filter_of(tables, state.filters, world, uav).pending,
             tick,
             state.batch.motions[world, vehicle],
         )

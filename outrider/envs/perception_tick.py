@@ -5,7 +5,7 @@ from agents.estimation.batch_filter import update as update_estimate
 from agents.estimation.map_updates import BLOCK_TILES, note_tile, telling_of, word_state
 from agents.estimation.perception import uav_perceive
 from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
-from outrider.envs.vehicle_parts import coverage_of, ground_of, guard_of, reference_of
+from outrider.envs.vehicle_parts import coverage_of, filter_of, ground_of, reference_of
 from sim.channel.link import begin_tick, receive, send
 from sim.channel.link_records import ARRIVED, Packet
 from sim.compiling.compile import inlined
@@ -106,13 +106,13 @@ def perceive(
         for n in range(arrived):
             packet = state.batch.packets[world, u, ARRIVED, n]
             looks[n, 0], looks[n, 1], looks[n, 2] = packet.stamp, packet.vector[0], packet.vector[1]
-        if looked > 0 or tables.guarded[u]:
+        if looked > 0 or tables.filtered[u]:
             uav_perceive(
                 tables.laws.uavs[u],
                 tables.safety[u],
-                tables.guarded[u] != 0,
+                tables.filtered[u] != 0,
                 coverage_of(parameters, state, world, u),
-                guard_of(tables, state.guards, world, u),
+                filter_of(tables, state.filters, world, u),
                 looked,
                 tick,
                 here,

@@ -16,8 +16,7 @@ from agents.estimation.motion_model import (
 )
 from agents.laws.dispatch import CODES, law_tables
 from agents.laws.selection import SelectedLaw
-from agents.safety.decision import track_ticks
-from agents.safety.handover import check_assumptions
+from agents.safety.memory import track_ticks
 from agents.safety.safety_filter import bounds_of
 from agents.uav_parameters import uav_parameters
 from bus.errors import ScenarioError
@@ -120,7 +119,6 @@ class PilotNumbers:
         self.longest = max((bounds.delay_ticks for bounds in safety), default=0)
         self.track = max((track_ticks(bounds) for bounds in safety), default=1)
         self.safety = records(SafetyBounds, safety)
-        self.faults = [next(iter(check_assumptions(one)), "") for one in safety]
         self.kalman = records(
             KalmanParameters,
             [
@@ -135,7 +133,7 @@ class PilotNumbers:
         )
         outside = np.array([name in external for name in uavs], dtype=np.bool_)
         watched = np.array([LAWS[law.name].watched for law in laws], dtype=np.bool_)
-        self.guarded = watched & ~outside | outside & shield
+        self.filtered = watched & ~outside | outside & shield
         self.thinking = ~outside
         drivers = [pilots.get(one.vehicle) or one.driver for one in told_ugvs]
         self.drivers = driver_tables(told_ugvs, drivers)

@@ -1,8 +1,8 @@
 """Parts of the loop's state that belong to one vehicle, and its truth, as the pilots' functions take them."""
 
 from agents.drivers.tile_map import GroundMemory
-from agents.safety.decision import GuardState
-from agents.safety.pending import Underway
+from agents.safety.memory import FilterMemory
+from agents.safety.pending import PendingCommands
 from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
 from sim.compiling.compile import FloatArray, compiled, inlined
 from sim.engine.world_state import Vehicle
@@ -10,20 +10,20 @@ from sim.models.vehicles import Motion
 
 
 @inlined
-def guard_of(tables: LoopTables, state: GuardState, world: int, uav: int) -> GuardState:
+def filter_of(tables: LoopTables, filters: FilterMemory, world: int, uav: int) -> FilterMemory:
     """Memory of the safety filter of a UAV."""
-    delay, underway = tables.safety[uav].delay_ticks, state.underway
-    sent = Underway(
-        underway.sent[world, uav, : delay + 2],
-        underway.flown[world, uav],
-        underway.expected[world, uav],
-    )
-    return GuardState(
-        state.detections[world, uav],
-        state.plan[world, uav],
-        state.track[world, uav],
-        state.flags[world, uav],
-        sent,
+    delay, pending = tables.safety[uav].delay_ticks, filters.pending
+    return FilterMemory(
+        filters.discs[world, uav],
+        filters.plan[world, uav],
+        filters.track[world, uav],
+        filters.flags[world, uav],
+        PendingCommands(
+            pending.sent[world, uav, : delay + 2],
+            pending.flown[world, uav],
+            pending.expected[world, uav],
+        ),
+        filters.decision[world, uav],
     )
 
 

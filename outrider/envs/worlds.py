@@ -13,6 +13,8 @@ import numpy.typing as npt
 from gymnasium import logger
 from gymnasium.error import ResetNeeded
 
+from agents.safety.decision import CERTIFIED, NOMINAL
+from bus.messages.base import or_infinite
 from bus.messages.links import LinkStatus
 from bus.messages.telemetry import MissionResult
 from bus.observations import GRADIENT, UAV, as_rows
@@ -158,19 +160,28 @@ class Worlds:
     def infos(self, name: str) -> dict[str, Any]:
         """Facts of a vehicle's own that are in no row, in all worlds, with Gymnasium's masks."""
         found: dict[str, Any] = {}
-        standings = self.standings(name)
         if name in self.loop.ugvs:
-            found["goals_reached"] = standings["reached"].copy()
+            found["goals_reached"] = self.standings(name)["reached"].copy()
         elif self.is_filtered(name):
-            for told in ("intervened", "certified", "certified_distance"):
-                found[told] = standings[told].copy()
+            rows = self.loop.decisions(name)
+            found["intervened"] = rows["source"] != NOMINAL
+            found["certified"] = rows["reason"] == CERTIFIED
+            found["certified_distance"] = rows["certified_distance"].copy()
         return found | {f"_{key}": np.ones(self.num_envs, dtype=np.bool_) for key in found}
 
     def info(self, name: str) -> dict[str, Any]:
         """The same in the first world as plain numbers, and why the safety filter has not certified its answer."""
         if name in self.loop.ugvs:
             return {"goals_reached": self.standings(name)["reached"].item(0)}
-        return self.loop.verdict(name) if self.is_filtered(name) else {}
+        if not self.is_filtered(name):
+            return {}
+        decision = self.loop.decision(name)
+        return {
+            "intervened": decision.overridden,
+            "certified": decision.certified,
+            "uncertified": decision.reason.value if decision.reason else "",
+            "certified_distance": or_infinite(decision.certified_distance),
+        }
 
     def reset(
         self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None

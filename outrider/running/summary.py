@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from bus.messages.control import Action, Change
+from bus.messages.decision import NotCertified
 from bus.messages.links import LinkStatus
 from bus.messages.telemetry import CertificateStatus, MissionResult, VehicleStatus
 
@@ -69,7 +70,7 @@ class Summary(UavMetrics, frozen=True, kw_only=True):
     """Ticks without a new command, by vehicle."""
     faults: dict[str, dict[str, int]] = {}
     """Faults of a vehicle's process, counted by cause; empty without a fault."""
-    uncertified: dict[str, int] = {}
+    uncertified: dict[NotCertified, int] = {}
     """Ticks that were not certified, by reason."""
     certified_while_lost: int = 0
     certificate_broken: int = 0

@@ -6,6 +6,7 @@ One array crosses a call from Python, whatever it holds, and a record costs no r
 import functools
 import math
 from collections.abc import Callable, Sequence
+from enum import Enum
 from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -19,14 +20,16 @@ Pair = Annotated[npt.NDArray[np.float64], (2,)]
 """A vector in a record, x before y."""
 
 _T = TypeVar("_T")
+_E = TypeVar("_E", bound=Enum)
 _KINDS = {float: np.float64, int: np.int64, bool: np.bool_, np.uint64: np.uint64}
 
 
 @functools.cache
 def record_type(fields: type) -> np.dtype[np.void]:
-    """Return the dtype of a class: one column for each number, flag, vector, fixed array or nested class.
+    """Return the dtype of a class: one column for each number, flag, choice, vector, fixed array or nested class.
 
-    A vector is a tuple of two floats; `Annotated[IntArray, (6,)]` holds six numbers. Other fields are left out.
+    A member of an enum is its `code`. A vector is a tuple of two floats; `Annotated[IntArray, (6,)]` holds six
+    numbers. Other fields are left out.
     The fields that a class adds come before those of its bases: numba would take a record that begins with all fields
     of another one for that.
     """
@@ -50,12 +53,24 @@ def _column(hint: Any) -> tuple[Any, ...]:  # noqa: ANN401 - a type, as it is an
         return _column(parts[0])
     if origin in (Union, UnionType):
         return _column(next(part for part in parts if part is not type(None)))
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return (np.int64,)
     if origin is tuple and [_column(part) for part in parts] == [(np.float64,)] * 2:
         return (np.float64, (2,))
     if isinstance(hint, type) and origin is None and "__annotations__" in vars(hint):
         nested = record_type(hint)
         return (nested,) if nested.names else ()
     return ()
+
+
+def code(member: Enum) -> int:
+    """Return the number of an enum's member in a record, from 1; 0 stands for None."""
+    return 1 + list(type(member)).index(member)
+
+
+def choice(kinds: type[_E], number: int) -> _E | None:
+    """Return the member of an enum with this `code`; None for 0."""
+    return list(kinds)[number - 1] if number else None
 
 
 def fill(row: Any, value: Any) -> None:  # noqa: ANN401 - a record, and what its class was made from

@@ -21,7 +21,7 @@ from sim.scenario.types import Scenario, Uav
 
 
 class Standing:
-    """True standing of a vehicle in its episode: what a UAV's safety filter and its reward make of it, too."""
+    """True standing of a vehicle in its episode, and its reward."""
 
     newest: float = -1.0
     """Tick of the newest detection that has reached a UAV; -1: none."""
@@ -37,13 +37,6 @@ class Standing:
     """e(t) [m²]; 0 where it is not computed."""
     error_sum: float
     """Over the ticks so far, the first included [m²]."""
-    intervened: bool
-    certified: bool
-    """True if the safety filter replaced the last action, and if it certified its answer."""
-    certified_distance: float
-    """Distance that it bounds [m]."""
-    uncertified: int
-    """Reason why it did not certify: a key of `agents.safety.trajectories.UNCERTIFIED`, or its `CERTIFIED`."""
     reached: int
     """Goals of a UGV."""
     arrivals: int

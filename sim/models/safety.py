@@ -44,6 +44,8 @@ class SafetyBounds(NamedTuple):
     """R_h: a plan may end where the UGV is surely within this [m]; NaN if there is none."""
     handover_bound: float
     """E: and where the newest measurement's own bound is at most this [m]; NaN if there is none."""
+    valid: bool
+    """True if no assumption is known to fail: `agents.safety.handover.check_assumptions` has the texts."""
 
 
 @compiled
@@ -67,7 +69,7 @@ def safety_bounds(
     width: float = math.inf,
     height: float = math.inf,
 ) -> SafetyBounds:
-    """Convert declared parameters, without the hand-over: R_h and E are NaN.
+    """Convert declared parameters, without the hand-over: R_h and E are NaN, and nothing is `valid`.
 
     Args:
         safety: The declared parameters.
@@ -97,4 +99,5 @@ def safety_bounds(
         interval_ticks=max(1, ticks_within(safety.max_command_interval, dt)),
         handover_radius=math.nan,
         handover_bound=math.nan,
+        valid=False,
     )

@@ -140,11 +140,11 @@ class Answers:
         """Hold what a UAV has said of a tick against the truth."""
         watched = LAWS[law].watched
         report = self.reports[uav] = None if command is None else command.report
-        if report is not None and not (watched and report.certified is None):
+        if report is not None and not (watched and report.decision is None):
             self._reporting[uav] = True
         elif command is not None and not self._reporting[uav]:
             self._judge_pilot(uav, command, tick, law)
-        if self._disturbed and (watched or (report and report.certified is not None)):
+        if self._disturbed and (watched or (report and report.decision is not None)):
             self.assurance.track(uav, self._recorder.tracking_error_at(tick, uav))
         said = tick if command is None else command.tick
         distance = self._recorder.distance(said, uav)

@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 
+from bus.messages.decision import NotCertified
 from bus.messages.telemetry import CertificateStatus
 from bus.messages.vehicle import UavCommand
 from sim.compiling.records import RecordArray, records
@@ -17,8 +18,6 @@ from sim.engine.monitor import (
 from sim.models.safety import SafetyBounds
 from sim.scenario.types import Scenario, Uav
 
-_SILENT = "the UAV has no estimate yet, or its command did not come"
-"""Why a tick is not certified of which no filter has said anything."""
 _NOBODY = -2
 """The last tick that was watched, before the first: the one before tick 0 is -1."""
 
@@ -35,8 +34,8 @@ class Assurance:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self.reasons: Counter[str] = Counter()
-        """Why ticks were not certified."""
+        self.reasons: Counter[NotCertified] = Counter()
+        """Ticks that were not certified, by reason."""
         self.tracking_error = 0.0
         """The farthest that a UAV was from where it was told that it is [m]."""
         rows = [k for k, one in enumerate(scenario.vehicles) if isinstance(one, Uav)]
@@ -91,7 +90,7 @@ class Assurance:
     def disregard(self, uav: int) -> None:
         """A program that knows no certificate flies this UAV: what it does not say is no fault of a filter."""
         self._counts["ticks"][uav] -= self._silent[uav]
-        self.reasons[_SILENT] -= self._silent[uav]
+        self.reasons[NotCertified.NO_REPORT] -= self._silent[uav]
         self.reasons += Counter()  # drops what is zero
         self._silent[uav] = 0
         self._disregarded[uav] = True
@@ -117,25 +116,24 @@ class Assurance:
             distance: The true one at the tick that is reported of [m].
             watched: Whether a filter watches over its law.
         """
-        certified = intervened = says = False
-        reason = _SILENT
-        if command is not None:
-            report = command.report
-            if report is not None and report.certified is not None:
-                says, certified, intervened = True, report.certified, report.intervened
-                reason = report.uncertified
-        if not says and (not watched or self._disregarded[uav]):
+        report = None if command is None else command.report
+        decision = None if report is None else report.decision
+        if decision is None and (not watched or self._disregarded[uav]):
             self.excuse(uav)  # nothing vouches for this tick
             return
         if self._last[uav] != tick - 1:  # not watched just before: a new filter, without a memory
             reset_filter(self._counts[uav])
         self._last[uav] = tick
-        if not certified:
-            self.reasons[reason] += 1
-        if not says:
+        certified = overridden = current = False
+        reason: NotCertified | None = NotCertified.NO_REPORT
+        if decision is None:
             self._silent[uav] += 1
-        current = says and command is not None and command.tick == tick
-        claim = certified, intervened, distance >= self._radius, current
+        else:
+            certified, overridden = decision.certified, decision.overridden
+            reason, current = decision.reason, command is not None and command.tick == tick
+        if reason is not None:
+            self.reasons[reason] += 1
+        claim = certified, overridden, distance >= self._radius, current
         place = uav, self._rows[uav], tick
         record_tick(self._tables, evidence, place, command is not None, claim)
 

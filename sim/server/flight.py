@@ -178,10 +178,10 @@ class Flight:
     def status(self) -> Status:
         """The status of the flight; the server adds its pace and the state of the vehicles' processes."""
         told = zip(self.world.uavs, self.answers.reports, strict=True)
-        watched = {
-            uav.name: report
+        decisions = {
+            uav.name: report.decision
             for uav, report in told
-            if report is not None and report.certified is not None
+            if report is not None and report.decision is not None
         }
         return Status(
             scenario=self.scenario.name,
@@ -192,9 +192,9 @@ class Flight:
             realtime_factor=0.0,
             law=self.law.name,
             drivers=dict(self.drivers),
-            certified={name: bool(report.certified) for name, report in watched.items()},
+            certified={name: one.certified for name, one in decisions.items()},
             uncertified={
-                name: report.uncertified for name, report in watched.items() if not report.certified
+                name: one.reason for name, one in decisions.items() if one.reason is not None
             },
             certificates=self.answers.assurance.status(),
             mission=self.world.mission,

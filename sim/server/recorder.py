@@ -131,12 +131,11 @@ class Recorder:
             self._told[k, :, 2:4] = self._world.reference_velocity
         for uav, report in enumerate(reports if k else ()):
             if report is not None:
-                certified, distance = report.certified, report.certified_distance
-                self._escorts[k - 1, uav, _REPORTED:] = (
-                    *report.estimate,
-                    math.nan if certified is None else certified,
-                    math.nan if certified is None or distance is None else distance,
-                )
+                certified = distance = math.nan
+                if report.decision is not None:
+                    certified, bound = report.decision.certified, report.decision.certified_distance
+                    distance = math.nan if bound is None else bound
+                self._escorts[k - 1, uav, _REPORTED:] = *report.estimate, certified, distance
         self.ticks, self.rows = k, k + 1
 
     @property

@@ -43,8 +43,8 @@ function whenBuilt(then) {
   else setTimeout(() => whenBuilt(then), 30);
 }
 
-function takeHello({ colors, steer, metrics }, ground) {
-  useMetrics(metrics);
+function takeHello({ colors, steer, metrics, reasons }, ground) {
+  useMetrics(metrics, reasons);
   buildTiles();
   store.steer = steer;
   store.palettes = colors;

@@ -2,7 +2,7 @@
 
 import { PER_ESCORT } from "./charts.js";
 import { $, escapeText, known, setHtml, setText, setTitle } from "./dom.js";
-import { metric, numberOf, rowsOf, textOf } from "./metrics.js";
+import { metric, numberOf, rowsOf, textOf, textOfReason } from "./metrics.js";
 
 // Metrics of the mission that have a tile; the others are told beside one of these.
 const MISSION = ["mission_time", "hazards_hit", "hazards_on_way", "seen_ahead", "ground_certified_share", "still_time", "found"];
@@ -28,11 +28,11 @@ function show(row, value, { text = null, unit = row.unit, note = "", bad = false
 
 // What the safety filters say: certified, acting, or why nothing can be promised.
 function certificateOf(truth) {
-  const watched = (truth ? truth.escorts : []).filter(({ report }) => report && report.certified !== null);
-  const broken = watched.filter(({ report }) => !report.certified);
-  const reasons = broken.map(({ uav, report }) => `${uav} is not certified: ${report.uncertified}`);
+  const watched = (truth ? truth.escorts : []).filter(({ report }) => report && report.decision);
+  const broken = watched.filter(({ report }) => report.decision.reason);
+  const reasons = broken.map(({ uav, report }) => `${uav} is not certified: ${textOfReason(report.decision.reason)}`);
   if (!watched.length) return { words: "", reasons };
-  if (!broken.length) return { words: watched.some(({ report }) => report.intervened) ? "filter acts" : "certified", reasons };
+  if (!broken.length) return { words: watched.some(({ report }) => report.decision.source !== "NOMINAL") ? "filter acts" : "certified", reasons };
   const whose = truth.escorts.length < 2 ? "" : broken.length > 1 ? `: ${broken.length} UAVs` : `: ${broken[0].uav}`;
   return { words: `not certified${whose}`, reasons };
 }

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from bus.errors import PeerLost
+from bus.messages.decision import NotCertified
 from bus.messages.links import LinkKind
 from bus.messages.vehicle import UavCommand, UavObservation
 from flights import R_S, R_V, Piloted, distances
@@ -131,9 +132,9 @@ def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a
 
         def act(seen: UavObservation) -> UavCommand:
             said = pilots["uav_0"].act(seen)
-            report = msgspec.structs.replace(
-                said.report, certified=seen.tick % 10 == 9, uncertified=""
-            )
+            reason = None if seen.tick % 10 == 9 else NotCertified.NO_PLAN
+            decision = msgspec.structs.replace(said.report.decision, reason=reason)
+            report = msgspec.structs.replace(said.report, decision=decision)
             return msgspec.structs.replace(said, acceleration=(0.3, 0.3), motions=(), report=report)
 
         flight.fly(Piloted(pilots, "uav_0", act), on_tick=lambda: on_tick(flight))

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from bus.errors import ScenarioError
 from bus.messages.control import Action
+from bus.messages.decision import NotCertified
 from bus.messages.scenario import Origin
 from bus.messages.telemetry import VehicleStatus
 from outrider_mavlink.dialect import mavlink
@@ -238,12 +239,12 @@ def test_the_ugv_alone_can_be_followed(run):
 
 def test_what_is_lost_or_not_certified_is_said_and_so_is_its_end(run, monkeypatch):
     gone = PRESENT | {"uav_0": VehicleStatus(present=False)}
-    why = "the newest detection is older than the largest age that is declared, 1 s"
+    why = NotCertified.MEASUREMENT_TOO_OLD
     run.gateway.take(status(vehicles=gone, certified={"uav_0": False}, uncertified={"uav_0": why}))
     run.gateway.take(truth(distance=4.8))
     said = texts(run.station.told())
     assert "uav_0 is lost: its process has gone" in said
-    assert f"sight is not certified: {why}" in said
+    assert f"sight is not certified: {why.text}" in said
     assert "ugv_0 is out of sight: 4.80 m, r_v is 4.75 m" in said
     assert run.gateway.systems[UAV].critical
     run.gateway.take(status())

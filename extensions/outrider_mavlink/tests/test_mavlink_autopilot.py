@@ -121,7 +121,7 @@ def test_an_autopilot_that_holds_what_it_is_told_changes_no_bit(along, plain):
     assert same_bits(flight, plain)
     assert along.pilot.held_ticks == 0
     assert 0.0 < along.pilot.largest_deviation < 0.1  # it is told a tick later
-    assert along.reports[-1].certified is True
+    assert along.reports[-1].decision.certified
     asked = {(one.command, one.param1) for one in along.autopilot.asked}
     assert asked == {(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 32.0)}
 
@@ -144,9 +144,9 @@ def test_one_that_stays_behind_is_waited_for_and_nothing_is_certified_meanwhile(
     assert "m off, declared are 0.3 m: its UAV stays, and nothing is certified" in caplog.text
     assert "the autopilot holds what it is told" in caplog.text
     assert 0 < along.pilot.held_ticks < 200
-    held = [one for one in along.reports if one is not None and one.certified is None]
+    held = [one for one in along.reports if one is not None and one.decision is None]
     assert len(held) >= along.pilot.held_ticks - 1
-    assert along.reports[-1].certified is True
+    assert along.reports[-1].decision.certified
     assert distances(flight).max() < 4.75
     assert flight.answers.assurance.certificate_broken == 0
 

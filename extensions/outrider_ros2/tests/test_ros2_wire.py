@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from bus.errors import ScenarioError
+from bus.messages.decision import NotCertified
 from bus.messages.ground import GroundMap
 from bus.messages.links import LinkStatus
 from bus.messages.telemetry import CoverageMap, VehicleStatus
@@ -175,12 +176,12 @@ def test_diagnostics_name_why_nothing_is_certified():
     link = LinkStatus(sent=9, delivered=4, lost={"chance": 5}, delivery_ratio=4 / 9, **none)
     status = a_status(
         certified={"uav_0": False},
-        uncertified={"uav_0": "the newest detection is too old"},
+        uncertified={"uav_0": NotCertified.MEASUREMENT_TOO_OLD},
         links={"uav_0/detections": link},
         vehicles={"uav_0": VehicleStatus(present=True)},
     )
     parts = {one.name: one for one in _by_topic(status)["/diagnostics"].status}
-    assert "too old" in parts["outrider: certificate uav_0"].message
+    assert "older than declared" in parts["outrider: certificate uav_0"].message
     assert parts["outrider: certificate uav_0"].level == 1
     lossy = parts["outrider: link uav_0/detections"]
     assert lossy.message == "loses messages"

@@ -1,0 +1,164 @@
+"""Memory of one UAV's safety filter: measurements, own positions, pending commands and the last decision.
+
+In each tick: `add_position`, then `add_measurement` for each detection that has arrived, then
+`agents.safety.decision.decide` with the nominal acceleration.
+
+Positions in the world's frame [m], times in ticks.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.safety.discs import MOST_KEPT, NEVER, Disc, add_disc, no_discs
+from agents.safety.pending import (
+    PendingCommands,
+    mark_unchecked,
+    pending_commands,
+    reset_pending,
+)
+from bus.messages.decision import FilterDecision, NotCertified, Source
+from sim.compiling.compile import compiled
+from sim.compiling.records import RecordArray, code, record_type
+from sim.models.motion import clear_motions, no_motions
+from sim.models.safety import SafetyBounds
+from sim.models.vehicles import Motion, within_walls
+
+_TRACK = 120.0
+"""Time for which own positions are kept [s], or the declared age of measurements if that is longer."""
+
+_NOMINAL, _NO_MEASUREMENT = code(Source.NOMINAL), code(NotCertified.NO_MEASUREMENT)
+
+
+class OwnPosition(NamedTuple):
+    """Position of the UAV in a past tick."""
+
+    x: float
+    y: float
+    """[m]"""
+    tick: int
+    """NEVER: the row is empty."""
+
+
+class FilterFlags(NamedTuple):
+    """Whole numbers of the filter, a row of an array of one."""
+
+    contradicted: int
+    """1 once measurements have contradicted each other."""
+    tick: int
+    """Tick of the last decision; NEVER before the first."""
+    from_start: int
+    """1 if all commands since tick 0 are this filter's."""
+
+
+class FilterMemory(NamedTuple):
+    """Memory of one UAV's filter, from `filter_memory`.
+
+    Arrays with further axes in front are the memories of many worlds.
+    """
+
+    discs: RecordArray
+    """`Disc` of each measurement, as `add_disc` keeps them. (KEPT,)"""
+    plan: RecordArray
+    """`CheckedTrajectory` of the current plan. (1,)"""
+    track: RecordArray
+    """`OwnPosition` in past ticks: tick k in row k % depth. (depth,)"""
+    flags: RecordArray
+    """`FilterFlags`. (1,)"""
+    pending: PendingCommands
+    """Plans that were sent, and the one that the vehicle flies."""
+    decision: RecordArray
+    """`FilterDecision` of the last tick. (1,)"""
+
+
+def track_ticks(bounds: SafetyBounds) -> int:
+    """Return the ticks for which own positions are kept; the memory for all, 24 bytes a tick, is reserved at once."""
+    return max(1, min(MOST_KEPT, max(math.ceil(_TRACK / bounds.dt), bounds.max_age_ticks + 1)))
+
+
+def filter_memory(delay_ticks: int, depth: int) -> FilterMemory:
+    """Return a fresh memory, without measurements and commands.
+
+    Args:
+        delay_ticks: Declared delay, from the tick that a command answers to the one in which it acts.
+        depth: Ticks for which own positions are kept, at most `track_ticks`; a detection that is older when it
+            arrives is ignored.
+    """
+    if depth < 1:
+        raise ValueError(f"depth must be at least 1, not {depth}")
+    memory = FilterMemory(
+        discs=no_discs(),
+        plan=no_motions(1),
+        track=np.zeros(depth, dtype=record_type(OwnPosition)),
+        flags=np.zeros(1, dtype=record_type(FilterFlags)),
+        pending=pending_commands(delay_ticks),
+        decision=np.zeros(1, dtype=record_type(FilterDecision)),
+    )
+    reset_memory(memory)
+    return memory
+
+
+@compiled
+def reset_memory(memory: FilterMemory) -> None:
+    """Reset a memory in place to the state from `filter_memory`: an episode begins."""
+    for k in range(memory.discs.shape[0]):
+        disc = memory.discs[k]
+        disc.x, disc.y, disc.radius, disc.tick = 0.0, 0.0, 0.0, NEVER
+    clear_motions(memory.plan)
+    for k in range(memory.track.shape[0]):
+        place = memory.track[k]
+        place.x, place.y, place.tick = 0.0, 0.0, NEVER
+    flags = memory.flags[0]
+    flags.contradicted, flags.tick, flags.from_start = 0, NEVER, 0
+    reset_pending(memory.pending)
+    decision = memory.decision[0]
+    decision.acceleration[0], decision.acceleration[1] = 0.0, 0.0
+    decision.source, decision.reason = _NOMINAL, _NO_MEASUREMENT
+    decision.certified_distance = math.inf
+
+
+@compiled
+def add_position(memory: FilterMemory, tick: int, p_x: float, p_y: float) -> None:
+    """Record the UAV's position at this tick [m]: detections that were made here may arrive later."""
+    place = memory.track[tick % memory.track.shape[0]]
+    place.x, place.y, place.tick = p_x, p_y, tick
+
+
+@compiled
+def add_measurement(
+    bounds: SafetyBounds,
+    memory: FilterMemory,
+    taken: int,
+    relative: tuple[float, float],
+    tick: int,
+    here: Motion,
+) -> None:
+    """Add a detection that has arrived, in any order. One of a tick without a recorded position is ignored.
+
+    Args:
+        bounds: Bounds of the filter.
+        memory: Memory of the filter, changed in place.
+        taken: Tick of the detection.
+        relative: Detected p_a - p_g then [m].
+        tick: Now.
+        here: State of the UAV now.
+    """
+    was = memory.track[taken % memory.track.shape[0]]
+    if taken < 0 or was.tick != taken:
+        return
+    z_x, _ = within_walls(was.x - relative[0], 0.0, bounds.width)  # the UGV is in the area
+    z_y, _ = within_walls(was.y - relative[1], 0.0, bounds.height)
+    disc = Disc(z_x, z_y, bounds.placed_error, taken)
+    if not add_disc(bounds, memory.discs, disc, tick, here.p_x, here.p_y):
+        memory.flags[0].contradicted = 1
+
+
+@compiled
+def invalidate_plans(memory: FilterMemory) -> None:
+    """Mark all plans unchecked: the last commands may not have been sent.
+
+    Nothing is certified until the vehicle flies a plan that is sent after this.
+    """
+    memory.flags[0].from_start = 0
+    mark_unchecked(memory.pending)
