@@ -21,34 +21,40 @@ if TYPE_CHECKING:
 _MCAP = "mcap"
 
 
+Out = Annotated[
+    Path | None,
+    typer.Argument(help="The file to write, such as run.mcap; one that is there is replaced."),
+]
+Repair = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="Save what is whole of a killed recording; nothing is recorded."
+    ),
+]
+Format = Annotated[
+    str,
+    typer.Option(
+        "--format",
+        metavar="NAME",
+        help="Format: mcap, or that of an extension, such as ros2, which writes a bag into a new folder.",
+    ),
+]
+Flown = Annotated[
+    str,
+    typer.Option(
+        help="What is flown there, name or file: with it the flight can be drawn and flown again."
+    ),
+]
+
+
 def command(
-    out: Annotated[
-        Path | None,
-        typer.Argument(help="The file to write, such as run.mcap; one that is there is replaced."),
-    ] = None,
-    repair: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Save what is whole of a killed recording; nothing is recorded."
-        ),
-    ] = None,
-    form: Annotated[
-        str,
-        typer.Option(
-            "--format",
-            metavar="NAME",
-            help="Format: mcap, or that of an extension, such as ros2, which writes a bag into a new folder.",
-        ),
-    ] = _MCAP,
+    out: Out = None,
+    repair: Repair = None,
+    form: Format = _MCAP,
     connect: options.Connect = options.DEFAULT_ENDPOINT,
     run: options.RunName = options.DEFAULT_RUN,
     credentials: options.CredentialFile = None,
-    scenario: Annotated[
-        str,
-        typer.Option(
-            help="What is flown there, name or file: with it the flight can be drawn and flown again."
-        ),
-    ] = "",
+    scenario: Flown = "",
     changes: options.Set = None,
     json: options.Json = False,
 ) -> None:
