@@ -6,13 +6,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.progress import TextColumn
 
 from bus import plugins
 from bus.errors import PeerLost, ScenarioError
 from bus.keys import Role
 from outrider.cli import options
+from outrider.cli.console import ERR, bar, print_json
 from outrider.cli.stopping import Stop, stop_on_signals
 from outrider.cli.waiting import RouterTimer
+from outrider.running.resolve import resolve
 
 if TYPE_CHECKING:
     from bus.session import Session
@@ -82,9 +85,7 @@ def command(
         return
     if out is None:
         raise typer.BadParameter("name the file to write, such as: outrider record run.mcap")
-    from outrider.cli.console import ERR, print_json
     from outrider.recording.observer import RunRecorder
-    from outrider.running.resolve import resolve
 
     sink = _sink(form, out)
     known = resolve(scenario, changes=changes)[0] if scenario else None
@@ -133,10 +134,6 @@ def _sink(form: str, out: Path) -> "Callable[[Path], RunSink]":
 
 def _follow(session: "Session", recorder: "RunRecorder", stop: Stop) -> bool:
     """Record until the run is over or somebody wants the end; whether it was the router that went."""
-    from rich.progress import TextColumn
-
-    from outrider.cli.console import bar
-
     told = "{task.fields[seconds]:>7.1f} s simulated, {task.fields[missing]} ticks missing"
     router = RouterTimer(session)
     with bar(TextColumn(told)) as progress:
@@ -157,7 +154,6 @@ def _follow(session: "Session", recorder: "RunRecorder", stop: Stop) -> bool:
 
 
 def _repair(killed: Path, out: Path, *, json: bool) -> None:
-    from outrider.cli.console import ERR, print_json
     from outrider.recording.repair import repair
 
     saved = repair(killed, out)

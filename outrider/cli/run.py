@@ -9,7 +9,16 @@ import typer
 from bus.errors import PeerLost, ScenarioError
 from bus.registry import DRIVERS
 from outrider.cli import options
+from outrider.cli.console import ERR, flight_progress, print_json, print_summary, print_warnings
 from outrider.cli.stopping import Stop, stop_on_signals
+from outrider.running.assumptions import promise_warnings
+from outrider.running.companions import pace_with, parse_companion
+from outrider.running.launch import Outcome, Watcher, launch
+from outrider.running.parent import Output
+from outrider.running.resolve import resolve
+from outrider.running.user_code import check_code, check_own_functions
+from outrider.view.output import default_folder, making, write_flight, write_summary
+from sim.scenario.checks import scenario_warnings
 
 MOST_PROCESSES = 20
 """Processes that a run starts at most, unless more are allowed."""
@@ -17,8 +26,6 @@ MOST_PROCESSES = 20
 if TYPE_CHECKING:
     from outrider.cli.console import FlightProgress
     from outrider.running.companions import Beside
-    from outrider.running.launch import Outcome
-    from outrider.running.parent import Output
     from sim.scenario.types import Scenario
 
 
@@ -81,13 +88,6 @@ def command(
         raise typer.BadParameter(
             "--realtime, --respawn and --with need processes; leave --in-process out"
         )
-    from outrider.cli.console import print_warnings
-    from outrider.running.companions import pace_with, parse_companion
-    from outrider.running.parent import Output
-    from outrider.running.resolve import resolve
-    from outrider.running.user_code import check_code, check_own_functions
-    from outrider.view.output import default_folder, making
-    from sim.scenario.checks import scenario_warnings
 
     beside = tuple(parse_companion(text) for text in companions or ())
     if realtime is None:
@@ -126,9 +126,6 @@ def command(
 
 def _report(outcome: "Outcome", folder: Path | None, *, json: bool) -> None:
     """Write and print the summary, if there is one."""
-    from outrider.cli.console import print_json, print_summary
-    from outrider.view.output import write_summary
-
     if outcome.summary is None:
         return
     if folder is not None:
@@ -145,8 +142,6 @@ def _report(outcome: "Outcome", folder: Path | None, *, json: bool) -> None:
 def _fly_apart(
     flown: "Scenario", secret: str, output: "Output", beside: "tuple[Beside, ...]", stop: Stop
 ) -> "Outcome":
-    from outrider.cli.console import flight_progress, print_warnings
-    from outrider.running.launch import Watcher, launch
 
     with flight_progress(flown, "starting (the first start compiles)") as progress:
         watcher = Watcher(
@@ -182,12 +177,8 @@ def _fly_here(
     record: Path | None,
     stop: Stop,
 ) -> "Outcome":
-    from outrider.cli.console import flight_progress, print_warnings
-    from outrider.running.assumptions import promise_warnings
     from outrider.running.flying import fly
-    from outrider.running.launch import Outcome
     from outrider.running.warming import warm_up_flight
-    from outrider.view.output import write_flight
     from sim.server.flight import Flight
 
     print_warnings(promise_warnings(flown))
@@ -230,7 +221,6 @@ def _fly_here(
 
 
 def _end(outcome: "Outcome", stop: Stop) -> None:
-    from outrider.cli.console import ERR
 
     if stop:
         if outcome.summary is None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bus.plugins import require
+from outrider.cli.console import ERR, OUT, print_json, print_warnings, runs_bar
 from outrider.cli.options import AllowCode, Duration, Json, Set
 
 if TYPE_CHECKING:
@@ -92,7 +93,6 @@ def command(
     require("sweep")
     if dask:
         require("dask")
-    from outrider.cli.console import print_warnings
     from outrider.experiments.sweep.definition import describe_sweep
     from outrider.experiments.sweep.folder import SweepFolder
     from outrider.experiments.sweep.running import open_cluster
@@ -137,7 +137,6 @@ def command(
 
 def _lay_out(sweep: "Sweep", named: Sequence[str], *, allow_code: bool) -> "SweepPlan":
     """Load all points, with a bar."""
-    from outrider.cli.console import runs_bar
     from outrider.experiments.sweep.plan import lay_out
 
     with runs_bar() as progress:
@@ -155,7 +154,6 @@ def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any
 
     It fills with what runs cost, so that the time left is right for ticks of any length.
     """
-    from outrider.cli.console import runs_bar
     from outrider.experiments.sweep.running import cost_of, fly_sweep
     from sim.compiling.threads import cores
 
@@ -190,7 +188,6 @@ def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any
 def _interrupted(
     plan: "SweepPlan", folder: "SweepFolder", end: KeyboardInterrupt | SystemExit
 ) -> None:
-    from outrider.cli.console import ERR
 
     folder.take_stock()  # what was written may not be counted yet
     kept = f"{len(folder.done):,} of {plan.runs:,} runs are kept in {folder.path}"
@@ -199,7 +196,6 @@ def _interrupted(
 
 
 def _tell(told: dict[str, Any], folder: "SweepFolder", where: Path, *, json: bool) -> None:
-    from outrider.cli.console import ERR, OUT, print_json
     from outrider.experiments.sweep.folder import read_head, read_results
 
     if json:
