@@ -5,6 +5,12 @@ from typing import Annotated
 import typer
 
 from outrider.cli import options
+from outrider.cli.console import OUT, print_json, print_warnings
+from outrider.running.assumptions import how_certifiable, promise_warnings
+from outrider.running.resolve import resolve
+from outrider.running.user_code import check_own_functions, foreign_code
+from sim.scenario.checks import scenario_warnings
+from sim.scenario.types import NO_UAV
 
 _LISTED = 12
 """Vehicles are named up to so many."""
@@ -30,13 +36,7 @@ def command(
 
     Example: outrider check my-scenario.toml --network wifi-poor
     """
-    from outrider.cli.console import OUT, print_json, print_warnings
-    from outrider.running.assumptions import how_certifiable, promise_warnings
     from outrider.running.first_tick import check_first_tick
-    from outrider.running.resolve import resolve
-    from outrider.running.user_code import check_own_functions, foreign_code
-    from sim.scenario.checks import scenario_warnings
-    from sim.scenario.types import NO_UAV
 
     scenario, named = resolve(
         file,

@@ -1,7 +1,7 @@
 """`outrider credentials`: who may take part in a run."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
@@ -11,73 +11,82 @@ import typer
 from bus.errors import AccessDenied, ScenarioError
 from outrider.cli.options import DEFAULT_RUN, Json, RunName
 
+Folder = Annotated[Path, typer.Argument(help="Where to write them; is made if it is not there.")]
+Whose = Annotated[
+    str, typer.Option(help="Whose vehicles: a shipped scenario's name, or a TOML file.")
+]
+Owner = Annotated[
+    str,
+    typer.Option(
+        metavar="UID:GID",
+        help="Give the files to this user, such as a container's; for root only.",
+    ),
+]
+Tls = Annotated[
+    bool,
+    typer.Option(
+        "--tls/--tcp",
+        help="Certificates instead of passwords, for endpoints that begin with tls/ instead of tcp/; needs "
+        "the extra [tls].",
+    ),
+]
+RouterHosts = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="HOST",
+        help="With --tls: a name or address under which the router is found, beside localhost and `router`; "
+        "may be repeated.",
+    ),
+]
+Days = Annotated[
+    float | None,
+    typer.Option(
+        help="How long the parties' certificates hold; 365 by default.", min=0.001, max=3650.0
+    ),
+]
+Renew = Annotated[
+    bool,
+    typer.Option(
+        "--renew",
+        help="New certificates for the parties in FOLDER, by the authority.json that is there.",
+    ),
+]
+Parties = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="With --renew: only this party, or `router`, which is left alone otherwise; may be repeated."
+    ),
+]
+Check = Annotated[
+    bool,
+    typer.Option(
+        "--check",
+        help="Tell how long the certificates in FOLDER hold; exit code 1 if one does not.",
+    ),
+]
+Roles = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--roles",
+        metavar="NAME",
+        help="Also for the parties of this extension, such as ros2; without it the router lets none of its "
+        "messages through. May be repeated.",
+    ),
+]
+
 
 def command(
-    folder: Annotated[
-        Path, typer.Argument(help="Where to write them; is made if it is not there.")
-    ] = Path("credentials"),
-    scenario: Annotated[
-        str, typer.Option(help="Whose vehicles: a shipped scenario's name, or a TOML file.")
-    ] = "escort",
+    folder: Folder = Path("credentials"),
+    scenario: Whose = "escort",
     run: RunName = DEFAULT_RUN,
-    owner: Annotated[
-        str,
-        typer.Option(
-            metavar="UID:GID",
-            help="Give the files to this user, such as a container's; for root only.",
-        ),
-    ] = "",
-    tls: Annotated[
-        bool,
-        typer.Option(
-            "--tls/--tcp",
-            help="Certificates instead of passwords, for endpoints that begin with tls/ instead of tcp/; needs "
-            "the extra [tls].",
-        ),
-    ] = False,
-    router: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="HOST",
-            help="With --tls: a name or address under which the router is found, beside localhost and `router`; "
-            "may be repeated.",
-        ),
-    ] = None,
-    days: Annotated[
-        float | None,
-        typer.Option(
-            help="How long the parties' certificates hold; 365 by default.", min=0.001, max=3650.0
-        ),
-    ] = None,
-    renew: Annotated[
-        bool,
-        typer.Option(
-            "--renew",
-            help="New certificates for the parties in FOLDER, by the authority.json that is there.",
-        ),
-    ] = False,
-    party: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="With --renew: only this party, or `router`, which is left alone otherwise; may be repeated."
-        ),
-    ] = None,
-    check: Annotated[
-        bool,
-        typer.Option(
-            "--check",
-            help="Tell how long the certificates in FOLDER hold; exit code 1 if one does not.",
-        ),
-    ] = False,
-    extensions: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--roles",
-            metavar="NAME",
-            help="Also for the parties of this extension, such as ros2; without it the router lets none of its "
-            "messages through. May be repeated.",
-        ),
-    ] = None,
+    owner: Owner = "",
+    tls: Tls = False,
+    router: RouterHosts = None,
+    days: Days = None,
+    renew: Renew = False,
+    party: Parties = None,
+    check: Check = False,
+    extensions: Roles = None,
     json: Json = False,
 ) -> None:
     """Make a set of random credentials for a run.
@@ -90,8 +99,6 @@ def command(
 
     Example: outrider credentials credentials --scenario escort --run flight
     """
-    from bus.certificates import PARTY_DAYS, new_authority
-    from bus.credentials import new_certificates, new_credentials, write_credentials
     from outrider.cli.console import OUT, print_json
 
     added = [name for name in extensions or () if name]  # `--roles=` of a container adds none
@@ -115,25 +122,40 @@ def command(
     if renew:
         run, files = _renew(folder, party or (), router or (), days, user)
     else:
-        from sim.scenario.loading import load_scenario
-
-        flown = load_scenario(scenario)
-        names = ([uav.name for uav in flown.uav], [ugv.name for ugv in flown.ugv])
-        authority = new_authority(run) if tls else None
-        given = (
-            new_credentials(run, *names, extensions=added)
-            if authority is None
-            else new_certificates(
-                authority, *names, hosts=router or (), days=days or PARTY_DAYS, extensions=added
-            )
-        )
-        files = write_credentials(given, folder, authority, user)
+        files = _make(folder, scenario, run, added, user, router or () if tls else None, days)
     if json:
         print_json({"run": run, "files": {name: str(path) for name, path in files.items()}})
         return
     whose = {"router": "the router: everybody", "authority": "you alone: renews certificates"}
     for name, path in files.items():
         OUT.tell(f"{path}  {'renewed ' if renew else ''}for {whose.get(name, name)}")
+
+
+def _make(
+    folder: Path,
+    scenario: str,
+    run: str,
+    extensions: Sequence[str],
+    owner: tuple[int, int] | None,
+    hosts: Sequence[str] | None,
+    days: float | None,
+) -> dict[str, Path]:
+    """Write new credentials of all parties: passwords, or certificates if the router's hosts are given."""
+    from bus.certificates import PARTY_DAYS, new_authority
+    from bus.credentials import new_certificates, new_credentials, write_credentials
+    from sim.scenario.loading import load_scenario
+
+    flown = load_scenario(scenario)
+    names = ([uav.name for uav in flown.uav], [ugv.name for ugv in flown.ugv])
+    if hosts is None:
+        return write_credentials(
+            new_credentials(run, *names, extensions=extensions), folder, None, owner
+        )
+    authority = new_authority(run)
+    given = new_certificates(
+        authority, *names, hosts=hosts, days=days or PARTY_DAYS, extensions=extensions
+    )
+    return write_credentials(given, folder, authority, owner)
 
 
 def _owner(text: str) -> tuple[int, int] | None:

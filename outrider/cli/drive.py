@@ -10,6 +10,7 @@ from bus.keys import Role
 from bus.messages.telemetry import Status
 from bus.plugins import needs
 from outrider.cli import options
+from outrider.cli.console import ERR
 from outrider.cli.stopping import Stop, stop_on_signals
 from outrider.cli.waiting import await_status
 
@@ -89,7 +90,6 @@ def _drive(session: "Session", vehicle: str, first: Status, *, speed: float, bac
     know_colours()
     with needs("drive"):
         from outrider.view.terminal.screen import DriveApp
-    from outrider.cli.console import ERR
     from outrider.view.terminal.teleoperation import Teleoperation
 
     link = Teleoperation(session, vehicle, speed=speed, back=back, status=first)

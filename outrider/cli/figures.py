@@ -4,7 +4,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.text import Text
 
+from outrider.cli.console import OUT, print_json, print_table, share_progress
 from outrider.cli.options import Json
 
 
@@ -20,9 +22,6 @@ def command(
 
     Example: outrider figures --out figures
     """
-    from rich.text import Text
-
-    from outrider.cli.console import OUT, print_json, print_table, share_progress
     from outrider.experiments.paper_figures import make_figures
 
     with share_progress("drawing") as show:

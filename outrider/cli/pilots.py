@@ -7,6 +7,8 @@ import typer
 
 from bus.keys import Party, Role
 from outrider.cli import options
+from outrider.running.parent import read_start
+from outrider.running.user_code import load_function
 
 
 def uav(
@@ -30,7 +32,6 @@ def uav(
     Example: outrider uav --connect tcp/127.0.0.1:17447 --name uav_0
     """
     from agents.process import uav_maker
-    from outrider.running.user_code import load_function
 
     joining, code = _joining(Role.UAV, name, connect, run, credentials, join_timeout, child=child)
     code = code or {"weighting": weighting, "path": path, "uav_policy": uav_policy}
@@ -63,7 +64,6 @@ def ugv(
     Example: outrider ugv --connect tcp/127.0.0.1:17447 --name ugv_0
     """
     from agents.process import ugv_maker
-    from outrider.running.user_code import load_function
 
     joining, code = _joining(Role.UGV, name, connect, run, credentials, join_timeout, child=child)
     policy = code.get("policy", policy)
@@ -87,7 +87,6 @@ def _joining(
 
         tell_starting()
         return options.joining(role, name, connect, run, credentials, join_timeout), {}
-    from outrider.running.parent import read_start
 
     start, party = read_start(), Party(role=role, name=name)
     return options.Joining(party, connect, run, start.credential, start.join_timeout), start.code

@@ -6,13 +6,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.progress import TextColumn
 
 from bus import plugins
 from bus.errors import PeerLost, ScenarioError
 from bus.keys import Role
 from outrider.cli import options
+from outrider.cli.console import ERR, bar, print_json
 from outrider.cli.stopping import Stop, stop_on_signals
 from outrider.cli.waiting import RouterTimer
+from outrider.running.resolve import resolve
 
 if TYPE_CHECKING:
     from bus.session import Session
@@ -21,34 +24,40 @@ if TYPE_CHECKING:
 _MCAP = "mcap"
 
 
+Out = Annotated[
+    Path | None,
+    typer.Argument(help="The file to write, such as run.mcap; one that is there is replaced."),
+]
+Repair = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="Save what is whole of a killed recording; nothing is recorded."
+    ),
+]
+Format = Annotated[
+    str,
+    typer.Option(
+        "--format",
+        metavar="NAME",
+        help="Format: mcap, or that of an extension, such as ros2, which writes a bag into a new folder.",
+    ),
+]
+Flown = Annotated[
+    str,
+    typer.Option(
+        help="What is flown there, name or file: with it the flight can be drawn and flown again."
+    ),
+]
+
+
 def command(
-    out: Annotated[
-        Path | None,
-        typer.Argument(help="The file to write, such as run.mcap; one that is there is replaced."),
-    ] = None,
-    repair: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Save what is whole of a killed recording; nothing is recorded."
-        ),
-    ] = None,
-    form: Annotated[
-        str,
-        typer.Option(
-            "--format",
-            metavar="NAME",
-            help="Format: mcap, or that of an extension, such as ros2, which writes a bag into a new folder.",
-        ),
-    ] = _MCAP,
+    out: Out = None,
+    repair: Repair = None,
+    form: Format = _MCAP,
     connect: options.Connect = options.DEFAULT_ENDPOINT,
     run: options.RunName = options.DEFAULT_RUN,
     credentials: options.CredentialFile = None,
-    scenario: Annotated[
-        str,
-        typer.Option(
-            help="What is flown there, name or file: with it the flight can be drawn and flown again."
-        ),
-    ] = "",
+    scenario: Flown = "",
     changes: options.Set = None,
     json: options.Json = False,
 ) -> None:
@@ -76,9 +85,7 @@ def command(
         return
     if out is None:
         raise typer.BadParameter("name the file to write, such as: outrider record run.mcap")
-    from outrider.cli.console import ERR, print_json
     from outrider.recording.observer import RunRecorder
-    from outrider.running.resolve import resolve
 
     sink = _sink(form, out)
     known = resolve(scenario, changes=changes)[0] if scenario else None
@@ -127,10 +134,6 @@ def _sink(form: str, out: Path) -> "Callable[[Path], RunSink]":
 
 def _follow(session: "Session", recorder: "RunRecorder", stop: Stop) -> bool:
     """Record until the run is over or somebody wants the end; whether it was the router that went."""
-    from rich.progress import TextColumn
-
-    from outrider.cli.console import bar
-
     told = "{task.fields[seconds]:>7.1f} s simulated, {task.fields[missing]} ticks missing"
     router = RouterTimer(session)
     with bar(TextColumn(told)) as progress:
@@ -151,7 +154,6 @@ def _follow(session: "Session", recorder: "RunRecorder", stop: Stop) -> bool:
 
 
 def _repair(killed: Path, out: Path, *, json: bool) -> None:
-    from outrider.cli.console import ERR, print_json
     from outrider.recording.repair import repair
 
     saved = repair(killed, out)

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from outrider.cli.console import ERR, share_progress
 from outrider.cli.options import FlightNumber
 
 
@@ -38,7 +39,6 @@ def command(
 
     Example: outrider render run.mcap -o run.gif --realtime 20
     """
-    from outrider.cli.console import ERR, share_progress
     from outrider.recording.reader import flight_of
     from outrider.view.film import check_output, render
 

@@ -6,9 +6,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import typer
+from rich.progress import TextColumn
+from rich.text import Text
 
+from outrider.cli.console import ERR, OUT, bar, print_json, print_summary
+from outrider.cli.main import call_command
 from outrider.cli.options import Companions, FlightNumber, Json
 from outrider.cli.stopping import stop_on_signals
+from outrider.running.companions import parse_companion
+from outrider.running.summary import certificate_fields, summarize
 
 if TYPE_CHECKING:
     from outrider.recording.reader import Recording
@@ -65,11 +71,8 @@ def command(
 
 
 def _refly(recording: "Recording", *, json: bool) -> None:
-    from rich.text import Text
 
-    from outrider.cli.console import ERR, OUT, print_json
     from outrider.recording.refly import refly
-    from outrider.running.summary import certificate_fields
 
     with ERR.status("flying it again"):
         found = refly(recording)
@@ -99,8 +102,6 @@ def _refly(recording: "Recording", *, json: bool) -> None:
 
 
 def _play_with(asked: list[str], file: Path, flight: int | None, realtime: float | None) -> None:
-    from outrider.cli.main import call_command
-    from outrider.running.companions import parse_companion
 
     if len(asked) > 1:
         raise typer.BadParameter("--with: one companion plays a recording")
@@ -119,10 +120,6 @@ def _play_with(asked: list[str], file: Path, flight: int | None, realtime: float
 
 def _play(recording: "Recording", speed: float) -> None:
     """Let simulated time pass at this speed."""
-    from rich.progress import TextColumn
-
-    from outrider.cli.console import bar
-
     truths = recording.truths
     begin, end = truths[0].time, truths[-1].time
     columns = (
@@ -146,9 +143,7 @@ def _play(recording: "Recording", speed: float) -> None:
 
 
 def _tell(recording: "Recording", *, json: bool) -> None:
-    from outrider.cli.console import OUT, print_json, print_summary
     from outrider.recording.refly import from_the_start, restore
-    from outrider.running.summary import certificate_fields, summarize
 
     told = _facts(recording)
     if recording.head.scenario is not None and from_the_start(recording):

@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.text import Text
 
 from bus.files import writing
 from bus.plugins import require
+from outrider.cli.console import ERR, OUT, print_json
 from outrider.cli.options import Json
 from outrider.cli.standard_files import print_text
 
@@ -41,9 +43,6 @@ def command(
     require("sweep")
     if markdown and json:
         raise typer.BadParameter("--markdown and --json both want stdout; choose one")
-    from rich.text import Text
-
-    from outrider.cli.console import ERR, OUT, print_json
 
     with ERR.status("reading and drawing"):
         from outrider.experiments.report.document import markdown as markdown_of

@@ -4,10 +4,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bus.credentials import read_credentials
 from bus.errors import ScenarioError
+from bus.joining import open_session
 from bus.keys import OBSERVER_NAME, SIMULATOR_NAME, STATUS, Party, Role
 from bus.messages.telemetry import Status
+from bus.presence import Presence
 from outrider.cli import options
+from outrider.cli.console import ERR
 from outrider.cli.stopping import Stop, stop_on_signals
 
 if TYPE_CHECKING:
@@ -39,10 +43,6 @@ def command(
 
     Example: outrider router --listen tcp/0.0.0.0:17447 --credentials credentials/router.json
     """
-    from bus.credentials import read_credentials
-    from bus.joining import open_session
-    from outrider.cli.console import ERR
-
     endpoints = tuple(listen or (options.DEFAULT_ENDPOINT,))
     given = None if credentials is None else read_credentials(credentials)
     options.check_endpoints(endpoints, secured=given is not None, insecure=insecure)
@@ -70,8 +70,6 @@ def command(
 
 def _until_over(session: "Session", stop: Stop) -> None:
     """Until the simulator has said that the run is over, and has gone: one that dies may come back."""
-    from bus.presence import Presence
-
     simulator = Presence(session, SIMULATOR_NAME)
     statuses = session.inbox(STATUS)
     over = False

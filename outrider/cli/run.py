@@ -9,15 +9,49 @@ import typer
 from bus.errors import PeerLost, ScenarioError
 from bus.registry import DRIVERS
 from outrider.cli import options
+from outrider.cli.console import ERR, flight_progress, print_json, print_summary, print_warnings
 from outrider.cli.stopping import Stop, stop_on_signals
+from outrider.running.assumptions import promise_warnings
+from outrider.running.companions import pace_with, parse_companion
+from outrider.running.launch import Outcome, Watcher, launch
+from outrider.running.parent import Output
+from outrider.running.resolve import resolve
+from outrider.running.user_code import check_code, check_own_functions
+from outrider.view.output import default_folder, making, write_flight, write_summary
+from sim.scenario.checks import scenario_warnings
 
 MOST_PROCESSES = 20
 """Processes that a run starts at most, unless more are allowed."""
 
 if TYPE_CHECKING:
     from outrider.cli.console import FlightProgress
-    from outrider.running.launch import Outcome
+    from outrider.running.companions import Beside
     from sim.scenario.types import Scenario
+
+
+InProcess = Annotated[
+    bool, typer.Option("--in-process", help="Without a bus, all in this process.")
+]
+Respawn = Annotated[
+    bool,
+    typer.Option(
+        "--respawn",
+        help="Start a vehicle's process again if it dies; in lockstep the clock waits.",
+    ),
+]
+AllowProcesses = Annotated[
+    int,
+    typer.Option("--allow-processes", metavar="N", help="Start up to this many processes.", min=1),
+]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FOLDER",
+        help="Folder for trajectory, picture and summary; a new one in runs/ by default.",
+    ),
+]
+Files = Annotated[bool, typer.Option(help="Write files at all.")]
+Picture = Annotated[bool, typer.Option(help="Draw the picture.")]
 
 
 def command(
@@ -30,34 +64,15 @@ def command(
     changes: options.Set = None,
     network: options.NetworkName = "",
     allow_code: options.AllowCode = False,
-    in_process: Annotated[
-        bool, typer.Option("--in-process", help="Without a bus, all in this process.")
-    ] = False,
+    in_process: InProcess = False,
     record: options.Record = None,
     realtime: options.RealTime = None,
     companions: options.Companions = None,
-    respawn: Annotated[
-        bool,
-        typer.Option(
-            "--respawn",
-            help="Start a vehicle's process again if it dies; in lockstep the clock waits.",
-        ),
-    ] = False,
-    allow_processes: Annotated[
-        int,
-        typer.Option(
-            "--allow-processes", metavar="N", help="Start up to this many processes.", min=1
-        ),
-    ] = MOST_PROCESSES,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Folder for trajectory, picture and summary; a new one in runs/ by default.",
-        ),
-    ] = None,
-    files: Annotated[bool, typer.Option(help="Write files at all.")] = True,
-    picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
+    respawn: Respawn = False,
+    allow_processes: AllowProcesses = MOST_PROCESSES,
+    out: Out = None,
+    files: Files = True,
+    picture: Picture = True,
     json: options.Json = False,
 ) -> None:
     """Fly a scenario: simulator and vehicles, a process each.
@@ -73,12 +88,6 @@ def command(
         raise typer.BadParameter(
             "--realtime, --respawn and --with need processes; leave --in-process out"
         )
-    from outrider.cli.console import flight_progress, print_json, print_summary, print_warnings
-    from outrider.running.companions import pace_with, parse_companion
-    from outrider.running.resolve import resolve
-    from outrider.running.user_code import check_code, check_own_functions
-    from outrider.view.output import default_folder, making, write_summary
-    from sim.scenario.checks import scenario_warnings
 
     beside = tuple(parse_companion(text) for text in companions or ())
     if realtime is None:
@@ -105,38 +114,44 @@ def command(
     if record is not None:
         import outrider.recording.writer  # noqa: F401 - a missing extra shows here, not in a child
     folder = (out or default_folder(flown.name)) if files else None
+    output = Output(folder=str(folder or ""), picture=picture, record=str(record or ""))
     with making(folder), stop_on_signals() as stop:
         if in_process:
             outcome = _fly_here(flown, kept, folder, picture, record, stop)
         else:
-            from outrider.running.launch import Watcher, launch
-            from outrider.running.parent import Output
-
-            with flight_progress(flown, "starting (the first start compiles)") as progress:
-                watcher = Watcher(
-                    on_tick=progress.show,
-                    on_event=progress.say,
-                    on_warnings=print_warnings,
-                    stop=lambda: stop.count,
-                    companions=beside,
-                )
-                outcome = launch(
-                    flown,
-                    watcher,
-                    Output(folder=str(folder or ""), picture=picture, record=str(record or "")),
-                    secret=kept,
-                )
-        if outcome.summary is not None and folder is not None:
-            try:
-                write_summary(outcome.summary, folder)
-            except OSError as error:  # it is printed all the same
-                outcome.fault = outcome.fault or f"{error.filename}: {error.strerror}"
-    if outcome.summary is not None:
-        if json:
-            print_json(outcome.summary)
-        else:
-            print_summary(outcome.summary, outcome.files)
+            outcome = _fly_apart(flown, kept, output, beside, stop)
+        _report(outcome, folder, json=json)
     _end(outcome, stop)
+
+
+def _report(outcome: "Outcome", folder: Path | None, *, json: bool) -> None:
+    """Write and print the summary, if there is one."""
+    if outcome.summary is None:
+        return
+    if folder is not None:
+        try:
+            write_summary(outcome.summary, folder)
+        except OSError as error:  # it is printed all the same
+            outcome.fault = outcome.fault or f"{error.filename}: {error.strerror}"
+    if json:
+        print_json(outcome.summary)
+    else:
+        print_summary(outcome.summary, outcome.files)
+
+
+def _fly_apart(
+    flown: "Scenario", secret: str, output: "Output", beside: "tuple[Beside, ...]", stop: Stop
+) -> "Outcome":
+
+    with flight_progress(flown, "starting (the first start compiles)") as progress:
+        watcher = Watcher(
+            on_tick=progress.show,
+            on_event=progress.say,
+            on_warnings=print_warnings,
+            stop=lambda: stop.count,
+            companions=beside,
+        )
+        return launch(flown, watcher, output, secret=secret)
 
 
 def _check_processes(flown: "Scenario", allowed: int) -> None:
@@ -162,12 +177,8 @@ def _fly_here(
     record: Path | None,
     stop: Stop,
 ) -> "Outcome":
-    from outrider.cli.console import flight_progress, print_warnings
-    from outrider.running.assumptions import promise_warnings
     from outrider.running.flying import fly
-    from outrider.running.launch import Outcome
     from outrider.running.warming import warm_up_flight
-    from outrider.view.output import write_flight
     from sim.server.flight import Flight
 
     print_warnings(promise_warnings(flown))
@@ -210,7 +221,6 @@ def _fly_here(
 
 
 def _end(outcome: "Outcome", stop: Stop) -> None:
-    from outrider.cli.console import ERR
 
     if stop:
         if outcome.summary is None:

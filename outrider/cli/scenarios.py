@@ -7,8 +7,10 @@ from typing import Annotated
 import typer
 
 from bus.files import writing
+from outrider.cli.console import OUT, print_json, print_table
 from outrider.cli.options import Json
 from outrider.cli.standard_files import print_text
+from sim.scenario.loading import load_scenario, scenario_names, schema_text, shipped_text
 
 Name = Annotated[str, typer.Argument(help="A shipped scenario's name.")]
 SCHEMA_FILE = "scenario.schema.json"
@@ -30,8 +32,6 @@ def command(
     """
     if context.invoked_subcommand is not None:
         return
-    from outrider.cli.console import print_json, print_table
-    from sim.scenario.loading import load_scenario, scenario_names
 
     shipped = [load_scenario(name) for name in scenario_names()]
     if json:
@@ -58,8 +58,6 @@ def show(name: Name = "escort") -> None:
 
     Example: outrider scenarios show figure-3-switching
     """
-    from sim.scenario.loading import shipped_text
-
     print_text(shipped_text(name))
 
 
@@ -82,9 +80,6 @@ def new(
 
     Example: outrider scenarios new mine.toml, then outrider check mine.toml and outrider run mine.toml
     """
-    from outrider.cli.console import OUT
-    from sim.scenario.loading import scenario_names, schema_text, shipped_text
-
     if file.suffix != ".toml":
         raise typer.BadParameter(f"{file}: a scenario's file ends in .toml: {file.name}.toml")
     if file.stem in scenario_names():
@@ -108,6 +103,4 @@ def schema() -> None:
 
     Example: outrider scenarios schema > scenario.schema.json
     """
-    from sim.scenario.loading import schema_text
-
     print_text(schema_text())

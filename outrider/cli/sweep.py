@@ -3,6 +3,7 @@
 import shlex
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,63 +11,74 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bus.plugins import require
+from outrider.cli.console import ERR, OUT, print_json, print_warnings, runs_bar
 from outrider.cli.options import AllowCode, Duration, Json, Set
 
 if TYPE_CHECKING:
+    from outrider.experiments.sweep.definition import Sweep
     from outrider.experiments.sweep.folder import SweepFolder
     from outrider.experiments.sweep.plan import SweepPlan
 
 
+SweepName = Annotated[
+    str,
+    typer.Argument(
+        help="A shipped sweep (network), a shipped scenario, or a TOML file of either kind."
+    ),
+]
+Laws = Annotated[
+    list[str] | None,
+    typer.Option("--law", help="Laws, between commas, instead of the file's; may be repeated."),
+]
+Vary = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--vary",
+        metavar="FIELD=V,V",
+        help="A field of the scenario and its values; repeated: the product.",
+    ),
+]
+Seeds = Annotated[
+    int | None,
+    typer.Option(help="How many seeds each point is flown with.", min=1, max=1_000_000),
+]
+FirstSeed = Annotated[
+    int | None, typer.Option(help="The first of them, 0 by default.", min=0, max=2**52)
+]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FOLDER",
+        help="Folder for the results, sweeps/NAME by default; a sweep that was cut short goes on there.",
+    ),
+]
+Jobs = Annotated[int | None, typer.Option(help="Worker processes; one a core by default.", min=1)]
+Dask = Annotated[
+    str,
+    typer.Option(
+        "--dask",
+        metavar="ADDRESS",
+        help="Fly on this Dask cluster (its scheduler); needs the extra [dask].",
+    ),
+]
+Fresh = Annotated[
+    bool, typer.Option("--fresh", help="Throw away what the folder holds and start over.")
+]
+
+
 def command(
-    sweep: Annotated[
-        str,
-        typer.Argument(
-            help="A shipped sweep (network), a shipped scenario, or a TOML file of either kind."
-        ),
-    ] = "network",
-    law: Annotated[
-        list[str] | None,
-        typer.Option("--law", help="Laws, between commas, instead of the file's; may be repeated."),
-    ] = None,
-    vary: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--vary",
-            metavar="FIELD=V,V",
-            help="A field of the scenario and its values; repeated: the product.",
-        ),
-    ] = None,
+    sweep: SweepName = "network",
+    law: Laws = None,
+    vary: Vary = None,
     duration: Duration = None,
     changes: Set = None,
     allow_code: AllowCode = False,
-    seeds: Annotated[
-        int | None,
-        typer.Option(help="How many seeds each point is flown with.", min=1, max=1_000_000),
-    ] = None,
-    first_seed: Annotated[
-        int | None, typer.Option(help="The first of them, 0 by default.", min=0, max=2**52)
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Folder for the results, sweeps/NAME by default; a sweep that was cut short goes on there.",
-        ),
-    ] = None,
-    jobs: Annotated[
-        int | None, typer.Option(help="Worker processes; one a core by default.", min=1)
-    ] = None,
-    dask: Annotated[
-        str,
-        typer.Option(
-            "--dask",
-            metavar="ADDRESS",
-            help="Fly on this Dask cluster (its scheduler); needs the extra [dask].",
-        ),
-    ] = "",
-    fresh: Annotated[
-        bool, typer.Option("--fresh", help="Throw away what the folder holds and start over.")
-    ] = False,
+    seeds: Seeds = None,
+    first_seed: FirstSeed = None,
+    out: Out = None,
+    jobs: Jobs = None,
+    dask: Dask = "",
+    fresh: Fresh = False,
     json: Json = False,
 ) -> None:
     """Fly each law at each degradation with many seeds.
@@ -81,9 +93,9 @@ def command(
     require("sweep")
     if dask:
         require("dask")
-    from outrider.cli.console import print_warnings, runs_bar
     from outrider.experiments.sweep.definition import describe_sweep
     from outrider.experiments.sweep.folder import SweepFolder
+    from outrider.experiments.sweep.running import open_cluster
 
     if duration is not None:
         changes = [*(changes or ()), f"duration={duration!r}"]
@@ -96,17 +108,7 @@ def command(
         first_seed=first_seed,
     )
     where = out or Path("sweeps") / Path(sweep).stem
-    with runs_bar() as progress:
-        from outrider.experiments.sweep.plan import lay_out
-        from outrider.experiments.sweep.running import open_cluster
-
-        task = progress.add_task("loading the points", total=None, note="")
-        plan = lay_out(
-            described,
-            named=(*(changes or ()), *(vary or ())),
-            allow_code=allow_code,
-            told=lambda done, of: progress.update(task, completed=done, total=of),
-        )
+    plan = _lay_out(described, (*(changes or ()), *(vary or ())), allow_code=allow_code)
     print_warnings(plan.warnings)
     began = time.monotonic()
     with SweepFolder(
@@ -133,12 +135,25 @@ def command(
     _tell(told, folder, where, json=json)
 
 
+def _lay_out(sweep: "Sweep", named: Sequence[str], *, allow_code: bool) -> "SweepPlan":
+    """Load all points, with a bar."""
+    from outrider.experiments.sweep.plan import lay_out
+
+    with runs_bar() as progress:
+        task = progress.add_task("loading the points", total=None, note="")
+        return lay_out(
+            sweep,
+            named=named,
+            allow_code=allow_code,
+            told=lambda done, of: progress.update(task, completed=done, total=of),
+        )
+
+
 def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any) -> None:  # noqa: ANN401 - an extra's type
     """Fly what is missing, with a bar.
 
     It fills with what runs cost, so that the time left is right for ticks of any length.
     """
-    from outrider.cli.console import runs_bar
     from outrider.experiments.sweep.running import cost_of, fly_sweep
     from sim.compiling.threads import cores
 
@@ -173,7 +188,6 @@ def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any
 def _interrupted(
     plan: "SweepPlan", folder: "SweepFolder", end: KeyboardInterrupt | SystemExit
 ) -> None:
-    from outrider.cli.console import ERR
 
     folder.take_stock()  # what was written may not be counted yet
     kept = f"{len(folder.done):,} of {plan.runs:,} runs are kept in {folder.path}"
@@ -182,7 +196,6 @@ def _interrupted(
 
 
 def _tell(told: dict[str, Any], folder: "SweepFolder", where: Path, *, json: bool) -> None:
-    from outrider.cli.console import ERR, OUT, print_json
     from outrider.experiments.sweep.folder import read_head, read_results
 
     if json:

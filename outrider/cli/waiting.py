@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from bus.keys import STATUS
 from bus.messages.telemetry import Status
+from outrider.cli.console import ERR
 from outrider.cli.stopping import Stop
 
 if TYPE_CHECKING:
@@ -32,8 +33,6 @@ class RouterTimer:
 
 def tell_waiting(run: str) -> None:
     """Say that nothing comes before the simulator does."""
-    from outrider.cli.console import ERR
-
     ERR.tell(f"waiting for the simulator of the run {run}; Ctrl-C leaves")
 
 

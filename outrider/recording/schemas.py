@@ -19,7 +19,8 @@ from bus.messages.control import Change
 from bus.messages.ground import GroundMap
 from bus.messages.telemetry import CoverageMap, Status, Truth
 from bus.messages.vehicle import Drive
-from sim.input.reading import apply_override, typed
+from sim.input.overrides import apply_override
+from sim.input.reading import typed
 from sim.scenario.checks import check_scenario
 from sim.scenario.types import Scenario
 from sim.server.recorder import platform_row

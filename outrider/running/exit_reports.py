@@ -24,21 +24,17 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Reports:
-    """Writes reports for the parent, if this process is its child."""
-
-    def __init__(self, *, enabled: bool) -> None:
-        self._enabled = enabled
+    """Writer of reports for the parent."""
 
     def write(self, report: Report) -> None:
-        """Tell the parent."""
-        if self._enabled:
-            sys.stdout.buffer.write(msgspec.json.encode(report) + b"\n")
-            sys.stdout.buffer.flush()
+        """Write one line."""
+        sys.stdout.buffer.write(msgspec.json.encode(report) + b"\n")
+        sys.stdout.buffer.flush()
 
     def show(self, tick: int) -> None:
-        """The flight has come to this tick."""
+        """Report the tick that the flight has reached."""
         self.write(Report(tick=tick))
 
     def say(self, line: str) -> None:
-        """Something a person should know."""
+        """Report an event."""
         self.write(Report(event=line))

@@ -264,82 +264,103 @@ class _Processes:
 
 def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcome:
     """Follow the run until the simulator's process has ended."""
-    simulator, outcome, asked = processes.simulator, Outcome(), False
-    tick, deaths, counted = 0, Counter[str](), set[int]()
-    held: deque[tuple[float, str]] = deque()  # events, and when each is told
-    has_begun = True
-
-    def read(line: bytes) -> None:
-        nonlocal tick
-        told = msgspec.json.decode(line, type=Report)
-        if told.tick is not None:
-            if told.tick > tick:
-                deaths.clear()
-            tick = told.tick
-            watcher.on_tick(told.tick)
-        if told.event is not None and has_begun:
-            held.append((time.monotonic() + (0.0 if tick else _HELD), told.event))
-        if told.warnings is not None:
-            watcher.on_warnings(told.warnings)
-        if told.summary is not None:
-            outcome.summary = told.summary
-        if told.files is not None:
-            outcome.files = [Path(file) for file in told.files]
-
-    def count(dead: Child) -> bool:
-        """Tell of a vehicle's process that has failed, and start it again; true if the run must end for it."""
-        nonlocal has_begun
-        counted.add(dead.pid)
-        deaths[dead.name] += 1
-        again = respawn and deaths[dead.name] <= _LIVES
-        own = dead.own_error()
-        if own and not respawn and tick == 0 and outcome.summary is None:
-            outcome.fault, outcome.unusable = own, dead.ended == _UNUSABLE
-            dead.drop_log()
-            held.clear()
-            has_begun = False
-            return True
-        report = dead.exit_report()
-        if respawn and not again:
-            report += (
-                f"; for the {deaths[dead.name]}th time at tick {tick}, and it is not started again"
-            )
-        watcher.on_event(report + (": started again" if again else ""))
-        if again:
-            processes.start_again(dead)
-        else:
-            outcome.fault = outcome.fault or report
-        return not again and (respawn or tick == 0)
-
+    simulator, followed = processes.simulator, _Followed(processes, watcher, respawn=respawn)
+    outcome, asked = followed.outcome, False
     while True:
-        if watcher.stop() and not asked:
-            asked = True
-            simulator.ask_to_end()
         if watcher.stop() > 1:
             raise KeyboardInterrupt  # who asks twice does not wait for a summary
-        if not asked and outcome.summary is None:
-            processes.companions.report_lost()
-            dead = [
-                child
-                for child in processes.children[1:]
-                if child.ended not in (None, 0) and child.pid not in counted
-            ]
-            for child in dead:
-                if count(child):
-                    asked = True
-                    simulator.ask_to_end()
-        while held and time.monotonic() >= held[0][0]:
-            watcher.on_event(held.popleft()[1])
+        if not asked and (watcher.stop() or followed.must_end()):
+            asked = True
+            simulator.ask_to_end()
+        followed.show_events()
         with contextlib.suppress(queue.Empty):
             line = processes.lines.get(timeout=0.1)
             if line is None:
                 break
-            read(line)
-    for _, event in held:
-        watcher.on_event(event)
+            followed.read(line)
+    followed.show_events(all_of_them=True)
     simulator.wait(_PATIENCE)
     if outcome.summary is None and not outcome.fault and not watcher.stop():
         raise PeerLost(simulator.exit_report())
     if simulator.ended not in (0, None) and not watcher.stop() and not outcome.fault:
         outcome.fault = simulator.stderr_tail() or simulator.exit_report()
     return outcome
+
+
+class _Followed:
+    """State of a run that is followed.
+
+    Args:
+        processes: Processes of the run.
+        watcher: Receives ticks, events and warnings.
+        respawn: True: a vehicle's process that fails is started again.
+    """
+
+    def __init__(self, processes: _Processes, watcher: Watcher, *, respawn: bool) -> None:
+        self.outcome = Outcome()
+        self._processes, self._watcher, self._respawn = processes, watcher, respawn
+        self._tick = 0
+        self._deaths = Counter[str]()
+        """Failures of each vehicle's process since the newest tick."""
+        self._counted: set[int] = set()
+        self._events: deque[tuple[float, str]] = deque()
+        """Events that wait, and the time at which each is shown."""
+        self._is_dropping_events = False
+
+    def read(self, line: bytes) -> None:
+        """Read one of the simulator's reports."""
+        report = msgspec.json.decode(line, type=Report)
+        if report.tick is not None:
+            if report.tick > self._tick:
+                self._deaths.clear()
+            self._tick = report.tick
+            self._watcher.on_tick(report.tick)
+        if report.event is not None and not self._is_dropping_events:
+            held = 0.0 if self._tick else _HELD
+            self._events.append((time.monotonic() + held, report.event))
+        if report.warnings is not None:
+            self._watcher.on_warnings(report.warnings)
+        if report.summary is not None:
+            self.outcome.summary = report.summary
+        if report.files is not None:
+            self.outcome.files = [Path(file) for file in report.files]
+
+    def show_events(self, *, all_of_them: bool = False) -> None:
+        """Show the events whose time has come."""
+        while self._events and (all_of_them or time.monotonic() >= self._events[0][0]):
+            self._watcher.on_event(self._events.popleft()[1])
+
+    def must_end(self) -> bool:
+        """Report processes that have failed, start vehicles again; return true if the run must end for one."""
+        if self.outcome.summary is not None:
+            return False
+        self._processes.companions.report_lost()
+        dead = [
+            child
+            for child in self._processes.children[1:]
+            if child.ended not in (None, 0) and child.pid not in self._counted
+        ]
+        fatal = [self._is_fatal(child) for child in dead]  # each is reported
+        return any(fatal)
+
+    def _is_fatal(self, dead: Child) -> bool:
+        self._counted.add(dead.pid)
+        self._deaths[dead.name] += 1
+        deaths, outcome = self._deaths[dead.name], self.outcome
+        own = dead.own_error()
+        if own and not self._respawn and self._tick == 0:
+            outcome.fault, outcome.unusable = own, dead.ended == _UNUSABLE
+            dead.drop_log()
+            self._events.clear()
+            self._is_dropping_events = True
+            return True
+        report = dead.exit_report()
+        if self._respawn and deaths <= _LIVES:
+            self._watcher.on_event(f"{report}: started again")
+            self._processes.start_again(dead)
+            return False
+        if self._respawn:
+            report += f"; for the {deaths}th time at tick {self._tick}, and it is not started again"
+        self._watcher.on_event(report)
+        outcome.fault = outcome.fault or report
+        return self._respawn or self._tick == 0

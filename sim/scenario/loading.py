@@ -13,7 +13,8 @@ from bus.files import read_regular
 from bus.policies import policy_kinds
 from bus.registry import DRIVERS
 from sim.input.faults import Fault, near, one_line
-from sim.input.reading import apply_override, as_raw, parse_override, parse_toml, typed
+from sim.input.overrides import apply_override, parse_override
+from sim.input.reading import as_raw, parse_toml, typed
 from sim.scenario.checks import check_scenario
 from sim.scenario.link_tables import with_profiles
 from sim.scenario.recordings import traces_in, with_recordings

@@ -12,7 +12,8 @@ from msgspec import Meta
 from bus.errors import ScenarioError
 from bus.messages.base import Line, Text
 from sim.input.faults import Fault, one_line
-from sim.input.reading import parse_override, parse_toml, typed
+from sim.input.overrides import parse_override
+from sim.input.reading import parse_toml, typed
 from sim.scenario.loading import read_toml, scenario_names
 
 Seed = Annotated[int, Meta(ge=0, le=2**53 - 1)]

@@ -56,9 +56,7 @@ def unanswered(folder: Path) -> Iterator[Row]:
     to = ("--connect", router)
     log = folder / "unanswered.log"
     with ExitStack() as stack:
-        simulator = stack.enter_context(
-            started(log, outrider("simulator", "escort", "--no-picture", *begin))
-        )
+        simulator = stack.enter_context(started(log, outrider("simulator", "escort", *begin)))
         await_text(log, "listening on")
         uav = ("--vehicle", "uav_0", "--in", f"udpin:127.0.0.1:{ports[0]}")
         for name, words in (
@@ -86,7 +84,7 @@ def along(folder: Path, python: Path) -> Iterator[Row]:
     router = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
     port, log = free_port(socket.SOCK_DGRAM), folder / "along.log"
     changes = ("--realtime", 1, "--duration", 15, "--set", "certificate.tracking=0.3", "--json")
-    begin = ("--listen", router, "--out", folder / "along", "--no-picture", *changes)
+    begin = ("--listen", router, "--out", folder / "along", *changes)
     to = ("--connect", router)
     with ExitStack() as stack:
         simulator = stack.enter_context(started(log, outrider("simulator", "escort", *begin)))
@@ -118,7 +116,7 @@ def watched_and_flown(folder: Path, python: Path) -> Iterator[Row]:
     output(*outrider("credentials", keys, "--scenario", "escort"))
     router = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
     watched, logged, flown = (free_port(socket.SOCK_DGRAM) for _ in range(3))
-    changes = ("--realtime", 2, "--duration", DURATION, "--no-picture", "--json")
+    changes = ("--realtime", 2, "--duration", DURATION, "--json")
 
     def joined(name: str) -> tuple[object, ...]:
         return ("--connect", router, "--credentials", keys / f"{name}.json")

@@ -1,0 +1,72 @@
+"""Changes of a scenario's raw tables by dotted keys, as `--set` takes them."""
+
+import tomllib
+from typing import Any
+
+from sim.input.faults import Fault, short, shown
+
+_SET_EXAMPLE = "key=value, such as detections.noise=0.2 or uav.0.max_speed=0.5"
+
+
+def parse_override(change: str, *, file: str) -> tuple[str, object]:
+    """Return key and value of a `--set key=value`; a value that is not TOML is plain text.
+
+    Raises:
+        ScenarioError: If it is not of that form.
+    """
+    key, separator, text = change.partition("=")
+    if not separator or not all(key.strip().split(".")):
+        raise Fault("--set", change, "not of the form key=value", _SET_EXAMPLE).error(file)
+    text = text.strip()
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return key.strip(), text
+    return key.strip(), parsed["value"] if parsed.keys() == {"value"} else text
+
+
+def apply_override(raw: dict[str, Any], key: str, value: object, *, file: str) -> None:
+    """Put one value into the raw tables, in place; tables on the way are made where they are missing.
+
+    Args:
+        raw: As TOML gives it.
+        key: A dotted path; entries of a list count from 0, and `uav.*` is all entries of the list `uav`.
+        value: What to put there.
+        file: For the error.
+
+    Raises:
+        ScenarioError: If the path leads through a value, or beside a list's entries.
+    """
+    name, star, field = key.partition(".*.")
+    entries = raw.get(name)
+    if star and entries and isinstance(entries, list):
+        for k in range(len(entries)):
+            apply_override(raw, f"{name}.{k}.{field}", value, file=file)
+        return
+    *way, last = key.split(".")
+    table: Any = raw
+    try:
+        for depth, part in enumerate(way):
+            place = _place(table, part, here=".".join(way[:depth]))
+            table = table.setdefault(place, {}) if isinstance(table, dict) else table[place]
+        table[_place(table, last, here=".".join(way))] = value
+    except LookupError as found:
+        wrong, allowed = found.args
+        raise Fault(key, value, wrong, allowed).error(file) from None
+
+
+def _place(table: object, part: str, *, here: str) -> str | int:
+    """Return the key or index that a part of a path means; raise LookupError(wrong, allowed) if it means none."""
+    if isinstance(table, dict):
+        return part
+    if not isinstance(table, list):
+        raise LookupError(
+            f"{short(here)} = {shown(table)} is no table", f"a value for {short(here)} itself"
+        )
+    entries = [str(index) for index in range(len(table))]
+    if not entries:
+        raise LookupError(f"{here} has no entries", f"a value for {here} itself")
+    if part not in entries:
+        ends = dict.fromkeys((f"{here}.0", f"{here}.{entries[-1]}"))
+        raise LookupError(f"{here} has no entry {shown(part)}", " to ".join(ends))
+    return entries.index(part)
