@@ -247,8 +247,7 @@ def lens_distance(
 
     Their farthest common point is the far point of one disc if that lies in the other, else a corner of the lens; of
     discs that touch, but for rounding, the point where they do. Discs that do not meet (no UGV can be in both: an
-    assumption is broken) give the
-    smaller of the two bounds; an infinite radius is no disc.
+    assumption is broken) give the smaller of the two bounds; an infinite radius is no disc.
 
     Args:
         p_x, p_y: From where [m].

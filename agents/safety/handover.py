@@ -134,9 +134,8 @@ def unfit_way(bounds: SafetyBounds, likely: int, radius: float) -> int:
     """Return the steps of a way to a newer measurement on which a motion from rest leaves r_v.
 
     The UGV is within `radius` at its start. Over all ways in steps of half a centimetre, more where r_v is large:
-    between two of them the motion with the same ticks scales with the way, so that no point of it and no disc moves
-    by more than a step. The farther a detection,
-    the younger it is: way + rho <= E + 2 eps.
+    between two of them the motion with the same ticks scales with the way, so that no point of it and no disc moves by
+    more than a step. The farther a detection, the younger it is: way + rho <= E + 2 eps.
 
     Args:
         bounds: Of the hand-over.
