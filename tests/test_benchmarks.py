@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
+if not FOLDER.is_dir():
+    pytest.skip("a copy of the core alone has no benchmarks", allow_module_level=True)
 
 
 def bench(results: Path, *rows: str) -> "subprocess.CompletedProcess[str]":

@@ -260,6 +260,7 @@ def test_a_summary_that_cannot_be_written_is_printed(tmp_path, command, monkeypa
 
 
 def test_files_with_a_secret_are_new_files_of_their_owner(tmp_path, command) -> None:
+    pytest.importorskip("foxglove", reason="the extra [record] is not installed")
     secret = "0123456789abcdef" * 4
     old = {name: tmp_path / name for name in ("summary.json", "run.mcap")}
     readers = {}

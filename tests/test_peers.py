@@ -12,6 +12,8 @@ from typing import Any
 import pytest
 
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks" / "peers"
+if not FOLDER.is_dir():
+    pytest.skip("a copy of the core alone has no benchmarks", allow_module_level=True)
 GIVEN = argparse.Namespace(seconds=0.01, repeats=1)
 FAKE = """
 import json, sys

@@ -17,7 +17,9 @@ _KINDS = {int: "INTEGER", float: "NUMBER", str: "TEXT", Path: "PATH"}
 
 def page() -> str:
     """A section for each command: what it does, an example, its arguments and options."""
-    return "\n\n".join(_section(name, command) for name, command in commands().items())
+    return "\n\n".join(
+        _section(name, command) for name, command in commands().items() if not command.hidden
+    )
 
 
 def commands() -> dict[str, Any]:

@@ -27,8 +27,11 @@ PROJECT = {
     "SECURITY.md": "project/security.md",
     "CHANGELOG.md": "project/changelog.md",
     "CONTRIBUTING.md": "project/contributing.md",
+} | {
+    f"extensions/{path.parent.name}/README.md": f"extensions/{path.parent.name}.md"
+    for path in ROOT.glob("extensions/*/README.md")
 }
-"""Pages that stand at the repository's root, and where they are in the site."""
+"""Pages that stand at the repository's root or with an extension, and where they are in the site."""
 
 SHIM = "assets/iframe-worker.js"
 
