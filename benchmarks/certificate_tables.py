@@ -219,7 +219,7 @@ def _unreliable() -> dict[str, tuple[Conditions, float]]:
         cases[name] = (Conditions(disturbance=kind), 0.3)
     cases |= {
         f"lost for up to {out:g} s": (
-            Conditions(disturbance=silences, silence=out, hold=0.5),
+            Conditions(disturbance=silences, silence=out, command_timeout=0.5),
             out,
         )
         for out in (0.2, 0.5, 1.0, 2.0)
@@ -256,7 +256,7 @@ def _flown(task: tuple[str, str, int]) -> tuple[float, float, int, float]:
         "ugv.0.driver=evade",
         "area.cell=0.5",
         "duration=160.0",
-        "hold=2.0",
+        "command_timeout=2.0",
         "certificate.age=6.0",
     ]
     if links != "detections":

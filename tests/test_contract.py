@@ -44,7 +44,7 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
         area width height cell sensor model peak range desired_coverage covered lower upper
         detector noise cut period estimator enabled gate patience manoeuvre
         safety max_measurement_error max_measurement_age max_command_delay margin
-        max_command_interval max_tracking_error hold
+        max_command_interval max_tracking_error command_timeout
         ground tile telling column row state
         origin latitude longitude altitude
         vehicle dt visibility_radius law key past more"""
@@ -54,7 +54,7 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
 def test_the_ugv_is_told_these_fields_and_no_others() -> None:
     known = """
         tick time position velocity radio relative_position coverage_error over episode
-        operator driver goal goals goal_tolerance script hold key past more
+        operator driver goal goals goal_tolerance script command_timeout key past more
         ground tile bumper caution delay share carries column row state blocks tiles flown
         vehicle dt area width height cell limits max_speed max_acceleration"""
     assert told(TO_UGV) == {*words(known)}

@@ -293,7 +293,7 @@ holds = st.sampled_from((0.0, 0.4, 1.0))
 def test_when_the_operator_falls_silent_the_ugv_comes_to_rest_in_time_and_stays_there(
     words, heading, v_max, u_max, dt, hold
 ) -> None:
-    driver = TeleopDriver(_told(v_max=v_max, u_max=u_max, dt=dt, hold=hold))
+    driver = TeleopDriver(_told(v_max=v_max, u_max=u_max, dt=dt, command_timeout=hold))
     still = 1 + round(hold / dt) + _ticks_to_rest(v_max, u_max, dt)
     receives = _received_once(tuple(words))
     rows, _ = _drive(
@@ -305,7 +305,7 @@ def test_when_the_operator_falls_silent_the_ugv_comes_to_rest_in_time_and_stays_
 
 def test_an_operators_word_counts_for_hold_seconds_to_the_tick() -> None:
     for since in range(60):  # tick * dt rounds differently at each
-        driver = TeleopDriver(_told(hold=0.5))
+        driver = TeleopDriver(_told(command_timeout=0.5))
         receives = _says(**{f"t{since}": FULL})
         rows, _ = _drive(driver, 20, velocity=(0.1, 0.0), begin=since, receives=receives)
         assert (rows[:11, 4] > 0.0).all()

@@ -161,9 +161,9 @@ def test_what_is_said_of_a_link_is_what_the_link_does(settings: LinkSettings) ->
 @pytest.mark.parametrize(
     ("changes", "told"),
     rows("""
-hold=0.2 & links.commands.delay=0.25
+command_timeout=0.2 & links.commands.delay=0.25
 | hold = 0.2: commands are 0.25 s old or more when they arrive (links.commands of uav_0)
-hold=0.0 & links.commands.delay=0.01 | allowed: 0.05 s or more
+command_timeout=0.0 & links.commands.delay=0.01 | allowed: 0.05 s or more
 dt=0.2 & detections.rate=5.0 & links.commands.delay=0.5 | allowed: 0.6 s or more
 links.only=[{vehicle="uav_0",commands={delay=0.8,jitter=0.2}}]
 | 0.6 s old or more when they arrive (links.only.0.commands of uav_0)
@@ -179,7 +179,7 @@ def test_commands_that_are_always_too_old_to_act_are_refused_under_every_law(cha
 
 def test_a_delay_that_hold_allows_is_flown() -> None:
     for hold, delay in ((0.5, 0.5), (0.0, 0.0), (0.35, 0.35)):
-        changes = [f"hold={hold}", f"links.commands.delay={delay}"]
+        changes = [f"command_timeout={hold}", f"links.commands.delay={delay}"]
         assert load_scenario("escort", overrides=changes).hold == hold
 
 

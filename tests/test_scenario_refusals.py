@@ -168,7 +168,7 @@ def test_every_check_has_a_row_above() -> None:
         "uav.0.max_speed",
         "uav.0.position.1",
         "ugv.0.goals.2.0",
-        "hold",
+        "command_timeout",
     ],
 )
 @pytest.mark.parametrize("value", ["nan", "-nan", "-inf"])

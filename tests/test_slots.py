@@ -216,8 +216,8 @@ def test_in_real_time_a_slow_vehicle_degrades_itself_only(tmp_path: Path) -> Non
 
 
 def test_in_real_time_a_command_is_used_by_its_age_and_then_the_vehicle_brakes() -> None:
-    """Commands are held for `hold` after the tick they answer, however late they have come."""
-    scenario = load_scenario("escort", overrides=["duration=5.0", "hold=0.2"])
+    """Commands are held for `command_timeout` after the tick they answer, however late they have come."""
+    scenario = load_scenario("escort", overrides=["duration=5.0", "command_timeout=0.2"])
     flight = Flight(scenario, 7)
     ugv = flight.world.names.index("ugv_0")
 

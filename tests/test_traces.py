@@ -326,7 +326,7 @@ def recorded_scenario(ticks: int = 300) -> Any:
         operator=LinkSettings(trace="mahimahi"),
         traces=BOTH,
     )
-    return msgspec.structs.replace(degraded(ticks, table), hold=1.0)
+    return msgspec.structs.replace(degraded(ticks, table), command_timeout=1.0)
 
 
 def test_world_batch_and_environment_play_the_same() -> None:

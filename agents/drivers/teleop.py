@@ -9,7 +9,7 @@ class TeleopDriver:
     """Does what the operator said last: drives at a velocity, or to a goal, or brakes.
 
     Whatever is asked for, the UGV keeps its bounds: a velocity longer than v_max is shortened to it, and a goal is
-    driven to as the paper's driver does. Where a message has both, the velocity counts. A word counts for `hold`
+    driven to as the paper's driver does. Where a message has both, the velocity counts. A word counts for `command_timeout`
     seconds, a goal no longer than a velocity: when nothing has come for longer, the UGV brakes and stands until the
     operator speaks again.
 
@@ -19,7 +19,7 @@ class TeleopDriver:
 
     def __init__(self, briefing: UgvBriefing) -> None:
         self._steering = Steering(briefing)
-        self._hold = ticks_within(briefing.hold, briefing.dt)
+        self._hold = ticks_within(briefing.command_timeout, briefing.dt)
         self._word: Drive | None = None
         self._received = 0  # the tick at which that came
 

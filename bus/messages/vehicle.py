@@ -105,7 +105,7 @@ class UavBriefing(VehicleBriefing, frozen=True, kw_only=True):
     detector: Detector
     estimator: Estimator
     safety: SafetyParameters = SafetyParameters(max_measurement_error=None, max_measurement_age=1.0)
-    hold: NonNegative = 0.5
+    command_timeout: NonNegative = 0.5
     """Time for which a command without a motion stays in effect when no new one arrives [s]; then the UAV brakes."""
     ground: UavGround | None = None
     """None: there are no hazards, and nothing is told of the ground."""
@@ -126,7 +126,7 @@ class UgvBriefing(VehicleBriefing, frozen=True, kw_only=True):
     """epsilon: a goal counts as reached nearer than this [m]."""
     script: tuple[ScriptStep, ...] = ()
     """The steps of the driver `script`, in the order of time."""
-    hold: NonNegative = 0.5
+    command_timeout: NonNegative = 0.5
     """Time that an operator's last word counts [s]; then the driver `teleop` brakes."""
     ground: UgvGround | None = None
     """None: there are no hazards, and nothing is told of the ground."""

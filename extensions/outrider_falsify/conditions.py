@@ -174,7 +174,7 @@ class Conditions(NamedTuple):
     """The disturbance that breaks A5' now and then, of `DISTURBANCES`."""
     silence: float = 0.5
     """Longest time without a command, where that is the disturbance."""
-    hold: float = 2.0
+    command_timeout: float = 2.0
     """For how long the vehicle goes on with its last command."""
     u_g: float = 0.1
     """Largest acceleration of the UGV [m/s²]; infinite: it turns on the spot, which the theorem allows."""
@@ -258,7 +258,7 @@ def scenario_of(promise: SafetyBounds, conditions: Conditions) -> Scenario:
         )
     return Scenario(
         dt=promise.dt,
-        hold=conditions.hold,
+        command_timeout=conditions.command_timeout,
         certificate=Certificate(delay=delay, outage=conditions.outage or None),
         area=Area(width=width, height=height, cell=0.5 * min(width, height)),
         visibility=Visibility(radius=conditions.r_v),

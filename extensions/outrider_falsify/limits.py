@@ -48,9 +48,9 @@ def needed_age(limits: SearchLimits, scenario: Scenario) -> float:
 
 
 def needed_hold(limits: SearchLimits, scenario: Scenario) -> float:
-    """The scenario's `hold` [s], or the latest command's delay in whole ticks where that is more."""
+    """The scenario's `command_timeout` [s], or the latest command's delay in whole ticks where that is more."""
     latest = math.ceil(limits.command_delay / scenario.dt - _ROUNDING) * scenario.dt
-    return max(scenario.hold, latest)
+    return max(scenario.command_timeout, latest)
 
 
 def looks_until_seen(loss: float, scenario: Scenario) -> float:
@@ -83,7 +83,7 @@ def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
 
     What the scenario declares of its detections for the law `certified` is kept; what it leaves open is declared as
     these limits need it. The delay of the commands must be what is declared, not less: left open, it is that of the
-    candidate's link. Where that delay may exceed `hold`, `hold` is raised with it: a vehicle whose commands are too old
+    candidate's link. Where that delay may exceed `command_timeout`, `command_timeout` is raised with it: a vehicle whose commands are too old
     when they arrive only brakes.
 
     Raises:
@@ -107,7 +107,7 @@ def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
         detections=detections,
         links=LinkTable(),
         certificate=certificate,
-        hold=needed_hold(limits, scenario),
+        command_timeout=needed_hold(limits, scenario),
     )
     if LAWS[base.law.name].watched:
         _check_promise(base, limits)

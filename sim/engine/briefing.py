@@ -107,7 +107,7 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         ),
         estimator=scenario.estimator,
         safety=safety_parameters(scenario, name),
-        hold=scenario.hold,
+        command_timeout=scenario.command_timeout,
         ground=UavGround(tile=scenario.ground.tile, telling=scenario.ground.telling)
         if scenario.has_ground
         else None,
@@ -124,7 +124,7 @@ def ugv_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         goals=ugv.goals,
         goal_tolerance=ugv.goal_tolerance,
         script=ugv.script,
-        hold=scenario.hold,
+        command_timeout=scenario.command_timeout,
         ground=UgvGround(
             tile=scenario.ground.tile,
             bumper=scenario.ground.bumper,

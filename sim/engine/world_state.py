@@ -57,7 +57,7 @@ def world_parameters(scenario: Scenario, *, gains: bool = False) -> WorldParamet
         cut=float(scenario.detections.cut),
         dropout=float(scenario.detections.dropout),
         period=scenario.detection_period,
-        hold_ticks=round(scenario.hold / scenario.dt),
+        hold_ticks=round(scenario.command_timeout / scenario.dt),
         gains=gains,
     )
 

@@ -284,7 +284,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     """[s], a whole number of ticks."""
     dt: Positive = 0.05
     """Length of a tick [s]."""
-    hold: NonNegative = 0.5
+    command_timeout: NonNegative = 0.5
     """For so long the last command is held when none comes [s]; then the vehicle brakes."""
     area: Area = DEFAULT_AREA
     origin: Origin = Origin()

@@ -289,14 +289,14 @@ def commands_act(scenario: Scenario) -> Iterator[Fault]:
     for _, vehicle in vehicles(scenario):
         commands = scenario.links.of(vehicle.name, LinkKind.COMMANDS)
         least = least_ticks(link_parameters(commands, scenario.dt, traces=scenario.links.traces))
-        if least > round(scenario.hold / scenario.dt):
+        if least > round(scenario.command_timeout / scenario.dt):
             path = f"{scenario.links.path_of(vehicle.name, LinkKind.COMMANDS)} of {vehicle.name}"
             age = f"{least * scenario.dt:g} s"
             wrong = (
                 f"commands are {age} old or more when they arrive ({path}), "
                 "so that it would only brake"
             )
-            yield Fault("hold", scenario.hold, wrong, f"{age} or more")
+            yield Fault("command_timeout", scenario.command_timeout, wrong, f"{age} or more")
 
 
 WORLD_CHECKS: tuple[Check, ...] = (

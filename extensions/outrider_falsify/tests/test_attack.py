@@ -129,7 +129,7 @@ DISTURBED = {
         if k
     },
     "silences in a corner": Conditions(
-        disturbance=2, silence=2.0, hold=4.0, delay=0.3, area=CORNER
+        disturbance=2, silence=2.0, command_timeout=4.0, delay=0.3, area=CORNER
     ),
 }
 """Conditions that break A5', and the rest within the assumptions."""

@@ -210,8 +210,8 @@ def test_what_the_limits_need_is_declared_and_what_is_declared_is_kept() -> None
 def test_hold_is_raised_where_commands_may_come_later() -> None:
     late = SearchLimits(command_delay=1.01)
     start = base("linear", late)
-    assert start.hold == pytest.approx(1.05)
-    assert base("linear", late, hold=2.0).hold == 2.0
+    assert start.command_timeout == pytest.approx(1.05)
+    assert base("linear", late, command_timeout=2.0).hold == 2.0
     assert base("linear", SearchLimits(command_delay=0.5)).hold == 0.5
     for candidate in candidates(20):
         check_scenario(decode(candidate, start, late))

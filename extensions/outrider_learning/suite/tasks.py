@@ -200,7 +200,7 @@ TASKS: tuple[Task, ...] = (
     Task(
         name="late-commands",
         hard="a command acts half a second after it was given",
-        changes={"links.commands.delay": 0.5, "hold": 2.0},
+        changes={"links.commands.delay": 0.5, "command_timeout": 2.0},
     ),
     Task(
         name="all-at-once",
@@ -210,7 +210,7 @@ TASKS: tuple[Task, ...] = (
             "detections.dropout": 0.3,
             "links.detections.profile": "jammed",
             "links.commands.delay": 0.5,
-            "hold": 2.0,
+            "command_timeout": 2.0,
             "certificate.age": 6.0,
             "ugv.0.driver": "evade",
         },

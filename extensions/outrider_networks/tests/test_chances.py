@@ -345,7 +345,7 @@ def scenario(*overrides: str) -> Scenario:
 
 
 def test_bounds_share_the_risk_equally() -> None:
-    one = scenario("links.commands.profile=wifi-poor", "hold=2.0")
+    one = scenario("links.commands.profile=wifi-poor", "command_timeout=2.0")
     packets = PACKETS | {"delay_ticks": 12, "repeats": MOST_CARRIED, "ticks": one.ticks}
     detections, commands = one.links.detections, one.links.commands
     both = bounds_for(one, 1e-3).set

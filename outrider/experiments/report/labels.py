@@ -23,7 +23,7 @@ _LINK = {
 _FIELDS = {
     "dt": ("length of a tick", "s"),
     "duration": ("duration", "s"),
-    "hold": ("time a command is held", "s"),
+    "command_timeout": ("time a command is held", "s"),
     "detections.noise": ("noise of the detections per axis", "m"),
     "detections.dropout": ("looks that fail", "%"),
     "detections.rate": ("looks", "1/s"),
