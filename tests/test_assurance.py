@@ -38,8 +38,8 @@ DELAYED = load_scenario(
     overrides={
         "law.name": "certified",
         "links.commands.delay": 0.1,
-        "certificate.error": 0.3,
-        "certificate.age": 0.5,
+        "certificate.max_measurement_error": 0.3,
+        "certificate.max_measurement_age": 0.5,
     },
 )
 """Commands act two ticks late, and the newest detection is never older than ten ticks."""
@@ -220,7 +220,12 @@ def test_a_filter_that_begins_in_flight_need_not_certify_what_one_before_it_did(
 @pytest.mark.parametrize(("flown_on", "broken"), [(True, 1), (False, 0)])
 def test_an_outage_that_follows_at_once_excuses_a_certificate_that_ends(flown_on, broken) -> None:
     """Where commands carry motions: a pilot knows of it before it is too long."""
-    certificate = Certificate(delay=0.25, outage=0.3, error=0.3, age=0.5)
+    certificate = Certificate(
+        max_command_delay=0.25,
+        max_command_interval=0.3,
+        max_measurement_error=0.3,
+        max_measurement_age=0.5,
+    )
     assurance = Assurance(msgspec.structs.replace(DELAYED, certificate=certificate))
     for tick in range(20, 32):
         flown = tick if tick <= 24 or flown_on else 24
@@ -247,7 +252,9 @@ LOSING = escort(
 )
 LOSING = msgspec.structs.replace(
     LOSING,
-    certificate=Certificate(age=60.0),  # nothing can be certified, and nothing is seen from 5 s on
+    certificate=Certificate(
+        max_measurement_age=60.0
+    ),  # nothing can be certified, and nothing is seen from 5 s on
     links=LinkTable(
         detections=msgspec.structs.replace(LOSING.links.detections, blackouts=((5.0, 60.0),))
     ),
@@ -389,10 +396,10 @@ def losing_the_thread(scenario: Scenario) -> Piloted:
     [
         ({}, 4),
         ({"links.commands.delay": 0.5}, 3),  # the last one may be an outage yet to come
-        ({"detections.noise": 0.5, "certificate.error": 0.1}, 0),
-        ({"links.detections.delay": 1.0, "certificate.age": 0.9}, 0),
-        ({"links.detections.delay": 1.0, "certificate.age": 1.0}, 4),
-        ({"links.commands.delay": 0.5, "certificate.delay": 0.45}, 0),
+        ({"detections.noise": 0.5, "certificate.max_measurement_error": 0.1}, 0),
+        ({"links.detections.delay": 1.0, "certificate.max_measurement_age": 0.9}, 0),
+        ({"links.detections.delay": 1.0, "certificate.max_measurement_age": 1.0}, 4),
+        ({"links.commands.delay": 0.5, "certificate.max_command_delay": 0.45}, 0),
     ],
     ids=str,
 )

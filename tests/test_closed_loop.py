@@ -129,7 +129,7 @@ def test_a_certificate_that_ends_is_counted_unless_an_assumption_has_failed() ->
     scenario = small(
         "certified",
         links=links,
-        certificate=Certificate(age=1.0),
+        certificate=Certificate(max_measurement_age=1.0),
         detections=Detections(noise=0.1, dropout=0.0),
     )
     loop = ClosedLoop(scenario, 1, error=True)
@@ -142,9 +142,12 @@ def test_a_certificate_that_ends_is_counted_unless_an_assumption_has_failed() ->
 @pytest.mark.parametrize(
     ("declared", "given"),
     [
-        (Certificate(age=1.0, error=0.29), {"detections": Detections(noise=0.1, cut=math.inf)}),
         (
-            Certificate(age=1.0, tracking=0.08),
+            Certificate(max_measurement_age=1.0, max_measurement_error=0.29),
+            {"detections": Detections(noise=0.1, cut=math.inf)},
+        ),
+        (
+            Certificate(max_measurement_age=1.0, max_tracking_error=0.08),
             {"wind": Wind(gust=0.05), "uav": Uav(position=(8.0, 7.0), own_error=0.05)},
         ),
     ],

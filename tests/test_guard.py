@@ -150,7 +150,11 @@ class Vehicle:
         self, delay: float = 0.0, outage: float | None = None, *, bare: bool = False, **fields: Any
     ) -> None:
         scenario = escort(
-            "certified", certificate=Certificate(delay=delay, outage=outage, error=0.0), **fields
+            "certified",
+            certificate=Certificate(
+                max_command_delay=delay, max_command_interval=outage, max_measurement_error=0.0
+            ),
+            **fields,
         )
         self.world, self.filter, self._bare = World(scenario, 1), SafetyFilter(told(scenario)), bare
 

@@ -35,7 +35,9 @@ def rest(begins: int, parent: int = -1, **fields) -> BackupTrajectory:
 
 def still(outage: float | None = 1.0, delay: float = 0.2) -> World:
     """A UAV at rest, with perfect links."""
-    scenario = small("certified", certificate=Certificate(delay=delay, outage=outage))
+    scenario = small(
+        "certified", certificate=Certificate(max_command_delay=delay, max_command_interval=outage)
+    )
     return World(scenario, 1)
 
 
@@ -165,9 +167,9 @@ def test_lost_commands_fly_one_trajectory_in_the_environment_and_in_a_run() -> N
 
 def test_lost_commands_and_a_recorded_link_fly_one_trajectory_over_three_processes() -> None:
     links = ("links.commands.loss=0.4", "links.commands.jitter=0.1", "links.commands.delay=0.1")
-    recorded = (f"links.detections.trace={RECORDED}", "certificate.age=3.0")
+    recorded = (f"links.detections.trace={RECORDED}", "certificate.max_measurement_age=3.0")
     there, here = flown_both_ways(
-        "escort", *EVADED, *links, "certificate.outage=3.0", *recorded, seed=3
+        "escort", *EVADED, *links, "certificate.max_command_interval=3.0", *recorded, seed=3
     )
     assert there["certified_share"] == here.certified_share > 0.99  # from the first detection on
     assert there["links"]["uav_0/detections"]["lost"]["trace"] > 0
@@ -204,7 +206,7 @@ def test_a_policy_keeps_sight_through_the_filter_while_its_commands_are_lost() -
     scenario = small(
         "certified",
         links=LinkTable(commands=LOSSY),
-        certificate=Certificate(delay=0.4, outage=2.0),
+        certificate=Certificate(max_command_delay=0.4, max_command_interval=2.0),
         duration=40.0,
     )
     env = parallel_env(scenario, safety_filter=True)
@@ -224,7 +226,7 @@ def test_a_silence_that_is_longer_than_declared_is_told_by_its_name() -> None:
     scenario = small(
         "certified",
         links=LinkTable(commands=msgspec.structs.replace(LOSSY, blackouts=((5.0, 3.0),))),
-        certificate=Certificate(delay=0.4, outage=2.0),
+        certificate=Certificate(max_command_delay=0.4, max_command_interval=2.0),
     )
     _, summary = fly(scenario, 1)
     assert summary.uncertified[NotCertified.COMMAND_INTERVAL] >= 15
@@ -236,7 +238,7 @@ def reasons(
     delay: float, outage: float, ticks: range, flown, moved=lambda _: (8.0, 7.0)
 ) -> list[NotCertified | None]:
     """A filter's answers to each tick, at rest and with one detection in the first; `flown` and `moved` by tick."""
-    declared = Certificate(delay=delay, outage=outage)
+    declared = Certificate(max_command_delay=delay, max_command_interval=outage)
     pilot, found = SafetyFilter(told(small("certified", certificate=declared))), []
     for tick in ticks:
         looks = [(tick * 0.05, (0.0, 1.0))] if tick == ticks[0] else []
@@ -276,7 +278,9 @@ def test_what_another_pilot_has_sent_is_not_trusted() -> None:
 def test_what_the_vehicle_tells_that_it_flies_does_not_depend_on_the_ugv() -> None:
     """Its own links and motions lead to it, and nothing else: two UGVs that move differently, one answer."""
     scenario = small(
-        "certified", links=LinkTable(commands=LOSSY), certificate=Certificate(delay=0.4, outage=2.0)
+        "certified",
+        links=LinkTable(commands=LOSSY),
+        certificate=Certificate(max_command_delay=0.4, max_command_interval=2.0),
     )
     told = []
     for push in ((0.1, 0.0), (-0.05, 0.08)):

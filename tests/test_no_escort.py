@@ -147,7 +147,7 @@ def test_a_sweep_flies_a_ugv_alone_but_no_laws_over_it() -> None:
 
 
 def test_what_is_declared_for_uavs_is_nothing_without_one() -> None:
-    changes = ["uav=[]", "certificate.outage=1.0", "law.name=path", "duration=2.0"]
+    changes = ["uav=[]", "certificate.max_command_interval=1.0", "law.name=path", "duration=2.0"]
     scenario = load_scenario("minefield", overrides=changes)
     windy = msgspec.structs.replace(scenario, wind=Wind(mean=(0.05, 0.0)), links=LinkTable())
     _, summary = fly(check_scenario(windy), 1)

@@ -171,7 +171,7 @@ def test_wind_changes_neither_the_draws_of_others_nor_what_a_vehicle_is_told_of_
 
 
 def test_no_vehicle_is_told_of_the_wind() -> None:
-    declared = Certificate(tracking=0.5)
+    declared = Certificate(max_tracking_error=0.5)
     stormy = small("certified", wind=Wind(mean=(0.1, 0.0), gust=0.05), certificate=declared)
     assert told(stormy) == told(small("certified", certificate=declared))
 
@@ -208,7 +208,9 @@ def test_wind_flies_one_trajectory_over_three_processes() -> None:
 
 def test_wind_and_lost_commands_leave_every_tick_certified() -> None:
     scenario = msgspec.structs.replace(
-        WINDY, links=LinkTable(commands=LOSSY), certificate=Certificate(delay=0.4, outage=2.0)
+        WINDY,
+        links=LinkTable(commands=LOSSY),
+        certificate=Certificate(max_command_delay=0.4, max_command_interval=2.0),
     )
     _, summary = fly(scenario, 2)
     assert summary.certified_share == 1.0
@@ -232,9 +234,9 @@ def test_a_process_that_joins_again_is_told_what_it_was_told() -> None:
 
 
 def test_a_w_that_the_wind_may_exceed_is_told_and_excuses_the_certificate() -> None:
-    scenario = msgspec.structs.replace(WINDY, certificate=Certificate(tracking=0.001))
+    scenario = msgspec.structs.replace(WINDY, certificate=Certificate(max_tracking_error=0.001))
     (found,) = [one for one in shortfalls(scenario) if one.assumption == "A6'"]
-    assert "certificate.tracking = 0.001 m" in found.line
+    assert "certificate.max_tracking_error = 0.001 m" in found.line
     assert not [one for one in shortfalls(WINDY) if one.assumption == "A6'"]
     _, summary = fly(scenario, 1)
     assert summary.tracking_error > summary.declared_tracking == 0.001

@@ -9,9 +9,8 @@ class TeleopDriver:
     """Does what the operator said last: drives at a velocity, or to a goal, or brakes.
 
     Whatever is asked for, the UGV keeps its bounds: a velocity longer than v_max is shortened to it, and a goal is
-    driven to as the paper's driver does. Where a message has both, the velocity counts. A word counts for `command_timeout`
-    seconds, a goal no longer than a velocity: when nothing has come for longer, the UGV brakes and stands until the
-    operator speaks again.
+    driven to as the paper's driver does. Where a message has both, the velocity counts. A message counts for
+    `command_timeout` seconds; afterwards the UGV brakes and stands until the operator's next message.
 
     It knows nothing of what was said before it took the wheel, so it begins by braking. It does not look where it
     goes: Q has walls.

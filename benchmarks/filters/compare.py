@@ -55,7 +55,7 @@ def _dark(length: float, seed: int, duration: float) -> dict[str, object]:
     starts = [first + k * every for k in range(int((duration - first) / every) + 1)]
     return {
         "links.detections.blackouts": [[start, length] for start in starts],
-        "certificate.age": length + 1.0,
+        "certificate.max_measurement_age": length + 1.0,
     }
 
 

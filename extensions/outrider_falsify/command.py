@@ -127,7 +127,8 @@ def _base(given: "Scenario", limits: "SearchLimits") -> "Scenario":
     raised: tuple[str, ...] = ()
     if base.command_timeout > given.command_timeout:
         raised = (
-            f"command_timeout = {given.command_timeout:g} s is raised to {base.command_timeout:g} s, the latest command that the limits allow",
+            f"command_timeout = {given.command_timeout:g} s is raised to {base.command_timeout:g} s, the "
+            f"latest command that the limits allow",
         )
     print_warnings((*raised, *beyond_declared(base, limits)))
     return base

@@ -259,7 +259,9 @@ def scenario_of(promise: SafetyBounds, conditions: Conditions) -> Scenario:
     return Scenario(
         dt=promise.dt,
         command_timeout=conditions.command_timeout,
-        certificate=Certificate(delay=delay, outage=conditions.outage or None),
+        certificate=Certificate(
+            max_command_delay=delay, max_command_interval=conditions.outage or None
+        ),
         area=Area(width=width, height=height, cell=0.5 * min(width, height)),
         visibility=Visibility(radius=conditions.r_v),
         sensor=Sensor(range=1.2 * conditions.r_v),

@@ -101,7 +101,7 @@ def check_exportable(briefing: UavBriefing | UgvBriefing) -> None:
         if LAWS[briefing.law.name].watched and needed:
             raise ScenarioError(
                 f"{vehicle}: law.name = {briefing.law.name!r}: its commands carry motions, for which a unit has no "
-                "variables; allowed: certificate.delay = 0 and certificate.outage = dt"
+                "variables; allowed: certificate.max_command_delay = 0 and certificate.max_command_interval = dt"
             )
         if LAWS[briefing.law.name].own:
             raise ScenarioError(

@@ -54,8 +54,8 @@ class Flown(NamedTuple):
 class OffboardPilot:
     """Flies the run's law, a setpoint, or stays where it is, always inside the safety filter.
 
-    The mode and the setpoint come from another thread. A setpoint counts for the scenario's `command_timeout`, in simulated time
-    from the tick that met it first; then the law flies until the next one comes.
+    The mode and the setpoint come from another thread. A setpoint counts for the scenario's `command_timeout`, in
+    simulated time from the tick that met it first; then the law flies until the next one comes.
     """
 
     def __init__(self) -> None:

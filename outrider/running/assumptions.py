@@ -67,11 +67,13 @@ def _perfect_detectors(scenario: Scenario) -> Iterator[str]:
     for uav in scenario.uav:
         if safety_parameters(scenario, uav.name).max_measurement_error == 0.0:
             source = (
-                "certificate.error" if scenario.certificate.error == 0.0 else "detections.noise"
+                "certificate.max_measurement_error"
+                if scenario.certificate.max_measurement_error == 0.0
+                else "detections.noise"
             )
             yield (
                 f"{uav.name}: {source} = 0: sight is certified for a detector without any error; for a real one set "
-                "certificate.error to its greatest error [m]"
+                "certificate.max_measurement_error to its greatest error [m]"
             )
 
 
@@ -143,7 +145,8 @@ def _errors(scenario: Scenario, eps: float) -> Iterator[tuple[How, str]]:
         )
         yield (
             how_often(share),
-            f"certificate.error = {eps:g} m, but the errors {errors} at detections.noise = {sigma:g} m: "
+            f"certificate.max_measurement_error = {eps:g} m, but the errors {errors} at detections.noise = "
+            f"{sigma:g} m: "
             f"{percent(share)} are larger",
         )
 
@@ -155,5 +158,5 @@ def _off(scenario: Scenario, uav: Uav, promise: SafetyBounds) -> Iterator[tuple[
     """Wind and own position may take it farther from where it is told that it is than is declared, but need not."""
     most, declared = largest_tracking_error(scenario, uav), promise.max_tracking_error
     if most > declared * (1.0 + DUST):
-        what = f"certificate.tracking = {declared:g} m, but wind and own_error may take it {most:.3g} m off"
+        what = f"certificate.max_tracking_error = {declared:g} m, but wind and own_error may take it {most:.3g} m off"
         yield How.SOMETIMES, what

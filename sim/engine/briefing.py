@@ -40,23 +40,27 @@ def ugv_carries(scenario: Scenario, ugv: Ugv) -> bool:
 
 def command_delay(scenario: Scenario, uav: str) -> float:
     """Return the time from a command's tick to the one in which it acts [s]: as given, or the longest of its link."""
-    if scenario.certificate.delay is not None:
-        return scenario.certificate.delay
+    if scenario.certificate.max_command_delay is not None:
+        return scenario.certificate.max_command_delay
     return longest_delay(scenario.links.of(uav, LinkKind.COMMANDS), scenario.links.traces)
 
 
 def safety_parameters(scenario: Scenario, uav: str) -> SafetyParameters:
     """Return the parameters of a UAV's safety filter."""
     given = scenario.certificate
-    tracking = given.tracking
+    tracking = given.max_tracking_error
     if tracking is None:
         (vehicle,) = (one for one in scenario.uav if one.name == uav)
         tracking = or_none(largest_tracking_error(scenario, vehicle))
     return SafetyParameters(
-        max_measurement_error=given.error if given.error is not None else _error(scenario),
-        max_measurement_age=given.age or DEFAULT_AGE,
+        max_measurement_error=given.max_measurement_error
+        if given.max_measurement_error is not None
+        else _error(scenario),
+        max_measurement_age=given.max_measurement_age or DEFAULT_AGE,
         max_command_delay=command_delay(scenario, uav),
-        max_command_interval=scenario.dt if given.outage is None else given.outage,
+        max_command_interval=scenario.dt
+        if given.max_command_interval is None
+        else given.max_command_interval,
         max_tracking_error=tracking,
         margin=given.margin,
     )

@@ -167,19 +167,19 @@ class Certificate(_Table, frozen=True, kw_only=True):
     A network that is worse is told as uncertified, tick by tick.
     """
 
-    error: NonNegative | None = None
+    max_measurement_error: NonNegative | None = None
     """Largest error of a detection [m]; by default the noise at its cut, and without a cut none."""
-    age: Positive | None = None
+    max_measurement_age: Positive | None = None
     """Largest age of the newest detection that has arrived [s]; by default 1 s."""
-    delay: NonNegative | None = None
+    max_command_delay: NonNegative | None = None
     """From the tick that a command answers to the one in which it acts [s]; by default the longest of its link."""
     margin: NonNegative = 0.0
     """Taken off r_v [m], for what the theorem does not cover."""
-    outage: NonNegative | None = None
+    max_command_interval: NonNegative | None = None
     """Longest time from the start of a UAV's motion to the start of the next, B [s]: receivers fly a motion on while
     commands are lost. By default one tick: no command is lost.
     """
-    tracking: NonNegative | None = None
+    max_tracking_error: NonNegative | None = None
     """Largest true distance of a UAV from where it is told that it is, w [m]; by default what wind, own_error and
     tracking can bring about: 0 without wind and own_error.
     """

@@ -349,8 +349,16 @@ HAZARD = 'hazard=[{kind="block",center=[30,30],radius=0.2}]'
     [
         ("uav", [HAZARD], "uav_0: perceives hazards"),
         ("ugv", [HAZARD], "ugv_0: perceives hazards"),
-        ("uav", ["law.name=certified", "certificate.outage=0.5"], "uav_0: law.name = 'certified'"),
-        ("uav", ["law.name=certified", "certificate.delay=0.1"], "uav_0: law.name = 'certified'"),
+        (
+            "uav",
+            ["law.name=certified", "certificate.max_command_interval=0.5"],
+            "uav_0: law.name = 'certified'",
+        ),
+        (
+            "uav",
+            ["law.name=certified", "certificate.max_command_delay=0.1"],
+            "uav_0: law.name = 'certified'",
+        ),
         ("uav", ["law.name=path", "custom.path=a:b"], "uav_0: the law 'path'"),
         ("ugv", ["ugv.0.driver=external"], "ugv_0: the driver 'external'.*allowed: waypoints"),
         ("ugv", ["ugv.0.driver=fmu:x.fmu"], "ugv_0: the driver 'policy'"),

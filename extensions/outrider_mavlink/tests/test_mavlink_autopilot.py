@@ -23,7 +23,7 @@ from outrider_mavlink.gateway import BEYOND_BOUNDS, NOT_FINITE
 from outrider_mavlink.udp import UNREADABLE, Address, Network
 from sim.scenario.loading import load_scenario
 
-CHANGES = ("law.name=certified", "duration=15.0", "certificate.tracking=0.3")
+CHANGES = ("law.name=certified", "duration=15.0", "certificate.max_tracking_error=0.3")
 START = (7.0, -3.0, -12.0)
 """Hover position in the autopilot's local frame: north, east, down [m]."""
 
