@@ -56,7 +56,7 @@ def straying(*, elapsed: float, target: Limits, manoeuvre: float, dt: float) -> 
 
 
 def make(noise=SIGMA, cut=3.0, target=UGV, dt=DT, **chosen):
-    detector = Detector(noise=noise, cut=cut, period=dt)
+    detector = Detector(noise=noise, truncation=cut, period=dt)
     return RelativeEstimator(detector=detector, target=target, dt=dt, settings=Estimator(**chosen))
 
 
@@ -99,7 +99,7 @@ def filtered(own, at, noise=SIGMA, cut=3.0, target=UGV, dt=DT, **chosen) -> Filt
         at: For each tick the looks that arrive then, by tick: rows of the tick taken and p_delta.
         noise, cut, target, dt, chosen: As of `make`.
     """
-    detector, settings = Detector(noise=noise, cut=cut, period=dt), Estimator(**chosen)
+    detector, settings = Detector(noise=noise, truncation=cut, period=dt), Estimator(**chosen)
     told = kalman_parameters(detector=detector, target=target, dt=dt, settings=settings)
     parameters = records(KalmanParameters, [told])
     rows = estimator_rows(history_depth(SPAN, dt))[None, None].copy()

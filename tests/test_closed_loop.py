@@ -144,7 +144,7 @@ def test_a_certificate_that_ends_is_counted_unless_an_assumption_has_failed() ->
     [
         (
             Certificate(max_measurement_age=1.0, max_measurement_error=0.29),
-            {"detections": Detections(noise=0.1, cut=math.inf)},
+            {"detections": Detections(noise=0.1, truncation=math.inf)},
         ),
         (
             Certificate(max_measurement_age=1.0, max_tracking_error=0.08),

@@ -90,7 +90,7 @@ def test_a_broken_assumption_is_told_with_its_name(changes: str, reason: str) ->
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        (["detections.cut=inf"], "eps = inf m: the noise of the detections is not cut"),
+        (["detections.truncation=inf"], "eps = inf m: the noise of the detections is not cut"),
         (["certificate.max_measurement_age=60.0"], "too much for r_v"),
         (["certificate.max_command_delay=30.0"], "too much for r_v"),
     ],

@@ -216,7 +216,7 @@ seed=1.5 | seed = 1.5: not a whole number; allowed: a whole number
 seed=-1 | seed = -1: out of bounds; allowed: a whole number >= 0
 title=5 | title = 5: not text; allowed: text
 title=2020-01-01 | title = 2020-01-01: not text; allowed: text
-detections.cut=0 | detections.cut = 0: out of bounds; allowed: a number > 0
+detections.truncation=0 | detections.truncation = 0: out of bounds; allowed: a number > 0
 detections.dropout=2 | detections.dropout = 2: out of bounds; allowed: a number <= 1.0
 law={name="lookahead",parameters={horizon=0.1}}
 | law.parameters.horizon = 0.1: out of bounds; allowed: a number >= 0.5

@@ -77,7 +77,7 @@ ONE = Scenario(
 FREE = Scenario(
     name="free",
     duration=60.0,
-    detections=Detections(noise=0.1, cut=math.inf),
+    detections=Detections(noise=0.1, truncation=math.inf),
     law=Law(parameters={"reference_speed": 1.0}),
     uav=(Uav(position=(12.0, 10.0), max_speed=math.inf, max_acceleration=math.inf),),
     ugv=(Ugv(position=(10.0, 10.0), max_acceleration=10.0),),

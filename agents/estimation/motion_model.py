@@ -220,7 +220,7 @@ def kalman_parameters(
     Q = process_noise(dt=dt, deviation=deviation)
     return KalmanParameters(
         dt=float(dt),
-        variance=max(cut_variance(sigma=detector.noise, cut=detector.cut), _VARIANCE_FLOOR),
+        variance=max(cut_variance(sigma=detector.noise, cut=detector.truncation), _VARIANCE_FLOOR),
         # A vehicle at full speed in a direction unknown: v²/2 per axis.
         first_variance=_FREE_SPEED**2 if target.max_speed is None else 0.5 * speed**2,
         q_pp=Q.item(0, 0),

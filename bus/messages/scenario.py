@@ -82,7 +82,7 @@ class Detector(Message, frozen=True, kw_only=True):
 
     noise: NonNegative = 0.0
     """Standard deviation per axis [m]."""
-    cut: Positive | None = 3.0
+    truncation: Positive | None = 3.0
     """Noise vectors are cut at this many standard deviations; None: not cut."""
     period: Positive
     """Time between two looks [s]."""

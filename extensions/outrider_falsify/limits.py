@@ -92,7 +92,7 @@ def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
     pair(scenario)
     detections = msgspec.structs.replace(scenario.detections, noise=limits.noise, dropout=0.0)
     given = scenario.certificate
-    worst = limits.noise * scenario.detections.cut if limits.noise else 0.0
+    worst = limits.noise * scenario.detections.truncation if limits.noise else 0.0
     told = safety_parameters(scenario, scenario.uav[0].name)
     as_usual = given in (Certificate(), Certificate(max_measurement_age=DEFAULT_AGE))
     certificate = msgspec.structs.replace(
@@ -134,7 +134,7 @@ def beyond_declared(base: Scenario, limits: SearchLimits) -> tuple[str, ...]:
     if not LAWS[base.law.name].watched:
         return ()
     given = base.certificate
-    error = limits.noise * base.detections.cut if limits.noise else 0.0
+    error = limits.noise * base.detections.truncation if limits.noise else 0.0
     rows = (
         (
             "max_measurement_age",

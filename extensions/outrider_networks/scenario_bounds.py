@@ -164,7 +164,7 @@ def _commands(scenario: Scenario, uav: str) -> dict[str, Any]:
 def _errors(scenario: Scenario) -> tuple[float, float, int]:
     """Return standard deviation [m], cut and number of a run's detections."""
     count = -(-scenario.ticks // scenario.detection_period)
-    return scenario.detections.noise, scenario.detections.cut, count
+    return scenario.detections.noise, scenario.detections.truncation, count
 
 
 def in_runs(probability: float) -> str:

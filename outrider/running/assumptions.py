@@ -132,14 +132,14 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
 
 def _errors(scenario: Scenario, eps: float) -> Iterator[tuple[How, str]]:
     """Noise is normal in each axis, so that its norm exceeds x with the chance exp(-x²/(2 sigma²)), cut or not."""
-    sigma, cut = scenario.detections.noise, scenario.detections.cut
+    sigma, cut = scenario.detections.noise, scenario.detections.truncation
     if sigma == 0.0 or eps >= sigma * cut * (1.0 - DUST):
         return
     beyond = math.exp(-0.5 * cut * cut)
     share = (math.exp(-0.5 * (eps / sigma) ** 2) - beyond) / (1.0 - beyond)
     if share * scenario.ticks / scenario.detection_period > RARE:
         errors = (
-            "have no bound (detections.cut = inf)"
+            "have no bound (detections.truncation = inf)"
             if math.isinf(cut)
             else f"of the detections reach {sigma * cut:g} m"
         )

@@ -25,7 +25,7 @@ def limits(vehicle: Uav | Ugv) -> Limits:
 def _error(scenario: Scenario) -> float | None:
     """The largest error of a detection [m]; None where it has no bound."""
     noise = scenario.detections.noise
-    return or_none(noise * scenario.detections.cut) if noise > 0.0 else 0.0
+    return or_none(noise * scenario.detections.truncation) if noise > 0.0 else 0.0
 
 
 def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:
@@ -106,7 +106,7 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         law=scenario.law,
         detector=Detector(
             noise=scenario.detections.noise,
-            cut=or_none(scenario.detections.cut),
+            truncation=or_none(scenario.detections.truncation),
             period=scenario.detection_period * scenario.dt,
         ),
         estimator=scenario.estimator,

@@ -49,7 +49,7 @@ class Detections(_Table, frozen=True, kw_only=True):
 
     noise: NonNegative = 0.0
     """Standard deviation per axis [m]."""
-    cut: Bound = 3.0
+    truncation: Bound = 3.0
     """The noise vector's norm is cut at this many standard deviations; inf: not cut."""
     rate: Positive = 20.0
     """Looks per second [1/s]; a whole number of ticks must fit between two."""

@@ -358,7 +358,7 @@ def test_bounds_share_the_risk_equally() -> None:
         both["certificate.max_command_interval"]
         == smallest_outage(commands, **packets, risk=5e-4).value
     )
-    uncut = bounds_for(scenario("detections.cut=inf"), 1.5e-3).set
+    uncut = bounds_for(scenario("detections.truncation=inf"), 1.5e-3).set
     assert uncut["certificate.max_measurement_age"] == both["certificate.max_measurement_age"]
     assert uncut["certificate.max_measurement_error"] == smallest_error(
         0.1, math.inf, one.ticks, 5e-4
@@ -366,7 +366,7 @@ def test_bounds_share_the_risk_equally() -> None:
 
 
 def test_with_the_bounds_of_a_risk_a_run_meets_it() -> None:
-    links = ["links.commands.loss=0.1", "detections.cut=inf"]
+    links = ["links.commands.loss=0.1", "detections.truncation=inf"]
     found = bounds_for(scenario(*links), 1e-2).set
     declared = scenario(*links, *(f"{field}={value!r}" for field, value in found.items()))
     chances = exceedance(declared)
@@ -391,7 +391,7 @@ def test_a_risk_that_no_bound_meets_is_refused() -> None:
         "links.commands.blackouts=[[5.0,3.0]]",
         "links.detections.blackouts=[[30.0,20.0]]",
         "certificate.max_measurement_age=60.0",
-        "detections.cut=inf",
+        "detections.truncation=inf",
     ],
 )
 def test_where_another_assumption_is_broken_no_loss_probability_is_known(broken: str) -> None:
