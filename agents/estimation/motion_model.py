@@ -215,7 +215,7 @@ def kalman_parameters(
     """
     if not 0.0 < dt < math.inf:
         raise ValueError(f"dt must be positive and finite, not {dt}")
-    (speed, _), manoeuvre = target.numbers, settings.manoeuvre
+    (speed, _), manoeuvre = target.numbers, settings.acceleration_share
     deviation = acceleration_deviation(target=target, manoeuvre=manoeuvre, dt=dt)
     Q = process_noise(dt=dt, deviation=deviation)
     return KalmanParameters(
@@ -230,6 +230,6 @@ def kalman_parameters(
         acceleration=float(supposed_acceleration(target=target, manoeuvre=manoeuvre, dt=dt)),
         deviation=deviation,
         gate=float(settings.gate),
-        patience=settings.patience,
+        patience=settings.max_rejections,
         enabled=settings.enabled,
     )

@@ -112,9 +112,9 @@ class Estimator(Message, frozen=True, kw_only=True):
     """False: the newest detection is taken as it is and held."""
     gate: Positive = 18.4
     """Largest normalized innovation squared that is believed (chi-square, 2 degrees: 1 in 10,000)."""
-    patience: Annotated[int, Meta(ge=1, le=1_000_000)] = 5
+    max_rejections: Annotated[int, Meta(ge=1, le=1_000_000)] = 5
     """Detections refused in a row after which the filter starts anew from the newest."""
-    manoeuvre: Positive = 0.7
+    acceleration_share: Positive = 0.7
     """Standard deviation of the UGV's acceleration per axis, as a share of its bound."""
 
 
