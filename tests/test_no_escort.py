@@ -70,7 +70,7 @@ def test_a_ugv_alone_has_one_trajectory_in_run_environment_and_batch(flown) -> N
 
 
 def test_a_ugv_alone_drives_as_one_whose_uav_says_nothing() -> None:
-    silent = load_scenario("minefield", overrides=["ground.telling=0.0", "duration=40.0"])
+    silent = load_scenario("minefield", overrides=["ground.map_update_rate=0.0", "duration=40.0"])
     alone = msgspec.structs.replace(silent, uav=())
     assert np.array_equal(positions(alone, [1, 2]), positions(silent, [1, 2]))
 

@@ -132,7 +132,7 @@ class CompiledDriver:
         # Arrays of one row: a row by itself is read-only once it has been pickled.
         self._command, self._fixed = module.command, (ugv, parameters, memory)
         self._route, self._dt = told_route(briefing), float(briefing.dt)
-        self._carries = briefing.ground is not None and briefing.ground.carries
+        self._carries = briefing.ground is not None and briefing.ground.executes_trajectories
 
     @property
     def memory(self) -> Any:  # noqa: ANN401 - the driver's own record

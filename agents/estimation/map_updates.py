@@ -136,7 +136,9 @@ class GroundTeller:
         self._tile = ground.tile if ground is not None else 0.0
         self.memory = telling_memory(area.width, area.height, self._tile)
         """Its memory."""
-        self._period = telling_ticks(ground.telling, briefing.dt) if ground is not None else 0
+        self._period = (
+            telling_ticks(ground.map_update_rate, briefing.dt) if ground is not None else 0
+        )
 
     def note(self, tiles: Sequence[SeenTile]) -> None:
         """Its own sensor has told of these tiles."""

@@ -50,7 +50,7 @@ class UavGround(Message, frozen=True, kw_only=True):
 
     tile: Positive
     """Width of a tile [m]."""
-    telling: NonNegative
+    map_update_rate: NonNegative
     """Blocks that it radios to its UGV in a second [1/s]."""
 
 
@@ -59,15 +59,15 @@ class UgvGround(Message, frozen=True, kw_only=True):
 
     tile: Positive
     """Width of a tile [m]."""
-    bumper: NonNegative
+    sensing_range: NonNegative
     """Range of its own sensor [m]: it sees each tile that has a point so near."""
     caution: Name
     """Its caution on ground that it does not know: one of `bus.registry.CAUTIONS`."""
     delay: NonNegative = 0.0
     """From the tick that a command answers to the one in which it acts [s]."""
-    share: Annotated[float, Meta(gt=0.0, le=1.0)]
+    rough_speed_share: Annotated[float, Meta(gt=0.0, le=1.0)]
     """Of its largest speed that it has at least on rough ground."""
-    carries: bool = False
+    executes_trajectories: bool = False
     """True if its receiver flies the motions that commands carry: a command acts in its own tick or not at all, and the
     vehicle brakes where none does."""
 

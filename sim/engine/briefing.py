@@ -112,7 +112,7 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         estimator=scenario.estimator,
         safety=safety_parameters(scenario, name),
         command_timeout=scenario.command_timeout,
-        ground=UavGround(tile=scenario.ground.tile, telling=scenario.ground.telling)
+        ground=UavGround(tile=scenario.ground.tile, map_update_rate=scenario.ground.map_update_rate)
         if scenario.has_ground
         else None,
         origin=scenario.origin,
@@ -131,11 +131,11 @@ def ugv_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         command_timeout=scenario.command_timeout,
         ground=UgvGround(
             tile=scenario.ground.tile,
-            bumper=scenario.ground.bumper,
+            sensing_range=scenario.ground.sensing_range,
             caution=ugv.caution,
-            share=scenario.rough_share,
+            rough_speed_share=scenario.rough_share,
             delay=ugv_delay(scenario, name),
-            carries=ugv_carries(scenario, ugv),
+            executes_trajectories=ugv_carries(scenario, ugv),
         )
         if scenario.has_ground
         else None,

@@ -110,11 +110,11 @@ class Ground(_Table, frozen=True, kw_only=True):
     """Chance that a tile with a hazard is seen as clear."""
     false_alarm: Share = 0.0
     """Chance that a clear tile is seen as blocked."""
-    bumper: NonNegative = 0.75
+    sensing_range: NonNegative = 0.75
     """Range of a UGV's own sensor, which makes no errors [m]."""
     touch: Name = TOUCHES[0]
     """Effect of touching a blocking hazard on a UGV: it is `stuck`, or drives on with `damage`."""
-    telling: NonNegative = 4.0
+    map_update_rate: NonNegative = 4.0
     """Blocks of 8 x 8 tiles that a UAV radios to its UGV per second [1/s]."""
 
 
