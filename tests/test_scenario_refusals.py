@@ -108,7 +108,8 @@ hazards_have_a_shape | hazard=[{kind="block",radius=1}] | hazard.0.center | [x, 
 hazards_have_a_shape | hazard=[{kind="block",center=[1,1]}] | hazard.0.radius | a number > 0, in m
 hazards_have_a_shape | hazard=[{kind="block",center=[1,1],radius=1,polygon=[[1,1],[2,1],[2,2]]}]
 | hazard.0.polygon = [[1.0, 1.0], [2.0, 1.0], [2.0, 2.0]] | one of the two
-hazards_have_a_shape | hazard=[{kind="block",center=[1,1],radius=1,share=0.5}] | hazard.0.share = 0.5 | kind rough
+hazards_have_a_shape | hazard=[{kind="block",center=[1,1],radius=1,speed_share=0.5}] | hazard.0.speed_share = 0.5
+| kind rough
 hazards_have_a_shape | hazard=[{kind="block",polygon=[[1,1],[2,1]]}] | hazard.0.polygon = [[1.0, 1.0], [2.0, 1.0]]
 | three or more
 hazards_have_a_shape | hazard=[{kind="block",polygon=[[1,1],[2,1],[1,1]]}]
@@ -129,7 +130,8 @@ ways_are_open | ground.tile=2 & hazard=[{kind="block",center=[20.5,13.5],radius=
 | tiles of 2 m
 fields_are_possible | hazard_field=[{kind="block",count=1,radius=[2,1]}]
 | hazard_field.0.radius = [2.0, 1.0] | smallest
-fields_are_possible | hazard_field=[{kind="find",count=1,radius=[1,2],share=1}] | hazard_field.0.share = 1.0 | rough
+fields_are_possible | hazard_field=[{kind="find",count=1,radius=[1,2],speed_share=1}]
+| hazard_field.0.speed_share = 1.0 | rough
 fields_are_possible
 | hazard_field=[{kind="find",count=9000,radius=[0.1,0.1]},{kind="find",count=9000,radius=[0.1,0.1]}]
 | hazard_field.1.count = 9000 | up to 10,000 in all

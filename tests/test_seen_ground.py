@@ -20,7 +20,9 @@ from sim.world import World
 from worlds import small
 
 DISC = Hazard(kind="block", center=(10.0, 6.0), radius=0.5)
-MUD = Hazard(kind="rough", polygon=((5.0, 5.0), (7.0, 5.0), (7.0, 7.0), (5.0, 7.0)), share=0.3)
+MUD = Hazard(
+    kind="rough", polygon=((5.0, 5.0), (7.0, 5.0), (7.0, 7.0), (5.0, 7.0)), speed_share=0.3
+)
 FLAG = Hazard(kind="find", center=(8.0, 8.0), radius=0.2)
 EAST = (0.1, 0.0)
 

@@ -80,7 +80,7 @@ SAME_CORNER = 1e-3 + 1e-9
 """Corners of a polygon that are no farther apart than a millimetre, but for rounding, are one [m]."""
 
 
-def speed_share(kind: str, share: float | None) -> float:
+def kept_share(kind: str, share: float | None) -> float:
     """Return the share of its maximum speed that a vehicle keeps on a hazard; `share`: as given for a rough one."""
     if not HAZARDS[kind].slows:
         return 1.0
@@ -98,7 +98,7 @@ class Hazard(Message, frozen=True, kw_only=True):
     """Of a disc [m]."""
     polygon: Annotated[tuple[Vector, ...], Meta(max_length=MOST_POLYGON_CORNERS)] = ()
     """Instead of a disc: its corners in order round it, either way [m]. Its sides do not meet but at corners."""
-    share: SpeedShare | None = None
+    speed_share: SpeedShare | None = None
     """If it is rough: of its largest speed that a vehicle keeps on it; by default 0.4."""
 
     def __post_init__(self) -> None:
@@ -112,9 +112,9 @@ class Hazard(Message, frozen=True, kw_only=True):
         msgspec.structs.force_setattr(self, "polygon", tuple(corners))
 
     @property
-    def speed_share(self) -> float:
+    def kept_share(self) -> float:
         """Share of its maximum speed that a vehicle keeps on it."""
-        return speed_share(self.kind, self.share)
+        return kept_share(self.kind, self.speed_share)
 
     @property
     def bounds(self) -> tuple[Vector, Vector]:

@@ -88,7 +88,7 @@ def place_fields(scenario: Scenario, tables: GroundTables, key: Key) -> int:
 def _field_row(field: HazardField) -> HazardFieldRow:
     kind, (smallest, largest) = HAZARDS[field.kind].code, field.radius
     return HazardFieldRow(
-        kind, field.count, smallest, largest, share=field.speed_share, clear=field.clear
+        kind, field.count, smallest, largest, share=field.kept_share, clear=field.clear
     )
 
 
@@ -125,7 +125,7 @@ def _rows(hazards: tuple[Hazard, ...]) -> Iterator[HazardRow]:
     for hazard in hazards:
         kind, count, radius = HAZARDS[hazard.kind].code, len(hazard.polygon), hazard.radius or 0.0
         reach = 0.5 * math.dist(*hazard.bounds) if count else radius
-        yield HazardRow(kind, hazard.speed_share, *hazard.middle, radius, reach, first, count)
+        yield HazardRow(kind, hazard.kept_share, *hazard.middle, radius, reach, first, count)
         first += count
 
 

@@ -11,7 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from bus.messages.base import Line, Name, NonNegative, Positive, Text, Vector
-from bus.messages.ground import DEFAULT_SHARE, Hazard, SpeedShare, speed_share
+from bus.messages.ground import DEFAULT_SHARE, Hazard, SpeedShare, kept_share
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Area, Estimator, Law, Origin, Region, ScriptStep, Sensor
 from bus.registry import CAUTIONS, DEFAULT_DRIVER, HAZARDS, TOUCHES
@@ -88,15 +88,15 @@ class HazardField(_Table, frozen=True, kw_only=True):
     """Number of hazards."""
     radius: tuple[Positive, Positive]
     """Smallest and largest [m]."""
-    share: SpeedShare | None = None
+    speed_share: SpeedShare | None = None
     """If they are rough: of its largest speed that a vehicle keeps on one; by default 0.4."""
     clear: NonNegative = 1.0
     """So far from the starts and goals of all UGVs they stay [m]."""
 
     @property
-    def speed_share(self) -> float:
+    def kept_share(self) -> float:
         """Of its largest speed that a vehicle keeps on one."""
-        return speed_share(self.kind, self.share)
+        return kept_share(self.kind, self.speed_share)
 
 
 class Ground(_Table, frozen=True, kw_only=True):
@@ -331,7 +331,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     def rough_share(self) -> float:
         """Of its largest speed that a vehicle keeps at least on rough ground."""
         rough: tuple[Hazard | HazardField, ...] = (*self.hazard, *self.hazard_field)
-        slow = (one.speed_share for one in rough if HAZARDS[one.kind].slows)
+        slow = (one.kept_share for one in rough if HAZARDS[one.kind].slows)
         return min(slow, default=DEFAULT_SHARE)
 
     @property

@@ -42,7 +42,7 @@ pytestmark = pytest.mark.xdist_group("many worlds")
 ROOT = Path(__file__).resolve().parents[3]
 SECRET = bytes(range(16)).hex()
 WALL = Hazard(kind="block", polygon=((9.0, 5.0), (9.5, 5.0), (9.5, 7.0), (9.0, 7.0)))
-MUD = Hazard(kind="rough", center=(7.5, 7.5), radius=0.8, share=0.5)
+MUD = Hazard(kind="rough", center=(7.5, 7.5), radius=0.8, speed_share=0.5)
 PAID = outrider.RewardWeights(told=0.05, hit=20.0, still=0.1, effort=0.3)
 
 
