@@ -137,7 +137,8 @@ fields_are_possible
 | hazard_field.1.count = 9000 | up to 10,000 in all
 fields_are_possible | hazard_field=[{kind="rough",count=9000,radius=[1,1]}] | hazard_field.0.count = 9000 | up to 2037
 fields_have_room | hazard_field=[{kind="block",count=90,radius=[4,5]}] | hazard_field.0.count = 90 | up to
-fields_have_room | hazard_field=[{kind="block",count=9,radius=[1,1],clear=90}] | hazard_field.0.count = 9 | less clear
+fields_have_room | hazard_field=[{kind="block",count=9,radius=[1,1],clearance=90}] | hazard_field.0.count = 9
+| less clear
 circle_is_within_sight | law.name=circle & law.parameters.circle_radius=4.75
 | law.parameters.circle_radius = 4.75 | less than r_v = 4.75 m
 circle_is_within_sight | law.name=circle & uav.0.max_acceleration=inf

@@ -88,7 +88,7 @@ def place_fields(scenario: Scenario, tables: GroundTables, key: Key) -> int:
 def _field_row(field: HazardField) -> HazardFieldRow:
     kind, (smallest, largest) = HAZARDS[field.kind].code, field.radius
     return HazardFieldRow(
-        kind, field.count, smallest, largest, share=field.kept_share, clear=field.clear
+        kind, field.count, smallest, largest, share=field.kept_share, clear=field.clearance
     )
 
 

@@ -90,7 +90,7 @@ class HazardField(_Table, frozen=True, kw_only=True):
     """Smallest and largest [m]."""
     speed_share: SpeedShare | None = None
     """If they are rough: of its largest speed that a vehicle keeps on one; by default 0.4."""
-    clear: NonNegative = 1.0
+    clearance: NonNegative = 1.0
     """So far from the starts and goals of all UGVs they stay [m]."""
 
     @property
