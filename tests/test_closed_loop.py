@@ -148,7 +148,7 @@ def test_a_certificate_that_ends_is_counted_unless_an_assumption_has_failed() ->
         ),
         (
             Certificate(max_measurement_age=1.0, max_tracking_error=0.08),
-            {"wind": Wind(gust=0.05), "uav": Uav(position=(8.0, 7.0), own_error=0.05)},
+            {"wind": Wind(gust=0.05), "uav": Uav(position=(8.0, 7.0), position_error=0.05)},
         ),
     ],
     ids=["noise without a cut", "wind beyond what is declared"],

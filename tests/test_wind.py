@@ -153,7 +153,7 @@ def test_wind_changes_neither_the_draws_of_others_nor_what_a_vehicle_is_told_of_
         WINDY, hazard=(Hazard(kind="block", center=WINDY.ugv[0].position, radius=0.5),)
     )
     still = msgspec.structs.replace(
-        windy, wind=Wind(), uav=(msgspec.structs.replace(WINDY.uav[0], own_error=0.0),)
+        windy, wind=Wind(), uav=(msgspec.structs.replace(WINDY.uav[0], position_error=0.0),)
     )
     worlds, push = [World(one, 3) for one in (windy, still)], np.array([[0.2, 0.1], [0.05, 0.0]])
     tiles: list[list[tuple[SeenTile, ...]]] = [[], []]
@@ -200,7 +200,7 @@ def test_wind_flies_one_trajectory_in_the_environment_and_in_a_run() -> None:
 
 
 def test_wind_flies_one_trajectory_over_three_processes() -> None:
-    wind = ("wind.mean=[0.1, 0.0]", "wind.gust=0.03", "uav.0.own_error=0.1")
+    wind = ("wind.mean=[0.1, 0.0]", "wind.gust=0.03", "uav.0.position_error=0.1")
     there, _ = flown_both_ways("escort", *EVADED, *wind, seed=3)
     assert 0.02 < there["tracking_error"] <= there["declared_tracking"]
     assert there["certified_share"] == 1.0

@@ -117,7 +117,7 @@ SCENARIOS: dict[str, Scenario] = {
         "certified",
         "evade",
         wind=Wind(mean=(0.05, 0.02), gust=0.03),
-        uav=Uav(position=(8.0, 7.0), own_error=0.1),
+        uav=Uav(position=(8.0, 7.0), position_error=0.1),
     ),
     "uncertifiable": small("certified", certificate=Certificate(max_measurement_error=0.01)),
     "several": SEVERAL,

@@ -30,7 +30,7 @@ def _error(scenario: Scenario) -> float | None:
 
 def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:
     """Largest true distance of a UAV from where it is told that it is, w [m]; infinite where that has no bound."""
-    return tracking_error(uav.tracking, scenario.wind.largest, uav.own_error, scenario.dt)
+    return tracking_error(uav.tracking, scenario.wind.largest, uav.position_error, scenario.dt)
 
 
 def ugv_carries(scenario: Scenario, ugv: Ugv) -> bool:

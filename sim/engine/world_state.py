@@ -200,8 +200,8 @@ def disturbances_of(scenario: Scenario) -> RecordArray:
             gust=wind.gust,
             gust_kept=math.exp(-dt / wind.gust_time),
             limit=wind.largest,
-            own_error=uav.own_error,
-            own_kept=math.exp(-dt / uav.own_error_time),
+            position_error=uav.position_error,
+            own_kept=math.exp(-dt / uav.position_error_time),
         )
         for uav in uavs
     ]

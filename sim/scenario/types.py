@@ -127,9 +127,9 @@ class Uav(_Table, frozen=True, kw_only=True):
     velocity: Vector = (0.0, 0.0)
     max_speed: Bound = 0.6
     max_acceleration: Bound = 0.3
-    own_error: NonNegative = 0.0
+    position_error: NonNegative = 0.0
     """Largest error of its own position [m]. The error drifts; the inner loop cannot tell it from one of its own."""
-    own_error_time: Positive = 30.0
+    position_error_time: Positive = 30.0
     """After this time a third of that error is left [s]."""
     tracking: InnerLoop = InnerLoop()
     """Its inner loop, which holds it to its commands' track, where wind or a wrong own position take it off."""
@@ -180,8 +180,8 @@ class Certificate(_Table, frozen=True, kw_only=True):
     commands are lost. By default one tick: no command is lost.
     """
     max_tracking_error: NonNegative | None = None
-    """Largest true distance of a UAV from where it is told that it is, w [m]; by default what wind, own_error and
-    tracking can bring about: 0 without wind and own_error.
+    """Largest true distance of a UAV from where it is told that it is, w [m]; by default what wind, position_error and
+    tracking can bring about: 0 without wind and position_error.
     """
 
 
@@ -320,7 +320,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     @property
     def disturbed(self) -> bool:
         """True if wind or a wrong own position takes a UAV from where it is told that it is."""
-        return any(self.wind.largest > 0.0 or uav.own_error > 0.0 for uav in self.uav)
+        return any(self.wind.largest > 0.0 or uav.position_error > 0.0 for uav in self.uav)
 
     @property
     def detection_period(self) -> int:
