@@ -151,7 +151,7 @@ class Ugv(_Table, frozen=True, kw_only=True):
     goal_tolerance: Positive = 0.05
     script: tuple[ScriptStep, ...] = ()
     """For the driver `script`: its velocity from each time on, in the order of time."""
-    track: Text = ""
+    trajectory: Text = ""
     """Instead of a script: the trajectory.csv of an earlier run, whose track of this UGV is driven again."""
     caution: Name = CAUTIONS[0]
     """Towards ground that nobody has seen: `cautious`, so slow that it can stop, or `bold`, as fast as on any."""
