@@ -295,7 +295,7 @@ def test_each_shape_is_its_distribution_and_has_its_mean(shape: str) -> None:
 def test_delays_follow_the_cut_distribution_in_ticks(shape: str, delay: float, cut: float) -> None:
     jitter, dt = 0.1, 0.001
     flown = Flown(
-        LinkSettings(delay=delay, jitter=jitter, jitter_shape=shape, jitter_cut=cut), 400_000, dt=dt
+        LinkSettings(delay=delay, jitter=jitter, jitter_shape=shape, max_jitter=cut), 400_000, dt=dt
     )
     law, (least, most) = SCIPY[shape](jitter), (-delay, cut or 5.0 * jitter)
     low, high = law.cdf(least), law.cdf(most)
@@ -394,7 +394,7 @@ spans = st.sampled_from([0.0, 0.0, 0.02, 0.05, 0.3, 1.0])
 @st.composite
 def links(draw: st.DrawFn) -> LinkSettings:
     blackouts = st.lists(st.tuples(st.floats(0.0, 20.0), st.floats(0.01, 3.0)), max_size=3)
-    times = words("delay jitter jitter_cut burst_length blackout_interval")
+    times = words("delay jitter max_jitter burst_length blackout_interval")
     return LinkSettings(
         **{name: draw(spans) for name in times},
         **{name: draw(shares) for name in words("loss burst_loss duplicates reorder")},
@@ -660,7 +660,7 @@ WRONG: dict[str, dict[str, Any]] = {
     "delay": {"delay": -0.1},
     "delay = 30.0": {"delay": 30.0, "jitter": 5.0, "jitter_shape": "normal"}
     | {"reorder": 0.1, "reorder_delay": 6.0},
-    "jitter_cut = -1.0": {"jitter_cut": -1.0},
+    "max_jitter = -1.0": {"max_jitter": -1.0},
     "jitter = nan": {"jitter": math.nan},
     "jitter_shape": {"jitter_shape": "gaussian"},
     "loss = 1.5": {"loss": 1.5},

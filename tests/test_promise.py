@@ -124,8 +124,8 @@ def test_what_an_operator_makes_of_a_link_is_told_against_what_the_uav_was_told(
 
 COMMANDS = [
     LinkSettings(delay=0.3, jitter=0.1),
-    LinkSettings(delay=0.1, jitter=0.05, jitter_shape="exponential", jitter_cut=0.2),
-    LinkSettings(delay=0.2, jitter=0.08, jitter_shape="normal", jitter_cut=0.2),
+    LinkSettings(delay=0.1, jitter=0.05, jitter_shape="exponential", max_jitter=0.2),
+    LinkSettings(delay=0.2, jitter=0.08, jitter_shape="normal", max_jitter=0.2),
     LinkSettings(delay=0.05, reorder=0.3, reorder_delay=0.1),
     LinkSettings(delay=0.1, duplicates=0.5),
     LinkSettings(delay=0.1, bandwidth=7.0, queue=3),
@@ -220,7 +220,7 @@ SHARES: list[tuple[dict[str, Any], int, int, float]] = [
     ({"loss": 0.3, "delay": 0.1}, 1, 5, 0.1),
     ({"loss": 0.1, "burst_length": 0.2, "burst_interval": 0.5, "burst_loss": 0.8}, 2, 8, 0.0),
     ({"loss": 0.1, "blackout_interval": 5.0, "blackout_length": 0.5}, 2, 8, 0.1),
-    ({"loss": 0.1, "jitter": 0.1, "jitter_shape": "exponential", "jitter_cut": 0.4}, 1, 6, 0.1),
+    ({"loss": 0.1, "jitter": 0.1, "jitter_shape": "exponential", "max_jitter": 0.4}, 1, 6, 0.1),
     ({"loss": 0.4, "blackouts": ((100.0, 0.3), (200.0, 0.2))}, 1, 6, 0.1),
 ]
 

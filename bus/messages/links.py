@@ -31,7 +31,7 @@ class LinkSettings(Message, frozen=True, kw_only=True):
     """Scale of the extra delay [s]."""
     jitter_shape: Name = "uniform"
     """A row of `sim.channel.jitter.SHAPES`, which says what the scale means."""
-    jitter_cut: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
+    max_jitter: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
     """The extra delay lies between -delay and this [s], as if drawn again until it does; 0: five times the jitter."""
     loss: Share = 0.0
     """Share of messages that are lost, each on its own."""

@@ -41,7 +41,7 @@ FEW = settings(PROPERTY, max_examples=20)
 BURSTS = {"burst_length": 0.2, "burst_interval": 0.5, "burst_loss": 0.8}
 DARK = {"blackout_interval": 5.0, "blackout_length": 0.52}
 SLOW = LinkSettings(bandwidth=15.0)
-LATE = {"jitter": 0.1, "jitter_shape": "exponential", "jitter_cut": 0.4}
+LATE = {"jitter": 0.1, "jitter_shape": "exponential", "max_jitter": 0.4}
 
 
 LOOKS: dict[str, Any] = {"dt": DT, "period_ticks": 1, "dropout": 0.1, "ticks": 200}

@@ -7,7 +7,7 @@ from typing import TypeGuard
 _LINK = {
     "delay": ("delay", "s"),
     "jitter": ("jitter", "s"),
-    "jitter_cut": ("largest jitter", "s"),
+    "max_jitter": ("largest jitter", "s"),
     "loss": ("loss", "%"),
     "burst_length": ("length of bursts", "s"),
     "burst_interval": ("time between bursts", "s"),
