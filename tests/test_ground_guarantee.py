@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.messages.ground import GroundBlock, Hazard
+from bus.messages.ground import Hazard, MapUpdate
 from bus.messages.telemetry import MissionResult
 from bus.messages.vehicle import UgvReport
 from outrider.envs.closed_loop import ClosedLoop
@@ -82,7 +82,7 @@ def test_false_words_on_drivable_ground_excuse(
     ground.tiles[0, 0, 0] = true
     ground.radioed[0, 0, 0, 0] = before
     states = np.full((1, 1), told, np.uint8)
-    world.receive_block(1, GroundBlock(row=0, column=0, tiles=block_letters(states, 0, 0)))
+    world.receive_block(1, MapUpdate(row=0, column=0, tiles=block_letters(states, 0, 0)))
     assert ground.missions["untrue"].tolist() == [[untrue]]
 
 

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.messages.ground import BLOCK_SIDE, GroundBlock, Hazard, SeenTile
+from bus.messages.ground import BLOCK_SIDE, Hazard, MapUpdate, TileReport
 from bus.messages.vehicle import RelativeInformation, UavObservation
 from flights import Piloted, altered
 from outrider.running.flying import InProcess, make_pilots
@@ -40,7 +40,9 @@ def on(*hazards: Hazard, at: tuple[float, float] = (8.0, 6.0), **ground: Any) ->
     )
 
 
-def drive(world: World, ticks: int, ugv=EAST, uav=(0.02, 0.01)) -> list[list[tuple[SeenTile, ...]]]:
+def drive(
+    world: World, ticks: int, ugv=EAST, uav=(0.02, 0.01)
+) -> list[list[tuple[TileReport, ...]]]:
     """The tiles that are told of at each tick, of UAV and UGV."""
     seen = [[world.seen_ground(k) for k in (0, 1)]]
     for _ in range(ticks):
@@ -51,7 +53,7 @@ def drive(world: World, ticks: int, ugv=EAST, uav=(0.02, 0.01)) -> list[list[tup
     return seen
 
 
-def places(seen: tuple[SeenTile, ...]) -> set[tuple[int, int]]:
+def places(seen: tuple[TileReport, ...]) -> set[tuple[int, int]]:
     return {(tile.row, tile.column) for tile in seen}
 
 
@@ -180,7 +182,7 @@ def test_what_a_vehicle_perceives_depends_on_nothing_that_it_has_not_seen() -> N
         pytest.fail("nobody has come near")
 
 
-def blocks_received(flight: Flight) -> dict[int, tuple[GroundBlock, ...]]:
+def blocks_received(flight: Flight) -> dict[int, tuple[MapUpdate, ...]]:
     ugv = flight.perceptions["ugv_0"]
     assert isinstance(ugv, UgvPerception)
     return ugv.blocks
@@ -189,14 +191,14 @@ def blocks_received(flight: Flight) -> dict[int, tuple[GroundBlock, ...]]:
 @pytest.mark.parametrize(
     "forged",
     [
-        GroundBlock(column=0, row=0, tiles="." * 64),
-        GroundBlock(column=1000, row=52_417, tiles="?" * 64),
-        GroundBlock(column=0, row=3, tiles="?" * 64),
+        MapUpdate(column=0, row=0, tiles="." * 64),
+        MapUpdate(column=1000, row=52_417, tiles="?" * 64),
+        MapUpdate(column=0, row=3, tiles="?" * 64),
     ],
     ids=["not told", "beyond the area", "nothing known"],
 )
 def test_a_block_that_says_what_the_uavs_sensor_has_not_told_is_not_sent(
-    forged: GroundBlock,
+    forged: MapUpdate,
 ) -> None:
     scenario = msgspec.structs.replace(on(DISC), duration=5.0)
     flight = Flight(scenario, 1)
@@ -287,7 +289,7 @@ def test_the_blocks_that_a_ugv_receives_are_what_the_uav_has_seen_of_the_ground_
 def test_the_mission_tells_how_long_before_each_hazard_was_known() -> None:
     scenario = on(DISC, MUD, at=(7.2, 5.7), touch="damage")
     world = World(scenario, 1)
-    block = GroundBlock(column=2, row=1, tiles="." * 32 + "....##.." + "." * 24)
+    block = MapUpdate(column=2, row=1, tiles="." * 32 + "....##.." + "." * 24)
     for tick in range(401):
         if tick == 20:
             world.receive_block(1, block)  # of two tiles of DISC
@@ -300,7 +302,7 @@ def test_the_mission_tells_how_long_before_each_hazard_was_known() -> None:
 
 def test_the_way_seen_ahead_is_that_on_tiles_that_were_told_by_then() -> None:
     world = World(on(FLAG, at=(7.2, 5.7)), 1)
-    block, told = GroundBlock(column=2, row=1, tiles="." * 64), False
+    block, told = MapUpdate(column=2, row=1, tiles="." * 64), False
     side, way, seen = BLOCK_SIDE * world.scenario.ground.tile, 0.0, 0.0
     for _ in range(401):
         before = world.position[1].tolist()

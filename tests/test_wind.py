@@ -9,7 +9,7 @@ import pytest
 
 from agents.safety.handover import check_assumptions
 from bus.errors import ScenarioError
-from bus.messages.ground import Hazard, SeenTile
+from bus.messages.ground import Hazard, TileReport
 from bus.messages.vehicle import UavObservation
 from flights import EVADED, PROMISED, certified, flown_in_both, told
 from outrider.running.assumptions import shortfalls
@@ -156,7 +156,7 @@ def test_wind_changes_neither_the_draws_of_others_nor_what_a_vehicle_is_told_of_
         windy, wind=Wind(), uav=(msgspec.structs.replace(WINDY.uav[0], position_error=0.0),)
     )
     worlds, push = [World(one, 3) for one in (windy, still)], np.array([[0.2, 0.1], [0.05, 0.0]])
-    tiles: list[list[tuple[SeenTile, ...]]] = [[], []]
+    tiles: list[list[tuple[TileReport, ...]]] = [[], []]
     for _ in range(100):
         for world, seen in zip(worlds, tiles, strict=True):
             world.step(push)

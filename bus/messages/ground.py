@@ -14,7 +14,7 @@ TILE_LETTERS = "?.~#*"
 
 
 BLOCK_SIDE = 8
-"""Tiles along each side of a `GroundBlock`."""
+"""Tiles along each side of a `MapUpdate`."""
 
 
 MOST_BLOCKS = 4
@@ -25,7 +25,7 @@ MOST_CORNERS = 128
 """Corners of a route that one command carries at most: what turns more often is shown up to there."""
 
 
-class SeenTile(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+class TileReport(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """A tile of the ground as a vehicle's own sensor sees it; in JSON an array of these fields, in this order."""
 
     column: Place
@@ -35,7 +35,7 @@ class SeenTile(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fiel
     """One of `TILE_LETTERS`."""
 
 
-class GroundBlock(Message, frozen=True, kw_only=True):
+class MapUpdate(Message, frozen=True, kw_only=True):
     """A UAV's radio message of the ground to its UGV: the states of a block of tiles, as its sensor has told them."""
 
     column: Place

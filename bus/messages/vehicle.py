@@ -21,8 +21,8 @@ from bus.messages.decision import FilterDecision
 from bus.messages.ground import (
     MOST_BLOCKS,
     MOST_CORNERS,
-    GroundBlock,
-    SeenTile,
+    MapUpdate,
+    TileReport,
     UavGround,
     UgvGround,
 )
@@ -163,7 +163,7 @@ class VehicleObservation(Message, frozen=True, kw_only=True):
     """Its reference position [m]: in wind or with a position error not quite the true one of a UAV."""
     velocity: Vector
     """Its reference velocity [m/s]."""
-    ground: tuple[SeenTile, ...] = ()
+    ground: tuple[TileReport, ...] = ()
     """Tiles that its own sensor has reported since the tick before; a UAV's each once, when covered enough."""
     flown: Tick | None = None
     """The motion that the vehicle flew in the tick before: that in which it began; None: it flew none."""
@@ -196,7 +196,7 @@ class UgvObservation(VehicleObservation, frozen=True, kw_only=True):
     """The perception of a UGV at a tick."""
 
     radio: tuple[RelativeInformation, ...] = ()
-    blocks: tuple[GroundBlock, ...] = ()
+    blocks: tuple[MapUpdate, ...] = ()
     """The blocks that have come by radio, of the ground that the UAV has seen."""
     operator: tuple[Drive, ...] = ()
     """The operators' messages that have come to the vehicle at this tick, the oldest first."""
@@ -230,7 +230,7 @@ class UavCommand(Message, frozen=True, kw_only=True):
     command comes.
     """
     radio: tuple[RelativeInformation, ...] = ()
-    blocks: Annotated[tuple[GroundBlock, ...], Meta(max_length=MOST_BLOCKS)] = ()
+    blocks: Annotated[tuple[MapUpdate, ...], Meta(max_length=MOST_BLOCKS)] = ()
     """The blocks that it radios, of the ground that it has seen. One that says of a tile what its sensor has not said
     is not sent."""
     report: UavReport | None = None

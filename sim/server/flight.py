@@ -11,7 +11,7 @@ import msgspec
 
 from bus.messages.base import Vector
 from bus.messages.control import Action, Change, Control
-from bus.messages.ground import GroundBlock
+from bus.messages.ground import MapUpdate
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Law
 from bus.messages.telemetry import EscortTruth, Status, Truth, VehicleTruth
@@ -366,7 +366,7 @@ def warm_up(scenario: Scenario) -> None:
     carried = [row for row, (kind, _) in enumerate(links.names) if kind in objects]
     flight.take_down()
     if scenario.has_ground:
-        block = GroundBlock(row=0, column=0, tiles=world.known_block(0, 0, 0))
+        block = MapUpdate(row=0, column=0, tiles=world.known_block(0, 0, 0))
         for ugv in scenario.ugv:
             world.receive_block(world.names.index(ugv.name), block)
     for settings in (_BUSY, LinkSettings()):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bus.messages.base import Vector
-from bus.messages.ground import GroundBlock, SeenTile
+from bus.messages.ground import MapUpdate, TileReport
 from bus.messages.links import LinkKind
 from bus.messages.scenario import Law
 from bus.messages.vehicle import (
@@ -51,7 +51,7 @@ class Perception(ABC):
         """By tick; only where there are any."""
         self._world, self._episode = world, episode
         self._dt, self._grounded = world.parameters.dt, world.scenario.has_ground
-        self._ground: dict[int, tuple[SeenTile, ...]] = {}
+        self._ground: dict[int, tuple[TileReport, ...]] = {}
         self._now: tuple[Any, ...] = ()  # the messages that have arrived at the world's tick
         self._arrived: dict[int, tuple[Any, ...]] = {}  # messages by tick of arrival
 
@@ -167,7 +167,7 @@ class UgvPerception(Perception):
         self._operators = world.links.row(LinkKind.OPERATOR, name)
         escorts = [uav.name for uav in world.uavs if uav.escorts == name]
         self._radios = [world.links.row(LinkKind.RADIO, uav) for uav in escorts]
-        self.blocks: dict[int, tuple[GroundBlock, ...]] = {}
+        self.blocks: dict[int, tuple[MapUpdate, ...]] = {}
         """Blocks of tiles that have come by radio, by tick."""
 
     def receive(self, tick: int) -> None:
@@ -187,7 +187,7 @@ class UgvPerception(Perception):
         if isinstance(message, RelativeInformation):
             self._now = (*self._now, message)
             self._arrived[tick] = self._now
-        elif isinstance(message, GroundBlock):
+        elif isinstance(message, MapUpdate):
             self.blocks[tick] = (*self.blocks.get(tick, ()), message)
             self._world.receive_block(self.row, message)
 

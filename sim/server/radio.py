@@ -2,7 +2,7 @@
 
 import msgspec
 
-from bus.messages.ground import TILE_LETTERS, GroundBlock
+from bus.messages.ground import TILE_LETTERS, MapUpdate
 from bus.messages.links import LinkKind
 from bus.messages.vehicle import RelativeInformation, UavCommand
 from bus.ticks import radio_ticks, tick_of
@@ -42,7 +42,7 @@ class Radio:
         for block in command.blocks:
             self._send(name, self._reported(vehicle, block))
 
-    def _send(self, uav: str, message: RelativeInformation | GroundBlock | None) -> None:
+    def _send(self, uav: str, message: RelativeInformation | MapUpdate | None) -> None:
         if message is None:
             self.refused[uav] += 1
         else:
@@ -67,7 +67,7 @@ class Radio:
         self._last[uav] = tick
         return message
 
-    def _reported(self, vehicle: int, block: GroundBlock) -> GroundBlock | None:
+    def _reported(self, vehicle: int, block: MapUpdate) -> MapUpdate | None:
         """Return a block with all that the UAV's own sensor has reported of its tiles.
 
         None: it says something else, or nothing of it is known.
