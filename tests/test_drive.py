@@ -30,7 +30,7 @@ from bus.keys import CONTROL, OPERATOR, SAMPLED_TRUTH, STATUS, Party, Role
 from bus.messages.control import Action, Control
 from bus.messages.scenario import Area
 from bus.messages.telemetry import Geometry, Status, Truth, VehicleStatus, VehicleTruth
-from bus.messages.vehicle import Drive
+from bus.messages.vehicle import Teleoperation
 from bus.session import Session
 from outrider.view.terminal.canvas import Canvas
 from outrider.view.terminal.palette import BACKGROUND
@@ -209,7 +209,7 @@ class Scripted:
 
     def __init__(self, session: Session) -> None:
         self.controls: list[Control] = []
-        self.drives: list[Drive] = []
+        self.drives: list[Teleoperation] = []
         self.drivers = {"ugv_0": "script"}
         self.operators: dict[str, str] = {}
         self.tick = 100
@@ -230,7 +230,7 @@ class Scripted:
                 self.drivers[vehicle] = envelope.message.driver or ""
                 self.operators[vehicle] = envelope.message.operator or ""
             while (envelope := self._drives.next_waiting()) is not None:
-                assert isinstance(envelope.message, Drive)
+                assert isinstance(envelope.message, Teleoperation)
                 self.drives.append(envelope.message)
             self.tick += 1
             told = {"drivers": dict(self.drivers)}
@@ -291,14 +291,15 @@ def test_keys_take_the_wheel_drive_brake_and_give_it_back_and_the_terminal_is_as
         one.hold("d", lambda: len(simulator.drives) > 5)
         assert simulator.asked("teleop") == 1
         assert all(
-            word == Drive(driver="operator", velocity=(0.2, 0.0)) for word in simulator.drives
+            word == Teleoperation(operator="operator", velocity=(0.2, 0.0))
+            for word in simulator.drives
         )
         one.until_shown("YOU DRIVE ugv_0")
         one.until(lambda: simulator.drives[-1].velocity is None)  # nobody holds the key any more
         one.hold("\x1b[A", lambda: simulator.drives[-1].velocity == (0.0, 0.2))
         received = len(simulator.drives)
         one.press(" ")
-        one.until(lambda: simulator.drives[-1] == Drive(driver="operator"))
+        one.until(lambda: simulator.drives[-1] == Teleoperation(operator="operator"))
         assert len(simulator.drives) <= received + 2  # at once, not when the key has run out
         one.press("h")
         one.until_shown("script drives ugv_0")

@@ -1,7 +1,7 @@
 """A person at the wheel, over a link that may fall silent."""
 
 from agents.drivers.steering import Steering
-from bus.messages.vehicle import Drive, UgvBriefing, UgvObservation
+from bus.messages.vehicle import Teleoperation, UgvBriefing, UgvObservation
 from bus.ticks import ticks_within
 
 
@@ -19,7 +19,7 @@ class TeleopDriver:
     def __init__(self, briefing: UgvBriefing) -> None:
         self._steering = Steering(briefing)
         self._hold = ticks_within(briefing.command_timeout, briefing.dt)
-        self._word: Drive | None = None
+        self._word: Teleoperation | None = None
         self._received = 0  # the tick at which that came
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:

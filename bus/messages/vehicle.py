@@ -181,10 +181,10 @@ class UavObservation(VehicleObservation, frozen=True, kw_only=True):
     """The law to fly from this tick on; None: the one before."""
 
 
-class Drive(Message, frozen=True, kw_only=True):
+class Teleoperation(Message, frozen=True, kw_only=True):
     """The wish of an operator at a UGV's wheel: a velocity, or a goal; neither means to brake."""
 
-    driver: Text
+    operator: Text
     """The operator's name."""
     velocity: Vector | None = None
     """Desired velocity [m/s]."""
@@ -198,7 +198,7 @@ class UgvObservation(VehicleObservation, frozen=True, kw_only=True):
     radio: tuple[RelativeInformation, ...] = ()
     blocks: tuple[MapUpdate, ...] = ()
     """The blocks that have come by radio, of the ground that the UAV has seen."""
-    operator: tuple[Drive, ...] = ()
+    operator: tuple[Teleoperation, ...] = ()
     """The operators' messages that have come to the vehicle at this tick, the oldest first."""
     driver: Name | None = None
     """The driver from this tick on, a row of `bus.registry.DRIVERS`; None: the one before."""

@@ -33,7 +33,7 @@ def command(
         ),
     ] = "",
 ) -> None:
-    """Drive a UGV from this terminal, and see its escort.
+    """Teleoperation a UGV from this terminal, and see its escort.
 
     Over SSH and in containers too (`ssh -t`, `docker run -it`).
 
@@ -84,7 +84,7 @@ def _await_run(session: "Session", vehicle: str, stop: Stop) -> Status | None:
 
 
 def _drive(session: "Session", vehicle: str, first: Status, *, speed: float, back: str) -> int:
-    """Drive until the operator leaves; the exit code."""
+    """Teleoperation until the operator leaves; the exit code."""
     from outrider.view.terminal.terminal import ending, know_colours, quiet_logs
 
     know_colours()

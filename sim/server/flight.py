@@ -18,8 +18,8 @@ from bus.messages.telemetry import EscortTruth, Status, Truth, VehicleTruth
 from bus.messages.vehicle import (
     BackupTrajectory,
     Command,
-    Drive,
     Observation,
+    Teleoperation,
     UavCommand,
     UgvCommand,
 )
@@ -154,7 +154,7 @@ class Flight:
         """End the flight at once, and tell the vehicles nothing: another begins."""
         self._stopped = self._abandoned = True
 
-    def say(self, ugv: str, words: Drive) -> None:
+    def say(self, ugv: str, words: Teleoperation) -> None:
         """An operator says something to a UGV; its link brings it there, at once or later."""
         tick, links = self.world.tick, self.world.links
         links.send_object(links.row(LinkKind.OPERATOR, ugv), tick, words, tick)

@@ -14,9 +14,9 @@ from bus.messages.links import LinkKind
 from bus.messages.scenario import Law
 from bus.messages.vehicle import (
     Detection,
-    Drive,
     Observation,
     RelativeInformation,
+    Teleoperation,
     UavObservation,
     UgvObservation,
 )
@@ -28,7 +28,7 @@ from sim.world import World
 class News:
     """News for a vehicle at one tick, besides its perception."""
 
-    operator: tuple[Drive, ...] = ()
+    operator: tuple[Teleoperation, ...] = ()
     driver: str | None = None
     law: Law | None = None
 

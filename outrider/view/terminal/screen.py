@@ -143,7 +143,7 @@ class DriveApp(App[int]):
             widget.refresh()
 
     def action_press(self, name: str) -> None:
-        """Drive that way for a moment."""
+        """Teleoperation that way for a moment."""
         self._link.press(Heading[name])
 
     def action_brake(self) -> None:

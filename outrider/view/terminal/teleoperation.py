@@ -137,7 +137,7 @@ class Teleoperation:
         return done
 
     def press(self, heading: Heading) -> None:
-        """Drive there for a moment; the first time, take the wheel."""
+        """Teleoperation there for a moment; the first time, take the wheel."""
         self._do(lambda: self._press(heading, time.monotonic()))
 
     def brake(self) -> None:
