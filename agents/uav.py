@@ -136,12 +136,12 @@ class UavPilot:
             acceleration = decision.acceleration
             motions = self.filter.backup_trajectories(tick)
         if estimate is None:
-            return UavCommand(tick=tick, acceleration=acceleration, motions=motions)
+            return UavCommand(tick=tick, acceleration=acceleration, backup_trajectories=motions)
         target_position = estimate.position
         return UavCommand(
             tick=tick,
             acceleration=acceleration,
-            motions=motions,
+            backup_trajectories=motions,
             radio=() if tick % self._radio_ticks else self._radio(observation, *target_position),
             blocks=self.teller.blocks(tick, target_position),
             report=UavReport(

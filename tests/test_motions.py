@@ -151,7 +151,9 @@ def test_a_command_with_all_its_motions_is_at_most_a_kilobyte() -> None:
 
 
 def test_more_motions_than_a_command_may_carry_are_refused() -> None:
-    command = UavCommand(tick=0, acceleration=(0.0, 0.0), motions=(rest(0),) * (MOST_CARRIED + 1))
+    command = UavCommand(
+        tick=0, acceleration=(0.0, 0.0), backup_trajectories=(rest(0),) * (MOST_CARRIED + 1)
+    )
     with pytest.raises(msgspec.ValidationError, match="length"):
         msgspec.json.decode(msgspec.json.encode(command), type=UavCommand)
 
@@ -182,7 +184,13 @@ def test_motions_beyond_the_vehicles_bound_are_counted_and_told_once(caplog) -> 
     too_far = msgspec.structs.replace(rest(8), turn=3, turning=(0.3, 0.4))
     flight = Flight(LOST, 3)
     for tick in range(2):
-        flight.apply({"uav_0": UavCommand(tick=tick, acceleration=(0.0, 0.0), motions=(too_far,))})
+        flight.apply(
+            {
+                "uav_0": UavCommand(
+                    tick=tick, acceleration=(0.0, 0.0), backup_trajectories=(too_far,)
+                )
+            }
+        )
     assert flight.answers.shortened == {"uav_0": 2, "ugv_0": 0}
     assert caplog.text.count("its command for tick 0, 0.5 m/s², is longer than its bound 0.3") == 1
 

@@ -224,7 +224,7 @@ class UavCommand(Message, frozen=True, kw_only=True):
 
     tick: Tick
     acceleration: Vector
-    motions: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
+    backup_trajectories: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
     """The motions to be flown from the tick on in which the last of them begins, and before it those that it may
     have missed, one a tick, the oldest first. Without one the vehicle holds the acceleration, and brakes when no
     command comes.
@@ -250,7 +250,7 @@ class UgvCommand(Message, frozen=True, kw_only=True):
 
     tick: Tick
     acceleration: Vector
-    motions: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
+    backup_trajectories: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
     """As of a UAV: the acceleration of a tick, and the stop that follows it. None: the command is held."""
     route: Annotated[tuple[Vector, ...], Meta(max_length=MOST_CORNERS)] | None = None
     """For observers, no vehicle reads it: the way that it plans to its goal, by its corners [m], from where it is; none

@@ -264,7 +264,7 @@ class Flight:
                 world.note_claim(k, report if command and command.tick == world.tick else None)
             if command is None:
                 continue
-            world.send(k, command.tick, command.acceleration, command.motions)
+            world.send(k, command.tick, command.acceleration, command.backup_trajectories)
             if isinstance(command, UavCommand):
                 self.radio.send(k, command)
             elif command.route is not None:
