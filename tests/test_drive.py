@@ -36,7 +36,7 @@ from outrider.view.terminal.canvas import Canvas
 from outrider.view.terminal.palette import BACKGROUND
 from outrider.view.terminal.panel import ErrorCurve, banner, numbers
 from outrider.view.terminal.pressed_keys import FIRST, HIGHEST, LOWEST, REPEAT, Heading, PressedKeys
-from outrider.view.terminal.teleoperation import DriveView, Teleoperation
+from outrider.view.terminal.teleoperation import DriveLink, DriveView
 from outrider.view.terminal.topview import Trails, draw
 from processes import await_status, python, wait_until
 from scattered import scattered
@@ -406,7 +406,7 @@ def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> 
     ):
         controls = mute.inbox(CONTROL)
         mute.announce()
-        link = Teleoperation(session, "ugv_0", speed=0.2, status=status_at())
+        link = DriveLink(session, "ugv_0", speed=0.2, status=status_at())
         link.start()
         asked = []
         for driver in ("teleop", "script"):

@@ -141,7 +141,7 @@ def test_a_command_with_all_its_motions_is_at_most_a_kilobyte() -> None:
     policies = pilots(env)
     while env.agents:
         commands = {name: policies[name](observations[name]) for name in env.agents}
-        taken.append(commands["uav_0"].motions)
+        taken.append(commands["uav_0"].backup_trajectories)
         observations, *_ = env.step(commands)
     for motions in taken:
         begins = [motion.begins for motion in motions]

@@ -194,7 +194,7 @@ class RunGateway(Gateway):
         return ACCEPTED if self._helm.hand_back(system.name) else DENIED
 
     def manual(self, peer: Peer, system: VehicleSystem, message: MavMessage) -> None:
-        """Teleoperation a UGV: stick forward is north, to the right is east; the first deflection takes the wheel."""
+        """Drive a UGV: stick forward is north, to the right is east; the first deflection takes the wheel."""
         if system.flies:
             self.refuse(NOT_ALLOWED, f"MANUAL_CONTROL: {system.name} is a UAV, and that")
             return

@@ -33,7 +33,7 @@ def command(
         ),
     ] = "",
 ) -> None:
-    """Teleoperation a UGV from this terminal, and see its escort.
+    """Drive a UGV from this terminal, and see its escort.
 
     Over SSH and in containers too (`ssh -t`, `docker run -it`).
 
@@ -84,15 +84,15 @@ def _await_run(session: "Session", vehicle: str, stop: Stop) -> Status | None:
 
 
 def _drive(session: "Session", vehicle: str, first: Status, *, speed: float, back: str) -> int:
-    """Teleoperation until the operator leaves; the exit code."""
+    """Drive until the operator leaves; the exit code."""
     from outrider.view.terminal.terminal import ending, know_colours, quiet_logs
 
     know_colours()
     with needs("drive"):
         from outrider.view.terminal.screen import DriveApp
-    from outrider.view.terminal.teleoperation import Teleoperation
+    from outrider.view.terminal.teleoperation import DriveLink
 
-    link = Teleoperation(session, vehicle, speed=speed, back=back, status=first)
+    link = DriveLink(session, vehicle, speed=speed, back=back, status=first)
     app = DriveApp(link, session.run)
     with ending(link) as end, quiet_logs() as warnings:
         link.start()

@@ -56,7 +56,7 @@ def ugv(
     policy: options.PolicyName = "",
     child: options.Child = False,
 ) -> None:
-    """Teleoperation one UGV of a run, in a process of its own.
+    """Drive one UGV of a run, in a process of its own.
 
     Joins the run, answers every observation with a command, leaves when it is over. Joins again when simulator or
     router have been away. OUTRIDER_PASSWORD may stand for the credentials' file.

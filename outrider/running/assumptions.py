@@ -158,5 +158,8 @@ def _off(scenario: Scenario, uav: Uav, promise: SafetyBounds) -> Iterator[tuple[
     """Wind and own position may take it farther from where it is told that it is than is declared, but need not."""
     most, declared = largest_tracking_error(scenario, uav), promise.max_tracking_error
     if most > declared * (1.0 + DUST):
-        what = f"certificate.max_tracking_error = {declared:g} m, but wind and position_error may take it {most:.3g} m off"
+        what = (
+            f"certificate.max_tracking_error = {declared:g} m, but wind and uav.position_error allow "
+            f"a tracking error of {most:.3g} m"
+        )
         yield How.SOMETIMES, what

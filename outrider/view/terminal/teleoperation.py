@@ -70,7 +70,7 @@ def ugvs_of(status: Status) -> tuple[str, ...]:
     return tuple(sorted({*status.drivers, *escorted}))
 
 
-class Teleoperation:
+class DriveLink:
     """Drives one UGV over the bus.
 
     Args:
@@ -137,7 +137,7 @@ class Teleoperation:
         return done
 
     def press(self, heading: Heading) -> None:
-        """Teleoperation there for a moment; the first time, take the wheel."""
+        """Drive there for a moment; the first time, take the wheel."""
         self._do(lambda: self._press(heading, time.monotonic()))
 
     def brake(self) -> None:
