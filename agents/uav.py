@@ -161,8 +161,8 @@ class UavPilot:
     def perceive(self, observation: UavObservation) -> None:
         """Update map, estimator and safety filter, also by an observation that comes too late to be answered."""
         tick, before, dt = observation.tick, self._tick, self._dt
-        if observation.ground:
-            self.teller.note(observation.ground)
+        if observation.tile_reports:
+            self.teller.note(observation.tile_reports)
         if self._policy is not None:
             self._policy.perceive(observation)
         self._estimate = self.estimator.update(

@@ -99,9 +99,11 @@ def take_ground(memory: GroundMemory, observation: UgvObservation) -> None:
     """Take in what an observation tells of the ground."""
     for block in observation.blocks:
         note_block(memory, block.row, block.column, tile_states(block.tiles))
-    if observation.ground:
-        places = np.array([(one.row, one.column) for one in observation.ground], dtype=np.int64)
-        states = tile_states("".join(one.state for one in observation.ground))
+    if observation.tile_reports:
+        places = np.array(
+            [(one.row, one.column) for one in observation.tile_reports], dtype=np.int64
+        )
+        states = tile_states("".join(one.state for one in observation.tile_reports))
         rows, columns = np.ascontiguousarray(places.T)
         note_tiles(memory, rows, columns, states)
 
@@ -141,9 +143,13 @@ class CompiledDriver:
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """Return the acceleration [m/s²] for this observation."""
-        if observation.ground or observation.blocks:
+        if observation.tile_reports or observation.blocks:
             take_ground(self.ground, observation)
-        flown = NO_MOTION if observation.flown is None else observation.flown
+        flown = (
+            NO_MOTION
+            if observation.committed_trajectory is None
+            else observation.committed_trajectory
+        )
         radio = look_rows(looks_of(observation.radio, self._dt))
         inputs = DriverInputs(
             *self._route,

@@ -163,9 +163,9 @@ class VehicleObservation(Message, frozen=True, kw_only=True):
     """Its reference position [m]: in wind or with a position error not quite the true one of a UAV."""
     velocity: Vector
     """Its reference velocity [m/s]."""
-    ground: tuple[TileReport, ...] = ()
+    tile_reports: tuple[TileReport, ...] = ()
     """Tiles that its own sensor has reported since the tick before; a UAV's each once, when covered enough."""
-    flown: Tick | None = None
+    committed_trajectory: Tick | None = None
     """The motion that the vehicle flew in the tick before: that in which it began; None: it flew none."""
     over: bool = False
     """True: the run has ended at this tick and no command is awaited."""
