@@ -143,7 +143,7 @@ class UavPilot:
             acceleration=acceleration,
             backup_trajectories=motions,
             radio=() if tick % self._radio_ticks else self._radio(observation, *target_position),
-            blocks=self.teller.blocks(tick, target_position),
+            map_updates=self.teller.blocks(tick, target_position),
             report=UavReport(
                 estimate=target_position,
                 covariance=estimate.covariance,

@@ -218,7 +218,7 @@ def test_no_number_is_smuggled_by_what_a_block_leaves_out() -> None:
         command = act(observation)
         blocks = [
             msgspec.structs.replace(one, tiles="?" + one.tiles[1:32] + "?" * 32)
-            for one in command.blocks
+            for one in command.map_updates
         ]
         return msgspec.structs.replace(command, blocks=tuple(blocks))
 

@@ -97,7 +97,7 @@ def told_ground(briefing: UgvBriefing) -> GroundMemory:
 
 def take_ground(memory: GroundMemory, observation: UgvObservation) -> None:
     """Take in what an observation tells of the ground."""
-    for block in observation.blocks:
+    for block in observation.map_updates:
         note_block(memory, block.row, block.column, tile_states(block.tiles))
     if observation.tile_reports:
         places = np.array(
@@ -143,7 +143,7 @@ class CompiledDriver:
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """Return the acceleration [m/s²] for this observation."""
-        if observation.tile_reports or observation.blocks:
+        if observation.tile_reports or observation.map_updates:
             take_ground(self.ground, observation)
         flown = (
             NO_MOTION

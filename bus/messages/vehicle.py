@@ -196,7 +196,7 @@ class UgvObservation(VehicleObservation, frozen=True, kw_only=True):
     """The perception of a UGV at a tick."""
 
     radio: tuple[RelativeInformation, ...] = ()
-    blocks: tuple[MapUpdate, ...] = ()
+    map_updates: tuple[MapUpdate, ...] = ()
     """The blocks that have come by radio, of the ground that the UAV has seen."""
     operator: tuple[Teleoperation, ...] = ()
     """The operators' messages that have come to the vehicle at this tick, the oldest first."""
@@ -230,7 +230,7 @@ class UavCommand(Message, frozen=True, kw_only=True):
     command comes.
     """
     radio: tuple[RelativeInformation, ...] = ()
-    blocks: Annotated[tuple[MapUpdate, ...], Meta(max_length=MOST_BLOCKS)] = ()
+    map_updates: Annotated[tuple[MapUpdate, ...], Meta(max_length=MOST_BLOCKS)] = ()
     """The blocks that it radios, of the ground that it has seen. One that says of a tile what its sensor has not said
     is not sent."""
     report: UavReport | None = None

@@ -93,7 +93,7 @@ class _EnvPilots:
             uav = [uav.name for uav in world.uavs].index(name)
             return pilot.act(UavObservation(**told, detections=world.received(uav)))
         radio, blocks = _radioed(world, self._env.worlds.loop.batch, self._escorts[name])
-        return pilot.act(UgvObservation(**told, radio=radio, blocks=blocks))
+        return pilot.act(UgvObservation(**told, radio=radio, map_updates=blocks))
 
 
 def pilots(

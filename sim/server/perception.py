@@ -204,7 +204,7 @@ class UgvPerception(Perception):
         return UgvObservation(
             **self._common(tick, motion, known=known, over=over),
             radio=arrived,
-            blocks=self.blocks.get(tick, ()) if known else (),
+            map_updates=self.blocks.get(tick, ()) if known else (),
             operator=news.operator if known else (),
             driver=news.driver,
         )

@@ -39,7 +39,7 @@ class Radio:
         name = self._world.names[vehicle]
         for message in command.radio:
             self._send(name, self._stamped(name, command.tick, message))
-        for block in command.blocks:
+        for block in command.map_updates:
             self._send(name, self._reported(vehicle, block))
 
     def _send(self, uav: str, message: RelativeInformation | MapUpdate | None) -> None:
