@@ -148,7 +148,7 @@ class UavPilot:
                 estimate=target_position,
                 covariance=estimate.covariance,
                 age=estimate.age,
-                refused=estimate.refused,
+                rejected=estimate.refused,
                 decision=decision,
             ),
         )

@@ -58,7 +58,7 @@ def said(certified: bool | None, *, distance: float = 1.0) -> UavReport:
         estimate=(1.0, 2.0),
         covariance=(1.0, 0.0, 1.0),
         age=0.0,
-        refused=0,
+        rejected=0,
         decision=decision,
     )
 

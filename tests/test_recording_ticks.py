@@ -87,7 +87,7 @@ def test_every_float_keeps_its_text(number: float) -> None:
     flight = Flight(ONE, 3)
     truth, both = flight.truth(), (number, number)
     flight.recorder.states[0, 0, :4] = number
-    report = UavReport(estimate=(number, 0.0), covariance=(1.0, number, 1.0), age=0.0, refused=0)
+    report = UavReport(estimate=(number, 0.0), covariance=(1.0, number, 1.0), age=0.0, rejected=0)
     uav = replace(truth.vehicles["uav_0"], position=both, velocity=both, command=both)
     ugv = replace(truth.vehicles["ugv_0"], command=both)
     (found,) = TickTexts(flight).of(0, np.full((1, 2, 2), number), [(report,)])

@@ -161,8 +161,8 @@ def test_the_first_session_keeps_the_slot_and_a_second_one_is_counted_named_and_
         flight = run.fly(intrude)
         status = run.server.vehicles()["uav_0"]
     assert flight.recorder.sha256() == whole(400).recorder.sha256()
-    assert status.refused["comes from a second session"] >= 300
-    assert status.refused.keys() == {"comes from a second session"}
+    assert status.rejected["comes from a second session"] >= 300
+    assert status.rejected.keys() == {"comes from a second session"}
     # Its command may overtake the news that it has come: either tells both sessions.
     assert "a second session (number 1)" in run.events[0]
     assert "the first (number 0) keeps the slot" in run.events[0]
@@ -328,8 +328,8 @@ def test_an_answer_to_another_tick_or_a_second_one_is_counted_and_changes_nothin
         run.program("ugv_0", confused)
         flight = run.fly()
         status = run.server.vehicles()["ugv_0"]
-    assert status.refused["answers another tick"] == 20
-    assert status.refused["answers a tick twice"] >= 19  # the last one may come after the end
+    assert status.rejected["answers another tick"] == 20
+    assert status.rejected["answers a tick twice"] >= 19  # the last one may come after the end
     assert "at tick" in status.last_fault
     assert flight.answers.missing == {"uav_0": 0, "ugv_0": 0}
     once = Flight(scenario, scenario.seed)

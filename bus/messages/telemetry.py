@@ -137,7 +137,7 @@ class VehicleStatus(Message, frozen=True, kw_only=True):
     """Number of times that its process went away during the run."""
     rejoined: Tick = 0
     """Number of times that it came back."""
-    refused: dict[Text, Tick] = {}
+    rejected: dict[Text, Tick] = {}
     """Messages and sessions that were refused, by cause."""
     last_fault: Text = ""
 

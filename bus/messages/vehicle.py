@@ -213,7 +213,7 @@ class UavReport(Message, frozen=True, kw_only=True):
     """Of that estimate [m²]."""
     age: NonNegative
     """Time since the newest detection that was believed [s]."""
-    refused: Tick
+    rejected: Tick
     """Detections refused by the gate so far."""
     decision: FilterDecision | None = None
     """Decision of the safety filter; None: no filter watches over this law."""

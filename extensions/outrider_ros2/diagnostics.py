@@ -82,12 +82,12 @@ def _link_diagnostic(name: str, link: LinkStatus) -> RosMessage:
 
 def _vehicle_diagnostic(name: str, vehicle: VehicleStatus, *, over: bool) -> RosMessage:
     gone = not vehicle.present and not over
-    faulty = bool(vehicle.missing_commands or vehicle.refused or vehicle.last_fault)
+    faulty = bool(vehicle.missing_commands or vehicle.rejected or vehicle.last_fault)
     faults = ("missing_commands", "stale_commands", "shortened_commands", "lost", "rejoined")
     return diagnostic(
         f"vehicle {name}",
         _fields(vehicle, "present", *faults)
-        | {f"refused: {cause}": count for cause, count in vehicle.refused.items()},
+        | {f"refused: {cause}": count for cause, count in vehicle.rejected.items()},
         level=ERROR if gone else WARN if faulty else OK,
         message="its process is away" if gone else vehicle.last_fault or "ok",
     )

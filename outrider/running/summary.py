@@ -143,7 +143,7 @@ def _faults(
             "joined again": status.rejoined,
             "no new command": status.missing_commands,
             "late command used": status.stale_commands,
-            **status.refused,
+            **status.rejected,
         }
         if any(counts.values()):
             found[name] = {cause: count for cause, count in counts.items() if count}
