@@ -193,7 +193,7 @@ GEOMETRY = Geometry(
 
 
 def status_at(tick: int = 100, **changes: object) -> Status:
-    shown = {"ticks": 4000, "wanted_factor": 1.0, "geometry": GEOMETRY, "vehicles": PRESENT}
+    shown = {"ticks": 4000, "target_factor": 1.0, "geometry": GEOMETRY, "vehicles": PRESENT}
     shown |= {"tick": tick, "time": tick * 0.05, "drivers": {"ugv_0": "script"}}
     return a_status(**shown | changes)
 
@@ -531,7 +531,7 @@ def test_the_banner_says_what_matters_most(view: DriveView, words: str) -> None:
 
 def test_the_panel_says_what_is_lost_and_what_is_too_fast_and_lives_with_knowing_nothing() -> None:
     status = status_at(
-        wanted_factor=None,
+        target_factor=None,
         vehicles={"uav_0": VehicleStatus(present=False, lost=2, missing_commands=5)},
     )
     text = numbers(

@@ -124,9 +124,9 @@ def test_the_speed_can_be_changed_while_flying_and_changes_no_bit(tmp_path: Path
 
         def work(send: Any, status: Any) -> None:
             send(Control(action=Action.SPEED, factor=5.0))
-            slow.append(status(lambda s: s.wanted_factor == 5.0).wanted_factor)
+            slow.append(status(lambda s: s.target_factor == 5.0).target_factor)
             send(Control(action=Action.SPEED))
-            slow.append(status(lambda s: s.wanted_factor is None).wanted_factor)
+            slow.append(status(lambda s: s.target_factor is None).target_factor)
             done.set()
 
         done = threading.Event()  # until then a tick takes long: the flight does not end before

@@ -202,7 +202,7 @@ class Status(Message, frozen=True, kw_only=True):
     time: NonNegative
     realtime_factor: NonNegative
     """Simulated seconds per second of wall time, lately."""
-    wanted_factor: NonNegative | None = None
+    target_factor: NonNegative | None = None
     """The pace that the clock is to keep; None: lockstep, as fast as it goes."""
     late_ticks: Tick = 0
     """Ticks that the clock could not keep."""

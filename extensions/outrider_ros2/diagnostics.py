@@ -54,7 +54,7 @@ def diagnostic(
 def _run_diagnostic(status: Status) -> RosMessage:
     warnings = (*status.warnings, *status.refusals[-1:])
     words = "over" if status.over else "paused" if status.paused else "flying"
-    pace = ("realtime_factor", "wanted_factor", "late_ticks")
+    pace = ("realtime_factor", "target_factor", "late_ticks")
     return diagnostic(
         "run",
         _fields(status, "scenario", "seed", "tick", "ticks", "law", *pace)

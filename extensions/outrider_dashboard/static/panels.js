@@ -60,7 +60,7 @@ export function showState(store, stats, wheel) {
   document.body.classList.toggle("stale", state.level === "bad");
 
   const { replay } = state;
-  const mode = status ? (known(status.wanted_factor) ? `real time × ${status.wanted_factor}` : "lockstep") : "";
+  const mode = status ? (known(status.target_factor) ? `real time × ${status.target_factor}` : "lockstep") : "";
   const title = status ? `${status.scenario} · seed ${status.seed} · ${status.law} · ${replay ? "a recording" : mode}` : "";
   setText($("scenario"), title);
   setTitle($("scenario"), title);

@@ -233,9 +233,9 @@ def _clock(text: Text, view: DriveView) -> None:
     status = view.status
     if status is None:
         return
-    lockstep = status.wanted_factor is None
+    lockstep = status.target_factor is None
     pace = "paused" if status.paused else f"x {view.factor:.2f}"
-    _row(text, "real time" + ("" if lockstep else f" (wanted x {status.wanted_factor:g})"), pace)
+    _row(text, "real time" + ("" if lockstep else f" (wanted x {status.target_factor:g})"), pace)
     if lockstep and view.factor > _LOCKSTEP_FACTOR:
         text.append("too fast to drive: --realtime 1\n", style=LIMIT)
     elif lockstep:
