@@ -171,7 +171,7 @@ class CertificateStatus(Message, frozen=True, kw_only=True):
     """Ticks that a filter watched over, of each UAV."""
     certified: Tick
     """Those that were certified."""
-    intervened: Tick
+    overridden: Tick
     """Those in which a filter acted instead of the law."""
     uncertified: dict[NotCertified, Tick] = {}
     """Those that were not certified, by reason."""
@@ -179,15 +179,15 @@ class CertificateStatus(Message, frozen=True, kw_only=True):
     """Those that were certified although the UGV was out of sight: the certificate is wrong if there is one."""
     certificate_broken: Tick = 0
     """Those that were not certified although the one before was and all assumptions hold: likewise."""
-    outage: NonNegative | None = None
+    max_command_interval: NonNegative | None = None
     """Longest time from the start of a motion to the start of the next, as it is declared, B [s]."""
-    longest_outage: NonNegative | None = None
+    longest_command_interval: NonNegative | None = None
     """The longest so far [s]."""
-    tracking: NonNegative | None = None
+    max_tracking_error: NonNegative | None = None
     """Largest true distance of a UAV from where it is told that it is, as it is declared, w [m]; None: nothing takes it
     from there, or w has no bound.
     """
-    tracking_error: NonNegative | None = None
+    largest_tracking_error: NonNegative | None = None
     """And the farthest so far [m]; None: nothing takes it from there."""
 
 

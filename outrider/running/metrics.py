@@ -125,15 +125,15 @@ CERTIFICATE = _table(
     Metric("certificate_broken", "certificate broken", "ticks", 0,
            "Ticks that were not certified although the tick before was and all assumptions held.",
            goal=0.0, guaranteed=True, column="int64"),
-    Metric("longest_outage", "longest command gap", "s", 2,
+    Metric("longest_command_interval", "longest command gap", "s", 2,
            "Longest time from the start of one backup plan to the start of the next; "
-           "declared: `declared_outage`."),
-    Metric("declared_outage", "declared command gap", "s", 2,
-           "Declared bound of `longest_outage`; none where commands carry no plans."),
+           "declared: `max_command_interval`."),
+    Metric("max_command_interval", "declared command gap", "s", 2,
+           "Declared bound of `longest_command_interval`; none where commands carry no plans."),
     Metric("tracking_error", "largest tracking error", "m", 3,
            "Largest distance between the reference and the true position of a UAV; none "
            "without a disturbance."),
-    Metric("declared_tracking", "declared tracking error", "m", 3,
+    Metric("max_tracking_error", "declared tracking error", "m", 3,
            "Declared bound of `tracking_error`."),
 )
 """Metrics of the UAVs' safety filters, over all UAVs."""

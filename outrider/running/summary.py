@@ -74,9 +74,9 @@ class Summary(UavMetrics, frozen=True, kw_only=True):
     """Ticks that were not certified, by reason."""
     certified_while_lost: int = 0
     certificate_broken: int = 0
-    declared_outage: float | None = None
-    longest_outage: float | None = None
-    declared_tracking: float | None = None
+    max_command_interval: float | None = None
+    longest_command_interval: float | None = None
+    max_tracking_error: float | None = None
     tracking_error: float | None = None
     mission: MissionResult | None = None
     """Mission of the UGVs; None where there are no hazards."""
@@ -156,13 +156,13 @@ def certificate_fields(told: CertificateStatus | None) -> dict[str, Any]:
         return {}
     return {
         "certified_share": told.certified / told.ticks,
-        "intervened_share": told.intervened / told.ticks,
+        "intervened_share": told.overridden / told.ticks,
         "uncertified": told.uncertified,
         "certified_while_lost": told.certified_while_lost,
         "certificate_broken": told.certificate_broken,
-        "declared_outage": told.outage,
-        "longest_outage": told.longest_outage,
-        "declared_tracking": told.tracking,
+        "max_command_interval": told.max_command_interval,
+        "longest_command_interval": told.longest_command_interval,
+        "max_tracking_error": told.max_tracking_error,
     }
 
 
