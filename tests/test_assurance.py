@@ -355,7 +355,7 @@ def test_a_recording_tells_the_same_counts_and_each_tick_s_claim(lied):
         told = json.loads(CliRunner().invoke(app, arguments).stdout)
         for field in (
             "certified_share",
-            "intervened_share",
+            "overridden_share",
             "uncertified",
             "certified_while_lost",
             "certificate_broken",

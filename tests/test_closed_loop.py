@@ -82,7 +82,7 @@ def _compare(scenario: Scenario, alike: Callable[[np.ndarray, np.ndarray], bool]
                 == (escorts[:, u, 0] >= scenario.visibility.radius).sum()
             )
         if summary.certified_share is not None and len(loop.uavs) == 1:
-            for share in ("certified", "intervened"):
+            for share in ("certified", "overridden"):
                 assert found[share] == pytest.approx(
                     getattr(summary, f"{share}_share"), abs=1.5 / scenario.ticks
                 )

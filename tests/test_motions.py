@@ -224,7 +224,7 @@ def test_a_policy_keeps_sight_through_the_filter_while_its_commands_are_lost() -
         away = np.array([0.3, 0.1])
         _, _, _, _, infos = env.step({"uav_0": away, "ugv_0": -away})
         certified.append(infos["uav_0"]["certified"])
-        interventions += infos["uav_0"]["intervened"]
+        interventions += infos["uav_0"]["overridden"]
     assert env.world.tick == scenario.ticks
     assert all(certified)
     assert interventions > 0

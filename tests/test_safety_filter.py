@@ -68,7 +68,7 @@ def test_the_paper_s_law_loses_sight_where_the_filter_keeps_it() -> None:
 def test_undegraded_the_filter_leaves_the_law_alone() -> None:
     certified = fly(watched(driver="waypoints"), 7)
     plain = fly(watched("law.name=logarithmic", driver="waypoints"), 7)
-    assert certified[1].intervened_share == 0.0
+    assert certified[1].overridden_share == 0.0
     assert np.allclose(distances(certified[0]), distances(plain[0]), atol=1e-6)
 
 
@@ -145,7 +145,7 @@ def test_an_environment_with_the_filter_keeps_sight_whatever_the_policy_wants() 
     intervened, infos = 0, {}
     while env.agents:
         *_, infos = env.step({"uav_0": outward(env, "uav_0"), "ugv_0": np.array([-0.1, 0.0])})
-        intervened += infos["uav_0"]["intervened"]
+        intervened += infos["uav_0"]["overridden"]
         assert infos["uav_0"]["certified"], infos
         assert env.metrics()["uav_0"]["distance"] < min(
             R_V, infos["uav_0"]["certified_distance"] + 0.05
@@ -153,7 +153,7 @@ def test_an_environment_with_the_filter_keeps_sight_whatever_the_policy_wants() 
     assert env.world.tick == scenario.ticks
     assert intervened > 100
     assert {infos["uav_0"]["uncertified"]} == {""}
-    assert "intervened" not in infos["ugv_0"]
+    assert "overridden" not in infos["ugv_0"]
 
 
 @pytest.mark.parametrize("agent", ["uav_0", "ugv_0"])

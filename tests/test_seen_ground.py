@@ -295,9 +295,9 @@ def test_the_mission_tells_how_long_before_each_hazard_was_known() -> None:
             world.receive_block(1, block)  # of two tiles of DISC
         drive(world, 1)
     mission = world.mission
-    assert (mission.hazards_on_way, mission.warned, mission.hazards_hit) == (2, 1, 1)
+    assert (mission.hazards_on_path, mission.warned, mission.hazards_hit) == (2, 1, 1)
     assert mission.near_misses == 0
-    assert 0.0 < mission.seen_ahead < 1.0
+    assert 0.0 < mission.reported_share < 1.0
 
 
 def test_the_way_seen_ahead_is_that_on_tiles_that_were_told_by_then() -> None:
@@ -315,7 +315,7 @@ def test_the_way_seen_ahead_is_that_on_tiles_that_were_told_by_then() -> None:
         if told and [p // side for p in here] == [block.column, block.row]:
             seen += math.dist(before, here)
     assert 0.1 * way < seen < 0.9 * way
-    assert world.mission.seen_ahead == pytest.approx(seen / way, rel=1e-9)
+    assert world.mission.reported_share == pytest.approx(seen / way, rel=1e-9)
 
 
 def test_how_near_a_ugv_came_to_each_hazard_is_the_least_of_all_its_distances() -> None:

@@ -99,13 +99,13 @@ class MissionResult(Message, frozen=True, kw_only=True):
     """Blocking hazards that were touched, each once by each UGV."""
     near_misses: Tick
     """Blocking hazards that a UGV came nearer to than 0.2 m without touching them."""
-    hazards_on_way: Tick
+    hazards_on_path: Tick
     """Hazards, blocking or rough, that a UGV came nearer to than 2 m."""
     warned: Tick
     """Those of them that it knew of before it came so near."""
-    warned_before: NonNegative | None
+    mean_warning_time: NonNegative | None
     """Time from then until it came so near, in the mean of those [s]; None: there are none."""
-    seen_ahead: Share | None
+    reported_share: Share | None
     """Share of the way that led over tiles which had come by radio before; None: nobody has moved."""
     ground_certified_share: Share | None = None
     """Share of the ticks at which cautious UGVs were certified, of those in which they reported it; None: none did."""
@@ -115,7 +115,7 @@ class MissionResult(Message, frozen=True, kw_only=True):
     """As `UgvGuarantee.certificate_broken`, of all UGVs."""
     guarantees: dict[Name, UgvGuarantee] = {}
     """Guarantee of each UGV, by name."""
-    still_time: NonNegative
+    stationary_time: NonNegative
     """Time that the UGVs stood still before they had arrived [s]."""
     finds: Tick
     """Things to be found."""

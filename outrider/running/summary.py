@@ -38,7 +38,7 @@ class UavMetrics(msgspec.Struct, frozen=True, kw_only=True):
     estimate_rmse: float | None
     detection_rmse: float | None
     certified_share: float | None = None
-    intervened_share: float | None = None
+    overridden_share: float | None = None
 
 
 class Summary(UavMetrics, frozen=True, kw_only=True):
@@ -156,7 +156,7 @@ def certificate_fields(told: CertificateStatus | None) -> dict[str, Any]:
         return {}
     return {
         "certified_share": told.certified / told.ticks,
-        "intervened_share": told.overridden / told.ticks,
+        "overridden_share": told.overridden / told.ticks,
         "uncertified": told.uncertified,
         "certified_while_lost": told.certified_while_lost,
         "certificate_broken": told.certificate_broken,
@@ -201,7 +201,7 @@ def _by_uav(flight: "Flight") -> dict[str, UavMetrics]:
     for k, pair in enumerate(flight.world.escorts):
         certified, intervened = flight.answers.assurance.shares(k)
         found[flight.scenario.vehicles[pair[0]].name] = UavMetrics(
-            **_uav_metrics(flight, [k]), certified_share=certified, intervened_share=intervened
+            **_uav_metrics(flight, [k]), certified_share=certified, overridden_share=intervened
         )
     return found
 

@@ -77,7 +77,7 @@ def test_where_the_assumptions_hold_nobody_is_lost_and_the_certificate_is_approa
     assert rows["max_excess"].max() <= 1e-9
     assert not any(rows[name].any() for name in ("uncertified", "certified_lost", "broken"))
     assert rows["max_age"].max() <= promise.max_measurement_age + 1e-9
-    assert 0.0 < rows["intervened"].mean() < 0.6
+    assert 0.0 < rows["overridden"].mean() < 0.6
 
 
 LOST = {

@@ -215,8 +215,8 @@ def test_the_tasks_of_a_suite_with_a_number_never_change() -> None:
 
 def test_a_missions_score_is_the_share_of_the_shortest_time() -> None:
     none = dict.fromkeys(("hazards_hit", "near_misses", "finds", "found"), 0)
-    told = {"hazards_on_way": 3, "warned": 3, "warned_before": 5.0, "seen_ahead": 0.5}
-    went = MissionResult(arrived=True, mission_time=50.0, still_time=0.0, **told, **none)
+    told = {"hazards_on_path": 3, "warned": 3, "mean_warning_time": 5.0, "reported_share": 0.5}
+    went = MissionResult(arrived=True, mission_time=50.0, stationary_time=0.0, **told, **none)
     changed = msgspec.structs.replace
     assert mission_score(went, 20.0) == pytest.approx(40.0)
     assert mission_score(changed(went, hazards_hit=1), 20.0) == pytest.approx(20.0)
@@ -298,7 +298,7 @@ def test_missions_are_flown_by_laws_policies_and_teams() -> None:
     board = leaderboard(entries, tasks=[task], seeds=[1, 2], secret=SECRET)
     told = {standing.entry: standing.results[0] for standing in board.standings}
     assert told["law"].hazards_hit == 0  # type: ignore[attr-defined]
-    assert told["law"].seen_ahead > 0.3  # type: ignore[attr-defined]
+    assert told["law"].reported_share > 0.3  # type: ignore[attr-defined]
     assert board.markdown().splitlines()[-1].startswith("| **interquartile mean** | 0.0 [0.0, 0.0]")
     with refused(ValueError, "tasks: missions and others"):
         leaderboard(["tracking"], tasks=[task, TASKS[0]])

@@ -221,9 +221,9 @@ def _mission(text: Text, view: DriveView) -> None:
     else:
         _row(text, "at the goals", f"after {told.mission_time:.1f} s", GOOD)
     _row(text, "hazards hit", str(told.hazards_hit), LIMIT if told.hazards_hit else GOOD, bold=True)
-    _row(text, "on the way / known", f"{told.hazards_on_way} / {told.warned}")
-    if told.seen_ahead is not None:
-        _row(text, "way seen ahead", f"{100.0 * told.seen_ahead:.0f} %")
+    _row(text, "on the way / known", f"{told.hazards_on_path} / {told.warned}")
+    if told.reported_share is not None:
+        _row(text, "way seen ahead", f"{100.0 * told.reported_share:.0f} %")
     if told.finds:
         _row(text, "found", f"{told.found} of {told.finds}")
     text.append("\n")
