@@ -109,7 +109,7 @@ def _spread(share: float, n: float = MILLION) -> float:
 def _conserved(status: LinkStatus) -> bool:
     return (
         status.sent + status.duplicated
-        == status.delivered + sum(status.lost.values()) + status.waiting + status.flying
+        == status.delivered + sum(status.lost.values()) + status.queued + status.in_transit
     )
 
 
@@ -372,7 +372,7 @@ def test_a_full_queue_keeps_the_newest_or_the_oldest_as_wanted(queue: int) -> No
     steady = slice(queue + 2, None)
     assert set(newest.delays[steady].tolist()) == {queue}
     assert set(oldest.delays[steady].tolist()) == {10 * queue}
-    assert newest.status.waiting == oldest.status.waiting == queue
+    assert newest.status.queued == oldest.status.queued == queue
 
 
 def test_a_queue_that_is_never_full_delays_a_volley_one_message_after_the_other() -> None:
@@ -420,10 +420,10 @@ def test_no_message_appears_or_vanishes_and_none_lacks_room(first, then, each, s
         before = flown.status
         flown.change(wanted)
         assert _conserved(flown.status)
-        assert flown.status.flying == before.flying
+        assert flown.status.in_transit == before.flying
         flown.go_on(200)
     flown.go_on(200)
-    assert flown.status.waiting == flown.status.flying == 0
+    assert flown.status.queued == flown.status.in_transit == 0
     assert _conserved(flown.status)
 
 
@@ -442,7 +442,7 @@ def test_more_messages_than_the_room_holds_are_counted_and_break_nothing() -> No
     for tick in range(100):
         exchange(links, packets, 0, traces, tick, np.full(5, float(tick)))
     status = link_status(links[0, 0])
-    assert status.lost["full"] == status.sent - status.delivered - status.flying == 400
+    assert status.lost["full"] == status.sent - status.delivered - status.in_transit == 400
     assert _conserved(status)
 
 
@@ -538,7 +538,7 @@ def test_what_waits_leaves_at_the_new_pace() -> None:
     assert flown.arrived[:, 0].tolist() == [0, 20, 40, 49, 50, 55, 60]
     flown.change(LinkSettings(delay=0.1))
     flown.go_on(3)
-    assert flown.status.waiting == 0
+    assert flown.status.queued == 0
     assert flown.arrived[7:, 0].tolist() == [64] * 9
 
 

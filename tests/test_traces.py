@@ -61,7 +61,7 @@ def arrivals(link: OneLink, ticks: int, each: int = 1) -> list[list[int]]:
 
 def conserved(link: OneLink) -> bool:
     status = link.counters()
-    left = status.delivered + sum(status.lost.values()) + status.waiting + status.flying
+    left = status.delivered + sum(status.lost.values()) + status.queued + status.in_transit
     return status.sent + status.duplicated == left
 
 

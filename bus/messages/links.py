@@ -82,9 +82,9 @@ class LinkStatus(Message, frozen=True, kw_only=True):
     """Copies among them."""
     duplicated: Tick
     """Copies that were made."""
-    waiting: Tick
+    queued: Tick
     """At the sender."""
-    flying: Tick
+    in_transit: Tick
     lost: dict[Text, Tick]
     """By cause, of `sim.channel.link.CAUSES`."""
     delivery_ratio: Share | None = None

@@ -197,9 +197,9 @@ LINK = _table(
            "Messages delivered, with copies."),
     Metric("duplicated", "duplicated", "", 0,
            "Copies made by the link."),
-    Metric("waiting", "queued", "", 0,
+    Metric("queued", "queued", "", 0,
            "Messages that wait at the sender."),
-    Metric("flying", "in flight", "", 0,
+    Metric("in_transit", "in flight", "", 0,
            "Messages on the way."),
     Metric("lost", "lost", "", 0,
            "Messages lost, by cause."),
@@ -217,7 +217,7 @@ PROCESS = _table(
            "Times that the process disconnected."),
     Metric("rejoined", "joined again", "", 0,
            "Times that the process reconnected."),
-    Metric("refused", "rejected", "", 0,
+    Metric("rejected", "rejected", "", 0,
            "Messages and sessions rejected, by cause."),
 )
 """Metrics of each vehicle's process, as in the message `VehicleStatus`."""

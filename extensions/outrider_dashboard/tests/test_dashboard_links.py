@@ -37,7 +37,7 @@ PERFECT, BURSTS = LinkSettings(), LinkSettings(jitter=0.1, burst_length=0.3, bur
 
 def link(sent: int = 0, **lost: int) -> LinkStatus:
     return LinkStatus(
-        sent=sent, delivered=sent, duplicated=0, waiting=0, flying=0, lost=lost, settings=PERFECT
+        sent=sent, delivered=sent, duplicated=0, queued=0, in_transit=0, lost=lost, settings=PERFECT
     )
 
 
