@@ -81,7 +81,7 @@ def test_equals_batch_least_squares_over_the_whole_trajectory():
     rng = np.random.default_rng(2)
     estimator = make(target=FREE, gate=1e12)
     F, _ = model()
-    deviation = deviation_of(target=FREE, manoeuvre=Estimator().manoeuvre, dt=DT)
+    deviation = deviation_of(target=FREE, manoeuvre=Estimator().acceleration_share, dt=DT)
     count = 60
     size = 4 + 2 * count
     to_state = np.eye(4, size)

@@ -173,7 +173,9 @@ class Vehicle:
         g_x, g_y = world.position[1].tolist()
         flown = None if self._bare else world.flown(0)
         look = (tick * DT, (p_x - g_x, p_y - g_y))
-        seen = uav_sees(tick, look, position=(p_x, p_y), velocity=(v_x, v_y), flown=flown)
+        seen = uav_sees(
+            tick, look, position=(p_x, p_y), velocity=(v_x, v_y), committed_trajectory=flown
+        )
         self.filter.see(seen)
         decision = self.filter.filter(seen, wanted)
         motions = () if self._bare else self.filter.backup_trajectories(tick)

@@ -250,7 +250,7 @@ def reasons(
     pilot, found = SafetyFilter(told(small("certified", certificate=declared))), []
     for tick in ticks:
         looks = [(tick * 0.05, (0.0, 1.0))] if tick == ticks[0] else []
-        seen = uav_sees(tick, *looks, position=moved(tick), flown=flown(tick))
+        seen = uav_sees(tick, *looks, position=moved(tick), committed_trajectory=flown(tick))
         pilot.see(seen)
         found.append(pilot.filter(seen, (0.0, 0.0)).reason)
     return found

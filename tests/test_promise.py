@@ -183,7 +183,7 @@ def test_commands_that_are_always_too_old_to_act_are_refused_under_every_law(cha
 def test_a_delay_that_hold_allows_is_flown() -> None:
     for hold, delay in ((0.5, 0.5), (0.0, 0.0), (0.35, 0.35)):
         changes = [f"command_timeout={hold}", f"links.commands.delay={delay}"]
-        assert load_scenario("escort", overrides=changes).hold == hold
+        assert load_scenario("escort", overrides=changes).command_timeout == hold
 
 
 def test_check_says_that_nothing_can_be_certified(command) -> None:

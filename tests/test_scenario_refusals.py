@@ -74,7 +74,7 @@ names_are_known | sensor.model=cone | sensor.model = "cone" | hill, plateau
 names_are_known | ugv.0.driver=ghost | ugv.0.driver = "ghost" | waypoints
 links_are_possible | links.radio.burst_length=1.0 | links.radio.burst_interval = 0.0 | above 0 s
 links_are_possible | links.only=[{vehicle="uav_7"}] | links.only.0.vehicle = "uav_7" | uav_0
-commands_act | links.commands.delay=0.6 | hold = 0.5 | 0.6 s or more
+commands_act | links.commands.delay=0.6 | command_timeout = 0.5 | 0.6 s or more
 own_functions_are_named | ugv.0.driver=policy | custom.policy = "" | module:function
 own_functions_are_named | custom.policy=mine | custom.policy = "mine" | module:function
 drivers_have_their_task | ugv.0.driver=script | ugv.0.script = [] | velocity
@@ -248,6 +248,10 @@ ugv=[] | ugv = []: out of bounds; allowed: a list of length >= 1
 uav={position=[1, 2]} | uav = {position = [1, 2]}: a single table; allowed: a list, in TOML [[uav]]
 coverage.covered=[{lower=[1, 1]}] | coverage.covered.0.upper: missing; allowed: [x, y] in m
 sead=3 | sead = 3: no such field, did you mean 'seed'?; allowed: name, title, seed, duration, dt
+hold=1.0 | hold = 1.0: renamed to command_timeout
+certificate.outage=2.0 | certificate.outage = 2.0: renamed to max_command_interval
+uav.0.own_error=0.1 | uav.0.own_error = 0.1: renamed to position_error; allowed: uav.0.position_error
+links.commands.jitter_cut=0.1 | links.commands.jitter_cut = 0.1: renamed to max_jitter
 certificate.risk=0.01
 | certificate.risk = 0.01: no field of a scenario; allowed: the bounds that `outrider network bounds SCENARIO --risk
 law.nmae=circle | law.nmae = "circle": no such field, did you mean 'name'?; allowed: name, parameters

@@ -202,7 +202,7 @@ def test_a_block_that_says_what_the_uavs_sensor_has_not_told_is_not_sent(
 ) -> None:
     scenario = msgspec.structs.replace(on(DISC), duration=5.0)
     flight = Flight(scenario, 1)
-    flight.fly(altered(make_pilots(scenario, 1), "uav_0", lambda _: {"blocks": (forged,)}))
+    flight.fly(altered(make_pilots(scenario, 1), "uav_0", lambda _: {"map_updates": (forged,)}))
     assert flight.radio.refused == {"uav_0": scenario.ticks}
     assert not blocks_received(flight)
 
@@ -220,7 +220,7 @@ def test_no_number_is_smuggled_by_what_a_block_leaves_out() -> None:
             msgspec.structs.replace(one, tiles="?" + one.tiles[1:32] + "?" * 32)
             for one in command.map_updates
         ]
-        return msgspec.structs.replace(command, blocks=tuple(blocks))
+        return msgspec.structs.replace(command, map_updates=tuple(blocks))
 
     flights = [Flight(scenario, 1) for _ in range(2)]
     flights[0].fly(InProcess(make_pilots(scenario, 1)))

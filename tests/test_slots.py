@@ -79,7 +79,9 @@ def test_a_past_is_what_the_vehicle_has_perceived(scenario: Scenario) -> None:
     assert any(observation.radio for observation in seen["ugv_0"])
     assert any(not observation.detections for observation in seen["uav_0"])
     for name, observed in seen.items():  # the past does not say which motion was flown
-        seen[name] = [msgspec.structs.replace(one, flown=None) for one in observed[:300]]
+        seen[name] = [
+            msgspec.structs.replace(one, committed_trajectory=None) for one in observed[:300]
+        ]
     for name in pilots:
         assert list(flight.past(name, 0, 300, ())) == seen[name]
         assert list(flight.past(name, 120, 180, ())) == seen[name][120:180]

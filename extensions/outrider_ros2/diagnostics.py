@@ -70,7 +70,7 @@ def _link_diagnostic(name: str, link: LinkStatus) -> RosMessage:
     words = ["loses messages"] if bad else []
     if link.age is not None and link.age > _LATE:
         words.append(f"its newest is {link.age:.1f} s old")
-    counts, ages = ("sent", "delivered", "waiting", "flying"), ("age", "mean_age", "max_age")
+    counts, ages = ("sent", "delivered", "queued", "in_transit"), ("age", "mean_age", "max_age")
     return diagnostic(
         f"link {name}",
         _fields(link, *counts, "delivery_ratio", *ages)

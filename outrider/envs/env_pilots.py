@@ -88,7 +88,7 @@ class _EnvPilots:
         velocity = tuple(world.reference_velocity[row].tolist())
         told: dict[str, Any] = {"tick": tick, "time": world.time}
         told |= {"position": position, "velocity": velocity}
-        told |= {"ground": world.seen_ground(row), "flown": world.flown(row)}
+        told |= {"tile_reports": world.seen_ground(row), "committed_trajectory": world.flown(row)}
         if isinstance(pilot, UavPilot):
             uav = [uav.name for uav in world.uavs].index(name)
             return pilot.act(UavObservation(**told, detections=world.received(uav)))

@@ -103,8 +103,10 @@ class Perception(ABC):
             "time": tick * self._dt,
             "position": motion[0],
             "velocity": motion[1],
-            "ground": self._ground.get(tick, ()) if known else (),
-            "flown": self._world.flown(self.row) if tick == self._world.tick else None,
+            "tile_reports": self._ground.get(tick, ()) if known else (),
+            "committed_trajectory": self._world.flown(self.row)
+            if tick == self._world.tick
+            else None,
             "over": over,
             "episode": self._episode,
         }

@@ -138,7 +138,9 @@ def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a
             reason = None if seen.tick % 10 == 9 else NotCertified.NO_PLAN
             decision = msgspec.structs.replace(said.report.decision, reason=reason)
             report = msgspec.structs.replace(said.report, decision=decision)
-            return msgspec.structs.replace(said, acceleration=(0.3, 0.3), motions=(), report=report)
+            return msgspec.structs.replace(
+                said, acceleration=(0.3, 0.3), backup_trajectories=(), report=report
+            )
 
         flight.fly(Piloted(pilots, "uav_0", act), on_tick=lambda: on_tick(flight))
         return flight, None
@@ -219,8 +221,8 @@ def test_hold_is_raised_where_commands_may_come_later() -> None:
     late = SearchLimits(command_delay=1.01)
     start = base("linear", late)
     assert start.command_timeout == pytest.approx(1.05)
-    assert base("linear", late, command_timeout=2.0).hold == 2.0
-    assert base("linear", SearchLimits(command_delay=0.5)).hold == 0.5
+    assert base("linear", late, command_timeout=2.0).command_timeout == 2.0
+    assert base("linear", SearchLimits(command_delay=0.5)).command_timeout == 0.5
     for candidate in candidates(20):
         check_scenario(decode(candidate, start, late))
 

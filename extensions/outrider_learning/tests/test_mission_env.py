@@ -96,7 +96,7 @@ def test_a_world_of_the_vector_environment_is_the_parallel_one_bit_for_bit() -> 
 def test_a_ugv_observes_the_tiles_around_its_own_as_it_knows_them() -> None:
     env = outrider.parallel_env(grounded(), tile_patch=31)
     silent = msgspec.structs.replace(
-        grounded(), ground=msgspec.structs.replace(grounded().ground, telling=0.0)
+        grounded(), ground=msgspec.structs.replace(grounded().ground, map_update_rate=0.0)
     )
     bare = outrider.parallel_env(silent, tile_patch=31)
     fly = pilots(env)

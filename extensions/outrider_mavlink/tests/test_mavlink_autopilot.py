@@ -252,7 +252,7 @@ def test_a_run_that_declares_no_deviation_is_refused():
     pilot = AutopilotPilot(AutopilotLink(Network()))
     told = make_pilots(load_scenario("escort"), 0)["uav_0"]._briefing
     assert msgspec.to_builtins(told)["safety"]["max_tracking_error"] == 0.0
-    with pytest.raises(ScenarioError, match=r"--set certificate\.tracking=0\.3"):
+    with pytest.raises(ScenarioError, match=r"--set certificate\.max_tracking_error=0\.3"):
         pilot.make(told)
 
 
