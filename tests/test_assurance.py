@@ -311,7 +311,7 @@ def test_every_lie_of_a_flight_is_in_its_summary(lied: tuple[Flight, Summary, Pa
     assert (row["certified_while_lost"], row["certificate_broken"]) == (lost, 0)
     truth = flight.truth().escorts[0].report
     assert truth is not None
-    assert truth.certified
+    assert truth.decision.certified
 
 
 def test_the_trajectory_s_file_tells_each_tick_what_was_certified(lied, tmp_path):
