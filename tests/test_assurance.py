@@ -149,8 +149,14 @@ EXCUSES: dict[str, tuple[Truths, dict[str, Any]]] = {
         every(12, arrivals=[]) | {0: {}, 3: {"arrivals": [(3, 0.0)], "answers": False}},
         {"ends": 12},
     ),
-    "there was no detection, however old one may be": (every(arrivals=[]), {"age": 1e12}),
-    "it was once farther than declared from its place": ({1: {"off": 0.21}}, {"tracking": 0.2}),
+    "there was no detection, however old one may be": (
+        every(arrivals=[]),
+        {"max_measurement_age": 1e12},
+    ),
+    "it was once farther than declared from its place": (
+        {1: {"off": 0.21}},
+        {"max_tracking_error": 0.2},
+    ),
     "its law changes or its process joins again": ({AT: {"excused": True}}, {}),
 }
 NO_EXCUSES: dict[str, tuple[Truths, dict[str, Any]]] = {
@@ -165,16 +171,16 @@ NO_EXCUSES: dict[str, tuple[Truths, dict[str, Any]]] = {
         {},
     ),
     "a motion went on long before": ({1: {"flown": NO_MOTION}}, {}),
-    "a bare acceleration acts at once": (every(bare=True), {"delay": 0.0}),
+    "a bare acceleration acts at once": (every(bare=True), {"max_command_delay": 0.0}),
     "a detection that was new enough, and that it has seen": (
         every(12, arrivals=[]) | {0: {}, 3: {"arrivals": [(3, 0.0)]}},
         {"ends": 12},
     ),
     "one detection long ago, where any age is declared": (
         every(arrivals=[]) | {0: {"arrivals": [(0, 0.0)]}},
-        {"age": 1e12},
+        {"max_measurement_age": 1e12},
     ),
-    "it was as far as declared from its place": ({1: {"off": 0.2}}, {"tracking": 0.2}),
+    "it was as far as declared from its place": ({1: {"off": 0.2}}, {"max_tracking_error": 0.2}),
     "its law changed the tick before": ({AT: {"excused": True}}, {"ends": AT + 1}),
     "no command has acted yet": ({}, {"ends": 1}),
 }
