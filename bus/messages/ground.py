@@ -101,15 +101,16 @@ class Hazard(Message, frozen=True, kw_only=True):
     speed_share: SpeedShare | None = None
     """If it is rough: of its largest speed that a vehicle keeps on it; by default 0.4."""
 
-    def __post_init__(self) -> None:
-        """Merge corners that follow each other within `SAME_CORNER`, the last and the first too."""
+    @property
+    def corners(self) -> tuple[Vector, ...]:
+        """Corners of the polygon without those within `SAME_CORNER` of the one before, the last and first too [m]."""
         corners: list[Vector] = []
         for corner in self.polygon:
             if not corners or math.dist(corner, corners[-1]) > SAME_CORNER:
                 corners.append(corner)
         while len(corners) > 1 and math.dist(corners[0], corners[-1]) <= SAME_CORNER:
             corners.pop()
-        msgspec.structs.force_setattr(self, "polygon", tuple(corners))
+        return tuple(corners)
 
     @property
     def kept_share(self) -> float:

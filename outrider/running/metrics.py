@@ -134,7 +134,7 @@ CERTIFICATE = _table(
            "Largest distance between the reference and the true position of a UAV; none "
            "without a disturbance."),
     Metric("max_tracking_error", "declared tracking error", "m", 3,
-           "Declared bound of `tracking_error`."),
+           "Declared bound of `largest_tracking_error`."),
 )
 """Metrics of the UAVs' safety filters, over all UAVs."""
 

@@ -77,7 +77,7 @@ class Summary(UavMetrics, frozen=True, kw_only=True):
     max_command_interval: float | None = None
     longest_command_interval: float | None = None
     max_tracking_error: float | None = None
-    tracking_error: float | None = None
+    largest_tracking_error: float | None = None
     mission: MissionResult | None = None
     """Mission of the UGVs; None where there are no hazards."""
     uavs: dict[str, UavMetrics] = {}
@@ -245,7 +245,7 @@ def summarize(
         visibility_radius=scenario.visibility.radius,
         missing_commands=dict(flight.answers.missing),
         faults=_faults(vehicles or {}, flight.answers.shortened),
-        tracking_error=recorder.tracking_error,
+        largest_tracking_error=recorder.tracking_error,
         mission=world.mission,
         links=world.links.status(),
         traces={one.name: one.sha256 for one in world.link_table.traces},

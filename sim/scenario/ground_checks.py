@@ -101,7 +101,7 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def _polygon_faults(path: str, hazard: Hazard) -> Iterator[Fault]:
     """It has three corners or more, an area, and sides that meet nowhere but at corners."""
-    corners = np.array(hazard.polygon)
+    corners = np.array(hazard.corners)
     count = len(corners)
     if count < 3:
         yield Fault(
