@@ -74,7 +74,9 @@ def rows(seeds: int) -> Iterator[Row]:
                 scenario = msgspec.structs.replace(
                     plain,
                     duration=LONGEST,
-                    certificate=msgspec.structs.replace(plain.certificate, age=AGES[network]),
+                    certificate=msgspec.structs.replace(
+                        plain.certificate, max_measurement_age=AGES[network]
+                    ),
                     ugv=ugvs,
                     links=links,
                     law=msgspec.structs.replace(plain.law, name=flown),

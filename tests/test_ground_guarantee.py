@@ -24,7 +24,7 @@ NOT = UgvReport(certified=False, uncertified=next(iter(UNCERTIFIED.values())))
 
 def on_unseen_ground(driver: str = "waypoints") -> Scenario:
     """A UGV in the middle of ground on which nobody tells it of any tile."""
-    scenario = on(Hazard(kind="block", center=(2.0, 2.0), radius=0.5), bumper=0.0)
+    scenario = on(Hazard(kind="block", center=(2.0, 2.0), radius=0.5), sensing_range=0.0)
     (ugv,) = scenario.ugv
     return msgspec.structs.replace(
         scenario, ugv=(msgspec.structs.replace(ugv, driver=driver, caution="cautious"),)

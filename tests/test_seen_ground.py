@@ -85,7 +85,7 @@ def test_a_uav_tells_of_a_tile_once_when_it_has_looked_at_its_centre_for_long_en
 
 
 def test_a_bumper_tells_of_the_tiles_that_have_a_point_within_its_range() -> None:
-    scenario = on(DISC, MUD, bumper=0.9, tile=0.4)
+    scenario = on(DISC, MUD, sensing_range=0.9, tile=0.4)
     world, told, truth = World(scenario, 1), set[tuple[int, int]](), {}
     tiles = world.ground.tiles[0]
     for tick in range(200):
