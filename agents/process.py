@@ -117,7 +117,7 @@ _UGV = _SOMEBODY | {
     "goal_tolerance": 0.05,
 }
 
-_SOMEONE = {"driver": "nobody"}
+_SOMEONE = {"operator": "nobody"}
 _WORDS: tuple[list[dict[str, Any]], ...] = (
     [],
     [_SOMEONE | {"velocity": [0.1, 0.0]}],
