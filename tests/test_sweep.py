@@ -431,7 +431,7 @@ FILES = {
         "either [vary] or [[block]]",
     ),
     "two of a name": ("[[block]]\nvary.dt = [0.1]\n[[block]]\nvary.dt = [0.05]", "block.1.name"),
-    "no toml": ("laws = [", "line 1"),
+    "no toml": ("laws = [", "not TOML"),
     "unknown scenario": ("scenario = 'escrot'", "escrot"),
 }
 
