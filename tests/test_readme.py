@@ -81,7 +81,7 @@ def test_the_filter_shown_keeps_sight(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_the_filter_shown_certifies(capsys: pytest.CaptureFixture[str]) -> None:
-    assert printed("docs/explanation/certificate.md", capsys) == "()\n0 1.42 m\n"
+    assert printed("docs/explanation/proof.md", capsys) == "()\nNOMINAL 1.42 m True\n"
 
 
 def test_the_many_worlds_shown_fly(capsys: pytest.CaptureFixture[str]) -> None:
