@@ -1,4 +1,4 @@
-"""The tables of docs/explanation/certificate.md, about a minute each.
+"""The tables of docs/explanation/proof.md, about a minute each.
 
 python benchmarks/certificate_tables.py NAME, with a NAME of `TABLES`.
 

@@ -1,4 +1,4 @@
-"""The table of docs/explanation/chances.md.
+"""The table of extensions/outrider_networks/README.md.
 
 python benchmarks/exceedance_table.py [RUNS]: by default 100,000, some minutes.
 

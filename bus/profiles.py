@@ -2,7 +2,7 @@
 
 They are values of a message, so a vehicle's process, which may load no link, can list them in its help texts. The
 numbers are rounded from what is commonly published for each kind of link, one way, for small messages; none is a fit
-to one measurement; docs/explanation/networks.md tells the source of each, or that there is none, and holds them against
+to one measurement; docs/how-to/network.md tells the source of each, or that there is none, and holds them against
 an independent simulator. Delays shorter than a tick arrive at the next tick, so at dt = 0.05 s a good Wi-Fi is a link
 of one tick.
 """

@@ -48,7 +48,7 @@ PROMISED = {"r_v": R_V, "v_a": V_A, "u_a": U_A, "v_g": V_G, "dt": DT}
 
 
 def certified(**numbers: float) -> SafetyBounds:
-    """Return the bounds for these vehicles; the numbers by the letters of docs/explanation/certificate.md."""
+    """Return the bounds for these vehicles; the numbers by the letters of docs/explanation/proof.md."""
     n = PROMISED | {"eps": 0.0, "age": 1.0} | numbers
     safety = SafetyParameters(
         max_measurement_error=n["eps"],

@@ -77,11 +77,11 @@ def printed(page: str, capsys: pytest.CaptureFixture[str]) -> str:
 def test_the_filter_shown_keeps_sight(capsys: pytest.CaptureFixture[str]) -> None:
     count, said = printed("docs/how-to/keep-sight.md", capsys).split(" ", 1)
     assert int(count) > 100
-    assert said == "commands were not let through; certified: True\n"
+    assert said == "commands were overridden; certified: True\n"
 
 
 def test_the_filter_shown_certifies(capsys: pytest.CaptureFixture[str]) -> None:
-    assert printed("docs/explanation/certificate.md", capsys) == "()\n0 1.42 m\n"
+    assert printed("docs/explanation/proof.md", capsys) == "()\nNOMINAL 1.42 m True\n"
 
 
 def test_the_many_worlds_shown_fly(capsys: pytest.CaptureFixture[str]) -> None:

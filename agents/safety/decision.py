@@ -1,4 +1,4 @@
-"""Decision of one UAV's safety filter in a tick. See docs/explanation/certificate.md.
+"""Decision of one UAV's safety filter in a tick. See docs/explanation/proof.md.
 
 `SafetyFilter` calls `decide` for one UAV, compiled loops call it for many worlds.
 

@@ -1,6 +1,6 @@
 """Hand-over from one plan to the next, and check of the declared numbers; both when a scenario loads.
 
-The proof is in docs/explanation/certificate.md. SI units.
+The proof is in docs/explanation/proof.md. SI units.
 """
 
 import functools

@@ -4,7 +4,7 @@ The vehicle's receiver begins each plan in its own tick, and only if its parent 
 trajectory continues (`sim.models.motion`). Each observation reports the trajectory that was flown. So the pilot
 predicts one trajectory up to the tick in which its next plan begins: along the pending plans as long as the vehicle
 flies what was sent, else along the rest of the committed one, since a lost plan voids all pending ones. The
-proof is in docs/explanation/certificate.md.
+proof is in docs/explanation/proof.md.
 
 Positions [m], speeds [m/s], accelerations [m/s²], times in ticks.
 """

@@ -54,7 +54,7 @@ def decision_of(row: Any) -> FilterDecision:  # noqa: ANN401 - a record
 class SafetyFilter:
     """Filter that keeps the UGV in sight, around any nominal control: a law, an operator, a learned policy.
 
-    See docs/explanation/certificate.md. Call `see` with every observation, then `filter` with the acceleration for
+    See docs/explanation/proof.md. Call `see` with every observation, then `filter` with the acceleration for
     it; `backup_trajectories` are to be sent with the command.
 
     Args:

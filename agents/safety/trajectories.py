@@ -1,6 +1,6 @@
 r"""Backup trajectories: braking to a stop, returning to the newest measurement, and their checks. Beyond Klodt 2015.
 
-The proof is in docs/explanation/certificate.md. The UGV is known to be in a set: each measurement z of tick t_z, with
+The proof is in docs/explanation/proof.md. The UGV is known to be in a set: each measurement z of tick t_z, with
 an error of at most $\epsilon$, puts it into a disc of radius $\rho(t) = \epsilon + v_g (t - t_z)$ around z. The filter
 always holds a **plan**: a backup trajectory that ends at rest and is checked against those discs to its end. At a
 plan's end the hand-over inequality says that the next plan exists, whatever has been detected meanwhile.

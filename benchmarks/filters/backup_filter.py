@@ -14,7 +14,7 @@ it holds in discrete time (Agrawal and Sreenath, RSS 2017)
 Here h is r_v less the largest distance at which the UGV can be, which grows along the flow (van Wijk, Coogan, Molnar,
 Majji and Hobbs 2024 keep a tube around the flow likewise). The backup policy flies to the newest detection and stops
 there, as fast as the bounds allow. The backup set is our own: at rest, with the UGV within R_h and the newest
-detection's bound within E, from which docs/explanation/certificate.md proves that the next one can be flown to.
+detection's bound within E, from which docs/explanation/proof.md proves that the next one can be flown to.
 Commands under way are flown first.
 
 The policy knows nothing of its past: with each detection the flow is another one. Where h_I < 0 no input is known

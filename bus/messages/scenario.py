@@ -89,7 +89,7 @@ class Detector(Message, frozen=True, kw_only=True):
 
 
 class SafetyParameters(Message, frozen=True, kw_only=True):
-    """Parameters of a UAV's safety filter and of its certificate (docs/explanation/certificate.md)."""
+    """Parameters of a UAV's safety filter and of its certificate (docs/explanation/guarantee.md)."""
 
     max_measurement_error: NonNegative | None
     """Largest error of a detection, as a vector's norm [m]; None: no bound, and nothing can be certified."""

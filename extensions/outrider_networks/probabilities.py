@@ -1,6 +1,6 @@
 """Exceedance probabilities of declared link bounds within a run, and the smallest bounds for a risk.
 
-docs/explanation/chances.md explains and proves them, with tables beside frequencies.
+extensions/outrider_networks/README.md explains and proves them, with tables beside frequencies.
 """
 
 import functools

@@ -1,6 +1,6 @@
 """Tests before a run, and when links change in it, whether a scenario's UAVs can certify that they keep sight.
 
-The declared assumptions are those of docs/explanation/certificate.md: A1 the error of a detection, A2 the age of the
+The declared assumptions are those of docs/explanation/proof.md: A1 the error of a detection, A2 the age of the
 newest one, A5' the time from the start of one motion to the start of the next, A6' where the UAV is. Wind, links and
 detector say which of them they cannot keep, and how often.
 """
@@ -35,7 +35,7 @@ class Shortfall(NamedTuple):
 
     uav: str
     assumption: str
-    """A1 to A9 of docs/explanation/certificate.md; empty: the declared numbers themselves allow no certificate."""
+    """A1 to A9 of docs/explanation/proof.md; empty: the declared numbers themselves allow no certificate."""
     how: How
     what: str
     """The fields as the scenario writes them, and what follows."""

@@ -3,7 +3,7 @@
 A *window* holds the messages that keep a bound: by ticks after some tick, the longest delay with which a message that
 leaves then is in time. The bound is exceeded if no message of a window is in time. Random losses are a Markov chain
 over ticks, so the probability of that is one recursion over the window. The probability that a bound is exceeded at
-all in a run needs more: see the extension outrider_networks and docs/explanation/chances.md.
+all in a run needs more: see the extension outrider_networks and extensions/outrider_networks/README.md.
 """
 
 import math

@@ -5,7 +5,7 @@ The commands step the reference. The error x = p - p_reference has, in each tick
 $$ \ddot x = u + w_a, \qquad u = -k_p (x + b) - k_d \dot x, \qquad \|u\| \le u_r $$
 
 with the wind's acceleration w_a and the error b of the own position, which the loop cannot tell from one of its own.
-The proof is in docs/explanation/certificate.md, "Wind, tracking and a wrong own position".
+The proof is in docs/explanation/proof.md, "Wind and position errors".
 """
 
 import functools

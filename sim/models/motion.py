@@ -2,8 +2,8 @@
 
 A motion is the acceleration of its first tick and the plan that follows it: a turn, a cruise and a brake, each of so
 many ticks under one acceleration (none while it cruises). After it the vehicle comes to rest and stays there. Its name
-is the tick in which it begins: one pilot begins no two at once. See docs/explanation/certificate.md, "Commands that
-carry a motion".
+is the tick in which it begins: one pilot begins no two at once. See docs/explanation/proof.md,
+"Definitions".
 """
 
 import math

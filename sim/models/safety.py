@@ -1,6 +1,6 @@
 """Bounds of one UAV's safety filter in compiled code: what is declared, in metres and ticks, and what follows from it.
 
-The simulator counts with the same record (`sim.engine.monitor`). The proof is in docs/explanation/certificate.md.
+The simulator counts with the same record (`sim.engine.monitor`). The proof is in docs/explanation/proof.md.
 """
 
 import math
