@@ -136,7 +136,7 @@ anywhere = st.floats(-1e6, 1e6, allow_nan=False)
 anything = st.tuples(anywhere, anywhere)
 goals = st.none() | anything | st.just(MIDDLE)
 drives = st.builds(
-    Teleoperation, driver=st.just("somebody"), velocity=st.none() | anything, goal=goals
+    Teleoperation, operator=st.just("somebody"), velocity=st.none() | anything, goal=goals
 )
 places = st.tuples(st.floats(0.0, 20.0), st.floats(0.0, 20.0))
 relatives = st.tuples(st.floats(-6.0, 6.0), st.floats(-6.0, 6.0)) | anything

@@ -297,7 +297,7 @@ NO_TOML = "not TOML: Invalid value (at line 2, column 8); allowed: TOML 1.0"
         (b"seed = " + b"1" * 5000, "not TOML: "),
         (b"seed = " + b"[" * 5000, "not TOML: "),
         (b"a" + b".a" * 60 + b" = 1", "a = {a = {"),
-        (b"a" + b".a" * 3000 + b" = 1", "a key of more than 200 parts"),
+        (b"a" + b".a" * 3000 + b" = 1", "a key of more than 64 parts"),
         (b'"a\\nb" = 3', "a\\nb = 3: no such field; allowed: name, "),
         (b"title = '\xff'", "byte 9: not UTF-8, invalid start byte; allowed: text in UTF-8"),
         (b"", "ugv: missing; allowed: one table [[ugv]] or more"),

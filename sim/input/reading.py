@@ -15,7 +15,7 @@ from sim.input.renamed import new_name
 Typed = TypeVar("Typed", bound=msgspec.Struct)
 
 _BETWEEN_KEYS = re.compile(r"[=,{}\[\]\n]")
-_MOST_PARTS = 200
+_MOST_PARTS = 64
 _LARGEST_NUMBER = 1e12
 _KINDS = {
     "float": "a number",

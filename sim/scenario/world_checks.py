@@ -23,7 +23,7 @@ _WIDEST = 1e6
 """Largest side of Q [m]: the messages carry no larger coordinates."""
 _LARGEST_BOUND = 1e12
 """Largest finite bound that the messages carry."""
-_BOUND = re.compile(r"(uav|ugv)\.\d+\.(max_speed|max_acceleration)|detections\.cut")
+_BOUND = re.compile(r"(uav|ugv)\.\d+\.(max_speed|max_acceleration)|detections\.truncation")
 _ROUNDING = 1e-12
 
 
