@@ -84,10 +84,6 @@ def test_the_filter_shown_certifies(capsys: pytest.CaptureFixture[str]) -> None:
     assert printed("docs/explanation/certificate.md", capsys) == "()\n0 1.42 m\n"
 
 
-def test_the_many_worlds_shown_fly(capsys: pytest.CaptureFixture[str]) -> None:
-    assert float(printed("docs/how-to/environments.md", capsys)) > 100.0
-
-
 def test_the_commands_and_options_shown_exist() -> None:
     known = {
         name: {"--help"}

@@ -280,7 +280,7 @@ SUITES: Mapping[str, tuple[Task, ...]] = {SUITE: TASKS, MISSION_SUITE: MISSIONS}
 
 
 def suite(name: str = SUITE) -> Suite:
-    """A benchmark suite: `docs/reference/suite.md` says what its tasks are and how they are scored.
+    """Return a benchmark suite; `extensions/outrider_learning/README.md` explains tasks and score.
 
     Raises:
         ValueError: If there is none of this name.
