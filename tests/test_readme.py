@@ -97,7 +97,8 @@ def test_the_commands_and_options_shown_exist() -> None:
     }
     shown = set()
     for page in PAGES:
-        for line in re.findall(r"^outrider .*$", "\n".join(blocks("sh", page)), re.MULTILINE):
+        text = re.sub(r"\$\(([^)]*)\)", r"\n\1\n", "\n".join(blocks("sh", page)))
+        for line in re.findall(r"^outrider .*$", text, re.MULTILINE):
             for part in shlex.join(shlex.split(line, comments=True)).split("outrider ")[1:]:
                 command, *words = shlex.split(part.replace("'&&'", ""))
                 options = {word.partition("=")[0] for word in words if word.startswith("--")}
