@@ -136,19 +136,19 @@ class UavPilot:
             acceleration = decision.acceleration
             motions = self.filter.backup_trajectories(tick)
         if estimate is None:
-            return UavCommand(tick=tick, acceleration=acceleration, motions=motions)
+            return UavCommand(tick=tick, acceleration=acceleration, backup_trajectories=motions)
         target_position = estimate.position
         return UavCommand(
             tick=tick,
             acceleration=acceleration,
-            motions=motions,
+            backup_trajectories=motions,
             radio=() if tick % self._radio_ticks else self._radio(observation, *target_position),
-            blocks=self.teller.blocks(tick, target_position),
+            map_updates=self.teller.blocks(tick, target_position),
             report=UavReport(
                 estimate=target_position,
                 covariance=estimate.covariance,
                 age=estimate.age,
-                refused=estimate.refused,
+                rejected=estimate.refused,
                 decision=decision,
             ),
         )
@@ -161,8 +161,8 @@ class UavPilot:
     def perceive(self, observation: UavObservation) -> None:
         """Update map, estimator and safety filter, also by an observation that comes too late to be answered."""
         tick, before, dt = observation.tick, self._tick, self._dt
-        if observation.ground:
-            self.teller.note(observation.ground)
+        if observation.tile_reports:
+            self.teller.note(observation.tile_reports)
         if self._policy is not None:
             self._policy.perceive(observation)
         self._estimate = self.estimator.update(

@@ -85,7 +85,7 @@ class UgvPilot:
         return UgvCommand(
             tick=observation.tick,
             acceleration=acceleration,
-            motions=motions,
+            backup_trajectories=motions,
             route=route,
             report=report,
         )

@@ -219,7 +219,7 @@ def _unreliable() -> dict[str, tuple[Conditions, float]]:
         cases[name] = (Conditions(disturbance=kind), 0.3)
     cases |= {
         f"lost for up to {out:g} s": (
-            Conditions(disturbance=silences, silence=out, hold=0.5),
+            Conditions(disturbance=silences, silence=out, command_timeout=0.5),
             out,
         )
         for out in (0.2, 0.5, 1.0, 2.0)
@@ -245,7 +245,9 @@ def commands() -> Iterator[str]:
         yield f"| {name} | {conditions.outage:g} | {lost} | {counts[0]} | {counts[1]} | {share:.1%} | {mean:.2f} |"
 
 
-_DECLARED = {"narrowband": ["certificate.delay=1.0", "certificate.outage=5.0"]}
+_DECLARED = {
+    "narrowband": ["certificate.max_command_delay=1.0", "certificate.max_command_interval=5.0"]
+}
 """Declarations about the commands on a profile, where not B = 4 s and the longest delay of its link."""
 
 
@@ -256,11 +258,11 @@ def _flown(task: tuple[str, str, int]) -> tuple[float, float, int, float]:
         "ugv.0.driver=evade",
         "area.cell=0.5",
         "duration=160.0",
-        "hold=2.0",
-        "certificate.age=6.0",
+        "command_timeout=2.0",
+        "certificate.max_measurement_age=6.0",
     ]
     if links != "detections":
-        changes += _DECLARED.get(profile, ["certificate.outage=4.0"])
+        changes += _DECLARED.get(profile, ["certificate.max_command_interval=4.0"])
     names = ("detections", "commands") if links == "both" else (links,)
     scenario = load_scenario(
         "escort",

@@ -183,7 +183,7 @@ OWN = {
         loss=0.1, blackout_interval=30.0, blackout_length=0.52
     ),
     "10 % lost, jitter to 0.4 s": LinkSettings(
-        delay=0.1, loss=0.1, jitter=0.1, jitter_shape="exponential", jitter_cut=0.3
+        delay=0.1, loss=0.1, jitter=0.1, jitter_shape="exponential", max_jitter=0.3
     ),
 }
 

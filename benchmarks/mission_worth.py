@@ -74,7 +74,9 @@ def rows(seeds: int) -> Iterator[Row]:
                 scenario = msgspec.structs.replace(
                     plain,
                     duration=LONGEST,
-                    certificate=msgspec.structs.replace(plain.certificate, age=AGES[network]),
+                    certificate=msgspec.structs.replace(
+                        plain.certificate, max_measurement_age=AGES[network]
+                    ),
                     ugv=ugvs,
                     links=links,
                     law=msgspec.structs.replace(plain.law, name=flown),
@@ -183,10 +185,10 @@ def main() -> None:
             f"| {sum(one.arrived for one in m)} of {len(m)} "
             f"| {_mean([one.mission_time for one in m])} "
             f"| {sum(one.hazards_hit > 0 for one in m)} "
-            f"| {np.mean([one.hazards_on_way for one in m]):.1f} "
-            f"| {_mean([one.warned_before for one in m])} "
-            f"| {100.0 * np.mean([one.seen_ahead or 0.0 for one in m]):.0f} % "
-            f"| {np.mean([one.still_time for one in m]):.1f} "
+            f"| {np.mean([one.hazards_on_path for one in m]):.1f} "
+            f"| {_mean([one.mean_warning_time for one in m])} "
+            f"| {100.0 * np.mean([one.reported_share or 0.0 for one in m]):.0f} % "
+            f"| {np.mean([one.stationary_time for one in m]):.1f} "
             f"| {'–' if row.law == NOBODY else row.lost} |\n"
         )
         sys.stdout.flush()

@@ -14,7 +14,7 @@ from bus.messages.control import Control
 from bus.messages.ground import GroundMap
 from bus.messages.telemetry import CoverageMap, Status, Truth
 from bus.messages.vehicle import (
-    Drive,
+    Teleoperation,
     UavBriefing,
     UavCommand,
     UavObservation,
@@ -114,7 +114,7 @@ UGV_OBSERVATION = Key(
 # To the simulator, from vehicles and operators: every message counts.
 UAV_COMMAND = Key("command", Role.UAV, UavCommand, Role.UAV, (Role.SIMULATOR,))
 UGV_COMMAND = Key("command", Role.UGV, UgvCommand, Role.UGV, (Role.SIMULATOR,))
-OPERATOR = Key("operator", Role.UGV, Drive, Role.OPERATOR, (Role.SIMULATOR,))
+OPERATOR = Key("operator", Role.UGV, Teleoperation, Role.OPERATOR, (Role.SIMULATOR,))
 CONTROL = Key("control", None, Control, Role.OPERATOR, (Role.SIMULATOR,))
 # To observers and operators: the newest message counts, and it may be large.
 TRUTH = Key("truth", None, Truth, Role.SIMULATOR, _WATCHING, Delivery.NEWEST, _LARGE)

@@ -210,7 +210,7 @@ def _result(
         difference=difference,
         difference_half_width=difference_high - difference,
         max_distance=float(metrics["max_distance"].max()),
-        intervened=float(metrics["intervened"].mean()) if filtered else None,
+        intervened=float(metrics["overridden"].mean()) if filtered else None,
         lost=int(np.count_nonzero(violations)),
         violations=int(violations.sum()),
     )

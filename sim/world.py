@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from bus.messages.ground import TILE_LETTERS, GroundBlock, SeenTile
+from bus.messages.ground import TILE_LETTERS, MapUpdate, TileReport
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.telemetry import CoverageMap, MissionResult
 from bus.messages.vehicle import BackupTrajectory, Detection, UgvReport
@@ -204,7 +204,7 @@ class World:
         for motion in motions:
             keep_motion(kept, received_motion(motion)[0], self.tick)
 
-    def seen_ground(self, vehicle: int) -> tuple[SeenTile, ...]:
+    def seen_ground(self, vehicle: int) -> tuple[TileReport, ...]:
         """The tiles of which a vehicle's own sensor has told since the tick before."""
         ground = self.ground
         if ground is None:
@@ -213,11 +213,11 @@ class World:
         places = ground.seen[0, vehicle, : ground.told.item(0, vehicle)].tolist()
         states = (ground.known.item(0, vehicle, *divmod(place, columns)) for place in places)
         return tuple(
-            SeenTile(place % columns, place // columns, TILE_LETTERS[state])
+            TileReport(place % columns, place // columns, TILE_LETTERS[state])
             for place, state in zip(places, states, strict=True)
         )
 
-    def receive_block(self, vehicle: int, block: GroundBlock) -> None:
+    def receive_block(self, vehicle: int, block: MapUpdate) -> None:
         """A UGV is told of a block of tiles by radio: for measuring how long before it knew of what was on its way."""
         if self.ground is not None:
             n = int(np.flatnonzero(self.ground.ugvs == vehicle)[0])

@@ -56,7 +56,7 @@ def straying(*, elapsed: float, target: Limits, manoeuvre: float, dt: float) -> 
 
 
 def make(noise=SIGMA, cut=3.0, target=UGV, dt=DT, **chosen):
-    detector = Detector(noise=noise, cut=cut, period=dt)
+    detector = Detector(noise=noise, truncation=cut, period=dt)
     return RelativeEstimator(detector=detector, target=target, dt=dt, settings=Estimator(**chosen))
 
 
@@ -99,7 +99,7 @@ def filtered(own, at, noise=SIGMA, cut=3.0, target=UGV, dt=DT, **chosen) -> Filt
         at: For each tick the looks that arrive then, by tick: rows of the tick taken and p_delta.
         noise, cut, target, dt, chosen: As of `make`.
     """
-    detector, settings = Detector(noise=noise, cut=cut, period=dt), Estimator(**chosen)
+    detector, settings = Detector(noise=noise, truncation=cut, period=dt), Estimator(**chosen)
     told = kalman_parameters(detector=detector, target=target, dt=dt, settings=settings)
     parameters = records(KalmanParameters, [told])
     rows = estimator_rows(history_depth(SPAN, dt))[None, None].copy()
@@ -169,7 +169,9 @@ def cut_noise(seed, count, sigma=SIGMA, cut=3.0):
 
 def model(target=FREE, ticks=1):
     """F and Q, added up tick by tick."""
-    deviation = acceleration_deviation(target=target, manoeuvre=Estimator().manoeuvre, dt=DT)
+    deviation = acceleration_deviation(
+        target=target, manoeuvre=Estimator().acceleration_share, dt=DT
+    )
     F, Q, step = np.eye(4), np.zeros((4, 4)), np.eye(4)
     step[0, 2] = step[1, 3] = DT
     for _ in range(ticks):
@@ -181,7 +183,7 @@ def model(target=FREE, ticks=1):
 def drawn_from_the_model(rng, count):
     """A UGV that moves as the filter supposes: its states. Shape (count, 4)."""
     F, _ = model()
-    deviation = acceleration_deviation(target=FREE, manoeuvre=Estimator().manoeuvre, dt=DT)
+    deviation = acceleration_deviation(target=FREE, manoeuvre=Estimator().acceleration_share, dt=DT)
     truth = [np.array([20.0, 20.0, *(10.0 * rng.normal(size=2))])]
     for _ in range(count - 1):
         truth.append(F @ truth[-1] + deviation * PUSH @ rng.normal(size=2))

@@ -46,5 +46,5 @@ class Box:
 def truth_at(tick: int = 40) -> Truth:
     """The truth at this tick of an escort whose UAV reports an estimate."""
     uav, ugv = (a_vehicle(position, (0.25, -0.5)) for position in ((3.0, 4.5), (5.0, 4.0)))
-    report = UavReport(estimate=(6.0, 7.0), covariance=(0.04, 0.01, 0.09), age=0.0, refused=0)
+    report = UavReport(estimate=(6.0, 7.0), covariance=(0.04, 0.01, 0.09), age=0.0, rejected=0)
     return a_truth(tick * 0.05, uav, ugv, detection=(-2.125, 0.5), report=report)

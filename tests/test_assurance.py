@@ -38,8 +38,8 @@ DELAYED = load_scenario(
     overrides={
         "law.name": "certified",
         "links.commands.delay": 0.1,
-        "certificate.error": 0.3,
-        "certificate.age": 0.5,
+        "certificate.max_measurement_error": 0.3,
+        "certificate.max_measurement_age": 0.5,
     },
 )
 """Commands act two ticks late, and the newest detection is never older than ten ticks."""
@@ -58,7 +58,7 @@ def said(certified: bool | None, *, distance: float = 1.0) -> UavReport:
         estimate=(1.0, 2.0),
         covariance=(1.0, 0.0, 1.0),
         age=0.0,
-        refused=0,
+        rejected=0,
         decision=decision,
     )
 
@@ -149,8 +149,14 @@ EXCUSES: dict[str, tuple[Truths, dict[str, Any]]] = {
         every(12, arrivals=[]) | {0: {}, 3: {"arrivals": [(3, 0.0)], "answers": False}},
         {"ends": 12},
     ),
-    "there was no detection, however old one may be": (every(arrivals=[]), {"age": 1e12}),
-    "it was once farther than declared from its place": ({1: {"off": 0.21}}, {"tracking": 0.2}),
+    "there was no detection, however old one may be": (
+        every(arrivals=[]),
+        {"max_measurement_age": 1e12},
+    ),
+    "it was once farther than declared from its place": (
+        {1: {"off": 0.21}},
+        {"max_tracking_error": 0.2},
+    ),
     "its law changes or its process joins again": ({AT: {"excused": True}}, {}),
 }
 NO_EXCUSES: dict[str, tuple[Truths, dict[str, Any]]] = {
@@ -165,16 +171,16 @@ NO_EXCUSES: dict[str, tuple[Truths, dict[str, Any]]] = {
         {},
     ),
     "a motion went on long before": ({1: {"flown": NO_MOTION}}, {}),
-    "a bare acceleration acts at once": (every(bare=True), {"delay": 0.0}),
+    "a bare acceleration acts at once": (every(bare=True), {"max_command_delay": 0.0}),
     "a detection that was new enough, and that it has seen": (
         every(12, arrivals=[]) | {0: {}, 3: {"arrivals": [(3, 0.0)]}},
         {"ends": 12},
     ),
     "one detection long ago, where any age is declared": (
         every(arrivals=[]) | {0: {"arrivals": [(0, 0.0)]}},
-        {"age": 1e12},
+        {"max_measurement_age": 1e12},
     ),
-    "it was as far as declared from its place": ({1: {"off": 0.2}}, {"tracking": 0.2}),
+    "it was as far as declared from its place": ({1: {"off": 0.2}}, {"max_tracking_error": 0.2}),
     "its law changed the tick before": ({AT: {"excused": True}}, {"ends": AT + 1}),
     "no command has acted yet": ({}, {"ends": 1}),
 }
@@ -220,7 +226,12 @@ def test_a_filter_that_begins_in_flight_need_not_certify_what_one_before_it_did(
 @pytest.mark.parametrize(("flown_on", "broken"), [(True, 1), (False, 0)])
 def test_an_outage_that_follows_at_once_excuses_a_certificate_that_ends(flown_on, broken) -> None:
     """Where commands carry motions: a pilot knows of it before it is too long."""
-    certificate = Certificate(delay=0.25, outage=0.3, error=0.3, age=0.5)
+    certificate = Certificate(
+        max_command_delay=0.25,
+        max_command_interval=0.3,
+        max_measurement_error=0.3,
+        max_measurement_age=0.5,
+    )
     assurance = Assurance(msgspec.structs.replace(DELAYED, certificate=certificate))
     for tick in range(20, 32):
         flown = tick if tick <= 24 or flown_on else 24
@@ -247,7 +258,9 @@ LOSING = escort(
 )
 LOSING = msgspec.structs.replace(
     LOSING,
-    certificate=Certificate(age=60.0),  # nothing can be certified, and nothing is seen from 5 s on
+    certificate=Certificate(
+        max_measurement_age=60.0
+    ),  # nothing can be certified, and nothing is seen from 5 s on
     links=LinkTable(
         detections=msgspec.structs.replace(LOSING.links.detections, blackouts=((5.0, 60.0),))
     ),
@@ -304,7 +317,7 @@ def test_every_lie_of_a_flight_is_in_its_summary(lied: tuple[Flight, Summary, Pa
     assert (row["certified_while_lost"], row["certificate_broken"]) == (lost, 0)
     truth = flight.truth().escorts[0].report
     assert truth is not None
-    assert truth.certified
+    assert truth.decision.certified
 
 
 def test_the_trajectory_s_file_tells_each_tick_what_was_certified(lied, tmp_path):
@@ -348,7 +361,7 @@ def test_a_recording_tells_the_same_counts_and_each_tick_s_claim(lied):
         told = json.loads(CliRunner().invoke(app, arguments).stdout)
         for field in (
             "certified_share",
-            "intervened_share",
+            "overridden_share",
             "uncertified",
             "certified_while_lost",
             "certificate_broken",
@@ -389,10 +402,10 @@ def losing_the_thread(scenario: Scenario) -> Piloted:
     [
         ({}, 4),
         ({"links.commands.delay": 0.5}, 3),  # the last one may be an outage yet to come
-        ({"detections.noise": 0.5, "certificate.error": 0.1}, 0),
-        ({"links.detections.delay": 1.0, "certificate.age": 0.9}, 0),
-        ({"links.detections.delay": 1.0, "certificate.age": 1.0}, 4),
-        ({"links.commands.delay": 0.5, "certificate.delay": 0.45}, 0),
+        ({"detections.noise": 0.5, "certificate.max_measurement_error": 0.1}, 0),
+        ({"links.detections.delay": 1.0, "certificate.max_measurement_age": 0.9}, 0),
+        ({"links.detections.delay": 1.0, "certificate.max_measurement_age": 1.0}, 4),
+        ({"links.commands.delay": 0.5, "certificate.max_command_delay": 0.45}, 0),
     ],
     ids=str,
 )

@@ -44,16 +44,16 @@ class Case(NamedTuple):
         return {"detector": detector, "target": target, "settings": settings, "dt": self.dt}
 
 
-OFF, RESTLESS = Estimator(enabled=False), Estimator(manoeuvre=2.5)
-HASTY = Estimator(patience=2, gate=5.0)
+OFF, RESTLESS = Estimator(enabled=False), Estimator(acceleration_share=2.5)
+HASTY = Estimator(max_rejections=2, gate=5.0)
 CASES = {
     "in time": Case(13000),
     "tick of 0.1 s": Case(8000, dt=0.1),
-    "tick of 0.02 s": Case(8000, dt=0.02, settings=Estimator(manoeuvre=0.3)),
+    "tick of 0.02 s": Case(8000, dt=0.02, settings=Estimator(acceleration_share=0.3)),
     "unknown speed": Case(5000, target=FREE),
-    "unknown acceleration": Case(7000, dt=0.1, target=AGILE, settings=Estimator(patience=2)),
+    "unknown acceleration": Case(7000, dt=0.1, target=AGILE, settings=Estimator(max_rejections=2)),
     "nothing known": Case(4000, target=UNKNOWN),
-    "no patience": Case(7000, settings=Estimator(patience=1, gate=6.0)),
+    "no patience": Case(7000, settings=Estimator(max_rejections=1, gate=6.0)),
     "no noise": Case(4000, noise=0.0),
     "restless": Case(4000, target=AGILE, noise=0.01, settings=RESTLESS),
     "switched off": Case(4000, settings=OFF),

@@ -148,7 +148,9 @@ def test_other_files_are_bounded_too(tmp_path: Path) -> None:
         with pytest.raises(AccessDenied, match=wrong):
             read_credential(path)
         with pytest.raises(ScenarioError, match=wrong):
-            load_scenario("escort", overrides={"ugv.0.driver": "script", "ugv.0.track": str(path)})
+            load_scenario(
+                "escort", overrides={"ugv.0.driver": "script", "ugv.0.trajectory": str(path)}
+            )
     with pytest.raises(IsADirectoryError):
         read_regular(tmp_path, 1)
     rows = "time [s],ugv_0.vx [m/s],ugv_0.vy [m/s]\n" + "0,0,0\n" * 250_001
@@ -156,7 +158,7 @@ def test_other_files_are_bounded_too(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match="too long; allowed: 250,000 ticks"):
         load_scenario(
             "escort",
-            overrides={"ugv.0.driver": "script", "ugv.0.track": str(tmp_path / "track.csv")},
+            overrides={"ugv.0.driver": "script", "ugv.0.trajectory": str(tmp_path / "track.csv")},
         )
 
 

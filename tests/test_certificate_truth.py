@@ -16,15 +16,18 @@ from sim.server.flight import Flight
 R_V = 4.75
 DARK = "links.detections.blackouts=[[30.0, 20.0], [80.0, 30.0]]"
 CALM = ("ugv.0.driver=waypoints",)
-LATE = ("links.commands.delay=0.5", "hold=1.5", "certificate.age=5.0")
+LATE = ("links.commands.delay=0.5", "command_timeout=1.5", "certificate.max_measurement_age=5.0")
 PERFECT = ("detections.noise=0.0", "detections.dropout=0.0")
 NARROW, JAMMED = (f"links.commands={{profile = '{name}'}}" for name in ("narrowband", "jammed"))
-SLOW = ("hold=2.0", "certificate.age=6.0")
-LATER, DECLARED = ("hold=2.0", "certificate.age=3.0"), "certificate.delay=0.5"
+SLOW = ("command_timeout=2.0", "certificate.max_measurement_age=6.0")
+LATER, DECLARED = (
+    ("command_timeout=2.0", "certificate.max_measurement_age=3.0"),
+    "certificate.max_command_delay=0.5",
+)
 
 BROKEN = {
     "regained with commands under way": ((*PERFECT, *LATE, DARK), 7),
-    "later than declared": ((*PERFECT, *LATE, "certificate.delay=0.45"), 7),
+    "later than declared": ((*PERFECT, *LATE, "certificate.max_command_delay=0.45"), 7),
     "narrowband": ((NARROW, *SLOW), 8),
     "jammed": ((JAMMED, *SLOW), 9),
     "commands lost": ((*LATE, "links.commands.loss=0.05"), 7),
@@ -84,7 +87,15 @@ def test_a_law_that_is_changed_in_flight_is_not_certified_before_its_own_command
             flight.order(Law(name="certified"))
 
     ticks = told(
-        (*PERFECT, *CALM, "links.commands.delay=2.0", "hold=3.0", "certificate.age=2.0"), 7, change
+        (
+            *PERFECT,
+            *CALM,
+            "links.commands.delay=2.0",
+            "command_timeout=3.0",
+            "certificate.max_measurement_age=2.0",
+        ),
+        7,
+        change,
     )
     assert not [distance for certified, distance in ticks if certified and distance >= R_V]
     for begin in range(400, 3200, 400):

@@ -109,7 +109,7 @@ def _spread(share: float, n: float = MILLION) -> float:
 def _conserved(status: LinkStatus) -> bool:
     return (
         status.sent + status.duplicated
-        == status.delivered + sum(status.lost.values()) + status.waiting + status.flying
+        == status.delivered + sum(status.lost.values()) + status.queued + status.in_transit
     )
 
 
@@ -295,7 +295,7 @@ def test_each_shape_is_its_distribution_and_has_its_mean(shape: str) -> None:
 def test_delays_follow_the_cut_distribution_in_ticks(shape: str, delay: float, cut: float) -> None:
     jitter, dt = 0.1, 0.001
     flown = Flown(
-        LinkSettings(delay=delay, jitter=jitter, jitter_shape=shape, jitter_cut=cut), 400_000, dt=dt
+        LinkSettings(delay=delay, jitter=jitter, jitter_shape=shape, max_jitter=cut), 400_000, dt=dt
     )
     law, (least, most) = SCIPY[shape](jitter), (-delay, cut or 5.0 * jitter)
     low, high = law.cdf(least), law.cdf(most)
@@ -372,7 +372,7 @@ def test_a_full_queue_keeps_the_newest_or_the_oldest_as_wanted(queue: int) -> No
     steady = slice(queue + 2, None)
     assert set(newest.delays[steady].tolist()) == {queue}
     assert set(oldest.delays[steady].tolist()) == {10 * queue}
-    assert newest.status.waiting == oldest.status.waiting == queue
+    assert newest.status.queued == oldest.status.queued == queue
 
 
 def test_a_queue_that_is_never_full_delays_a_volley_one_message_after_the_other() -> None:
@@ -394,7 +394,7 @@ spans = st.sampled_from([0.0, 0.0, 0.02, 0.05, 0.3, 1.0])
 @st.composite
 def links(draw: st.DrawFn) -> LinkSettings:
     blackouts = st.lists(st.tuples(st.floats(0.0, 20.0), st.floats(0.01, 3.0)), max_size=3)
-    times = words("delay jitter jitter_cut burst_length blackout_interval")
+    times = words("delay jitter max_jitter burst_length blackout_interval")
     return LinkSettings(
         **{name: draw(spans) for name in times},
         **{name: draw(shares) for name in words("loss burst_loss duplicates reorder")},
@@ -420,10 +420,10 @@ def test_no_message_appears_or_vanishes_and_none_lacks_room(first, then, each, s
         before = flown.status
         flown.change(wanted)
         assert _conserved(flown.status)
-        assert flown.status.flying == before.flying
+        assert flown.status.in_transit == before.flying
         flown.go_on(200)
     flown.go_on(200)
-    assert flown.status.waiting == flown.status.flying == 0
+    assert flown.status.queued == flown.status.in_transit == 0
     assert _conserved(flown.status)
 
 
@@ -442,7 +442,7 @@ def test_more_messages_than_the_room_holds_are_counted_and_break_nothing() -> No
     for tick in range(100):
         exchange(links, packets, 0, traces, tick, np.full(5, float(tick)))
     status = link_status(links[0, 0])
-    assert status.lost["full"] == status.sent - status.delivered - status.flying == 400
+    assert status.lost["full"] == status.sent - status.delivered - status.in_transit == 400
     assert _conserved(status)
 
 
@@ -538,7 +538,7 @@ def test_what_waits_leaves_at_the_new_pace() -> None:
     assert flown.arrived[:, 0].tolist() == [0, 20, 40, 49, 50, 55, 60]
     flown.change(LinkSettings(delay=0.1))
     flown.go_on(3)
-    assert flown.status.waiting == 0
+    assert flown.status.queued == 0
     assert flown.arrived[7:, 0].tolist() == [64] * 9
 
 
@@ -660,7 +660,7 @@ WRONG: dict[str, dict[str, Any]] = {
     "delay": {"delay": -0.1},
     "delay = 30.0": {"delay": 30.0, "jitter": 5.0, "jitter_shape": "normal"}
     | {"reorder": 0.1, "reorder_delay": 6.0},
-    "jitter_cut = -1.0": {"jitter_cut": -1.0},
+    "max_jitter = -1.0": {"max_jitter": -1.0},
     "jitter = nan": {"jitter": math.nan},
     "jitter_shape": {"jitter_shape": "gaussian"},
     "loss = 1.5": {"loss": 1.5},

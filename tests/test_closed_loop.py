@@ -82,7 +82,7 @@ def _compare(scenario: Scenario, alike: Callable[[np.ndarray, np.ndarray], bool]
                 == (escorts[:, u, 0] >= scenario.visibility.radius).sum()
             )
         if summary.certified_share is not None and len(loop.uavs) == 1:
-            for share in ("certified", "intervened"):
+            for share in ("certified", "overridden"):
                 assert found[share] == pytest.approx(
                     getattr(summary, f"{share}_share"), abs=1.5 / scenario.ticks
                 )
@@ -129,7 +129,7 @@ def test_a_certificate_that_ends_is_counted_unless_an_assumption_has_failed() ->
     scenario = small(
         "certified",
         links=links,
-        certificate=Certificate(age=1.0),
+        certificate=Certificate(max_measurement_age=1.0),
         detections=Detections(noise=0.1, dropout=0.0),
     )
     loop = ClosedLoop(scenario, 1, error=True)
@@ -142,10 +142,13 @@ def test_a_certificate_that_ends_is_counted_unless_an_assumption_has_failed() ->
 @pytest.mark.parametrize(
     ("declared", "given"),
     [
-        (Certificate(age=1.0, error=0.29), {"detections": Detections(noise=0.1, cut=math.inf)}),
         (
-            Certificate(age=1.0, tracking=0.08),
-            {"wind": Wind(gust=0.05), "uav": Uav(position=(8.0, 7.0), own_error=0.05)},
+            Certificate(max_measurement_age=1.0, max_measurement_error=0.29),
+            {"detections": Detections(noise=0.1, truncation=math.inf)},
+        ),
+        (
+            Certificate(max_measurement_age=1.0, max_tracking_error=0.08),
+            {"wind": Wind(gust=0.05), "uav": Uav(position=(8.0, 7.0), position_error=0.05)},
         ),
     ],
     ids=["noise without a cut", "wind beyond what is declared"],

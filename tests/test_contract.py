@@ -39,13 +39,13 @@ def told(messages_to: list[type]) -> set[str]:
 def test_the_uav_is_told_these_fields_and_no_others() -> None:
     """The certificate is of its own detections, commands, actuators and inner loop."""
     known = """
-        tick time position velocity detections relative_position over episode flown
+        tick time position velocity detections relative_position over episode committed_trajectory
         limits target_limits max_speed max_acceleration
         area width height cell sensor model peak range desired_coverage covered lower upper
-        detector noise cut period estimator enabled gate patience manoeuvre
+        detector noise truncation period estimator enabled gate max_rejections acceleration_share
         safety max_measurement_error max_measurement_age max_command_delay margin
-        max_command_interval max_tracking_error hold
-        ground tile telling column row state
+        max_command_interval max_tracking_error command_timeout
+        ground tile map_update_rate tile_reports column row state
         origin latitude longitude altitude
         vehicle dt visibility_radius law key past more"""
     assert told(TO_UAV) == {*words(known), *fields_within(Law)}
@@ -54,8 +54,9 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
 def test_the_ugv_is_told_these_fields_and_no_others() -> None:
     known = """
         tick time position velocity radio relative_position coverage_error over episode
-        operator driver goal goals goal_tolerance script hold key past more
-        ground tile bumper caution delay share carries column row state blocks tiles flown
+        operator driver goal goals goal_tolerance script command_timeout key past more
+        ground tile sensing_range caution delay rough_speed_share executes_trajectories
+        tile_reports column row state map_updates tiles committed_trajectory
         vehicle dt area width height cell limits max_speed max_acceleration"""
     assert told(TO_UGV) == {*words(known)}
 
@@ -91,7 +92,7 @@ def test_what_a_uav_can_radio_has_no_velocity_and_no_input() -> None:
     radio = get_type_hints(UavCommand)["radio"]
     assert fields_within(radio) == {"time", "relative_position", "coverage_error"}
     assert "radio" not in UgvCommand.__struct_fields__
-    blocks = get_type_hints(UavCommand)["blocks"]
+    blocks = get_type_hints(UavCommand)["map_updates"]
     assert fields_within(blocks) == {"column", "row", "tiles"}
 
 

@@ -30,13 +30,13 @@ from bus.keys import CONTROL, OPERATOR, SAMPLED_TRUTH, STATUS, Party, Role
 from bus.messages.control import Action, Control
 from bus.messages.scenario import Area
 from bus.messages.telemetry import Geometry, Status, Truth, VehicleStatus, VehicleTruth
-from bus.messages.vehicle import Drive
+from bus.messages.vehicle import Teleoperation
 from bus.session import Session
 from outrider.view.terminal.canvas import Canvas
 from outrider.view.terminal.palette import BACKGROUND
 from outrider.view.terminal.panel import ErrorCurve, banner, numbers
 from outrider.view.terminal.pressed_keys import FIRST, HIGHEST, LOWEST, REPEAT, Heading, PressedKeys
-from outrider.view.terminal.teleoperation import DriveView, Teleoperation
+from outrider.view.terminal.teleoperation import DriveLink, DriveView
 from outrider.view.terminal.topview import Trails, draw
 from processes import await_status, python, wait_until
 from scattered import scattered
@@ -193,7 +193,7 @@ GEOMETRY = Geometry(
 
 
 def status_at(tick: int = 100, **changes: object) -> Status:
-    shown = {"ticks": 4000, "wanted_factor": 1.0, "geometry": GEOMETRY, "vehicles": PRESENT}
+    shown = {"ticks": 4000, "target_factor": 1.0, "geometry": GEOMETRY, "vehicles": PRESENT}
     shown |= {"tick": tick, "time": tick * 0.05, "drivers": {"ugv_0": "script"}}
     return a_status(**shown | changes)
 
@@ -209,7 +209,7 @@ class Scripted:
 
     def __init__(self, session: Session) -> None:
         self.controls: list[Control] = []
-        self.drives: list[Drive] = []
+        self.drives: list[Teleoperation] = []
         self.drivers = {"ugv_0": "script"}
         self.operators: dict[str, str] = {}
         self.tick = 100
@@ -230,7 +230,7 @@ class Scripted:
                 self.drivers[vehicle] = envelope.message.driver or ""
                 self.operators[vehicle] = envelope.message.operator or ""
             while (envelope := self._drives.next_waiting()) is not None:
-                assert isinstance(envelope.message, Drive)
+                assert isinstance(envelope.message, Teleoperation)
                 self.drives.append(envelope.message)
             self.tick += 1
             told = {"drivers": dict(self.drivers)}
@@ -291,14 +291,15 @@ def test_keys_take_the_wheel_drive_brake_and_give_it_back_and_the_terminal_is_as
         one.hold("d", lambda: len(simulator.drives) > 5)
         assert simulator.asked("teleop") == 1
         assert all(
-            word == Drive(driver="operator", velocity=(0.2, 0.0)) for word in simulator.drives
+            word == Teleoperation(operator="operator", velocity=(0.2, 0.0))
+            for word in simulator.drives
         )
         one.until_shown("YOU DRIVE ugv_0")
         one.until(lambda: simulator.drives[-1].velocity is None)  # nobody holds the key any more
         one.hold("\x1b[A", lambda: simulator.drives[-1].velocity == (0.0, 0.2))
         received = len(simulator.drives)
         one.press(" ")
-        one.until(lambda: simulator.drives[-1] == Drive(driver="operator"))
+        one.until(lambda: simulator.drives[-1] == Teleoperation(operator="operator"))
         assert len(simulator.drives) <= received + 2  # at once, not when the key has run out
         one.press("h")
         one.until_shown("script drives ugv_0")
@@ -405,7 +406,7 @@ def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> 
     ):
         controls = mute.inbox(CONTROL)
         mute.announce()
-        link = Teleoperation(session, "ugv_0", speed=0.2, status=status_at())
+        link = DriveLink(session, "ugv_0", speed=0.2, status=status_at())
         link.start()
         asked = []
         for driver in ("teleop", "script"):
@@ -530,7 +531,7 @@ def test_the_banner_says_what_matters_most(view: DriveView, words: str) -> None:
 
 def test_the_panel_says_what_is_lost_and_what_is_too_fast_and_lives_with_knowing_nothing() -> None:
     status = status_at(
-        wanted_factor=None,
+        target_factor=None,
         vehicles={"uav_0": VehicleStatus(present=False, lost=2, missing_commands=5)},
     )
     text = numbers(

@@ -27,7 +27,13 @@ from agents.ugv import Driver, UgvPilot
 from bus.errors import ScenarioError
 from bus.messages.ground import UgvGround
 from bus.messages.scenario import Area, Limits, ScriptStep
-from bus.messages.vehicle import Drive, RelativeInformation, UgvBriefing, UgvCommand, UgvObservation
+from bus.messages.vehicle import (
+    RelativeInformation,
+    Teleoperation,
+    UgvBriefing,
+    UgvCommand,
+    UgvObservation,
+)
 from bus.registry import DRIVERS as REGISTERED
 from bus.ticks import tick_of
 from flights import DT, R_V, U_G, V_A, V_G, distances, told_ugv
@@ -129,7 +135,9 @@ def _assert_within(rows: np.ndarray, v_max: float, u_max: float) -> None:
 anywhere = st.floats(-1e6, 1e6, allow_nan=False)
 anything = st.tuples(anywhere, anywhere)
 goals = st.none() | anything | st.just(MIDDLE)
-drives = st.builds(Drive, driver=st.just("somebody"), velocity=st.none() | anything, goal=goals)
+drives = st.builds(
+    Teleoperation, driver=st.just("somebody"), velocity=st.none() | anything, goal=goals
+)
 places = st.tuples(st.floats(0.0, 20.0), st.floats(0.0, 20.0))
 relatives = st.tuples(st.floats(-6.0, 6.0), st.floats(-6.0, 6.0)) | anything
 radios = st.builds(
@@ -238,7 +246,7 @@ def test_a_driver_without_a_compiled_form_is_refused_in_one_line(name: str) -> N
 
 
 def test_an_area_of_too_many_tiles_is_refused_in_one_line() -> None:
-    ground = UgvGround(tile=0.5, bumper=0.75, caution="cautious", share=0.4)
+    ground = UgvGround(tile=0.5, sensing_range=0.75, caution="cautious", rough_speed_share=0.4)
     told = r"^ground.tile = 0.5: makes 3.6e\+07 tiles of the area; at most 1,000,000$"
     with pytest.raises(ScenarioError, match=told):
         NavigateDriver(told_ugv(area=Area(width=1e6, height=9.0, cell=0.5), ground=ground))
@@ -269,15 +277,15 @@ def test_goals_and_script_are_arrays_that_compiled_code_takes(fields: dict[str, 
 
 # teleop
 
-FULL = Drive(driver="somebody", velocity=(V_G, 0.0))
+FULL = Teleoperation(operator="somebody", velocity=(V_G, 0.0))
 
 
-def _says(**words: Drive) -> Receives:
+def _says(**words: Teleoperation) -> Receives:
     """The words of an operator at some ticks: `t3=...`."""
     return lambda tick, _: {"operator": (words[f"t{tick}"],)} if f"t{tick}" in words else {}
 
 
-def _received_once(words: tuple[Drive, ...]) -> Receives:
+def _received_once(words: tuple[Teleoperation, ...]) -> Receives:
     return lambda tick, _: {"operator": words} if tick == 0 else {}
 
 
@@ -293,7 +301,7 @@ holds = st.sampled_from((0.0, 0.4, 1.0))
 def test_when_the_operator_falls_silent_the_ugv_comes_to_rest_in_time_and_stays_there(
     words, heading, v_max, u_max, dt, hold
 ) -> None:
-    driver = TeleopDriver(_told(v_max=v_max, u_max=u_max, dt=dt, hold=hold))
+    driver = TeleopDriver(_told(v_max=v_max, u_max=u_max, dt=dt, command_timeout=hold))
     still = 1 + round(hold / dt) + _ticks_to_rest(v_max, u_max, dt)
     receives = _received_once(tuple(words))
     rows, _ = _drive(
@@ -305,7 +313,7 @@ def test_when_the_operator_falls_silent_the_ugv_comes_to_rest_in_time_and_stays_
 
 def test_an_operators_word_counts_for_hold_seconds_to_the_tick() -> None:
     for since in range(60):  # tick * dt rounds differently at each
-        driver = TeleopDriver(_told(hold=0.5))
+        driver = TeleopDriver(_told(command_timeout=0.5))
         receives = _says(**{f"t{since}": FULL})
         rows, _ = _drive(driver, 20, velocity=(0.1, 0.0), begin=since, receives=receives)
         assert (rows[:11, 4] > 0.0).all()
@@ -314,7 +322,7 @@ def test_an_operators_word_counts_for_hold_seconds_to_the_tick() -> None:
 
 @given(drives, drives)
 @settings(PROPERTY)
-def test_the_operators_newest_word_counts(old: Drive, new: Drive) -> None:
+def test_the_operators_newest_word_counts(old: Teleoperation, new: Teleoperation) -> None:
     both, one = TeleopDriver(_told()), TeleopDriver(_told())
     for tick in range(3):
         state = (*MIDDLE, 0.05, 0.1)
@@ -325,7 +333,7 @@ def test_the_operators_newest_word_counts(old: Drive, new: Drive) -> None:
 @given(anything)
 @settings(PROPERTY)
 def test_a_velocity_beyond_the_bound_is_driven_at_the_bound_in_its_direction(wanted: Point) -> None:
-    word = Drive(driver="somebody", velocity=wanted)
+    word = Teleoperation(operator="somebody", velocity=wanted)
     rows, _ = _drive(TeleopDriver(_told()), 100, receives=lambda tick, _: {"operator": (word,)})
     scale = min(1.0, V_G / max(math.hypot(*wanted), 1e-300))
     assert rows[-1, 2:4] == pytest.approx((wanted[0] * scale, wanted[1] * scale), abs=1e-12)
@@ -334,7 +342,7 @@ def test_a_velocity_beyond_the_bound_is_driven_at_the_bound_in_its_direction(wan
 @given(places)
 @settings(PROPERTY, max_examples=20)
 def test_a_living_operators_goal_is_reached_and_stood_on(goal: Point) -> None:
-    word = Drive(driver="somebody", goal=goal)
+    word = Teleoperation(operator="somebody", goal=goal)
     receives = lambda tick, _: {"operator": (word,)} if tick % 8 == 0 else {}  # noqa: E731
     rows, _ = _drive(TeleopDriver(_told(v_max=1.0, u_max=0.5)), 600, receives=receives)
     assert rows[-1, :2] == pytest.approx(goal, abs=1e-3)
@@ -342,7 +350,7 @@ def test_a_living_operators_goal_is_reached_and_stood_on(goal: Point) -> None:
 
 def test_nobody_at_the_wheel_and_an_empty_word_both_brake() -> None:
     nobody, _ = _drive(TeleopDriver(_told()), 80, velocity=(V_G, 0.0))
-    nothing = Drive(driver="somebody")
+    nothing = Teleoperation(operator="somebody")
     empty, _ = _drive(TeleopDriver(_told()), 80, velocity=(V_G, 0.0), receives=_says(t0=nothing))
     stopped, _ = _drive(TeleopDriver(_told()), 80, receives=_says(t0=FULL, t5=nothing))
     for rows in (nobody, empty, stopped):

@@ -81,7 +81,7 @@ def test_equals_batch_least_squares_over_the_whole_trajectory():
     rng = np.random.default_rng(2)
     estimator = make(target=FREE, gate=1e12)
     F, _ = model()
-    deviation = deviation_of(target=FREE, manoeuvre=Estimator().manoeuvre, dt=DT)
+    deviation = deviation_of(target=FREE, manoeuvre=Estimator().acceleration_share, dt=DT)
     count = 60
     size = 4 + 2 * count
     to_state = np.eye(4, size)
@@ -253,7 +253,7 @@ def test_outlier_is_refused_and_moves_nothing():
 
 
 def test_starts_anew_after_as_many_refusals_in_a_row_as_it_has_patience():
-    estimator = converged(patience=5)
+    estimator = converged(max_rejections=5)
     for k in range(400, 404):
         assert look(estimator, k, (30.0, 25.0)).position != (30.0, 25.0)
     anew = look(estimator, 404, (30.0, 25.0))
@@ -265,7 +265,7 @@ def test_starts_anew_after_as_many_refusals_in_a_row_as_it_has_patience():
 
 
 def test_a_believed_detection_between_outliers_restores_patience():
-    estimator = converged(patience=3, speed=0.0)
+    estimator = converged(max_rejections=3, speed=0.0)
     for k in range(400, 440):
         estimate = look(estimator, k, (20.0, 20.0) if k % 3 == 0 else (30.0, 20.0))
     assert estimate.position == pytest.approx((20.0, 20.0), abs=0.1)

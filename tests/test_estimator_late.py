@@ -88,13 +88,13 @@ flights = st.lists(
 @given(
     flight=flights,
     target=st.sampled_from([UGV, FREE, AGILE]),
-    patience=st.integers(1, 4),
+    max_rejections=st.integers(1, 4),
     enabled=st.sampled_from([True, True, True, False]),
     order=st.randoms(use_true_random=False),
 )
 @settings(PROPERTY, max_examples=150)
 def test_whatever_the_network_does_to_detections_the_bits_are_those_of_what_has_arrived_in_order(
-    flight, target, patience, enabled, order
+    flight, target, max_rejections, enabled, order
 ):
     ticks = np.cumsum([step for step, *_ in flight] + [1] * 12).tolist()
     post = defaultdict(list)  # by the call at which it arrives
@@ -105,7 +105,7 @@ def test_whatever_the_network_does_to_detections_the_bits_are_those_of_what_has_
             taken[k] = detection(ticks[k], seen)
             for late in copies:
                 post[k + late].append(k)
-    late = make(target=target, patience=patience, enabled=enabled)
+    late = make(target=target, max_rejections=max_rejections, enabled=enabled)
     arrived: set[int] = set()
     copies = 0
     for k, tick in enumerate(ticks):
@@ -113,7 +113,7 @@ def test_whatever_the_network_does_to_detections_the_bits_are_those_of_what_has_
         arrived.update(post[k])
         copies += len(post[k])
         ours = call(late, tick, *(taken[i] for i in post[k]))
-        in_order = make(target=target, patience=patience, enabled=enabled)
+        in_order = make(target=target, max_rejections=max_rejections, enabled=enabled)
         for i, before in enumerate(ticks[: k + 1]):
             theirs = call(in_order, before, *([taken[i]] if i in arrived else []))
         assert ours == theirs

@@ -100,7 +100,7 @@ def test_in_real_time_a_vehicle_brakes_while_its_process_is_away_and_flies_on_wh
             later = await_status(session, lambda status: answered(status) > flies)
         run.send_signal(signal.SIGINT)
         summary = json.loads(run.communicate(timeout=60)[0])
-    assert gone.wanted_factor == 20.0
+    assert gone.target_factor == 20.0
     assert back.tick > gone.tick  # nobody waited
     assert later.vehicles["uav_0"].missing_commands >= 10
     faults = summary["faults"]

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.messages.ground import GroundBlock, Hazard
+from bus.messages.ground import Hazard, MapUpdate
 from bus.messages.telemetry import MissionResult
 from bus.messages.vehicle import UgvReport
 from outrider.envs.closed_loop import ClosedLoop
@@ -24,7 +24,7 @@ NOT = UgvReport(certified=False, uncertified=next(iter(UNCERTIFIED.values())))
 
 def on_unseen_ground(driver: str = "waypoints") -> Scenario:
     """A UGV in the middle of ground on which nobody tells it of any tile."""
-    scenario = on(Hazard(kind="block", center=(2.0, 2.0), radius=0.5), bumper=0.0)
+    scenario = on(Hazard(kind="block", center=(2.0, 2.0), radius=0.5), sensing_range=0.0)
     (ugv,) = scenario.ugv
     return msgspec.structs.replace(
         scenario, ugv=(msgspec.structs.replace(ugv, driver=driver, caution="cautious"),)
@@ -82,7 +82,7 @@ def test_false_words_on_drivable_ground_excuse(
     ground.tiles[0, 0, 0] = true
     ground.radioed[0, 0, 0, 0] = before
     states = np.full((1, 1), told, np.uint8)
-    world.receive_block(1, GroundBlock(row=0, column=0, tiles=block_letters(states, 0, 0)))
+    world.receive_block(1, MapUpdate(row=0, column=0, tiles=block_letters(states, 0, 0)))
     assert ground.missions["untrue"].tolist() == [[untrue]]
 
 

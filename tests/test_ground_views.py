@@ -260,7 +260,7 @@ def test_the_terminal_marks_what_was_hit_and_what_was_found(flown) -> None:
 
 def test_a_sweep_keeps_the_mission_and_its_report_has_columns_for_it(flown) -> None:
     row = row_of(flown[2], 1.0)
-    assert {"arrived", "mission_time", "hazards_hit", "seen_ahead"} <= set(RESULTS)
+    assert {"arrived", "mission_time", "hazards_hit", "reported_share"} <= set(RESULTS)
     assert (row["arrived"], row["hazards_hit"]) == (True, 1)
     cell = Cell([row | {"error": None}, row | {"error": None, "hazards_hit": 2, "arrived": False}])
     time = f"{row['mission_time']:.1f}"

@@ -150,7 +150,11 @@ class Vehicle:
         self, delay: float = 0.0, outage: float | None = None, *, bare: bool = False, **fields: Any
     ) -> None:
         scenario = escort(
-            "certified", certificate=Certificate(delay=delay, outage=outage, error=0.0), **fields
+            "certified",
+            certificate=Certificate(
+                max_command_delay=delay, max_command_interval=outage, max_measurement_error=0.0
+            ),
+            **fields,
         )
         self.world, self.filter, self._bare = World(scenario, 1), SafetyFilter(told(scenario)), bare
 
@@ -169,7 +173,9 @@ class Vehicle:
         g_x, g_y = world.position[1].tolist()
         flown = None if self._bare else world.flown(0)
         look = (tick * DT, (p_x - g_x, p_y - g_y))
-        seen = uav_sees(tick, look, position=(p_x, p_y), velocity=(v_x, v_y), flown=flown)
+        seen = uav_sees(
+            tick, look, position=(p_x, p_y), velocity=(v_x, v_y), committed_trajectory=flown
+        )
         self.filter.see(seen)
         decision = self.filter.filter(seen, wanted)
         motions = () if self._bare else self.filter.backup_trajectories(tick)

@@ -27,11 +27,11 @@ from sim.scenario.loading import load_scenario
 from sim.scenario.types import Detections, Scenario, Ugv
 from worlds import FREE, ONE
 
-NOISY = msgspec.structs.replace(ONE, detections=Detections(noise=30.0, cut=math.inf))
+NOISY = msgspec.structs.replace(ONE, detections=Detections(noise=30.0, truncation=math.inf))
 """Detections whose noise is as large as the area and has no bound."""
 FAST = msgspec.structs.replace(
     FREE,
-    detections=Detections(noise=30.0, cut=math.inf),
+    detections=Detections(noise=30.0, truncation=math.inf),
     ugv=(Ugv(position=(10.0, 10.0), max_speed=2000.0, max_acceleration=1e6),),
 )
 """The UAV has no limit, and the UGV crosses the area in less than a tick."""

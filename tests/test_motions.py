@@ -35,7 +35,9 @@ def rest(begins: int, parent: int = -1, **fields) -> BackupTrajectory:
 
 def still(outage: float | None = 1.0, delay: float = 0.2) -> World:
     """A UAV at rest, with perfect links."""
-    scenario = small("certified", certificate=Certificate(delay=delay, outage=outage))
+    scenario = small(
+        "certified", certificate=Certificate(max_command_delay=delay, max_command_interval=outage)
+    )
     return World(scenario, 1)
 
 
@@ -139,7 +141,7 @@ def test_a_command_with_all_its_motions_is_at_most_a_kilobyte() -> None:
     policies = pilots(env)
     while env.agents:
         commands = {name: policies[name](observations[name]) for name in env.agents}
-        taken.append(commands["uav_0"].motions)
+        taken.append(commands["uav_0"].backup_trajectories)
         observations, *_ = env.step(commands)
     for motions in taken:
         begins = [motion.begins for motion in motions]
@@ -149,7 +151,9 @@ def test_a_command_with_all_its_motions_is_at_most_a_kilobyte() -> None:
 
 
 def test_more_motions_than_a_command_may_carry_are_refused() -> None:
-    command = UavCommand(tick=0, acceleration=(0.0, 0.0), motions=(rest(0),) * (MOST_CARRIED + 1))
+    command = UavCommand(
+        tick=0, acceleration=(0.0, 0.0), backup_trajectories=(rest(0),) * (MOST_CARRIED + 1)
+    )
     with pytest.raises(msgspec.ValidationError, match="length"):
         msgspec.json.decode(msgspec.json.encode(command), type=UavCommand)
 
@@ -165,9 +169,9 @@ def test_lost_commands_fly_one_trajectory_in_the_environment_and_in_a_run() -> N
 
 def test_lost_commands_and_a_recorded_link_fly_one_trajectory_over_three_processes() -> None:
     links = ("links.commands.loss=0.4", "links.commands.jitter=0.1", "links.commands.delay=0.1")
-    recorded = (f"links.detections.trace={RECORDED}", "certificate.age=3.0")
+    recorded = (f"links.detections.trace={RECORDED}", "certificate.max_measurement_age=3.0")
     there, here = flown_both_ways(
-        "escort", *EVADED, *links, "certificate.outage=3.0", *recorded, seed=3
+        "escort", *EVADED, *links, "certificate.max_command_interval=3.0", *recorded, seed=3
     )
     assert there["certified_share"] == here.certified_share > 0.99  # from the first detection on
     assert there["links"]["uav_0/detections"]["lost"]["trace"] > 0
@@ -180,7 +184,13 @@ def test_motions_beyond_the_vehicles_bound_are_counted_and_told_once(caplog) -> 
     too_far = msgspec.structs.replace(rest(8), turn=3, turning=(0.3, 0.4))
     flight = Flight(LOST, 3)
     for tick in range(2):
-        flight.apply({"uav_0": UavCommand(tick=tick, acceleration=(0.0, 0.0), motions=(too_far,))})
+        flight.apply(
+            {
+                "uav_0": UavCommand(
+                    tick=tick, acceleration=(0.0, 0.0), backup_trajectories=(too_far,)
+                )
+            }
+        )
     assert flight.answers.shortened == {"uav_0": 2, "ugv_0": 0}
     assert caplog.text.count("its command for tick 0, 0.5 m/s², is longer than its bound 0.3") == 1
 
@@ -204,7 +214,7 @@ def test_a_policy_keeps_sight_through_the_filter_while_its_commands_are_lost() -
     scenario = small(
         "certified",
         links=LinkTable(commands=LOSSY),
-        certificate=Certificate(delay=0.4, outage=2.0),
+        certificate=Certificate(max_command_delay=0.4, max_command_interval=2.0),
         duration=40.0,
     )
     env = parallel_env(scenario, safety_filter=True)
@@ -214,7 +224,7 @@ def test_a_policy_keeps_sight_through_the_filter_while_its_commands_are_lost() -
         away = np.array([0.3, 0.1])
         _, _, _, _, infos = env.step({"uav_0": away, "ugv_0": -away})
         certified.append(infos["uav_0"]["certified"])
-        interventions += infos["uav_0"]["intervened"]
+        interventions += infos["uav_0"]["overridden"]
     assert env.world.tick == scenario.ticks
     assert all(certified)
     assert interventions > 0
@@ -224,7 +234,7 @@ def test_a_silence_that_is_longer_than_declared_is_told_by_its_name() -> None:
     scenario = small(
         "certified",
         links=LinkTable(commands=msgspec.structs.replace(LOSSY, blackouts=((5.0, 3.0),))),
-        certificate=Certificate(delay=0.4, outage=2.0),
+        certificate=Certificate(max_command_delay=0.4, max_command_interval=2.0),
     )
     _, summary = fly(scenario, 1)
     assert summary.uncertified[NotCertified.COMMAND_INTERVAL] >= 15
@@ -236,11 +246,11 @@ def reasons(
     delay: float, outage: float, ticks: range, flown, moved=lambda _: (8.0, 7.0)
 ) -> list[NotCertified | None]:
     """A filter's answers to each tick, at rest and with one detection in the first; `flown` and `moved` by tick."""
-    declared = Certificate(delay=delay, outage=outage)
+    declared = Certificate(max_command_delay=delay, max_command_interval=outage)
     pilot, found = SafetyFilter(told(small("certified", certificate=declared))), []
     for tick in ticks:
         looks = [(tick * 0.05, (0.0, 1.0))] if tick == ticks[0] else []
-        seen = uav_sees(tick, *looks, position=moved(tick), flown=flown(tick))
+        seen = uav_sees(tick, *looks, position=moved(tick), committed_trajectory=flown(tick))
         pilot.see(seen)
         found.append(pilot.filter(seen, (0.0, 0.0)).reason)
     return found
@@ -276,7 +286,9 @@ def test_what_another_pilot_has_sent_is_not_trusted() -> None:
 def test_what_the_vehicle_tells_that_it_flies_does_not_depend_on_the_ugv() -> None:
     """Its own links and motions lead to it, and nothing else: two UGVs that move differently, one answer."""
     scenario = small(
-        "certified", links=LinkTable(commands=LOSSY), certificate=Certificate(delay=0.4, outage=2.0)
+        "certified",
+        links=LinkTable(commands=LOSSY),
+        certificate=Certificate(max_command_delay=0.4, max_command_interval=2.0),
     )
     told = []
     for push in ((0.1, 0.0), (-0.05, 0.08)):

@@ -381,7 +381,7 @@ def _parameters(**numbers: Any) -> Any:
         area=Area(width=20.0, height=5.0, cell=0.5),
         limits=Limits(max_speed=1.5, max_acceleration=0.5),
         goal_tolerance=0.2,
-        ground=UgvGround(tile=0.5, bumper=0.75, caution="cautious", share=0.4),
+        ground=UgvGround(tile=0.5, sensing_range=0.75, caution="cautious", rough_speed_share=0.4),
     )
     found = asdict(driver_parameters(told, "navigate"))
     return Numbers(**found | numbers)

@@ -70,7 +70,7 @@ def test_a_ugv_alone_has_one_trajectory_in_run_environment_and_batch(flown) -> N
 
 
 def test_a_ugv_alone_drives_as_one_whose_uav_says_nothing() -> None:
-    silent = load_scenario("minefield", overrides=["ground.telling=0.0", "duration=40.0"])
+    silent = load_scenario("minefield", overrides=["ground.map_update_rate=0.0", "duration=40.0"])
     alone = msgspec.structs.replace(silent, uav=())
     assert np.array_equal(positions(alone, [1, 2]), positions(silent, [1, 2]))
 
@@ -147,7 +147,7 @@ def test_a_sweep_flies_a_ugv_alone_but_no_laws_over_it() -> None:
 
 
 def test_what_is_declared_for_uavs_is_nothing_without_one() -> None:
-    changes = ["uav=[]", "certificate.outage=1.0", "law.name=path", "duration=2.0"]
+    changes = ["uav=[]", "certificate.max_command_interval=1.0", "law.name=path", "duration=2.0"]
     scenario = load_scenario("minefield", overrides=changes)
     windy = msgspec.structs.replace(scenario, wind=Wind(mean=(0.05, 0.0)), links=LinkTable())
     _, summary = fly(check_scenario(windy), 1)

@@ -13,7 +13,7 @@ from bus.keys import OPERATOR
 from bus.messages.control import Action, Control
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Law
-from bus.messages.vehicle import Drive
+from bus.messages.vehicle import Teleoperation
 from outrider.running.assumptions import promise_warnings
 from outrider.running.flying import fly
 from processes import wait_until
@@ -124,9 +124,9 @@ def test_the_speed_can_be_changed_while_flying_and_changes_no_bit(tmp_path: Path
 
         def work(send: Any, status: Any) -> None:
             send(Control(action=Action.SPEED, factor=5.0))
-            slow.append(status(lambda s: s.wanted_factor == 5.0).wanted_factor)
+            slow.append(status(lambda s: s.target_factor == 5.0).target_factor)
             send(Control(action=Action.SPEED))
-            slow.append(status(lambda s: s.wanted_factor is None).wanted_factor)
+            slow.append(status(lambda s: s.target_factor is None).target_factor)
             done.set()
 
         done = threading.Event()  # until then a tick takes long: the flight does not end before
@@ -155,7 +155,7 @@ def test_an_operator_takes_the_wheel_drives_is_silent_and_hands_back(tmp_path: P
             seen["taken"] = taken.tick
             limit = time.monotonic() + 30.0
             while run.server.flight.world.velocity[1, 1] > -0.195 and time.monotonic() < limit:
-                wheel.send(Drive(driver="a person", velocity=(0.0, -1e5)))
+                wheel.send(Teleoperation(operator="a person", velocity=(0.0, -1e5)))
                 wait_until(
                     lambda tick=run.server.flight.world.tick: (
                         run.server.flight.world.tick > tick + 2
@@ -194,7 +194,7 @@ def change(flight: Any) -> None:
     if tick == 150:
         flight.assign_driver("ugv_0", "teleop")
     if 150 <= tick < 220 and tick % 4 == 0:
-        flight.say("ugv_0", Drive(driver="a person", velocity=(0.15, -0.1)))
+        flight.say("ugv_0", Teleoperation(operator="a person", velocity=(0.15, -0.1)))
 
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])

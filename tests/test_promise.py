@@ -29,11 +29,12 @@ def certified(*overrides: str) -> Scenario:
 
 
 BROKEN = rows("""
-A1 | SOMETIMES | detections.noise=0.5 & certificate.error=1.2 | certificate.error = 1.2 m
-A1 | THROUGHOUT | detections.noise=0.5 & certificate.error=0.2 | 92.2 % are larger
-A1 | SOMETIMES | detections.cut=inf & certificate.error=0.4 | detections.cut = inf
-none | THROUGHOUT | detections.cut=inf | the noise of the detections is not cut
-A2 | CERTAIN | detections.rate=1.0 & certificate.age=0.5 | detections.rate = 1 /s
+A1 | SOMETIMES | detections.noise=0.5 & certificate.max_measurement_error=1.2
+| certificate.max_measurement_error = 1.2 m
+A1 | THROUGHOUT | detections.noise=0.5 & certificate.max_measurement_error=0.2 | 92.2 % are larger
+A1 | SOMETIMES | detections.truncation=inf & certificate.max_measurement_error=0.4 | detections.truncation = inf
+none | THROUGHOUT | detections.truncation=inf | the noise of the detections is not cut
+A2 | CERTAIN | detections.rate=1.0 & certificate.max_measurement_age=0.5 | detections.rate = 1 /s
 A2 | THROUGHOUT | links.detections.delay=1.05 | links.detections.delay = 1.05
 A2 | SOMETIMES | links.detections.delay=0.95 & links.detections.jitter=0.3 | links.detections.jitter = 0.3
 A2 | SOMETIMES | links.detections.loss=0.5 | links.detections.loss = 0.5
@@ -43,15 +44,17 @@ A2 | SOMETIMES | links.detections.burst_length=2.0 & links.detections.burst_inte
 | links.detections.burst_length = 2
 A2 | SOMETIMES | links.detections.blackout_length=2.0 & links.detections.blackout_interval=9.0
 | links.detections.blackout_length = 2
-A2 | CERTAIN | links.detections.blackouts=[[30.0,20.0]] | becomes 20 s old, certificate.age = 1 s, from 31 s to 50 s
+A2 | CERTAIN | links.detections.blackouts=[[30.0,20.0]]
+| becomes 20 s old, certificate.max_measurement_age = 1 s, from 31 s to 50 s
 A2 | CERTAIN | links.detections.blackouts=[[30.0,1.05]] | from 31 s to 31.05 s
 A2 | CERTAIN | links.detections.blackouts=[[0.0,0.5]] | nothing is detected before 0.5 s
 A2 | CERTAIN | links.detections.bandwidth=1.0 | links.detections.bandwidth = 1
-A5' | THROUGHOUT | links.commands.delay=0.5 & certificate.delay=0.0 | no motion arrives before 0.5 s after its tick
-A5' | SOMETIMES | links.commands.reorder=0.1 & links.commands.reorder_delay=0.2 & certificate.delay=0.0
+A5' | THROUGHOUT | links.commands.delay=0.5 & certificate.max_command_delay=0.0
+| no motion arrives before 0.5 s after its tick
+A5' | SOMETIMES | links.commands.reorder=0.1 & links.commands.reorder_delay=0.2 & certificate.max_command_delay=0.0
 | links.commands.reorder = 0.1
 A5' | THROUGHOUT | links.commands.bandwidth=5 | fewer messages than 20 /s
-A5' | SOMETIMES | links.commands.loss=0.1 | later than certificate.outage = 0.05 s
+A5' | SOMETIMES | links.commands.loss=0.1 | later than certificate.max_command_interval = 0.05 s
 A5' | SOMETIMES | links.commands.burst_length=0.5 & links.commands.burst_interval=9.0
 | links.commands.burst_length = 0.5
 A5' | SOMETIMES | links.commands.blackout_length=0.5 & links.commands.blackout_interval=9.0
@@ -80,7 +83,7 @@ def test_each_cause_is_told_with_its_assumption_its_field_and_how_often(
 KEPT = [
     [],
     ["links.commands.delay=0.5"],
-    ["certificate.delay=0.3"],  # what comes early waits
+    ["certificate.max_command_delay=0.3"],  # what comes early waits
     ["links.commands.delay=0.3", "links.commands.jitter=0.1"],
     ["links.commands.reorder=0.1", "links.commands.reorder_delay=0.2"],
     ["links.commands.delay=0.02", "links.commands.jitter=0.01"],  # one tick, whatever the jitter
@@ -121,8 +124,8 @@ def test_what_an_operator_makes_of_a_link_is_told_against_what_the_uav_was_told(
 
 COMMANDS = [
     LinkSettings(delay=0.3, jitter=0.1),
-    LinkSettings(delay=0.1, jitter=0.05, jitter_shape="exponential", jitter_cut=0.2),
-    LinkSettings(delay=0.2, jitter=0.08, jitter_shape="normal", jitter_cut=0.2),
+    LinkSettings(delay=0.1, jitter=0.05, jitter_shape="exponential", max_jitter=0.2),
+    LinkSettings(delay=0.2, jitter=0.08, jitter_shape="normal", max_jitter=0.2),
     LinkSettings(delay=0.05, reorder=0.3, reorder_delay=0.1),
     LinkSettings(delay=0.1, duplicates=0.5),
     LinkSettings(delay=0.1, bandwidth=7.0, queue=3),
@@ -161,9 +164,9 @@ def test_what_is_said_of_a_link_is_what_the_link_does(settings: LinkSettings) ->
 @pytest.mark.parametrize(
     ("changes", "told"),
     rows("""
-hold=0.2 & links.commands.delay=0.25
+command_timeout=0.2 & links.commands.delay=0.25
 | hold = 0.2: commands are 0.25 s old or more when they arrive (links.commands of uav_0)
-hold=0.0 & links.commands.delay=0.01 | allowed: 0.05 s or more
+command_timeout=0.0 & links.commands.delay=0.01 | allowed: 0.05 s or more
 dt=0.2 & detections.rate=5.0 & links.commands.delay=0.5 | allowed: 0.6 s or more
 links.only=[{vehicle="uav_0",commands={delay=0.8,jitter=0.2}}]
 | 0.6 s old or more when they arrive (links.only.0.commands of uav_0)
@@ -179,12 +182,12 @@ def test_commands_that_are_always_too_old_to_act_are_refused_under_every_law(cha
 
 def test_a_delay_that_hold_allows_is_flown() -> None:
     for hold, delay in ((0.5, 0.5), (0.0, 0.0), (0.35, 0.35)):
-        changes = [f"hold={hold}", f"links.commands.delay={delay}"]
-        assert load_scenario("escort", overrides=changes).hold == hold
+        changes = [f"command_timeout={hold}", f"links.commands.delay={delay}"]
+        assert load_scenario("escort", overrides=changes).command_timeout == hold
 
 
 def test_check_says_that_nothing_can_be_certified(command) -> None:
-    changes = ("--set", "links.commands.delay=0.3", "--set", "certificate.delay=0.1")
+    changes = ("--set", "links.commands.delay=0.3", "--set", "certificate.max_command_delay=0.1")
     done = command("check", "escort", *changes)
     assert done.returncode == 0
     assert "certified hardly ever" in " ".join(done.stdout.split())
@@ -193,15 +196,23 @@ def test_check_says_that_nothing_can_be_certified(command) -> None:
 
 
 def test_random_losses_are_warned_of_with_their_share_of_the_ticks() -> None:
-    (found,) = shortfalls(certified("links.detections.loss=0.5", "certificate.age=0.25"))
+    (found,) = shortfalls(
+        certified("links.detections.loss=0.5", "certificate.max_measurement_age=0.25")
+    )
     assert (found.assumption, found.how, found.by_chance) == ("A2", How.SOMETIMES, True)
-    assert "older than certificate.age = 0.25 s in 1.56 % of the ticks" in found.line
-    lossy = certified("links.commands.loss=0.1", "certificate.outage=0.2")
+    assert (
+        "older than certificate.max_measurement_age = 0.25 s in 1.56 % of the ticks" in found.line
+    )
+    lossy = certified("links.commands.loss=0.1", "certificate.max_command_interval=0.2")
     (found,) = shortfalls(lossy)
     assert (found.assumption, found.how, found.by_chance) == ("A5'", How.SOMETIMES, True)
-    assert "later than certificate.outage = 0.2 s in 0.01 % of the ticks" in found.line
-    assert not shortfalls(certified("links.commands.loss=0.1", "certificate.outage=1.0"))
-    dark = certified("links.commands.blackouts=[[5.0,3.0]]", "certificate.outage=1.0")
+    assert (
+        "later than certificate.max_command_interval = 0.2 s in 0.01 % of the ticks" in found.line
+    )
+    assert not shortfalls(
+        certified("links.commands.loss=0.1", "certificate.max_command_interval=1.0")
+    )
+    dark = certified("links.commands.blackouts=[[5.0,3.0]]", "certificate.max_command_interval=1.0")
     assert [fault.how for fault in shortfalls(dark)] == [How.CERTAIN]
 
 
@@ -209,7 +220,7 @@ SHARES: list[tuple[dict[str, Any], int, int, float]] = [
     ({"loss": 0.3, "delay": 0.1}, 1, 5, 0.1),
     ({"loss": 0.1, "burst_length": 0.2, "burst_interval": 0.5, "burst_loss": 0.8}, 2, 8, 0.0),
     ({"loss": 0.1, "blackout_interval": 5.0, "blackout_length": 0.5}, 2, 8, 0.1),
-    ({"loss": 0.1, "jitter": 0.1, "jitter_shape": "exponential", "jitter_cut": 0.4}, 1, 6, 0.1),
+    ({"loss": 0.1, "jitter": 0.1, "jitter_shape": "exponential", "max_jitter": 0.4}, 1, 6, 0.1),
     ({"loss": 0.4, "blackouts": ((100.0, 0.3), (200.0, 0.2))}, 1, 6, 0.1),
 ]
 

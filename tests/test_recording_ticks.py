@@ -21,7 +21,7 @@ from bus.messages.control import Action, Change, Control
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Law
 from bus.messages.telemetry import Truth
-from bus.messages.vehicle import Drive, UavReport, UgvObservation
+from bus.messages.vehicle import Teleoperation, UavReport, UgvObservation
 from observed import Observer
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.reader import entries, flight_of, load
@@ -87,7 +87,7 @@ def test_every_float_keeps_its_text(number: float) -> None:
     flight = Flight(ONE, 3)
     truth, both = flight.truth(), (number, number)
     flight.recorder.states[0, 0, :4] = number
-    report = UavReport(estimate=(number, 0.0), covariance=(1.0, number, 1.0), age=0.0, refused=0)
+    report = UavReport(estimate=(number, 0.0), covariance=(1.0, number, 1.0), age=0.0, rejected=0)
     uav = replace(truth.vehicles["uav_0"], position=both, velocity=both, command=both)
     ugv = replace(truth.vehicles["ugv_0"], command=both)
     (found,) = TickTexts(flight).of(0, np.full((1, 2, 2), number), [(report,)])
@@ -137,15 +137,15 @@ def test_a_scene_holds_every_body_and_every_track(tmp_path: Path) -> None:
 
 
 SPOKEN = {
-    0: [("say", "ugv_0", Drive(driver="anna", velocity=(0.1, 0.0)))],
+    0: [("say", "ugv_0", Teleoperation(operator="anna", velocity=(0.1, 0.0)))],
     7: [("assign_driver", "ugv_0", "teleop")],
     9: [
-        ("say", "ugv_0", Drive(driver="anna", velocity=(0.1, 1.0 / 3.0))),
-        ("say", "ugv_0", Drive(driver="ben", goal=(21.0, 22.0))),
+        ("say", "ugv_0", Teleoperation(operator="anna", velocity=(0.1, 1.0 / 3.0))),
+        ("say", "ugv_0", Teleoperation(operator="ben", goal=(21.0, 22.0))),
     ],
     20: [("degrade", LinkKind.RADIO, "uav_0", LinkSettings(loss=0.5))],
     40: [("order", Law(name="switching"))],
-    41: [("assign_driver", "ugv_0", "teleop"), ("say", "ugv_0", Drive(driver="anna"))],
+    41: [("assign_driver", "ugv_0", "teleop"), ("say", "ugv_0", Teleoperation(operator="anna"))],
 }
 
 
@@ -182,7 +182,8 @@ def test_what_operators_said_and_changed_is_in_the_file_with_its_tick(tmp_path: 
     assert [word.tick for _, word in recording.words] == [0, 9, 9, 41]
     assert {ugv for ugv, _ in recording.words} == {"ugv_0"}
     assert [
-        Drive(driver=w.driver, velocity=w.velocity, goal=w.goal) for _, w in recording.words
+        Teleoperation(operator=w.driver, velocity=w.velocity, goal=w.goal)
+        for _, w in recording.words
     ] == words
     radio = {"link": LinkKind.RADIO, "vehicle": "uav_0", "settings": LinkSettings(loss=0.5)}
     assert recording.changes == [

@@ -47,7 +47,9 @@ def test_a_shipped_scenario_is_written_and_read_the_same(
 )
 @given(
     st.dictionaries(st.sampled_from(PATHS), ODD, max_size=2),
-    st.dictionaries(st.sampled_from(["name", "title", "ugv.0.track", "custom.path"]), st.text()),
+    st.dictionaries(
+        st.sampled_from(["name", "title", "ugv.0.trajectory", "custom.path"]), st.text()
+    ),
     st.fixed_dictionaries(
         {}, optional={"detections.noise": st.floats(0.0, 1.0), "seed": st.integers(0, 2**53 - 1)}
     ),
@@ -72,7 +74,11 @@ def test_recorded_links_and_tracks_are_written_with_their_content(
     Path("track.csv").write_text(
         f"time [s],ugv_0.vx [m/s],ugv_0.vy [m/s]\n{rows}", encoding="utf-8"
     )
-    changes = ["links.detections.trace=link.csv", "ugv.0.driver=script", "ugv.0.track=track.csv"]
+    changes = [
+        "links.detections.trace=link.csv",
+        "ugv.0.driver=script",
+        "ugv.0.trajectory=track.csv",
+    ]
     only = 'links.only=[{vehicle = "uav_0", commands = {profile = "lte"}}]'
     scenario = load_scenario("escort", overrides=[*changes, only])
     for file in ("link.csv", "track.csv"):

@@ -160,14 +160,14 @@ class _Bugged(InProcess):
 
 def _told(secret: str, ticks: IntArray, said: FloatArray) -> Told:
     me = uav_briefing(SCENARIO, "uav_0", SEED, secret)
-    assert me.detector.cut is not None
+    assert me.detector.truncation is not None
     return Told(
         key=words_of(me.key),
         ticks=ticks,
         found=~np.isnan(said[:, 0]),
         said=said,
         sigma=me.detector.noise,
-        cut=me.detector.cut,
+        cut=me.detector.truncation,
         fastest=(me.limits.max_speed + me.target_limits.max_speed) * me.dt,  # type: ignore[operator]
     )
 

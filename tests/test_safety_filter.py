@@ -33,11 +33,11 @@ def watched(*overrides: str, driver: str = "evade", duration: float = 120.0) -> 
 
 DARK = [
     *(f"links.detections.blackout_{what}" for what in ("interval=12.0", "length=8.0")),
-    "certificate.age=9.0",
+    "certificate.max_measurement_age=9.0",
 ]
 NETWORKS = {
     "perfect": [],
-    "late detections": ["links.detections.delay=1.0", "certificate.age=1.5"],
+    "late detections": ["links.detections.delay=1.0", "certificate.max_measurement_age=1.5"],
     "blackouts": DARK,
     "late commands": ["links.commands.delay=0.5"],
     "loss": ["links.detections.loss=0.5"],
@@ -68,7 +68,7 @@ def test_the_paper_s_law_loses_sight_where_the_filter_keeps_it() -> None:
 def test_undegraded_the_filter_leaves_the_law_alone() -> None:
     certified = fly(watched(driver="waypoints"), 7)
     plain = fly(watched("law.name=logarithmic", driver="waypoints"), 7)
-    assert certified[1].intervened_share == 0.0
+    assert certified[1].overridden_share == 0.0
     assert np.allclose(distances(certified[0]), distances(plain[0]), atol=1e-6)
 
 
@@ -76,8 +76,8 @@ def test_undegraded_the_filter_leaves_the_law_alone() -> None:
     ("changes", "reason"),
     rows("""
 links.detections.blackouts=[[20.0,6.0]] | MEASUREMENT_TOO_OLD
-links.commands.delay=0.5 certificate.delay=0.0 | COMMAND_INTERVAL
-detections.noise=0.5 certificate.error=0.2 | CONTRADICTION
+links.commands.delay=0.5 certificate.max_command_delay=0.0 | COMMAND_INTERVAL
+detections.noise=0.5 certificate.max_measurement_error=0.2 | CONTRADICTION
 """),
 )
 def test_a_broken_assumption_is_told_with_its_name(changes: str, reason: str) -> None:
@@ -90,9 +90,9 @@ def test_a_broken_assumption_is_told_with_its_name(changes: str, reason: str) ->
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        (["detections.cut=inf"], "eps = inf m: the noise of the detections is not cut"),
-        (["certificate.age=60.0"], "too much for r_v"),
-        (["certificate.delay=30.0"], "too much for r_v"),
+        (["detections.truncation=inf"], "eps = inf m: the noise of the detections is not cut"),
+        (["certificate.max_measurement_age=60.0"], "too much for r_v"),
+        (["certificate.max_command_delay=30.0"], "too much for r_v"),
     ],
 )
 def test_what_cannot_be_certified_is_told_before_it_is_flown_and_at_every_tick(changes, reason):
@@ -110,7 +110,9 @@ def test_what_is_declared_follows_from_the_scenario() -> None:
     declared = told(scenario).safety
     assert declared.max_measurement_error == pytest.approx(0.3)
     assert declared.max_command_delay == pytest.approx(0.35)
-    own = msgspec.structs.replace(scenario, certificate=Certificate(delay=0.1, error=0.5))
+    own = msgspec.structs.replace(
+        scenario, certificate=Certificate(max_command_delay=0.1, max_measurement_error=0.5)
+    )
     assert told(own).safety.max_measurement_error == 0.5
 
 
@@ -143,7 +145,7 @@ def test_an_environment_with_the_filter_keeps_sight_whatever_the_policy_wants() 
     intervened, infos = 0, {}
     while env.agents:
         *_, infos = env.step({"uav_0": outward(env, "uav_0"), "ugv_0": np.array([-0.1, 0.0])})
-        intervened += infos["uav_0"]["intervened"]
+        intervened += infos["uav_0"]["overridden"]
         assert infos["uav_0"]["certified"], infos
         assert env.metrics()["uav_0"]["distance"] < min(
             R_V, infos["uav_0"]["certified_distance"] + 0.05
@@ -151,7 +153,7 @@ def test_an_environment_with_the_filter_keeps_sight_whatever_the_policy_wants() 
     assert env.world.tick == scenario.ticks
     assert intervened > 100
     assert {infos["uav_0"]["uncertified"]} == {""}
-    assert "intervened" not in infos["ugv_0"]
+    assert "overridden" not in infos["ugv_0"]
 
 
 @pytest.mark.parametrize("agent", ["uav_0", "ugv_0"])
@@ -168,7 +170,7 @@ def test_nonsense_is_refused_before_anything_is_filtered(agent, action) -> None:
 
 def test_a_tick_that_is_not_certified_says_why() -> None:
     for change, reason in (
-        ("certificate.age=60.0", "ASSUMPTIONS"),
+        ("certificate.max_measurement_age=60.0", "ASSUMPTIONS"),
         ("uav.0.position=[7.0, 9.0]", "NO_MEASUREMENT"),
     ):
         blind = msgspec.structs.replace(watched(change, duration=5.0), detections=DROPPED)
@@ -195,7 +197,7 @@ def test_a_uav_that_starts_moving_is_certified_once_a_plan_after_the_first_detec
         "links.commands.delay=0.5",
         "links.detections.delay=0.3",
         "uav.0.velocity=[0.3, 0.2]",
-        "certificate.age=1.5",
+        "certificate.max_measurement_age=1.5",
         duration=10.0,
     )
     _, summary = fly(scenario, 7)

@@ -86,7 +86,7 @@ def test_the_escort_is_noisy_and_turns_both_ways() -> None:
     told = (ESCORT.seed, ESCORT.duration, ESCORT.law.name, ESCORT.estimator.enabled)
     assert told == (7, 200.0, "certified", True)
     looks = ESCORT.detections
-    assert (looks.noise, looks.cut, looks.rate, looks.dropout) == (0.1, 3.0, 20.0, 0.1)
+    assert (looks.noise, looks.truncation, looks.rate, looks.dropout) == (0.1, 3.0, 20.0, 0.1)
     corners = np.diff(np.array([ESCORT.ugv[0].position, *ESCORT.ugv[0].goals]), axis=0)
     turns = np.sign(corners[:-1, 0] * corners[1:, 1] - corners[:-1, 1] * corners[1:, 0])
     assert len(corners) == 5

@@ -63,18 +63,18 @@ uav_is_stronger | uav.0.max_acceleration=0.1 | uav.0.max_acceleration = 0.1 | ab
 ugv_is_seen_at_start | uav.0.position=[7, 12.75] | uav.0.position = [7.0, 12.75] | visibility.radius = 4.75 m
 wind_is_possible | wind.mean=[0.3, 0.4] & wind.limit=0.4 | wind.mean = [0.3, 0.4] | up to wind.limit = 0.4 m/s²
 inner_loops_hold | wind.mean=[1, 0] | uav.0.tracking.reserve = 0.5 | m/s² or more
-inner_loops_hold | uav.0.own_error=0.1 & uav.0.tracking.velocity_gain=40 | uav.0.tracking.velocity_gain = 40.0
+inner_loops_hold | uav.0.position_error=0.1 & uav.0.tracking.velocity_gain=40 | uav.0.tracking.velocity_gain = 40.0
 | less than 40 1/s
-inner_loops_hold | uav.0.own_error=0.1 & uav.0.tracking.position_gain=80 | uav.0.tracking.position_gain = 80.0
+inner_loops_hold | uav.0.position_error=0.1 & uav.0.tracking.position_gain=80 | uav.0.tracking.position_gain = 80.0
 | less than 2 velocity_gain / dt = 80 1/s²
-inner_loops_hold | uav.0.own_error=0.1 & uav.0.tracking.position_gain=1e-9 | uav.0.tracking.position_gain = 1e-09
+inner_loops_hold | uav.0.position_error=0.1 & uav.0.tracking.position_gain=1e-9 | uav.0.tracking.position_gain = 1e-09
 | larger
 names_are_known | law.name=circel | law.name = "circel" | {LAWS}
 names_are_known | sensor.model=cone | sensor.model = "cone" | hill, plateau
 names_are_known | ugv.0.driver=ghost | ugv.0.driver = "ghost" | waypoints
 links_are_possible | links.radio.burst_length=1.0 | links.radio.burst_interval = 0.0 | above 0 s
 links_are_possible | links.only=[{vehicle="uav_7"}] | links.only.0.vehicle = "uav_7" | uav_0
-commands_act | links.commands.delay=0.6 | hold = 0.5 | 0.6 s or more
+commands_act | links.commands.delay=0.6 | command_timeout = 0.5 | 0.6 s or more
 own_functions_are_named | ugv.0.driver=policy | custom.policy = "" | module:function
 own_functions_are_named | custom.policy=mine | custom.policy = "mine" | module:function
 drivers_have_their_task | ugv.0.driver=script | ugv.0.script = [] | velocity
@@ -108,7 +108,8 @@ hazards_have_a_shape | hazard=[{kind="block",radius=1}] | hazard.0.center | [x, 
 hazards_have_a_shape | hazard=[{kind="block",center=[1,1]}] | hazard.0.radius | a number > 0, in m
 hazards_have_a_shape | hazard=[{kind="block",center=[1,1],radius=1,polygon=[[1,1],[2,1],[2,2]]}]
 | hazard.0.polygon = [[1.0, 1.0], [2.0, 1.0], [2.0, 2.0]] | one of the two
-hazards_have_a_shape | hazard=[{kind="block",center=[1,1],radius=1,share=0.5}] | hazard.0.share = 0.5 | kind rough
+hazards_have_a_shape | hazard=[{kind="block",center=[1,1],radius=1,speed_share=0.5}] | hazard.0.speed_share = 0.5
+| kind rough
 hazards_have_a_shape | hazard=[{kind="block",polygon=[[1,1],[2,1]]}] | hazard.0.polygon = [[1.0, 1.0], [2.0, 1.0]]
 | three or more
 hazards_have_a_shape | hazard=[{kind="block",polygon=[[1,1],[2,1],[1,1]]}]
@@ -129,13 +130,15 @@ ways_are_open | ground.tile=2 & hazard=[{kind="block",center=[20.5,13.5],radius=
 | tiles of 2 m
 fields_are_possible | hazard_field=[{kind="block",count=1,radius=[2,1]}]
 | hazard_field.0.radius = [2.0, 1.0] | smallest
-fields_are_possible | hazard_field=[{kind="find",count=1,radius=[1,2],share=1}] | hazard_field.0.share = 1.0 | rough
+fields_are_possible | hazard_field=[{kind="find",count=1,radius=[1,2],speed_share=1}]
+| hazard_field.0.speed_share = 1.0 | rough
 fields_are_possible
 | hazard_field=[{kind="find",count=9000,radius=[0.1,0.1]},{kind="find",count=9000,radius=[0.1,0.1]}]
 | hazard_field.1.count = 9000 | up to 10,000 in all
 fields_are_possible | hazard_field=[{kind="rough",count=9000,radius=[1,1]}] | hazard_field.0.count = 9000 | up to 2037
 fields_have_room | hazard_field=[{kind="block",count=90,radius=[4,5]}] | hazard_field.0.count = 90 | up to
-fields_have_room | hazard_field=[{kind="block",count=9,radius=[1,1],clear=90}] | hazard_field.0.count = 9 | less clear
+fields_have_room | hazard_field=[{kind="block",count=9,radius=[1,1],clearance=90}] | hazard_field.0.count = 9
+| less clear
 circle_is_within_sight | law.name=circle & law.parameters.circle_radius=4.75
 | law.parameters.circle_radius = 4.75 | less than r_v = 4.75 m
 circle_is_within_sight | law.name=circle & uav.0.max_acceleration=inf
@@ -168,7 +171,7 @@ def test_every_check_has_a_row_above() -> None:
         "uav.0.max_speed",
         "uav.0.position.1",
         "ugv.0.goals.2.0",
-        "hold",
+        "command_timeout",
     ],
 )
 @pytest.mark.parametrize("value", ["nan", "-nan", "-inf"])
@@ -216,7 +219,7 @@ seed=1.5 | seed = 1.5: not a whole number; allowed: a whole number
 seed=-1 | seed = -1: out of bounds; allowed: a whole number >= 0
 title=5 | title = 5: not text; allowed: text
 title=2020-01-01 | title = 2020-01-01: not text; allowed: text
-detections.cut=0 | detections.cut = 0: out of bounds; allowed: a number > 0
+detections.truncation=0 | detections.truncation = 0: out of bounds; allowed: a number > 0
 detections.dropout=2 | detections.dropout = 2: out of bounds; allowed: a number <= 1.0
 law={name="lookahead",parameters={horizon=0.1}}
 | law.parameters.horizon = 0.1: out of bounds; allowed: a number >= 0.5
@@ -245,6 +248,10 @@ ugv=[] | ugv = []: out of bounds; allowed: a list of length >= 1
 uav={position=[1, 2]} | uav = {position = [1, 2]}: a single table; allowed: a list, in TOML [[uav]]
 coverage.covered=[{lower=[1, 1]}] | coverage.covered.0.upper: missing; allowed: [x, y] in m
 sead=3 | sead = 3: no such field, did you mean 'seed'?; allowed: name, title, seed, duration, dt
+hold=1.0 | hold = 1.0: renamed to command_timeout
+certificate.outage=2.0 | certificate.outage = 2.0: renamed to max_command_interval
+uav.0.own_error=0.1 | uav.0.own_error = 0.1: renamed to position_error; allowed: uav.0.position_error
+links.commands.jitter_cut=0.1 | links.commands.jitter_cut = 0.1: renamed to max_jitter
 certificate.risk=0.01
 | certificate.risk = 0.01: no field of a scenario; allowed: the bounds that `outrider network bounds SCENARIO --risk
 law.nmae=circle | law.nmae = "circle": no such field, did you mean 'name'?; allowed: name, parameters

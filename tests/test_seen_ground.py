@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.messages.ground import BLOCK_SIDE, GroundBlock, Hazard, SeenTile
+from bus.messages.ground import BLOCK_SIDE, Hazard, MapUpdate, TileReport
 from bus.messages.vehicle import RelativeInformation, UavObservation
 from flights import Piloted, altered
 from outrider.running.flying import InProcess, make_pilots
@@ -20,7 +20,9 @@ from sim.world import World
 from worlds import small
 
 DISC = Hazard(kind="block", center=(10.0, 6.0), radius=0.5)
-MUD = Hazard(kind="rough", polygon=((5.0, 5.0), (7.0, 5.0), (7.0, 7.0), (5.0, 7.0)), share=0.3)
+MUD = Hazard(
+    kind="rough", polygon=((5.0, 5.0), (7.0, 5.0), (7.0, 7.0), (5.0, 7.0)), speed_share=0.3
+)
 FLAG = Hazard(kind="find", center=(8.0, 8.0), radius=0.2)
 EAST = (0.1, 0.0)
 
@@ -38,7 +40,9 @@ def on(*hazards: Hazard, at: tuple[float, float] = (8.0, 6.0), **ground: Any) ->
     )
 
 
-def drive(world: World, ticks: int, ugv=EAST, uav=(0.02, 0.01)) -> list[list[tuple[SeenTile, ...]]]:
+def drive(
+    world: World, ticks: int, ugv=EAST, uav=(0.02, 0.01)
+) -> list[list[tuple[TileReport, ...]]]:
     """The tiles that are told of at each tick, of UAV and UGV."""
     seen = [[world.seen_ground(k) for k in (0, 1)]]
     for _ in range(ticks):
@@ -49,7 +53,7 @@ def drive(world: World, ticks: int, ugv=EAST, uav=(0.02, 0.01)) -> list[list[tup
     return seen
 
 
-def places(seen: tuple[SeenTile, ...]) -> set[tuple[int, int]]:
+def places(seen: tuple[TileReport, ...]) -> set[tuple[int, int]]:
     return {(tile.row, tile.column) for tile in seen}
 
 
@@ -81,7 +85,7 @@ def test_a_uav_tells_of_a_tile_once_when_it_has_looked_at_its_centre_for_long_en
 
 
 def test_a_bumper_tells_of_the_tiles_that_have_a_point_within_its_range() -> None:
-    scenario = on(DISC, MUD, bumper=0.9, tile=0.4)
+    scenario = on(DISC, MUD, sensing_range=0.9, tile=0.4)
     world, told, truth = World(scenario, 1), set[tuple[int, int]](), {}
     tiles = world.ground.tiles[0]
     for tick in range(200):
@@ -178,7 +182,7 @@ def test_what_a_vehicle_perceives_depends_on_nothing_that_it_has_not_seen() -> N
         pytest.fail("nobody has come near")
 
 
-def blocks_received(flight: Flight) -> dict[int, tuple[GroundBlock, ...]]:
+def blocks_received(flight: Flight) -> dict[int, tuple[MapUpdate, ...]]:
     ugv = flight.perceptions["ugv_0"]
     assert isinstance(ugv, UgvPerception)
     return ugv.blocks
@@ -187,18 +191,18 @@ def blocks_received(flight: Flight) -> dict[int, tuple[GroundBlock, ...]]:
 @pytest.mark.parametrize(
     "forged",
     [
-        GroundBlock(column=0, row=0, tiles="." * 64),
-        GroundBlock(column=1000, row=52_417, tiles="?" * 64),
-        GroundBlock(column=0, row=3, tiles="?" * 64),
+        MapUpdate(column=0, row=0, tiles="." * 64),
+        MapUpdate(column=1000, row=52_417, tiles="?" * 64),
+        MapUpdate(column=0, row=3, tiles="?" * 64),
     ],
     ids=["not told", "beyond the area", "nothing known"],
 )
 def test_a_block_that_says_what_the_uavs_sensor_has_not_told_is_not_sent(
-    forged: GroundBlock,
+    forged: MapUpdate,
 ) -> None:
     scenario = msgspec.structs.replace(on(DISC), duration=5.0)
     flight = Flight(scenario, 1)
-    flight.fly(altered(make_pilots(scenario, 1), "uav_0", lambda _: {"blocks": (forged,)}))
+    flight.fly(altered(make_pilots(scenario, 1), "uav_0", lambda _: {"map_updates": (forged,)}))
     assert flight.radio.refused == {"uav_0": scenario.ticks}
     assert not blocks_received(flight)
 
@@ -214,9 +218,9 @@ def test_no_number_is_smuggled_by_what_a_block_leaves_out() -> None:
         command = act(observation)
         blocks = [
             msgspec.structs.replace(one, tiles="?" + one.tiles[1:32] + "?" * 32)
-            for one in command.blocks
+            for one in command.map_updates
         ]
-        return msgspec.structs.replace(command, blocks=tuple(blocks))
+        return msgspec.structs.replace(command, map_updates=tuple(blocks))
 
     flights = [Flight(scenario, 1) for _ in range(2)]
     flights[0].fly(InProcess(make_pilots(scenario, 1)))
@@ -285,20 +289,20 @@ def test_the_blocks_that_a_ugv_receives_are_what_the_uav_has_seen_of_the_ground_
 def test_the_mission_tells_how_long_before_each_hazard_was_known() -> None:
     scenario = on(DISC, MUD, at=(7.2, 5.7), touch="damage")
     world = World(scenario, 1)
-    block = GroundBlock(column=2, row=1, tiles="." * 32 + "....##.." + "." * 24)
+    block = MapUpdate(column=2, row=1, tiles="." * 32 + "....##.." + "." * 24)
     for tick in range(401):
         if tick == 20:
             world.receive_block(1, block)  # of two tiles of DISC
         drive(world, 1)
     mission = world.mission
-    assert (mission.hazards_on_way, mission.warned, mission.hazards_hit) == (2, 1, 1)
+    assert (mission.hazards_on_path, mission.warned, mission.hazards_hit) == (2, 1, 1)
     assert mission.near_misses == 0
-    assert 0.0 < mission.seen_ahead < 1.0
+    assert 0.0 < mission.reported_share < 1.0
 
 
 def test_the_way_seen_ahead_is_that_on_tiles_that_were_told_by_then() -> None:
     world = World(on(FLAG, at=(7.2, 5.7)), 1)
-    block, told = GroundBlock(column=2, row=1, tiles="." * 64), False
+    block, told = MapUpdate(column=2, row=1, tiles="." * 64), False
     side, way, seen = BLOCK_SIDE * world.scenario.ground.tile, 0.0, 0.0
     for _ in range(401):
         before = world.position[1].tolist()
@@ -311,7 +315,7 @@ def test_the_way_seen_ahead_is_that_on_tiles_that_were_told_by_then() -> None:
         if told and [p // side for p in here] == [block.column, block.row]:
             seen += math.dist(before, here)
     assert 0.1 * way < seen < 0.9 * way
-    assert world.mission.seen_ahead == pytest.approx(seen / way, rel=1e-9)
+    assert world.mission.reported_share == pytest.approx(seen / way, rel=1e-9)
 
 
 def test_how_near_a_ugv_came_to_each_hazard_is_the_least_of_all_its_distances() -> None:

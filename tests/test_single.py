@@ -61,7 +61,7 @@ def test_what_it_returns_has_gymnasiums_types() -> None:
     env = single_env(SCENARIO, estimate=True, safety_filter=True)
     seen, info = env.reset(seed=3)
     assert info == {
-        "intervened": False,
+        "overridden": False,
         "certified": False,
         "uncertified": "NO_MEASUREMENT",
         "certified_distance": math.inf,

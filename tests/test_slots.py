@@ -18,7 +18,7 @@ from agents.uav import UavPilot
 from bus.errors import ScenarioError
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, Party, Role
 from bus.messages.control import Action, Control
-from bus.messages.vehicle import Drive, UavCommand, UgvCommand
+from bus.messages.vehicle import Teleoperation, UavCommand, UgvCommand
 from flights import Piloted, degraded
 from outrider.running.flying import make_pilots
 from processes import wait_until
@@ -68,7 +68,7 @@ def test_a_past_is_what_the_vehicle_has_perceived(scenario: Scenario) -> None:
     pilots = {name: PILOT[name](told) for name, told in _briefings(scenario).items()}
     seen: dict[str, list[Any]] = {name: [] for name in pilots}
     for _ in range(300):
-        flight.say("ugv_0", Drive(driver="me", velocity=(0.1, 0.0)))
+        flight.say("ugv_0", Teleoperation(operator="me", velocity=(0.1, 0.0)))
         observations = flight.observations()
         flight.recorder.record(flight.answers.reports)
         for name, observation in observations.items():
@@ -79,7 +79,9 @@ def test_a_past_is_what_the_vehicle_has_perceived(scenario: Scenario) -> None:
     assert any(observation.radio for observation in seen["ugv_0"])
     assert any(not observation.detections for observation in seen["uav_0"])
     for name, observed in seen.items():  # the past does not say which motion was flown
-        seen[name] = [msgspec.structs.replace(one, flown=None) for one in observed[:300]]
+        seen[name] = [
+            msgspec.structs.replace(one, committed_trajectory=None) for one in observed[:300]
+        ]
     for name in pilots:
         assert list(flight.past(name, 0, 300, ())) == seen[name]
         assert list(flight.past(name, 120, 180, ())) == seen[name][120:180]
@@ -161,8 +163,8 @@ def test_the_first_session_keeps_the_slot_and_a_second_one_is_counted_named_and_
         flight = run.fly(intrude)
         status = run.server.vehicles()["uav_0"]
     assert flight.recorder.sha256() == whole(400).recorder.sha256()
-    assert status.refused["comes from a second session"] >= 300
-    assert status.refused.keys() == {"comes from a second session"}
+    assert status.rejected["comes from a second session"] >= 300
+    assert status.rejected.keys() == {"comes from a second session"}
     # Its command may overtake the news that it has come: either tells both sessions.
     assert "a second session (number 1)" in run.events[0]
     assert "the first (number 0) keeps the slot" in run.events[0]
@@ -216,8 +218,8 @@ def test_in_real_time_a_slow_vehicle_degrades_itself_only(tmp_path: Path) -> Non
 
 
 def test_in_real_time_a_command_is_used_by_its_age_and_then_the_vehicle_brakes() -> None:
-    """Commands are held for `hold` after the tick they answer, however late they have come."""
-    scenario = load_scenario("escort", overrides=["duration=5.0", "hold=0.2"])
+    """Commands are held for `command_timeout` after the tick they answer, however late they have come."""
+    scenario = load_scenario("escort", overrides=["duration=5.0", "command_timeout=0.2"])
     flight = Flight(scenario, 7)
     ugv = flight.world.names.index("ugv_0")
 
@@ -328,8 +330,8 @@ def test_an_answer_to_another_tick_or_a_second_one_is_counted_and_changes_nothin
         run.program("ugv_0", confused)
         flight = run.fly()
         status = run.server.vehicles()["ugv_0"]
-    assert status.refused["answers another tick"] == 20
-    assert status.refused["answers a tick twice"] >= 19  # the last one may come after the end
+    assert status.rejected["answers another tick"] == 20
+    assert status.rejected["answers a tick twice"] >= 19  # the last one may come after the end
     assert "at tick" in status.last_fault
     assert flight.answers.missing == {"uav_0": 0, "ugv_0": 0}
     once = Flight(scenario, scenario.seed)

@@ -426,7 +426,10 @@ FILES = {
     "no list": ("vary.dt = 0.1", "vary.dt = 0.1: not a list"),
     "no laws": ("laws = []", "laws = []"),
     "no seeds": ("seeds = 0", "seeds = 0"),
-    "both": ("vary.dt = [0.1]\n[[block]]\nvary.hold = [0.1]", "either [vary] or [[block]]"),
+    "both": (
+        "vary.dt = [0.1]\n[[block]]\nvary.command_timeout = [0.1]",
+        "either [vary] or [[block]]",
+    ),
     "two of a name": ("[[block]]\nvary.dt = [0.1]\n[[block]]\nvary.dt = [0.05]", "block.1.name"),
     "no toml": ("laws = [", "line 1"),
     "unknown scenario": ("scenario = 'escrot'", "escrot"),

@@ -61,7 +61,7 @@ def arrivals(link: OneLink, ticks: int, each: int = 1) -> list[list[int]]:
 
 def conserved(link: OneLink) -> bool:
     status = link.counters()
-    left = status.delivered + sum(status.lost.values()) + status.waiting + status.flying
+    left = status.delivered + sum(status.lost.values()) + status.queued + status.in_transit
     return status.sent + status.duplicated == left
 
 
@@ -264,11 +264,14 @@ GRANTED = {
         [45, 96, 1096],
         ["links.detections.message_bytes=4000", "links.detections.queue=10"],
     ),
-    "more seldom than it looks": ([51, 71, 72], ["detections.rate=1.0", "certificate.age=0.5"]),
+    "more seldom than it looks": (
+        [51, 71, 72],
+        ["detections.rate=1.0", "certificate.max_measurement_age=0.5"],
+    ),
     "at another place of it": (
         [100, 145, 190],
         [
-            "certificate.age=0.5",
+            "certificate.max_measurement_age=0.5",
             "links.detections.message_bytes=1500",
             "links.detections.queue=10",
             "links.detections.keep=newest",
@@ -293,11 +296,18 @@ def test_a_long_recording_is_inspected_alike_everywhere(
 ) -> None:
     """Ten minutes, with nothing from 400 s to 408 s."""
     times = [time for time in range(10, 600_001, 10) if not 400_000 < time < 408_000]
-    scenario = a_flight_over(tmp_path, times, "certificate.age=2.0")
+    scenario = a_flight_over(tmp_path, times, "certificate.max_measurement_age=2.0")
     (warning,) = promise_warnings(scenario)
-    assert "older than certificate.age = 2 s in 1 % of the ticks of a round" in warning
+    assert (
+        "older than certificate.max_measurement_age = 2 s in 1 % of the ticks of a round" in warning
+    )
     trace = f"links.detections.trace={tmp_path}/granted.mahi"
-    changes = (trace, "detections.dropout=0.0", "duration=40.0", "certificate.age=2.0")
+    changes = (
+        trace,
+        "detections.dropout=0.0",
+        "duration=40.0",
+        "certificate.max_measurement_age=2.0",
+    )
     checked = outrider("check", "escort", *(word for one in changes for word in ("--set", one)))
     assert warning in " ".join(checked.stderr.split())
     monkeypatch.setattr(link_assumptions, "_MOST_PLAYED", 1000)
@@ -326,7 +336,7 @@ def recorded_scenario(ticks: int = 300) -> Any:
         operator=LinkSettings(trace="mahimahi"),
         traces=BOTH,
     )
-    return msgspec.structs.replace(degraded(ticks, table), hold=1.0)
+    return msgspec.structs.replace(degraded(ticks, table), command_timeout=1.0)
 
 
 def test_world_batch_and_environment_play_the_same() -> None:

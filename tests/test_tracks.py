@@ -17,7 +17,7 @@ def test_a_recorded_track_is_driven_again(tmp_path: Path) -> None:
     again = {
         "duration": 60.0,
         "ugv.0.driver": "script",
-        "ugv.0.track": str(tmp_path / "trajectory.csv"),
+        "ugv.0.trajectory": str(tmp_path / "trajectory.csv"),
         "ugv.0.goals": [],
     }
     played = fly(load_scenario("escort", overrides=again), 7)[0]
@@ -45,4 +45,4 @@ def test_a_track_that_is_none_is_refused_in_one_line(content, told, tmp_path):
     if content is not None:
         path.write_text(content, encoding="utf-8")
     with refused(ScenarioError, told):
-        load_scenario("escort", overrides={"ugv.0.driver": "script", "ugv.0.track": str(path)})
+        load_scenario("escort", overrides={"ugv.0.driver": "script", "ugv.0.trajectory": str(path)})

@@ -125,9 +125,9 @@ def test_the_filters_are_those_of_the_pilots(scenario: Scenario) -> None:
         last, _, _, _, info = single.step({"uav_0": outward, "ugv_0": driver(last["ugv_0"])})
         assert not terminated[0]
         info = info["uav_0"]
-        for key in ("intervened", "certified", "certified_distance"):
+        for key in ("overridden", "certified", "certified_distance"):
             assert info[key] == infos[key][0]
-        assert info["intervened"] is decision.overridden
+        assert info["overridden"] is decision.overridden
         assert info["certified"] is decision.certified
         assert info["uncertified"] == (decision.reason or "")
         acted += decision.overridden

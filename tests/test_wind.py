@@ -9,7 +9,7 @@ import pytest
 
 from agents.safety.handover import check_assumptions
 from bus.errors import ScenarioError
-from bus.messages.ground import Hazard, SeenTile
+from bus.messages.ground import Hazard, TileReport
 from bus.messages.vehicle import UavObservation
 from flights import EVADED, PROMISED, certified, flown_in_both, told
 from outrider.running.assumptions import shortfalls
@@ -131,13 +131,13 @@ def test_wind_takes_the_uav_from_what_it_is_told_and_nothing_else(tmp_path) -> N
     off = flight.recorder.states[:, :, :4] - flight.recorder.told
     declared = told(WINDY).safety.max_tracking_error
     assert 0.05 < np.hypot(off[:, 0, 0], off[:, 0, 1]).max() == summary.tracking_error
-    assert summary.tracking_error <= summary.declared_tracking == declared
+    assert summary.tracking_error <= summary.max_tracking_error == declared
     assert not off[:, 1].any()
     assert summary.certified_share == 1.0
     assert summary.certified_while_lost == summary.certificate_broken == 0
     status = flight.answers.assurance.status()
     before_the_last = np.hypot(off[:-1, 0, 0], off[:-1, 0, 1]).max()
-    assert (status.tracking, status.tracking_error) == (declared, before_the_last)
+    assert (status.max_tracking_error, status.largest_tracking_error) == (declared, before_the_last)
     flight.recorder.write(tmp_path / "trajectory.csv")
     with (tmp_path / "trajectory.csv").open(newline="", encoding="utf-8") as file:
         header, *rows = csv.reader(file)
@@ -153,10 +153,10 @@ def test_wind_changes_neither_the_draws_of_others_nor_what_a_vehicle_is_told_of_
         WINDY, hazard=(Hazard(kind="block", center=WINDY.ugv[0].position, radius=0.5),)
     )
     still = msgspec.structs.replace(
-        windy, wind=Wind(), uav=(msgspec.structs.replace(WINDY.uav[0], own_error=0.0),)
+        windy, wind=Wind(), uav=(msgspec.structs.replace(WINDY.uav[0], position_error=0.0),)
     )
     worlds, push = [World(one, 3) for one in (windy, still)], np.array([[0.2, 0.1], [0.05, 0.0]])
-    tiles: list[list[tuple[SeenTile, ...]]] = [[], []]
+    tiles: list[list[tuple[TileReport, ...]]] = [[], []]
     for _ in range(100):
         for world, seen in zip(worlds, tiles, strict=True):
             world.step(push)
@@ -171,7 +171,7 @@ def test_wind_changes_neither_the_draws_of_others_nor_what_a_vehicle_is_told_of_
 
 
 def test_no_vehicle_is_told_of_the_wind() -> None:
-    declared = Certificate(tracking=0.5)
+    declared = Certificate(max_tracking_error=0.5)
     stormy = small("certified", wind=Wind(mean=(0.1, 0.0), gust=0.05), certificate=declared)
     assert told(stormy) == told(small("certified", certificate=declared))
 
@@ -200,15 +200,17 @@ def test_wind_flies_one_trajectory_in_the_environment_and_in_a_run() -> None:
 
 
 def test_wind_flies_one_trajectory_over_three_processes() -> None:
-    wind = ("wind.mean=[0.1, 0.0]", "wind.gust=0.03", "uav.0.own_error=0.1")
+    wind = ("wind.mean=[0.1, 0.0]", "wind.gust=0.03", "uav.0.position_error=0.1")
     there, _ = flown_both_ways("escort", *EVADED, *wind, seed=3)
-    assert 0.02 < there["tracking_error"] <= there["declared_tracking"]
+    assert 0.02 < there["largest_tracking_error"] <= there["max_tracking_error"]
     assert there["certified_share"] == 1.0
 
 
 def test_wind_and_lost_commands_leave_every_tick_certified() -> None:
     scenario = msgspec.structs.replace(
-        WINDY, links=LinkTable(commands=LOSSY), certificate=Certificate(delay=0.4, outage=2.0)
+        WINDY,
+        links=LinkTable(commands=LOSSY),
+        certificate=Certificate(max_command_delay=0.4, max_command_interval=2.0),
     )
     _, summary = fly(scenario, 2)
     assert summary.certified_share == 1.0
@@ -232,12 +234,12 @@ def test_a_process_that_joins_again_is_told_what_it_was_told() -> None:
 
 
 def test_a_w_that_the_wind_may_exceed_is_told_and_excuses_the_certificate() -> None:
-    scenario = msgspec.structs.replace(WINDY, certificate=Certificate(tracking=0.001))
+    scenario = msgspec.structs.replace(WINDY, certificate=Certificate(max_tracking_error=0.001))
     (found,) = [one for one in shortfalls(scenario) if one.assumption == "A6'"]
-    assert "certificate.tracking = 0.001 m" in found.line
+    assert "certificate.max_tracking_error = 0.001 m" in found.line
     assert not [one for one in shortfalls(WINDY) if one.assumption == "A6'"]
     _, summary = fly(scenario, 1)
-    assert summary.tracking_error > summary.declared_tracking == 0.001
+    assert summary.tracking_error > summary.max_tracking_error == 0.001
     assert summary.certificate_broken == 0
 
 

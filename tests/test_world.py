@@ -96,7 +96,7 @@ def test_detections_come_at_their_period_and_at_no_other_tick(rate: float, perio
 
 def test_noise_and_dropouts_in_flight_are_those_of_the_scenario() -> None:
     sigma, cut, dropout = 0.2, 2.0, 0.25
-    noise = Detections(noise=sigma, cut=cut, dropout=dropout)
+    noise = Detections(noise=sigma, truncation=cut, dropout=dropout)
     flight, _ = fly(escort("logarithmic", ugv=ON_THE_WAY, detections=noise, duration=200.0), 2)
     uav, ugv = tracks(flight)
     errors = flight.recorder.escorts[:, 0, 2:4] - (uav[:, :2] - ugv[:, :2])

@@ -77,7 +77,7 @@ ONE = Scenario(
 FREE = Scenario(
     name="free",
     duration=60.0,
-    detections=Detections(noise=0.1, cut=math.inf),
+    detections=Detections(noise=0.1, truncation=math.inf),
     law=Law(parameters={"reference_speed": 1.0}),
     uav=(Uav(position=(12.0, 10.0), max_speed=math.inf, max_acceleration=math.inf),),
     ugv=(Ugv(position=(10.0, 10.0), max_acceleration=10.0),),
@@ -98,7 +98,9 @@ SCENARIOS: dict[str, Scenario] = {
         "certified",
         "evade",
         links=LinkTable(detections=PROFILES["narrowband"], commands=PROFILES["narrowband"]),
-        certificate=Certificate(age=6.0, delay=1.0, outage=5.0),
+        certificate=Certificate(
+            max_measurement_age=6.0, max_command_delay=1.0, max_command_interval=5.0
+        ),
         duration=30.0,
     ),
     "delayed commands": small(
@@ -109,15 +111,15 @@ SCENARIOS: dict[str, Scenario] = {
         "certified",
         "evade",
         links=LinkTable(commands=LOSSY),
-        certificate=Certificate(delay=0.4, outage=2.0),
+        certificate=Certificate(max_command_delay=0.4, max_command_interval=2.0),
     ),
     "wind": small(
         "certified",
         "evade",
         wind=Wind(mean=(0.05, 0.02), gust=0.03),
-        uav=Uav(position=(8.0, 7.0), own_error=0.1),
+        uav=Uav(position=(8.0, 7.0), position_error=0.1),
     ),
-    "uncertifiable": small("certified", certificate=Certificate(error=0.01)),
+    "uncertifiable": small("certified", certificate=Certificate(max_measurement_error=0.01)),
     "several": SEVERAL,
 }
 

@@ -97,11 +97,13 @@ def told_ground(briefing: UgvBriefing) -> GroundMemory:
 
 def take_ground(memory: GroundMemory, observation: UgvObservation) -> None:
     """Take in what an observation tells of the ground."""
-    for block in observation.blocks:
+    for block in observation.map_updates:
         note_block(memory, block.row, block.column, tile_states(block.tiles))
-    if observation.ground:
-        places = np.array([(one.row, one.column) for one in observation.ground], dtype=np.int64)
-        states = tile_states("".join(one.state for one in observation.ground))
+    if observation.tile_reports:
+        places = np.array(
+            [(one.row, one.column) for one in observation.tile_reports], dtype=np.int64
+        )
+        states = tile_states("".join(one.state for one in observation.tile_reports))
         rows, columns = np.ascontiguousarray(places.T)
         note_tiles(memory, rows, columns, states)
 
@@ -132,7 +134,7 @@ class CompiledDriver:
         # Arrays of one row: a row by itself is read-only once it has been pickled.
         self._command, self._fixed = module.command, (ugv, parameters, memory)
         self._route, self._dt = told_route(briefing), float(briefing.dt)
-        self._carries = briefing.ground is not None and briefing.ground.carries
+        self._carries = briefing.ground is not None and briefing.ground.executes_trajectories
 
     @property
     def memory(self) -> Any:  # noqa: ANN401 - the driver's own record
@@ -141,9 +143,13 @@ class CompiledDriver:
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """Return the acceleration [m/s²] for this observation."""
-        if observation.ground or observation.blocks:
+        if observation.tile_reports or observation.map_updates:
             take_ground(self.ground, observation)
-        flown = NO_MOTION if observation.flown is None else observation.flown
+        flown = (
+            NO_MOTION
+            if observation.committed_trajectory is None
+            else observation.committed_trajectory
+        )
         radio = look_rows(looks_of(observation.radio, self._dt))
         inputs = DriverInputs(
             *self._route,

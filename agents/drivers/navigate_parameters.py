@@ -34,7 +34,7 @@ def navigate_parameters(ugv: UgvParameters, briefing: UgvBriefing) -> NavigatePa
         **msgspec.structs.asdict(ugv),
         tile=0.0 if ground is None else ground.tile,
         bold=int(ground is not None and ground.caution == BOLD),
-        rough_share=1.0 if ground is None else ground.share,
+        rough_share=1.0 if ground is None else ground.rough_speed_share,
         plan_ticks=max(1, round(_PLAN_PERIOD / ugv.dt)),
         plan_tiles=PLAN_TILES,
     )

@@ -1,7 +1,7 @@
 """A person at the wheel, over a link that may fall silent."""
 
 from agents.drivers.steering import Steering
-from bus.messages.vehicle import Drive, UgvBriefing, UgvObservation
+from bus.messages.vehicle import Teleoperation, UgvBriefing, UgvObservation
 from bus.ticks import ticks_within
 
 
@@ -9,9 +9,8 @@ class TeleopDriver:
     """Does what the operator said last: drives at a velocity, or to a goal, or brakes.
 
     Whatever is asked for, the UGV keeps its bounds: a velocity longer than v_max is shortened to it, and a goal is
-    driven to as the paper's driver does. Where a message has both, the velocity counts. A word counts for `hold`
-    seconds, a goal no longer than a velocity: when nothing has come for longer, the UGV brakes and stands until the
-    operator speaks again.
+    driven to as the paper's driver does. Where a message has both, the velocity counts. A message counts for
+    `command_timeout` seconds; afterwards the UGV brakes and stands until the operator's next message.
 
     It knows nothing of what was said before it took the wheel, so it begins by braking. It does not look where it
     goes: Q has walls.
@@ -19,8 +18,8 @@ class TeleopDriver:
 
     def __init__(self, briefing: UgvBriefing) -> None:
         self._steering = Steering(briefing)
-        self._hold = ticks_within(briefing.hold, briefing.dt)
-        self._word: Drive | None = None
+        self._hold = ticks_within(briefing.command_timeout, briefing.dt)
+        self._word: Teleoperation | None = None
         self._received = 0  # the tick at which that came
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:

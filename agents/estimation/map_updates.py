@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.messages.ground import BLOCK_SIDE, TILE_LETTERS, GroundBlock, SeenTile
+from bus.messages.ground import BLOCK_SIDE, TILE_LETTERS, MapUpdate, TileReport
 from bus.messages.vehicle import UavBriefing
 from sim.compiling.compile import IntArray, compiled, inlined
 from sim.models.ground import TileArray, block_letters, tiles_shape
@@ -136,14 +136,16 @@ class GroundTeller:
         self._tile = ground.tile if ground is not None else 0.0
         self.memory = telling_memory(area.width, area.height, self._tile)
         """Its memory."""
-        self._period = telling_ticks(ground.telling, briefing.dt) if ground is not None else 0
+        self._period = (
+            telling_ticks(ground.map_update_rate, briefing.dt) if ground is not None else 0
+        )
 
-    def note(self, tiles: Sequence[SeenTile]) -> None:
+    def note(self, tiles: Sequence[TileReport]) -> None:
         """Its own sensor has told of these tiles."""
         for tile in tiles:
             note_tile(self.memory, tile.column, tile.row, TILE_LETTERS.index(tile.state))
 
-    def blocks(self, tick: int, target: tuple[float, float] | None) -> tuple[GroundBlock, ...]:
+    def blocks(self, tick: int, target: tuple[float, float] | None) -> tuple[MapUpdate, ...]:
         """The blocks that it radios at this tick.
 
         Args:
@@ -156,4 +158,4 @@ class GroundTeller:
         if row < 0:
             return ()
         letters = block_letters(self.memory.tiles, row, column)
-        return (GroundBlock(column=column, row=row, tiles=letters),)
+        return (MapUpdate(column=column, row=row, tiles=letters),)

@@ -215,12 +215,12 @@ def kalman_parameters(
     """
     if not 0.0 < dt < math.inf:
         raise ValueError(f"dt must be positive and finite, not {dt}")
-    (speed, _), manoeuvre = target.numbers, settings.manoeuvre
+    (speed, _), manoeuvre = target.numbers, settings.acceleration_share
     deviation = acceleration_deviation(target=target, manoeuvre=manoeuvre, dt=dt)
     Q = process_noise(dt=dt, deviation=deviation)
     return KalmanParameters(
         dt=float(dt),
-        variance=max(cut_variance(sigma=detector.noise, cut=detector.cut), _VARIANCE_FLOOR),
+        variance=max(cut_variance(sigma=detector.noise, cut=detector.truncation), _VARIANCE_FLOOR),
         # A vehicle at full speed in a direction unknown: v²/2 per axis.
         first_variance=_FREE_SPEED**2 if target.max_speed is None else 0.5 * speed**2,
         q_pp=Q.item(0, 0),
@@ -230,6 +230,6 @@ def kalman_parameters(
         acceleration=float(supposed_acceleration(target=target, manoeuvre=manoeuvre, dt=dt)),
         deviation=deviation,
         gate=float(settings.gate),
-        patience=settings.patience,
+        patience=settings.max_rejections,
         enabled=settings.enabled,
     )

@@ -99,7 +99,11 @@ class SafetyFilter:
         """
         here, tick = Motion(*observation.position, *observation.velocity), observation.tick
         u_x, u_y = float(acceleration[0]), float(acceleration[1])
-        flown = NO_MOTION if observation.flown is None else observation.flown
+        flown = (
+            NO_MOTION
+            if observation.committed_trajectory is None
+            else observation.committed_trajectory
+        )
         decide(self.bounds, self.memory, tick, here, u_x, u_y, flown)
         decision = decision_of(self.memory.decision[0])
         self.ticks += 1

@@ -238,15 +238,15 @@ class BackupFilter:
     """
 
     def __init__(self, briefing: UavBriefing, *, gamma: float = 1.0) -> None:
-        self.promise = bounds_of(briefing)
+        self.bounds = bounds_of(briefing)
         self.gamma = gamma
         self._discs = no_discs()
         self._track: dict[int, Vector] = {}
-        self._pending: list[Vector] = [(0.0, 0.0)] * self.promise.delay_ticks
+        self._pending: list[Vector] = [(0.0, 0.0)] * self.bounds.delay_ticks
 
     def see(self, observation: UavObservation) -> None:
         """Take in where the UAV is, and the detections that have arrived."""
-        c, tick, (p_x, p_y) = self.promise, observation.tick, observation.position
+        c, tick, (p_x, p_y) = self.bounds, observation.tick, observation.position
         self._track[observation.tick] = observation.position
         self._track.pop(tick - math.ceil(_TRACK / c.dt), None)
         for found in observation.detections:
@@ -262,7 +262,7 @@ class BackupFilter:
 
         `certified` says whether there is one that is known to be safe.
         """
-        c, tick = self.promise, observation.tick
+        c, tick = self.bounds, observation.tick
         (p_x, p_y), (v_x, v_y) = observation.position, observation.velocity
         for x, y in self._pending:
             p_x, p_y, v_x, v_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, x, y, c.v_a, c.u_a, c.dt)

@@ -55,7 +55,7 @@ def _dark(length: float, seed: int, duration: float) -> dict[str, object]:
     starts = [first + k * every for k in range(int((duration - first) / every) + 1)]
     return {
         "links.detections.blackouts": [[start, length] for start in starts],
-        "certificate.age": length + 1.0,
+        "certificate.max_measurement_age": length + 1.0,
     }
 
 
@@ -65,7 +65,7 @@ NETWORKS: Mapping[str, Callable[[int, float], dict[str, object]]] = {
     "blackouts of 5 s": lambda seed, duration: _QUIET | _dark(5.0, seed, duration),
     "blackouts of 10 s": lambda seed, duration: _QUIET | _dark(10.0, seed, duration),
     "commands 0.5 s late": lambda _seed, _duration: (
-        _QUIET | {"links.commands.delay": 0.5, "hold": 1.0}
+        _QUIET | {"links.commands.delay": 0.5, "command_timeout": 1.0}
     ),
 }
 DRIVERS = ("evade", "waypoints", "wander")

@@ -14,7 +14,7 @@ TILE_LETTERS = "?.~#*"
 
 
 BLOCK_SIDE = 8
-"""Tiles along each side of a `GroundBlock`."""
+"""Tiles along each side of a `MapUpdate`."""
 
 
 MOST_BLOCKS = 4
@@ -25,7 +25,7 @@ MOST_CORNERS = 128
 """Corners of a route that one command carries at most: what turns more often is shown up to there."""
 
 
-class SeenTile(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+class TileReport(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """Report of one tile by a vehicle's own sensor; in JSON an array of these fields, in this order."""
 
     column: Place
@@ -36,7 +36,7 @@ class SeenTile(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fiel
     """State, one of `TILE_LETTERS`."""
 
 
-class GroundBlock(Message, frozen=True, kw_only=True):
+class MapUpdate(Message, frozen=True, kw_only=True):
     """Block of a UAV's ground map, sent to its UGV by radio."""
 
     column: Place
@@ -52,8 +52,8 @@ class UavGround(Message, frozen=True, kw_only=True):
 
     tile: Positive
     """Side of a tile [m]."""
-    telling: NonNegative
-    """Blocks that it radios to its UGV in a second [1/s]."""
+    map_update_rate: NonNegative
+    """Blocks sent to the UGV per second [1/s]."""
 
 
 class UgvGround(Message, frozen=True, kw_only=True):
@@ -61,17 +61,18 @@ class UgvGround(Message, frozen=True, kw_only=True):
 
     tile: Positive
     """Side of a tile [m]."""
-    bumper: NonNegative
-    """Range of its own sensor [m]: it sees each tile that has a point so near."""
+    sensing_range: NonNegative
+    """Range of its own sensor [m]; a tile is sensed if any of its points lies within it."""
     caution: Name
     """Caution on unknown ground, one of `bus.registry.CAUTIONS`."""
     delay: NonNegative = 0.0
     """Time from the tick that a command answers to its effect [s]."""
-    share: Annotated[float, Meta(gt=0.0, le=1.0)]
-    """Of its largest speed that it has at least on rough ground."""
-    carries: bool = False
-    """True if its receiver flies the motions that commands carry: a command acts in its own tick or not at all, and the
-    vehicle brakes where none does."""
+    rough_speed_share: Annotated[float, Meta(gt=0.0, le=1.0)]
+    """Smallest share of its maximum speed that it keeps on rough ground."""
+    executes_trajectories: bool = False
+    """True if its receiver executes backup trajectories: a command takes effect in its own tick or never, and the
+    vehicle brakes without one.
+    """
 
 
 SpeedShare = Annotated[float, Meta(gt=0.0, le=1.0)]
@@ -82,7 +83,7 @@ SAME_CORNER = 1e-3 + 1e-9
 """Corners of a polygon that are no farther apart than a millimetre, but for rounding, are one [m]."""
 
 
-def speed_share(kind: str, share: float | None) -> float:
+def kept_share(kind: str, share: float | None) -> float:
     """Return the share of its maximum speed that a vehicle keeps on a hazard; `share`: as given for a rough one."""
     if not HAZARDS[kind].slows:
         return 1.0
@@ -102,23 +103,24 @@ class Hazard(Message, frozen=True, kw_only=True):
     """Radius of a disc [m]."""
     polygon: Annotated[tuple[Vector, ...], Meta(max_length=MOST_POLYGON_CORNERS)] = ()
     """Corners of a simple polygon in either order [m], instead of a disc."""
-    share: SpeedShare | None = None
-    """If it is rough: of its largest speed that a vehicle keeps on it; by default 0.4."""
+    speed_share: SpeedShare | None = None
+    """Share of its maximum speed that a vehicle keeps on a rough hazard; default: 0.4."""
 
-    def __post_init__(self) -> None:
-        """Merge corners that follow each other within `SAME_CORNER`, the last and the first too."""
+    @property
+    def corners(self) -> tuple[Vector, ...]:
+        """Corners of the polygon without those within `SAME_CORNER` of the one before, the last and first too [m]."""
         corners: list[Vector] = []
         for corner in self.polygon:
             if not corners or math.dist(corner, corners[-1]) > SAME_CORNER:
                 corners.append(corner)
         while len(corners) > 1 and math.dist(corners[0], corners[-1]) <= SAME_CORNER:
             corners.pop()
-        msgspec.structs.force_setattr(self, "polygon", tuple(corners))
+        return tuple(corners)
 
     @property
-    def speed_share(self) -> float:
+    def kept_share(self) -> float:
         """Share of its maximum speed that a vehicle keeps on it."""
-        return speed_share(self.kind, self.share)
+        return kept_share(self.kind, self.speed_share)
 
     @property
     def bounds(self) -> tuple[Vector, Vector]:

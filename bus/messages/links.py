@@ -31,8 +31,8 @@ class LinkSettings(Message, frozen=True, kw_only=True):
     """Scale of the random extra delay [s]."""
     jitter_shape: Name = "uniform"
     """Distribution of the extra delay, a row of `sim.channel.jitter.SHAPES`."""
-    jitter_cut: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
-    """The extra delay lies between -delay and this [s], as if drawn again until it does; 0: five times the jitter."""
+    max_jitter: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
+    """Truncation of the extra delay to [-delay, this] [s]; 0: five times the jitter."""
     loss: Share = 0.0
     """Share of messages lost, independently."""
     burst_length: Seconds = 0.0
@@ -83,9 +83,9 @@ class LinkStatus(Message, frozen=True, kw_only=True):
     """Messages delivered, copies included."""
     duplicated: Tick
     """Copies made by the link."""
-    waiting: Tick
-    """At the sender."""
-    flying: Tick
+    queued: Tick
+    """Messages waiting at the sender."""
+    in_transit: Tick
     """Messages on the link."""
     lost: dict[Text, Tick]
     """Messages lost, by cause (`sim.channel.link.CAUSES`)."""

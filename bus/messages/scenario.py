@@ -87,7 +87,7 @@ class Detector(Message, frozen=True, kw_only=True):
 
     noise: NonNegative = 0.0
     """Standard deviation per axis [m]."""
-    cut: Positive | None = 3.0
+    truncation: Positive | None = 3.0
     """Noise vectors are truncated at this many standard deviations [1]; None: not truncated."""
     period: Positive
     """Time between two detection attempts [s]."""
@@ -118,10 +118,10 @@ class Estimator(Message, frozen=True, kw_only=True):
     gate: Positive = 18.4
     """Largest accepted normalized innovation squared [1] (chi-square, 2 degrees of freedom: 1 in 10,000 exceeds 18.4).
     """
-    patience: Annotated[int, Meta(ge=1, le=1_000_000)] = 5
-    """Detections refused in a row after which the filter starts anew from the newest."""
-    manoeuvre: Positive = 0.7
-    """Standard deviation of the UGV's acceleration per axis, as a share of its bound."""
+    max_rejections: Annotated[int, Meta(ge=1, le=1_000_000)] = 5
+    """Reinitialize the estimate after this many consecutive rejected measurements."""
+    acceleration_share: Positive = 0.7
+    """Standard deviation of the UGV's acceleration per axis, as a share of its bound [1]."""
 
 
 class ScriptStep(Message, frozen=True, kw_only=True):

@@ -109,14 +109,14 @@ class MissionResult(Message, frozen=True, kw_only=True):
     """Blocking hazards touched, each once by each UGV."""
     near_misses: Tick
     """Blocking hazards that a UGV passed within 0.2 m without touching them."""
-    hazards_on_way: Tick
-    """Hazards, blocking or rough, that a UGV came nearer to than 2 m."""
+    hazards_on_path: Tick
+    """Hazards, blocking or rough, that a UGV passed within 2 m."""
     warned: Tick
     """Hazards on the path that the UGV knew before it came within 2 m."""
-    warned_before: NonNegative | None
-    """Time from then until it came so near, in the mean of those [s]; None: there are none."""
-    seen_ahead: Share | None
-    """Share of the way that led over tiles which had come by radio before; None: nobody has moved."""
+    mean_warning_time: NonNegative | None
+    """Mean time between knowing such a hazard and coming within 2 m [s]; None: no such hazard."""
+    reported_share: Share | None
+    """Share of the driven path over tiles reported by radio beforehand; None: no UGV has moved."""
     ground_certified_share: Share | None = None
     """Share of the reporting ticks at which cautious UGVs were certified; None: no reports."""
     entered_unknown_tile: Tick = 0
@@ -125,8 +125,8 @@ class MissionResult(Message, frozen=True, kw_only=True):
     """Sum of `UgvGuarantee.certificate_broken` over all UGVs."""
     guarantees: dict[Name, UgvGuarantee] = {}
     """Guarantee of each UGV, by name."""
-    still_time: NonNegative
-    """Time that the UGVs stood still before they had arrived [s]."""
+    stationary_time: NonNegative
+    """Time for which UGVs stood still before arrival [s]."""
     finds: Tick
     """Objects to find."""
     found: Tick
@@ -148,8 +148,8 @@ class VehicleStatus(Message, frozen=True, kw_only=True):
     """Times that its process disconnected."""
     rejoined: Tick = 0
     """Times that it reconnected."""
-    refused: dict[Text, Tick] = {}
-    """Messages and sessions that were refused, by cause."""
+    rejected: dict[Text, Tick] = {}
+    """Rejected messages and sessions, by cause."""
     last_fault: Text = ""
     """Latest fault in plain English."""
 
@@ -184,24 +184,22 @@ class CertificateStatus(Message, frozen=True, kw_only=True):
     """Ticks monitored, over all UAVs."""
     certified: Tick
     """Certified ticks."""
-    intervened: Tick
-    """Those in which a filter acted instead of the law."""
+    overridden: Tick
+    """Ticks in which a safety filter overrode the law."""
     uncertified: dict[NotCertified, Tick] = {}
     """Ticks that were not certified, by reason."""
     certified_while_lost: Tick = 0
     """Ticks certified although the UGV was out of sight. Any but 0 disproves the certificate."""
     certificate_broken: Tick = 0
     """Uncertified ticks after a certified one, although all assumptions held. Any but 0 disproves the certificate."""
-    outage: NonNegative | None = None
-    """Longest time from the start of a motion to the start of the next, as it is declared, B [s]."""
-    longest_outage: NonNegative | None = None
-    """The longest so far [s]."""
-    tracking: NonNegative | None = None
-    """Largest true distance of a UAV from where it is told that it is, as it is declared, w [m]; None: nothing takes it
-    from there, or w has no bound.
-    """
-    tracking_error: NonNegative | None = None
-    """And the farthest so far [m]; None: nothing takes it from there."""
+    max_command_interval: NonNegative | None = None
+    """Declared longest time from the start of one plan to the start of the next [s]."""
+    longest_command_interval: NonNegative | None = None
+    """Longest such time so far [s]."""
+    max_tracking_error: NonNegative | None = None
+    """Declared largest tracking error [m]; None: no disturbance, or no bound."""
+    largest_tracking_error: NonNegative | None = None
+    """Largest tracking error so far [m]; None: no disturbance."""
 
 
 class Status(Message, frozen=True, kw_only=True):
@@ -219,7 +217,7 @@ class Status(Message, frozen=True, kw_only=True):
     """Simulated time [s]."""
     realtime_factor: NonNegative
     """Recent pace: simulated seconds per second of wall time [1]."""
-    wanted_factor: NonNegative | None = None
+    target_factor: NonNegative | None = None
     """Target pace [1]; None: lockstep, as fast as possible."""
     late_ticks: Tick = 0
     """Ticks that missed the wall clock."""

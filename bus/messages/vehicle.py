@@ -21,8 +21,8 @@ from bus.messages.decision import FilterDecision
 from bus.messages.ground import (
     MOST_BLOCKS,
     MOST_CORNERS,
-    GroundBlock,
-    SeenTile,
+    MapUpdate,
+    TileReport,
     UavGround,
     UgvGround,
 )
@@ -112,8 +112,10 @@ class UavBriefing(VehicleBriefing, frozen=True, kw_only=True):
     """Parameters of its estimator."""
     safety: SafetyParameters = SafetyParameters(max_measurement_error=None, max_measurement_age=1.0)
     """Parameters of its safety filter and certificate."""
-    hold: NonNegative = 0.5
-    """Time for which a command without a motion stays in effect when no new one arrives [s]; then the UAV brakes."""
+    command_timeout: NonNegative = 0.5
+    """Time for which a command without a backup trajectory stays in effect when no new one arrives [s]; then the UAV
+    brakes.
+    """
     ground: UavGround | None = None
     """Its sensor of hazards; None: the scenario has no hazards."""
     origin: Origin = Origin()
@@ -133,8 +135,8 @@ class UgvBriefing(VehicleBriefing, frozen=True, kw_only=True):
     """Distance epsilon below which a goal counts as reached [m]."""
     script: tuple[ScriptStep, ...] = ()
     """Steps of the driver `script`, by increasing time."""
-    hold: NonNegative = 0.5
-    """Time that an operator's last word counts [s]; then the driver `teleop` brakes."""
+    command_timeout: NonNegative = 0.5
+    """Time for which an operator's last message stays in effect [s]; then the driver `teleop` brakes."""
     ground: UgvGround | None = None
     """Its ground sensor and caution; None: the scenario has no hazards."""
     past: "tuple[UgvObservation, ...]" = ()
@@ -172,10 +174,12 @@ class VehicleObservation(Message, frozen=True, kw_only=True):
     """Reference position [m]; with wind or a position error, a UAV's true position differs."""
     velocity: Vector
     """Reference velocity [m/s]."""
-    ground: tuple[SeenTile, ...] = ()
-    """Tiles that its own sensor has reported since the tick before; a UAV's each once, when covered enough."""
-    flown: Tick | None = None
-    """The motion that the vehicle flew in the tick before: that in which it began; None: it flew none."""
+    tile_reports: tuple[TileReport, ...] = ()
+    """Tiles that its own sensor has reported since the last tick; a UAV reports each tile once, when it is covered
+    enough.
+    """
+    committed_trajectory: Tick | None = None
+    """First tick of the trajectory that the vehicle executed in the last tick; None: it executed none."""
     over: bool = False
     """True: the run ends at this tick, and no command is expected."""
     episode: Tick = 0
@@ -191,15 +195,15 @@ class UavObservation(VehicleObservation, frozen=True, kw_only=True):
     """Control law from this tick on; None: unchanged."""
 
 
-class Drive(Message, frozen=True, kw_only=True):
-    """The wish of an operator at a UGV's wheel: a velocity, or a goal; neither means to brake."""
+class Teleoperation(Message, frozen=True, kw_only=True):
+    """Input of an operator to a UGV: a velocity or a goal; neither: brake."""
 
-    driver: Text
-    """The operator's name."""
+    operator: Text
+    """Name of the operator."""
     velocity: Vector | None = None
     """Desired velocity [m/s]."""
     goal: Vector | None = None
-    """The goal [m]."""
+    """Goal [m]."""
 
 
 class UgvObservation(VehicleObservation, frozen=True, kw_only=True):
@@ -207,9 +211,9 @@ class UgvObservation(VehicleObservation, frozen=True, kw_only=True):
 
     radio: tuple[RelativeInformation, ...] = ()
     """Radio messages that arrived at this tick."""
-    blocks: tuple[GroundBlock, ...] = ()
-    """The blocks that have come by radio, of the ground that the UAV has seen."""
-    operator: tuple[Drive, ...] = ()
+    map_updates: tuple[MapUpdate, ...] = ()
+    """Blocks of the UAV's ground map that arrived by radio."""
+    operator: tuple[Teleoperation, ...] = ()
     """Operator messages that arrived at this tick, oldest first."""
     driver: Name | None = None
     """Driver from this tick on, a row of `bus.registry.DRIVERS`; None: unchanged."""
@@ -224,8 +228,8 @@ class UavReport(Message, frozen=True, kw_only=True):
     """Covariance of the estimate: xx, xy, yy [m²]."""
     age: NonNegative
     """Time since the newest accepted detection [s]."""
-    refused: Tick
-    """Detections refused by the gate so far."""
+    rejected: Tick
+    """Detections that the gate has rejected so far."""
     decision: FilterDecision | None = None
     """Decision of the safety filter; None: the law has no safety filter."""
 
@@ -237,16 +241,14 @@ class UavCommand(Message, frozen=True, kw_only=True):
     """Tick of the observation."""
     acceleration: Vector
     """Desired acceleration [m/s²]."""
-    motions: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
-    """The motions to be flown from the tick on in which the last of them begins, and before it those that it may
-    have missed, one a tick, the oldest first. Without one the vehicle holds the acceleration, and brakes when no
-    command comes.
+    backup_trajectories: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
+    """Backup trajectories: the newest one, and earlier ones that the vehicle may have missed, one per tick, oldest
+    first. Without any, the acceleration stays in effect until `command_timeout`.
     """
     radio: tuple[RelativeInformation, ...] = ()
     """Radio messages to the UGV."""
-    blocks: Annotated[tuple[GroundBlock, ...], Meta(max_length=MOST_BLOCKS)] = ()
-    """The blocks that it radios, of the ground that it has seen. One that says of a tile what its sensor has not said
-    is not sent."""
+    map_updates: Annotated[tuple[MapUpdate, ...], Meta(max_length=MOST_BLOCKS)] = ()
+    """Blocks of its ground map for the UGV. A block that contradicts the UAV's sensor is not sent."""
     report: UavReport | None = None
     """Report to observers."""
 
@@ -267,8 +269,10 @@ class UgvCommand(Message, frozen=True, kw_only=True):
     """Tick of the observation."""
     acceleration: Vector
     """Desired acceleration [m/s²]."""
-    motions: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
-    """As of a UAV: the acceleration of a tick, and the stop that follows it. None: the command is held."""
+    backup_trajectories: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
+    """The acceleration of one tick, followed by a stop, as of a UAV. Empty: the command stays in effect until
+    `command_timeout`.
+    """
     route: Annotated[tuple[Vector, ...], Meta(max_length=MOST_CORNERS)] | None = None
     """Planned path from the UGV to its goal, by its corners [m], for observers only; empty: no path known; None:
     unchanged.

@@ -234,7 +234,7 @@ def _count(run: Run, view: View, known: Known, order: Order) -> None:
     """Count a tick of the run."""
     sums, counts, result = run.room.sums[0], run.room.counts[0], run.results[0]
     sums.distance += view.distance
-    sums.intervened += order.acted
+    sums.overridden += order.acted
     counts.certified_before = counts.certified_before and order.reported
     if known.new >= 0 or sums.seen > 0:
         sums.seen += 1
@@ -318,7 +318,7 @@ def _finish(run: Run, ticks: int) -> None:
     record_end(counts, apart(run.room.now)[2] >= run.conditions.r_v)
     result.certified_lost += counts.certified_while_lost
     result.broken = counts.broken
-    result.intervened = sums.intervened / (ticks + 1)
+    result.overridden = sums.overridden / (ticks + 1)
     result.mean_distance = sums.distance / (ticks + 1)
     result.uncertified = sums.uncertified / sums.seen if sums.seen else 1.0
 

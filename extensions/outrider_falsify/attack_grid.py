@@ -149,7 +149,7 @@ def _moving() -> Iterator[Conditions]:
 def _windy() -> Iterator[Conditions]:
     """Wind, a wrong own position and jumps, with darkness, walls, delays and lost motions."""
     pushes = [
-        Conditions(wind=wind, own_error=own, gains=gains)
+        Conditions(wind=wind, position_error=own, gains=gains)
         for (wind, own), gains in itertools.product(
             ((0.05, 0.0), (0.3, 0.0), (0.1, 0.2), (0.0, 0.4)), ((1.0, 2.0), (1.0, 0.4), (4.0, 3.0))
         )
@@ -173,7 +173,7 @@ def grid() -> Iterator[tuple[SafetyBounds, Conditions]]:
     """All combinations of network, place, error, vehicles and broken assumptions for which there is a certificate."""
     kinds = _networks(), _places(), _disturbed(), _lossy(), _bare(), _moving(), _windy()
     for conditions in itertools.chain(*kinds):
-        pushed = conditions.wind or conditions.own_error or conditions.jumps
+        pushed = conditions.wind or conditions.position_error or conditions.jumps
         started = conditions.bare or conditions.start_speed
         lossy = conditions.disturbance or conditions.outage
         plain = not (conditions.area or lossy or started or pushed)

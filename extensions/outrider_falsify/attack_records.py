@@ -26,7 +26,7 @@ class AttackResult(NamedTuple):
     """Largest distance [m]."""
     max_excess: float
     """Largest d - d_cert [m]."""
-    intervened: float
+    overridden: float
     """Share of ticks with an intervention."""
     uncertified: float
     """Share of the ticks since the first detection arrived that are not certified."""
@@ -84,7 +84,7 @@ class TickSums(NamedTuple):
 
     distance: float
     """[m]"""
-    intervened: int
+    overridden: int
     seen: int
     """Ticks since the first detection arrived."""
     uncertified: int

@@ -74,7 +74,7 @@ class Attacked:
 def kind(conditions: Conditions) -> str:
     """Names the place, and what is special about the run or breaks A5'."""
     c, words = conditions, [AREAS._fields[conditions.area]]
-    if c.wind or c.own_error or c.jumps:
+    if c.wind or c.position_error or c.jumps:
         words.append("wind and own position")
     for given, word in (
         (c.bare, "bare accelerations"),

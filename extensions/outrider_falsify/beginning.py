@@ -109,7 +109,7 @@ def _reset_result(run: Run) -> None:
     result, sums = run.results[0], run.room.sums[0]
     result.max_distance, result.max_excess, result.max_age = 0.0, -math.inf, 0.0
     result.certified_lost, result.broken, result.max_certified = 0.0, 0.0, 0.0
-    sums.distance, sums.intervened, sums.seen, sums.uncertified = 0.0, 0, 0, 0
+    sums.distance, sums.overridden, sums.seen, sums.uncertified = 0.0, 0, 0, 0
     reset_counters(run.room.counts[0])
 
 

@@ -125,9 +125,10 @@ def _base(given: "Scenario", limits: "SearchLimits") -> "Scenario":
     require("falsify")
     base = base_of(given, limits)
     raised: tuple[str, ...] = ()
-    if base.hold > given.hold:
+    if base.command_timeout > given.command_timeout:
         raised = (
-            f"hold = {given.hold:g} s is raised to {base.hold:g} s, the latest command that the limits allow",
+            f"command_timeout = {given.command_timeout:g} s is raised to {base.command_timeout:g} s, the "
+            f"latest command that the limits allow",
         )
     print_warnings((*raised, *beyond_declared(base, limits)))
     return base

@@ -174,7 +174,7 @@ class Conditions(NamedTuple):
     """The disturbance that breaks A5' now and then, of `DISTURBANCES`."""
     silence: float = 0.5
     """Longest time without a command, where that is the disturbance."""
-    hold: float = 2.0
+    command_timeout: float = 2.0
     """For how long the vehicle goes on with its last command."""
     u_g: float = 0.1
     """Largest acceleration of the UGV [m/s²]; infinite: it turns on the spot, which the theorem allows."""
@@ -190,7 +190,7 @@ class Conditions(NamedTuple):
     """The motions that are lost, of `LOSSES`; never more than B allows."""
     wind: float = 0.0
     """Largest acceleration of the wind, W [m/s²]."""
-    own_error: float = 0.0
+    position_error: float = 0.0
     """Largest error of the own position, eps_a [m]."""
     gains: tuple[float, float] = (1.0, 2.0)
     """Of the inner loop, k_p [1/s²] and k_d [1/s]; its reserve is just what it needs."""
@@ -230,7 +230,7 @@ def _inner_loop(conditions: Conditions, dt: float) -> InnerLoop:
     """The UAV's inner loop, with just the reserve that it needs."""
     k_p, k_d = conditions.gains
     loop = InnerLoop(position_gain=k_p, velocity_gain=k_d, reserve=math.inf)
-    needed = needed_reserve(loop, _strength(conditions), conditions.own_error, dt)
+    needed = needed_reserve(loop, _strength(conditions), conditions.position_error, dt)
     return InnerLoop(position_gain=k_p, velocity_gain=k_d, reserve=needed or 1.0)
 
 
@@ -238,7 +238,9 @@ def farthest_off(conditions: Conditions, dt: float) -> float:
     """The UAV's largest distance from what it is told, w [m]; at a tick of dt [s]."""
     if conditions.jumps:
         return conditions.jumps
-    return tracking_error(_inner_loop(conditions, dt), conditions.wind, conditions.own_error, dt)
+    return tracking_error(
+        _inner_loop(conditions, dt), conditions.wind, conditions.position_error, dt
+    )
 
 
 def scenario_of(promise: SafetyBounds, conditions: Conditions) -> Scenario:
@@ -258,8 +260,10 @@ def scenario_of(promise: SafetyBounds, conditions: Conditions) -> Scenario:
         )
     return Scenario(
         dt=promise.dt,
-        hold=conditions.hold,
-        certificate=Certificate(delay=delay, outage=conditions.outage or None),
+        command_timeout=conditions.command_timeout,
+        certificate=Certificate(
+            max_command_delay=delay, max_command_interval=conditions.outage or None
+        ),
         area=Area(width=width, height=height, cell=0.5 * min(width, height)),
         visibility=Visibility(radius=conditions.r_v),
         sensor=Sensor(range=1.2 * conditions.r_v),
@@ -272,7 +276,7 @@ def scenario_of(promise: SafetyBounds, conditions: Conditions) -> Scenario:
                 position=(0.0, 0.0),
                 max_speed=promise.v_a,
                 max_acceleration=promise.u_a,
-                own_error=conditions.own_error,
+                position_error=conditions.position_error,
                 tracking=_inner_loop(conditions, promise.dt),
             ),
         ),

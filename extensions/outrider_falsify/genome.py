@@ -186,7 +186,7 @@ def with_script(scenario: Scenario, script: Sequence[ScriptStep]) -> Scenario:
         *(later for earlier, later in pairwise(script) if later.velocity != earlier.velocity),
     ]
     ugv = msgspec.structs.replace(
-        scenario.ugv[0], driver="script", script=tuple(kept), goals=(), track=""
+        scenario.ugv[0], driver="script", script=tuple(kept), goals=(), trajectory=""
     )
     custom = msgspec.structs.replace(scenario.custom, policy="")
     return msgspec.structs.replace(scenario, ugv=(ugv,), custom=custom)

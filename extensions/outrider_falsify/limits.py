@@ -48,9 +48,9 @@ def needed_age(limits: SearchLimits, scenario: Scenario) -> float:
 
 
 def needed_hold(limits: SearchLimits, scenario: Scenario) -> float:
-    """The scenario's `hold` [s], or the latest command's delay in whole ticks where that is more."""
+    """The scenario's `command_timeout` [s], or the latest command's delay in whole ticks where that is more."""
     latest = math.ceil(limits.command_delay / scenario.dt - _ROUNDING) * scenario.dt
-    return max(scenario.hold, latest)
+    return max(scenario.command_timeout, latest)
 
 
 def looks_until_seen(loss: float, scenario: Scenario) -> float:
@@ -83,8 +83,8 @@ def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
 
     What the scenario declares of its detections for the law `certified` is kept; what it leaves open is declared as
     these limits need it. The delay of the commands must be what is declared, not less: left open, it is that of the
-    candidate's link. Where that delay may exceed `hold`, `hold` is raised with it: a vehicle whose commands are too old
-    when they arrive only brakes.
+    candidate's link. Where that delay may exceed `command_timeout`, `command_timeout` is raised with it: a vehicle
+    whose commands are too old when they arrive only brakes.
 
     Raises:
         ScenarioError: If the scenario has more than one pair, or within these limits nothing can be certified.
@@ -92,13 +92,15 @@ def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
     pair(scenario)
     detections = msgspec.structs.replace(scenario.detections, noise=limits.noise, dropout=0.0)
     given = scenario.certificate
-    worst = limits.noise * scenario.detections.cut if limits.noise else 0.0
+    worst = limits.noise * scenario.detections.truncation if limits.noise else 0.0
     told = safety_parameters(scenario, scenario.uav[0].name)
-    as_usual = given in (Certificate(), Certificate(age=DEFAULT_AGE))
+    as_usual = given in (Certificate(), Certificate(max_measurement_age=DEFAULT_AGE))
     certificate = msgspec.structs.replace(
         given,
-        error=given.error if given.error is not None or math.isinf(worst) else worst,
-        age=max(told.max_measurement_age, needed_age(limits, scenario))
+        max_measurement_error=given.max_measurement_error
+        if given.max_measurement_error is not None or math.isinf(worst)
+        else worst,
+        max_measurement_age=max(told.max_measurement_age, needed_age(limits, scenario))
         if as_usual
         else told.max_measurement_age,
     )
@@ -107,7 +109,7 @@ def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
         detections=detections,
         links=LinkTable(),
         certificate=certificate,
-        hold=needed_hold(limits, scenario),
+        command_timeout=needed_hold(limits, scenario),
     )
     if LAWS[base.law.name].watched:
         _check_promise(base, limits)
@@ -132,16 +134,26 @@ def beyond_declared(base: Scenario, limits: SearchLimits) -> tuple[str, ...]:
     if not LAWS[base.law.name].watched:
         return ()
     given = base.certificate
-    error = limits.noise * base.detections.cut if limits.noise else 0.0
+    error = limits.noise * base.detections.truncation if limits.noise else 0.0
     rows = (
         (
-            "age",
+            "max_measurement_age",
             needed_age(limits, base),
             safety_parameters(base, base.uav[0].name).max_measurement_age,
             "s",
         ),
-        ("error", error, math.inf if given.error is None else given.error, "m"),
-        ("delay", limits.command_delay, math.inf if given.delay is None else given.delay, "s"),
+        (
+            "max_measurement_error",
+            error,
+            math.inf if given.max_measurement_error is None else given.max_measurement_error,
+            "m",
+        ),
+        (
+            "max_command_delay",
+            limits.command_delay,
+            math.inf if given.max_command_delay is None else given.max_command_delay,
+            "s",
+        ),
     )
     return tuple(
         f"certificate.{name} = {bound:g} {unit}, but the limits of the search allow {most:g} {unit}: "

@@ -278,8 +278,8 @@ def disturb(
         state.vehicles[0, UAV].disturbance,
     )
     row.wind[0], row.wind[1] = strength * w_x, strength * w_y
-    row.position_error[0] = -conditions.own_error * w_x
-    row.position_error[1] = -conditions.own_error * w_y
+    row.position_error[0] = -conditions.position_error * w_x
+    row.position_error[1] = -conditions.position_error * w_y
     return kind
 
 

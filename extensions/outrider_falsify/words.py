@@ -19,7 +19,9 @@ def _network(scenario: Scenario) -> str:
     links, noise = scenario.links, scenario.detections.noise
     looks, parts = links.detections, []
     if noise:
-        parts.append(f"errors of up to {noise * scenario.detections.cut:.2f} m in the detections")
+        parts.append(
+            f"errors of up to {noise * scenario.detections.truncation:.2f} m in the detections"
+        )
     if looks.delay or looks.jitter:
         parts.append(f"detections up to {looks.delay + looks.jitter:.2f} s late")
     if looks.loss:

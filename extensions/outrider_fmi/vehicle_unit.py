@@ -16,8 +16,8 @@ from bus.errors import ScenarioError
 from bus.messages.base import Vector
 from bus.messages.vehicle import (
     Detection,
-    Drive,
     RelativeInformation,
+    Teleoperation,
     UavBriefing,
     UavCommand,
     UavObservation,
@@ -101,7 +101,7 @@ def check_exportable(briefing: UavBriefing | UgvBriefing) -> None:
         if LAWS[briefing.law.name].watched and needed:
             raise ScenarioError(
                 f"{vehicle}: law.name = {briefing.law.name!r}: its commands carry motions, for which a unit has no "
-                "variables; allowed: certificate.delay = 0 and certificate.outage = dt"
+                "variables; allowed: certificate.max_command_delay = 0 and certificate.max_command_interval = dt"
             )
         if LAWS[briefing.law.name].own:
             raise ScenarioError(
@@ -201,7 +201,7 @@ class VehicleUnit:
 
     def _drive(self, pilot: UgvPilot, own: dict[str, Any], values: Values) -> dict[str, float]:
         radio: tuple[RelativeInformation, ...] = ()
-        operator: tuple[Drive, ...] = ()
+        operator: tuple[Teleoperation, ...] = ()
         if values.get("radio.new"):
             message = RelativeInformation(
                 time=values["radio.time"],
@@ -211,6 +211,6 @@ class VehicleUnit:
             radio = (message,)
         if values.get("operator.new"):
             wanted = pair(values, "operator.velocity")
-            operator = (Drive(driver="fmi", velocity=wanted),)
+            operator = (Teleoperation(operator="fmi", velocity=wanted),)
         command = pilot.act(UgvObservation(**own, radio=radio, operator=operator))
         return dict(zip(("acceleration.x", "acceleration.y"), command.acceleration, strict=True))

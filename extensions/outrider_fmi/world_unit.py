@@ -6,7 +6,7 @@ It tells what an observer is told. An operator's wish crosses the operator's lin
 import msgspec
 
 from bus.errors import ScenarioError
-from bus.messages.vehicle import Drive
+from bus.messages.vehicle import Teleoperation
 from bus.registry import DRIVERS
 from outrider.running.flying import InProcess, make_pilots
 from outrider.running.user_code import own_code
@@ -101,7 +101,7 @@ class WorldUnit:
         for name in self._driven:
             if values[f"{name}.operator.new"]:
                 wanted = pair(values, f"{name}.operator.velocity")
-                flight.say(name, Drive(driver="fmi", velocity=wanted))
+                flight.say(name, Teleoperation(operator="fmi", velocity=wanted))
         flight.fly_tick(self._exchange)
         return self._told()
 

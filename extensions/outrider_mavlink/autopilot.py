@@ -1,7 +1,7 @@
 """An autopilot that flies along: the inner loop of a UAV, whose telemetry comes in and whose setpoints go out.
 
 In a run a UAV's position is the one that its inner loop is to hold it to, and how far it truly is from there at most is
-declared: `certificate.tracking`. A real autopilot is such a loop. It is sent that position, its velocity and
+declared: `certificate.max_tracking_error`. A real autopilot is such a loop. It is sent that position, its velocity and
 acceleration; where it says to be farther off than declared, or says nothing, its UAV in the run stays where it is, as
 far as the safety filter lets it, and nothing is certified. Its telemetry moves nothing in the run otherwise: the
 detections of a UGV that is simulated are simulated too.
@@ -305,8 +305,9 @@ class AutopilotPilot:
         tracking = briefing.safety.max_tracking_error
         if tracking is not None and tracking <= 0.0:
             raise ScenarioError(
-                "certificate.tracking = 0: no autopilot is always exactly where it should be; declare how far off "
-                "it may be, in m, where the simulator is started, such as --set certificate.tracking=0.3"
+                "certificate.max_tracking_error = 0: no autopilot is always exactly where it should be; "
+                "declare how far off "
+                "it may be, in m, where the simulator is started, such as --set certificate.max_tracking_error=0.3"
             )
         self._bound = math.inf if tracking is None else tracking
         self._briefing = briefing

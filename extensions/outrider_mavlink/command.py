@@ -109,11 +109,11 @@ def command(
 
     With --vehicle it is that UAV's process, in the place of `outrider uav`: in the mode OFFBOARD it flies
     SET_POSITION_TARGET_LOCAL_NED (velocity, acceleration), in HOLD it stays, in MISSION and where no setpoint has come
-    for the scenario's `hold` the run's law flies; the safety filter watches over all of them.
+    for the scenario's `command_timeout` the run's law flies; the safety filter watches over all of them.
 
     With --autopilot the run's law flies that UAV, and an autopilot is its inner loop: it is told where the UAV is to
-    be, and where it is farther off than `certificate.tracking` declares, or silent, the UAV stays and nothing is
-    certified. It must be armed and in the air, and listen to setpoints; the run must keep real time.
+    be, and where it is farther off than `certificate.max_tracking_error` declares, or silent, the UAV stays and
+    nothing is certified. It must be armed and in the air, and listen to setpoints; the run must keep real time.
 
     Example: outrider mavlink --to 127.0.0.1:14550 --credentials credentials/observer.json
 

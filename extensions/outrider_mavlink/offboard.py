@@ -54,8 +54,8 @@ class Flown(NamedTuple):
 class OffboardPilot:
     """Flies the run's law, a setpoint, or stays where it is, always inside the safety filter.
 
-    The mode and the setpoint come from another thread. A setpoint counts for the scenario's `hold`, in simulated time
-    from the tick that met it first; then the law flies until the next one comes.
+    The mode and the setpoint come from another thread. A setpoint counts for the scenario's `command_timeout`, in
+    simulated time from the tick that met it first; then the law flies until the next one comes.
     """
 
     def __init__(self) -> None:
@@ -77,7 +77,7 @@ class OffboardPilot:
 
     def make(self, briefing: UavBriefing) -> "OffboardPilot":
         """Join: all that was wanted before counts no more."""
-        self._hold = ticks_within(briefing.hold, briefing.dt)
+        self._hold = ticks_within(briefing.command_timeout, briefing.dt)
         self._setpoint = self._met = None
         self.briefing = briefing
         self._pilot = pilot = UavPilot(briefing, inner=self._inner)
@@ -222,7 +222,7 @@ def _told(briefing: UavBriefing) -> Iterator[tuple[str, float]]:
     yield "CERT_AGE", briefing.safety.max_measurement_age
     yield "CERT_DELAY", briefing.safety.max_command_delay
     yield "DT", briefing.dt
-    yield "HOLD", briefing.hold
+    yield "HOLD", briefing.command_timeout
     yield "LAW", float(names.index(briefing.law.name)) if briefing.law.name in names else -1.0
     yield "MAX_ACCEL", u_max
     yield "MAX_SPEED", v_max

@@ -150,7 +150,7 @@ class RunGateway(Gateway):
             yield "VIS_RADIUS", geometry.visibility_radius
         yield "LAW", float(_LAWS.index(status.law)) if status.law in _LAWS else -1.0
         yield "PAUSED", float(status.paused)
-        yield "RT_FACTOR", 0.0 if status.wanted_factor is None else status.wanted_factor
+        yield "RT_FACTOR", 0.0 if status.target_factor is None else status.target_factor
 
     def set_parameter(self, peer: Peer, system: VehicleSystem, name: str, value: float) -> None:
         """Ask the simulator for another setting."""

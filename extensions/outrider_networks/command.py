@@ -90,7 +90,7 @@ def chances(
     And the probability that certified visibility is lost, which is at most their sum. Bounds are those of the
     scenario's table [certificate], on which the law certified relies.
 
-    Example: outrider network chances escort --network jammed --set certificate.age=5
+    Example: outrider network chances escort --network jammed --set certificate.max_measurement_age=5
     """
     from outrider.cli.console import OUT, print_json, print_table
     from outrider.running.resolve import resolve

@@ -240,7 +240,7 @@ def _delay(arrived: FloatArray) -> dict[str, Any]:
             least_off, best = found.fun, _jittered(found.x, shape, most)
     if best.jitter < _STEADY:
         return {"delay": float(np.median(arrived))}
-    fields = ("delay", "jitter", "jitter_shape", "jitter_cut")
+    fields = ("delay", "jitter", "jitter_shape", "max_jitter")
     return {field: getattr(best, field) for field in fields}
 
 
@@ -258,7 +258,7 @@ def _jittered(x: FloatArray, shape: str, most: float) -> LinkSettings:
     """The settings with this delay and this logarithm of the jitter, cut at the largest delay that was seen."""
     delay, jitter = min(max(float(x[0]), 0.0), 30.0), min(math.exp(float(x[1])), 10.0)
     cut = 0.0 if shape == "uniform" else min(max(most - delay, 0.01 * jitter), 60.0)
-    return LinkSettings(delay=delay, jitter=jitter, jitter_shape=shape, jitter_cut=cut)
+    return LinkSettings(delay=delay, jitter=jitter, jitter_shape=shape, max_jitter=cut)
 
 
 def _quantiles(settings: LinkSettings) -> FloatArray:

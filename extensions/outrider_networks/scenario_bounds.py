@@ -65,15 +65,15 @@ def exceedance(scenario: Scenario) -> Exceedance:
     found: dict[str, Probability] = {}
     for uav in scenario.uav:
         bounds, name = safety_parameters(scenario, uav.name), uav.name
-        found[f"{name}/age"] = age_exceedance(
+        found[f"{name}/max_measurement_age"] = age_exceedance(
             **_detections(scenario, name), age=bounds.max_measurement_age
         )
-        found[f"{name}/outage"] = outage_exceedance(
+        found[f"{name}/max_command_interval"] = outage_exceedance(
             **_commands(scenario, name), outage=bounds.max_command_interval
         )
         if bounds.max_measurement_error is not None:
             error = error_exceedance(*_errors(scenario), bounds.max_measurement_error)
-            found[f"{name}/error"] = error
+            found[f"{name}/max_measurement_error"] = error
     values = {name: one.value for name, one in found.items()}
     known = [value for value in values.values() if value is not None]
     certain = len(known) == len(values) and all(one.by_chance for one in shortfalls(scenario))
@@ -107,15 +107,15 @@ def bounds_for(scenario: Scenario, risk: float) -> Bounds:
         age = smallest_age(**_detections(scenario, uav.name), risk=share)
         outage = smallest_outage(**_commands(scenario, uav.name), risk=share)
         for name, kind, found in (
-            ("age", LinkKind.DETECTIONS, age),
-            ("outage", LinkKind.COMMANDS, outage),
+            ("max_measurement_age", LinkKind.DETECTIONS, age),
+            ("max_command_interval", LinkKind.COMMANDS, outage),
         ):
             value = _value(scenario, uav.name, kind, found, risk)
             field = f"certificate.{name}"
             values[field] = max(values.get(field, scenario.dt), value)
             notes += [f"{uav.name}/{name}: {found.why}"] if found.why else []
     if uncut:
-        values["certificate.error"] = smallest_error(sigma, cut, count, share)
+        values["certificate.max_measurement_error"] = smallest_error(sigma, cut, count, share)
     return Bounds(scenario=scenario.name, risk=risk, set=values, notes=notes)
 
 
@@ -164,7 +164,7 @@ def _commands(scenario: Scenario, uav: str) -> dict[str, Any]:
 def _errors(scenario: Scenario) -> tuple[float, float, int]:
     """Return standard deviation [m], cut and number of a run's detections."""
     count = -(-scenario.ticks // scenario.detection_period)
-    return scenario.detections.noise, scenario.detections.cut, count
+    return scenario.detections.noise, scenario.detections.truncation, count
 
 
 def in_runs(probability: float) -> str:

@@ -54,7 +54,7 @@ def diagnostic(
 def _run_diagnostic(status: Status) -> RosMessage:
     warnings = (*status.warnings, *status.refusals[-1:])
     words = "over" if status.over else "paused" if status.paused else "flying"
-    pace = ("realtime_factor", "wanted_factor", "late_ticks")
+    pace = ("realtime_factor", "target_factor", "late_ticks")
     return diagnostic(
         "run",
         _fields(status, "scenario", "seed", "tick", "ticks", "law", *pace)
@@ -70,7 +70,7 @@ def _link_diagnostic(name: str, link: LinkStatus) -> RosMessage:
     words = ["loses messages"] if bad else []
     if link.age is not None and link.age > _LATE:
         words.append(f"its newest is {link.age:.1f} s old")
-    counts, ages = ("sent", "delivered", "waiting", "flying"), ("age", "mean_age", "max_age")
+    counts, ages = ("sent", "delivered", "queued", "in_transit"), ("age", "mean_age", "max_age")
     return diagnostic(
         f"link {name}",
         _fields(link, *counts, "delivery_ratio", *ages)
@@ -82,12 +82,12 @@ def _link_diagnostic(name: str, link: LinkStatus) -> RosMessage:
 
 def _vehicle_diagnostic(name: str, vehicle: VehicleStatus, *, over: bool) -> RosMessage:
     gone = not vehicle.present and not over
-    faulty = bool(vehicle.missing_commands or vehicle.refused or vehicle.last_fault)
+    faulty = bool(vehicle.missing_commands or vehicle.rejected or vehicle.last_fault)
     faults = ("missing_commands", "stale_commands", "shortened_commands", "lost", "rejoined")
     return diagnostic(
         f"vehicle {name}",
         _fields(vehicle, "present", *faults)
-        | {f"refused: {cause}": count for cause, count in vehicle.refused.items()},
+        | {f"refused: {cause}": count for cause, count in vehicle.rejected.items()},
         level=ERROR if gone else WARN if faulty else OK,
         message="its process is away" if gone else vehicle.last_fault or "ok",
     )

@@ -90,9 +90,9 @@ def _drive(session: "Session", vehicle: str, first: Status, *, speed: float, bac
     know_colours()
     with needs("drive"):
         from outrider.view.terminal.screen import DriveApp
-    from outrider.view.terminal.teleoperation import Teleoperation
+    from outrider.view.terminal.teleoperation import DriveLink
 
-    link = Teleoperation(session, vehicle, speed=speed, back=back, status=first)
+    link = DriveLink(session, vehicle, speed=speed, back=back, status=first)
     app = DriveApp(link, session.run)
     with ending(link) as end, quiet_logs() as warnings:
         link.start()

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 
 from bus.keys import STATUS
 from bus.messages.telemetry import Status
-from outrider.cli.console import ERR
 from outrider.cli.stopping import Stop
 
 if TYPE_CHECKING:
@@ -33,6 +32,8 @@ class RouterTimer:
 
 def tell_waiting(run: str) -> None:
     """Say that nothing comes before the simulator does."""
+    from outrider.cli.console import ERR  # a vehicle's process must not load a scenario
+
     ERR.tell(f"waiting for the simulator of the run {run}; Ctrl-C leaves")
 
 

@@ -267,7 +267,7 @@ class ClosedLoop:
             "visibility_violations": standings["violations"].astype(np.float64),
             "coverage_error": standings["error"] * counted,
             "mean_error": standings["error_sum"] / (ticks + 1) * counted,
-            "intervened": counts["overridden"] / watched,
+            "overridden": counts["overridden"] / watched,
             "certified": counts["certified"] / watched,
             "certified_while_lost": counts["certified_while_lost"].astype(np.float64),
             "certificate_broken": counts["broken"].astype(np.float64),

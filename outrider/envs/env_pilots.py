@@ -10,7 +10,7 @@ from agents.control.orbit import Path as VirtualPath
 from agents.control.weighting import Weighting
 from agents.estimation.map_updates import BLOCK_TILES, word_state
 from agents.uav import UavPilot
-from bus.messages.ground import BLOCK_SIDE, TILE_LETTERS, GroundBlock
+from bus.messages.ground import BLOCK_SIDE, TILE_LETTERS, MapUpdate
 from bus.messages.links import LinkKind
 from bus.messages.vehicle import (
     RelativeInformation,
@@ -31,9 +31,9 @@ def _radioed(
     world: World,
     batch: Any,  # noqa: ANN401 - PettingZoo has no types
     uavs: tuple[str, ...],
-) -> tuple[tuple[RelativeInformation, ...], tuple[GroundBlock, ...]]:
+) -> tuple[tuple[RelativeInformation, ...], tuple[MapUpdate, ...]]:
     """The messages that the radios of these UAVs deliver at this tick."""
-    radio, blocks, dt = list[RelativeInformation](), list[GroundBlock](), world.parameters.dt
+    radio, blocks, dt = list[RelativeInformation](), list[MapUpdate](), world.parameters.dt
     across = 0 if world.ground is None else -(-world.tiles.shape[1] // BLOCK_SIDE)
     for uav in uavs:
         row = batch.links.row(LinkKind.RADIO, uav)
@@ -48,7 +48,7 @@ def _radioed(
             else:
                 states = (word_state(packet["tiles"], n) for n in range(BLOCK_TILES))
                 tiles = "".join(TILE_LETTERS[state] for state in states)
-                blocks.append(GroundBlock(row=block // across, column=block % across, tiles=tiles))
+                blocks.append(MapUpdate(row=block // across, column=block % across, tiles=tiles))
     return tuple(radio), tuple(blocks)
 
 
@@ -88,12 +88,12 @@ class _EnvPilots:
         velocity = tuple(world.reference_velocity[row].tolist())
         told: dict[str, Any] = {"tick": tick, "time": world.time}
         told |= {"position": position, "velocity": velocity}
-        told |= {"ground": world.seen_ground(row), "flown": world.flown(row)}
+        told |= {"tile_reports": world.seen_ground(row), "committed_trajectory": world.flown(row)}
         if isinstance(pilot, UavPilot):
             uav = [uav.name for uav in world.uavs].index(name)
             return pilot.act(UavObservation(**told, detections=world.received(uav)))
         radio, blocks = _radioed(world, self._env.worlds.loop.batch, self._escorts[name])
-        return pilot.act(UgvObservation(**told, radio=radio, blocks=blocks))
+        return pilot.act(UgvObservation(**told, radio=radio, map_updates=blocks))
 
 
 def pilots(

@@ -205,7 +205,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     def _carry(self, world: World, name: str, command: UavCommand | UgvCommand) -> None:
         """Take in what a command carries beside its acceleration: backup plans, a claim and a route."""
         vehicle = world.names.index(name)
-        world.send(vehicle, world.tick, command.acceleration, command.motions)
+        world.send(vehicle, world.tick, command.acceleration, command.backup_trajectories)
         if isinstance(command, UgvCommand):
             world.note_claim(vehicle, command.report)
             if command.route is not None and self._view is not None:

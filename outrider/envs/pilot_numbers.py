@@ -84,7 +84,7 @@ def loop_parameters(scenario: Scenario, settings: Settings, *, radio: bool) -> L
         own_maps=len(scenario.uav) > 1 or scenario.disturbed,
         radio=radio,
         radio_ticks=radio_ticks(dt),
-        telling_ticks=telling_ticks(ground.telling, dt) if scenario.has_ground else 0,
+        telling_ticks=telling_ticks(ground.map_update_rate, dt) if scenario.has_ground else 0,
         tile=float(ground.tile) if scenario.has_ground else 0.0,
         meters_per_pixel=float(patch.meters_per_pixel) if patch else 1.0,
     )

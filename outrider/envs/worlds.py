@@ -164,7 +164,7 @@ class Worlds:
             found["goals_reached"] = self.standings(name)["reached"].copy()
         elif self.is_filtered(name):
             rows = self.loop.decisions(name)
-            found["intervened"] = rows["source"] != NOMINAL
+            found["overridden"] = rows["source"] != NOMINAL
             found["certified"] = rows["reason"] == CERTIFIED
             found["certified_distance"] = rows["certified_distance"].copy()
         return found | {f"_{key}": np.ones(self.num_envs, dtype=np.bool_) for key in found}
@@ -177,7 +177,7 @@ class Worlds:
             return {}
         decision = self.loop.decision(name)
         return {
-            "intervened": decision.overridden,
+            "overridden": decision.overridden,
             "certified": decision.certified,
             "uncertified": decision.reason.value if decision.reason else "",
             "certified_distance": or_infinite(decision.certified_distance),

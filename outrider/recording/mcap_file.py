@@ -15,7 +15,7 @@ import msgspec
 from bus.messages.base import Message
 from bus.messages.ground import GroundMap
 from bus.messages.telemetry import CoverageMap, Truth
-from bus.messages.vehicle import Drive
+from bus.messages.vehicle import Teleoperation
 from bus.plugins import needs
 from outrider.recording import schemas
 from outrider.recording.tick_rows import Tick
@@ -200,12 +200,12 @@ class RecordingFile:
                     warning=not seen,
                 )
 
-    def word(self, ugv: str, tick: int, said: Drive, seconds: float) -> None:
+    def word(self, ugv: str, tick: int, said: Teleoperation, seconds: float) -> None:
         """Take down an operator's message that a UGV received at a tick, which began at `seconds`."""
         self._put(
             schemas.operator_topic(ugv),
             schemas.OperatorWord(
-                tick=tick, driver=said.driver, velocity=said.velocity, goal=said.goal
+                tick=tick, operator=said.operator, velocity=said.velocity, goal=said.goal
             ),
             seconds,
         )

@@ -18,7 +18,7 @@ from bus.messages.base import Message, Name, NonNegative, Text, Tick, Vector
 from bus.messages.control import Change
 from bus.messages.ground import GroundMap
 from bus.messages.telemetry import CoverageMap, Status, Truth
-from bus.messages.vehicle import Drive
+from bus.messages.vehicle import Teleoperation
 from sim.input.overrides import apply_override
 from sim.input.reading import typed
 from sim.scenario.checks import check_scenario
@@ -66,7 +66,7 @@ class Commands(Message, frozen=True, kw_only=True):
     """[m/s²]"""
 
 
-class OperatorWord(Drive, frozen=True, kw_only=True):
+class OperatorWord(Teleoperation, frozen=True, kw_only=True):
     """An operator's command, and the tick of the UGV's observation that held it."""
 
     tick: Tick

@@ -14,7 +14,7 @@ import numpy as np
 from bus.messages.control import Action, Change, Control
 from bus.messages.ground import GroundMap, Hazard
 from bus.messages.telemetry import CoverageMap, Status, VehicleStatus
-from bus.messages.vehicle import Drive, UavReport
+from bus.messages.vehicle import Teleoperation, UavReport
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.schemas import CHANGES, COVERAGE, GROUND, STATUS, head_of
 from outrider.recording.tick_rows import TickTexts
@@ -52,7 +52,7 @@ class _Said(NamedTuple):
     """An operator's command that a UGV received."""
 
     ugv: str
-    word: Drive
+    word: Teleoperation
 
 
 _Flown = tuple[bytes, tuple[UavReport | None, ...]]

@@ -67,11 +67,13 @@ def _perfect_detectors(scenario: Scenario) -> Iterator[str]:
     for uav in scenario.uav:
         if safety_parameters(scenario, uav.name).max_measurement_error == 0.0:
             source = (
-                "certificate.error" if scenario.certificate.error == 0.0 else "detections.noise"
+                "certificate.max_measurement_error"
+                if scenario.certificate.max_measurement_error == 0.0
+                else "detections.noise"
             )
             yield (
                 f"{uav.name}: {source} = 0: sight is certified for a detector without any error; for a real one set "
-                "certificate.error to its greatest error [m]"
+                "certificate.max_measurement_error to its greatest error [m]"
             )
 
 
@@ -130,20 +132,21 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
 
 def _errors(scenario: Scenario, eps: float) -> Iterator[tuple[How, str]]:
     """Noise is normal in each axis, so that its norm exceeds x with the chance exp(-x²/(2 sigma²)), cut or not."""
-    sigma, cut = scenario.detections.noise, scenario.detections.cut
+    sigma, cut = scenario.detections.noise, scenario.detections.truncation
     if sigma == 0.0 or eps >= sigma * cut * (1.0 - DUST):
         return
     beyond = math.exp(-0.5 * cut * cut)
     share = (math.exp(-0.5 * (eps / sigma) ** 2) - beyond) / (1.0 - beyond)
     if share * scenario.ticks / scenario.detection_period > RARE:
         errors = (
-            "have no bound (detections.cut = inf)"
+            "have no bound (detections.truncation = inf)"
             if math.isinf(cut)
             else f"of the detections reach {sigma * cut:g} m"
         )
         yield (
             how_often(share),
-            f"certificate.error = {eps:g} m, but the errors {errors} at detections.noise = {sigma:g} m: "
+            f"certificate.max_measurement_error = {eps:g} m, but the errors {errors} at detections.noise = "
+            f"{sigma:g} m: "
             f"{percent(share)} are larger",
         )
 
@@ -155,5 +158,8 @@ def _off(scenario: Scenario, uav: Uav, promise: SafetyBounds) -> Iterator[tuple[
     """Wind and own position may take it farther from where it is told that it is than is declared, but need not."""
     most, declared = largest_tracking_error(scenario, uav), promise.max_tracking_error
     if most > declared * (1.0 + DUST):
-        what = f"certificate.tracking = {declared:g} m, but wind and own_error may take it {most:.3g} m off"
+        what = (
+            f"certificate.max_tracking_error = {declared:g} m, but wind and uav.position_error allow "
+            f"a tracking error of {most:.3g} m"
+        )
         yield How.SOMETIMES, what

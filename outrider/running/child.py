@@ -150,7 +150,7 @@ class Child:
         where = f" (the whole traceback: {self._log})" if self._log is not None else ""
         return " | ".join(line for line in lines[last:] if not line.startswith(" ")) + where
 
-    def own_error(self) -> str:
+    def position_error(self) -> str:
         """The line with which it failed, where all that it has to say is that line; empty otherwise."""
         lines = self._last_lines()
         is_all = len(lines) == 1 and lines[0].startswith(_ERROR)

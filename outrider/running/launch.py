@@ -106,7 +106,7 @@ def launch(
         processes.start_simulator(output, secret)
         unready = processes.start_companions(beside)
         if unready is not None:
-            fault = unready.own_error() or unready.exit_report()
+            fault = unready.position_error() or unready.exit_report()
             unready.drop_log()
             return Outcome(fault=fault, unusable=unready.ended == _UNUSABLE)
         if not watcher.stop():
@@ -347,7 +347,7 @@ class _Followed:
         self._counted.add(dead.pid)
         self._deaths[dead.name] += 1
         deaths, outcome = self._deaths[dead.name], self.outcome
-        own = dead.own_error()
+        own = dead.position_error()
         if own and not self._respawn and self._tick == 0:
             outcome.fault, outcome.unusable = own, dead.ended == _UNUSABLE
             dead.drop_log()

@@ -157,7 +157,7 @@ def age_shortfalls(link: InspectedLink, promise: SafetyBounds) -> Iterator[tuple
     """Looks are at multiples of the detector's period; each that gets through arrives after `least` to `most` ticks."""
     scenario, p = link.scenario, link.parameters
     period, age = scenario.detection_period, promise.max_age_ticks
-    limit = f"certificate.age = {promise.max_measurement_age:g} s"
+    limit = f"certificate.max_measurement_age = {promise.max_measurement_age:g} s"
     if link.settings.trace:
         yield from _recorded_ages(link, promise, limit)
         yield from _dark_ages(link, age, limit)
@@ -256,7 +256,10 @@ def _unlucky_ages(
         link.named("burst_length", "burst_interval", "blackout_length", "blackout_interval"),
         f"detections.dropout = {dropout:g}" if dropout else "",
     )
-    share, limit = float(late.mean()), f"certificate.age = {promise.max_measurement_age:g} s"
+    share, limit = (
+        float(late.mean()),
+        f"certificate.max_measurement_age = {promise.max_measurement_age:g} s",
+    )
     told = f"the newest detection is older than {limit} in {percent(share)} of the ticks"
     yield how_often(share), f"{', '.join(filter(None, fields))}: {told}"
 
@@ -303,7 +306,7 @@ def outage_shortfalls(link: InspectedLink, promise: SafetyBounds) -> Iterator[tu
         f"tau_c = {link.seconds(promise.delay_ticks)}",
     )
     told = ", ".join(filter(None, fields))
-    late = f"the next motion begins later than certificate.outage = {link.seconds(interval)}"
+    late = f"the next motion begins later than certificate.max_command_interval = {link.seconds(interval)}"
     window = command_window(promise.delay_ticks, MOST_CARRIED, interval)
     if not link.settings.trace and link.least > promise.delay_ticks:
         soonest = f"no motion arrives before {link.seconds(link.least)} after its tick"

@@ -38,7 +38,7 @@ class UavMetrics(msgspec.Struct, frozen=True, kw_only=True):
     estimate_rmse: float | None
     detection_rmse: float | None
     certified_share: float | None = None
-    intervened_share: float | None = None
+    overridden_share: float | None = None
 
 
 class Summary(UavMetrics, frozen=True, kw_only=True):
@@ -74,10 +74,10 @@ class Summary(UavMetrics, frozen=True, kw_only=True):
     """Ticks that were not certified, by reason."""
     certified_while_lost: int = 0
     certificate_broken: int = 0
-    declared_outage: float | None = None
-    longest_outage: float | None = None
-    declared_tracking: float | None = None
-    tracking_error: float | None = None
+    max_command_interval: float | None = None
+    longest_command_interval: float | None = None
+    max_tracking_error: float | None = None
+    largest_tracking_error: float | None = None
     mission: MissionResult | None = None
     """Mission of the UGVs; None where there are no hazards."""
     uavs: dict[str, UavMetrics] = {}
@@ -143,7 +143,7 @@ def _faults(
             "joined again": status.rejoined,
             "no new command": status.missing_commands,
             "late command used": status.stale_commands,
-            **status.refused,
+            **status.rejected,
         }
         if any(counts.values()):
             found[name] = {cause: count for cause, count in counts.items() if count}
@@ -156,13 +156,13 @@ def certificate_fields(told: CertificateStatus | None) -> dict[str, Any]:
         return {}
     return {
         "certified_share": told.certified / told.ticks,
-        "intervened_share": told.intervened / told.ticks,
+        "overridden_share": told.overridden / told.ticks,
         "uncertified": told.uncertified,
         "certified_while_lost": told.certified_while_lost,
         "certificate_broken": told.certificate_broken,
-        "declared_outage": told.outage,
-        "longest_outage": told.longest_outage,
-        "declared_tracking": told.tracking,
+        "max_command_interval": told.max_command_interval,
+        "longest_command_interval": told.longest_command_interval,
+        "max_tracking_error": told.max_tracking_error,
     }
 
 
@@ -201,7 +201,7 @@ def _by_uav(flight: "Flight") -> dict[str, UavMetrics]:
     for k, pair in enumerate(flight.world.escorts):
         certified, intervened = flight.answers.assurance.shares(k)
         found[flight.scenario.vehicles[pair[0]].name] = UavMetrics(
-            **_uav_metrics(flight, [k]), certified_share=certified, intervened_share=intervened
+            **_uav_metrics(flight, [k]), certified_share=certified, overridden_share=intervened
         )
     return found
 
@@ -245,7 +245,7 @@ def summarize(
         visibility_radius=scenario.visibility.radius,
         missing_commands=dict(flight.answers.missing),
         faults=_faults(vehicles or {}, flight.answers.shortened),
-        tracking_error=recorder.tracking_error,
+        largest_tracking_error=recorder.tracking_error,
         mission=world.mission,
         links=world.links.status(),
         traces={one.name: one.sha256 for one in world.link_table.traces},

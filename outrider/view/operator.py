@@ -14,7 +14,7 @@ from bus.messages.base import Message, Vector
 from bus.messages.control import Action, Control
 from bus.messages.ground import GroundMap
 from bus.messages.telemetry import CoverageMap, Status, Truth
-from bus.messages.vehicle import Drive
+from bus.messages.vehicle import Teleoperation
 from bus.presence import Presence
 from bus.queues import Outbox
 from bus.registry import TELEOP
@@ -111,7 +111,7 @@ class RunClient:
         """Say something to the simulator; False if it cannot be said."""
         return self._controls is not None and self._say(self._controls, control)
 
-    def drive(self, vehicle: str, drive: Drive) -> bool:
+    def drive(self, vehicle: str, drive: Teleoperation) -> bool:
         """Say something to a UGV; False if it cannot be said."""
         if not self.may_steer:
             return False
@@ -153,7 +153,7 @@ class Helm:
     """
 
     def __init__(
-        self, control: Callable[[Control], bool], drive: Callable[[str, Drive], bool]
+        self, control: Callable[[Control], bool], drive: Callable[[str, Teleoperation], bool]
     ) -> None:
         self._control, self._drive = control, drive
         self._before: dict[str, str] = {}
@@ -178,7 +178,7 @@ class Helm:
 
     def steer(self, vehicle: str, name: str, velocity: Vector | None) -> bool:
         """Say which velocity [m/s] the operator of this name wants; None is to brake."""
-        return self._drive(vehicle, Drive(driver=name, velocity=velocity))
+        return self._drive(vehicle, Teleoperation(operator=name, velocity=velocity))
 
     def hand_back(self, vehicle: str, to: str = "") -> str:
         """Let a driver drive on, or the one from before; its name, empty where nobody is known."""

@@ -45,7 +45,7 @@ _NEEDS = (
 def extra_delays(settings: LinkSettings) -> tuple[float, float]:
     """Least and most extra delay [s]."""
     j = settings.jitter
-    most = settings.jitter_cut or _JITTER_CUT * j
+    most = settings.max_jitter or _JITTER_CUT * j
     shape = SHAPES[settings.jitter_shape]
     if shape == UNIFORM:
         return -min(settings.delay, j), min(most, j)

@@ -142,7 +142,7 @@ def _close_gaps(link: Link, packets: RecordArray, w: int) -> None:
 @compiled
 def _fly(link: Link, packets: RecordArray, w: int, packet: Packet, due: int) -> None:
     """Append a packet to those that fly."""
-    if link.flying == link.room:
+    if link.in_transit == link.room:
         link.lost[FULL] += 1
         return
     if link.span == link.room:
@@ -151,7 +151,7 @@ def _fly(link: Link, packets: RecordArray, w: int, packet: Packet, due: int) -> 
     packets[w, link.number, FLYING, k] = packet
     packets[w, link.number, FLYING, k].due = due
     link.span += 1
-    link.flying += 1
+    link.in_transit += 1
 
 
 @compiled
@@ -196,7 +196,7 @@ def _transmit(link: Link, packets: RecordArray, w: int, packet: Packet, later: f
         share, share_too = to_uniform(word_0), to_uniform(word_1)
         held_too = to_uniform(word_2) < s.reorder
     _fly(link, packets, w, packet, link.tick + _flight_time(p, share, held, later))
-    if twice and link.flying < link.room:
+    if twice and link.in_transit < link.room:
         link.duplicated += 1
         packet.copy = True
         _fly(link, packets, w, packet, link.tick + _flight_time(p, share_too, held_too, later))
@@ -224,7 +224,7 @@ def _draw_channel(link: Link, traces: IntArray, tick: int) -> None:
     """Begin a tick with the state of the channel: good or bad, blackout or not."""
     p = link.parameters
     link.tick, link.index = tick, 0
-    if p.perfect and link.waiting == 0:
+    if p.perfect and link.queued == 0:
         return
     if p.bursts:
         chance = p.bad_stay if link.bad == 1 else p.bad_enter
@@ -259,7 +259,7 @@ def _leave_queue(link: Link) -> int:
     """Remove the packet that has waited longest; return its place."""
     k = link.first_waiting
     link.first_waiting = _place(link, k + 1)
-    link.waiting -= 1
+    link.queued -= 1
     return k
 
 
@@ -272,12 +272,12 @@ def _grant(link: Link, packets: RecordArray, w: int, traces: IntArray, tick: int
     end = in_milliseconds(tick, p.dt) + offset
     start, place = begin - begin % p.period, begin % p.period
     k = _first_after(traces, 0, p.first_row, p.end_row, place)
-    while link.waiting > 0:
+    while link.queued > 0:
         now = start + traces[k, 0]
         if now > end:
             return
         bytes_left = p.opportunity
-        while bytes_left > 0 and link.waiting > 0:
+        while bytes_left > 0 and link.queued > 0:
             used = min(bytes_left, message_bytes - link.granted)
             bytes_left -= used
             link.granted += used
@@ -313,10 +313,10 @@ def begin_tick(link: Link, packets: RecordArray, w: int, traces: IntArray, tick:
     """
     catch_up(link, traces, tick - 1)
     p = link.parameters
-    if link.waiting > 0 and p.replay == OPPORTUNITIES:
+    if link.queued > 0 and p.replay == OPPORTUNITIES:
         _grant(link, packets, w, traces, tick)
     _draw_channel(link, traces, tick)
-    while link.waiting > 0 and p.replay != OPPORTUNITIES and _sender_is_free(link):
+    while link.queued > 0 and p.replay != OPPORTUNITIES and _sender_is_free(link):
         link.served += 1
         packet = packets[w, link.number, WAITING, _leave_queue(link)]
         if p.replay == DELAYS:
@@ -332,18 +332,18 @@ def _wait(link: Link, packets: RecordArray, w: int, packet: Packet) -> None:
         link.number,
         1 if link.granted > 0 else 0,
     )  # the first that waits is leaving already
-    if link.waiting - begun >= link.parameters.settings.queue:
+    if link.queued - begun >= link.parameters.settings.queue:
         link.lost[QUEUE] += 1
         if not link.parameters.newest:
             return
         first = _leave_queue(link)
         if begun == 1:  # it takes the place of the next one, which is dropped
             packets[w, row, WAITING, link.first_waiting] = packets[w, row, WAITING, first]
-    if link.waiting == link.room:
+    if link.queued == link.room:
         link.lost[FULL] += 1
         return
-    packets[w, row, WAITING, _place(link, link.first_waiting + link.waiting)] = packet
-    link.waiting += 1
+    packets[w, row, WAITING, _place(link, link.first_waiting + link.queued)] = packet
+    link.queued += 1
 
 
 @compiled
@@ -358,7 +358,7 @@ def send(link: Link, packets: RecordArray, w: int, traces: IntArray, packet: Pac
     link.index += 1
     link.sent += 1
     p = link.parameters
-    if link.waiting > 0 or p.replay == OPPORTUNITIES or not _sender_is_free(link):
+    if link.queued > 0 or p.replay == OPPORTUNITIES or not _sender_is_free(link):
         _wait(link, packets, w, packet)
         return
     link.busy_since, link.served = link.tick, 1
@@ -390,7 +390,7 @@ def receive(link: Link, packets: RecordArray, w: int) -> int:
                 link.newest = packet.stamp
             link.delivered += 1
             link.originals += 0 if packet.copy else 1
-            link.flying -= 1
+            link.in_transit -= 1
             packet.due = -1
     while link.span > 0 and packets[w, row, FLYING, link.first].due < 0:
         link.first = _place(link, link.first + 1)

@@ -93,9 +93,9 @@ class Link:
     span: int
     """Begin and length of the ring of flying packets. Packets that have arrived before others that left earlier are
     part of it."""
-    flying: int
+    in_transit: int
     first_waiting: int
-    waiting: int
+    queued: int
     """Begin and length of the sender's queue."""
     arrived: int
     """Packets that arrived at the last tick."""

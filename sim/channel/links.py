@@ -27,7 +27,7 @@ from sim.models.randomness import Key
 
 PER_TICK = {LinkKind.DETECTIONS: 1, LinkKind.COMMANDS: 1, LinkKind.OPERATOR: 64, LinkKind.RADIO: 8}
 """Messages for which a link has room in every tick; a UAV radios at most five."""
-_COUNTERS = ("sent", "delivered", "duplicated", "waiting", "flying")
+_COUNTERS = ("sent", "delivered", "duplicated", "queued", "in_transit")
 """Counters that a link's record and its status have in common."""
 
 _WORLD = constant(0)
@@ -174,7 +174,7 @@ def _change_link(link: Any, lists: RecordArray, new: LinkParameters) -> tuple[An
     )
     if not (granted and continues):
         link["granted"] = 0
-    begun, waiting = int(link["granted"] > 0), int(link["waiting"])
+    begun, waiting = int(link["granted"] > 0), int(link["queued"])
     queued = lists[WAITING, (link["first_waiting"] + np.arange(waiting)) % room]
     keeps, queue = np.arange(waiting) - begun, new.settings.queue
     if new.spacing > 0.0 or granted:
@@ -236,8 +236,8 @@ def change_links(
         packets[w, row, FLYING, : len(flying)] = flying
     for name, values in (
         ("room", rooms),
-        ("waiting", [len(queued) for queued, _ in moved]),
-        ("flying", [len(flying) for _, flying in moved]),
+        ("queued", [len(queued) for queued, _ in moved]),
+        ("in_transit", [len(flying) for _, flying in moved]),
         ("span", [len(flying) for _, flying in moved]),
     ):
         links[name][:, row] = values
@@ -355,13 +355,13 @@ class Links:
     def _forget(self, row: int) -> None:
         """Drop the objects that can no longer arrive."""
         link, (flying, waiting, _) = self.records[0, row], self.packets[0, row]
-        left = int(link["flying"]) + int(link["waiting"])
+        left = int(link["in_transit"]) + int(link["queued"])
         if left == 0:
             self._objects[row].clear()
         elif left != len(self._objects[row]):
             room = int(link["room"])
             ring = flying[(link["first"] + np.arange(link["span"])) % room]
-            queue = waiting[(link["first_waiting"] + np.arange(link["waiting"])) % room]
+            queue = waiting[(link["first_waiting"] + np.arange(link["queued"])) % room]
             numbers = {*_numbers(ring[ring["due"] >= 0]), *_numbers(queue)}
             self._objects[row] = {one: self._objects[row][one] for one in numbers}
 

@@ -25,12 +25,12 @@ def limits(vehicle: Uav | Ugv) -> Limits:
 def _error(scenario: Scenario) -> float | None:
     """The largest error of a detection [m]; None where it has no bound."""
     noise = scenario.detections.noise
-    return or_none(noise * scenario.detections.cut) if noise > 0.0 else 0.0
+    return or_none(noise * scenario.detections.truncation) if noise > 0.0 else 0.0
 
 
 def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:
     """Largest true distance of a UAV from where it is told that it is, w [m]; infinite where that has no bound."""
-    return tracking_error(uav.tracking, scenario.wind.largest, uav.own_error, scenario.dt)
+    return tracking_error(uav.tracking, scenario.wind.largest, uav.position_error, scenario.dt)
 
 
 def ugv_carries(scenario: Scenario, ugv: Ugv) -> bool:
@@ -40,23 +40,27 @@ def ugv_carries(scenario: Scenario, ugv: Ugv) -> bool:
 
 def command_delay(scenario: Scenario, uav: str) -> float:
     """Return the time from a command's tick to the one in which it acts [s]: as given, or the longest of its link."""
-    if scenario.certificate.delay is not None:
-        return scenario.certificate.delay
+    if scenario.certificate.max_command_delay is not None:
+        return scenario.certificate.max_command_delay
     return longest_delay(scenario.links.of(uav, LinkKind.COMMANDS), scenario.links.traces)
 
 
 def safety_parameters(scenario: Scenario, uav: str) -> SafetyParameters:
     """Return the parameters of a UAV's safety filter."""
     given = scenario.certificate
-    tracking = given.tracking
+    tracking = given.max_tracking_error
     if tracking is None:
         (vehicle,) = (one for one in scenario.uav if one.name == uav)
         tracking = or_none(largest_tracking_error(scenario, vehicle))
     return SafetyParameters(
-        max_measurement_error=given.error if given.error is not None else _error(scenario),
-        max_measurement_age=given.age or DEFAULT_AGE,
+        max_measurement_error=given.max_measurement_error
+        if given.max_measurement_error is not None
+        else _error(scenario),
+        max_measurement_age=given.max_measurement_age or DEFAULT_AGE,
         max_command_delay=command_delay(scenario, uav),
-        max_command_interval=scenario.dt if given.outage is None else given.outage,
+        max_command_interval=scenario.dt
+        if given.max_command_interval is None
+        else given.max_command_interval,
         max_tracking_error=tracking,
         margin=given.margin,
     )
@@ -102,13 +106,13 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         law=scenario.law,
         detector=Detector(
             noise=scenario.detections.noise,
-            cut=or_none(scenario.detections.cut),
+            truncation=or_none(scenario.detections.truncation),
             period=scenario.detection_period * scenario.dt,
         ),
         estimator=scenario.estimator,
         safety=safety_parameters(scenario, name),
-        hold=scenario.hold,
-        ground=UavGround(tile=scenario.ground.tile, telling=scenario.ground.telling)
+        command_timeout=scenario.command_timeout,
+        ground=UavGround(tile=scenario.ground.tile, map_update_rate=scenario.ground.map_update_rate)
         if scenario.has_ground
         else None,
         origin=scenario.origin,
@@ -124,14 +128,14 @@ def ugv_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
         goals=ugv.goals,
         goal_tolerance=ugv.goal_tolerance,
         script=ugv.script,
-        hold=scenario.hold,
+        command_timeout=scenario.command_timeout,
         ground=UgvGround(
             tile=scenario.ground.tile,
-            bumper=scenario.ground.bumper,
+            sensing_range=scenario.ground.sensing_range,
             caution=ugv.caution,
-            share=scenario.rough_share,
+            rough_speed_share=scenario.rough_share,
             delay=ugv_delay(scenario, name),
-            carries=ugv_carries(scenario, ugv),
+            executes_trajectories=ugv_carries(scenario, ugv),
         )
         if scenario.has_ground
         else None,

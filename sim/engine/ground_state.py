@@ -128,10 +128,10 @@ def ground_of(scenario: Scenario, worlds: int) -> GroundState | None:
         period=scenario.ground_period,
         miss=float(ground.miss),
         false_alarm=float(ground.false_alarm),
-        bumper=float(ground.bumper),
+        bumper=float(ground.sensing_range),
         stuck=ground.touch == "stuck",
     )
-    reach = max(scenario.sensor.range, ground.bumper)
+    reach = max(scenario.sensor.range, ground.sensing_range)
     room = min(tables.tiles.size, (2 * math.ceil(reach / ground.tile) + 3) ** 2)
     rows = [(k, one) for k, one in enumerate(scenario.vehicles) if isinstance(one, Ugv)]
     vehicles, uavs, ugvs = len(scenario.vehicles), len(scenario.uav), len(rows)

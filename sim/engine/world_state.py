@@ -54,10 +54,10 @@ def world_parameters(scenario: Scenario, *, gains: bool = False) -> WorldParamet
         sensor=sensor_parameters(scenario.sensor),
         desired=float(scenario.coverage.desired),
         sigma=float(scenario.detections.noise),
-        cut=float(scenario.detections.cut),
+        cut=float(scenario.detections.truncation),
         dropout=float(scenario.detections.dropout),
         period=scenario.detection_period,
-        hold_ticks=round(scenario.hold / scenario.dt),
+        hold_ticks=round(scenario.command_timeout / scenario.dt),
         gains=gains,
     )
 
@@ -200,8 +200,8 @@ def disturbances_of(scenario: Scenario) -> RecordArray:
             gust=wind.gust,
             gust_kept=math.exp(-dt / wind.gust_time),
             limit=wind.largest,
-            own_error=uav.own_error,
-            own_kept=math.exp(-dt / uav.own_error_time),
+            position_error=uav.position_error,
+            own_kept=math.exp(-dt / uav.position_error_time),
         )
         for uav in uavs
     ]

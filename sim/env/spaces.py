@@ -21,7 +21,7 @@ def extent_of(scenario: Scenario, vehicle: Uav | Ugv) -> dict[str, float]:
         largest(scenario.area, scenario.dt),
     )
     sight = max(scenario.sensor.range, scenario.visibility.radius) + (
-        noise * scenario.detections.cut if noise > 0.0 else 0.0
+        noise * scenario.detections.truncation if noise > 0.0 else 0.0
     )
     return most | {
         "T": scenario.ticks * scenario.dt,

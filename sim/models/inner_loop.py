@@ -109,19 +109,19 @@ def _responses(k_p: float, k_d: float, dt: float) -> Responses:
     )
 
 
-def needed_reserve(loop: InnerLoop, wind: float, own_error: float, dt: float) -> float:
+def needed_reserve(loop: InnerLoop, wind: float, position_error: float, dt: float) -> float:
     """The largest acceleration that the feedback of an inner loop ever asks for [m/s²]; infinite if it is unstable.
 
     Arguments as in `tracking_error`; the loop's reserve is not looked at.
     """
-    pushed = wind + loop.position_gain * own_error
+    pushed = wind + loop.position_gain * position_error
     if pushed == 0.0:
         return 0.0
     answer = _responses(loop.position_gain, loop.velocity_gain, dt).feedback
-    return loop.position_gain * own_error + answer * pushed
+    return loop.position_gain * position_error + answer * pushed
 
 
-def tracking_error(loop: InnerLoop, wind: float, own_error: float, dt: float) -> float:
+def tracking_error(loop: InnerLoop, wind: float, position_error: float, dt: float) -> float:
     r"""A bound on a UAV's distance from its reference [m], whatever wind and own position do within their bounds.
 
     $$ w = (W + k_p \epsilon_a) \sum_k |h_k| + (u + W) \frac{dt^2}{8} $$
@@ -132,16 +132,16 @@ def tracking_error(loop: InnerLoop, wind: float, own_error: float, dt: float) ->
     Args:
         loop: Gains and reserve.
         wind: Largest acceleration of the wind, W [m/s²].
-        own_error: Largest error of the own position, eps_a [m].
+        position_error: Largest error of the own position, eps_a [m].
         dt: Length of a tick [s].
 
     Returns:
         Infinite where the loop is unstable at this tick, or asks for more than its reserve.
     """
-    pushed = wind + loop.position_gain * own_error
-    most = needed_reserve(loop, wind, own_error, dt)
+    pushed = wind + loop.position_gain * position_error
+    most = needed_reserve(loop, wind, position_error, dt)
     if pushed == 0.0:
-        return own_error
+        return position_error
     if not most <= loop.reserve * (1.0 + _DUST):
         return math.inf
     answer = _responses(loop.position_gain, loop.velocity_gain, dt).error

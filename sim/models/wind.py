@@ -28,7 +28,7 @@ class DisturbanceParameters(NamedTuple):
     """Share of a gust that is left after a tick."""
     limit: float
     """Largest acceleration of the wind [m/s²]."""
-    own_error: float
+    position_error: float
     """Largest error of the own position [m]."""
     own_kept: float
     """Share of it that is left after a tick."""
@@ -62,6 +62,6 @@ def draw_disturbance(row: DisturbanceParameters, state: Disturbance, key: Key, t
     gust[0], gust[1] = _drifted(gust[0], gust[1], row.gust, row.gust_kept, key, GUST, tick)
     wind[0], wind[1] = clip_norm(row.mean[0] + gust[0], row.mean[1] + gust[1], row.limit)
     drift[0], drift[1] = _drifted(
-        drift[0], drift[1], 0.5 * row.own_error, row.own_kept, key, OWN_POSITION, tick
+        drift[0], drift[1], 0.5 * row.position_error, row.own_kept, key, OWN_POSITION, tick
     )
-    error[0], error[1] = clip_norm(drift[0], drift[1], row.own_error)
+    error[0], error[1] = clip_norm(drift[0], drift[1], row.position_error)

@@ -80,10 +80,10 @@ def hazards_have_a_shape(scenario: Scenario) -> Iterator[Fault]:
 
 
 def _share_fault(path: str, hazard: Hazard | HazardField) -> Iterator[Fault]:
-    if hazard.share is not None and not HAZARDS[hazard.kind].slows:
+    if hazard.speed_share is not None and not HAZARDS[hazard.kind].slows:
         rough = ", ".join(name for name, row in HAZARDS.items() if row.slows)
         wrong = f"the kind {hazard.kind!r} slows nobody"
-        yield Fault(f"{path}.share", hazard.share, wrong, f"kind {rough}, or no share")
+        yield Fault(f"{path}.speed_share", hazard.speed_share, wrong, f"kind {rough}, or no share")
 
 
 @lru_cache(maxsize=8)
@@ -101,7 +101,7 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def _polygon_faults(path: str, hazard: Hazard) -> Iterator[Fault]:
     """It has three corners or more, an area, and sides that meet nowhere but at corners."""
-    corners = np.array(hazard.polygon)
+    corners = np.array(hazard.corners)
     count = len(corners)
     if count < 3:
         yield Fault(

@@ -88,7 +88,7 @@ def place_fields(scenario: Scenario, tables: GroundTables, key: Key) -> int:
 def _field_row(field: HazardField) -> HazardFieldRow:
     kind, (smallest, largest) = HAZARDS[field.kind].code, field.radius
     return HazardFieldRow(
-        kind, field.count, smallest, largest, share=field.speed_share, clear=field.clear
+        kind, field.count, smallest, largest, share=field.kept_share, clear=field.clearance
     )
 
 
@@ -111,7 +111,7 @@ def _way_bits(way: int) -> int:
 
 def corners_of(hazards: tuple[Hazard, ...]) -> FloatArray:
     """The corners of all polygons, one after the other [m]. Shape (corners, 2)."""
-    found = [corner for hazard in hazards for corner in hazard.polygon]
+    found = [corner for hazard in hazards for corner in hazard.corners]
     return np.array(found, dtype=np.float64).reshape(-1, 2)
 
 
@@ -123,9 +123,9 @@ def hazard_rows(hazards: tuple[Hazard, ...]) -> RecordArray:
 def _rows(hazards: tuple[Hazard, ...]) -> Iterator[HazardRow]:
     first = 0
     for hazard in hazards:
-        kind, count, radius = HAZARDS[hazard.kind].code, len(hazard.polygon), hazard.radius or 0.0
+        kind, count, radius = HAZARDS[hazard.kind].code, len(hazard.corners), hazard.radius or 0.0
         reach = 0.5 * math.dist(*hazard.bounds) if count else radius
-        yield HazardRow(kind, hazard.speed_share, *hazard.middle, radius, reach, first, count)
+        yield HazardRow(kind, hazard.kept_share, *hazard.middle, radius, reach, first, count)
         first += count
 
 

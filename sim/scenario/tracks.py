@@ -24,18 +24,18 @@ def with_tracks(scenario: Scenario, *, file: str) -> Scenario:
         ScenarioError: If a track cannot be read, or has nothing of the UGV.
     """
     ugvs = tuple(
-        _with_track(ugv, k, file) if ugv.track and not ugv.script else ugv
+        _with_track(ugv, k, file) if ugv.trajectory and not ugv.script else ugv
         for k, ugv in enumerate(scenario.ugv)
     )
     return scenario if ugvs == scenario.ugv else msgspec.structs.replace(scenario, ugv=ugvs)
 
 
 def _with_track(ugv: Ugv, k: int, file: str) -> Ugv:
-    where = f"{file}: ugv.{k}.track = {ugv.track!r}"
+    where = f"{file}: ugv.{k}.trajectory = {ugv.trajectory!r}"
     columns = (f"{ugv.name}.vx [m/s]", f"{ugv.name}.vy [m/s]")
     try:
         with TextIOWrapper(
-            open_regular(Path(ugv.track), _MOST_BYTES), newline="", encoding="utf-8"
+            open_regular(Path(ugv.trajectory), _MOST_BYTES), newline="", encoding="utf-8"
         ) as table:
             read = islice(csv.DictReader(table), _MOST_ROWS + 1)
             rows = [

@@ -11,7 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from bus.messages.base import Line, Name, NonNegative, Positive, Text, Vector
-from bus.messages.ground import DEFAULT_SHARE, Hazard, SpeedShare, speed_share
+from bus.messages.ground import DEFAULT_SHARE, Hazard, SpeedShare, kept_share
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Area, Estimator, Law, Origin, Region, ScriptStep, Sensor
 from bus.registry import CAUTIONS, DEFAULT_DRIVER, HAZARDS, TOUCHES
@@ -49,7 +49,7 @@ class Detections(_Table, frozen=True, kw_only=True):
 
     noise: NonNegative = 0.0
     """Standard deviation per axis [m]."""
-    cut: Bound = 3.0
+    truncation: Bound = 3.0
     """Truncation of the noise vector's norm, in standard deviations [1]; inf: not truncated."""
     rate: Positive = 20.0
     """Detection attempts per second [1/s]; the period must be a whole number of ticks."""
@@ -88,15 +88,15 @@ class HazardField(_Table, frozen=True, kw_only=True):
     """Number of hazards."""
     radius: tuple[Positive, Positive]
     """Smallest and largest radius [m]."""
-    share: SpeedShare | None = None
-    """If they are rough: of its largest speed that a vehicle keeps on one; by default 0.4."""
-    clear: NonNegative = 1.0
-    """So far from the starts and goals of all UGVs they stay [m]."""
+    speed_share: SpeedShare | None = None
+    """Share of its maximum speed that a vehicle keeps on a rough hazard; default: 0.4."""
+    clearance: NonNegative = 1.0
+    """Smallest distance from the starts and goals of all UGVs [m]."""
 
     @property
-    def speed_share(self) -> float:
+    def kept_share(self) -> float:
         """Of its largest speed that a vehicle keeps on one."""
-        return speed_share(self.kind, self.share)
+        return kept_share(self.kind, self.speed_share)
 
 
 class Ground(_Table, frozen=True, kw_only=True):
@@ -110,12 +110,12 @@ class Ground(_Table, frozen=True, kw_only=True):
     """Probability that a tile with a hazard is detected as clear."""
     false_alarm: Share = 0.0
     """Probability that a clear tile is detected as blocked."""
-    bumper: NonNegative = 0.75
-    """Range of a UGV's own sensor, which makes no errors [m]."""
+    sensing_range: NonNegative = 0.75
+    """Range of a UGV's own sensor, which is exact [m]."""
     touch: Name = TOUCHES[0]
     """Effect of a blocking hazard on a UGV that touches it: `stuck`, or `damage` without a stop."""
-    telling: NonNegative = 4.0
-    """Blocks of 8 x 8 tiles that a UAV radios to its UGV per second [1/s]."""
+    map_update_rate: NonNegative = 4.0
+    """Blocks of 8 x 8 tiles that a UAV sends to its UGV per second [1/s]."""
 
 
 class Uav(_Table, frozen=True, kw_only=True):
@@ -133,10 +133,10 @@ class Uav(_Table, frozen=True, kw_only=True):
     """Maximum speed v_a [m/s]; inf: unbounded."""
     max_acceleration: Bound = 0.3
     """Maximum acceleration u_a [m/s²]; inf: unbounded."""
-    own_error: NonNegative = 0.0
-    """Largest error of its own position [m]. The error drifts; the inner loop cannot tell it from one of its own."""
-    own_error_time: Positive = 30.0
-    """After this time a third of that error is left [s]."""
+    position_error: NonNegative = 0.0
+    """Largest error of its position measurement [m]; it drifts, and the inner loop cannot observe it."""
+    position_error_time: Positive = 30.0
+    """Time constant of this error [s]."""
     tracking: InnerLoop = InnerLoop()
     """Inner loop, which tracks the reference state against wind and position errors."""
 
@@ -164,8 +164,8 @@ class Ugv(_Table, frozen=True, kw_only=True):
     """Distance epsilon below which a goal counts as reached [m]."""
     script: tuple[ScriptStep, ...] = ()
     """Steps of the driver `script`, by increasing time."""
-    track: Text = ""
-    """Instead of a script: the trajectory.csv of an earlier run, whose track of this UGV is driven again."""
+    trajectory: Text = ""
+    """Instead of a script: trajectory.csv of an earlier run, whose trajectory of this UGV is repeated."""
     caution: Name = CAUTIONS[0]
     """Behaviour towards unknown ground: `cautious`, slow enough to stop before it, or `bold`, at full speed."""
 
@@ -177,21 +177,21 @@ DEFAULT_AGE = 1.0
 class Certificate(_Table, frozen=True, kw_only=True):
     """Bounds declared to the UAVs' safety filters. Ticks at which the network exceeds them are not certified."""
 
-    error: NonNegative | None = None
-    """Largest error of a detection [m]; by default the noise at its cut, and without a cut none."""
-    age: Positive | None = None
-    """Largest age of the newest detection that has arrived [s]; by default 1 s."""
-    delay: NonNegative | None = None
-    """From the tick that a command answers to the one in which it acts [s]; by default the longest of its link."""
+    max_measurement_error: NonNegative | None = None
+    """Largest measurement error [m]; default: the noise at its truncation, unbounded without one."""
+    max_measurement_age: Positive | None = None
+    """Largest age of the newest measurement [s]; default: 1 s."""
+    max_command_delay: NonNegative | None = None
+    """Time from the tick that a command answers to its effect [s]; default: the longest of its link."""
     margin: NonNegative = 0.0
     """Margin subtracted from r_v [m], for effects that the theorem does not cover."""
-    outage: NonNegative | None = None
-    """Longest time from the start of a UAV's motion to the start of the next, B [s]: receivers fly a motion on while
-    commands are lost. By default one tick: no command is lost.
+    max_command_interval: NonNegative | None = None
+    """Longest time from the start of one plan to the start of the next [s]. Receivers execute backup trajectories while
+    commands are lost. Default: one tick, no command is lost.
     """
-    tracking: NonNegative | None = None
-    """Largest true distance of a UAV from where it is told that it is, w [m]; by default what wind, own_error and
-    tracking can bring about: 0 without wind and own_error.
+    max_tracking_error: NonNegative | None = None
+    """Largest tracking error [m]; default: the bound that follows from wind, position_error and tracking, 0 without a
+    disturbance.
     """
 
 
@@ -290,8 +290,8 @@ class Scenario(_Table, frozen=True, kw_only=True):
     """Duration [s], a whole number of ticks."""
     dt: Positive = 0.05
     """Length of a tick [s]."""
-    hold: NonNegative = 0.5
-    """For so long the last command is held when none comes [s]; then the vehicle brakes."""
+    command_timeout: NonNegative = 0.5
+    """Time for which the last command stays in effect when no new one arrives [s]; then the vehicle brakes."""
     area: Area = DEFAULT_AREA
     """Area and coverage grid."""
     origin: Origin = Origin()
@@ -342,7 +342,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     @property
     def disturbed(self) -> bool:
         """True if wind or a wrong own position takes a UAV from where it is told that it is."""
-        return any(self.wind.largest > 0.0 or uav.own_error > 0.0 for uav in self.uav)
+        return any(self.wind.largest > 0.0 or uav.position_error > 0.0 for uav in self.uav)
 
     @property
     def detection_period(self) -> int:
@@ -353,7 +353,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     def rough_share(self) -> float:
         """Of its largest speed that a vehicle keeps at least on rough ground."""
         rough: tuple[Hazard | HazardField, ...] = (*self.hazard, *self.hazard_field)
-        slow = (one.speed_share for one in rough if HAZARDS[one.kind].slows)
+        slow = (one.kept_share for one in rough if HAZARDS[one.kind].slows)
         return min(slow, default=DEFAULT_SHARE)
 
     @property

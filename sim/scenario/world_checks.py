@@ -251,10 +251,10 @@ def inner_loops_hold(scenario: Scenario) -> Iterator[Fault]:
     for k, uav in enumerate(scenario.uav):
         path, loop, wind = f"uav.{k}.tracking", uav.tracking, scenario.wind.largest
         k_p, k_d = loop.position_gain, loop.velocity_gain
-        if wind == 0.0 and uav.own_error == 0.0:
+        if wind == 0.0 and uav.position_error == 0.0:
             continue
         unstable = f"the inner loop is unstable at dt = {scenario.dt:g} s"
-        needed = needed_reserve(loop, wind, uav.own_error, scenario.dt)
+        needed = needed_reserve(loop, wind, uav.position_error, scenario.dt)
         if k_d * scenario.dt >= 2.0:
             yield Fault(
                 f"{path}.velocity_gain", k_d, unstable, f"less than {2.0 / scenario.dt:g} 1/s"
@@ -264,8 +264,8 @@ def inner_loops_hold(scenario: Scenario) -> Iterator[Fault]:
             yield Fault(f"{path}.position_gain", k_p, unstable, limit)
         elif math.isinf(needed):
             yield Fault(f"{path}.position_gain", k_p, "the inner loop is too slow", "larger ones")
-        elif math.isinf(tracking_error(loop, wind, uav.own_error, scenario.dt)):
-            wrong = f"cannot hold a wind of {wind:g} m/s² and an own_error of {uav.own_error:g} m"
+        elif math.isinf(tracking_error(loop, wind, uav.position_error, scenario.dt)):
+            wrong = f"cannot hold a wind of {wind:g} m/s² and an position_error of {uav.position_error:g} m"
             allowed = f"{needed + 5e-4:.3f} m/s² or more"
             yield Fault(f"{path}.reserve", loop.reserve, wrong, allowed)
 
@@ -289,14 +289,14 @@ def commands_act(scenario: Scenario) -> Iterator[Fault]:
     for _, vehicle in vehicles(scenario):
         commands = scenario.links.of(vehicle.name, LinkKind.COMMANDS)
         least = least_ticks(link_parameters(commands, scenario.dt, traces=scenario.links.traces))
-        if least > round(scenario.hold / scenario.dt):
+        if least > round(scenario.command_timeout / scenario.dt):
             path = f"{scenario.links.path_of(vehicle.name, LinkKind.COMMANDS)} of {vehicle.name}"
             age = f"{least * scenario.dt:g} s"
             wrong = (
                 f"commands are {age} old or more when they arrive ({path}), "
                 "so that it would only brake"
             )
-            yield Fault("hold", scenario.hold, wrong, f"{age} or more")
+            yield Fault("command_timeout", scenario.command_timeout, wrong, f"{age} or more")
 
 
 WORLD_CHECKS: tuple[Check, ...] = (

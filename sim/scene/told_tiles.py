@@ -32,7 +32,7 @@ def hazards_of(world: World) -> tuple[Hazard, ...]:
             kind=_KINDS[int(row["kind"])],
             center=(float(row["x"]), float(row["y"])),
             radius=float(row["radius"]),
-            share=float(row["share"]),
+            speed_share=float(row["share"]),
         )
         for row in drawn[drawn["kind"] > 0]
     )

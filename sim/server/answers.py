@@ -121,8 +121,8 @@ class Answers:
                 continue
             u_x, u_y = command.acceleration
             size = u_x * u_x + u_y * u_y
-            if command.motions:
-                size = max(size, _largest(command.motions))
+            if command.backup_trajectories:
+                size = max(size, _largest(command.backup_trajectories))
             if size > limit:
                 self._tell_shortened(name, command.tick, math.sqrt(size))
 

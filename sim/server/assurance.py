@@ -157,12 +157,14 @@ class Assurance:
         return CertificateStatus(
             ticks=self.ticks,
             certified=self.certified,
-            intervened=self._sum("overridden"),
+            overridden=self._sum("overridden"),
             uncertified=dict(self.reasons),
             certified_while_lost=self.certified_while_lost,
             certificate_broken=self.certificate_broken,
-            outage=self._interval * self._dt,
-            longest_outage=longest * self._dt,
-            tracking=self._tracking if self._disturbed and math.isfinite(self._tracking) else None,
-            tracking_error=self.tracking_error if self._disturbed else None,
+            max_command_interval=self._interval * self._dt,
+            longest_command_interval=longest * self._dt,
+            max_tracking_error=self._tracking
+            if self._disturbed and math.isfinite(self._tracking)
+            else None,
+            largest_tracking_error=self.tracking_error if self._disturbed else None,
         )

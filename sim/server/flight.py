@@ -11,15 +11,15 @@ import msgspec
 
 from bus.messages.base import Vector
 from bus.messages.control import Action, Change, Control
-from bus.messages.ground import GroundBlock
+from bus.messages.ground import MapUpdate
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Law
 from bus.messages.telemetry import EscortTruth, Status, Truth, VehicleTruth
 from bus.messages.vehicle import (
     BackupTrajectory,
     Command,
-    Drive,
     Observation,
+    Teleoperation,
     UavCommand,
     UgvCommand,
 )
@@ -154,7 +154,7 @@ class Flight:
         """End the flight at once, and tell the vehicles nothing: another begins."""
         self._stopped = self._abandoned = True
 
-    def say(self, ugv: str, words: Drive) -> None:
+    def say(self, ugv: str, words: Teleoperation) -> None:
         """An operator says something to a UGV; its link brings it there, at once or later."""
         tick, links = self.world.tick, self.world.links
         links.send_object(links.row(LinkKind.OPERATOR, ugv), tick, words, tick)
@@ -264,7 +264,7 @@ class Flight:
                 world.note_claim(k, report if command and command.tick == world.tick else None)
             if command is None:
                 continue
-            world.send(k, command.tick, command.acceleration, command.motions)
+            world.send(k, command.tick, command.acceleration, command.backup_trajectories)
             if isinstance(command, UavCommand):
                 self.radio.send(k, command)
             elif command.route is not None:
@@ -366,7 +366,7 @@ def warm_up(scenario: Scenario) -> None:
     carried = [row for row, (kind, _) in enumerate(links.names) if kind in objects]
     flight.take_down()
     if scenario.has_ground:
-        block = GroundBlock(row=0, column=0, tiles=world.known_block(0, 0, 0))
+        block = MapUpdate(row=0, column=0, tiles=world.known_block(0, 0, 0))
         for ugv in scenario.ugv:
             world.receive_block(world.names.index(ugv.name), block)
     for settings in (_BUSY, LinkSettings()):

@@ -9,7 +9,7 @@ from bus.errors import ScenarioError
 from bus.keys import CONTROL, OPERATOR
 from bus.messages.base import LONGEST_TEXT
 from bus.messages.control import Action, Change, Control
-from bus.messages.vehicle import Drive
+from bus.messages.vehicle import Teleoperation
 from bus.registry import DRIVERS
 from bus.session import Session
 from sim.scenario.checks import check_scenario
@@ -99,7 +99,7 @@ class OperatorControls:
     def listen(self) -> None:
         """Pass on what has been said at the wheels: it is received at this tick."""
         while (envelope := self._wheels.next_waiting()) is not None:
-            if isinstance(envelope.message, Drive):
+            if isinstance(envelope.message, Teleoperation):
                 self._flight.say(envelope.sender, envelope.message)
 
     def _do(self, control: Control) -> None:

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from bus.messages.base import Vector
-from bus.messages.ground import GroundBlock, SeenTile
+from bus.messages.ground import MapUpdate, TileReport
 from bus.messages.links import LinkKind
 from bus.messages.scenario import Law
 from bus.messages.vehicle import (
     Detection,
-    Drive,
     Observation,
     RelativeInformation,
+    Teleoperation,
     UavObservation,
     UgvObservation,
 )
@@ -28,7 +28,7 @@ from sim.world import World
 class News:
     """News for a vehicle at one tick, besides its perception."""
 
-    operator: tuple[Drive, ...] = ()
+    operator: tuple[Teleoperation, ...] = ()
     driver: str | None = None
     law: Law | None = None
 
@@ -51,7 +51,7 @@ class Perception(ABC):
         """By tick; only where there are any."""
         self._world, self._episode = world, episode
         self._dt, self._grounded = world.parameters.dt, world.scenario.has_ground
-        self._ground: dict[int, tuple[SeenTile, ...]] = {}
+        self._ground: dict[int, tuple[TileReport, ...]] = {}
         self._now: tuple[Any, ...] = ()  # the messages that have arrived at the world's tick
         self._arrived: dict[int, tuple[Any, ...]] = {}  # messages by tick of arrival
 
@@ -103,8 +103,10 @@ class Perception(ABC):
             "time": tick * self._dt,
             "position": motion[0],
             "velocity": motion[1],
-            "ground": self._ground.get(tick, ()) if known else (),
-            "flown": self._world.flown(self.row) if tick == self._world.tick else None,
+            "tile_reports": self._ground.get(tick, ()) if known else (),
+            "committed_trajectory": self._world.flown(self.row)
+            if tick == self._world.tick
+            else None,
             "over": over,
             "episode": self._episode,
         }
@@ -167,7 +169,7 @@ class UgvPerception(Perception):
         self._operators = world.links.row(LinkKind.OPERATOR, name)
         escorts = [uav.name for uav in world.uavs if uav.escorts == name]
         self._radios = [world.links.row(LinkKind.RADIO, uav) for uav in escorts]
-        self.blocks: dict[int, tuple[GroundBlock, ...]] = {}
+        self.blocks: dict[int, tuple[MapUpdate, ...]] = {}
         """Blocks of tiles that have come by radio, by tick."""
 
     def receive(self, tick: int) -> None:
@@ -187,7 +189,7 @@ class UgvPerception(Perception):
         if isinstance(message, RelativeInformation):
             self._now = (*self._now, message)
             self._arrived[tick] = self._now
-        elif isinstance(message, GroundBlock):
+        elif isinstance(message, MapUpdate):
             self.blocks[tick] = (*self.blocks.get(tick, ()), message)
             self._world.receive_block(self.row, message)
 
@@ -204,7 +206,7 @@ class UgvPerception(Perception):
         return UgvObservation(
             **self._common(tick, motion, known=known, over=over),
             radio=arrived,
-            blocks=self.blocks.get(tick, ()) if known else (),
+            map_updates=self.blocks.get(tick, ()) if known else (),
             operator=news.operator if known else (),
             driver=news.driver,
         )

@@ -2,7 +2,7 @@
 
 import msgspec
 
-from bus.messages.ground import TILE_LETTERS, GroundBlock
+from bus.messages.ground import TILE_LETTERS, MapUpdate
 from bus.messages.links import LinkKind
 from bus.messages.vehicle import RelativeInformation, UavCommand
 from bus.ticks import radio_ticks, tick_of
@@ -39,10 +39,10 @@ class Radio:
         name = self._world.names[vehicle]
         for message in command.radio:
             self._send(name, self._stamped(name, command.tick, message))
-        for block in command.blocks:
+        for block in command.map_updates:
             self._send(name, self._reported(vehicle, block))
 
-    def _send(self, uav: str, message: RelativeInformation | GroundBlock | None) -> None:
+    def _send(self, uav: str, message: RelativeInformation | MapUpdate | None) -> None:
         if message is None:
             self.refused[uav] += 1
         else:
@@ -67,7 +67,7 @@ class Radio:
         self._last[uav] = tick
         return message
 
-    def _reported(self, vehicle: int, block: GroundBlock) -> GroundBlock | None:
+    def _reported(self, vehicle: int, block: MapUpdate) -> MapUpdate | None:
         """Return a block with all that the UAV's own sensor has reported of its tiles.
 
         None: it says something else, or nothing of it is known.

@@ -299,7 +299,7 @@ class Slots:
                 present=slot.present,
                 lost=slot.lost,
                 rejoined=slot.rejoined,
-                refused=dict(slot.refused),
+                rejected=dict(slot.refused),
                 last_fault=slot.fault,
             )
             for name, slot in self._slots.items()

@@ -110,7 +110,7 @@ class Telemetry:
             realtime_factor=(world.tick - tick) * flight.scenario.dt / elapsed
             if before and elapsed > 0.0
             else 0.0,
-            wanted_factor=self._operators.pace.factor,
+            target_factor=self._operators.pace.factor,
             late_ticks=self._operators.late_ticks,
             paused=self._operators.paused,
             operators=dict(self._operators.operators),

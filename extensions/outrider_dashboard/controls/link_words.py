@@ -24,7 +24,7 @@ _EVERY = 5.0
 _Say = Callable[[LinkSettings], str]
 _PHRASES: tuple[tuple[tuple[str, ...], _Say], ...] = (
     (("delay",), lambda s: f"delay {s.delay:g} s"),
-    (("jitter", "jitter_shape", "jitter_cut"), lambda s: f"jitter {s.jitter:g} s"),
+    (("jitter", "jitter_shape", "max_jitter"), lambda s: f"jitter {s.jitter:g} s"),
     (("loss",), lambda s: f"loss {100 * s.loss:.3g} %"),
     (
         ("burst_length", "burst_interval", "burst_loss"),

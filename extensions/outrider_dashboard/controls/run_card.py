@@ -188,9 +188,9 @@ class Controls:
         self._shows = True
         try:
             self._full.set_value(self._hub.wheel.share)
-            self._lockstep.set_value(status.wanted_factor is None)
-            if status.wanted_factor:
-                self._speed.set_value(position_of(status.wanted_factor))
+            self._lockstep.set_value(status.target_factor is None)
+            if status.target_factor:
+                self._speed.set_value(position_of(status.target_factor))
             choose(self._law, status.law if self._hub.history.escorts else None)
             drivers = set(self._hub.drivers.values())
             choose(self._driver, drivers.pop() if len(drivers) == 1 else None)

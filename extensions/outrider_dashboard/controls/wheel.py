@@ -7,7 +7,7 @@ from collections.abc import Callable
 from bus.messages.base import Vector
 from bus.messages.control import Control
 from bus.messages.telemetry import Status
-from bus.messages.vehicle import Drive
+from bus.messages.vehicle import Teleoperation
 from bus.registry import TELEOP
 from outrider.view.operator import Helm
 
@@ -30,7 +30,7 @@ class SharedWheel:
     """
 
     def __init__(
-        self, control: Callable[[Control], bool], drive: Callable[[str, Drive], bool]
+        self, control: Callable[[Control], bool], drive: Callable[[str, Teleoperation], bool]
     ) -> None:
         self._helm = Helm(control, drive)
         self._taken = self._alive = self._sent = 0.0

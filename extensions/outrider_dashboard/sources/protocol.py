@@ -7,7 +7,7 @@ import msgspec
 
 from bus.messages.base import Message
 from bus.messages.control import Control
-from bus.messages.vehicle import Drive
+from bus.messages.vehicle import Teleoperation
 
 
 class Playing(msgspec.Struct, frozen=True, kw_only=True):
@@ -57,7 +57,7 @@ class Source(Protocol):
     def control(self, control: Control) -> bool:
         """Say something to the simulator; False if it cannot be said."""
 
-    def drive(self, vehicle: str, drive: Drive) -> bool:
+    def drive(self, vehicle: str, drive: Teleoperation) -> bool:
         """Say something to a UGV; False if it cannot be said."""
 
     def close(self) -> None:

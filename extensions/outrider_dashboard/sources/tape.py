@@ -11,7 +11,7 @@ from bus.messages.base import Message
 from bus.messages.control import Control
 from bus.messages.ground import GroundMap
 from bus.messages.telemetry import CoverageMap, Status, Truth
-from bus.messages.vehicle import Drive
+from bus.messages.vehicle import Teleoperation
 from bus.registry import DEFAULT_LAW
 from outrider.recording.reader import Recording, coverages, grounds, statuses
 from outrider_dashboard.sources.protocol import Playing, SourceState
@@ -181,7 +181,7 @@ class Tape:
         """Send nothing: a recording takes no commands."""
         return False
 
-    def drive(self, _vehicle: str, _drive: Drive) -> bool:
+    def drive(self, _vehicle: str, _drive: Teleoperation) -> bool:
         """Nobody receives it."""
         return False
 

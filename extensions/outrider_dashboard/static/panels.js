@@ -31,16 +31,16 @@ function row(name, state, text, note = "", tip = "") {
 function declaredOf(status) {
   const told = (status && status.certificates) || {};
   const rows = [];
-  if (known(told.longest_outage)) {
-    const kept = told.longest_outage <= told.outage + 1e-9;
+  if (known(told.longest_command_interval)) {
+    const kept = told.longest_command_interval <= told.max_command_interval + 1e-9;
     const tip = "Longest time that a UAV has waited for a command, and the longest that its certificate assumes";
-    rows.push(row("motions", kept ? "good" : "bad", `longest wait ${told.longest_outage.toFixed(2)} s of ${told.outage} s`, "", tip));
+    rows.push(row("motions", kept ? "good" : "bad", `longest wait ${told.longest_command_interval.toFixed(2)} s of ${told.max_command_interval} s`, "", tip));
   }
-  if (known(told.tracking_error)) {
-    const kept = known(told.tracking) && told.tracking_error <= told.tracking + 1e-9;
-    const declared = known(told.tracking) ? ` of ${told.tracking.toFixed(3)} m` : "";
+  if (known(told.largest_tracking_error)) {
+    const kept = known(told.max_tracking_error) && told.largest_tracking_error <= told.max_tracking_error + 1e-9;
+    const declared = known(told.max_tracking_error) ? ` of ${told.max_tracking_error.toFixed(3)} m` : "";
     const tip = "Greatest distance of a UAV from its reference state, and the greatest that its certificate assumes";
-    rows.push(row("wind", kept ? "good" : "bad", `farthest off ${told.tracking_error.toFixed(3)} m${declared}`, "", tip));
+    rows.push(row("wind", kept ? "good" : "bad", `farthest off ${told.largest_tracking_error.toFixed(3)} m${declared}`, "", tip));
   }
   return rows;
 }
@@ -60,7 +60,7 @@ export function showState(store, stats, wheel) {
   document.body.classList.toggle("stale", state.level === "bad");
 
   const { replay } = state;
-  const mode = status ? (known(status.wanted_factor) ? `real time × ${status.wanted_factor}` : "lockstep") : "";
+  const mode = status ? (known(status.target_factor) ? `real time × ${status.target_factor}` : "lockstep") : "";
   const title = status ? `${status.scenario} · seed ${status.seed} · ${status.law} · ${replay ? "a recording" : mode}` : "";
   setText($("scenario"), title);
   setTitle($("scenario"), title);

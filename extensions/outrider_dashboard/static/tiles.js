@@ -5,7 +5,7 @@ import { $, escapeText, known, setHtml, setText, setTitle } from "./dom.js";
 import { metric, numberOf, rowsOf, textOf, textOfReason } from "./metrics.js";
 
 // Metrics of the mission that have a tile; the others are told beside one of these.
-const MISSION = ["mission_time", "hazards_hit", "hazards_on_way", "seen_ahead", "ground_certified_share", "still_time", "found"];
+const MISSION = ["mission_time", "hazards_hit", "hazards_on_path", "reported_share", "ground_certified_share", "stationary_time", "found"];
 const OF_SEVERAL = { max: "; of several pairs the largest", min: "; of several pairs the smallest" };
 
 const tileOf = ({ name, label, unit }) =>
@@ -74,12 +74,12 @@ function showMission(status) {
   const time = of("mission_time");
   show(time, told.mission_time, known(told.mission_time) ? {} : { text: "not yet", unit: "" });
   show(of("hazards_hit"), told.hazards_hit, { unit: told.near_misses ? `nearly ${told.near_misses}` : "", bad: told.hazards_hit > 0 });
-  const before = known(told.warned_before) ? `, ${told.warned_before.toFixed(0)} s before` : "";
-  const way = told.hazards_on_way ? `known ${told.warned}${before}` : "";
-  show(of("hazards_on_way"), told.hazards_on_way, { unit: way, more: [beside("warned"), beside("warned_before")] });
-  show(of("seen_ahead"), told.seen_ahead);
+  const before = known(told.mean_warning_time) ? `, ${told.mean_warning_time.toFixed(0)} s before` : "";
+  const way = told.hazards_on_path ? `known ${told.warned}${before}` : "";
+  show(of("hazards_on_path"), told.hazards_on_path, { unit: way, more: [beside("warned"), beside("mean_warning_time")] });
+  show(of("reported_share"), told.reported_share);
   showGuarantees(told, of);
-  show(of("still_time"), told.still_time);
+  show(of("stationary_time"), told.stationary_time);
   $("tile-found").hidden = !told.finds;
   show(of("found"), told.found, { unit: `of ${told.finds}` });
 }

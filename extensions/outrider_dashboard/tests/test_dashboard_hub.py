@@ -9,7 +9,7 @@ from bus.keys import SIMULATOR_NAME, Party, Role
 from bus.messages.control import Action, Change, Control
 from bus.messages.scenario import Law
 from bus.messages.telemetry import Status
-from bus.messages.vehicle import Drive
+from bus.messages.vehicle import Teleoperation
 from bus.registry import TELEOP
 from outrider_dashboard.controls.wheel import SharedWheel
 from outrider_dashboard.hub import running_law
@@ -86,7 +86,7 @@ def test_an_operator_whom_nobody_here_has_put_at_a_wheel_is_a_stranger() -> None
 
 def test_a_wheel_that_another_operator_has_taken_is_not_handed_back() -> None:
     said: list[Control] = []
-    driven: list[Drive] = []
+    driven: list[Teleoperation] = []
     wheel = SharedWheel(
         lambda control: said.append(control) is None, lambda _, drive: driven.append(drive) is None
     )

@@ -37,7 +37,7 @@ PERFECT, BURSTS = LinkSettings(), LinkSettings(jitter=0.1, burst_length=0.3, bur
 
 def link(sent: int = 0, **lost: int) -> LinkStatus:
     return LinkStatus(
-        sent=sent, delivered=sent, duplicated=0, waiting=0, flying=0, lost=lost, settings=PERFECT
+        sent=sent, delivered=sent, duplicated=0, queued=0, in_transit=0, lost=lost, settings=PERFECT
     )
 
 
@@ -132,7 +132,7 @@ def test_bursts_that_are_asked_for_come_with_a_time_between_them_that_can_be_flo
 
 
 def told(history: ChartData, at: float, age: float | None = 0.05) -> tuple[float | None, ...]:
-    of_age = {"estimate": (0.0, 0.0), "covariance": (1.0, 0.0, 1.0), "age": age, "refused": 0}
+    of_age = {"estimate": (0.0, 0.0), "covariance": (1.0, 0.0, 1.0), "age": age, "rejected": 0}
     report = None if age is None else UavReport(**of_age)
     history.add(a_truth(at, a_vehicle(), a_vehicle(), report=report), 1.0, 0.05)
     return history.newest[-3:]

@@ -106,7 +106,7 @@ def test_a_page_opens_with_the_run_shows_all_of_it_and_ends_with_it() -> None:
     assert rows[0][0] < 8.0
     assert rows[-1][0] >= 59.0
     assert statuses[-1]["over"] is True
-    assert {status["wanted_factor"] for status in statuses} == {40.0}
+    assert {status["target_factor"] for status in statuses} == {40.0}
     summary = json.loads(out)
     assert summary["ticks"] == 1200
     assert [process["name"] for process in summary["processes"]] == ["simulator", "uav_0", "ugv_0"]
@@ -119,7 +119,7 @@ def test_a_run_with_a_page_keeps_the_wall_clock_unless_told_otherwise_and_ctrl_c
         with browser(page) as channel:
             assert await_truth(channel, 20)["kind"] == "frame"
             status = next(frame["status"] for frame in frames(channel) if "status" in frame)
-            assert status["wanted_factor"] == 1.0
+            assert status["target_factor"] == 1.0
             children = family(run.pid)
             assert len(children) == 4
             run.send_signal(signal.SIGINT)

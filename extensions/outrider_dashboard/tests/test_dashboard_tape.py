@@ -6,7 +6,7 @@ import pytest
 
 from bus.messages.control import Action, Control
 from bus.messages.telemetry import CoverageMap, Status, Truth
-from bus.messages.vehicle import Drive
+from bus.messages.vehicle import Teleoperation
 from clocks import Clock
 from observed import recorded
 from outrider.recording.reader import flight_of
@@ -115,7 +115,7 @@ def test_nobody_steers_a_recording(path: Path) -> None:
     _, tape, hub = staged(path)
     shown(hub)
     assert not tape.control(Control(action=Action.PAUSE))
-    assert not tape.drive("ugv_0", Drive(driver="me"))
+    assert not tape.drive("ugv_0", Teleoperation(operator="me"))
     assert not hub.wheel.take(1, "me", "ugv_0")
 
 

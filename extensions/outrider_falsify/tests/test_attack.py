@@ -77,7 +77,7 @@ def test_where_the_assumptions_hold_nobody_is_lost_and_the_certificate_is_approa
     assert rows["max_excess"].max() <= 1e-9
     assert not any(rows[name].any() for name in ("uncertified", "certified_lost", "broken"))
     assert rows["max_age"].max() <= promise.max_measurement_age + 1e-9
-    assert 0.0 < rows["intervened"].mean() < 0.6
+    assert 0.0 < rows["overridden"].mean() < 0.6
 
 
 LOST = {
@@ -129,7 +129,7 @@ DISTURBED = {
         if k
     },
     "silences in a corner": Conditions(
-        disturbance=2, silence=2.0, hold=4.0, delay=0.3, area=CORNER
+        disturbance=2, silence=2.0, command_timeout=4.0, delay=0.3, area=CORNER
     ),
 }
 """Conditions that break A5', and the rest within the assumptions."""

@@ -100,9 +100,12 @@ def test_the_certified_law_stands_within_its_limits() -> None:
 
 
 BROKEN = {
-    "age": (SearchLimits(delay=1.0, blackout=5.0), {"certificate.age": 1.1}),
-    "error": (SearchLimits(noise=0.3), {"certificate.error": 0.05}),
-    "delay": (SearchLimits(command_delay=1.0), {"certificate.delay": 0.0}),
+    "max_measurement_age": (
+        SearchLimits(delay=1.0, blackout=5.0),
+        {"certificate.max_measurement_age": 1.1},
+    ),
+    "max_measurement_error": (SearchLimits(noise=0.3), {"certificate.max_measurement_error": 0.05}),
+    "max_command_delay": (SearchLimits(command_delay=1.0), {"certificate.max_command_delay": 0.0}),
 }
 """Limits that go beyond what is declared."""
 
@@ -135,7 +138,9 @@ def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a
             reason = None if seen.tick % 10 == 9 else NotCertified.NO_PLAN
             decision = msgspec.structs.replace(said.report.decision, reason=reason)
             report = msgspec.structs.replace(said.report, decision=decision)
-            return msgspec.structs.replace(said, acceleration=(0.3, 0.3), motions=(), report=report)
+            return msgspec.structs.replace(
+                said, acceleration=(0.3, 0.3), backup_trajectories=(), report=report
+            )
 
         flight.fly(Piloted(pilots, "uav_0", act), on_tick=lambda: on_tick(flight))
         return flight, None
@@ -201,18 +206,23 @@ def test_a_candidate_flies_again_from_its_saved_scenario(kind: str, tmp_path: Pa
 
 def test_what_the_limits_need_is_declared_and_what_is_declared_is_kept() -> None:
     start = base("certified", DEGRADED)
-    assert start.certificate.age == needed_age(DEGRADED, start) > 6.0
-    assert start.certificate.error == pytest.approx(0.3)
+    assert start.certificate.max_measurement_age == needed_age(DEGRADED, start) > 6.0
+    assert start.certificate.max_measurement_error == pytest.approx(0.3)
     assert beyond_declared(start, DEGRADED) == ()
-    assert base("certified", DEGRADED, **{"certificate.age": 3.0}).certificate.age == 3.0
+    assert (
+        base(
+            "certified", DEGRADED, **{"certificate.max_measurement_age": 3.0}
+        ).certificate.max_measurement_age
+        == 3.0
+    )
 
 
 def test_hold_is_raised_where_commands_may_come_later() -> None:
     late = SearchLimits(command_delay=1.01)
     start = base("linear", late)
-    assert start.hold == pytest.approx(1.05)
-    assert base("linear", late, hold=2.0).hold == 2.0
-    assert base("linear", SearchLimits(command_delay=0.5)).hold == 0.5
+    assert start.command_timeout == pytest.approx(1.05)
+    assert base("linear", late, command_timeout=2.0).command_timeout == 2.0
+    assert base("linear", SearchLimits(command_delay=0.5)).command_timeout == 0.5
     for candidate in candidates(20):
         check_scenario(decode(candidate, start, late))
 

@@ -9,7 +9,7 @@ from outrider_falsify.conditions import ANY, Conditions, declared
 
 PUSHED = [
     (Conditions(wind=0.3), {"wind": 0.1}),
-    (Conditions(own_error=0.4), {"own_error": 0.1}),
+    (Conditions(position_error=0.4), {"position_error": 0.1}),
     (Conditions(wind=0.1, gains=(1.0, 0.4), blackout=3, blackout_time=5.0), {"wind": 0.02}),
     (Conditions(jumps=0.5, delay=0.3, area=2, u_g=math.inf), {"jumps": 0.2}),
     (Conditions(wind=0.3, outage=2.0, losses=ANY, area=1), {"wind": 0.1}),

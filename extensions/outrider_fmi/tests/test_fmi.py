@@ -18,7 +18,7 @@ from pythonfmu3 import FmuBuilder
 from agents.uav import UavPilot
 from bus.errors import ScenarioError
 from bus.keys import Role
-from bus.messages.vehicle import Drive, UavCommand, UavObservation
+from bus.messages.vehicle import Teleoperation, UavCommand, UavObservation
 from flights import Piloted, record, sha256
 from outrider.envs.env_pilots import pilots
 from outrider.envs.parallel import parallel_env
@@ -146,7 +146,7 @@ def test_an_operator_of_the_worlds_unit_is_one_of_the_run() -> None:
     unit = WorldUnit(flown, 3)
     assert [one.name for one in unit.inputs if not one.unit] == ["ugv_0.operator.new"]
     for tick in range(flown.ticks):
-        flight.say("ugv_0", Drive(driver="anybody", velocity=wish))
+        flight.say("ugv_0", Teleoperation(operator="anybody", velocity=wish))
         flight.fly_tick(exchange)
         words = {"ugv_0.operator.new": True, "ugv_0.operator.velocity.x": wish[0]}
         told = unit.step(tick * DT, DT, words | {"ugv_0.operator.velocity.y": wish[1]})
@@ -349,8 +349,16 @@ HAZARD = 'hazard=[{kind="block",center=[30,30],radius=0.2}]'
     [
         ("uav", [HAZARD], "uav_0: perceives hazards"),
         ("ugv", [HAZARD], "ugv_0: perceives hazards"),
-        ("uav", ["law.name=certified", "certificate.outage=0.5"], "uav_0: law.name = 'certified'"),
-        ("uav", ["law.name=certified", "certificate.delay=0.1"], "uav_0: law.name = 'certified'"),
+        (
+            "uav",
+            ["law.name=certified", "certificate.max_command_interval=0.5"],
+            "uav_0: law.name = 'certified'",
+        ),
+        (
+            "uav",
+            ["law.name=certified", "certificate.max_command_delay=0.1"],
+            "uav_0: law.name = 'certified'",
+        ),
         ("uav", ["law.name=path", "custom.path=a:b"], "uav_0: the law 'path'"),
         ("ugv", ["ugv.0.driver=external"], "ugv_0: the driver 'external'.*allowed: waypoints"),
         ("ugv", ["ugv.0.driver=fmu:x.fmu"], "ugv_0: the driver 'policy'"),

@@ -38,9 +38,9 @@ class MissionScore(Result):
     """In all episodes."""
     found: float
     """Share of the things to be found that were; NaN where there are none."""
-    warned_before: float
+    mean_warning_time: float
     """Time between knowing of a hazard on the way and coming near it, in the mean [s]; NaN: of none."""
-    seen_ahead: float
+    reported_share: float
     """Share of the way that led over ground which had come by radio before."""
 
 
@@ -128,8 +128,8 @@ def evaluate_mission(
         mission_time=_mean([mission.mission_time for mission in missions]),
         hazards_hit=sum(mission.hazards_hit for mission in missions),
         found=sum(mission.found for mission in missions) / finds if finds else math.nan,
-        warned_before=_mean([mission.warned_before for mission in missions]),
-        seen_ahead=_mean([mission.seen_ahead for mission in missions]),
+        mean_warning_time=_mean([mission.mean_warning_time for mission in missions]),
+        reported_share=_mean([mission.reported_share for mission in missions]),
     )
 
 

@@ -145,7 +145,7 @@ TASKS: tuple[Task, ...] = (
         changes={
             "links.detections.delay": 2.0,
             "links.detections.jitter": 0.5,
-            "certificate.age": 3.0,
+            "certificate.max_measurement_age": 3.0,
         },
     ),
     Task(
@@ -186,7 +186,11 @@ TASKS: tuple[Task, ...] = (
     Task(
         name="dropouts",
         hard="two looks a second, and four of five fail",
-        changes={"detections.rate": 2.0, "detections.dropout": 0.8, "certificate.age": 6.0},
+        changes={
+            "detections.rate": 2.0,
+            "detections.dropout": 0.8,
+            "certificate.max_measurement_age": 6.0,
+        },
     ),
     Task(
         name="bursts",
@@ -194,13 +198,13 @@ TASKS: tuple[Task, ...] = (
         changes={
             "links.profile": "jammed",
             "links.detections.blackout_length": 5.0,
-            "certificate.age": 6.0,
+            "certificate.max_measurement_age": 6.0,
         },
     ),
     Task(
         name="late-commands",
         hard="a command acts half a second after it was given",
-        changes={"links.commands.delay": 0.5, "hold": 2.0},
+        changes={"links.commands.delay": 0.5, "command_timeout": 2.0},
     ),
     Task(
         name="all-at-once",
@@ -210,8 +214,8 @@ TASKS: tuple[Task, ...] = (
             "detections.dropout": 0.3,
             "links.detections.profile": "jammed",
             "links.commands.delay": 0.5,
-            "hold": 2.0,
-            "certificate.age": 6.0,
+            "command_timeout": 2.0,
+            "certificate.max_measurement_age": 6.0,
             "ugv.0.driver": "evade",
         },
     ),
@@ -219,7 +223,7 @@ TASKS: tuple[Task, ...] = (
 """The easier ones first: where no law of the paper loses sight, then where some do."""
 
 
-_BAD: dict[str, object] = {"links.profile": "jammed", "certificate.age": 6.0}
+_BAD: dict[str, object] = {"links.profile": "jammed", "certificate.max_measurement_age": 6.0}
 """The network of `bursts`: bursts of loss and half a second of delay, on every link."""
 
 

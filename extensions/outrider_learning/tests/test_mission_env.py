@@ -42,7 +42,7 @@ pytestmark = pytest.mark.xdist_group("many worlds")
 ROOT = Path(__file__).resolve().parents[3]
 SECRET = bytes(range(16)).hex()
 WALL = Hazard(kind="block", polygon=((9.0, 5.0), (9.5, 5.0), (9.5, 7.0), (9.0, 7.0)))
-MUD = Hazard(kind="rough", center=(7.5, 7.5), radius=0.8, share=0.5)
+MUD = Hazard(kind="rough", center=(7.5, 7.5), radius=0.8, speed_share=0.5)
 PAID = outrider.RewardWeights(told=0.05, hit=20.0, still=0.1, effort=0.3)
 
 
@@ -96,7 +96,7 @@ def test_a_world_of_the_vector_environment_is_the_parallel_one_bit_for_bit() -> 
 def test_a_ugv_observes_the_tiles_around_its_own_as_it_knows_them() -> None:
     env = outrider.parallel_env(grounded(), tile_patch=31)
     silent = msgspec.structs.replace(
-        grounded(), ground=msgspec.structs.replace(grounded().ground, telling=0.0)
+        grounded(), ground=msgspec.structs.replace(grounded().ground, map_update_rate=0.0)
     )
     bare = outrider.parallel_env(silent, tile_patch=31)
     fly = pilots(env)
@@ -215,8 +215,8 @@ def test_the_tasks_of_a_suite_with_a_number_never_change() -> None:
 
 def test_a_missions_score_is_the_share_of_the_shortest_time() -> None:
     none = dict.fromkeys(("hazards_hit", "near_misses", "finds", "found"), 0)
-    told = {"hazards_on_way": 3, "warned": 3, "warned_before": 5.0, "seen_ahead": 0.5}
-    went = MissionResult(arrived=True, mission_time=50.0, still_time=0.0, **told, **none)
+    told = {"hazards_on_path": 3, "warned": 3, "mean_warning_time": 5.0, "reported_share": 0.5}
+    went = MissionResult(arrived=True, mission_time=50.0, stationary_time=0.0, **told, **none)
     changed = msgspec.structs.replace
     assert mission_score(went, 20.0) == pytest.approx(40.0)
     assert mission_score(changed(went, hazards_hit=1), 20.0) == pytest.approx(20.0)
@@ -298,7 +298,7 @@ def test_missions_are_flown_by_laws_policies_and_teams() -> None:
     board = leaderboard(entries, tasks=[task], seeds=[1, 2], secret=SECRET)
     told = {standing.entry: standing.results[0] for standing in board.standings}
     assert told["law"].hazards_hit == 0  # type: ignore[attr-defined]
-    assert told["law"].seen_ahead > 0.3  # type: ignore[attr-defined]
+    assert told["law"].reported_share > 0.3  # type: ignore[attr-defined]
     assert board.markdown().splitlines()[-1].startswith("| **interquartile mean** | 0.0 [0.0, 0.0]")
     with refused(ValueError, "tasks: missions and others"):
         leaderboard(["tracking"], tasks=[task, TASKS[0]])

@@ -23,7 +23,7 @@ from outrider_mavlink.gateway import BEYOND_BOUNDS, NOT_FINITE
 from outrider_mavlink.udp import UNREADABLE, Address, Network
 from sim.scenario.loading import load_scenario
 
-CHANGES = ("law.name=certified", "duration=15.0", "certificate.tracking=0.3")
+CHANGES = ("law.name=certified", "duration=15.0", "certificate.max_tracking_error=0.3")
 START = (7.0, -3.0, -12.0)
 """Hover position in the autopilot's local frame: north, east, down [m]."""
 
@@ -252,7 +252,7 @@ def test_a_run_that_declares_no_deviation_is_refused():
     pilot = AutopilotPilot(AutopilotLink(Network()))
     told = make_pilots(load_scenario("escort"), 0)["uav_0"]._briefing
     assert msgspec.to_builtins(told)["safety"]["max_tracking_error"] == 0.0
-    with pytest.raises(ScenarioError, match=r"--set certificate\.tracking=0\.3"):
+    with pytest.raises(ScenarioError, match=r"--set certificate\.max_tracking_error=0\.3"):
         pilot.make(told)
 
 

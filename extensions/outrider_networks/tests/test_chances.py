@@ -41,7 +41,7 @@ FEW = settings(PROPERTY, max_examples=20)
 BURSTS = {"burst_length": 0.2, "burst_interval": 0.5, "burst_loss": 0.8}
 DARK = {"blackout_interval": 5.0, "blackout_length": 0.52}
 SLOW = LinkSettings(bandwidth=15.0)
-LATE = {"jitter": 0.1, "jitter_shape": "exponential", "jitter_cut": 0.4}
+LATE = {"jitter": 0.1, "jitter_shape": "exponential", "max_jitter": 0.4}
 
 
 LOOKS: dict[str, Any] = {"dt": DT, "period_ticks": 1, "dropout": 0.1, "ticks": 200}
@@ -345,24 +345,36 @@ def scenario(*overrides: str) -> Scenario:
 
 
 def test_bounds_share_the_risk_equally() -> None:
-    one = scenario("links.commands.profile=wifi-poor", "hold=2.0")
+    one = scenario("links.commands.profile=wifi-poor", "command_timeout=2.0")
     packets = PACKETS | {"delay_ticks": 12, "repeats": MOST_CARRIED, "ticks": one.ticks}
     detections, commands = one.links.detections, one.links.commands
     both = bounds_for(one, 1e-3).set
     looks = LOOKS | {"ticks": one.ticks}
-    assert both["certificate.age"] == smallest_age(detections, **looks, risk=5e-4).value
-    assert both["certificate.outage"] == smallest_outage(commands, **packets, risk=5e-4).value
-    uncut = bounds_for(scenario("detections.cut=inf"), 1.5e-3).set
-    assert uncut["certificate.age"] == both["certificate.age"]
-    assert uncut["certificate.error"] == smallest_error(0.1, math.inf, one.ticks, 5e-4)
+    assert (
+        both["certificate.max_measurement_age"]
+        == smallest_age(detections, **looks, risk=5e-4).value
+    )
+    assert (
+        both["certificate.max_command_interval"]
+        == smallest_outage(commands, **packets, risk=5e-4).value
+    )
+    uncut = bounds_for(scenario("detections.truncation=inf"), 1.5e-3).set
+    assert uncut["certificate.max_measurement_age"] == both["certificate.max_measurement_age"]
+    assert uncut["certificate.max_measurement_error"] == smallest_error(
+        0.1, math.inf, one.ticks, 5e-4
+    )
 
 
 def test_with_the_bounds_of_a_risk_a_run_meets_it() -> None:
-    links = ["links.commands.loss=0.1", "detections.cut=inf"]
+    links = ["links.commands.loss=0.1", "detections.truncation=inf"]
     found = bounds_for(scenario(*links), 1e-2).set
     declared = scenario(*links, *(f"{field}={value!r}" for field, value in found.items()))
     chances = exceedance(declared)
-    assert sorted(chances.exceedance_probability) == ["uav_0/age", "uav_0/error", "uav_0/outage"]
+    assert sorted(chances.exceedance_probability) == [
+        "uav_0/max_command_interval",
+        "uav_0/max_measurement_age",
+        "uav_0/max_measurement_error",
+    ]
     assert 0.0 < chances.loss_probability <= 1e-2
     assert chances.loss_probability == sum(chances.exceedance_probability.values())
 
@@ -378,8 +390,8 @@ def test_a_risk_that_no_bound_meets_is_refused() -> None:
     [
         "links.commands.blackouts=[[5.0,3.0]]",
         "links.detections.blackouts=[[30.0,20.0]]",
-        "certificate.age=60.0",
-        "detections.cut=inf",
+        "certificate.max_measurement_age=60.0",
+        "detections.truncation=inf",
     ],
 )
 def test_where_another_assumption_is_broken_no_loss_probability_is_known(broken: str) -> None:
@@ -412,9 +424,9 @@ def test_the_bounds_are_options_of_run(command) -> None:
     printed = command("network", "bounds", "escort", "--risk", "1e-3")
     assert printed.stdout.split() == [
         "--set",
-        "certificate.age=0.3",
+        "certificate.max_measurement_age=0.3",
         "--set",
-        "certificate.outage=0.05",
+        "certificate.max_command_interval=0.05",
     ]
     told = json.loads(
         command("network", "chances", "escort", *printed.stdout.split(), "--json").stdout

@@ -54,7 +54,7 @@ def test_the_fit_finds_the_settings_of_a_drawn_link_and_its_profile() -> None:
 
 def test_the_fit_tells_blackouts_and_lonely_losses_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     wanted = LinkSettings(
-        delay=0.1, jitter=0.02, jitter_shape="normal", jitter_cut=0.1, loss=0.02,
+        delay=0.1, jitter=0.02, jitter_shape="normal", max_jitter=0.1, loss=0.02,
         blackout_length=0.4, blackout_interval=20.0,
     )  # fmt: skip
     recorded = written(wanted, 0.04)

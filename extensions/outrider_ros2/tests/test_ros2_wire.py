@@ -172,7 +172,7 @@ def test_hazards_are_markers_that_keep_their_number_and_are_told_once():
 
 
 def test_diagnostics_name_why_nothing_is_certified():
-    none = dict.fromkeys(("duplicated", "waiting", "flying"), 0)
+    none = dict.fromkeys(("duplicated", "queued", "in_transit"), 0)
     link = LinkStatus(sent=9, delivered=4, lost={"chance": 5}, delivery_ratio=4 / 9, **none)
     status = a_status(
         certified={"uav_0": False},

@@ -86,12 +86,12 @@ def cells_of(law: str, cell: Cell) -> list[str]:
 def mission_cells(cell: Cell) -> list[str]:
     """The texts under `MISSION_COLUMNS`."""
     arrived, hits = cell.numbers("arrived"), cell.numbers("hazards_hit")
-    ahead = cell.numbers("seen_ahead")
+    ahead = cell.numbers("reported_share")
     return [
         f"{int(sum(arrived))} ({_percent(fmean(arrived))})" if arrived else "-",
         _mean(cell.numbers("mission_time")),
         f"{fmean(hits):.2g}" if hits else "-",
-        _mean(cell.numbers("warned_before"), 2),
+        _mean(cell.numbers("mean_warning_time"), 2),
         _percent(fmean(ahead)) if ahead else "-",
     ]
 

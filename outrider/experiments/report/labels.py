@@ -7,7 +7,7 @@ from typing import TypeGuard
 _LINK = {
     "delay": ("delay", "s"),
     "jitter": ("jitter", "s"),
-    "jitter_cut": ("largest jitter", "s"),
+    "max_jitter": ("largest jitter", "s"),
     "loss": ("loss", "%"),
     "burst_length": ("length of bursts", "s"),
     "burst_interval": ("time between bursts", "s"),
@@ -23,7 +23,7 @@ _LINK = {
 _FIELDS = {
     "dt": ("length of a tick", "s"),
     "duration": ("duration", "s"),
-    "hold": ("time a command is held", "s"),
+    "command_timeout": ("time a command is held", "s"),
     "detections.noise": ("noise of the detections per axis", "m"),
     "detections.dropout": ("looks that fail", "%"),
     "detections.rate": ("looks", "1/s"),

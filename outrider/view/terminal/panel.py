@@ -221,9 +221,9 @@ def _mission(text: Text, view: DriveView) -> None:
     else:
         _row(text, "at the goals", f"after {told.mission_time:.1f} s", GOOD)
     _row(text, "hazards hit", str(told.hazards_hit), LIMIT if told.hazards_hit else GOOD, bold=True)
-    _row(text, "on the way / known", f"{told.hazards_on_way} / {told.warned}")
-    if told.seen_ahead is not None:
-        _row(text, "way seen ahead", f"{100.0 * told.seen_ahead:.0f} %")
+    _row(text, "on the way / known", f"{told.hazards_on_path} / {told.warned}")
+    if told.reported_share is not None:
+        _row(text, "way seen ahead", f"{100.0 * told.reported_share:.0f} %")
     if told.finds:
         _row(text, "found", f"{told.found} of {told.finds}")
     text.append("\n")
@@ -233,9 +233,9 @@ def _clock(text: Text, view: DriveView) -> None:
     status = view.status
     if status is None:
         return
-    lockstep = status.wanted_factor is None
+    lockstep = status.target_factor is None
     pace = "paused" if status.paused else f"x {view.factor:.2f}"
-    _row(text, "real time" + ("" if lockstep else f" (wanted x {status.wanted_factor:g})"), pace)
+    _row(text, "real time" + ("" if lockstep else f" (wanted x {status.target_factor:g})"), pace)
     if lockstep and view.factor > _LOCKSTEP_FACTOR:
         text.append("too fast to drive: --realtime 1\n", style=LIMIT)
     elif lockstep:

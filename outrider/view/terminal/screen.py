@@ -16,7 +16,7 @@ from outrider.view.terminal.canvas import Canvas
 from outrider.view.terminal.palette import BACKGROUND, FAINT, INK, PANEL
 from outrider.view.terminal.panel import WIDTH, ErrorCurve, banner, farthest, numbers, title
 from outrider.view.terminal.pressed_keys import Heading
-from outrider.view.terminal.teleoperation import DriveView, Teleoperation
+from outrider.view.terminal.teleoperation import DriveLink, DriveView
 from outrider.view.terminal.topview import Trails, draw
 
 _PERIOD = 0.1
@@ -77,7 +77,7 @@ class DriveApp(App[int]):
         Binding("ctrl+c", "leave(130)", show=False, priority=True),
     ]
 
-    def __init__(self, link: Teleoperation, run: str) -> None:
+    def __init__(self, link: DriveLink, run: str) -> None:
         super().__init__()
         self._link, self._run_name = link, run
         self._trails, self._history = Trails(), ErrorCurve()

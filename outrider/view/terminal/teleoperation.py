@@ -70,7 +70,7 @@ def ugvs_of(status: Status) -> tuple[str, ...]:
     return tuple(sorted({*status.drivers, *escorted}))
 
 
-class Teleoperation:
+class DriveLink:
     """Drives one UGV over the bus.
 
     Args:

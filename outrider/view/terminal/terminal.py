@@ -12,7 +12,7 @@ from types import FrameType
 from typing import Any
 
 from bus.errors import ScenarioError
-from outrider.view.terminal.teleoperation import Teleoperation
+from outrider.view.terminal.teleoperation import DriveLink
 
 _GRACE, _PATIENCE = 2.0, 15.0
 """The time that the screen may take to close once all is handed back [s], after a signal and after a key.
@@ -51,7 +51,7 @@ def know_colours() -> None:
 class Ending:
     """Signals as a wish: the wheel is handed back first."""
 
-    def __init__(self, link: Teleoperation) -> None:
+    def __init__(self, link: DriveLink) -> None:
         self._link = link
         self.code = 0
         """The exit code that the signal asks for."""
@@ -79,7 +79,7 @@ class Ending:
 
 
 @contextlib.contextmanager
-def ending(link: Teleoperation) -> Iterator[Ending]:
+def ending(link: DriveLink) -> Iterator[Ending]:
     """While this lasts, SIGINT, SIGTERM and SIGHUP hand the wheel back; afterwards the terminal is as before."""
     descriptor = sys.__stdin__.fileno() if sys.__stdin__ is not None else 0
     attributes = termios.tcgetattr(descriptor)

@@ -296,11 +296,11 @@ def check_controls(page: Page) -> str:
     wait_until(lambda: page.status["law"] == "switching", "the law changes")
     wait_until(lambda: page.status["drivers"]["ugv_0"] == "wander", "the driver changes")
     page.page.get_by_role("switch", name="lockstep").click()
-    wait_until(lambda: page.status.get("wanted_factor") is None, "lockstep")
+    wait_until(lambda: page.status.get("target_factor") is None, "lockstep")
     wait_until(lambda: page.status["realtime_factor"] > 2.0, "lockstep is faster than the clock")
     fast = page.status["realtime_factor"]
     page.page.get_by_role("switch", name="lockstep").click()
-    wait_until(lambda: page.status.get("wanted_factor") is not None, "real time again")
+    wait_until(lambda: page.status.get("target_factor") is not None, "real time again")
     before = page.status["tick"]
     page.page.get_by_label("seed").fill("11")
     page.page.get_by_label("seed").blur()

@@ -112,7 +112,7 @@ def test_infos_of_an_ended_episode_are_its_last_ones_and_the_new_one_has_its_own
     raw.reset(seed=1)
     adapter.seed(1)
     adapter.reset()
-    assert adapter.reset_infos[0].keys() == {"intervened", "certified", "certified_distance"}
+    assert adapter.reset_infos[0].keys() == {"overridden", "certified", "certified_distance"}
     adapter.reset_infos = [{}, {}, {}]
     for _ in range(2):
         *_, told = raw.step(np.tile(OUTWARDS, (3, 1)))

@@ -83,7 +83,15 @@ def along(folder: Path, python: Path) -> Iterator[Row]:
     """
     router = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
     port, log = free_port(socket.SOCK_DGRAM), folder / "along.log"
-    changes = ("--realtime", 1, "--duration", 15, "--set", "certificate.tracking=0.3", "--json")
+    changes = (
+        "--realtime",
+        1,
+        "--duration",
+        15,
+        "--set",
+        "certificate.max_tracking_error=0.3",
+        "--json",
+    )
     begin = ("--listen", router, "--out", folder / "along", *changes)
     to = ("--connect", router)
     with ExitStack() as stack:
