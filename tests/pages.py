@@ -1,4 +1,4 @@
-"""The pages of the documentation and what they show, for the tests that hold it against the code."""
+"""Pages of the documentation and their code, for tests that compare them with the program."""
 
 import re
 from pathlib import Path
@@ -6,17 +6,22 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = {
     str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
-    for path in (ROOT / "README.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md")))
+    for path in (
+        ROOT / "README.md",
+        ROOT / "SECURITY.md",
+        *sorted((ROOT / "docs").rglob("*.md")),
+        *sorted(ROOT.glob("extensions/*/README.md")),
+    )
 }
 
 
 def blocks(language: str, page: str) -> list[str]:
-    """The fenced blocks of a page in this language."""
+    """Return the fenced blocks of a page in this language."""
     return re.findall(rf"```{language}\n(.*?)```", PAGES[page], flags=re.DOTALL)
 
 
 def marked(mark: str, page: str) -> list[list[str]]:
-    """The table between two marks: the cells of its head and of each row."""
+    """Return the table between two marks: the cells of its header and of each row."""
     shown = PAGES[page].split(f"<!-- {mark} -->\n")[1].split(f"<!-- /{mark} -->", maxsplit=1)[0]
     head, _, *rows = [line.strip("| ").split(" | ") for line in shown.strip().splitlines()]
     return [head, *rows]

@@ -1,4 +1,4 @@
-"""The pages about environments, suite and tutorial show what is there."""
+"""Pages on the environment and the tutorial agree with the program."""
 
 import inspect
 import re
@@ -12,27 +12,27 @@ from pages import PAGES, ROOT, blocks, run_shown
 from sim.env.settings import Settings
 
 DEFAULTS = vars(Settings())
-VECTOR = "docs/reference/vector-environment.md"
+PAGE = "docs/reference/environment.md"
 
 
 @pytest.mark.parametrize(
-    "block", blocks("python", VECTOR), ids=lambda block: re.search(r"outrider\.\w+|make", block)[0]
+    "block", blocks("python", PAGE)[1:], ids=("vector", "parallel_vector", "names", "transformed")
 )
-def test_the_environments_shown_can_be_flown(block, capsys):
-    run_shown(block, VECTOR)
+def test_environment_blocks_run(block, capsys):
+    run_shown(block, PAGE)
     assert capsys.readouterr().out
 
 
-def test_all_the_arguments_are_told() -> None:
+def test_all_arguments_are_documented() -> None:
     told = {
         row[0]
-        for row in re.findall(r"^\| `(\w+)` \| (`[^`]*`) \|", PAGES[VECTOR], flags=re.MULTILINE)
+        for row in re.findall(r"^\| `(\w+)` \| (`[^`]*`) \|", PAGES[PAGE], flags=re.MULTILINE)
     }
     assert told == {"scenario"} | DEFAULTS.keys()
 
 
-def test_the_defaults_told_are_those_taken() -> None:
-    told = dict(re.findall(r"^\| `(\w+)` \| `([^`]*)` \|", PAGES[VECTOR], flags=re.MULTILINE))
+def test_documented_defaults_are_the_defaults() -> None:
+    told = dict(re.findall(r"^\| `(\w+)` \| `([^`]*)` \|", PAGES[PAGE], flags=re.MULTILINE))
     assert told.pop("scenario") == repr(
         inspect.signature(vector_env).parameters["scenario"].default
     ).replace("'", '"')
@@ -42,7 +42,7 @@ def test_the_defaults_told_are_those_taken() -> None:
     assert inspect.signature(single_env).parameters["agent"].default == "uav_0"
 
 
-def test_the_tutorial_shows_the_example_as_it_is() -> None:
+def test_tutorial_shows_its_example() -> None:
     source = (ROOT / "examples" / "tutorial.py").read_text(encoding="utf-8")
     cells = [cell.strip() for cell in re.split(r"^# %%.*\n", source, flags=re.MULTILINE)[1:]]
     code = [

@@ -84,10 +84,6 @@ def test_the_filter_shown_certifies(capsys: pytest.CaptureFixture[str]) -> None:
     assert printed("docs/explanation/proof.md", capsys) == "()\nNOMINAL 1.42 m True\n"
 
 
-def test_the_many_worlds_shown_fly(capsys: pytest.CaptureFixture[str]) -> None:
-    assert float(printed("docs/how-to/environments.md", capsys)) > 100.0
-
-
 def test_the_commands_and_options_shown_exist() -> None:
     known = {
         name: {"--help"}
@@ -101,7 +97,8 @@ def test_the_commands_and_options_shown_exist() -> None:
     }
     shown = set()
     for page in PAGES:
-        for line in re.findall(r"^outrider .*$", "\n".join(blocks("sh", page)), re.MULTILINE):
+        text = re.sub(r"\$\(([^)]*)\)", r"\n\1\n", "\n".join(blocks("sh", page)))
+        for line in re.findall(r"^outrider .*$", text, re.MULTILINE):
             for part in shlex.join(shlex.split(line, comments=True)).split("outrider ")[1:]:
                 command, *words = shlex.split(part.replace("'&&'", ""))
                 options = {word.partition("=")[0] for word in words if word.startswith("--")}

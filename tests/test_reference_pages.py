@@ -75,7 +75,7 @@ def test_every_field_of_a_scenario_is_told_in_its_table(generator: ModuleType) -
     ):
         for field in msgspec.structs.fields(struct):
             assert f"| `{field.encode_name}` | " in sections[heading]
-    assert "| `duration` | number > 0 | `160.0` | [s], a whole number of ticks. |" in text
+    assert "| `duration` | number > 0 | `160.0` | Duration [s], a whole number of ticks. |" in text
     assert [row.split("`")[1] for row in generator.shipped().splitlines()[2:]] == [
         *scenario_names()
     ]

@@ -12,9 +12,9 @@ class Parameters(CoverageParameters, frozen=True, kw_only=True):
     """`[law.parameters]` of this law."""
 
     weight_gain: Positive = 20.0
-    """k_beta of (19)."""
+    """Gain k_beta of eq. (19) [1]."""
     weight_limit: Positive = 100.0
-    """Upper limit of beta_3 (footnote 2 of the paper)."""
+    """Upper limit of beta_3 [1], footnote 2 of the paper."""
 
 
 Memory = CoverageMemory

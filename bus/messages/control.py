@@ -24,27 +24,28 @@ class Action(StrEnum):
 
 
 class Control(Message, frozen=True, kw_only=True):
-    """An operator's request to the simulator; takes effect at the next tick. Only the fields of its action count."""
+    """Request of an operator to the simulator; takes effect at the next tick. Each action reads its own fields only."""
 
     action: Action
+    """Kind of the request."""
     ticks: Annotated[int, Meta(ge=1, le=1_000_000)] = 1
-    """STEP: how far."""
+    """STEP: number of ticks."""
     factor: Annotated[float, Meta(ge=1e-3, le=1e4)] | None = None
-    """SPEED: simulated seconds per second of wall time; None: lockstep, as fast as it goes."""
+    """SPEED: simulated seconds per second of wall time [1]; None: lockstep, as fast as possible."""
     seed: Tick | None = None
-    """RESET: of the new flight; None: the same again."""
+    """RESET: seed of the new flight; None: the same seed."""
     law: Law | None = None
-    """LAW: what the UAVs fly."""
+    """LAW: new control law of the UAVs."""
     vehicle: Name | None = None
-    """DRIVER: which UGV; LINK: whose. None: every one."""
+    """DRIVER: the UGV; LINK: the vehicle; None: all."""
     driver: Name | None = None
-    """DRIVER: who takes its wheel."""
+    """DRIVER: new driver."""
     operator: Name | None = None
-    """DRIVER: the operator who takes it, where the driver obeys one; each has a name of its own."""
+    """DRIVER: name of the operator whose input the driver follows."""
     link: LinkKind | None = None
-    """LINK: which."""
+    """LINK: kind of the link."""
     settings: LinkSettings | None = None
-    """LINK: what it does to messages from now on."""
+    """LINK: new settings."""
 
     def in_words(self) -> str:
         """Tells a person what was asked for."""
@@ -68,7 +69,9 @@ class Control(Message, frozen=True, kw_only=True):
 
 
 class Change(Message, frozen=True, kw_only=True):
-    """A control that has taken effect, and when."""
+    """Control that has taken effect."""
 
     tick: Tick
+    """Tick at which it took effect."""
     control: Control
+    """The control."""

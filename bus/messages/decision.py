@@ -57,6 +57,7 @@ class FilterDecision(Message, frozen=True, kw_only=True):
     acceleration: Vector
     """Acceleration that acts [m/s²]."""
     source: Source
+    """Origin of the acceleration."""
     reason: NotCertified | None
     """Reason why the tick is not certified; None: visibility is guaranteed from here on."""
     certified_distance: NonNegative | None

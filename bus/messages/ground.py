@@ -26,50 +26,53 @@ MOST_CORNERS = 128
 
 
 class TileReport(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """A tile of the ground as a vehicle's own sensor sees it; in JSON an array of these fields, in this order."""
+    """Report of one tile by a vehicle's own sensor; in JSON an array of these fields, in this order."""
 
     column: Place
+    """Column: the tile starts at x = column * tile [m]."""
     row: Place
-    """The tile from x = column * tile and y = row * tile [m] on."""
+    """Row: the tile starts at y = row * tile [m]."""
     state: Annotated[str, Meta(pattern=r"^[.~#*]$(?!\n)")]
-    """One of `TILE_LETTERS`."""
+    """State, one of `TILE_LETTERS`."""
 
 
 class MapUpdate(Message, frozen=True, kw_only=True):
-    """A UAV's radio message of the ground to its UGV: the states of a block of tiles, as its sensor has told them."""
+    """Block of a UAV's ground map, sent to its UGV by radio."""
 
     column: Place
+    """Column of the block: that of its first tile divided by `BLOCK_SIDE`."""
     row: Place
-    """Of the block: that of its first tile divided by `BLOCK_SIDE`."""
+    """Row of the block: that of its first tile divided by `BLOCK_SIDE`."""
     tiles: Annotated[str, Meta(pattern=r"^[?.~#*]{64}$(?!\n)")]
-    """The state of each tile, of `TILE_LETTERS`, row by row from the least y on; beyond the area they are not seen."""
+    """State of each tile, of `TILE_LETTERS`, row by row by increasing y; unknown outside the area."""
 
 
 class UavGround(Message, frozen=True, kw_only=True):
-    """A UAV's sensor of hazards, as its briefing tells."""
+    """Hazard sensor of a UAV."""
 
     tile: Positive
-    """Width of a tile [m]."""
+    """Side of a tile [m]."""
     map_update_rate: NonNegative
-    """Blocks that it radios to its UGV in a second [1/s]."""
+    """Blocks sent to the UGV per second [1/s]."""
 
 
 class UgvGround(Message, frozen=True, kw_only=True):
-    """A UGV's sensor of the ground and its caution, as its briefing tells."""
+    """Ground sensor and caution of a UGV."""
 
     tile: Positive
-    """Width of a tile [m]."""
+    """Side of a tile [m]."""
     sensing_range: NonNegative
-    """Range of its own sensor [m]: it sees each tile that has a point so near."""
+    """Range of its own sensor [m]; a tile is sensed if any of its points lies within it."""
     caution: Name
-    """Its caution on ground that it does not know: one of `bus.registry.CAUTIONS`."""
+    """Caution on unknown ground, one of `bus.registry.CAUTIONS`."""
     delay: NonNegative = 0.0
-    """From the tick that a command answers to the one in which it acts [s]."""
+    """Time from the tick that a command answers to its effect [s]."""
     rough_speed_share: Annotated[float, Meta(gt=0.0, le=1.0)]
-    """Of its largest speed that it has at least on rough ground."""
+    """Smallest share of its maximum speed that it keeps on rough ground."""
     executes_trajectories: bool = False
-    """True if its receiver flies the motions that commands carry: a command acts in its own tick or not at all, and the
-    vehicle brakes where none does."""
+    """True if its receiver executes backup trajectories: a command takes effect in its own tick or never, and the
+    vehicle brakes without one.
+    """
 
 
 SpeedShare = Annotated[float, Meta(gt=0.0, le=1.0)]
@@ -88,18 +91,20 @@ def kept_share(kind: str, share: float | None) -> float:
 
 
 class Hazard(Message, frozen=True, kw_only=True):
-    """A disc or a polygon of ground that a vehicle should know of; no vehicle is told of it."""
+    """Disc or polygon of hazardous ground; no vehicle receives it."""
 
     kind: Name
-    """A row of `bus.registry.HAZARDS`: `block`, not to be touched; `rough`, to be driven slowly; `find`, to find."""
+    """Kind, a row of `bus.registry.HAZARDS`: `block` (do not touch), `rough` (drive slowly) or `find` (an object to
+    find).
+    """
     center: Vector | None = None
-    """Of a disc [m]."""
+    """Centre of a disc [m]."""
     radius: Positive | None = None
-    """Of a disc [m]."""
+    """Radius of a disc [m]."""
     polygon: Annotated[tuple[Vector, ...], Meta(max_length=MOST_POLYGON_CORNERS)] = ()
-    """Instead of a disc: its corners in order round it, either way [m]. Its sides do not meet but at corners."""
+    """Corners of a simple polygon in either order [m], instead of a disc."""
     speed_share: SpeedShare | None = None
-    """If it is rough: of its largest speed that a vehicle keeps on it; by default 0.4."""
+    """Share of its maximum speed that a vehicle keeps on a rough hazard; default: 0.4."""
 
     @property
     def corners(self) -> tuple[Vector, ...]:
@@ -131,21 +136,23 @@ class Hazard(Message, frozen=True, kw_only=True):
 
 
 class GroundMap(Message, frozen=True, kw_only=True):
-    """The ground for observers: its hazards as they truly are, and what the UGVs know of it."""
+    """Ground for observers: the true hazards and the UGVs' knowledge of them."""
 
     tick: Tick
+    """Number of the tick."""
     columns: Annotated[int, Meta(ge=1)]
+    """Tiles along x."""
     rows: Annotated[int, Meta(ge=1)]
+    """Tiles along y."""
     tile: Positive
-    """Width of a tile [m]."""
+    """Side of a tile [m]."""
     tiles: bytes
-    """Each tile as the UGVs know it, all together, row by row from y = 0 (base64 in JSON).
-
-    Its place in `TILE_LETTERS`; 5 where a UAV has seen it and has not told it yet.
+    """State of each tile as all UGVs together know it, row by row from y = 0 (base64 in JSON): an index of
+    `TILE_LETTERS`; 5: detected by a UAV but not yet reported.
     """
     states: bytes
-    """Of each hazard: 0, no UGV knows of it, or nobody has found it; 1, one does; 2, one has hit it."""
+    """State of each hazard: 0 unknown to every UGV, or not found; 1 known; 2 hit."""
     routes: dict[Name, tuple[Vector, ...]] = {}
-    """The way that each UGV plans to its goal, by its corners [m], from where it is; no vehicle is told."""
+    """Planned path of each UGV, by its corners [m]; no vehicle receives it."""
     hazards: tuple[Hazard, ...] = ()
-    """In a recording only in a flight's first map: they stay where they are."""
+    """True hazards; in a recording only in the first map of a flight, as they do not move."""

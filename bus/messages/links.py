@@ -23,49 +23,49 @@ class LinkKind(StrEnum):
 
 
 class LinkSettings(Message, frozen=True, kw_only=True):
-    """The settings of one link, all that it does to messages; the default is a perfect one."""
+    """Settings of one link; the default is a perfect link."""
 
     delay: Annotated[float, Meta(ge=0.0, le=30.0)] = 0.0
-    """[s]"""
+    """Constant delay [s]."""
     jitter: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.0
-    """Scale of the extra delay [s]."""
+    """Scale of the random extra delay [s]."""
     jitter_shape: Name = "uniform"
-    """A row of `sim.channel.jitter.SHAPES`, which says what the scale means."""
+    """Distribution of the extra delay, a row of `sim.channel.jitter.SHAPES`."""
     max_jitter: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
-    """The extra delay lies between -delay and this [s], as if drawn again until it does; 0: five times the jitter."""
+    """Truncation of the extra delay to [-delay, this] [s]; 0: five times the jitter."""
     loss: Share = 0.0
-    """Share of messages that are lost, each on its own."""
+    """Share of messages lost, independently."""
     burst_length: Seconds = 0.0
-    """Mean length of the bad state (Gilbert-Elliott) [s]; 0: no bursts."""
+    """Mean duration of the bad state (Gilbert-Elliott) [s]; 0: no bursts."""
     burst_interval: Seconds = 0.0
-    """Mean time in the good state between two [s]."""
+    """Mean duration of the good state [s]."""
     burst_loss: Share = 1.0
-    """Share of messages that are lost in the bad state."""
+    """Share of messages lost in the bad state."""
     blackouts: Annotated[tuple[tuple[Seconds, Seconds], ...], Meta(max_length=1000)] = ()
-    """Start and length of planned ones [s]: nothing that leaves then gets through."""
+    """Start and duration of planned blackouts [s]; messages sent in a blackout are lost."""
     blackout_interval: Seconds = 0.0
-    """Mean time between the end of a random blackout and the start of the next [s]; 0: none."""
+    """Mean time from the end of a random blackout to the start of the next [s]; 0: none."""
     blackout_length: Seconds = 0.0
-    """Length of each random one [s]."""
+    """Duration of each random blackout [s]."""
     duplicates: Share = 0.0
-    """Share of messages that arrive twice; the copy has a delay of its own."""
+    """Share of messages that arrive twice; the copy has its own delay."""
     reorder: Share = 0.0
-    """Share of messages that are held back."""
+    """Share of messages held back."""
     reorder_delay: Annotated[float, Meta(ge=0.0, le=30.0)] = 0.0
-    """By how much [s]."""
+    """Extra delay of messages held back [s]."""
     bandwidth: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
-    """Messages per second [1/s]; 0: no limit."""
+    """Messages per second [1/s]; 0: unlimited."""
     queue: Annotated[int, Meta(ge=1, le=10_000)] = 10
     """Messages that can wait at the sender."""
     keep: Name = "newest"
-    """The messages that a full queue keeps, of `KEEPS`."""
+    """Messages that a full queue keeps, one of `KEEPS`."""
     trace: Text = ""
-    """A recorded link that is played in a loop instead of drawing: a Mahimahi file, or a CSV table of sent and delay.
-
-    The file lies beside the scenario's or below. Beside a Mahimahi file, which says when bytes may leave, stands all
-    but bandwidth; beside a table, which says what became of each message, stand delay and blackouts alone."""
+    """Trace that is replayed in a loop instead of random draws: a Mahimahi file, or a CSV table of sent and delay. The
+    file lies in the scenario's folder or below. A Mahimahi file replaces the bandwidth only; a table allows no other
+    settings but delay and blackouts.
+    """
     message_bytes: Annotated[int, Meta(ge=1, le=1_000_000)] = 1000
-    """Size of a message where a Mahimahi file is played [bytes]: each of its lines lets 1,500 bytes leave."""
+    """Size of a message with a Mahimahi trace [bytes]; each line of the trace lets 1,500 bytes leave."""
 
     def changes(self) -> dict[str, Any]:
         """Return the fields in which it differs from a perfect link, as plain values."""
@@ -78,22 +78,26 @@ class LinkStatus(Message, frozen=True, kw_only=True):
     """The counters of a link: sent + duplicated = delivered + lost + waiting + flying."""
 
     sent: Tick
+    """Messages sent."""
     delivered: Tick
-    """Copies among them."""
+    """Messages delivered, copies included."""
     duplicated: Tick
-    """Copies that were made."""
+    """Copies made by the link."""
     queued: Tick
-    """At the sender."""
+    """Messages waiting at the sender."""
     in_transit: Tick
+    """Messages on the link."""
     lost: dict[Text, Tick]
-    """By cause, of `sim.channel.link.CAUSES`."""
+    """Messages lost, by cause (`sim.channel.link.CAUSES`)."""
     delivery_ratio: Share | None = None
-    """Of the messages whose fate is known, the share that was not lost."""
+    """Share of messages delivered, of those delivered or lost."""
     age: NonNegative | None = None
-    """Of the newest information delivered, at the last tick [s]; None before the first."""
+    """Age of the newest delivered information at the last tick [s]; None before the first delivery."""
     mean_age: NonNegative | None = None
-    """Over the ticks since then."""
+    """Mean age since the first delivery [s]."""
     max_age: NonNegative | None = None
+    """Largest age since the first delivery [s]."""
     degraded: bool = False
-    """True if its settings do anything to a message."""
+    """True if the settings affect any message."""
     settings: LinkSettings | None = None
+    """Current settings."""

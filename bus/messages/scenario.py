@@ -9,12 +9,12 @@ from bus.registry import DEFAULT_LAW, DEFAULT_SENSOR
 
 
 class Limits(Message, frozen=True, kw_only=True):
-    """Bounds of a double integrator (1); None where there is none."""
+    """Bounds of a vehicle's double integrator, eq. (1); None: unbounded."""
 
     max_speed: Positive | None
-    """v_max [m/s]."""
+    """Maximum speed v_max [m/s]."""
     max_acceleration: Positive | None
-    """u_max [m/s²]."""
+    """Maximum acceleration u_max [m/s²]."""
 
     @property
     def numbers(self) -> tuple[float, float]:
@@ -23,40 +23,45 @@ class Limits(Message, frozen=True, kw_only=True):
 
 
 class Area(Message, frozen=True, kw_only=True):
-    """Q: the rectangle [0, width] x [0, height] and the grid on it."""
+    """Area Q = [0, width] x [0, height] with its coverage grid."""
 
     width: Positive
+    """Width, along x [m]."""
     height: Positive
+    """Height, along y [m]."""
     cell: Positive
+    """Side of a cell of the coverage grid [m]."""
 
 
 class Origin(Message, frozen=True, kw_only=True):
-    """The place on Earth of the area's lower left corner (WGS 84); x points east and y north."""
+    """Geographic position of the area's lower left corner (WGS 84); x points east, y north."""
 
     latitude: Annotated[float, Meta(ge=-80.0, le=80.0)] = 49.875
-    """[deg]; by default in Darmstadt, where the paper was written."""
+    """Latitude [deg]; default: Darmstadt, where the paper was written."""
     longitude: Annotated[float, Meta(ge=-180.0, le=180.0)] = 8.66
-    """[deg]"""
+    """Longitude [deg]."""
     altitude: Annotated[float, Meta(ge=-500.0, le=9000.0)] = 150.0
-    """Of the ground [m]; it is flat."""
+    """Altitude of the ground, which is flat [m]."""
 
 
 class Region(Message, frozen=True, kw_only=True):
-    """A rectangle of ground [m] that is covered from the start."""
+    """Rectangle that is covered from the start."""
 
     lower: Vector
+    """Lower left corner [m]."""
     upper: Vector
+    """Upper right corner [m]."""
 
 
 class Sensor(Message, frozen=True, kw_only=True):
-    """The UAV's downward sensor (2)."""
+    """Downward sensor of a UAV, eq. (2)."""
 
     model: Name = DEFAULT_SENSOR
-    """A row of `bus.registry.SENSORS`."""
+    """Sensor model, a row of `bus.registry.SENSORS`."""
     peak: Positive = 1.0
-    """M_a [1/s]."""
+    """Peak coverage rate M_a [1/s]."""
     range: Positive = 5.0
-    """r [m]."""
+    """Range r [m]."""
 
 
 LawNumber = (
@@ -66,62 +71,63 @@ LawNumber = (
 
 
 class Law(Message, frozen=True, kw_only=True):
-    """The control law that the UAV flies, and its parameters."""
+    """Control law of the UAVs and its parameters."""
 
     name: Name = DEFAULT_LAW
-    """A row of `bus.registry.LAWS`."""
+    """Name, a row of `bus.registry.LAWS`."""
     parameters: Annotated[dict[Text, LawNumber], Meta(max_length=64)] = {}
-    """By name: fields of `Parameters` in the law's file; those of other laws have no effect."""
+    """Parameters by name, fields of `Parameters` in the law's file; parameters of other laws have no effect."""
 
     def __hash__(self) -> int:
         return hash((self.name, tuple(sorted(self.parameters.items()))))
 
 
 class Detector(Message, frozen=True, kw_only=True):
-    """The UAV's knowledge of its own detector of the UGV."""
+    """Properties of the UAV's detector, as the UAV knows them."""
 
     noise: NonNegative = 0.0
     """Standard deviation per axis [m]."""
     truncation: Positive | None = 3.0
-    """Noise vectors are cut at this many standard deviations; None: not cut."""
+    """Noise vectors are truncated at this many standard deviations [1]; None: not truncated."""
     period: Positive
-    """Time between two looks [s]."""
+    """Time between two detection attempts [s]."""
 
 
 class SafetyParameters(Message, frozen=True, kw_only=True):
     """Parameters of a UAV's safety filter and of its certificate (docs/explanation/guarantee.md)."""
 
     max_measurement_error: NonNegative | None
-    """Largest error of a detection, as a vector's norm [m]; None: no bound, and nothing can be certified."""
+    """Largest norm of a measurement error [m]; None: unbounded, and nothing can be certified."""
     max_measurement_age: Positive
-    """Largest age of the newest detection that has arrived [s]."""
+    """Largest age of the newest measurement [s]."""
     max_command_delay: NonNegative = 0.0
     """Time from the tick that a command answers to the start of its plan [s]."""
     max_command_interval: NonNegative = 0.0
-    """Longest time from the start of one plan to the start of the next [s]; one tick at least."""
+    """Longest time from the start of one plan to the start of the next [s]; at least one tick."""
     max_tracking_error: NonNegative | None = 0.0
-    """Largest distance of the UAV from its reference position [m]; None: no bound."""
+    """Largest distance between reference and true position [m]; None: unbounded."""
     margin: NonNegative = 0.0
-    """Taken off r_v [m], for what the theorem does not cover."""
+    """Margin subtracted from r_v [m], for effects that the theorem does not cover."""
 
 
 class Estimator(Message, frozen=True, kw_only=True):
-    """The Kalman filter on the detections."""
+    """Kalman filter of the relative position."""
 
     enabled: bool = True
-    """False: the newest detection is taken as it is and held."""
+    """False: use the newest detection unfiltered."""
     gate: Positive = 18.4
-    """Largest normalized innovation squared that is believed (chi-square, 2 degrees: 1 in 10,000)."""
+    """Largest accepted normalized innovation squared [1] (chi-square, 2 degrees of freedom: 1 in 10,000 exceeds 18.4).
+    """
     max_rejections: Annotated[int, Meta(ge=1, le=1_000_000)] = 5
-    """Detections refused in a row after which the filter starts anew from the newest."""
+    """Reinitialize the estimate after this many consecutive rejected measurements."""
     acceleration_share: Positive = 0.7
-    """Standard deviation of the UGV's acceleration per axis, as a share of its bound."""
+    """Standard deviation of the UGV's acceleration per axis, as a share of its bound [1]."""
 
 
 class ScriptStep(Message, frozen=True, kw_only=True):
-    """The velocity that a scripted UGV wants from a time on."""
+    """Velocity of a scripted UGV from a time on."""
 
     time: NonNegative
-    """[s]"""
+    """Start [s]."""
     velocity: Vector
-    """[m/s]"""
+    """Desired velocity [m/s]."""

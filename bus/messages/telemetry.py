@@ -24,211 +24,230 @@ from bus.registry import DEFAULT_LAW
 
 
 class VehicleTruth(Message, frozen=True, kw_only=True):
-    """The true state of one vehicle."""
+    """True state of one vehicle."""
 
     position: Vector
+    """True position [m]."""
     velocity: Vector
+    """True velocity [m/s]."""
     acceleration: Vector
-    """Applied since the last tick, after the bounds."""
+    """Acceleration applied since the last tick, after the bounds [m/s²]."""
     command: Vector
-    """The command that it was asked for since the last tick, before the bounds [m/s²].
-
-    Where it was silent, what stood in for it.
-    """
+    """Commanded acceleration since the last tick, before the bounds [m/s²]; without a command, its replacement."""
 
 
 class EscortTruth(Message, frozen=True, kw_only=True):
-    """The true relation of one UAV to the UGV it escorts."""
+    """True relation of a UAV to the UGV that it escorts."""
 
     uav: Name
+    """Name of the UAV."""
     ugv: Name
+    """Name of the UGV."""
     distance: NonNegative
-    """|p_a - p_g| [m]."""
+    """Distance |p_a - p_g| [m]."""
     coverage_error: NonNegative
-    """e(t) of (4) with the true p_g [m²]."""
+    """Coverage error e(t) of eq. (4) with the true p_g [m²]."""
     detection: Vector | None
-    """The relative position detected at this tick [m], if any."""
+    """Detected relative position at this tick [m]; None: no detection."""
     report: UavReport | None
-    """The UAV's report at the last tick."""
+    """Report of the UAV at the last tick."""
 
 
 class Truth(Message, frozen=True, kw_only=True):
-    """Everything but the grid, for observers."""
+    """True state of the run except the maps, for observers."""
 
     tick: Tick
+    """Number of the tick."""
     time: NonNegative
+    """Simulated time [s]."""
     vehicles: dict[Name, VehicleTruth]
+    """State of each vehicle, by name."""
     escorts: tuple[EscortTruth, ...]
+    """One entry for each UAV."""
 
 
 class CoverageMap(Message, frozen=True, kw_only=True):
-    """The coverage as bytes: 255 is the desired coverage or more."""
+    """Coverage map, one byte for each cell."""
 
     tick: Tick
+    """Number of the tick."""
     columns: Annotated[int, Meta(ge=1)]
+    """Cells along x."""
     rows: Annotated[int, Meta(ge=1)]
+    """Cells along y."""
     cell: Positive
+    """Side of a cell [m]."""
     cells: bytes
-    """Row by row from y = 0 (base64 in JSON)."""
+    """255 min(C / C*, 1) of each cell, row by row from y = 0 (base64 in JSON)."""
 
 
 class UgvGuarantee(Message, frozen=True, kw_only=True):
     """Certificates of a cautious UGV so far, compared with the truth (docs/explanation/ground.md)."""
 
     entered_unknown_tile: Tick
-    """Ticks in which it drove over a tile that it did not know to be drivable."""
+    """Ticks in which it drove on a tile that it did not know to be drivable."""
     ticks: Tick
-    """Ticks in which it reported whether it is certified to stay on tiles that it knows."""
+    """Ticks in which it reported a certificate."""
     certified: Tick
-    """Ticks in which it was."""
+    """Ticks in which it was certified."""
     uncertified: dict[Text, Tick] = {}
-    """Ticks in which it was not, by reason."""
+    """Ticks in which it was not certified, by reason."""
     certificate_broken: Tick
-    """Certified ticks after which it was not certified, or in which it entered such a tile, although all assumptions
-    hold: the guarantee is wrong if there is one."""
+    """Certified ticks after which the certificate or the known tiles were lost, although all assumptions held. Any but
+    0 disproves the guarantee.
+    """
 
 
 class MissionResult(Message, frozen=True, kw_only=True):
-    """The UGVs' way through ground with hazards, all together: for measuring, no vehicle is told."""
+    """Result of the UGVs' mission on ground with hazards; for evaluation, no vehicle receives it."""
 
     arrived: bool
-    """True if every UGV that has goals has reached them all."""
+    """True if every UGV with goals has reached them all."""
     mission_time: NonNegative | None
-    """Time at which the last of them had [s]; None: not yet, or nobody has a goal."""
+    """Time at which the last UGV reached its last goal [s]; None: not yet, or no UGV has a goal."""
     hazards_hit: Tick
-    """Blocking hazards that were touched, each once by each UGV."""
+    """Blocking hazards touched, each once by each UGV."""
     near_misses: Tick
-    """Blocking hazards that a UGV came nearer to than 0.2 m without touching them."""
+    """Blocking hazards that a UGV passed within 0.2 m without touching them."""
     hazards_on_path: Tick
-    """Hazards, blocking or rough, that a UGV came nearer to than 2 m."""
+    """Hazards, blocking or rough, that a UGV passed within 2 m."""
     warned: Tick
-    """Those of them that it knew of before it came so near."""
+    """Hazards on the path that the UGV knew before it came within 2 m."""
     mean_warning_time: NonNegative | None
-    """Time from then until it came so near, in the mean of those [s]; None: there are none."""
+    """Mean time between knowing such a hazard and coming within 2 m [s]; None: no such hazard."""
     reported_share: Share | None
-    """Share of the way that led over tiles which had come by radio before; None: nobody has moved."""
+    """Share of the driven path over tiles reported by radio beforehand; None: no UGV has moved."""
     ground_certified_share: Share | None = None
-    """Share of the ticks at which cautious UGVs were certified, of those in which they reported it; None: none did."""
+    """Share of the reporting ticks at which cautious UGVs were certified; None: no reports."""
     entered_unknown_tile: Tick = 0
-    """Ticks in which a UGV drove over a tile that it did not know to be drivable, of all UGVs."""
+    """Ticks in which a UGV drove on a tile that it did not know to be drivable, over all UGVs."""
     ground_certificate_broken: Tick = 0
-    """As `UgvGuarantee.certificate_broken`, of all UGVs."""
+    """Sum of `UgvGuarantee.certificate_broken` over all UGVs."""
     guarantees: dict[Name, UgvGuarantee] = {}
     """Guarantee of each UGV, by name."""
     stationary_time: NonNegative
-    """Time that the UGVs stood still before they had arrived [s]."""
+    """Time for which UGVs stood still before arrival [s]."""
     finds: Tick
-    """Things to be found."""
+    """Objects to find."""
     found: Tick
-    """Those that a vehicle's sensor has told of."""
+    """Objects that a vehicle's sensor has reported."""
 
 
 class VehicleStatus(Message, frozen=True, kw_only=True):
-    """The state of a vehicle's process, and what has gone wrong with it so far."""
+    """State of a vehicle's process and its faults so far."""
 
     present: bool
+    """True while the process is connected."""
     missing_commands: Tick = 0
-    """Ticks for which no new command was there."""
+    """Ticks without a new command."""
     stale_commands: Tick = 0
-    """Commands that were used after the tick they answer."""
+    """Commands used after the tick that they answer."""
     shortened_commands: Tick = 0
-    """Commands that were longer than the vehicle's bound."""
+    """Commands that exceeded the vehicle's bound."""
     lost: Tick = 0
-    """Number of times that its process went away during the run."""
+    """Times that its process disconnected."""
     rejoined: Tick = 0
-    """Number of times that it came back."""
+    """Times that it reconnected."""
     rejected: dict[Text, Tick] = {}
-    """Messages and sessions that were refused, by cause."""
+    """Rejected messages and sessions, by cause."""
     last_fault: Text = ""
+    """Latest fault in plain English."""
 
 
 class Geometry(Message, frozen=True, kw_only=True):
-    """The facts that a picture of the run needs and that do not change."""
+    """Constants of a run for its display."""
 
     area: Area
+    """Area of the run."""
     visibility_radius: Positive
-    """r_v [m]."""
+    """Visibility radius r_v [m]."""
     sensor_range: Positive
-    """r [m]."""
+    """Range r of the UAVs' sensor [m]."""
     switching_radius: Coordinate | None
-    """r_s of (18) of the first escort [m]; None where it has no finite value."""
+    """Switching radius r_s of the first escort, eq. (18) [m]; None: no finite value."""
     dt: Positive
-    """[s]"""
+    """Length of a tick [s]."""
     limits: dict[Name, Limits] = {}
-    """Each vehicle's bounds."""
+    """Bounds of each vehicle, by name."""
     uavs: dict[Name, Name]
-    """Each UAV, and the UGV it escorts."""
+    """UGV of each UAV, by name."""
     goals: dict[Name, tuple[Vector, ...]] = {}
-    """The first goals of each UGV that may drive to them [m]; not more than 100 each."""
+    """First goals of each UGV with a goal-seeking driver [m], at most 100 each."""
     origin: Origin = Origin()
-    """Place on Earth that the positions are counted from."""
+    """Geographic position of the area's origin."""
 
 
 class CertificateStatus(Message, frozen=True, kw_only=True):
-    """The words of all UAVs' safety filters so far, held against the truth."""
+    """Certificates of all UAVs' safety filters so far, compared with the truth."""
 
     ticks: Tick
-    """Ticks that a filter watched over, of each UAV."""
+    """Ticks monitored, over all UAVs."""
     certified: Tick
-    """Those that were certified."""
+    """Certified ticks."""
     overridden: Tick
-    """Those in which a filter acted instead of the law."""
+    """Ticks in which a safety filter overrode the law."""
     uncertified: dict[NotCertified, Tick] = {}
-    """Those that were not certified, by reason."""
+    """Ticks that were not certified, by reason."""
     certified_while_lost: Tick = 0
-    """Those that were certified although the UGV was out of sight: the certificate is wrong if there is one."""
+    """Ticks certified although the UGV was out of sight. Any but 0 disproves the certificate."""
     certificate_broken: Tick = 0
-    """Those that were not certified although the one before was and all assumptions hold: likewise."""
+    """Uncertified ticks after a certified one, although all assumptions held. Any but 0 disproves the certificate."""
     max_command_interval: NonNegative | None = None
-    """Longest time from the start of a motion to the start of the next, as it is declared, B [s]."""
+    """Declared longest time from the start of one plan to the start of the next [s]."""
     longest_command_interval: NonNegative | None = None
-    """The longest so far [s]."""
+    """Longest such time so far [s]."""
     max_tracking_error: NonNegative | None = None
-    """Largest true distance of a UAV from where it is told that it is, as it is declared, w [m]; None: nothing takes it
-    from there, or w has no bound.
-    """
+    """Declared largest tracking error [m]; None: no disturbance, or no bound."""
     largest_tracking_error: NonNegative | None = None
-    """And the farthest so far [m]; None: nothing takes it from there."""
+    """Largest tracking error so far [m]; None: no disturbance."""
 
 
 class Status(Message, frozen=True, kw_only=True):
-    """The state of the run, for observers, a few times a second."""
+    """State of the run for observers, sent a few times per second."""
 
     scenario: Text
+    """Name of the scenario."""
     seed: int
+    """Seed of the flight."""
     tick: Tick
+    """Number of the tick."""
     ticks: Tick
-    """Ticks that the run will have."""
+    """Ticks of the whole run."""
     time: NonNegative
+    """Simulated time [s]."""
     realtime_factor: NonNegative
-    """Simulated seconds per second of wall time, lately."""
+    """Recent pace: simulated seconds per second of wall time [1]."""
     target_factor: NonNegative | None = None
-    """The pace that the clock is to keep; None: lockstep, as fast as it goes."""
+    """Target pace [1]; None: lockstep, as fast as possible."""
     late_ticks: Tick = 0
-    """Ticks that the clock could not keep."""
+    """Ticks that missed the wall clock."""
     paused: bool = False
+    """True while the run is paused."""
     law: Name = DEFAULT_LAW
-    """The law that the UAVs fly now."""
+    """Current control law of the UAVs."""
     drivers: dict[Name, Name] = {}
-    """The driver of each UGV now."""
+    """Current driver of each UGV."""
     operators: dict[Name, Name] = {}
-    """The operator at the wheel of each UGV, by the `Control.operator` that took it last; where that is known."""
+    """Operator of each UGV, by the latest `Control.operator`, where known."""
     changes: tuple[Change, ...] = ()
-    """The last controls that have taken effect, the newest last; not more than 20."""
+    """Latest controls that took effect, newest last, at most 20."""
     refusals: tuple[Text, ...] = ()
-    """The last wishes of operators that were refused, and why; not more than 5."""
+    """Latest operator requests that were refused, with the reason, at most 5."""
     geometry: Geometry | None = None
+    """Constants for the display."""
     certified: dict[Name, bool] = {}
-    """True if sight is certified to be kept, by UAV; only those that a safety filter watches over."""
+    """True if visibility is certified, by UAV with a safety filter."""
     uncertified: dict[Name, NotCertified] = {}
     """Reason why not, by UAV."""
     certificates: CertificateStatus | None = None
-    """Counts of what has been certified so far; None where no safety filter has watched over anything."""
+    """Counts of certificates so far; None: no safety filter."""
     mission: MissionResult | None = None
-    """The UGVs' way through; None where there are no hazards."""
+    """Result of the mission so far; None: no hazards."""
     warnings: tuple[Text, ...] = ()
-    """Assumptions of the certificate that the links cannot keep as they are now, a line each."""
+    """Assumptions of the certificate that the current links can violate, one line each."""
     links: dict[Text, LinkStatus] = {}
     """Counters of each link, by `vehicle/kind`."""
     vehicles: dict[Name, VehicleStatus]
+    """State of each vehicle's process, by name."""
     over: bool = False
+    """True when the run has ended."""

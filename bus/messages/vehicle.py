@@ -53,211 +53,232 @@ class BackupTrajectory(msgspec.Struct, frozen=True, array_like=True, forbid_unkn
     """
 
     begins: Tick
-    """The tick in which it begins; the receiver lets it begin in no other."""
+    """Tick in which it begins, its identifier; a receiver starts it in no other tick."""
     parent: Annotated[int, Meta(ge=-1, le=2**53)]
-    """It begins only if the motion that is flown then is the one that began in this tick; -1: none is flown."""
+    """It begins only if the committed trajectory began in this tick; -1: only if there is none."""
     acceleration: Vector
-    """In its first tick [m/s²]."""
+    """Acceleration in its first tick [m/s²]."""
     turn: Ticks = 0
+    """Duration of the turn after the first tick [ticks]."""
     cruise: Ticks = 0
+    """Duration at constant velocity after the turn [ticks]."""
     brake: Ticks = 0
-    """Lengths of the plan after it, to turn, cruise and brake [ticks]; then the vehicle rests."""
+    """Duration of braking to rest [ticks]."""
     turning: Vector = (0.0, 0.0)
+    """Acceleration during the turn [m/s²]."""
     braking: Vector = (0.0, 0.0)
-    """Accelerations while it turns and brakes [m/s²]."""
+    """Acceleration during braking [m/s²]."""
 
 
 class VehicleBriefing(Message, frozen=True, kw_only=True):
-    """All a vehicle is told when it joins.
-
-    One that joins again is told its own past too, in parts: each is a briefing of its own.
-    """
+    """Information that a vehicle receives when it joins; when it reconnects, also its own history, in parts."""
 
     vehicle: Name
+    """Name of the vehicle."""
     dt: Positive
-    """Time between two ticks [s]."""
+    """Length of a tick [s]."""
     area: Area
+    """Area of the run."""
     limits: Limits
+    """Bounds of the vehicle."""
     key: PilotKey
-    """Of the pilot's own random numbers.
-
-    Where the run has a secret it leads to nothing else: not to the seed, nor to any other
-    draw. Where it has none, whoever tries all seeds finds the run's: there the seed is the secret."""
+    """Key of the pilot's own random numbers. With a secret, neither the seed nor any other random number follows from
+    it. Without one, it can be found by trying all seeds: then the seed is the secret.
+    """
     more: bool = False
-    """True if another part of the past follows."""
+    """True if another part of the history follows."""
     episode: Tick = 0
-    """Number of the flight that this is for."""
+    """Number of the flight."""
 
 
 class UavBriefing(VehicleBriefing, frozen=True, kw_only=True):
-    """All a UAV is told when it joins."""
+    """Information that a UAV receives when it joins."""
 
     target_limits: Limits
-    """The bounds of the UGV it escorts."""
+    """Bounds of the UGV that it escorts."""
     visibility_radius: Positive
-    """r_v [m]."""
+    """Visibility radius r_v [m]."""
     sensor: Sensor
+    """Its downward sensor."""
     desired_coverage: Positive
-    """C* of (4)."""
+    """Desired coverage C* of eq. (4) [1]."""
     covered: tuple[Region, ...] = ()
-    """Ground covered from the start."""
+    """Rectangles that are covered from the start."""
     law: Law
+    """Control law at the start."""
     detector: Detector
+    """Its detector of the UGV."""
     estimator: Estimator
+    """Parameters of its estimator."""
     safety: SafetyParameters = SafetyParameters(max_measurement_error=None, max_measurement_age=1.0)
+    """Parameters of its safety filter and certificate."""
     command_timeout: NonNegative = 0.5
-    """Time for which a command without a motion stays in effect when no new one arrives [s]; then the UAV brakes."""
+    """Time for which a command without a backup trajectory stays in effect when no new one arrives [s]; then the UAV
+    brakes.
+    """
     ground: UavGround | None = None
-    """None: there are no hazards, and nothing is told of the ground."""
+    """Its sensor of hazards; None: the scenario has no hazards."""
     origin: Origin = Origin()
-    """Place on Earth that its positions are counted from, for bridges to programs that count in degrees."""
+    """Geographic position of the area's origin, for bridges that use degrees."""
     past: "tuple[UavObservation, ...]" = ()
-    """Its observations so far in this run, tick by tick; where its process was away, without detections."""
+    """Its observations so far in this run, tick by tick; without detections while its process was disconnected."""
 
 
 class UgvBriefing(VehicleBriefing, frozen=True, kw_only=True):
-    """All a UGV is told when it joins."""
+    """Information that a UGV receives when it joins."""
 
     driver: Name
-    """A row of `bus.registry.DRIVERS`."""
+    """Controller of the UGV, a row of `bus.registry.DRIVERS`."""
     goals: tuple[Vector, ...]
     """Waypoints [m], in order."""
     goal_tolerance: Positive
-    """epsilon: a goal counts as reached nearer than this [m]."""
+    """Distance epsilon below which a goal counts as reached [m]."""
     script: tuple[ScriptStep, ...] = ()
-    """The steps of the driver `script`, in the order of time."""
+    """Steps of the driver `script`, by increasing time."""
     command_timeout: NonNegative = 0.5
-    """Time that an operator's last word counts [s]; then the driver `teleop` brakes."""
+    """Time for which an operator's last message stays in effect [s]; then the driver `teleop` brakes."""
     ground: UgvGround | None = None
-    """None: there are no hazards, and nothing is told of the ground."""
+    """Its ground sensor and caution; None: the scenario has no hazards."""
     past: "tuple[UgvObservation, ...]" = ()
-    """As a UAV's."""
+    """Its observations so far in this run, tick by tick."""
 
 
 class Detection(Message, frozen=True, kw_only=True):
-    """One noisy look of the UAV at the UGV."""
+    """Noisy detection of the UGV."""
 
     time: NonNegative
-    """Time at which it was taken [s]: a tick times dt. One between two ticks is refused by the filter, and counted."""
+    """Time of the detection [s], a multiple of dt. The estimator rejects and counts any other."""
     relative_position: Vector
-    """p_a - p_g with noise [m]."""
+    """Measured p_a - p_g [m]."""
 
 
 class RelativeInformation(Message, frozen=True, kw_only=True):
-    """The radio message of a UAV to its UGV: relative information, and how much it has seen."""
+    """Radio message of a UAV to its UGV: relative position and coverage error."""
 
     time: NonNegative
-    """Time at which it was estimated [s]: a tick times dt. One between two ticks is used for nothing."""
+    """Time of the estimate [s], a multiple of dt. Any other has no effect."""
     relative_position: Vector
-    """The estimate of p_a - p_g [m]."""
+    """Estimated p_a - p_g [m]."""
     coverage_error: NonNegative
-    """e(t) of (4) on the UAV's own map [m²]."""
+    """Coverage error e(t) of eq. (4) on the UAV's own map [m²]."""
 
 
 class VehicleObservation(Message, frozen=True, kw_only=True):
-    """The perception of a vehicle at a tick."""
+    """Observation of a vehicle at a tick."""
 
     tick: Tick
+    """Number of the tick."""
     time: NonNegative
+    """Simulated time [s]."""
     position: Vector
-    """Its reference position [m]: in wind or with a position error not quite the true one of a UAV."""
+    """Reference position [m]; with wind or a position error, a UAV's true position differs."""
     velocity: Vector
-    """Its reference velocity [m/s]."""
+    """Reference velocity [m/s]."""
     tile_reports: tuple[TileReport, ...] = ()
-    """Tiles that its own sensor has reported since the tick before; a UAV's each once, when covered enough."""
+    """Tiles that its own sensor has reported since the last tick; a UAV reports each tile once, when it is covered
+    enough.
+    """
     committed_trajectory: Tick | None = None
-    """The motion that the vehicle flew in the tick before: that in which it began; None: it flew none."""
+    """First tick of the trajectory that the vehicle executed in the last tick; None: it executed none."""
     over: bool = False
-    """True: the run has ended at this tick and no command is awaited."""
+    """True: the run ends at this tick, and no command is expected."""
     episode: Tick = 0
-    """Number of the flight; a reset begins the next."""
+    """Number of the flight; a reset starts the next."""
 
 
 class UavObservation(VehicleObservation, frozen=True, kw_only=True):
-    """The perception of a UAV at a tick."""
+    """Observation of a UAV at a tick."""
 
     detections: tuple[Detection, ...] = ()
+    """Detections that arrived at this tick."""
     law: Law | None = None
-    """The law to fly from this tick on; None: the one before."""
+    """Control law from this tick on; None: unchanged."""
 
 
 class Teleoperation(Message, frozen=True, kw_only=True):
-    """The wish of an operator at a UGV's wheel: a velocity, or a goal; neither means to brake."""
+    """Input of an operator to a UGV: a velocity or a goal; neither: brake."""
 
     operator: Text
-    """The operator's name."""
+    """Name of the operator."""
     velocity: Vector | None = None
     """Desired velocity [m/s]."""
     goal: Vector | None = None
-    """The goal [m]."""
+    """Goal [m]."""
 
 
 class UgvObservation(VehicleObservation, frozen=True, kw_only=True):
-    """The perception of a UGV at a tick."""
+    """Observation of a UGV at a tick."""
 
     radio: tuple[RelativeInformation, ...] = ()
+    """Radio messages that arrived at this tick."""
     map_updates: tuple[MapUpdate, ...] = ()
-    """The blocks that have come by radio, of the ground that the UAV has seen."""
+    """Blocks of the UAV's ground map that arrived by radio."""
     operator: tuple[Teleoperation, ...] = ()
-    """The operators' messages that have come to the vehicle at this tick, the oldest first."""
+    """Operator messages that arrived at this tick, oldest first."""
     driver: Name | None = None
-    """The driver from this tick on, a row of `bus.registry.DRIVERS`; None: the one before."""
+    """Driver from this tick on, a row of `bus.registry.DRIVERS`; None: unchanged."""
 
 
 class UavReport(Message, frozen=True, kw_only=True):
-    """The report of a UAV to observers; no vehicle reads it."""
+    """Report of a UAV to observers; no vehicle receives it."""
 
     estimate: Vector
-    """Place at which it believes the UGV to be [m]."""
+    """Estimated position of the UGV [m]."""
     covariance: Covariance
-    """Of that estimate [m²]."""
+    """Covariance of the estimate: xx, xy, yy [m²]."""
     age: NonNegative
-    """Time since the newest detection that was believed [s]."""
+    """Time since the newest accepted detection [s]."""
     rejected: Tick
-    """Detections refused by the gate so far."""
+    """Detections that the gate has rejected so far."""
     decision: FilterDecision | None = None
-    """Decision of the safety filter; None: no filter watches over this law."""
+    """Decision of the safety filter; None: the law has no safety filter."""
 
 
 class UavCommand(Message, frozen=True, kw_only=True):
-    """A UAV's answer to its observation of the same tick."""
+    """Command of a UAV in answer to the observation of the same tick."""
 
     tick: Tick
+    """Tick of the observation."""
     acceleration: Vector
+    """Desired acceleration [m/s²]."""
     backup_trajectories: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
-    """The motions to be flown from the tick on in which the last of them begins, and before it those that it may
-    have missed, one a tick, the oldest first. Without one the vehicle holds the acceleration, and brakes when no
-    command comes.
+    """Backup trajectories: the newest one, and earlier ones that the vehicle may have missed, one per tick, oldest
+    first. Without any, the acceleration stays in effect until `command_timeout`.
     """
     radio: tuple[RelativeInformation, ...] = ()
+    """Radio messages to the UGV."""
     map_updates: Annotated[tuple[MapUpdate, ...], Meta(max_length=MOST_BLOCKS)] = ()
-    """The blocks that it radios, of the ground that it has seen. One that says of a tile what its sensor has not said
-    is not sent."""
+    """Blocks of its ground map for the UGV. A block that contradicts the UAV's sensor is not sent."""
     report: UavReport | None = None
+    """Report to observers."""
 
 
 class UgvReport(Message, frozen=True, kw_only=True):
-    """The report of a cautious UGV to observers; no vehicle reads it."""
+    """Report of a cautious UGV to observers; no vehicle receives it."""
 
     certified: bool
-    """True if it is certified to stay on tiles that it knows to be drivable, whatever becomes of its commands."""
+    """True: the UGV stays on tiles that it knows to be drivable, whatever happens to its commands."""
     uncertified: Text = ""
-    """Why not."""
+    """Reason why not."""
 
 
 class UgvCommand(Message, frozen=True, kw_only=True):
-    """A UGV's answer to its observation of the same tick."""
+    """Command of a UGV in answer to the observation of the same tick."""
 
     tick: Tick
+    """Tick of the observation."""
     acceleration: Vector
+    """Desired acceleration [m/s²]."""
     backup_trajectories: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
-    """As of a UAV: the acceleration of a tick, and the stop that follows it. None: the command is held."""
+    """The acceleration of one tick, followed by a stop, as of a UAV. Empty: the command stays in effect until
+    `command_timeout`.
+    """
     route: Annotated[tuple[Vector, ...], Meta(max_length=MOST_CORNERS)] | None = None
-    """For observers, no vehicle reads it: the way that it plans to its goal, by its corners [m], from where it is; none
-    where it knows none. None: as before.
+    """Planned path from the UGV to its goal, by its corners [m], for observers only; empty: no path known; None:
+    unchanged.
     """
     report: UgvReport | None = None
-    """None: it does not promise to stay on tiles that it knows."""
+    """Report to observers; None: the UGV certifies nothing."""
 
 
 Observation = UavObservation | UgvObservation

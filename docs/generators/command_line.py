@@ -1,4 +1,4 @@
-"""The reference of the command line, from the typer code."""
+"""Reference of the command line, generated from the Typer commands."""
 
 import inspect
 import re
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import typer
-from structs import cell
+from structs import cell, check_description
 
 from outrider.cli.main import make_app
 
@@ -16,14 +16,18 @@ _KINDS = {int: "INTEGER", float: "NUMBER", str: "TEXT", Path: "PATH"}
 
 
 def page() -> str:
-    """A section for each command: what it does, an example, its arguments and options."""
+    """Return a section for each command: help, example, arguments and options.
+
+    Raises:
+        ValueError: If an argument or option has no help.
+    """
     return "\n\n".join(
         _section(name, command) for name, command in commands().items() if not command.hidden
     )
 
 
 def commands() -> dict[str, Any]:
-    """All commands by name, those within another one behind it."""
+    """Return all commands by name; subcommands follow their group."""
     found: dict[str, Any] = {}
     waiting: list[tuple[str, Any]] = [("", typer.main.get_command(make_app(whole=True)))]
     while waiting:
@@ -45,9 +49,11 @@ def _section(name: str, command: Any) -> str:
         flat = " ".join(example.split())
         shell = re.sub(r",? (?:then|or|and) (?=outrider )| Example: ", "\n", flat)
         lines.append(f"```sh\n{shell}\n```")
+    for one in shown:
+        check_description(f"outrider {name}, {one.name}", one.help or "", quantity=False)
     rows = [_row(one, types.get(one.name, str)) for one in shown]
     if rows:
-        lines.append("\n".join(["| option | what | default |", "|---|---|---|", *rows]))
+        lines.append("\n".join(["| option | description | default |", "|---|---|---|", *rows]))
     return "\n\n".join(lines)
 
 
@@ -68,13 +74,13 @@ def _row(parameter: Any, type_: Any) -> str:
         names += "".join(f" {kind}" for kind in _kinds(parameter, type_))
     text = " ".join((parameter.help or "").split())
     variables = parameter.envvar if isinstance(parameter.envvar, list) else [parameter.envvar]
-    told = ", ".join(f"`{variable}`" for variable in variables if variable)
-    text += f" Also in the environment: {told}." if told else ""
+    named = ", ".join(f"`{variable}`" for variable in variables if variable)
+    text += f" Environment variable: {named}." if named else ""
     return f"| {names} | {cell(_without_links(text))} | {_default(parameter)} |"
 
 
 def _kinds(parameter: Any, type_: Any) -> Iterator[str]:
-    """The text after an option's name, if there is any."""
+    """Yield the placeholder after an option's name, if it has a value."""
     parts = [part for part in (type_, *get_args(type_)) if isinstance(part, type)]
     plain = next((part for part in parts if part not in (type(None), list, tuple)), str)
     if parameter.metavar:
@@ -95,6 +101,6 @@ def _default(parameter: Any) -> str:
 
 
 def _without_links(text: str) -> str:
-    """The text with its square brackets kept from being a link, but for those in code."""
+    """Return the text with square brackets escaped outside code."""
     parts = re.split(r"(`[^`]*`)", text)
     return "".join(p if p.startswith("`") else re.sub(r"([\[\]])", r"\\\1", p) for p in parts)

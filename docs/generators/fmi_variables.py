@@ -1,4 +1,4 @@
-"""The variables of FMI units, from their tables."""
+"""Tables of the variables of FMI units."""
 
 from structs import cell
 
@@ -34,7 +34,7 @@ DRIVER: Rows = (("in", DRIVER_INPUTS), ("out", ACCELERATION))
 
 
 def _table(rows: Rows) -> str:
-    lines = ["| | variable | type, unit | |", "|---|---|---|---|"]
+    lines = ["| group | variable | type, unit | description |", "|---|---|---|---|"]
     for who, variables in rows:
         for k, one in enumerate(variables):
             unit = f"Float64, {one.unit}" if one.unit else "Boolean"
@@ -43,15 +43,15 @@ def _table(rows: Rows) -> str:
 
 
 def pilots() -> str:
-    """Table of the units of vehicles."""
+    """Return the table of the units of vehicles."""
     return _table(PILOTS)
 
 
 def world() -> str:
-    """Table of the unit of a whole flight."""
+    """Return the table of the unit of a whole flight."""
     return _table(WORLD)
 
 
 def driver() -> str:
-    """Table of what a unit may have that drives a UGV."""
+    """Return the table of a unit that drives a UGV."""
     return _table(DRIVER)

@@ -128,7 +128,7 @@ def _modules_table() -> str:
     parts = []
     for group, files in modules().items():
         rows = [f"| [`{_dotted(f)}`](api/{_dotted(f)}.md) | {_first_line(f)} |" for f in files]
-        parts.append("\n".join([f"## {group}", "", "| module | what |", "|---|---|", *rows]))
+        parts.append("\n".join([f"## {group}", "", "| module | description |", "|---|---|", *rows]))
     return "\n\n".join(parts)
 
 

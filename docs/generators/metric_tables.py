@@ -1,18 +1,25 @@
-"""The reference of metrics, from their table."""
+"""Reference of the metrics, generated from their table."""
 
-from structs import cell
+from structs import cell, check_description
 
 from outrider.running.metrics import LINK_COLUMNS, TABLES, Metric
 
 
 def tables() -> str:
-    """A section for each table."""
+    """Return a section for each table.
+
+    Raises:
+        ValueError: If a metric has no meaning, or a quantity no unit.
+    """
     return "\n\n".join(_section(heading, [*rows.values()]) for heading, rows in TABLES.items())
 
 
 def _section(heading: str, metrics: list[Metric]) -> str:
-    rows = ["| name | unit | meaning | of several | in a sweep |", "|---|---|---|---|---|"]
+    rows = ["| name | unit | meaning | merged by | column in a sweep |", "|---|---|---|---|---|"]
     for one in metrics:
+        check_description(f"{heading}, {one.name}", one.meaning, quantity=False)
+        if one.column == "double" and not one.unit:
+            raise ValueError(f"{heading}, {one.name}: no unit")
         unit = "share" if one.unit == "%" else one.unit
         meaning = f"{one.meaning} Anything but 0 contradicts a guarantee." * one.guaranteed
         cells = (unit, meaning or one.meaning, one.total, _column(heading, one))
@@ -21,7 +28,7 @@ def _section(heading: str, metrics: list[Metric]) -> str:
 
 
 def _column(heading: str, metric: Metric) -> str:
-    """The columns that a metric has in a sweep."""
+    """Return the columns of a metric in a sweep."""
     if not metric.column:
         return ""
     kinds = [f"{kind}_" for kind in LINK_COLUMNS] if heading == "Link" else [""]

@@ -1,4 +1,4 @@
-"""The environment's observations and state, from the tables of their entries."""
+"""Tables of the environment's observations and state."""
 
 from functools import partial
 
@@ -8,13 +8,13 @@ from bus.observations import SYMBOLS, TABLES, markdown
 from outrider_learning.egocentric import UAV_BODY, UGV_BODY
 
 TABLE_OF = {**TABLES, "uav_body": UAV_BODY, "ugv_body": UGV_BODY}
-"""All tables by their marks."""
+"""All tables, by mark."""
 
 
 def symbols() -> str:
-    """Return the names in the ranges."""
+    """Return the table of the symbols in the ranges."""
     return "\n".join(
-        ["| letter | stands for |", "|---|---|"]
+        ["| symbol | meaning |", "|---|---|"]
         + [f"| `{name}` | {cell(meaning)} |" for name, meaning in SYMBOLS.items()]
     )
 
@@ -23,4 +23,4 @@ PAGES = {
     **{name: partial(markdown, table) for name, table in TABLE_OF.items()},
     "observation_symbols": symbols,
 }
-"""The text of each mark."""
+"""Generator of each mark."""

@@ -1,4 +1,4 @@
-"""The topics that a run has in ROS 2, from the table of them."""
+"""Tables of the ROS 2 topics of a run."""
 
 from structs import cell
 
@@ -8,7 +8,7 @@ _BEFORE = {Each.RUN: "", Each.VEHICLE: "<vehicle>/", Each.UAV: "<uav>/", Each.UG
 
 
 def _table(rows: tuple[TopicRow, ...]) -> str:
-    lines = ["| topic | type | quality of service | |", "|---|---|---|---|"]
+    lines = ["| topic | type | quality of service | description |", "|---|---|---|---|"]
     lines += [
         f"| `/{_BEFORE[row.each]}{row.name}` | `{row.interface}` | {row.qos.in_words()} | {cell(row.about)} |"
         for row in rows
@@ -17,10 +17,10 @@ def _table(rows: tuple[TopicRow, ...]) -> str:
 
 
 def observed() -> str:
-    """Table of the topics of observers."""
+    """Return the table of the observers' topics."""
     return _table(TOPICS)
 
 
 def own() -> str:
-    """Table of the topics of a vehicle's own node, and of its answers."""
+    """Return the table of the topics of a vehicle's own node."""
     return _table((*PILOT_TOPICS, *PILOT_COMMANDS))

@@ -1,6 +1,10 @@
-"""The fields of our msgspec structs in words: their types with bounds, defaults, and the text under each."""
+"""Fields of msgspec structs for the reference: name, type with bounds, default, description.
+
+A field without a description, or a quantity without a unit, fails the build.
+"""
 
 import inspect
+import re
 import textwrap
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -11,33 +15,66 @@ from scenario_schema import field_docs
 
 
 class Field(NamedTuple):
-    """A field of a struct, as a row of a table."""
+    """Row of a struct's table."""
 
     name: str
     type: types.Type
     default: str
-    """As Python writes it; empty where the field is required."""
+    """Default as JSON; empty for a required field."""
     text: str
 
 
 def text_of(struct: type[msgspec.Struct]) -> str:
-    """The docstring of a struct, unwrapped."""
+    """Return the docstring of a struct on one line."""
     return " ".join(textwrap.dedent(inspect.getdoc(struct) or "").split())
 
 
 def fields(struct: type[msgspec.Struct]) -> Iterator[Field]:
-    """All fields, in order."""
+    """Return all fields, in order.
+
+    Raises:
+        TypeError: If it is no struct.
+        ValueError: If a field has no description, or a quantity no unit.
+    """
     info = types.type_info(struct)
     if not isinstance(info, types.StructType):
         raise TypeError(f"{struct} is no struct")
-    told = field_docs(struct)
+    texts = field_docs(struct)
     for field in info.fields:
         default = "" if field.required else _default(field)
-        yield Field(field.encode_name, field.type, default, told.get(field.name, ""))
+        text = texts.get(field.name, "")
+        check_description(
+            f"{struct.__name__}.{field.name}", text, quantity=_is_quantity(field.type)
+        )
+        yield Field(field.encode_name, field.type, default, text)
+
+
+def check_description(name: str, text: str, *, quantity: bool) -> None:
+    """Check that a row of the reference has a description, and a quantity its unit.
+
+    Args:
+        name: Name of the row, for the error.
+        text: Description.
+        quantity: True if a unit is required: `[m]`, `[1]` for a pure number, or the word "share".
+
+    Raises:
+        ValueError: If either is missing.
+    """
+    if not text.strip():
+        raise ValueError(f"{name}: no description; every row of the reference has one")
+    if quantity and not re.search(r"\[[^\]]+\]|[Ss]hare", text):
+        raise ValueError(f"{name} = {text!r}: no unit; write it in brackets, such as [m]")
+
+
+def _is_quantity(type_: types.Type) -> bool:
+    """Return True for a float that may exceed 1, alone or in a tuple or union."""
+    if isinstance(type_, types.FloatType):
+        return type_.le != 1.0
+    return not isinstance(type_, types.DictType) and any(map(_is_quantity, _parts(type_)))
 
 
 def structs(type_: types.Type) -> Iterator[type[msgspec.Struct]]:
-    """The structs that a type holds."""
+    """Return the structs inside a type."""
     if isinstance(type_, types.StructType):
         yield type_.cls
     for part in _parts(type_):
@@ -45,12 +82,12 @@ def structs(type_: types.Type) -> Iterator[type[msgspec.Struct]]:
 
 
 def words(type_: types.Type, *, null: str = "null", links: dict[type, str] | None = None) -> str:
-    """A type in words: `number > 0`, `list of text`.
+    """Return a type in plain English: `number > 0`, `list of: text`.
 
     Args:
-        type_: As msgspec tells it.
-        null: The word for None.
-        links: The addresses of structs that have a table of their own.
+        type_: Type as msgspec describes it.
+        null: Text for None.
+        links: Anchors of structs with their own table.
     """
     match type_:
         case types.UnionType(types=parts):
@@ -97,10 +134,10 @@ def _parts(type_: types.Type) -> tuple[types.Type, ...]:
 def _number(type_: types.IntType | types.FloatType) -> str:
     kind = "whole number" if isinstance(type_, types.IntType) else "number"
     bounds = (("≥", type_.ge), (">", type_.gt), ("≤", type_.le), ("<", type_.lt))
-    told = [
+    shown = [
         f"{sign} {value:g}" for sign, value in bounds if value is not None and abs(value) < 1e12
     ]
-    return " ".join((kind, ", ".join(told))).strip()
+    return " ".join((kind, ", ".join(shown))).strip()
 
 
 def _default(field: types.Field) -> str:
@@ -117,5 +154,5 @@ def _shown(value: Any) -> str:
 
 
 def cell(text: str) -> str:
-    """A text for a cell of a Markdown table."""
+    """Return a text escaped for a cell of a Markdown table."""
     return text.replace("|", "\\|").replace("\n", " ")

@@ -40,11 +40,11 @@ class RecordedLink(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """The file of a recorded link, as it was when the scenario was read."""
 
     name: Text
-    """As `links.<kind>.trace` writes it."""
+    """Name of the file, as given in `links.<kind>.trace`."""
     sha256: Annotated[str, Meta(pattern=r"^[0-9a-f]{64}$(?!\n)")]
-    """Of the file."""
+    """SHA-256 of the file."""
     content: bytes
-    """The file, compressed by zlib; in TOML and JSON as base64."""
+    """Content of the file, compressed by zlib; base64 in TOML and JSON."""
 
 
 class Fates(NamedTuple):

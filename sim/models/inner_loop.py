@@ -28,14 +28,14 @@ _DUST = 1e-9
 
 
 class InnerLoop(Message, frozen=True, kw_only=True):
-    """A UAV's inner loop, which holds it to its reference against wind and position errors."""
+    """Inner loop of a UAV, which tracks the reference state against wind and position errors."""
 
     position_gain: Positive = 1.0
-    """k_p: acceleration by the error of the position [1/s²]."""
+    """Gain k_p of the position error [1/s²]."""
     velocity_gain: Positive = 2.0
-    """k_d: acceleration by the error of the velocity [1/s]."""
+    """Gain k_d of the velocity error [1/s]."""
     reserve: Positive = 0.5
-    """u_r: largest acceleration for this, beyond max_acceleration [m/s²]."""
+    """Largest feedback acceleration u_r, in addition to max_acceleration [m/s²]."""
 
 
 class Disturbance:

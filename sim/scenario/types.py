@@ -29,45 +29,45 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class Visibility(_Table, frozen=True, kw_only=True):
-    """The constraint (5)."""
+    """Visibility constraint, eq. (5)."""
 
     radius: Positive = 4.75
-    """r_v [m]."""
+    """Visibility radius r_v [m]."""
 
 
 class Coverage(_Table, frozen=True, kw_only=True):
-    """The coverage that is wanted, and the ground that has it already."""
+    """Desired coverage and initially covered ground."""
 
     desired: Positive = 2.0
-    """C* of (4)."""
+    """Desired coverage C* of eq. (4) [1]."""
     covered: tuple[Region, ...] = ()
     """Rectangles that are covered from the start."""
 
 
 class Detections(_Table, frozen=True, kw_only=True):
-    """The UAV's detector of the UGV: certain inside r_v, falling to nothing at the sensor's range."""
+    """Detector of the UGV: always succeeds within r_v, less often beyond, never beyond the sensor's range."""
 
     noise: NonNegative = 0.0
     """Standard deviation per axis [m]."""
     truncation: Bound = 3.0
-    """The noise vector's norm is cut at this many standard deviations; inf: not cut."""
+    """Truncation of the noise vector's norm, in standard deviations [1]; inf: not truncated."""
     rate: Positive = 20.0
-    """Looks per second [1/s]; a whole number of ticks must fit between two."""
+    """Detection attempts per second [1/s]; the period must be a whole number of ticks."""
     dropout: Share = 0.0
-    """Share of looks that fail for no reason."""
+    """Share of attempts that fail at random."""
 
 
 class Wind(_Table, frozen=True, kw_only=True):
-    """The wind, as it accelerates each UAV; without a mean and gusts there is none. No vehicle is told of it."""
+    """Wind, as an acceleration of each UAV; no vehicle measures it."""
 
     mean: Vector = (0.0, 0.0)
-    """[m/s²]"""
+    """Mean acceleration [m/s²]."""
     gust: NonNegative = 0.0
-    """Standard deviation per axis around the mean [m/s²]; each UAV has gusts of its own."""
+    """Standard deviation of gusts per axis [m/s²]; each UAV has its own gusts."""
     gust_time: Positive = 2.0
-    """After this time a third of a gust is left [s]."""
+    """Time constant of gusts [s]."""
     limit: NonNegative | None = None
-    """Largest acceleration [m/s²], at which mean and gust together are cut; by default that of the mean and 3 gusts."""
+    """Bound of mean and gust together [m/s²]; default: the norm of the mean plus 3 gusts."""
 
     @property
     def largest(self) -> float:
@@ -80,18 +80,18 @@ MOST_HAZARDS = 10_000
 
 
 class HazardField(_Table, frozen=True, kw_only=True):
-    """Discs at random places, others with each seed. They never close the last way from a UGV's start to its goals."""
+    """Discs at random positions, new with each seed; they never block the last path from a UGV's start to its goals."""
 
     kind: Name
-    """A row of `bus.registry.HAZARDS`."""
+    """Kind of the hazards, a row of `bus.registry.HAZARDS`."""
     count: Annotated[int, Meta(ge=1, le=MOST_HAZARDS)]
     """Number of hazards."""
     radius: tuple[Positive, Positive]
-    """Smallest and largest [m]."""
+    """Smallest and largest radius [m]."""
     speed_share: SpeedShare | None = None
-    """If they are rough: of its largest speed that a vehicle keeps on one; by default 0.4."""
+    """Share of its maximum speed that a vehicle keeps on a rough hazard; default: 0.4."""
     clearance: NonNegative = 1.0
-    """So far from the starts and goals of all UGVs they stay [m]."""
+    """Smallest distance from the starts and goals of all UGVs [m]."""
 
     @property
     def kept_share(self) -> float:
@@ -100,61 +100,74 @@ class HazardField(_Table, frozen=True, kw_only=True):
 
 
 class Ground(_Table, frozen=True, kw_only=True):
-    """The tiles in which hazards are seen and told, and how well; without hazards nothing of it matters."""
+    """Tiles and sensors of the ground; without effect if there are no hazards."""
 
     tile: Positive = 0.5
     """Side of a tile [m]."""
     rate: Positive = 4.0
-    """Looks of each UAV at the ground per second [1/s]; a whole number of ticks must fit between two."""
+    """Ground scans of each UAV per second [1/s]; the period must be a whole number of ticks."""
     miss: Share = 0.0
-    """Chance that a tile with a hazard is seen as clear."""
+    """Probability that a tile with a hazard is detected as clear."""
     false_alarm: Share = 0.0
-    """Chance that a clear tile is seen as blocked."""
+    """Probability that a clear tile is detected as blocked."""
     sensing_range: NonNegative = 0.75
-    """Range of a UGV's own sensor, which makes no errors [m]."""
+    """Range of a UGV's own sensor, which is exact [m]."""
     touch: Name = TOUCHES[0]
-    """Effect of touching a blocking hazard on a UGV: it is `stuck`, or drives on with `damage`."""
+    """Effect of a blocking hazard on a UGV that touches it: `stuck`, or `damage` without a stop."""
     map_update_rate: NonNegative = 4.0
-    """Blocks of 8 x 8 tiles that a UAV radios to its UGV per second [1/s]."""
+    """Blocks of 8 x 8 tiles that a UAV sends to its UGV per second [1/s]."""
 
 
 class Uav(_Table, frozen=True, kw_only=True):
-    """A UAV at the start."""
+    """UAV and its initial state."""
 
     name: Name = "uav_0"
+    """Unique name."""
     escorts: Name = "ugv_0"
+    """Name of the UGV that it escorts."""
     position: Vector
+    """Initial position [m]."""
     velocity: Vector = (0.0, 0.0)
+    """Initial velocity [m/s]."""
     max_speed: Bound = 0.6
+    """Maximum speed v_a [m/s]; inf: unbounded."""
     max_acceleration: Bound = 0.3
+    """Maximum acceleration u_a [m/s²]; inf: unbounded."""
     position_error: NonNegative = 0.0
-    """Largest error of its own position [m]. The error drifts; the inner loop cannot tell it from one of its own."""
+    """Largest error of its position measurement [m]; it drifts, and the inner loop cannot observe it."""
     position_error_time: Positive = 30.0
-    """After this time a third of that error is left [s]."""
+    """Time constant of this error [s]."""
     tracking: InnerLoop = InnerLoop()
-    """Its inner loop, which holds it to its commands' track, where wind or a wrong own position take it off."""
+    """Inner loop, which tracks the reference state against wind and position errors."""
 
 
 class Ugv(_Table, frozen=True, kw_only=True):
-    """A UGV at the start, and its task."""
+    """UGV, its initial state and its task."""
 
     name: Name = "ugv_0"
+    """Unique name."""
     position: Vector
+    """Initial position [m]."""
     velocity: Vector = (0.0, 0.0)
+    """Initial velocity [m/s]."""
     max_speed: Bound = 0.2
+    """Maximum speed v_g [m/s]; inf: unbounded."""
     max_acceleration: Bound = 0.1
+    """Maximum acceleration u_g [m/s²]; inf: unbounded."""
     driver: Name = DEFAULT_DRIVER
-    """A row of `bus.registry.DRIVERS`; or a saved policy, as `fmu:FILE.fmu`, which stands for `policy` with it as
-    `custom.policy`.
+    """Controller, a row of `bus.registry.DRIVERS`; or a saved policy such as `fmu:FILE.fmu`, which sets the driver
+    `policy` and `custom.policy`.
     """
     goals: tuple[Vector, ...] = ()
+    """Waypoints [m], in order."""
     goal_tolerance: Positive = 0.05
+    """Distance epsilon below which a goal counts as reached [m]."""
     script: tuple[ScriptStep, ...] = ()
-    """For the driver `script`: its velocity from each time on, in the order of time."""
+    """Steps of the driver `script`, by increasing time."""
     trajectory: Text = ""
-    """Instead of a script: the trajectory.csv of an earlier run, whose track of this UGV is driven again."""
+    """Instead of a script: trajectory.csv of an earlier run, whose trajectory of this UGV is repeated."""
     caution: Name = CAUTIONS[0]
-    """Towards ground that nobody has seen: `cautious`, so slow that it can stop, or `bold`, as fast as on any."""
+    """Behaviour towards unknown ground: `cautious`, slow enough to stop before it, or `bold`, at full speed."""
 
 
 DEFAULT_AGE = 1.0
@@ -162,43 +175,38 @@ DEFAULT_AGE = 1.0
 
 
 class Certificate(_Table, frozen=True, kw_only=True):
-    """The bounds that are declared to the UAVs for the law `certified`.
-
-    A network that is worse is told as uncertified, tick by tick.
-    """
+    """Bounds declared to the UAVs' safety filters. Ticks at which the network exceeds them are not certified."""
 
     max_measurement_error: NonNegative | None = None
-    """Largest error of a detection [m]; by default the noise at its cut, and without a cut none."""
+    """Largest measurement error [m]; default: the noise at its truncation, unbounded without one."""
     max_measurement_age: Positive | None = None
-    """Largest age of the newest detection that has arrived [s]; by default 1 s."""
+    """Largest age of the newest measurement [s]; default: 1 s."""
     max_command_delay: NonNegative | None = None
-    """From the tick that a command answers to the one in which it acts [s]; by default the longest of its link."""
+    """Time from the tick that a command answers to its effect [s]; default: the longest of its link."""
     margin: NonNegative = 0.0
-    """Taken off r_v [m], for what the theorem does not cover."""
+    """Margin subtracted from r_v [m], for effects that the theorem does not cover."""
     max_command_interval: NonNegative | None = None
-    """Longest time from the start of a UAV's motion to the start of the next, B [s]: receivers fly a motion on while
-    commands are lost. By default one tick: no command is lost.
+    """Longest time from the start of one plan to the start of the next [s]. Receivers execute backup trajectories while
+    commands are lost. Default: one tick, no command is lost.
     """
     max_tracking_error: NonNegative | None = None
-    """Largest true distance of a UAV from where it is told that it is, w [m]; by default what wind, position_error and
-    tracking can bring about: 0 without wind and position_error.
+    """Largest tracking error [m]; default: the bound that follows from wind, position_error and tracking, 0 without a
+    disturbance.
     """
 
 
 class Custom(_Table, frozen=True, kw_only=True):
-    """Functions of the user's own, as `module:function`.
-
-    Each is loaded by its vehicle's process alone and never travels.
-    """
+    """Functions of the user, as `module:function`. Each is loaded by its vehicle's process only and is never sent."""
 
     weighting: Text = ""
-    """(distance, r_s) -> (alpha, beta), for the law `weighted`."""
+    """Function (distance, r_s) -> (alpha, beta) of the law `weighted`."""
     path: Text = ""
-    """t -> ((x, y), (x'', y'')), relative to the UGV, for the law `path`."""
+    """Function t -> ((x, y), (x'', y'')) relative to the UGV, of the law `path`."""
     policy: Text = ""
-    """(observation, briefing) -> (acceleration x, y), for the driver `policy`."""
+    """Function (observation, briefing) -> (acceleration x, y) of the driver `policy`."""
     uav_policy: Text = ""
-    """Observations of a batch in, accelerations (worlds, 2) out; for the law `policy`, and inside `certified`."""
+    """Function from observations of a batch to accelerations (worlds, 2), of the law `policy` and inside `certified`.
+    """
 
 
 class _Links(_Table, frozen=True, kw_only=True):
@@ -215,23 +223,19 @@ class _Links(_Table, frozen=True, kw_only=True):
 
 
 class VehicleLinks(_Links, frozen=True, kw_only=True):
-    """The links of one vehicle, where they are not as everybody's."""
+    """Links of one vehicle that differ from the common ones."""
 
     vehicle: Name
+    """Name of the vehicle."""
 
 
 class LinkTable(_Links, frozen=True, kw_only=True):
-    """The settings of the radio links, kind by kind.
-
-    In TOML each may name a `profile` that it starts from, and so may all.
-    """
+    """Settings of the links, by kind. In TOML each kind, and the table itself, may start from a `profile`."""
 
     only: tuple[VehicleLinks, ...] = ()
-    """Vehicles whose links are other ones; what is not given is as everybody's."""
+    """Vehicles with links of their own; omitted settings are the common ones."""
     traces: tuple[RecordedLink, ...] = ()
-    """The files that any `trace` names, with their content: filled in where the scenario is read, and not to be
-    written.
-    """
+    """Files named by any `trace`, with their content; filled in by the loader, not by the user."""
 
     def of(self, vehicle: str, kind: LinkKind) -> LinkSettings:
         """The settings of this vehicle's link of this kind."""
@@ -256,16 +260,16 @@ class LinkTable(_Links, frozen=True, kw_only=True):
 
 
 class Run(_Table, frozen=True, kw_only=True):
-    """Pace and patience of a run over processes; an environment and a run in one process have none."""
+    """Pace and timeouts of a run over processes; environments and runs in one process do not use them."""
 
     realtime: Annotated[float, Meta(ge=0.0, le=1e4)] = 0.0
-    """Simulated seconds per second of wall time; 0: lockstep, as fast as the vehicles answer."""
+    """Simulated seconds per second of wall time [1]; 0: lockstep, as fast as possible."""
     deadline: Annotated[float, Meta(ge=0.01)] = 10.0
-    """In lockstep, time to wait for the commands of one tick [s]."""
+    """Lockstep: time to wait for the commands of one tick [s]."""
     join_timeout: NonNegative = 120.0
     """Time to wait for all vehicles at the start, for a vehicle that reconnects, and for the router [s]."""
     respawn: bool = False
-    """True: a vehicle's process that exits is restarted, and in lockstep the simulation is paused meanwhile."""
+    """Restart a vehicle's process if it exits; lockstep pauses meanwhile."""
 
 
 DEFAULT_AREA = Area(width=40.0, height=40.0, cell=0.25)
@@ -274,38 +278,56 @@ NO_UAV = "no UAV"
 
 
 class Scenario(_Table, frozen=True, kw_only=True):
-    """One run. SI units; the area's lower left corner is the origin."""
+    """One run. SI units; the origin is the lower left corner of the area."""
 
     name: Text = ""
-    """The file's name without its ending, where none is given."""
+    """Name; default: the file's name without its suffix."""
     title: Line = ""
+    """Title in one line."""
     seed: Annotated[int, Meta(ge=0, le=2**53 - 1)] = 0
+    """Seed of all random numbers."""
     duration: Positive = 160.0
-    """[s], a whole number of ticks."""
+    """Duration [s], a whole number of ticks."""
     dt: Positive = 0.05
     """Length of a tick [s]."""
     command_timeout: NonNegative = 0.5
-    """For so long the last command is held when none comes [s]; then the vehicle brakes."""
+    """Time for which the last command stays in effect when no new one arrives [s]; then the vehicle brakes."""
     area: Area = DEFAULT_AREA
+    """Area and coverage grid."""
     origin: Origin = Origin()
-    """The place on Earth of the area's lower left corner; no vehicle's motion depends on it."""
+    """Geographic position of the area's lower left corner; no vehicle's motion depends on it."""
     sensor: Sensor = Sensor()
+    """Downward sensor of the UAVs."""
     visibility: Visibility = Visibility()
+    """Visibility constraint."""
     coverage: Coverage = Coverage()
+    """Desired coverage."""
     detections: Detections = Detections()
+    """Detector of the UGV."""
     wind: Wind = Wind()
+    """Wind."""
     estimator: Estimator = Estimator()
+    """Estimator of the relative position."""
     links: LinkTable = LinkTable()
+    """Links between the processes."""
     certificate: Certificate = Certificate()
+    """Declared bounds of the visibility certificate."""
     law: Law = Law()
+    """Control law of the UAVs."""
     custom: Custom = Custom()
+    """Functions of the user."""
     run: Run = Run()
+    """Pace and timeouts."""
     ground: Ground = Ground()
+    """Tiles and sensors of the ground."""
     hazard: Annotated[tuple[Hazard, ...], Meta(max_length=MOST_HAZARDS)] = ()
+    """Hazards at given positions."""
     hazard_field: tuple[HazardField, ...] = ()
+    """Hazards at random positions."""
     uav: tuple[Uav, ...] = ()
-    """None: the UGVs drive without an escort."""
+    """UAVs; none: the UGVs drive without an escort."""
     ugv: Annotated[tuple[Ugv, ...], Meta(min_length=1)]
+    """UGVs."""
 
     @property
     def ticks(self) -> int:

@@ -84,7 +84,7 @@ class Task:
 
 
 _QUIET: dict[str, object] = {"detections.noise": 0.0, "detections.dropout": 0.0}
-"""Every look succeeds and is exact, as in the paper."""
+"""Every detection succeeds and is exact, as in the paper."""
 
 _PAIRS: dict[str, object] = {
     "uav": [
@@ -120,12 +120,12 @@ _LONG_ROUTE = [
 TASKS: tuple[Task, ...] = (
     Task(
         name="paper",
-        hard="nothing but the task itself: as in the paper, looks always succeed and are exact",
+        hard="the paper's conditions: every detection succeeds and is exact",
         changes=_QUIET,
     ),
     Task(
         name="covered",
-        hard="a part of the ground is covered from the start, and the gradient leads nowhere there",
+        hard="two regions are covered from the start, where the gradient vanishes",
         changes={
             **_QUIET,
             "coverage.covered": [
@@ -136,12 +136,12 @@ TASKS: tuple[Task, ...] = (
     ),
     Task(
         name="noise",
-        hard="looks are 0.5 m off per axis, up to 1.5 m",
+        hard="noise of 0.5 m per axis, truncated at 1.5 m",
         changes={"detections.noise": 0.5, "detections.dropout": 0.0},
     ),
     Task(
         name="late-looks",
-        hard="what the UAV knows of the UGV is two seconds old, give or take half a second",
+        hard="detections arrive two seconds late, with half a second of jitter",
         changes={
             "links.detections.delay": 2.0,
             "links.detections.jitter": 0.5,
@@ -150,7 +150,7 @@ TASKS: tuple[Task, ...] = (
     ),
     Task(
         name="long-way",
-        hard="twice the time on nine times the ground, most of it never seen twice",
+        hard="twice the duration on nine times the area",
         changes={
             "duration": 400.0,
             "area.width": 120.0,
@@ -162,30 +162,28 @@ TASKS: tuple[Task, ...] = (
     ),
     Task(
         name="two-pairs",
-        hard="two UAVs and two UGVs whose ways cross; one lost sight ends it for both",
+        hard="two pairs whose paths cross; a loss of sight by either ends the episode",
         changes=_PAIRS,
     ),
     Task(
         name="fast-ugv",
-        hard="the UGV is twice as fast and twice as agile",
+        hard="twice the UGV's speed and acceleration",
         changes={"ugv.0.max_speed": 0.4, "ugv.0.max_acceleration": 0.2, "ugv.0.goals": _LONG_ROUTE},
     ),
     Task(
         name="short-sight",
-        hard="r_v is 2 m, half of which the UAV needs to brake and to catch up",
+        hard="r_v is 2 m, half of which the UAV needs to brake and catch up",
         changes={"visibility.radius": 2.0},
     ),
     Task(
         name="wander",
-        hard="the UGV wanders, and nobody could guess where to",
+        hard="the UGV wanders unpredictably",
         changes={"ugv.0.driver": "wander"},
     ),
-    Task(
-        name="evade", hard="the UGV tries to shake the UAV off", changes={"ugv.0.driver": "evade"}
-    ),
+    Task(name="evade", hard="the UGV evades the UAV", changes={"ugv.0.driver": "evade"}),
     Task(
         name="dropouts",
-        hard="two looks a second, and four of five fail",
+        hard="two detection attempts per second, four of five fail",
         changes={
             "detections.rate": 2.0,
             "detections.dropout": 0.8,
@@ -194,7 +192,7 @@ TASKS: tuple[Task, ...] = (
     ),
     Task(
         name="bursts",
-        hard="every link is jammed, and the looks are now and then dark for five seconds",
+        hard="all links are jammed, with blackouts of detections of five seconds",
         changes={
             "links.profile": "jammed",
             "links.detections.blackout_length": 5.0,
@@ -203,12 +201,12 @@ TASKS: tuple[Task, ...] = (
     ),
     Task(
         name="late-commands",
-        hard="a command acts half a second after it was given",
+        hard="commands take effect half a second late",
         changes={"links.commands.delay": 0.5, "command_timeout": 2.0},
     ),
     Task(
         name="all-at-once",
-        hard="an evading UGV, noise, dropouts, jammed looks and late commands",
+        hard="an evading UGV, noise, dropouts, jammed detections and late commands",
         changes={
             "detections.noise": 0.2,
             "detections.dropout": 0.3,
@@ -231,12 +229,12 @@ def _missions() -> Iterator[Task]:
     for base, hard in (
         (
             "minefield",
-            "sixty mines, a UGV that needs 1.5 m to stop and sees half a metre, and the first hit ends it",
+            "sixty mines; the UGV needs 1.5 m to stop and senses half a metre; the first hit ends the mission",
         ),
-        ("rubble", "walls with dead ends, and rough ground that is slower than a way around"),
+        ("rubble", "walls with dead ends, and rough ground that is slower than a detour"),
         (
             "rescue",
-            "eight things are to be found beside the way, and what is not seen is not found",
+            "eight objects to find beside the path",
         ),
     ):
         yield Task(name=base, hard=hard, changes={}, base=base, mission=True)
@@ -284,7 +282,7 @@ SUITES: Mapping[str, tuple[Task, ...]] = {SUITE: TASKS, MISSION_SUITE: MISSIONS}
 
 
 def suite(name: str = SUITE) -> Suite:
-    """A benchmark suite: `docs/reference/suite.md` says what its tasks are and how they are scored.
+    """Return a benchmark suite; `extensions/outrider_learning/README.md` explains tasks and score.
 
     Raises:
         ValueError: If there is none of this name.

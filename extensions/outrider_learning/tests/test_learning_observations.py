@@ -18,7 +18,6 @@ from outrider_learning.egocentric import UAV_BODY, UGV_BODY, Egocentric
 from outrider_learning.repeat import ActionRepeat
 from outrider_learning.stacking import Stack
 from outrider_learning.transformation import Transformation, Transformed
-from pages import blocks, run_shown
 from refusals import refused
 from sim.env.observation import one_of_world
 from sim.scenario.types import Ugv
@@ -255,15 +254,6 @@ def test_what_does_not_fit_is_refused_in_one_line() -> None:
     for rest in (0.0, -1.0, math.inf):
         with refused(ValueError, "rest = .*; must be positive and finite"):
             Egocentric(rest=rest)
-
-
-# -- the documentation
-
-
-@pytest.mark.parametrize("block", range(3))
-def test_the_examples_of_the_page_run(block: int) -> None:
-    page = "docs/how-to/learning-observations.md"
-    run_shown(blocks("python", page)[block], page)
 
 
 def test_other_libraries_find_the_mode_through_each_layer() -> None:

@@ -1,4 +1,4 @@
-"""The page about the suite shows what is there."""
+"""The README's suite agrees with the program."""
 
 import re
 
@@ -8,10 +8,10 @@ from outrider_learning.suite.board import BASELINES, leaderboard
 from outrider_learning.suite.tasks import MISSIONS, TASKS, Task, suite
 from pages import PAGES, blocks, marked, run_shown
 
-VECTOR, SUITE = "docs/reference/vector-environment.md", "docs/reference/suite.md"
+ENVIRONMENT, SUITE = "docs/reference/environment.md", "extensions/outrider_learning/README.md"
 
 
-def test_the_entry_shown_is_scored(monkeypatch, capsys):
+def test_documented_entry_is_scored(monkeypatch, capsys):
     (block,) = blocks("python", SUITE)
     short = Task(name="short", hard="", changes={**suite()["short-sight"].changes, "duration": 5.0})
     monkeypatch.setattr(tasks, "suite", lambda: {"short-sight": short})
@@ -21,7 +21,7 @@ def test_the_entry_shown_is_scored(monkeypatch, capsys):
     assert "| **mean** | " in out
 
 
-def test_the_tasks_told_are_the_suites() -> None:
+def test_documented_tasks_are_the_suites() -> None:
     _, *rows = marked("tasks", SUITE)
     assert [(row[0].strip("`"), row[1]) for row in rows] == [
         (task.name, task.hard) for task in TASKS
@@ -30,12 +30,12 @@ def test_the_tasks_told_are_the_suites() -> None:
         assert re.findall(r"`([\w.]+)", row[2]) == list(task.changes)
     assert all(
         name in (ESCORT, *(task.env_id for task in (*TASKS, *MISSIONS)))
-        for name in re.findall(r"`(outrider/[\w-]+-v\d)`", PAGES[VECTOR])
+        for name in re.findall(r"`(outrider/[\w-]+-v\d)`", PAGES[ENVIRONMENT])
     )
 
 
-def test_the_leaderboard_told_is_what_the_command_makes() -> None:
-    """Its frame, and three cells: soonest flown, a driver that draws its way, and a filter on bad links."""
+def test_documented_leaderboard_matches_three_cells() -> None:
+    """Check the frame and three cells: the fastest, a random driver, and a filter on degraded links."""
     head, *rows = marked("board", SUITE)
     assert [row[0] for row in rows] == [*suite().names, "**mean**"]
     assert set(head[1:]) == set(BASELINES)

@@ -48,6 +48,7 @@ from outrider_learning.stacking import Stack
 from outrider_learning.suite.scoring import evaluate
 from outrider_learning.suite.tasks import TASKS
 from outrider_learning.transformation import Transformed
+from pages import blocks, run_shown
 from sim.env.observation import one_of_world
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Custom
@@ -471,3 +472,11 @@ def test_a_model_of_plain_rows_flies_and_a_stacked_one_does_not(tmp_path):
     (tmp_path / "model.json").write_text(json.dumps(told))
     with pytest.raises(ScenarioError, match=r"made for observations of shape \(2, 9\)"):
         load_uav_policy(name)
+
+
+def test_learning_page_trains_and_evaluates(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    page = "docs/how-to/learning.md"
+    for block in blocks("python", page)[:2]:
+        run_shown(block, page)
+    assert "sight lost in 0 of 3 episodes" in capsys.readouterr().out

@@ -97,7 +97,7 @@ def test_frame_skip_goes_past_the_first_episode_of_all_vehicles():
 
 
 def test_black_death_never_ends_an_episode():
-    """A fault of theirs, in the table of docs/how-to/learning-libraries.md; once it is mended, drop it there."""
+    """A fault of SuperSuit, see docs/how-to/learning.md; once it is fixed, delete it there."""
     env = supersuit.black_death_v3(outrider.parallel_env("escort", duration=0.1))
     env.reset(seed=1)
     for _ in range(2):

@@ -165,7 +165,7 @@ def test_policies_see_no_state():
 
 
 def test_a_bad_network_needs_its_infos_left_out():
-    """TorchRL takes numbers alone in infos; docs/how-to/learning-libraries.md has this wrapper."""
+    """TorchRL accepts numbers only in infos, see docs/how-to/learning.md."""
 
     class WithoutInfos(BaseParallelWrapper):
         def reset(self, seed=None, options=None):
