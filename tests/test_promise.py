@@ -9,7 +9,7 @@ import pytest
 from bus.errors import ScenarioError
 from bus.messages.links import LinkKind, LinkSettings
 from one_link import OneLink
-from outrider.running.assumptions import how_certifiable, promise_warnings, shortfalls
+from outrider.running.assumptions import how_certifiable, assumption_warnings, shortfalls
 from outrider.running.link_assumptions import How
 from refusals import refused
 from seeded import a_key
@@ -75,7 +75,7 @@ def test_each_cause_is_told_with_its_assumption_its_field_and_how_often(
         if fault.assumption == assumption.removeprefix("none") and told in fault.what
     ]
     assert [fault.how for fault in found] == [How[how]]
-    assert found[0].line in promise_warnings(scenario)
+    assert found[0].line in assumption_warnings(scenario)
     certifiable = "hardly ever" if how == "THROUGHOUT" else "not always"
     assert how_certifiable(scenario) == certifiable
 
@@ -102,23 +102,23 @@ KEPT = [
 
 @pytest.mark.parametrize("changes", KEPT)
 def test_where_the_assumptions_are_kept_nothing_is_told(changes: list[str]) -> None:
-    assert promise_warnings(certified(*changes)) == ()
+    assert assumption_warnings(certified(*changes)) == ()
 
 
 def test_what_an_operator_makes_of_a_link_is_told_against_what_the_uav_was_told() -> None:
     scenario = certified("links.commands.delay=0.2")
     world = World(scenario, 7)
     world.change_links(LinkKind.COMMANDS, "ugv_0", LinkSettings(loss=0.5))
-    assert promise_warnings(scenario, world.link_table) == ()
+    assert assumption_warnings(scenario, world.link_table) == ()
     world.change_links(LinkKind.COMMANDS, None, LinkSettings(delay=0.4))
-    (line,) = promise_warnings(scenario, world.link_table)
+    (line,) = assumption_warnings(scenario, world.link_table)
     assert "A5" in line
     assert "links.commands.delay = 0.4, tau_c = 0.2 s: no motion arrives before 0.4 s" in line
     assert world.link_table.of("ugv_0", LinkKind.COMMANDS).delay == 0.4
     world.change_links(LinkKind.COMMANDS, "uav_0", LinkSettings(delay=0.3))
-    assert "links.only.1.commands.delay = 0.3" in promise_warnings(scenario, world.link_table)[0]
+    assert "links.only.1.commands.delay = 0.3" in assumption_warnings(scenario, world.link_table)[0]
     world.change_links(LinkKind.COMMANDS, "uav_0", LinkSettings(delay=0.2))
-    assert promise_warnings(scenario, world.link_table) == ()
+    assert assumption_warnings(scenario, world.link_table) == ()
     assert world.link_table.of("ugv_0", LinkKind.COMMANDS).delay == 0.4
 
 

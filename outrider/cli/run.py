@@ -11,7 +11,7 @@ from bus.registry import DRIVERS
 from outrider.cli import options
 from outrider.cli.console import ERR, flight_progress, print_json, print_summary, print_warnings
 from outrider.cli.stopping import Stop, stop_on_signals
-from outrider.running.assumptions import promise_warnings
+from outrider.running.assumptions import assumption_warnings
 from outrider.running.companions import pace_with, parse_companion
 from outrider.running.launch import Outcome, Watcher, launch
 from outrider.running.parent import Output
@@ -181,7 +181,7 @@ def _fly_here(
     from outrider.running.warming import warm_up_flight
     from sim.server.flight import Flight
 
-    print_warnings(promise_warnings(flown))
+    print_warnings(assumption_warnings(flown))
     shown = 0.0
     recorder = None
     if record is not None:

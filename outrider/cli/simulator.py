@@ -22,7 +22,7 @@ from outrider.cli.console import (
     tell_starting,
 )
 from outrider.cli.stopping import stop_on_signals
-from outrider.running.assumptions import promise_warnings
+from outrider.running.assumptions import assumption_warnings
 from outrider.running.exit_reports import Report, Reports
 from outrider.running.parent import Output, read_start
 from outrider.running.resolve import resolve
@@ -234,7 +234,7 @@ def _simulate(job: _Job, audience: _Terminal | _Parent) -> int:
             )
         )
         warm_up(flown)
-        audience.begin(promise_warnings(flown))
+        audience.begin(assumption_warnings(flown))
         # Not before: a signal ends the compiling at once.
         stop = opened.enter_context(stop_on_signals())
         recorder = opened.enter_context(_recorder(job))
@@ -252,7 +252,7 @@ def _simulate(job: _Job, audience: _Terminal | _Parent) -> int:
             secret=job.secret,
             on_event=on_event,
             stop=lambda: bool(stop),
-            warn=promise_warnings,
+            warn=assumption_warnings,
         )
         if recorder is not None:
             recorder.vehicles = server.vehicles

@@ -18,7 +18,7 @@ from bus.messages.vehicle import Teleoperation, UavReport
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.schemas import CHANGES, COVERAGE, GROUND, STATUS, head_of
 from outrider.recording.tick_rows import TickTexts
-from outrider.running.assumptions import promise_warnings
+from outrider.running.assumptions import assumption_warnings
 from sim.compiling.compile import FloatArray
 from sim.scenario.types import Scenario
 from sim.scene.told_tiles import ground_map
@@ -199,7 +199,7 @@ class FlightRecorder:
             realtime_factor=max(0, flight.world.tick - tick)
             * flight.scenario.dt
             / max(now - before, 1e-6),
-            warnings=promise_warnings(flight.flown, flight.world.link_table),
+            warnings=assumption_warnings(flight.flown, flight.world.link_table),
             vehicles={**status.vehicles, **self.vehicles()},
         )
 
