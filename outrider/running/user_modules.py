@@ -30,8 +30,8 @@ def find_object(name: str, what: str) -> Any:  # noqa: ANN401 - any object
     module = _module(module_name.removesuffix(_ENDING), f"{what} = {name!r}")
     if _hides_a_file(module, module_name):
         raise ScenarioError(
-            f"{what} = {name!r}: {_own_file(module_name).name} in this folder is hidden by {_place(module)}; allowed: a file "
-            "whose name no other module has"
+            f"{what} = {name!r}: {_own_file(module_name).name} in this folder is hidden by {_place(module)}; allowed: "
+            "a file whose name no other module has"
         )
     try:
         return getattr(module, wanted)
