@@ -55,7 +55,7 @@ from outrider.recording.schemas import (
     COMMANDS,
     TOPICS,
     TRUTH,
-    OperatorWord,
+    OperatorCommand,
     head_of,
     inlined_schema,
     read_head,
@@ -96,7 +96,7 @@ def plain(path: Path) -> dict[str, list[tuple[int, bytes]]]:
 
 @pytest.mark.parametrize(
     "message",
-    dict.fromkeys([*(row.message for row in (*KEYS, *TOPICS)), CHANGES.message, OperatorWord]),
+    dict.fromkeys([*(row.message for row in (*KEYS, *TOPICS)), CHANGES.message, OperatorCommand]),
 )
 def test_no_schema_refers_to_another(message: type[Any]) -> None:
     schema = inlined_schema(message)
@@ -547,7 +547,7 @@ def test_an_observer_records_a_run_in_progress_to_the_same_bits(tmp_path, comman
 
         def observe() -> None:
             while not recorder.over:
-                recorder.take(0.2)
+                recorder.record(0.2)
             recorder.close()
 
         observer = threading.Thread(target=observe, daemon=True)

@@ -6,7 +6,7 @@ import typer
 
 from outrider.cli import options
 from outrider.cli.console import OUT, print_json, print_warnings
-from outrider.running.assumptions import how_certifiable, assumption_warnings
+from outrider.running.assumptions import assumption_warnings, how_certifiable
 from outrider.running.resolve import resolve
 from outrider.running.user_code import check_own_functions, foreign_code
 from sim.scenario.checks import scenario_warnings

@@ -199,7 +199,7 @@ def _shown(metric: Metric, value: object) -> Text:
 
 
 def _metrics(table: dict[str, Metric], struct: msgspec.Struct, *left_out: str) -> Iterator[TextRow]:
-    """Yield the rows of a table's metrics that have a value; guaranteed metrics only if they contradict the guarantee."""
+    """Yield the rows of metrics with a value; guaranteed metrics only if they contradict the guarantee."""
     for metric in table.values():
         value = getattr(struct, metric.name)
         if metric.name in left_out or value is None or (metric.guaranteed and value == metric.goal):

@@ -80,7 +80,7 @@ def command(
         _repair(repair, out or repair.with_suffix(".repaired.mcap"), json=json)
         return
     if out is None:
-        raise typer.BadParameter("name the file to write, such as: outrider record run.mcap")
+        raise typer.BadParameter("OUT is missing; allowed: a file to write, such as run.mcap")
     from outrider.recording.observer import RunRecorder
 
     sink = _sink(form, out)

@@ -17,9 +17,9 @@ from outrider.cli.console import (
     FlightProgress,
     flight_progress,
     print_json,
+    print_starting,
     print_summary,
     print_warnings,
-    print_starting,
 )
 from outrider.cli.stopping import stop_on_signals
 from outrider.running.assumptions import assumption_warnings

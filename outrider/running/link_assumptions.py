@@ -232,7 +232,7 @@ def _recorded_ages(link: InspectedLink, bounds: SafetyBounds) -> Iterator[Findin
 
 
 def _queue_ticks(parameters: LinkParameters, period: int) -> int | None:
-    """Return the largest age of the newest detection behind a full queue, without delay; None: the queue stays empty."""
+    """Return the largest age of the newest detection behind a full queue, without delay; None: no queue forms."""
     if parameters.spacing <= period + DUST:
         return None
     waits = (
