@@ -205,6 +205,6 @@ def _note(recording: Recording, flight: Flight, difference: Difference | None) -
     missing = recording.truths[-1].tick - flight.recorder.ticks
     if missing:
         notes.append(
-            f"flown again up to tick {flight.recorder.ticks}: the next tick is not in the file, {missing} later ones are"
+            f"flown again up to tick {flight.recorder.ticks}: the next tick of {missing} is missing in the file"
         )
     return "; ".join(notes)
