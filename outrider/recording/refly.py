@@ -205,6 +205,6 @@ def _note(recording: Recording, flight: Flight, difference: Difference | None) -
     missing = recording.truths[-1].tick - flight.recorder.ticks
     if missing:
         notes.append(
-            f"flown again up to tick {flight.recorder.ticks}: the next tick of {missing} is missing in the file"
+            f"flown again up to tick {flight.recorder.ticks} only, {missing} ticks before the end: the file has a gap"
         )
     return "; ".join(notes)
