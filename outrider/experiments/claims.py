@@ -269,7 +269,7 @@ def claim_collapse(too_fast: Flight) -> Claim:
     mean, law = float(distance(too_fast).mean()), too_fast.scenario.law
     return Claim(
         figure="4b",
-        claim=f"a circle at {law_parameters(law).circle_rate:g} rad/s cannot be flown: it collapses (Remark 3)",
+        claim=f"a circle at {law_parameters(law).circle_rate:g} rad/s cannot be flown and collapses (Remark 3)",
         value=f"mean distance {mean:.2f} m where r_s = {switching_radius_of(too_fast) or math.nan:.2f} m is asked for",
         number=mean,
         holds=mean < 1.0,
@@ -277,14 +277,14 @@ def claim_collapse(too_fast: Flight) -> Claim:
 
 
 def claim_anchor(what: str, found: float, known: float, unit: str, tolerance: float) -> Claim:
-    """A number that is known from elsewhere: from a formula, or from a program written apart from this one.
+    """Compare a measured value with a reference value, from a formula or an independent program.
 
     Args:
-        what: Which number.
-        found: In our flight.
-        known: From elsewhere.
-        unit: Of both, with a space before it; empty for a count.
-        tolerance: How far they may be apart, in the same unit.
+        what: Name of the value.
+        found: Measured value.
+        known: Reference value.
+        unit: Unit of both, with a leading space; empty for a count.
+        tolerance: Largest difference, in the same unit.
     """
     return Claim(
         figure="anchor",

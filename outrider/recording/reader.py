@@ -37,7 +37,7 @@ _MAGIC_BYTES = 8
 _MOST_BYTES = 16 << 20
 """Largest size of a record and of a chunk's content [bytes]: the largest ground map, twice."""
 _SPARE, _RATIO = 32 << 20, 200
-"""Largest unpacked size of a file: so many bytes, plus so many times its size.
+"""Largest unpacked size of a file: a fixed part [bytes], plus a multiple of its size.
 
 Flights unpack to twelve times their size; a short flight over the largest area, to 140 times."""
 _LEAST = 512

@@ -98,7 +98,7 @@ class FlightRecorder:
         secret: str = "",
     ) -> None:
         self.vehicles: Callable[[], Mapping[str, VehicleStatus]] = dict
-        """Returns the status of the vehicles' processes, in addition to the flight's own counts."""
+        """Callback that returns the status of the vehicles' processes, in addition to the flight's own counts."""
         self._file = RecordingFile(path, private=bool(secret))
         self._items: deque[_Item] = deque()
         self._done = threading.Event()

@@ -49,7 +49,7 @@ _VERDICTS = {
 
 
 class Shortfall(NamedTuple):
-    """An assumption that wind, links or detector break."""
+    """Assumption that wind, links or detector may break."""
 
     uav: str
     assumption: str

@@ -73,7 +73,7 @@ class Watcher(msgspec.Struct, frozen=True, kw_only=True):
     on_warnings: Callable[[Sequence[str]], None]
     """Called with warnings about assumptions of the scenario's certificates, one line each."""
     stop: Callable[[], int]
-    """Returns the number of requests to stop: 1 ends the run in order, 2 ends it at once."""
+    """Return the number of requests to stop: 1 ends the run in order, 2 ends it at once."""
     companions: tuple[Beside, ...] = ()
     """Companions that run beside the run."""
 

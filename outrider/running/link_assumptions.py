@@ -48,7 +48,7 @@ class Frequency(StrEnum):
 
 
 class Finding(NamedTuple):
-    """A bound of the certificate that a scenario may exceed."""
+    """Bound of the certificate that a scenario may exceed."""
 
     frequency: Frequency
     cause: str
@@ -83,7 +83,7 @@ class _Replay(NamedTuple):
 
 
 class InspectedLink:
-    """A UAV's link of one kind, with its settings and delays in ticks."""
+    """Link of one kind of a UAV, with its settings and delays in ticks."""
 
     def __init__(self, scenario: Scenario, table: LinkTable, uav: str, kind: LinkKind) -> None:
         self.scenario, self._traces = scenario, table.traces

@@ -18,7 +18,7 @@ Column = Literal["", "int64", "double", "bool", "string"]
 
 
 class Metric(msgspec.Struct, frozen=True):
-    """One metric."""
+    """Metric of a table."""
 
     name: str
     label: str
