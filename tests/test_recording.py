@@ -297,7 +297,7 @@ def test_a_run_that_is_reset_has_several_flights_in_one_file(tmp_path: Path) -> 
     assert times == sorted(times)
     assert flight_of(path).number == 1
     assert flight_of(path, 0).head.seed == SEED
-    with pytest.raises(ScenarioError, match="allowed are 0 to 1"):
+    with pytest.raises(ScenarioError, match="allowed: 0 to 1"):
         flight_of(path, 2)
 
 
@@ -517,7 +517,7 @@ def test_another_programs_mcap_is_refused(tmp_path: Path, encoding: str) -> None
         channel = writer.register_channel("/odom", encoding, 0)
         writer.add_message(channel, 0, b"{}", 0)
         writer.finish()
-    with pytest.raises(ScenarioError, match="not a recording of Outrider"):
+    with pytest.raises(ScenarioError, match="not a recording made by Outrider"):
         load(path)
     assert [entry.topic for entry in entries(path)] == ["/odom"] * (encoding == "json")
     damage = Damage()

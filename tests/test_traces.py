@@ -288,7 +288,7 @@ def test_no_recorded_link_that_is_said_to_be_fast_enough_is_too_slow(
     scenario = a_flight_over(tmp_path, times, *changes)
     assert fly(scenario, 1)[1].uncertified.get(AGED, 0) > 100
     (warning,) = assumption_warnings(scenario)
-    assert "A2 is broken" in warning
+    assert "(A2)" in warning
 
 
 def test_a_long_recording_is_inspected_alike_everywhere(
@@ -298,9 +298,7 @@ def test_a_long_recording_is_inspected_alike_everywhere(
     times = [time for time in range(10, 600_001, 10) if not 400_000 < time < 408_000]
     scenario = a_flight_over(tmp_path, times, "certificate.max_measurement_age=2.0")
     (warning,) = assumption_warnings(scenario)
-    assert (
-        "older than certificate.max_measurement_age = 2 s in 1 % of the ticks of a round" in warning
-    )
+    assert "the newest detection is too old in 1 % of the ticks of one pass" in warning
     trace = f"links.detections.trace={tmp_path}/granted.mahi"
     changes = (
         trace,
@@ -310,8 +308,10 @@ def test_a_long_recording_is_inspected_alike_everywhere(
     )
     checked = outrider("check", "escort", *(word for one in changes for word in ("--set", one)))
     assert warning in " ".join(checked.stderr.split())
-    monkeypatch.setattr(link_assumptions, "_MOST_PLAYED", 1000)
-    (warning,) = assumption_warnings(msgspec.structs.replace(scenario, duration=50.0))  # no cached one
+    monkeypatch.setattr(link_assumptions, "_MOST_REPLAYED", 1000)
+    (warning,) = assumption_warnings(
+        msgspec.structs.replace(scenario, duration=50.0)
+    )  # no cached one
     assert "no detection arrives for 8 s from 400 s on" in warning
 
 
@@ -322,7 +322,7 @@ def test_a_table_that_lasts_for_thirty_years_is_inspected_in_part(tmp_path: Path
         overrides=[f"links.detections.trace={tmp_path}/long.csv", "detections.dropout=0.0"],
     )
     (warning,) = assumption_warnings(scenario)
-    assert "in its first 50000 s; the rest was not inspected" in warning
+    assert "only its first 50000 s was inspected" in warning
 
 
 # --- the same bits everywhere
@@ -498,4 +498,4 @@ def test_it_is_told_how_often_a_recording_breaks_the_declared_assumptions(tmp_pa
         )
         assert len(told) == 1
         assert f"links.{kind}.trace" in told[0]
-        assert f"in {share} of the ticks of a round" in told[0]
+        assert f"in {share} of the ticks of one pass" in told[0]
