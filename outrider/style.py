@@ -118,5 +118,5 @@ def panel(axes: Axes, letter: str, title: str) -> None:
 
 
 def plain(text: str) -> str:
-    """Return a user's text for a picture: on one line, and without mathematics."""
+    """Return the text of a user for a picture, on one line and without math."""
     return one_line(text).replace("$", r"\$")

@@ -356,7 +356,7 @@ def test_a_simulator_that_goes_is_told_and_the_next_one_is_driven_too(endpoint: 
             one.until_shown("YOU DRIVE", "distance uav_0", "1.25 m", "e(t)")
             assert "■" not in one.screen.text  # no room for a map
             one.resize(120, 40)
-            one.until_shown("■", "hand back")
+            one.until_shown("■", "return control")
             one.press("q")
             assert one.ends() == 0
             assert simulator.controls[-1].driver == "waypoints"
@@ -539,7 +539,7 @@ def test_the_panel_says_what_is_lost_and_what_is_too_fast_and_lives_with_knowing
     ).plain
     assert "too fast to drive: --realtime 1" in text
     assert "-0.25 m" in text
-    assert "lost 2x, missed 5, AWAY" in text
+    assert "lost 2x, missed 5, DISCONNECTED" in text
     assert all(len(line) <= 32 for line in text.splitlines())
     assert "distance" in numbers(DriveView(), "ugv_0", ErrorCurve()).plain
 
@@ -628,7 +628,7 @@ def test_every_key_and_the_time_are_on_the_screen_however_narrow_it_is(columns: 
         "WASD ←↑↓→ drive",
         "space brake",
         "+- 0.20 m/s",
-        "h hand back",
+        "h return control",
         "z zoom",
         "q leave",
     ):

@@ -297,8 +297,8 @@ def test_ctrl_c_keeps_what_is_done_says_how_to_go_on_and_leaves_no_process(tmp_p
     assert out == ""
     kept = len(rows_of(tmp_path / "sweep")["run"])
     assert err.strip() == (
-        f"outrider: interrupted; {kept} of 800 runs are kept in {tmp_path / 'sweep'}, and the same command goes "
-        "on from there"
+        f"outrider: interrupted; {kept} of 800 runs are in {tmp_path / 'sweep'}; run the same command "
+        "to resume"
     )
     wait_until(lambda: not _session(process.pid))
 
