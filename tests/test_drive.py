@@ -539,7 +539,7 @@ def test_the_panel_says_what_is_lost_and_what_is_too_fast_and_lives_with_knowing
     ).plain
     assert "too fast to drive: --realtime 1" in text
     assert "-0.25 m" in text
-    assert "lost 2x, missed 5, DISCONNECTED" in text
+    assert "lost 2x, missed 5, DOWN" in text
     assert all(len(line) <= 32 for line in text.splitlines())
     assert "distance" in numbers(DriveView(), "ugv_0", ErrorCurve()).plain
 
@@ -630,7 +630,7 @@ def test_every_key_and_the_time_are_on_the_screen_however_narrow_it_is(columns: 
         "+- 0.20 m/s",
         "h return control",
         "z zoom",
-        "q leave",
+        "q quit",
     ):
         assert any(key in line for line in lines["keys"]), lines
     assert "t = 5.0 s of 200 s" in lines["title"][0]

@@ -255,7 +255,7 @@ def _processes(text: Text, view: DriveView) -> None:
 
 
 def _process(text: Text, name: str, vehicle: VehicleStatus, *, known: bool = True) -> None:
-    state, color = ("connected", GOOD) if vehicle.present else ("DISCONNECTED", LIMIT)
+    state, color = ("up", GOOD) if vehicle.present else ("DOWN", LIMIT)
     if not known:
         state, color = "unknown", FAINT
     text.append("● ", style=color)
