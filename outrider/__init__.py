@@ -1,7 +1,7 @@
-"""Outrider: a UAV that flies as the outrider of a ground vehicle, and never loses sight of it.
+"""Outrider: simulation of UAVs that escort ground vehicles and keep them in sight.
 
-The front door for people: `outrider.load_scenario`, `outrider.run`, `outrider.parallel_env`, and `outrider.vector_env`
-for many worlds at once. What stands behind a name is loaded when it is used.
+Main functions: `outrider.load_scenario`, `outrider.run`, `outrider.parallel_env`, and `outrider.vector_env` for many
+worlds at once. The module behind a name is loaded on first use.
 """
 
 import os
@@ -45,19 +45,19 @@ __all__ = [
 
 
 _OURS = ("agents", "bus", "sim")
-"""Packages that stand beside this one, under names that somebody's own project may have, too."""
+"""Other packages of Outrider, with names that a user's project may have, too."""
 
 
 def _check_names() -> None:
-    """Refuse to begin where another module stands in the place of one of ours.
+    """Check that no other module hides a package of Outrider.
 
     Raises:
-        ImportError: One line that says which.
+        ImportError: If one does; the message names it in one line.
     """
     root = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
     started = sys.argv[0] if sys.argv else ""
     as_module = started == "-m" and "outrider" in sys.orig_argv
-    # `python -m outrider` takes the folder where the user stands off the path, but only after this.
+    # `python -m outrider` removes the working folder from the path, but only after this check.
     is_unsafe = as_module and not sys.flags.safe_path
     for name in _OURS:
         spec = PathFinder.find_spec(name, sys.path[1:]) if is_unsafe else find_spec(name)
@@ -65,8 +65,8 @@ def _check_names() -> None:
         if not places or os.path.realpath(places[-1]) == os.path.join(root, name):
             continue
         line = (
-            f"{places[0] or places[-1]} stands in the way of Outrider's own package {name!r}: "
-            "rename it, or start Python where it is not found (python -P, or another folder)"
+            f"{places[0] or places[-1]} hides Outrider's package {name!r}: "
+            "rename it, or start Python with -P or in another folder"
         )
         if as_module or os.path.basename(started) == "outrider":
             sys.exit(f"outrider: {line}")
@@ -82,6 +82,6 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - a module's names have any t
     raise AttributeError(f"module 'outrider' has no attribute {name!r}")
 
 
-# Gymnasium, and PettingZoo on top of it, find our name where they are used; nobody else pays for their import.
+# Register the environments only if Gymnasium is in use, as its import takes time.
 if "gymnasium" in sys.modules:
     import_module("outrider.registration")

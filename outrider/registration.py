@@ -1,9 +1,8 @@
-"""The environment's name at Gymnasium and PettingZoo: `outrider/Escort-v0`.
+"""Registration of `outrider/Escort-v0` with Gymnasium and PettingZoo.
 
-Gymnasium asks no package for its names; it imports the module in front of a colon,
-`outrider.registration:outrider/Escort-v0`,
-and expects it to have registered them. Therefore, and only here, importing does something. PettingZoo, which has a
-registry from 1.27 on, is told where it has been imported; nobody else pays for its import.
+Gymnasium imports the module before the colon of `outrider.registration:outrider/Escort-v0` and expects it to register
+the name. Therefore the import of this module has a side effect. PettingZoo has a registry from 1.27 on; the name is
+registered there if PettingZoo has been imported, as its import takes time.
 """
 
 import sys
@@ -29,9 +28,9 @@ def drawing(maker: _Maker) -> _Maker:
 
 
 @drawing
-def single(**settings: Any) -> "SingleEnv":  # noqa: ANN401 - those of the environment
+def single(**settings: Any) -> "SingleEnv":  # noqa: ANN401 - settings of the environment
     """Make the environment of `gymnasium.make`: `outrider.single_env`."""
-    from outrider.envs.single import SingleEnv  # noqa: PLC0415 - compiled code stands behind it
+    from outrider.envs.single import SingleEnv  # noqa: PLC0415 - it imports compiled code
 
     return SingleEnv(**settings)
 
@@ -40,7 +39,7 @@ def vector(*, num_envs: int, **settings: Any) -> "OutriderVectorEnv":  # noqa: A
     """Make the environment of `gymnasium.make_vec`: `outrider.vector_env`.
 
     Raises:
-        ValueError: If it is given a limit of steps, which Gymnasium can put around single environments only.
+        ValueError: If the settings limit the steps, which Gymnasium supports for single environments only.
     """
     from outrider.envs.vector import OutriderVectorEnv  # noqa: PLC0415
 
@@ -52,7 +51,7 @@ def parallel(**settings: Any) -> "ParallelEnv[str, Any, Any]":  # noqa: ANN401
     """Make the environment of `pettingzoo.make("parallel", ...)`: `outrider.parallel_env`.
 
     Raises:
-        ValueError: If it is given a limit of cycles: episodes end by themselves.
+        ValueError: If the settings limit the cycles: the scenario's duration ends an episode.
     """
     from outrider.envs.parallel import parallel_env  # noqa: PLC0415
 
@@ -68,22 +67,22 @@ def turn_based(**settings: Any) -> "AECEnv[str, Any, Any]":  # noqa: ANN401
 
 
 def refuse_limit(settings: Mapping[str, Any], name: str, why: str) -> None:
-    """Refuse a second limit of an episode's length.
+    """Check that the settings have no second limit of an episode's length.
 
     Raises:
-        ValueError: If the settings have one.
+        ValueError: If they have one.
     """
     if name in settings:
         raise ValueError(f"{name} = {settings[name]!r}: {why}; allowed: duration=..., in s")
 
 
 def register_names(names: Mapping[str, Mapping[str, str]], module: str) -> None:
-    """Register environments with Gymnasium, and with PettingZoo where it has been imported; again does nothing.
+    """Register environments with Gymnasium, and with PettingZoo if it has been imported; repeated calls do nothing.
 
-    No limit of steps is registered: the episodes end by themselves, and a second limit would only hide it.
+    No limit of steps is registered: the scenario's duration ends an episode.
 
     Args:
-        names: Arguments of each environment's makers by its name.
+        names: Arguments of the makers of each environment, by its name.
         module: Module with the makers `single`, `vector`, `parallel` and `turn_based`.
     """
     for env_id, kwargs in names.items():

@@ -1,6 +1,6 @@
-"""The look of all figures beside the scene: how one is made and saved, its axes over time, legends, colours of laws.
+"""Style of all figures: making and saving, axes over time, legends, colors of laws.
 
-Colours of vehicles and limits, fonts and the map itself are the scene's (`sim.scene`).
+Colors of vehicles and limits, fonts and the map are defined by the scene (`sim.scene`).
 """
 
 import math
@@ -31,19 +31,19 @@ __all__ = [
     "key",
     "look",
 ]
-"""Names of the scene's that figures find here, too."""
+"""Public names, including names of the scene's style."""
 
 GAIN = {"low": "#8fbdee", "high": "#2f74d0", "bounded": "#12305f"}
 """Shades of the gain k_v: low, high, and high with bounded input."""
 
 
 def new_figure(width: int, height: int, *, header: float = 0.0) -> Figure:
-    """An empty figure.
+    """Return an empty figure.
 
     Args:
-        width: [px].
-        height: [px].
-        header: Share of the height that is kept free at the top.
+        width: Width [px].
+        height: Height [px].
+        header: Share of the height reserved at the top.
     """
     figure = Figure(
         figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="white", layout="constrained"
@@ -55,24 +55,24 @@ def new_figure(width: int, height: int, *, header: float = 0.0) -> Figure:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write the figure as PNG; the same figure gives the same bytes."""
+    """Write a figure as PNG; equal figures give equal bytes."""
     FigureCanvasAgg(figure)
     with writing(path):
         figure.savefig(path, format="png", metadata={"Software": None})
 
 
 def law_color(law: str) -> str:
-    """The colour of a law, wherever laws are compared; a recording's own law may be none of ours."""
+    """Return the color of a law in comparisons; a default for a law unknown to Outrider."""
     return LAWS[law].color if law in LAWS else INK
 
 
 def law_mark(law: str) -> str:
-    """The mark of a law's points."""
+    """Return the marker of a law's points."""
     return LAWS[law].mark if law in LAWS else "o"
 
 
 def over_time(axes: Axes, end: float, label: str) -> None:
-    """Dress axes with time to the right, from 0 to `end` [s], and a quantity that starts at 0."""
+    """Set up axes with time from 0 to `end` [s] and a quantity that starts at 0."""
     axes.set_xlim(0.0, end)
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("time [s]")
@@ -81,7 +81,7 @@ def over_time(axes: Axes, end: float, label: str) -> None:
 
 
 def limits_of_sight(axes: Axes, r_v: float | None, r_s: float | None) -> None:
-    """The radii as lines over time, named at the right end; without one that is None."""
+    """Draw the radii [m] as lines over time, with their names at the right; None: not drawn."""
     for radius, name, line in ((r_v, "$r_v$", "-"), (r_s, "$r_s$", DASHED)):
         if radius is not None:
             axes.axhline(radius, color=LIMIT, linewidth=1.3, linestyle=line, zorder=1.5)
@@ -91,14 +91,14 @@ def limits_of_sight(axes: Axes, r_v: float | None, r_s: float | None) -> None:
 
 
 def coverage_bar(figure: Figure, image: AxesImage, axes: Axes | Sequence[Axes]) -> None:
-    """A bar that tells what the colours of the ground mean."""
+    """Draw the color bar of the coverage."""
     bar = figure.colorbar(image, ax=axes, shrink=0.7, aspect=32, pad=0.015)
     bar.set_label("coverage C/C*")
     bar.outline.set_visible(False)
 
 
 def legend_above(axes: Axes) -> None:
-    """A legend in lines of five between the axes and their title, which makes room for it."""
+    """Draw a legend with five entries per line between the axes and their title."""
     names = axes.get_legend_handles_labels()[1]
     legend = axes.legend(
         loc="lower left",
@@ -113,10 +113,10 @@ def legend_above(axes: Axes) -> None:
 
 
 def panel(axes: Axes, letter: str, title: str) -> None:
-    """The title of a sub-figure, with its letter."""
+    """Set the title of a sub-figure, with its letter."""
     axes.set_title(rf"$\mathbf{{({letter})}}$  {title}")
 
 
 def plain(text: str) -> str:
-    """Return a user's text for a picture: on one line, and without mathematics."""
+    """Return the text of a user for a picture, on one line and without math."""
     return one_line(text).replace("$", r"\$")

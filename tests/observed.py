@@ -44,4 +44,4 @@ class Observer:
         of_the_flight = {"scenario": flight.scenario.name, "seed": flight.seed}
         self._boxes[TRUTH].messages.append(flight.truth())
         self._boxes[STATUS].messages.append(a_status(**of_the_flight | told))
-        self.recorder.take(0.0)
+        self.recorder.record(0.0)

@@ -57,7 +57,7 @@ def many_small() -> bytes:
 
 
 BOMBS: dict[str, tuple[Callable[[], bytes], str]] = {
-    "declared": (lambda: chunk(zeros(1 << 30, told=True), 1 << 30), "16,777,216 are the most"),
+    "declared": (lambda: chunk(zeros(1 << 30, told=True), 1 << 30), "allowed: 16,777,216 at most"),
     "hidden": (lambda: chunk(zeros(64 << 20, told=False), 1 << 20), "that it declares"),
     "belied": (
         lambda: chunk(zeros(64 << 20, told=True), 1 << 20),
@@ -168,7 +168,7 @@ def test_warnings_that_differ_in_numbers_alone_are_one_line(capsys):
     )
     lines = capsys.readouterr().err.splitlines()
     assert lines == [
-        "warning: ugv.0.goals = []: ugv_0 will stand still (and 999 more like it)",
+        "warning: ugv.0.goals = []: ugv_0 will stand still (and 999 similar warnings)",
         "warning: x [/y]",
     ]
 

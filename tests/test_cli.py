@@ -118,7 +118,7 @@ falsify, no whole tick | falsify --duration 0.07 | duration = 0.07
 falsify, a folder | falsify --out . | is a folder
 sweep, unknown law | sweep escort --law fancy | law.name = "fancy"
 sweep, no seeds | sweep escort --seeds 0 | --seeds
-report of no sweep | report . | no sweep's folder
+report of no sweep | report . | not a folder of a sweep
 suite, unknown law | suite --law lograithmic | law 'lograithmic': unknown
 suite, unknown task | suite --only nosie | no such task, did you mean 'noise'?; allowed: paper,
 suite, policy not there | suite --uav-policy nowhere:f | --uav-policy = 'nowhere:f'

@@ -310,7 +310,7 @@ def test_keys_take_the_wheel_drive_brake_and_give_it_back_and_the_terminal_is_as
         assert simulator.asked("script") == 2
         assert simulator.drivers == {"ugv_0": "script"}
         assert one.left_as_it_was()
-        assert "ugv_0 is handed back to script" in one.told
+        assert "ugv_0: control returned to script" in one.told
 
 
 def test_of_two_terminals_only_the_one_that_drives_says_so(endpoint: str) -> None:
@@ -346,7 +346,7 @@ def test_a_simulator_that_goes_is_told_and_the_next_one_is_driven_too(endpoint: 
             one.hold("a", lambda: simulator.drives)
             assert simulator.drives[0].velocity == (-0.1, 0.0)
             one.until_shown("YOU DRIVE")
-        one.until_shown("THE SIMULATOR HAS GONE")
+        one.until_shown("SIMULATOR DISCONNECTED")
         with scripted(endpoint) as simulator:
             one.until_shown("drives ugv_0")
             one.until(lambda: "GONE" not in one.screen.text)
@@ -356,7 +356,7 @@ def test_a_simulator_that_goes_is_told_and_the_next_one_is_driven_too(endpoint: 
             one.until_shown("YOU DRIVE", "distance uav_0", "1.25 m", "e(t)")
             assert "■" not in one.screen.text  # no room for a map
             one.resize(120, 40)
-            one.until_shown("■", "hand back")
+            one.until_shown("■", "return control")
             one.press("q")
             assert one.ends() == 0
             assert simulator.controls[-1].driver == "waypoints"
@@ -420,13 +420,13 @@ def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> 
             (driver, Control(action=Action.DRIVER, vehicle="ugv_0", driver=driver))
             for driver in ("teleop", "script")
         ]
-        assert "nobody has confirmed" in link.farewell()
+        assert "not confirmed yet" in link.farewell()
 
 
 def test_an_unknown_vehicle_is_refused_with_those_that_there_are(endpoint: str) -> None:
     with scripted(endpoint), teleoperation(*arguments(endpoint, "--name", "ugv_7")) as one:
         assert one.ends() == 2
-        assert "--name ugv_7: no UGV of this run; there is ugv_0" in one.told
+        assert "--name ugv_7: no UGV of this run; allowed: ugv_0" in one.told
         assert "1049" not in one.screen.modes
 
 
@@ -435,7 +435,7 @@ def test_without_a_terminal_there_is_one_clear_line() -> None:
     assert run.returncode == 2
     assert (
         run.stderr
-        == "outrider: drive: standard input is no terminal; over SSH use `ssh -t`, in a container `-it`\n"
+        == "outrider: drive: standard input is not a terminal; over SSH use `ssh -t`, in a container `-it`\n"
     )
 
 
@@ -465,7 +465,7 @@ def test_an_operator_drives_a_flight_in_real_time_and_nothing_jumps(tmp_path: Pa
             one.press("q")
             assert one.ends() == 0
             assert one.left_as_it_was()
-            assert "ugv_0 is handed back to waypoints" in one.told
+            assert "ugv_0: control returned to waypoints" in one.told
             after = await_status(session, lambda status: status.drivers == {"ugv_0": "waypoints"})
             sat = [change.control.driver for change in after.changes]
             assert list(dict.fromkeys(sat)) == ["teleop", "waypoints"]
@@ -513,13 +513,13 @@ def test_the_speed_keeps_its_bounds() -> None:
 @pytest.mark.parametrize(
     ("view", "words"),
     [
-        (DriveView(connected=False, present=False, status=status_at()), "THE ROUTER HAS GONE"),
-        (DriveView(present=False, status=status_at()), "THE SIMULATOR HAS GONE"),
+        (DriveView(connected=False, present=False, status=status_at()), "ROUTER DISCONNECTED"),
+        (DriveView(present=False, status=status_at()), "SIMULATOR DISCONNECTED"),
         (DriveView(age=7.0, status=status_at()), "NO NEWS FROM THE SIMULATOR for 7 s"),
         (DriveView(fault="cannot send", status=status_at()), "TROUBLE: cannot send"),
         (DriveView(status=status_at(over=True), present=False), "the flight is over"),
         (DriveView(status=status_at(paused=True), driver="script"), "script drives ugv_0 (paused)"),
-        (DriveView(status=status_at(), driver="script", asked=True), "taking the wheel"),
+        (DriveView(status=status_at(), driver="script", asked=True), "taking control"),
         (DriveView(status=status_at(), driver="teleop"), "another operator drives ugv_0"),
         (DriveView(status=status_at(), driver="teleop", mine=True), "YOU DRIVE ugv_0 · braking"),
         (DriveView(status=status_at(), mine=True, wanted=(0.1, 0.0)), "YOU DRIVE ugv_0 · driving"),
@@ -539,7 +539,7 @@ def test_the_panel_says_what_is_lost_and_what_is_too_fast_and_lives_with_knowing
     ).plain
     assert "too fast to drive: --realtime 1" in text
     assert "-0.25 m" in text
-    assert "lost 2x, missed 5, AWAY" in text
+    assert "lost 2x, missed 5, DOWN" in text
     assert all(len(line) <= 32 for line in text.splitlines())
     assert "distance" in numbers(DriveView(), "ugv_0", ErrorCurve()).plain
 
@@ -628,10 +628,10 @@ def test_every_key_and_the_time_are_on_the_screen_however_narrow_it_is(columns: 
         "WASD ←↑↓→ drive",
         "space brake",
         "+- 0.20 m/s",
-        "h hand back",
+        "h return control",
         "z zoom",
-        "q leave",
+        "q quit",
     ):
         assert any(key in line for line in lines["keys"]), lines
     assert "t = 5.0 s of 200 s" in lines["title"][0]
-    assert "takes the wheel" in " ".join(" ".join(lines["banner"]).split())
+    assert "takes control" in " ".join(" ".join(lines["banner"]).split())

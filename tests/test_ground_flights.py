@@ -6,7 +6,7 @@ import pytest
 
 from flights import flown_in_both
 from outrider.envs.closed_loop import ClosedLoop
-from outrider.running.assumptions import promise_warnings
+from outrider.running.assumptions import assumption_warnings
 from outrider.running.flying import fly
 from processes import run_json
 from sim.scenario.loading import load_scenario
@@ -60,7 +60,7 @@ def test_entering_unknown_tiles_is_counted() -> None:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ("ground.miss=0.1", "may be told as clear"),
+        ("ground.miss=0.1", "may be reported clear"),
         ("ugv.0.velocity=[0.1, 0.0]", "starts moving"),
         ("ground.false_alarm=0.1", ""),
         ("links.commands.loss=0.2", ""),
@@ -68,7 +68,7 @@ def test_entering_unknown_tiles_is_counted() -> None:
 )
 def test_assumptions_of_the_cautious_driver_are_judged(change: str, reason: str) -> None:
     base = ["ground.miss=0.0", "ground.false_alarm=0.0"]
-    lines = promise_warnings(load_scenario("minefield", overrides=[*base, change]))
-    told = [line for line in lines if "not certified to stay on tiles" in line]
+    lines = assumption_warnings(load_scenario("minefield", overrides=[*base, change]))
+    told = [line for line in lines if "not certified to stay on known tiles" in line]
     assert len(told) == bool(reason)
     assert not reason or reason in told[0]

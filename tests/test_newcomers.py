@@ -50,7 +50,7 @@ def test_a_module_in_the_place_of_one_of_ours_is_named_in_one_line(tmp_path, nam
     file.touch()
     (tmp_path / "train.py").write_text("import outrider\n")
     line = ran([sys.executable, "train.py"], cwd=tmp_path).stderr.splitlines()[-1]
-    assert line.startswith(f"ImportError: {file} stands in the way of")
+    assert line.startswith(f"ImportError: {file} hides")
 
 
 def test_modules_in_the_place_of_ours_are_passed_by_where_the_folder_is_not_searched_first(
@@ -66,7 +66,7 @@ def test_a_foreign_module_on_the_python_path_ends_the_command_with_one_line(tmp_
     (tmp_path / "bus.py").touch()
     run = ran([SCRIPT, "--version"], env={"PYTHONPATH": str(tmp_path)})
     assert run.returncode == 1
-    assert run.stderr.startswith(f"outrider: {tmp_path / 'bus.py'} stands in the way of")
+    assert run.stderr.startswith(f"outrider: {tmp_path / 'bus.py'} hides")
     assert len(run.stderr.splitlines()) == 1
 
 

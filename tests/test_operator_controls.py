@@ -14,7 +14,7 @@ from bus.messages.control import Action, Control
 from bus.messages.links import LinkKind, LinkSettings
 from bus.messages.scenario import Law
 from bus.messages.vehicle import Teleoperation
-from outrider.running.assumptions import promise_warnings
+from outrider.running.assumptions import assumption_warnings
 from outrider.running.flying import fly
 from processes import wait_until
 from sim.scenario.loading import load_scenario
@@ -76,7 +76,7 @@ def test_what_cannot_be_done_is_refused_named_and_changes_nothing(control, told,
 
 
 def test_observers_are_told_which_assumption_a_changed_link_breaks(tmp_path: Path) -> None:
-    with stage(tmp_path, 300, warn=promise_warnings) as run:
+    with stage(tmp_path, 300, warn=assumption_warnings) as run:
         flight = run.server.flight
         assert run.server.status(0.0).warnings == ()
         flight.order(Law(name="tracking"))

@@ -82,4 +82,4 @@ def test_its_pilot_flies_and_its_sink_records(installed: dict[str, str], tmp_pat
     assert rows[0] == ["time", "vehicle", "x", "y"]
     assert {row[1] for row in rows[1:]} == {"uav_0", "ugv_0"}
     again = outrider("record", str(track), "--format", "csv", *connect, env=installed)
-    assert (again.returncode, "is there already" in again.stderr) == (2, True)
+    assert (again.returncode, "exists already" in again.stderr) == (2, True)

@@ -251,7 +251,7 @@ def test_an_object_that_predicts_may_be_named_and_a_class_may_not(here: Path) ->
     for name in ("mine_models:Model", "mine_models:number"):
         with pytest.raises(
             ScenarioError,
-            match=f"^policy = '{name}': neither a function nor an object with a method predict",
+            match=f"^policy = '{name}': not a policy; allowed: a function, or an object with a method predict",
         ):
             load_function(name, what="policy")
 

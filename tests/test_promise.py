@@ -9,8 +9,8 @@ import pytest
 from bus.errors import ScenarioError
 from bus.messages.links import LinkKind, LinkSettings
 from one_link import OneLink
-from outrider.running.assumptions import how_certifiable, promise_warnings, shortfalls
-from outrider.running.link_assumptions import How
+from outrider.running.assumptions import assumption_warnings, how_certifiable, shortfalls
+from outrider.running.link_assumptions import Frequency
 from refusals import refused
 from seeded import a_key
 from sim.channel.description import arrival_share, least_ticks, link_parameters
@@ -31,7 +31,7 @@ def certified(*overrides: str) -> Scenario:
 BROKEN = rows("""
 A1 | SOMETIMES | detections.noise=0.5 & certificate.max_measurement_error=1.2
 | certificate.max_measurement_error = 1.2 m
-A1 | THROUGHOUT | detections.noise=0.5 & certificate.max_measurement_error=0.2 | 92.2 % are larger
+A1 | THROUGHOUT | detections.noise=0.5 & certificate.max_measurement_error=0.2 | 92.2 % of the detections
 A1 | SOMETIMES | detections.truncation=inf & certificate.max_measurement_error=0.4 | detections.truncation = inf
 none | THROUGHOUT | detections.truncation=inf | the noise of the detections is not cut
 A2 | CERTAIN | detections.rate=1.0 & certificate.max_measurement_age=0.5 | detections.rate = 1 /s
@@ -45,16 +45,16 @@ A2 | SOMETIMES | links.detections.burst_length=2.0 & links.detections.burst_inte
 A2 | SOMETIMES | links.detections.blackout_length=2.0 & links.detections.blackout_interval=9.0
 | links.detections.blackout_length = 2
 A2 | CERTAIN | links.detections.blackouts=[[30.0,20.0]]
-| becomes 20 s old, certificate.max_measurement_age = 1 s, from 31 s to 50 s
+| becomes 20 s old, too old from 31 s to 50 s
 A2 | CERTAIN | links.detections.blackouts=[[30.0,1.05]] | from 31 s to 31.05 s
-A2 | CERTAIN | links.detections.blackouts=[[0.0,0.5]] | nothing is detected before 0.5 s
+A2 | CERTAIN | links.detections.blackouts=[[0.0,0.5]] | no detection arrives before 0.5 s
 A2 | CERTAIN | links.detections.bandwidth=1.0 | links.detections.bandwidth = 1
 A5' | THROUGHOUT | links.commands.delay=0.5 & certificate.max_command_delay=0.0
-| no motion arrives before 0.5 s after its tick
+| every command takes 0.5 s or longer
 A5' | SOMETIMES | links.commands.reorder=0.1 & links.commands.reorder_delay=0.2 & certificate.max_command_delay=0.0
 | links.commands.reorder = 0.1
-A5' | THROUGHOUT | links.commands.bandwidth=5 | fewer messages than 20 /s
-A5' | SOMETIMES | links.commands.loss=0.1 | later than certificate.max_command_interval = 0.05 s
+A5' | THROUGHOUT | links.commands.bandwidth=5 | bandwidth to 20 messages per second
+A5' | SOMETIMES | links.commands.loss=0.1 | certificate.max_command_interval = 0.05 s
 A5' | SOMETIMES | links.commands.burst_length=0.5 & links.commands.burst_interval=9.0
 | links.commands.burst_length = 0.5
 A5' | SOMETIMES | links.commands.blackout_length=0.5 & links.commands.blackout_interval=9.0
@@ -72,10 +72,10 @@ def test_each_cause_is_told_with_its_assumption_its_field_and_how_often(
     found = [
         fault
         for fault in shortfalls(scenario)
-        if fault.assumption == assumption.removeprefix("none") and told in fault.what
+        if fault.assumption == assumption.removeprefix("none") and told in fault.line
     ]
-    assert [fault.how for fault in found] == [How[how]]
-    assert found[0].line in promise_warnings(scenario)
+    assert [fault.frequency for fault in found] == [Frequency[how]]
+    assert found[0].line in assumption_warnings(scenario)
     certifiable = "hardly ever" if how == "THROUGHOUT" else "not always"
     assert how_certifiable(scenario) == certifiable
 
@@ -102,23 +102,23 @@ KEPT = [
 
 @pytest.mark.parametrize("changes", KEPT)
 def test_where_the_assumptions_are_kept_nothing_is_told(changes: list[str]) -> None:
-    assert promise_warnings(certified(*changes)) == ()
+    assert assumption_warnings(certified(*changes)) == ()
 
 
 def test_what_an_operator_makes_of_a_link_is_told_against_what_the_uav_was_told() -> None:
     scenario = certified("links.commands.delay=0.2")
     world = World(scenario, 7)
     world.change_links(LinkKind.COMMANDS, "ugv_0", LinkSettings(loss=0.5))
-    assert promise_warnings(scenario, world.link_table) == ()
+    assert assumption_warnings(scenario, world.link_table) == ()
     world.change_links(LinkKind.COMMANDS, None, LinkSettings(delay=0.4))
-    (line,) = promise_warnings(scenario, world.link_table)
+    (line,) = assumption_warnings(scenario, world.link_table)
     assert "A5" in line
-    assert "links.commands.delay = 0.4, tau_c = 0.2 s: no motion arrives before 0.4 s" in line
+    assert "links.commands.delay = 0.4: every command takes 0.4 s or longer" in line
     assert world.link_table.of("ugv_0", LinkKind.COMMANDS).delay == 0.4
     world.change_links(LinkKind.COMMANDS, "uav_0", LinkSettings(delay=0.3))
-    assert "links.only.1.commands.delay = 0.3" in promise_warnings(scenario, world.link_table)[0]
+    assert "links.only.1.commands.delay = 0.3" in assumption_warnings(scenario, world.link_table)[0]
     world.change_links(LinkKind.COMMANDS, "uav_0", LinkSettings(delay=0.2))
-    assert promise_warnings(scenario, world.link_table) == ()
+    assert assumption_warnings(scenario, world.link_table) == ()
     assert world.link_table.of("ugv_0", LinkKind.COMMANDS).delay == 0.4
 
 
@@ -192,28 +192,28 @@ def test_check_says_that_nothing_can_be_certified(command) -> None:
     assert done.returncode == 0
     assert "certified hardly ever" in " ".join(done.stdout.split())
     told = " ".join(done.stderr.split())
-    assert "A5' is broken for certain and throughout: links.commands.delay = 0.3" in told
+    assert "links.commands.delay = 0.3: every command takes 0.3 s or longer" in told
 
 
 def test_random_losses_are_warned_of_with_their_share_of_the_ticks() -> None:
     (found,) = shortfalls(
         certified("links.detections.loss=0.5", "certificate.max_measurement_age=0.25")
     )
-    assert (found.assumption, found.how, found.by_chance) == ("A2", How.SOMETIMES, True)
-    assert (
-        "older than certificate.max_measurement_age = 0.25 s in 1.56 % of the ticks" in found.line
-    )
+    assert (found.assumption, found.frequency, found.by_chance) == ("A2", Frequency.SOMETIMES, True)
+    assert "too old in 1.56 % of the ticks: sight cannot always be certified with" in found.line
     lossy = certified("links.commands.loss=0.1", "certificate.max_command_interval=0.2")
     (found,) = shortfalls(lossy)
-    assert (found.assumption, found.how, found.by_chance) == ("A5'", How.SOMETIMES, True)
-    assert (
-        "later than certificate.max_command_interval = 0.2 s in 0.01 % of the ticks" in found.line
+    assert (found.assumption, found.frequency, found.by_chance) == (
+        "A5'",
+        Frequency.SOMETIMES,
+        True,
     )
+    assert "in 0.01 % of the ticks: sight cannot always be certified with" in found.line
     assert not shortfalls(
         certified("links.commands.loss=0.1", "certificate.max_command_interval=1.0")
     )
     dark = certified("links.commands.blackouts=[[5.0,3.0]]", "certificate.max_command_interval=1.0")
-    assert [fault.how for fault in shortfalls(dark)] == [How.CERTAIN]
+    assert [fault.frequency for fault in shortfalls(dark)] == [Frequency.CERTAIN]
 
 
 SHARES: list[tuple[dict[str, Any], int, int, float]] = [

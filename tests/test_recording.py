@@ -55,7 +55,7 @@ from outrider.recording.schemas import (
     COMMANDS,
     TOPICS,
     TRUTH,
-    OperatorWord,
+    OperatorCommand,
     head_of,
     inlined_schema,
     read_head,
@@ -96,7 +96,7 @@ def plain(path: Path) -> dict[str, list[tuple[int, bytes]]]:
 
 @pytest.mark.parametrize(
     "message",
-    dict.fromkeys([*(row.message for row in (*KEYS, *TOPICS)), CHANGES.message, OperatorWord]),
+    dict.fromkeys([*(row.message for row in (*KEYS, *TOPICS)), CHANGES.message, OperatorCommand]),
 )
 def test_no_schema_refers_to_another(message: type[Any]) -> None:
     schema = inlined_schema(message)
@@ -297,7 +297,7 @@ def test_a_run_that_is_reset_has_several_flights_in_one_file(tmp_path: Path) -> 
     assert times == sorted(times)
     assert flight_of(path).number == 1
     assert flight_of(path, 0).head.seed == SEED
-    with pytest.raises(ScenarioError, match="allowed are 0 to 1"):
+    with pytest.raises(ScenarioError, match="allowed: 0 to 1"):
         flight_of(path, 2)
 
 
@@ -517,7 +517,7 @@ def test_another_programs_mcap_is_refused(tmp_path: Path, encoding: str) -> None
         channel = writer.register_channel("/odom", encoding, 0)
         writer.add_message(channel, 0, b"{}", 0)
         writer.finish()
-    with pytest.raises(ScenarioError, match="not a recording of Outrider"):
+    with pytest.raises(ScenarioError, match="not a recording made by Outrider"):
         load(path)
     assert [entry.topic for entry in entries(path)] == ["/odom"] * (encoding == "json")
     damage = Damage()
@@ -547,7 +547,7 @@ def test_an_observer_records_a_run_in_progress_to_the_same_bits(tmp_path, comman
 
         def observe() -> None:
             while not recorder.over:
-                recorder.take(0.2)
+                recorder.record(0.2)
             recorder.close()
 
         observer = threading.Thread(target=observe, daemon=True)

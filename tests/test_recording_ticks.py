@@ -75,7 +75,7 @@ def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, 
             accelerations = {name: vehicle.command for name, vehicle in truth.vehicles.items()}
             commands = ENCODE(Commands(tick=k - 1, accelerations=accelerations))
             assert found.commands == (commands if k else b"")
-            assert (found.time, found.begun) == (truth.time, (k - 1) * scenario.dt)
+            assert (found.time, found.previous_time) == (truth.time, (k - 1) * scenario.dt)
             assert found.distances == [seen.distance for seen in truth.escorts]
     assert 0 < missed < len(truths)
 
@@ -179,11 +179,11 @@ def test_what_operators_said_and_changed_is_in_the_file_with_its_tick(tmp_path: 
     flight, received = _fly(path, ONE, SPOKEN)
     words = [word for seen in received for word in seen.operator]
     recording = flight_of(path)
-    assert [word.tick for _, word in recording.words] == [0, 9, 9, 41]
-    assert {ugv for ugv, _ in recording.words} == {"ugv_0"}
+    assert [word.tick for _, word in recording.operator_commands] == [0, 9, 9, 41]
+    assert {ugv for ugv, _ in recording.operator_commands} == {"ugv_0"}
     assert [
         Teleoperation(operator=w.driver, velocity=w.velocity, goal=w.goal)
-        for _, w in recording.words
+        for _, w in recording.operator_commands
     ] == words
     radio = {"link": LinkKind.RADIO, "vehicle": "uav_0", "settings": LinkSettings(loss=0.5)}
     assert recording.changes == [
@@ -209,7 +209,7 @@ def test_an_observer_writes_each_change_once(tmp_path: Path) -> None:
     ]
     for told in (0, 0, 1, 3, 3, 18, 22, 41, 60, 60):  # a status holds the last 20
         observer.take(flight, changes=tuple(changes[max(0, told - 20) : told]))
-        observer.recorder.take(0.0)
+        observer.recorder.record(0.0)
         flight.apply({})
     observer.recorder.close()
     assert load(tmp_path / "run.mcap")[0].changes == changes

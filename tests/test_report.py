@@ -127,7 +127,7 @@ def test_values_without_an_order_are_named_where_the_promise_breaks(tmp_path):
     told = [holds(material.panels[0], law) for law in material.law]
     assert told == [
         ("broken over lte", False),
-        ("over each, all that was tried", True),
+        ("over each, all values tried", True),
         ("broken over each", False),
     ]
     assert len(draw_all(material, tmp_path)) == 4
@@ -150,7 +150,8 @@ def test_where_nothing_was_certified_a_lost_run_breaks_no_certificate(tmp_path):
         False,
     )
     assert (
-        certified_runs(material) == "15 runs were certified at every tick; 0 of them lost the UGV."
+        certified_runs(material)
+        == "15 runs were certified at every tick; 0 of them lost sight of the UGV."
     )
     assert "| 50 % | 4 | 1,200 |\n" in markdown(material)
     assert "| 100 % | 0 | 0 |\n" in markdown(material)
@@ -163,7 +164,8 @@ def test_where_nothing_was_certified_a_lost_run_breaks_no_certificate(tmp_path):
     material = read_material([kept(tmp_path / "broken", plan, rows)])
     assert holds(material.panels[0], "certified") == ("to 1 s, broken at 2 s", False)
     assert (
-        certified_runs(material) == "20 runs were certified at every tick; 1 of them lost the UGV."
+        certified_runs(material)
+        == "20 runs were certified at every tick; 1 of them lost sight of the UGV."
     )
 
 
@@ -254,7 +256,7 @@ def test_an_unfinished_sweep_is_reported_as_such_and_an_empty_one_refused(tmp_pa
         pass
     with pytest.raises(ScenarioError, match="no run is flown yet"):
         read_material([tmp_path / "empty"])
-    with pytest.raises(ScenarioError, match="no sweep's folder"):
+    with pytest.raises(ScenarioError, match="not a folder of a sweep"):
         read_material([tmp_path])
 
 
@@ -281,7 +283,7 @@ def test_values_too_uneven_for_one_axis_stand_side_by_side(material):
 
 
 def test_fields_have_words_and_units():
-    assert label_of("links.commands.burst_length") == "length of bursts of the commands [s]"
+    assert label_of("links.commands.burst_length") == "burst length of the commands [s]"
     assert label_of("detections.noise") == "noise of the detections per axis [m]"
     assert label_of("uav.0.max_speed") == "largest speed, uav.0 [m/s]"
     assert label_of("law.parameters.a_c") == "law.parameters.a_c"

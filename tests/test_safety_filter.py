@@ -14,7 +14,7 @@ from bus.messages.decision import NotCertified
 from bus.messages.links import LinkSettings
 from flights import DT, U_A, V_A, distances, told, uav_sees
 from outrider.envs.parallel import parallel_env
-from outrider.running.assumptions import promise_warnings
+from outrider.running.assumptions import assumption_warnings
 from outrider.running.flying import fly
 from sim.models.vehicles import step_vehicle
 from sim.scenario.loading import load_scenario
@@ -49,7 +49,7 @@ NETWORKS = {
 def test_sight_is_kept_and_certified_in_every_tick(network: list[str], seed: int) -> None:
     scenario = watched(*network)
     assert not [
-        line for line in promise_warnings(scenario) if "now and then" not in line
+        line for line in assumption_warnings(scenario) if "cannot always be certified" not in line
     ]  # what chance may do is told
     flight, summary = fly(scenario, seed)
     assert summary.max_distance < R_V
@@ -97,7 +97,7 @@ def test_a_broken_assumption_is_told_with_its_name(changes: str, reason: str) ->
 )
 def test_what_cannot_be_certified_is_told_before_it_is_flown_and_at_every_tick(changes, reason):
     scenario = watched(*changes, duration=5.0)
-    assert any(reason in line for line in promise_warnings(scenario))
+    assert any(reason in line for line in assumption_warnings(scenario))
     _, summary = fly(scenario, 7)
     assert summary.certified_share == 0.0
     assert set(summary.uncertified) <= {NotCertified.ASSUMPTIONS, NotCertified.NO_REPORT}

@@ -297,8 +297,8 @@ def test_ctrl_c_keeps_what_is_done_says_how_to_go_on_and_leaves_no_process(tmp_p
     assert out == ""
     kept = len(rows_of(tmp_path / "sweep")["run"])
     assert err.strip() == (
-        f"outrider: interrupted; {kept} of 800 runs are kept in {tmp_path / 'sweep'}, and the same command goes "
-        "on from there"
+        f"outrider: interrupted; {kept} of 800 runs are in {tmp_path / 'sweep'}; run the same command "
+        "to resume"
     )
     wait_until(lambda: not _session(process.pid))
 
@@ -386,7 +386,7 @@ def test_on_a_cluster_a_worker_may_die_and_the_rows_are_those_of_this_machine(
 def test_no_cluster_is_one_line(monkeypatch):
     monkeypatch.setattr("outrider.experiments.sweep.running._CONNECT", 0.5)
     with (
-        pytest.raises(PeerLost, match="no scheduler there") as caught,
+        pytest.raises(PeerLost, match="no scheduler found") as caught,
         open_cluster("tcp://127.0.0.1:1", "1.0"),
     ):
         pass
@@ -397,14 +397,14 @@ def test_no_cluster_is_one_line(monkeypatch):
 
 GIVEN = {
     "unknown law": ({"laws": "linear,fancy"}, 'law.name = "fancy"'),
-    "a law twice": ({"laws": "linear,linear"}, "a law twice"),
+    "a law twice": ({"laws": "linear,linear"}, "a repeated law"),
     "no law": ({"laws": "linear,"}, 'law.name = ""'),
     "unknown field": ({"vary": ["links.detections.dealy=0,1"]}, "links.detections.dealy"),
     "impossible value": ({"vary": ["detections.dropout=0.5,1.5"]}, "detections.dropout = 1.5"),
     "no values": ({"vary": ["dt="]}, "no values"),
     "an empty value": ({"vary": ["dt=0.1,,0.2"]}, "a value is empty"),
     "no field": ({"vary": ["0.1,0.2"]}, "field=value,value"),
-    "a value twice": ({"vary": ["dt=0.1,0.1"]}, "a value twice"),
+    "a value twice": ({"vary": ["dt=0.1,0.1"]}, "a repeated value"),
     "a field twice": ({"vary": ["dt=0.1", "dt=0.2"]}, "varied already"),
     "the seed": ({"vary": ["seed=1,2"]}, "--seeds"),
     "the law": ({"vary": ["law.name=linear"]}, "--law"),
@@ -469,7 +469,7 @@ def test_a_folder_of_another_sweep_or_another_version_is_refused_until_fresh(tmp
         SweepFolder(tmp_path / "sweep", plan_of(), command="")
     fresh = SweepFolder(tmp_path / "sweep", other, command="", fresh=True)
     assert fresh.rows == 0
-    with pytest.raises(ScenarioError, match="another sweep is writing there now"):
+    with pytest.raises(ScenarioError, match="in use by another sweep"):
         SweepFolder(tmp_path / "sweep", other, command="")
     fresh.close()
 
@@ -477,7 +477,7 @@ def test_a_folder_of_another_sweep_or_another_version_is_refused_until_fresh(tmp
 def test_a_folder_with_other_files_is_left_alone_even_by_fresh(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work", encoding="utf-8")
     for fresh in (False, True):
-        with pytest.raises(ScenarioError, match="no sweep's folder"):
+        with pytest.raises(ScenarioError, match="not a sweep's folder"):
             SweepFolder(tmp_path, plan_of(), command="", fresh=fresh)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
@@ -496,7 +496,7 @@ def test_a_damaged_part_is_named_with_what_to_do(tmp_path, content):
         part.write_bytes(content)
     else:
         pq.write_table(pa.table({"run": [1]}), part)
-    with refused(ScenarioError, r"00000001\.parquet: .*; delete it and its runs are flown again"):
+    with refused(ScenarioError, r"00000001\.parquet: .*; delete the file to fly its runs again"):
         SweepFolder(tmp_path / "sweep", plan, command="")
     part.unlink()
     SweepFolder(tmp_path / "sweep", plan, command="").close()

@@ -32,13 +32,13 @@ from agents.process import warm_up as warm_up_pilot
 from bus.keys import Role
 from bus.messages.control import Action, Control
 from outrider.running.flying import fly
-from outrider.running.assumptions import promise_warnings
+from outrider.running.assumptions import assumption_warnings
 from sim.models.vehicles import clip_norm
 from sim.scenario.loading import load_scenario
 from sim.server.flight import warm_up
 
 scenario = load_scenario("escort", overrides={"duration": 12.0})
-promise_warnings(scenario)  # as the simulator's process does before it listens
+assumption_warnings(scenario)  # as the simulator's process does before it listens
 warm_up(scenario)
 for role in (Role.UAV, Role.UGV):
     warm_up_pilot(role)
@@ -66,7 +66,7 @@ def control(flight):
             flight.order(asked.law)
         elif asked.action is Action.DRIVER:
             flight.assign_driver("ugv_0", asked.driver)
-        promise_warnings(flight.flown, flight.world.link_table)  # as observers are told
+        assumption_warnings(flight.flown, flight.world.link_table)  # as observers are told
 
 before = compiled()
 flight, _ = fly(scenario, 7, on_tick=control)

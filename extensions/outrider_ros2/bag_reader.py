@@ -97,7 +97,7 @@ _DECODERS: dict[str, tuple[schemas.Topic, "msgspec.json.Decoder[Any]"]] = {
     for topic in schemas.TOPICS
     if topic is not schemas.SCENARIO
 }
-_WORDS = msgspec.json.Decoder(schemas.OperatorWord)
+_WORDS = msgspec.json.Decoder(schemas.OperatorCommand)
 
 
 def import_bag(folder: Path, file: Path, damage: Damage) -> Iterator[float]:

@@ -10,7 +10,7 @@ from bus.errors import PeerLost, ScenarioError
 from bus.keys import SIMULATOR_NAME, Role
 from outrider.cli import options
 from outrider.cli.stopping import Stop, stop_on_signals
-from outrider.cli.waiting import AWAY, RouterTimer, tell_waiting
+from outrider.cli.waiting import AWAY, RouterTimer, print_waiting
 
 if TYPE_CHECKING:
     from bus.session import Session
@@ -253,7 +253,7 @@ def _follow(session: "Session", observer: "RosObserver", stop: Stop) -> bool:
             return False
         if not told and observer.status is None:
             told = True
-            tell_waiting(session.run)
+            print_waiting(session.run)
     return False
 
 

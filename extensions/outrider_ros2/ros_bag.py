@@ -30,7 +30,7 @@ from outrider.recording.schemas import (
     STATUS,
     TRUTH,
     Head,
-    OperatorWord,
+    OperatorCommand,
     Topic,
     operator_topic,
     ugv_of,
@@ -310,7 +310,7 @@ def copy_flight(recording: Recording, bag: RosBag) -> Iterator[float]:
     """
     start, number = round(recording.head.start * 1e9), -1
     scenario = recording.scenario if recording.head.scenario is not None else None
-    words = msgspec.json.Decoder(OperatorWord)
+    words = msgspec.json.Decoder(OperatorCommand)
     for entry in entries(recording.path):
         number += entry.topic == SCENARIO.name
         if number != recording.number:

@@ -1,4 +1,4 @@
-"""`outrider check`: whether a scenario can be flown."""
+"""`outrider check`: validation of a scenario."""
 
 from typing import Annotated
 
@@ -6,18 +6,18 @@ import typer
 
 from outrider.cli import options
 from outrider.cli.console import OUT, print_json, print_warnings
-from outrider.running.assumptions import how_certifiable, promise_warnings
+from outrider.running.assumptions import assumption_warnings, how_certifiable
 from outrider.running.resolve import resolve
 from outrider.running.user_code import check_own_functions, foreign_code
 from sim.scenario.checks import scenario_warnings
 from sim.scenario.types import NO_UAV
 
 _LISTED = 12
-"""Vehicles are named up to so many."""
+"""Largest number of vehicles that are listed by name."""
 
 
 def command(
-    file: Annotated[str, typer.Argument(help="A TOML file, or a shipped scenario's name.")],
+    file: Annotated[str, typer.Argument(help="TOML file, or name of a shipped scenario.")],
     seed: options.Seed = None,
     duration: options.Duration = None,
     law: options.LawName = None,
@@ -27,12 +27,12 @@ def command(
     allow_code: options.AllowCode = False,
     json: options.Json = False,
 ) -> None:
-    """Validate what `outrider run` would fly, and fly nothing.
+    """Validate a scenario without flying it.
 
-    Exit code 0, or 2 and one line naming file, field and value. It takes the options of `run` that change the scenario,
-    and warns of all that `run` warns of. For the law certified that is each declared assumption that links or detector
-    cannot keep, and whether sight can be certified always, not always or hardly ever. Functions of your own are loaded
-    and called for one tick; those that the file names with --allow-code alone.
+    Exits with 0, or with 2 and one line that names file, field and value. The command accepts the options of `run`
+    that change the scenario, and prints the same warnings. With the law certified, it reports the bounds that links or
+    detector may exceed, and whether sight can be certified always, not always or hardly ever. Your own functions are
+    loaded and called for one tick; functions named in the file need --allow-code.
 
     Example: outrider check my-scenario.toml --network wifi-poor
     """
@@ -52,7 +52,7 @@ def command(
         *scenario_warnings(scenario),
         *foreign,
         *(() if foreign else check_own_functions(scenario)),
-        *promise_warnings(scenario),
+        *assumption_warnings(scenario),
     ]
     if not foreign:
         check_first_tick(scenario)
@@ -71,9 +71,9 @@ def command(
     names = [vehicle.name for vehicle in scenario.vehicles]
     many = f"{len(scenario.uav):,} UAVs and {len(scenario.ugv):,} UGVs"
     vehicles = ", ".join(names) if len(names) <= _LISTED else many
-    law_told = f"law {scenario.law.name}" if scenario.uav else NO_UAV
+    law_text = f"law {scenario.law.name}" if scenario.uav else NO_UAV
     if certifiable not in (None, "always"):
-        law_told += f", but sight is certified {certifiable}"
+        law_text += f", sight certified {certifiable}"
     OUT.tell(
-        f"{scenario.name}: can be flown ({vehicles}; {law_told}; {scenario.duration:g} s, {scenario.ticks} ticks)"
+        f"{scenario.name}: valid ({vehicles}; {law_text}; {scenario.duration:g} s, {scenario.ticks} ticks)"
     )

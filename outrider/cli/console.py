@@ -1,4 +1,4 @@
-"""Output on the terminal: results on stdout, everything on the way on stderr."""
+"""Terminal output: results on stdout, progress and warnings on stderr."""
 
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -27,9 +27,9 @@ from sim.input.faults import one_line
 from sim.scenario.types import Scenario
 
 TextRow = tuple[str | Text, str | Text]
-"""A label and a value."""
+"""Label and value."""
 LINK_SHOWN = tuple(LINK[name] for name in ("delivery_ratio", "mean_age", "max_age"))
-"""Metrics of a link that the table of a run shows."""
+"""Metrics of a link in a run's table."""
 UAV_SHOWN = (
     "max_distance",
     "mean_distance",
@@ -38,55 +38,52 @@ UAV_SHOWN = (
     "estimate_rmse",
     "certified_share",
 )
-"""Metrics of each UAV that the table of a run shows, where there are several."""
+"""Metrics of each UAV in a run's table, if there are several UAVs."""
 
 
 def printable(text: str) -> str:
-    """Return a text in which everything but line breaks is escaped that does not print."""
+    """Escape all characters that cannot be printed, except line breaks."""
     return "\n".join(one_line(line) for line in text.split("\n"))
 
 
 class PlainConsole(Console):
-    """A console on which nothing that comes from outside (paths, names, errors) is markup or an emoji."""
+    """Console that prints paths, names and errors literally, without markup and emoji."""
 
     def __init__(self, *, stderr: bool = False) -> None:
         super().__init__(stderr=stderr, highlight=False, markup=False, emoji=False)
         self._name = Path("standard error") if stderr else STANDARD_OUTPUT
 
-    def print(self, *objects: Any, **options: Any) -> None:  # noqa: ANN401 - as of `Console`
-        """Print as `Console.print`; an error of the system names the stream."""
+    def print(self, *objects: Any, **options: Any) -> None:  # noqa: ANN401 - as in `Console`
+        """Print like `Console.print`; a system error names the stream."""
         with writing(self._name):
             super().print(*objects, **options)
 
     def tell(self, text: str | Text) -> None:
-        """Print a line, however long: where it is too long for the window, the terminal breaks it."""
+        """Print a line of any length; the terminal wraps it."""
         self.print(printable(text) if isinstance(text, str) else text, soft_wrap=True)
 
 
 ERR, OUT = PlainConsole(stderr=True), PlainConsole()
 
 
-def tell_starting() -> None:
-    """Say on a terminal that the first start takes its time."""
+def print_starting() -> None:
+    """Print on a terminal that the first start takes about 30 s."""
     if ERR.is_terminal:
-        ERR.tell("starting (the first start compiles for some 30 s)")
+        ERR.tell("starting (the first start compiles for about 30 s)")
 
 
 def print_json(value: object) -> None:
-    """One JSON object on stdout."""
+    """Print a JSON object on stdout."""
     print_text(msgspec.json.format(msgspec.json.encode(value), indent=2).decode() + "\n")
 
 
 def print_warnings(lines: Iterable[str]) -> None:
-    """Prints warnings of what can be flown but will not do what one may expect.
-
-    Lines that differ in numbers alone are one, with their count.
-    """
+    """Print warnings about a valid scenario; lines that differ only in numbers are merged and counted."""
     alike: dict[str, list[str]] = {}
     for line in lines:
         alike.setdefault(re.sub(r"\d+", "0", line), []).append(line)
     for first, *others in alike.values():
-        more = f" (and {len(others):,} more like it)" if others else ""
+        more = f" (and {len(others):,} similar warnings)" if others else ""
         ERR.tell(Text.assemble(("warning:", "yellow"), f" {printable(first)}{more}"))
 
 
@@ -98,14 +95,14 @@ def print_table(
     right: Collection[str] = (),
     whole: Collection[str] = (),
 ) -> None:
-    """A table on stdout; it has lines if it has a title.
+    """Print a table on stdout; it has a frame if it has a title.
 
     Args:
-        headings: Of its columns.
-        rows: A cell for each of them.
-        title: Above it.
-        right: The columns of numbers.
-        whole: Those that are never broken.
+        headings: Headings of the columns.
+        rows: Rows, with a cell for each column.
+        title: Title above the table.
+        right: Right-aligned columns.
+        whole: Columns whose cells are not wrapped.
     """
     table = (
         Table(title=printable(title), title_justify="left")
@@ -125,13 +122,13 @@ def print_table(
 
 
 class FlightProgress:
-    """A bar that fills with simulated time."""
+    """Progress bar of simulated time."""
 
     def __init__(self, progress: Progress, task: TaskID, dt: float) -> None:
         self._progress, self._task, self._dt = progress, task, dt
 
     def show(self, tick: int) -> None:
-        """The flight has come to this tick."""
+        """Show the current tick."""
         if tick:
             self._progress.update(
                 self._task, description="flying", completed=tick, seconds=tick * self._dt
@@ -142,18 +139,18 @@ class FlightProgress:
         ERR.tell(Text(printable(line), style="yellow"))
 
 
-def bar(*told: ProgressColumn, stays: bool = False, width: int = 40) -> Progress:
-    """A bar on stderr, if that is a terminal: what is done, how much of it, and what is told behind it.
+def bar(*columns: ProgressColumn, stays: bool = False, width: int = 40) -> Progress:
+    """Return a progress bar on stderr, with a description before it and columns after it; hidden without a terminal.
 
     Args:
-        told: The columns behind it.
-        stays: Whether it is left there in the end.
-        width: Of the bar [characters].
+        columns: Columns after the bar.
+        stays: True: leave the bar on the screen at the end.
+        width: Width of the bar [characters].
     """
     what = TextColumn("{task.description}", style="bold", markup=False)
     filled = BarColumn(bar_width=width, complete_style="blue", finished_style="blue")
     return Progress(
-        *(what, filled, *told),
+        *(what, filled, *columns),
         console=ERR,
         transient=not stays,
         disable=not ERR.is_terminal,
@@ -161,7 +158,7 @@ def bar(*told: ProgressColumn, stays: bool = False, width: int = 40) -> Progress
 
 
 def runs_bar(*, stays: bool = False, width: int = 40) -> Progress:
-    """A bar for many runs, with the field `note` and the time left behind it; otherwise as `bar`."""
+    """Return a progress bar for many runs, with the field `note` and the remaining time; otherwise as `bar`."""
     left = TimeRemainingColumn(compact=True, elapsed_when_finished=True)
     note = TextColumn("{task.fields[note]}", markup=False)
     return bar(note, left, stays=stays, width=width)
@@ -169,15 +166,15 @@ def runs_bar(*, stays: bool = False, width: int = 40) -> Progress:
 
 @contextmanager
 def share_progress(what: str) -> Iterator[Callable[[str, float], None]]:
-    """A bar for work that tells what it does and which share of it all is done; gone afterwards."""
+    """Show a progress bar during work that reports its current step and the share done."""
     with Progress(console=ERR, transient=True, disable=not ERR.is_terminal) as progress:
         task = progress.add_task(what, total=1.0)
-        yield lambda told, share: progress.update(task, description=told, completed=share)
+        yield lambda step, share: progress.update(task, description=step, completed=share)
 
 
 @contextmanager
 def flight_progress(scenario: Scenario, waiting: str) -> Iterator[FlightProgress]:
-    """A progress bar for one flight, on stderr."""
+    """Show a progress bar of one flight on stderr."""
     columns = (
         TextColumn("{task.percentage:>3.0f} %", markup=False),
         TextColumn("{task.fields[seconds]:>7.1f} s simulated", markup=False),
@@ -189,7 +186,7 @@ def flight_progress(scenario: Scenario, waiting: str) -> Iterator[FlightProgress
 
 
 def _style(metric: Metric, value: object) -> str:
-    """Return the color of a value: green if it is as it should be."""
+    """Return the color of a value: green for the metric's goal."""
     if metric.goal is None or not isinstance(value, int | float):
         return ""
     if value == metric.goal:
@@ -202,15 +199,15 @@ def _shown(metric: Metric, value: object) -> Text:
 
 
 def _metrics(table: dict[str, Metric], struct: msgspec.Struct, *left_out: str) -> Iterator[TextRow]:
-    """Rows of a table's metrics that exist; of those that are guaranteed only what contradicts that."""
+    """Yield the rows of metrics with a value; guaranteed metrics only if they contradict the guarantee."""
     for metric in table.values():
         value = getattr(struct, metric.name)
         if metric.name in left_out or value is None or (metric.guaranteed and value == metric.goal):
             continue
         text = _shown(metric, value)
         yield (
-            (Text(metric.label, style="red"), text + ": the certificate is wrong")
-            if (metric.guaranteed)
+            (Text(metric.label, style="red"), text + ": contradicts the guarantee")
+            if metric.guaranteed
             else (metric.label, text)
         )
 
@@ -220,11 +217,11 @@ def _counts(counts: Mapping[str, int]) -> str:
 
 
 def _dicts(summary: Summary) -> Iterator[TextRow]:
-    """Rows of what is counted by reason, UGV, link, vehicle or process."""
+    """Yield the rows of counts by reason, UGV, link, vehicle and process."""
     for why, count in summary.uncertified.items():
         yield "not certified", f"{count} ticks: {why.text}"
-    for name, told in (summary.mission.guarantees if summary.mission else {}).items():
-        for reason, count in told.uncertified.items():
+    for name, guarantee in (summary.mission.guarantees if summary.mission else {}).items():
+        for reason, count in guarantee.uncertified.items():
             yield f"{name} not certified", f"{count} ticks: {reason}"
     for name, status in summary.links.items():
         if status.degraded and status.sent:
@@ -238,7 +235,7 @@ def _dicts(summary: Summary) -> Iterator[TextRow]:
 
 
 def _rows(summary: Summary) -> Iterator[TextRow]:
-    """All rows of the table."""
+    """Yield all rows of the table."""
     cut = "" if summary.complete else " (cut short)"
     yield "flown", f"{summary.ticks * summary.dt:.2f} s in {summary.ticks} ticks{cut}"
     hidden = ["ticks", "complete", "deterministic", "trajectory_sha256"]
@@ -256,11 +253,11 @@ def _rows(summary: Summary) -> Iterator[TextRow]:
 
 
 def _print_uavs(summary: Summary) -> None:
-    """Print a row for each UAV."""
+    """Print a table with a row for each UAV."""
     shown = [(UAV | CERTIFICATE)[name] for name in UAV_SHOWN]
     rows: list[list[str | Text]] = [
-        [name, *(_shown_number(metric, getattr(told, metric.name)) for metric in shown)]
-        for name, told in summary.uavs.items()
+        [name, *(_shown_number(metric, getattr(metrics, metric.name)) for metric in shown)]
+        for name, metrics in summary.uavs.items()
     ]
     headings = [metric.heading for metric in shown]
     print_table(("UAV", *headings), rows, right=headings)
@@ -271,10 +268,10 @@ def _shown_number(metric: Metric, value: float | None) -> Text:
 
 
 def print_summary(summary: Summary, files: list[Path]) -> None:
-    """The table that a run ends with."""
-    told = "no UAV" if summary.law is None else f"law {summary.law}"
+    """Print the summary of a run as a table, and the names of its files."""
+    law = "no UAV" if summary.law is None else f"law {summary.law}"
     table = Table(
-        title=f"{printable(summary.scenario)}, {told}, seed {summary.seed}",
+        title=f"{printable(summary.scenario)}, {law}, seed {summary.seed}",
         title_justify="left",
         show_header=False,
     )
@@ -287,6 +284,6 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
         _print_uavs(summary)
     OUT.tell(f"  trajectory_sha256 {summary.trajectory_sha256}")
     if summary.secret:
-        OUT.tell(f"  secret {summary.secret}: with it and the seed the same flight again")
+        OUT.tell(f"  secret {summary.secret}: reproduces this run together with the seed")
     for file in files:
         OUT.tell(f"  {file}")

@@ -1,4 +1,4 @@
-"""`outrider credentials`: who may take part in a run."""
+"""`outrider credentials`: credentials of the parties of a run."""
 
 import os
 from collections.abc import Iterable, Sequence
@@ -11,57 +11,55 @@ import typer
 from bus.errors import AccessDenied, ScenarioError
 from outrider.cli.options import DEFAULT_RUN, Json, RunName
 
-Folder = Annotated[Path, typer.Argument(help="Where to write them; is made if it is not there.")]
+Folder = Annotated[Path, typer.Argument(help="Folder for the files; created if missing.")]
 Whose = Annotated[
-    str, typer.Option(help="Whose vehicles: a shipped scenario's name, or a TOML file.")
+    str, typer.Option(help="Scenario with the vehicles: a shipped scenario's name, or a TOML file.")
 ]
 Owner = Annotated[
     str,
     typer.Option(
         metavar="UID:GID",
-        help="Give the files to this user, such as a container's; for root only.",
+        help="Give the files to this user; needs root.",
     ),
 ]
 Tls = Annotated[
     bool,
     typer.Option(
         "--tls/--tcp",
-        help="Certificates instead of passwords, for endpoints that begin with tls/ instead of tcp/; needs "
-        "the extra [tls].",
+        help="Make certificates for tls/ endpoints, not passwords; needs the extra [tls].",
     ),
 ]
 RouterHosts = Annotated[
     list[str] | None,
     typer.Option(
         metavar="HOST",
-        help="With --tls: a name or address under which the router is found, beside localhost and `router`; "
-        "may be repeated.",
+        help="With --tls: add a host name or address of the router; repeatable.",
     ),
 ]
 Days = Annotated[
     float | None,
     typer.Option(
-        help="How long the parties' certificates hold; 365 by default.", min=0.001, max=3650.0
+        help="Set the parties' certificates to expire after this many days; default 365.",
+        min=0.001,
+        max=3650.0,
     ),
 ]
 Renew = Annotated[
     bool,
     typer.Option(
         "--renew",
-        help="New certificates for the parties in FOLDER, by the authority.json that is there.",
+        help="Renew the certificates in FOLDER with its authority.json.",
     ),
 ]
 Parties = Annotated[
     list[str] | None,
-    typer.Option(
-        help="With --renew: only this party, or `router`, which is left alone otherwise; may be repeated."
-    ),
+    typer.Option(help="With --renew: renew only this party (`router` only if named); repeatable."),
 ]
 Check = Annotated[
     bool,
     typer.Option(
         "--check",
-        help="Tell how long the certificates in FOLDER hold; exit code 1 if one does not.",
+        help="Print when the certificates in FOLDER expire; exit with 1 if invalid.",
     ),
 ]
 Roles = Annotated[
@@ -69,8 +67,7 @@ Roles = Annotated[
     typer.Option(
         "--roles",
         metavar="NAME",
-        help="Also for the parties of this extension, such as ros2; without it the router lets none of its "
-        "messages through. May be repeated.",
+        help="Add the parties of this extension, such as ros2; repeatable.",
     ),
 ]
 
@@ -89,36 +86,36 @@ def command(
     extensions: Roles = None,
     json: Json = False,
 ) -> None:
-    """Make a set of random credentials for a run.
+    """Make random credentials for a run.
 
-    A file for each party, and router.json with all of them for the router.
+    Writes one file for each party, and router.json with all credentials for the router.
 
-    Each file can be read by its owner alone. Give each process its own and no other. Nothing is ever overwritten
-    but by --renew.
-    With --tls there is also authority.json, with which certificates are renewed: keep it, and give it to no process.
+    Only the owner can read the files. Give each process its own file and no other. Only --renew overwrites files.
+    With --tls, the command also writes authority.json, which renews certificates. Keep this file, and give it to no
+    process. Without --roles, the router rejects all messages of an extension's parties.
 
     Example: outrider credentials credentials --scenario escort --run flight
     """
     from outrider.cli.console import OUT, print_json
 
     added = [name for name in extensions or () if name]  # `--roles=` of a container adds none
-    _refuse(
+    _check_options(
         {
-            "--tls and --renew or --check": tls and (renew or check),
-            "--renew and --check": renew and check,
+            "--tls with --renew or --check": tls and (renew or check),
+            "--renew with --check": renew and check,
             "--router without --tls or --renew --party router": bool(router)
             and not tls
             and "router" not in (party or ()),
             "--days without --tls or --renew": days is not None and not (tls or renew),
             "--party without --renew": bool(party) and not renew,
-            "--roles and --renew or --check": bool(added) and (renew or check),
+            "--roles with --renew or --check": bool(added) and (renew or check),
         }
     )
     if check:
         raise typer.Exit(_check(folder, json=json))
     user = _owner(owner)
     if user is not None and os.geteuid() != 0:
-        raise ScenarioError(f"--owner {owner}: only root can give files away")
+        raise ScenarioError(f"--owner {owner}: only root can change the owner; leave --owner out")
     if renew:
         run, files = _renew(folder, party or (), router or (), days, user)
     else:
@@ -126,7 +123,7 @@ def command(
     if json:
         print_json({"run": run, "files": {name: str(path) for name, path in files.items()}})
         return
-    whose = {"router": "the router: everybody", "authority": "you alone: renews certificates"}
+    whose = {"router": "the router (all parties)", "authority": "you only (renews certificates)"}
     for name, path in files.items():
         OUT.tell(f"{path}  {'renewed ' if renew else ''}for {whose.get(name, name)}")
 
@@ -140,7 +137,7 @@ def _make(
     hosts: Sequence[str] | None,
     days: float | None,
 ) -> dict[str, Path]:
-    """Write new credentials of all parties: passwords, or certificates if the router's hosts are given."""
+    """Write new credentials of all parties: certificates if the router's hosts are given, otherwise passwords."""
     from bus.certificates import PARTY_DAYS, new_authority
     from bus.credentials import new_certificates, new_credentials, write_credentials
     from sim.scenario.loading import load_scenario
@@ -163,14 +160,16 @@ def _owner(text: str) -> tuple[int, int] | None:
         return None
     user, _, group = text.partition(":")
     if not (user.isdecimal() and group.isdecimal()):
-        raise ScenarioError(f"--owner {text!r}: allowed are two numbers, such as 1000:1000")
+        raise ScenarioError(
+            f"--owner {text!r}: wrong form; allowed: two numbers, such as 1000:1000"
+        )
     return int(user), int(group)
 
 
-def _refuse(combinations: dict[str, bool]) -> None:
-    for words, found in combinations.items():
+def _check_options(combinations: dict[str, bool]) -> None:
+    for options, found in combinations.items():
         if found:
-            raise typer.BadParameter(f"{words}: these options do not go together")
+            raise typer.BadParameter(f"{options}: these options cannot be combined")
 
 
 def _renew(
@@ -180,7 +179,7 @@ def _renew(
     days: float | None,
     owner: tuple[int, int] | None,
 ) -> tuple[str, dict[str, Path]]:
-    """New certificates for parties that have some, in the place of the old ones; the run's name, and the files."""
+    """Replace the certificates of some parties by new ones; return the run's name and the files."""
     from msgspec.structs import replace
 
     from bus.certificates import AUTHORITY_DAYS, PARTY_DAYS, ROUTER_HOSTS, hosts_of, issue
@@ -200,10 +199,10 @@ def _renew(
     for name in wanted:
         if name not in (*known, ROUTER_FILE):
             raise AccessDenied(
-                f"--party {name}: no party of the run {router.run}; there are {', '.join((*known, ROUTER_FILE))}"
+                f"--party {name}: no party of the run {router.run}; allowed: {', '.join((*known, ROUTER_FILE))}"
             )
     if router.tls is None:
-        raise AccessDenied(f"{folder}: these credentials are passwords, which do not end")
+        raise AccessDenied(f"{folder}: these credentials are passwords, which do not expire")
     renewed = {}
     for name in wanted:
         path = renewed[name] = folder / f"{name}.json"
@@ -218,14 +217,14 @@ def _renew(
 
 
 def _check(folder: Path, *, json: bool) -> int:
-    """Tell of every file in a folder whether it is good, and how long."""
+    """Print for each file in a folder if it is valid, and until when; return the exit code."""
     from bus.certificates import Identity, check_identity, expiry_warning
     from bus.credentials import ROUTER_FILE, read_credential, read_credentials
     from outrider.cli.console import OUT, print_json
 
     if not folder.is_dir():
-        raise AccessDenied(f"{folder}: no such folder")
-    told: list[dict[str, object]] = []
+        raise AccessDenied(f"{folder}: folder not found")
+    files: list[dict[str, object]] = []
     for path in sorted(folder.glob("*.json")):
         name = path.stem
         if name == "authority":
@@ -237,13 +236,13 @@ def _check(folder: Path, *, json: bool) -> int:
             "days": None,
             "note": "",
         }
-        told.append(row)
+        files.append(row)
         try:
             identity: Identity | None = (
                 read_credentials(path) if name == ROUTER_FILE else read_credential(path)
             ).tls
             if identity is None:
-                row["note"] = "a password, which does not end"
+                row["note"] = "a password, which does not expire"
                 continue
             end = check_identity(identity, name)
             row |= {
@@ -254,10 +253,10 @@ def _check(folder: Path, *, json: bool) -> int:
         except AccessDenied as error:
             row |= {"good": False, "note": str(error)}
     if json:
-        print_json({"credentials": told})
+        print_json({"credentials": files})
     else:
-        for row in told:
+        for row in files:
             until = f"until {str(row['ends'])[:10]} ({row['days']} days)  " if row["ends"] else ""
-            good = "good" if row["good"] else "NOT GOOD"
+            good = "valid" if row["good"] else "INVALID"
             OUT.tell(f"{row['file']}  {good}  {until}{row['note']}")
-    return int(not all(row["good"] for row in told))
+    return int(not all(row["good"] for row in files))

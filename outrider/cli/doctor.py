@@ -1,4 +1,4 @@
-"""`outrider doctor`: what this machine has of what Outrider can use."""
+"""`outrider doctor`: check of this machine's software and hardware."""
 
 import socket
 import sys
@@ -14,12 +14,12 @@ State = Literal["ok", "missing", "wrong"]
 
 
 class Finding(NamedTuple):
-    """One row of the table."""
+    """Row of the table."""
 
     what: str
     state: State
-    """`missing` is what some commands need and others do not; `wrong` keeps every run from flying."""
-    told: str
+    """`missing`: some commands need it; `wrong`: no run can fly."""
+    details: str
 
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "firefox", "microsoft-edge", "open")
@@ -30,7 +30,7 @@ def _python() -> Iterator[Finding]:
 
     version = platform.python_version()
     good = sys.version_info >= (3, 11)
-    yield Finding("Python", "ok" if good else "wrong", f"{version}; 3.11 or newer is needed")
+    yield Finding("Python", "ok" if good else "wrong", f"{version}; Outrider needs 3.11 or newer")
 
 
 def _packages() -> Iterator[Finding]:
@@ -54,12 +54,12 @@ def _cache() -> Iterator[Finding]:
 
     folder = cache_folder()
     if folder is None:
-        told = "no folder can be written: every process compiles anew; set OUTRIDER_CACHE to one that can"
-        yield Finding("compile cache", "missing", told)
+        details = "no writable folder: every process compiles again; set OUTRIDER_CACHE to a writable folder"
+        yield Finding("compile cache", "missing", details)
         return
     size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
-    told = f"{folder}, {size / 1e6:.0f} MB" + ("" if size else "; the first run compiles")
-    yield Finding("compile cache", "ok", told)
+    details = f"{folder}, {size / 1e6:.0f} MB" + ("" if size else "; the first run compiles")
+    yield Finding("compile cache", "ok", details)
 
 
 def _extras() -> Iterator[Finding]:
@@ -77,8 +77,8 @@ def _ports() -> Iterator[Finding]:
             try:
                 probe.bind(("127.0.0.1", port))
             except OSError as error:
-                told = f"{error.strerror}; the {what} takes another with --listen or --port"
-                yield Finding(f"port {port}", "missing", told)
+                details = f"{error.strerror}; choose another for the {what} with --listen or --port"
+                yield Finding(f"port {port}", "missing", details)
             else:
                 yield Finding(f"port {port}", "ok", f"free, for the {what}")
 
@@ -89,7 +89,7 @@ def _docker() -> Iterator[Finding]:
     def ask(*words: str) -> str | None:
         try:
             done = subprocess.run(
-                ("docker", *words),  # noqa: S607 - the one that the user has
+                ("docker", *words),  # noqa: S607 - the user's docker
                 capture_output=True,
                 text=True,
                 timeout=10,
@@ -105,7 +105,7 @@ def _docker() -> Iterator[Finding]:
         yield Finding("Docker", "ok", f"engine {engine}, compose {compose}")
     else:
         lacking = "compose" if engine else "running engine"
-        yield Finding("Docker", "missing", f"no {lacking}; for the containers alone")
+        yield Finding("Docker", "missing", f"no {lacking}; only the containers need it")
 
 
 def _browser() -> Iterator[Finding]:
@@ -115,7 +115,9 @@ def _browser() -> Iterator[Finding]:
     if found:
         yield Finding("browser", "ok", found)
     else:
-        yield Finding("browser", "missing", "none found here; any that reaches the page will do")
+        yield Finding(
+            "browser", "missing", "none found here; open the page in a browser of another machine"
+        )
 
 
 def _machine() -> Iterator[Finding]:
@@ -124,8 +126,8 @@ def _machine() -> Iterator[Finding]:
     from sim.compiling.threads import cores
 
     count = cores()
-    told = f"{count} for this process" + ("; three processes share it" if count == 1 else "")
-    yield Finding("cores", "ok", told)
+    details = f"{count} for this process" + ("; three processes share it" if count == 1 else "")
+    yield Finding("cores", "ok", details)
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     most = "without limit" if hard == resource.RLIM_INFINITY else str(hard)
     state: State = "ok" if soft >= 256 else "wrong"
@@ -147,10 +149,9 @@ CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
 def command(
     json: Json = False,
 ) -> None:
-    """Tell what this machine lacks of what Outrider can use.
+    """List what this machine lacks, and how to install it.
 
-    It says how to get it. Exit code 1 if something keeps every run from flying; what only some commands need is called
-    missing.
+    Exits with 1 if no run can fly on this machine. Software that only some commands need is listed as missing.
 
     Example: outrider doctor
     """
@@ -163,7 +164,9 @@ def command(
         print_json({"findings": [finding._asdict() for finding in findings]})
     else:
         colours = {"ok": "green", "missing": "yellow", "wrong": "red"}
-        rows = [(what, Text(state, style=colours[state]), told) for what, state, told in findings]
+        rows = [
+            (what, Text(state, style=colours[state]), details) for what, state, details in findings
+        ]
         print_table(("what", "", "found"), rows, whole=("what", ""))
     if any(finding.state == "wrong" for finding in findings):
         raise typer.Exit(1)

@@ -22,29 +22,30 @@ def command(
     connect: options.Connect = options.DEFAULT_ENDPOINT,
     run: options.RunName = options.DEFAULT_RUN,
     credentials: options.CredentialFile = None,
-    name: Annotated[str, typer.Option(help="The UGV's name in the scenario.")] = "ugv_0",
+    name: Annotated[str, typer.Option(help="Name of the UGV in the scenario.")] = "ugv_0",
     speed: Annotated[
-        float, typer.Option(help="How fast a pressed key drives, in m/s.", min=0.05, max=20.0)
+        float, typer.Option(help="Set the speed of a pressed key, in m/s.", min=0.05, max=20.0)
     ] = 0.2,
     back: Annotated[
         str,
         typer.Option(
-            metavar="DRIVER", help="Who gets the wheel in the end; by default who had it before."
+            metavar="DRIVER",
+            help="Hand control to this driver at the end; default: the previous one.",
         ),
     ] = "",
 ) -> None:
-    """Drive a UGV from this terminal, and see its escort.
+    """Drive a UGV from this terminal, and watch its escort.
 
-    Over SSH and in containers too (`ssh -t`, `docker run -it`).
+    Works over SSH and in containers, too (`ssh -t`, `docker run -it`).
 
-    Watching changes nothing; the first of the keys WASD, arrows or space takes the wheel. A held key drives that way,
-    two pressed at once drive diagonally. A terminal does not tell when a key is let go: a press counts for 0.7 s and
-    its repeats prolong it, then the UGV brakes. So it does whenever nothing is received from its operator.
+    Watching changes nothing. The first press of WASD, an arrow key or space takes control. A held key drives in its
+    direction; two keys pressed at once drive diagonally. A terminal does not report the release of a key. A press
+    therefore lasts 0.7 s, and repeats prolong it; then the UGV brakes. The UGV also brakes when its operator is silent.
 
-    Space brakes, + and - set the speed, z shows the whole area, h hands the wheel back, q (or Ctrl-C) hands it
-    back and leaves.
+    Space brakes, + and - set the speed, z shows the whole area, h returns control, and q or Ctrl-C returns control and
+    quits.
 
-    In lockstep simulated time runs about 100 times faster than a hand: give the simulator --realtime 1.
+    In lockstep, simulated time runs about 100 times too fast for an operator: start the simulator with --realtime 1.
 
     Example: outrider drive --connect tcp/127.0.0.1:17447 --credentials credentials/operator.json
     """
@@ -52,7 +53,7 @@ def command(
         from outrider.view.terminal.terminal import check_terminal
     except ImportError as error:
         raise ScenarioError(
-            f"drive: {error.name} is missing; it drives on Unix terminals only"
+            f"drive: the module {error.name} is missing; allowed: a Unix terminal"
         ) from error
     check_terminal()
     with options.join(Role.OPERATOR, run, connect, credentials) as session:
@@ -66,25 +67,22 @@ def command(
 
 
 def _await_run(session: "Session", vehicle: str, stop: Stop) -> Status | None:
-    """The first status; None if a signal came before it.
+    """Wait for the first status; return None if a signal arrives first.
 
     Raises:
-        ScenarioError: If the run has no such UGV.
+        ScenarioError: If the run has no UGV of this name.
     """
     from outrider.view.terminal.teleoperation import ugvs_of
 
     status = await_status(session, stop)
     known = () if status is None else ugvs_of(status)
     if known and vehicle not in known:
-        there = "is" if len(known) == 1 else "are"
-        raise ScenarioError(
-            f"--name {vehicle}: no UGV of this run; there {there} {', '.join(known)}"
-        )
+        raise ScenarioError(f"--name {vehicle}: no UGV of this run; allowed: {', '.join(known)}")
     return status
 
 
 def _drive(session: "Session", vehicle: str, first: Status, *, speed: float, back: str) -> int:
-    """Drive until the operator leaves; the exit code."""
+    """Drive until the operator quits; return the exit code."""
     from outrider.view.terminal.terminal import ending, know_colours, quiet_logs
 
     know_colours()
@@ -104,7 +102,7 @@ def _drive(session: "Session", vehicle: str, first: Status, *, speed: float, bac
         finally:
             link.leave()
             link.wait(5.0)
-    with contextlib.suppress(OSError):  # the terminal may have gone
+    with contextlib.suppress(OSError):  # the terminal may be closed
         for line in (*dict.fromkeys(warnings), link.farewell()):
             ERR.tell(line)
     return end.code or app.return_value or app.return_code or 0

@@ -1,4 +1,4 @@
-"""`outrider figures`: the paper's figures and what they claim."""
+"""`outrider figures`: the paper's figures and their claims."""
 
 from pathlib import Path
 from typing import Annotated
@@ -18,7 +18,7 @@ def command(
 ) -> None:
     """Draw the paper's figures 1 to 5, and check their claims.
 
-    Prints the table of the claims, each with its number. Exit code 1 if one does not hold.
+    Prints a table of the claims with the measured numbers. Exits with 1 if a claim does not hold.
 
     Example: outrider figures --out figures
     """
@@ -33,7 +33,7 @@ def command(
         print_table(
             ("figure", "claim", "found", "holds"),
             [(one.figure, one.claim, one.value, holds[one.holds]) for one in claims],
-            title="What the paper's figures claim",
+            title="Claims of the paper's figures",
             whole=("figure", "holds"),
         )
         OUT.tell(f"  {out}/figure-1.png ... figure-5.png")

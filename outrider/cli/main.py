@@ -1,4 +1,4 @@
-"""The command line's table, and what becomes of its errors: one clear line, and an exit code."""
+"""Entry point of the command line: the table of commands, and the report of errors as one line and an exit code."""
 
 import contextlib
 import functools
@@ -29,20 +29,20 @@ from outrider.cli.standard_files import open_standard_files, print_text
 from sim.input.faults import one_line
 
 COMMANDS = {
-    "run": ("outrider.cli.run:command", "Fly a scenario: simulator and vehicles, a process each."),
+    "run": ("outrider.cli.run:command", "Fly a scenario, one process per vehicle."),
     "simulator": (
         "outrider.cli.simulator:command",
         "Simulate a scenario for vehicles that join over Zenoh.",
     ),
-    "uav": ("outrider.cli.pilots:uav", "Fly one UAV of a run, in a process of its own."),
-    "ugv": ("outrider.cli.pilots:ugv", "Drive one UGV of a run, in a process of its own."),
+    "uav": ("outrider.cli.pilots:uav", "Fly one UAV of a run in this process."),
+    "ugv": ("outrider.cli.pilots:ugv", "Drive one UGV of a run in this process."),
     "router": ("outrider.cli.router:command", "Route the messages of a run."),
     "credentials": ("outrider.cli.credentials:command", "Make random credentials for a run."),
     "scenarios": ("outrider.cli.scenarios:app", "List, show or create scenarios."),
     "check": ("outrider.cli.check:command", "Validate a scenario without flying it."),
     "drive": ("outrider.cli.drive:command", "Drive a UGV from this terminal."),
     "record": ("outrider.cli.record:command", "Record a run in progress into an MCAP file."),
-    "replay": ("outrider.cli.replay:command", "Print a recorded run's numbers, or fly it again."),
+    "replay": ("outrider.cli.replay:command", "Print a recorded run's summary, or fly it again."),
     "render": ("outrider.cli.render:command", "Draw a recorded flight as a picture or a film."),
     "figures": (
         "outrider.cli.figures:command",
@@ -50,21 +50,21 @@ COMMANDS = {
     ),
     "sweep": (
         "outrider.cli.sweep:command",
-        "Fly each law at each degradation with many seeds.",
+        "Fly each law under each degradation with many seeds.",
     ),
     "report": ("outrider.cli.report:command", "Draw the results of sweeps."),
     "doctor": ("outrider.cli.doctor:command", "List what this machine lacks."),
 }
-"""The core's commands: name, then `module:attribute` (a function or a typer app) and the line in --help."""
+"""Commands of the core: name, then `module:attribute` (a function or a typer app) and the line in --help."""
 
 _FORWARD = {
     "allow_extra_args": True,
-    "allow_interspersed_args": False,  # else a `--` of the command is lost
+    "allow_interspersed_args": False,  # otherwise typer drops a `--` of the command
     "ignore_unknown_options": True,
 }
 _DEBUG = "OUTRIDER_DEBUG"
 _INTERRUPTED = 130
-_MORE = "--debug shows the whole traceback"
+_MORE = "--debug shows the full traceback"
 
 
 def _version(wanted: bool) -> None:
@@ -79,8 +79,8 @@ def make_app(*, whole: bool = False) -> typer.Typer:
     """Return the command line.
 
     Args:
-        whole: Import every command, for shell completion and the reference; otherwise a command is imported when it is
-            called. Extensions whose libraries are missing are then left out.
+        whole: True: import every command, for shell completion and the reference, without extensions whose libraries
+            are missing. False: import a command when it is called.
     """
     app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None)
 
@@ -88,15 +88,15 @@ def make_app(*, whole: bool = False) -> typer.Typer:
     def about(
         context: typer.Context,
         version: bool = typer.Option(
-            False, "--version", callback=_version, is_eager=True, help="Print the version and stop."
+            False, "--version", callback=_version, is_eager=True, help="Print the version and exit."
         ),
         debug: bool = typer.Option(
             False,
             "--debug",
-            help="Show the whole traceback of an error, of every process of a run.",
+            help="Show full tracebacks of errors in all processes.",
         ),
     ) -> None:
-        """Outrider: a UAV that flies as the outrider of a ground vehicle, and never loses sight of it.
+        """Simulate UAVs that escort ground vehicles and keep them in sight.
 
         Example: outrider run escort --seed 3
         """
@@ -110,10 +110,10 @@ def make_app(*, whole: bool = False) -> typer.Typer:
         if name in COMMANDS:
             continue
         load = functools.partial(plugins.load, entry)
-        if find_spec(package) is None:  # a copy of the core alone: it says which extra is missing
+        if find_spec(package) is None:  # without extensions: the command names the missing extra
             _add(app, name, load, "", hidden=True)
         else:
-            # The package's docstring; by contract it imports nothing else.
+            # The package's docstring. By contract, the package imports nothing else.
             line = (import_module(package).__doc__ or "").partition("\n")[0]
             add(app, name, load, line)
     return app
@@ -127,7 +127,7 @@ def _attribute(where: str) -> Any:  # noqa: ANN401 - a command or an app
 def _add(
     app: typer.Typer, name: str, load: Callable[[], Any], line: str, *, hidden: bool = False
 ) -> None:
-    """Add a command that is imported when it is called; arguments, --help and exit code are its own."""
+    """Add a command that is imported when called; it handles its arguments, --help and exit code."""
 
     @app.command(name, help=line, hidden=hidden, add_help_option=False, context_settings=_FORWARD)
     @_interruptible
@@ -136,7 +136,7 @@ def _add(
 
 
 def call_command(name: str, arguments: list[str]) -> Any:  # noqa: ANN401 - an exit code, if any
-    """Call the command of an extension in this process."""
+    """Call an extension's command in this process."""
     return _call(plugins.load(plugins.registered("commands")[name]), f"outrider {name}", arguments)
 
 
@@ -165,11 +165,11 @@ def _end(_signal: int, _frame: FrameType | None) -> None:
 
 
 class _Interrupted(Exception):
-    """Ctrl-C in a command; typer would end it without a word."""
+    """Ctrl-C in a command; typer would exit without a message."""
 
 
 def _interruptible(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the same command; Ctrl-C raises `_Interrupted`."""
+    """Wrap a command so that Ctrl-C raises `_Interrupted`."""
 
     @functools.wraps(command)
     def call(*arguments: Any, **options: Any) -> Any:  # noqa: ANN401 - the command's own
@@ -192,22 +192,22 @@ def _show_traceback() -> None:
 
 
 def _system_fault(error: OSError) -> str:
-    """Return an error of the system and, as far as that is known, what it is about."""
+    """Describe a system error and, if known, the file that it concerns."""
     if place_in_user_code(error):
         return f"{told_with_place(error)}; {_MORE}"
     reason = error.strerror or str(error)
     if error.filename is not None:
         return f"{error.filename}: {reason}"
     if error.errno is None:
-        return reason  # its whole text
+        return reason
     return f"{type(error).__name__}: {reason}; {_MORE}"
 
 
 def _run() -> int:
     try:
         code = int(make_app(whole="_OUTRIDER_COMPLETE" in os.environ)(standalone_mode=False) or 0)
-        if not code:  # one of its own tells more than that the terminal has gone
-            print_text("")  # what waits to be written
+        if not code:  # otherwise the exit code says more than a closed terminal
+            print_text("")  # flush
         return code
     except (ScenarioError, AccessDenied) as error:
         _show_traceback()
@@ -223,24 +223,29 @@ def _run() -> int:
     except (KeyboardInterrupt, _Interrupted):
         return _fail("interrupted", _INTERRUPTED)
     except Exception as error:
-        # typer's own errors, of whichever click it carries
-        told = getattr(error, "format_message", None)
-        if told is None:
+        # typer's own errors, independent of its version of click
+        format_message = getattr(error, "format_message", None)
+        if format_message is None:
             if not place_in_user_code(error):
                 raise
             _show_traceback()
             return _fail(f"{told_with_place(error)}; {_MORE}", 1)
-        return _fail(f"{told()} (outrider --help tells more)", int(getattr(error, "exit_code", 2)))
+        return _fail(f"{format_message()}; see --help", int(getattr(error, "exit_code", 2)))
 
 
 def run_command_line() -> int:
-    """Run the command line, and tell its exit code."""
-    if "--debug" in sys.argv[1:]:  # before or after the command's name; children find the variable
+    """Run the command line, and return its exit code."""
+    if (
+        "--debug" in sys.argv[1:]
+    ):  # before or after the command's name; children inherit the variable
         sys.argv.remove("--debug")
         os.environ[_DEBUG] = "1"
-    # Pools start their workers by themselves: none of them is to import what lies in the folder where the user stands.
+    # Workers of process pools must not import files in the user's working folder.
     os.environ["PYTHONSAFEPATH"] = "1"
-    for stream in (sys.stdout, sys.stderr):  # a letter that a terminal lacks is no fault
+    for stream in (
+        sys.stdout,
+        sys.stderr,
+    ):  # a character that the terminal cannot show is not an error
         if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
             with contextlib.suppress(OSError):  # a child's pipe
                 stream.reconfigure(errors="replace")
@@ -251,13 +256,13 @@ def run_command_line() -> int:
 
 
 def main() -> NoReturn:
-    """Run the command line, and end this process."""
+    """Run the command line, and exit."""
     open_standard_files()
     code: int | str | None
     try:
         code = run_command_line()
     except SystemExit as ended:
         code = ended.code
-    # It ends: an exception in the middle of its exit would only be written to its log.
+    # The process exits already; an exception would only write to the log.
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     sys.exit(code)

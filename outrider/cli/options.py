@@ -1,4 +1,4 @@
-"""Options that several commands share, and how they become a scenario."""
+"""Options shared by several commands, and credentials and sessions made from them."""
 
 import os
 from contextlib import AbstractContextManager
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from bus.credentials import Credential
     from bus.session import Session
 
-ScenarioName = Annotated[str, typer.Argument(help="A shipped scenario's name, or a TOML file.")]
+ScenarioName = Annotated[str, typer.Argument(help="Name of a shipped scenario, or a TOML file.")]
 Seed = Annotated[
     int | None,
     typer.Option(
-        help="Seed of all random numbers; the scenario's own by default.", min=0, max=2**53 - 1
+        help="Set the seed of all random numbers; default: the scenario's.", min=0, max=2**53 - 1
     ),
 ]
 Secret = Annotated[
@@ -35,27 +35,25 @@ Secret = Annotated[
     typer.Option(
         "--secret",
         metavar="@FILE|new|HEX",
-        help="The run's secret, which no vehicle is told: @FILE that holds it, `new` to make one, "
-        "or 32 to 128 hexadecimal digits, which other users of this machine would see in the list "
-        "of processes.",
+        help="Set the run's secret: from @FILE, `new`, or 32 to 128 hexadecimal digits.",
         envvar="OUTRIDER_SECRET",
     ),
 ]
 Duration = Annotated[
-    float | None, typer.Option(help="Simulated time in s, instead of the scenario's.")
+    float | None, typer.Option(help="Set the simulated time in s; default: the scenario's.")
 ]
 LawName = Annotated[
     str | None,
     typer.Option(
         "--law",
-        help=f"The UAVs' law. {described(LAWS)}.",
+        help=f"Set the UAVs' law. {described(LAWS)}.",
     ),
 ]
 DriverName = Annotated[
     str | None,
     typer.Option(
         "--driver",
-        help=f"The UGVs' driver. {described(DRIVERS)}; or a saved policy, as fmu:FILE.fmu.",
+        help=f"Set the UGVs' driver. {described(DRIVERS)}; or a saved policy, such as fmu:FILE.fmu.",
     ),
 ]
 Set = Annotated[
@@ -63,18 +61,17 @@ Set = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Any field of the scenario, such as detections.noise=0.2 or uav.*.max_speed=0.5; may be repeated.",
+        help="Set a field, such as detections.noise=0.2 or uav.*.max_speed=0.5; repeatable.",
     ),
 ]
 Weighting = Annotated[
-    str, typer.Option(help="A weighting of your own as module:function, for the law `weighted`.")
+    str, typer.Option(help="Load a weighting for the law `weighted`, as module:function.")
 ]
 PolicyName = Annotated[
     str,
     typer.Option(
         "--policy",
-        help="For the driver `policy`: module:function, module:object with a method predict, or a saved policy as "
-        "KIND:FILE, such as onnx:FILE.onnx.",
+        help="Load a policy for the driver `policy`: module:function, module:object or KIND:FILE.",
     ),
 ]
 UavPolicyName = Annotated[
@@ -82,36 +79,32 @@ UavPolicyName = Annotated[
     typer.Option(
         "--uav-policy",
         metavar="POLICY",
-        help="For the laws `certified` (inside the safety filter) and `policy` (without it): module:function, or a "
-        "saved policy as KIND:FILE, such as npz:FILE.npz.",
+        help="Load a policy for `certified` or `policy`: module:function or KIND:FILE.",
     ),
 ]
 NetworkName = Annotated[
     str,
     typer.Option(
         "--network",
-        help=f"The profile of every radio link: {', '.join(PROFILES)}. One link: --set links.detections.delay=0.5.",
+        help=f"Set the profile of all radio links: {', '.join(PROFILES)}.",
     ),
 ]
 AllowCode = Annotated[
     bool,
     typer.Option(
         "--allow-code",
-        help="Load the code that the file itself names ([custom]); code that you name in the "
-        "command is loaded without it.",
+        help="Load code named in the scenario file.",
     ),
 ]
 VirtualPath = Annotated[
-    str, typer.Option("--path", help="A path of your own as module:function, for the law `path`.")
+    str, typer.Option("--path", help="Load a path for the law `path`, as module:function.")
 ]
-Json = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")
-]
+Json = Annotated[bool, typer.Option("--json", help="Print only a JSON object on stdout.")]
 Child = Annotated[
     bool,
     typer.Option(
         hidden=True,
-        help="Started by `outrider run`: read credentials from stdin, end when it closes, report on stdout.",
+        help="Run as a child of `outrider run`, controlled over stdin.",
     ),
 ]
 
@@ -124,15 +117,20 @@ def _run_name(name: str) -> str:
 
 
 RunName = Annotated[
-    str, typer.Option("--run", help="Name of the run.", envvar="OUTRIDER_RUN", callback=_run_name)
+    str,
+    typer.Option(
+        "--run", help="Set the name of the run.", envvar="OUTRIDER_RUN", callback=_run_name
+    ),
 ]
 
-Connect = Annotated[str, typer.Option(help="Endpoint of the router.", envvar="OUTRIDER_CONNECT")]
+Connect = Annotated[
+    str, typer.Option(help="Connect to the router at this endpoint.", envvar="OUTRIDER_CONNECT")
+]
 CredentialFile = Annotated[
     Path | None,
     typer.Option(
         "--credentials",
-        help="File with this process' name and password (outrider credentials).",
+        help="Read this process's name and password from this file.",
         envvar="OUTRIDER_CREDENTIALS",
     ),
 ]
@@ -140,7 +138,7 @@ RouterCredentials = Annotated[
     Path | None,
     typer.Option(
         "--credentials",
-        help="The router's file of all credentials (router.json).",
+        help="Read all parties' credentials from this file (router.json).",
         envvar="OUTRIDER_CREDENTIALS",
     ),
 ]
@@ -148,19 +146,19 @@ Insecure = Annotated[
     bool,
     typer.Option(
         "--insecure",
-        help="Listen beyond this machine without credentials: anybody may read and write everything.",
+        help="Listen beyond this machine without credentials; any process can join.",
     ),
 ]
 Record = Annotated[
     Path | None,
     typer.Option(
-        metavar="FILE", help="Record every tick into this MCAP file; needs the extra [record]."
+        metavar="FILE", help="Record every tick to this MCAP file; needs the extra [record]."
     ),
 ]
 JoinTimeout = Annotated[
     float,
     typer.Option(
-        help="Seconds to wait for a simulator or router that is away.",
+        help="Wait this many seconds for a disconnected simulator or router.",
         min=0.0,
         envvar="OUTRIDER_JOIN_TIMEOUT",
     ),
@@ -170,7 +168,7 @@ RealTime = Annotated[
     typer.Option(
         "--realtime",
         metavar="F",
-        help="Keep the wall clock: F simulated seconds a second, waiting for nobody; 0 for lockstep, the default.",
+        help="Run at F simulated seconds per second; 0 (default): lockstep.",
         envvar="OUTRIDER_REALTIME",
         min=0.0,
         max=1e4,
@@ -178,14 +176,14 @@ RealTime = Annotated[
 ]
 FlightNumber = Annotated[
     int | None,
-    typer.Option(help="Which flight of a run that was reset, from 0; the last one by default."),
+    typer.Option(help="Select a flight of a reset run, from 0; default: the last."),
 ]
 Companions = Annotated[
     list[str] | None,
     typer.Option(
         "--with",
         metavar="NAME[:OPTION=VALUE,...]",
-        help="Start a companion, such as dashboard, with options of its own: dashboard:port=9000. May be repeated.",
+        help="Start a companion, such as dashboard:port=9000; repeatable.",
     ),
 ]
 
@@ -195,14 +193,14 @@ DEFAULT_RUN = "flight"
 
 
 def secret_of(given: str, *, wanted: bool = False) -> str:
-    """The run's secret.
+    """Return the run's secret.
 
     Args:
-        given: On the command line or in the environment: @FILE, `new`, hexadecimal digits, or nothing.
-        wanted: Whether one is made where none is given.
+        given: Value of the option: @FILE, `new`, hexadecimal digits, or empty.
+        wanted: True: make a secret if the option is empty.
 
     Raises:
-        ScenarioError: If what is given is none, or its file cannot be read.
+        ScenarioError: If the secret is invalid, or its file cannot be read.
     """
     from sim.engine.run_keys import check_secret, new_secret
 
@@ -216,11 +214,11 @@ def secret_of(given: str, *, wanted: bool = False) -> str:
                 given = file.read(1000).strip()
         except (OSError, UnicodeDecodeError) as error:
             raise ScenarioError(
-                f"--secret {source}: {getattr(error, 'strerror', '') or 'is no text'}"
+                f"--secret {source}: {getattr(error, 'strerror', '') or 'not a text file'}"
             ) from error
         if not given:
             raise ScenarioError(
-                f"--secret {source}: is empty; allowed: 32 to 128 hexadecimal digits"
+                f"--secret {source}: the file is empty; allowed: 32 to 128 hexadecimal digits"
             )
     try:
         return check_secret(given, source)
@@ -229,28 +227,29 @@ def secret_of(given: str, *, wanted: bool = False) -> str:
 
 
 def check_endpoints(endpoints: tuple[str, ...], *, secured: bool, insecure: bool) -> None:
-    """Refuse to let strangers in by mistake.
+    """Check that no other machine can join without credentials by mistake.
 
     Raises:
-        ScenarioError: If an endpoint is none, or can be reached from other machines while nothing protects it.
+        ScenarioError: If an endpoint is invalid, or other machines reach it without credentials.
     """
     for endpoint in endpoints:
         if not (check_endpoint(endpoint).is_local or secured or insecure):
             raise ScenarioError(
-                f"endpoint {endpoint}: other machines reach it, and there are no credentials; "
-                "make some with `outrider credentials`, or say --insecure"
+                f"endpoint {endpoint}: other machines can join, and there are no credentials; "
+                "make them with `outrider credentials`, or add --insecure"
             )
 
 
 def staff_of(file: Path | None, role: Role) -> "tuple[Party, Credential | None]":
-    """The operator or the observer of a run, whoever the file is of, and its credentials.
+    """Return the operator or observer whose credentials a file holds, with the credentials.
 
     Args:
-        file: None: this process may have a password.
-        role: Whose that is. Without one everybody may do everything: then it is an operator.
+        file: File of credentials; None: use the password of this process, if any.
+        role: Role of the password's party. Without a password, all parties have all rights, and the operator is
+            returned.
 
     Raises:
-        AccessDenied: If the file is somebody else's.
+        AccessDenied: If the file belongs to a party of another role.
     """
     from bus.credentials import read_credential
 
@@ -259,23 +258,23 @@ def staff_of(file: Path | None, role: Role) -> "tuple[Party, Credential | None]"
         return Party(role=Role.OPERATOR, name=OPERATOR_NAME), None
     if found.role not in (Role.OPERATOR, Role.OBSERVER):
         raise AccessDenied(
-            f"{file}: the credentials of {found.name} ({found.role}), not of an operator or observer"
+            f"{file}: credentials of {found.name} ({found.role}); allowed: an operator or observer"
         )
     return found.party, found
 
 
 class Joining(NamedTuple):
-    """The way of one process into a run."""
+    """Arguments with which a process joins a run."""
 
     party: Party
     connect: str
     run: str
     credential: "Credential | None"
     join_timeout: float
-    """The time for which a router or a simulator may be away [s]."""
+    """Longest wait for a router or simulator [s]."""
 
     def session(self) -> "AbstractContextManager[Session]":
-        """Its session; errors as of `open_session`."""
+        """Open the session; errors as in `open_session`."""
         from bus.joining import open_session
 
         return open_session(
@@ -287,7 +286,7 @@ class Joining(NamedTuple):
         )
 
     def fly(self, make_pilot: "MakePilot") -> int:
-        """Fly the vehicle until the run is over; result and errors as of `agents.process.fly`."""
+        """Fly the vehicle until the run is over; result and errors as in `agents.process.fly`."""
         from agents.process import fly
 
         return fly(
@@ -303,7 +302,7 @@ class Joining(NamedTuple):
 def joining(
     role: str, name: str, connect: str, run: str, file: Path | None, join_timeout: float
 ) -> Joining:
-    """The way of a party; errors as of `check_endpoint`, `party_of` and `credential_of`."""
+    """Return the arguments with which a party joins; errors as in `check_endpoint`, `party_of`, `credential_of`."""
     from bus.roles import party_of
 
     check_endpoint(connect)
@@ -314,16 +313,16 @@ def joining(
 def join(
     role: str, run: str, connect: str, file: Path | None, join_timeout: float = 10.0
 ) -> "AbstractContextManager[Session]":
-    """The session of a run's operator, observer or bridge; errors as of `joining`."""
+    """Open the session of a run's operator, observer or bridge; errors as in `joining`."""
     return joining(role, str(role), connect, run, file, join_timeout).session()
 
 
 def credential_of(file: Path | None, role: str, name: str) -> "Credential | None":
-    """By what this process is known: from its file, or its password from OUTRIDER_PASSWORD; None without either.
+    """Return this process's credential, from its file or from OUTRIDER_PASSWORD; None without either.
 
     Raises:
-        AccessDenied: If the file is not this party's.
-        ScenarioError: If the password cannot be one.
+        AccessDenied: If the file belongs to another party.
+        ScenarioError: If the password is invalid.
     """
     from bus.credentials import Credential, read_credential
 
@@ -331,7 +330,7 @@ def credential_of(file: Path | None, role: str, name: str) -> "Credential | None
         found = read_credential(file)
         if (found.role, found.name) != (role, name):
             raise AccessDenied(
-                f"{file}: the credentials of {found.name} ({found.role}), not of {name} ({role})"
+                f"{file}: credentials of {found.name} ({found.role}); allowed: {name} ({role})"
             )
         return found
     password = os.environ.get("OUTRIDER_PASSWORD")
@@ -344,14 +343,14 @@ def credential_of(file: Path | None, role: str, name: str) -> "Credential | None
 
 
 def size_of(path: Path) -> int:
-    """Return the bytes of a file, or of all files in a folder."""
+    """Return the size of a file, or of all files in a folder [bytes]."""
     if not path.is_dir():
         return path.stat().st_size
     return sum(file.stat().st_size for file in path.iterdir() if file.is_file())
 
 
 def help_without_command(context: typer.Context) -> None:
-    """Print a command group's help, and end with exit code 2, if no command is named."""
+    """Print the help of a command group and exit with 2, if no command is given."""
     if context.invoked_subcommand is None:
         typer.echo(context.get_help(), err=True)
         raise typer.Exit(2)

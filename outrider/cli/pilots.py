@@ -1,4 +1,4 @@
-"""`outrider uav` and `outrider ugv`: one vehicle's process."""
+"""`outrider uav` and `outrider ugv`: process of one vehicle."""
 
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +14,7 @@ from outrider.running.user_code import load_function
 def uav(
     connect: options.Connect = options.DEFAULT_ENDPOINT,
     name: Annotated[
-        str, typer.Option(help="The UAV's name in the scenario.", envvar="OUTRIDER_NAME")
+        str, typer.Option(help="Name of the UAV in the scenario.", envvar="OUTRIDER_NAME")
     ] = "uav_0",
     run: options.RunName = options.DEFAULT_RUN,
     credentials: options.CredentialFile = None,
@@ -24,10 +24,10 @@ def uav(
     uav_policy: options.UavPolicyName = "",
     child: options.Child = False,
 ) -> None:
-    """Fly one UAV of a run, in a process of its own.
+    """Fly one UAV of a run in this process.
 
-    Joins the run, answers every observation with a command, leaves when it is over. Joins again when simulator or
-    router have been away. OUTRIDER_PASSWORD may stand for the credentials' file.
+    The process joins the run, answers every observation with a command, and exits when the run is over. It reconnects
+    after simulator or router were disconnected. OUTRIDER_PASSWORD may replace the credentials file.
 
     Example: outrider uav --connect tcp/127.0.0.1:17447 --name uav_0
     """
@@ -48,7 +48,7 @@ def uav(
 def ugv(
     connect: options.Connect = options.DEFAULT_ENDPOINT,
     name: Annotated[
-        str, typer.Option(help="The UGV's name in the scenario.", envvar="OUTRIDER_NAME")
+        str, typer.Option(help="Name of the UGV in the scenario.", envvar="OUTRIDER_NAME")
     ] = "ugv_0",
     run: options.RunName = options.DEFAULT_RUN,
     credentials: options.CredentialFile = None,
@@ -56,10 +56,10 @@ def ugv(
     policy: options.PolicyName = "",
     child: options.Child = False,
 ) -> None:
-    """Drive one UGV of a run, in a process of its own.
+    """Drive one UGV of a run in this process.
 
-    Joins the run, answers every observation with a command, leaves when it is over. Joins again when simulator or
-    router have been away. OUTRIDER_PASSWORD may stand for the credentials' file.
+    The process joins the run, answers every observation with a command, and exits when the run is over. It reconnects
+    after simulator or router were disconnected. OUTRIDER_PASSWORD may replace the credentials file.
 
     Example: outrider ugv --connect tcp/127.0.0.1:17447 --name ugv_0
     """
@@ -81,11 +81,11 @@ def _joining(
     *,
     child: bool,
 ) -> tuple[options.Joining, dict[str, str]]:
-    """Return how this vehicle joins the run, and the code that its parent names."""
+    """Return the arguments with which this vehicle joins the run, and the code that its parent names."""
     if not child:
-        from outrider.cli.console import tell_starting
+        from outrider.cli.console import print_starting
 
-        tell_starting()
+        print_starting()
         return options.joining(role, name, connect, run, credentials, join_timeout), {}
 
     start, party = read_start(), Party(role=role, name=name)

@@ -1,4 +1,4 @@
-"""`outrider record`: the record of a run in progress, and the repair of one that was killed."""
+"""`outrider record`: recording of a run in progress, and repair of a damaged recording."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -26,27 +26,23 @@ _MCAP = "mcap"
 
 Out = Annotated[
     Path | None,
-    typer.Argument(help="The file to write, such as run.mcap; one that is there is replaced."),
+    typer.Argument(help="File to write, such as run.mcap; an existing file is replaced."),
 ]
 Repair = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE", help="Save what is whole of a killed recording; nothing is recorded."
-    ),
+    typer.Option(metavar="FILE", help="Repair the recording of a killed process; record nothing."),
 ]
 Format = Annotated[
     str,
     typer.Option(
         "--format",
         metavar="NAME",
-        help="Format: mcap, or that of an extension, such as ros2, which writes a bag into a new folder.",
+        help="Set the format: mcap, or an extension's, such as ros2.",
     ),
 ]
 Flown = Annotated[
     str,
-    typer.Option(
-        help="What is flown there, name or file: with it the flight can be drawn and flown again."
-    ),
+    typer.Option(help="Store the run's scenario, so that the recording can be flown again."),
 ]
 
 
@@ -61,16 +57,16 @@ def command(
     changes: options.Set = None,
     json: options.Json = False,
 ) -> None:
-    """Record a run in progress into an MCAP file.
+    """Record a run in progress to an MCAP file.
 
-    It observes and disturbs nobody. Ends with the run, or at Ctrl-C.
+    The recorder only observes the run. It exits at the end of the run, or at Ctrl-C.
 
-    The run's own `--record` keeps every tick whatever happens; an observer of a fast run in lockstep may miss some, and
-    says so. A recording whose process was killed can be replayed as it is; with --repair every whole record of it goes
-    to a new file, FILE with the ending .repaired.mcap, that any program for MCAP opens.
+    `outrider run --record` records every tick. An observer of a fast run in lockstep may miss ticks, and reports their
+    number. If the recording process is killed, the file can still be replayed. --repair writes all its complete
+    records to a new file (.repaired.mcap) that every MCAP program opens.
 
-    With --format ros2 the record is a bag that ros2 bag play and Foxglove take as it is; outrider ros2 import makes a
-    recording of it. Of a killed one nothing stays.
+    --format ros2 writes a bag into a new folder, for ros2 bag play and Foxglove; outrider ros2 import converts it to a
+    recording. If the process is killed, the bag is lost.
 
     Example: outrider record run.mcap --connect tcp/127.0.0.1:17447 --credentials credentials/observer.json
 
@@ -80,11 +76,11 @@ def command(
     """
     if repair is not None:
         if form != _MCAP:
-            raise typer.BadParameter("--repair mends MCAP files; leave --format out")
+            raise typer.BadParameter("--repair needs an MCAP file; leave --format out")
         _repair(repair, out or repair.with_suffix(".repaired.mcap"), json=json)
         return
     if out is None:
-        raise typer.BadParameter("name the file to write, such as: outrider record run.mcap")
+        raise typer.BadParameter("OUT is missing; allowed: a file to write, such as run.mcap")
     from outrider.recording.observer import RunRecorder
 
     sink = _sink(form, out)
@@ -94,27 +90,27 @@ def command(
         options.join(Role.OBSERVER, run, connect, credentials) as session,
     ):
         recorder = RunRecorder(session, sink(out), known)
-        if not ERR.is_terminal:  # there the bar says it
+        if not ERR.is_terminal:  # on a terminal, the bar shows it
             ERR.tell(f"{out}: waiting for the run")
         try:
             lost = _follow(session, recorder, stop)
         finally:
-            with ERR.status(f"ending {out}"):
+            with ERR.status(f"closing {out}"):
                 recorder.close()
     if json:
-        told = {"file": str(out), "bytes": options.size_of(out), "router_lost": lost}
-        print_json(recorder.counts() | told)
+        facts = {"file": str(out), "bytes": options.size_of(out), "router_lost": lost}
+        print_json(recorder.counts() | facts)
     else:
-        ERR.tell(f"{out}: {recorder.story()}")
+        ERR.tell(f"{out}: {recorder.description()}")
     if lost:
-        raise PeerLost(f"the router at {connect} has gone; what came before it went is in {out}")
+        raise PeerLost(f"the router at {connect} disconnected; all earlier ticks are in {out}")
 
 
 def _sink(form: str, out: Path) -> "Callable[[Path], RunSink]":
-    """Return the writer of a format; an entry point `outrider.sinks` writes a path that is not there.
+    """Return the writer of a format; writers of entry points `outrider.sinks` need a new path.
 
     Raises:
-        ScenarioError: If there is no such format, a library of it is missing, or the path is there.
+        ScenarioError: If the format is unknown, one of its libraries is missing, or the path exists.
     """
     if form == _MCAP:
         from outrider.recording.mcap_file import RecordingFile
@@ -123,23 +119,23 @@ def _sink(form: str, out: Path) -> "Callable[[Path], RunSink]":
     known = plugins.registered("sinks")
     if form not in known:
         allowed = ", ".join((_MCAP, *sorted(known)))
-        raise ScenarioError(f"--format {form}: no such format; allowed: {allowed}")
+        raise ScenarioError(f"--format {form}: unknown format; allowed: {allowed}")
     sink: Callable[[Path], RunSink] = plugins.load(known[form])
     if extra := plugins.extra_of(known[form]):
         plugins.require(extra, f"--format {form}")
     if out.exists() or out.is_symlink():
-        raise ScenarioError(f"{out}: is there already; allowed: the name of a new file or folder")
+        raise ScenarioError(f"{out}: exists already; allowed: the name of a new file or folder")
     return sink
 
 
 def _follow(session: "Session", recorder: "RunRecorder", stop: Stop) -> bool:
-    """Record until the run is over or somebody wants the end; whether it was the router that went."""
-    told = "{task.fields[seconds]:>7.1f} s simulated, {task.fields[missing]} ticks missing"
+    """Record until the run is over or a signal arrives; return true if the router disconnected."""
+    counts = "{task.fields[seconds]:>7.1f} s simulated, {task.fields[missing]} ticks missing"
     router = RouterTimer(session)
-    with bar(TextColumn(told)) as progress:
+    with bar(TextColumn(counts)) as progress:
         task = progress.add_task("waiting for the run", total=None, seconds=0.0, missing=0)
         while not stop and not recorder.over:
-            recorder.take(0.2)
+            recorder.record(0.2)
             progress.update(
                 task,
                 description="recording" if recorder.ticks else "waiting for the run",
@@ -163,6 +159,6 @@ def _repair(killed: Path, out: Path, *, json: bool) -> None:
     what = (
         f"{saved.reason}, {saved.lost_bytes} bytes lost"
         if saved.reason
-        else "nothing was wrong with it"
+        else "the file was undamaged"
     )
     ERR.tell(f"{out}: {saved.messages} messages of {killed} ({what})")

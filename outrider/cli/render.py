@@ -1,4 +1,4 @@
-"""`outrider render`: a recording as a picture or a film."""
+"""`outrider render`: picture or film of a recording."""
 
 from pathlib import Path
 from typing import Annotated
@@ -10,23 +10,25 @@ from outrider.cli.options import FlightNumber
 
 
 def command(
-    file: Annotated[Path, typer.Argument(help="A recording, also one whose process was killed.")],
+    file: Annotated[Path, typer.Argument(help="Recording; it may be incomplete.")],
     out: Annotated[
         Path,
         typer.Option(
             "--out",
             "-o",
             metavar="FILE",
-            help="What to make, by its ending: .png, .gif, or .mp4 (needs ffmpeg).",
+            help="Write this file: .png, .gif or .mp4 (needs ffmpeg).",
         ),
     ],
-    fps: Annotated[int, typer.Option(help="Frames per second of a film.", min=1, max=50)] = 20,
+    fps: Annotated[
+        int, typer.Option(help="Set the frames per second of a film.", min=1, max=50)
+    ] = 20,
     realtime: Annotated[
         float,
         typer.Option(
             "--realtime",
             metavar="F",
-            help="F simulated seconds a second of a film.",
+            help="Show F simulated seconds per second of a film.",
             min=0.01,
             max=10_000.0,
         ),
@@ -35,7 +37,7 @@ def command(
 ) -> None:
     """Draw a recorded flight as a picture or a film.
 
-    The picture of a whole run as PNG, or a film from above as GIF or MP4.
+    Writes a picture of the whole flight as PNG, or a film seen from above as GIF or MP4.
 
     Example: outrider render run.mcap -o run.gif --realtime 20
     """
@@ -44,12 +46,12 @@ def command(
 
     check_output(out)
     recording = flight_of(file, flight)
-    with share_progress("drawing") as tell:
+    with share_progress("drawing") as show:
         render(
             recording,
             out,
             fps=fps,
             speed=realtime,
-            on_frame=lambda done, total: tell("drawing", done / total),
+            on_frame=lambda done, total: show("drawing", done / total),
         )
     ERR.tell(f"{out}: {out.stat().st_size / 1e6:.2f} MB")

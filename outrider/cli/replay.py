@@ -1,4 +1,4 @@
-"""`outrider replay`: what a recording tells, and whether it flies the same again."""
+"""`outrider replay`: summary of a recording, and comparison with a second flight of its commands."""
 
 import time
 from pathlib import Path
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 def command(
     file: Annotated[
         Path,
-        typer.Argument(help="A recording, also one whose process was killed."),
+        typer.Argument(help="Recording; it may be incomplete."),
     ],
     refly: Annotated[
         bool,
         typer.Option(
             "--refly",
-            help="Fly the recorded commands through the simulator again and compare every tick.",
+            help="Fly the recorded commands again and compare every tick.",
         ),
     ] = False,
     realtime: Annotated[
@@ -37,7 +37,7 @@ def command(
         typer.Option(
             "--realtime",
             metavar="F",
-            help="Play it, F simulated seconds a second; Ctrl-C ends it.",
+            help="Play the recording at F simulated seconds per second.",
             min=0.01,
             max=1e6,
         ),
@@ -46,16 +46,16 @@ def command(
     flight: FlightNumber = None,
     json: Json = False,
 ) -> None:
-    """Tell the numbers of a recorded run, or fly it again.
+    """Print the summary of a recorded run, or fly the run again.
 
-    It says whether the file is whole. With --refly the recorded commands go through the same simulator again, without
-    pilots: exit code 0 where every position, velocity and applied command is the same to the last bit, 1 at the first
-    that is not, which is named.
+    Reports if the file is incomplete. --refly sends the recorded commands through the simulator again, without pilots.
+    It exits with 0 if every position, velocity and applied command is identical to the last bit. Otherwise it names
+    the first difference and exits with 1.
 
     Example: outrider replay run.mcap --refly
     """
     if companions and (refly or json):
-        raise typer.BadParameter("--with plays, --refly and --json tell; leave one out")
+        raise typer.BadParameter("--with cannot be combined with --refly or --json; leave one out")
     if companions:
         _play_with(companions, file, flight, realtime)
         return
@@ -67,7 +67,7 @@ def command(
         return
     if realtime is not None:
         _play(recording, realtime)
-    _tell(recording, json=json)
+    _print_recording(recording, json=json)
 
 
 def _refly(recording: "Recording", *, json: bool) -> None:
@@ -78,7 +78,7 @@ def _refly(recording: "Recording", *, json: bool) -> None:
         found = refly(recording)
     same = found.difference is None
     if json:
-        told: dict[str, Any] = {
+        facts: dict[str, Any] = {
             "file": str(recording.path),
             "same": same,
             "ticks": found.ticks,
@@ -89,10 +89,10 @@ def _refly(recording: "Recording", *, json: bool) -> None:
             **certificate_fields(recording.certificates),
             "mission": recording.mission,
         }
-        print_json(told)
+        print_json(facts)
     else:
         differs = f"differs from {found.difference}"
-        verdict = ("the same to the last bit", "green") if same else (differs, "red")
+        verdict = ("identical to the last bit", "green") if same else (differs, "red")
         OUT.tell(Text.assemble(f"{recording.path}: {found.ticks} ticks flown again, ", verdict))
         OUT.tell(f"  trajectory_sha256 {found.trajectory_sha256}")
         if found.note:
@@ -104,30 +104,30 @@ def _refly(recording: "Recording", *, json: bool) -> None:
 def _play_with(asked: list[str], file: Path, flight: int | None, realtime: float | None) -> None:
 
     if len(asked) > 1:
-        raise typer.BadParameter("--with: one companion plays a recording")
+        raise typer.BadParameter("--with: several companions; allowed: one")
     name, words, companion = parse_companion(asked[0])
     if not companion.replays:
-        raise typer.BadParameter(f"--with {name}: it plays no recordings")
+        raise typer.BadParameter(f"--with {name}: this companion cannot play recordings")
     given = {"--replay": file.absolute(), "--flight": flight, "--realtime": realtime}
-    told = [
+    arguments = [
         word
         for option, value in given.items()
         if value is not None
         for word in (option, str(value))
     ]
-    call_command(name, [*told, *words])
+    call_command(name, [*arguments, *words])
 
 
 def _play(recording: "Recording", speed: float) -> None:
-    """Let simulated time pass at this speed."""
+    """Play the recording at `speed` [simulated seconds per second]."""
     truths = recording.truths
     begin, end = truths[0].time, truths[-1].time
     columns = (
         TextColumn("{task.fields[seconds]:>7.1f} s", markup=False),
-        TextColumn("{task.fields[told]}"),
+        TextColumn("{task.fields[state]}"),
     )
     with bar(*columns) as progress, stop_on_signals() as stop:
-        task = progress.add_task("playing", total=max(end - begin, 1e-9), seconds=begin, told="")
+        task = progress.add_task("playing", total=max(end - begin, 1e-9), seconds=begin, state="")
         started, row = time.monotonic(), 0
         while not stop and row < len(truths):
             now = begin + (time.monotonic() - started) * speed
@@ -135,17 +135,17 @@ def _play(recording: "Recording", speed: float) -> None:
                 row += 1
             shown = truths[max(row - 1, 0)]
             pairs = [(escort.distance, escort.coverage_error) for escort in shown.escorts]
-            told = "distance {:.2f} m, e = {:.1f} m²".format(*max(pairs)) if pairs else "no UAV"
-            progress.update(task, completed=shown.time - begin, seconds=shown.time, told=told)
+            state = "distance {:.2f} m, e = {:.1f} m²".format(*max(pairs)) if pairs else "no UAV"
+            progress.update(task, completed=shown.time - begin, seconds=shown.time, state=state)
             time.sleep(0.05)
     if stop:
         raise typer.Exit(stop.exit_code)
 
 
-def _tell(recording: "Recording", *, json: bool) -> None:
+def _print_recording(recording: "Recording", *, json: bool) -> None:
     from outrider.recording.refly import from_the_start, restore
 
-    told = _facts(recording)
+    facts = _facts(recording)
     if recording.head.scenario is not None and from_the_start(recording):
         seconds = _wall_time(recording)
         restored = restore(recording)
@@ -157,34 +157,34 @@ def _tell(recording: "Recording", *, json: bool) -> None:
             mission=recording.mission,
         )
         if json:
-            print_json({**msgspec.to_builtins(summary), **told})
+            print_json({**msgspec.to_builtins(summary), **facts})
             return
         print_summary(summary, [])
     elif json:
-        print_json(told)
+        print_json(facts)
         return
     else:
         OUT.tell(
-            f"{told['scenario']}, seed {told['seed']}: recorded by an observer, ticks {told['first_tick']} to "
-            f"{told['last_tick']}"
+            f"{facts['scenario']}, seed {facts['seed']}: recorded by an observer, ticks {facts['first_tick']} to "
+            f"{facts['last_tick']}"
         )
         OUT.tell(
-            f"  distance: largest {told['max_distance']:.3f} m, mean {told['mean_distance']:.3f} m"
+            f"  distance: largest {facts['max_distance']:.3f} m, mean {facts['mean_distance']:.3f} m"
         )
-    whole = "whole" if told["whole"] else f"not whole: {told['reason']}"
-    missing = f", {told['missing_ticks']} ticks missing" if told["missing_ticks"] else ""
-    size = f"{told['bytes'] / 1e6:.2f} MB, {told['bytes_per_minute'] / 1e6:.2f} MB per simulated minute"
+    whole = "complete" if facts["whole"] else f"incomplete: {facts['reason']}"
+    missing = f", {facts['missing_ticks']} ticks missing" if facts["missing_ticks"] else ""
+    size = f"{facts['bytes'] / 1e6:.2f} MB, {facts['bytes_per_minute'] / 1e6:.2f} MB per simulated minute"
     OUT.tell(f"  {recording.path}: {size}, {whole}{missing}")
 
 
 def _wall_time(recording: "Recording") -> float:
-    """Returns the time that the flight took [s], from the speeds that its status told; 0: not known."""
+    """Return the wall time of the flight [s], from the real-time factors of its status; 0: unknown."""
     factors, flown = recording.factors, recording.truths[-1].time - recording.truths[0].time
     return flown * sum(1.0 / factor for factor in factors) / len(factors) if factors else 0.0
 
 
 def _facts(recording: "Recording") -> dict[str, Any]:
-    """Returns the facts that any recording tells."""
+    """Return the facts that every recording contains."""
     truths, damage = recording.truths, recording.damage
     distances = [escort.distance for truth in truths for escort in truth.escorts]
     minutes = (truths[-1].time - truths[0].time) / 60.0

@@ -1,4 +1,4 @@
-"""`outrider report`: a sweep's results as pictures, one page and a table."""
+"""`outrider report`: results of sweeps as pictures, a page and a table."""
 
 import shlex
 import sys
@@ -18,13 +18,13 @@ from outrider.cli.standard_files import print_text
 def command(
     folders: Annotated[
         list[Path],
-        typer.Argument(help="Folders of sweeps, finished or not; what they share becomes one."),
+        typer.Argument(help="Folders of sweeps, finished or not; common points are merged."),
     ],
     out: Annotated[
         Path | None,
         typer.Option(
             metavar="FOLDER",
-            help="Folder for page and pictures; FOLDER/report by default, of several folders ./report.",
+            help="Write page and pictures to this folder; default: FOLDER/report, or ./report.",
         ),
     ] = None,
     markdown: Annotated[
@@ -34,15 +34,16 @@ def command(
 ) -> None:
     """Draw the results of sweeps.
 
-    How often the UGV was lost, with intervals, by which margin, and what the network cost.
+    Shows how often sight was lost, with confidence intervals, the margin, and the cost of the network.
 
-    Writes pictures (PNG) and report.html, one page with everything inside. Needs the extra [sweep].
+    Writes pictures (PNG) and report.html, a self-contained page. With several folders, they go to ./report. Needs the
+    extra [sweep].
 
     Example: outrider report sweeps/network --markdown
     """
     require("sweep")
     if markdown and json:
-        raise typer.BadParameter("--markdown and --json both want stdout; choose one")
+        raise typer.BadParameter("--markdown and --json both write to stdout; leave one out")
 
     with ERR.status("reading and drawing"):
         from outrider.experiments.report.document import markdown as markdown_of
@@ -69,9 +70,7 @@ def command(
         return
     if material.missing:
         ERR.tell(
-            Text.assemble(
-                ("not finished:", "yellow"), f" {material.missing:,} runs are still to be flown"
-            )
+            Text.assemble(("not finished:", "yellow"), f" {material.missing:,} runs are missing")
         )
     OUT.tell(f"{material.rows:,} runs, {material.failed:,} failed\n  {file}")
     for path in pictures.values():

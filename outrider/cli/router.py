@@ -1,4 +1,4 @@
-"""`outrider router`: the meeting point of processes in several containers or on several machines."""
+"""`outrider router`: router for processes in several containers or on several machines."""
 
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,7 +22,7 @@ def command(
     listen: Annotated[
         list[str] | None,
         typer.Option(
-            help=f"Endpoint to listen on; {options.DEFAULT_ENDPOINT} by default; may be repeated.",
+            help=f"Listen on this endpoint; default: {options.DEFAULT_ENDPOINT}; repeatable.",
             envvar="OUTRIDER_LISTEN",
         ),
     ] = None,
@@ -30,15 +30,13 @@ def command(
     run: options.RunName = options.DEFAULT_RUN,
     once: Annotated[
         bool,
-        typer.Option(
-            "--once", help="End with the run: when its simulator has said that it is over."
-        ),
+        typer.Option("--once", help="Exit when the simulator reports the end of the run."),
     ] = False,
     insecure: options.Insecure = False,
 ) -> None:
-    """Route the messages of a run, each party's own keys only.
+    """Route the messages of a run; each party may use only its own keys.
 
-    Runs until Ctrl-C or SIGTERM. `outrider simulator` hosts a router itself; this one is for containers and
+    Runs until Ctrl-C or SIGTERM. `outrider simulator` hosts a router itself. Use this command for containers and for
     several machines.
 
     Example: outrider router --listen tcp/0.0.0.0:17447 --credentials credentials/router.json
@@ -48,7 +46,7 @@ def command(
     options.check_endpoints(endpoints, secured=given is not None, insecure=insecure)
     if given is not None and run not in (given.run, options.DEFAULT_RUN):
         raise ScenarioError(
-            f"--run {run}: the credentials in {credentials} are for the run {given.run}"
+            f"--run {run}: the credentials in {credentials} are for another run; allowed: {given.run}"
         )
     name = run if given is None else given.run
     observer = Party(role=Role.OBSERVER, name=OBSERVER_NAME)
@@ -56,12 +54,12 @@ def command(
         stop_on_signals() as stop,
         open_session(observer, name, listen=endpoints, given=given) as session,
     ):
-        who = (
-            "anybody"
+        clients = (
+            "any process"
             if given is None
             else ", ".join(credential.name for credential in given.parties)
         )
-        ERR.tell(f"routing on {', '.join(endpoints)} for {who} in the run {name}")
+        ERR.tell(f"routing on {', '.join(endpoints)} for {clients} in the run {name}")
         if once:
             _until_over(session, stop)
         else:
@@ -69,7 +67,7 @@ def command(
 
 
 def _until_over(session: "Session", stop: Stop) -> None:
-    """Until the simulator has said that the run is over, and has gone: one that dies may come back."""
+    """Wait until the simulator has reported the end of the run and left; a simulator that fails may come back."""
     simulator = Presence(session, SIMULATOR_NAME)
     statuses = session.inbox(STATUS)
     over = False

@@ -1,4 +1,4 @@
-"""`outrider run`: the main job."""
+"""`outrider run`: flight of a scenario, in several processes or in one."""
 
 import time
 from pathlib import Path
@@ -11,7 +11,7 @@ from bus.registry import DRIVERS
 from outrider.cli import options
 from outrider.cli.console import ERR, flight_progress, print_json, print_summary, print_warnings
 from outrider.cli.stopping import Stop, stop_on_signals
-from outrider.running.assumptions import promise_warnings
+from outrider.running.assumptions import assumption_warnings
 from outrider.running.companions import pace_with, parse_companion
 from outrider.running.launch import Outcome, Watcher, launch
 from outrider.running.parent import Output
@@ -21,7 +21,7 @@ from outrider.view.output import default_folder, making, write_flight, write_sum
 from sim.scenario.checks import scenario_warnings
 
 MOST_PROCESSES = 20
-"""Processes that a run starts at most, unless more are allowed."""
+"""Default limit of a run's processes."""
 
 if TYPE_CHECKING:
     from outrider.cli.console import FlightProgress
@@ -30,27 +30,27 @@ if TYPE_CHECKING:
 
 
 InProcess = Annotated[
-    bool, typer.Option("--in-process", help="Without a bus, all in this process.")
+    bool, typer.Option("--in-process", help="Fly everything in this process, without a bus.")
 ]
 Respawn = Annotated[
     bool,
     typer.Option(
         "--respawn",
-        help="Start a vehicle's process again if it dies; in lockstep the clock waits.",
+        help="Restart a vehicle's process if it exits; lockstep waits for it.",
     ),
 ]
 AllowProcesses = Annotated[
     int,
-    typer.Option("--allow-processes", metavar="N", help="Start up to this many processes.", min=1),
+    typer.Option("--allow-processes", metavar="N", help="Allow up to N processes.", min=1),
 ]
 Out = Annotated[
     Path | None,
     typer.Option(
         metavar="FOLDER",
-        help="Folder for trajectory, picture and summary; a new one in runs/ by default.",
+        help="Write trajectory, picture and summary to this folder; default: new, in runs/.",
     ),
 ]
-Files = Annotated[bool, typer.Option(help="Write files at all.")]
+Files = Annotated[bool, typer.Option(help="Write the files of the run.")]
 Picture = Annotated[bool, typer.Option(help="Draw the picture.")]
 
 
@@ -75,18 +75,18 @@ def command(
     picture: Picture = True,
     json: options.Json = False,
 ) -> None:
-    """Fly a scenario: simulator and vehicles, a process each.
+    """Fly a scenario, with one process for the simulator and one per vehicle.
 
-    The processes exchange over Zenoh. Ends with a table of numbers, a picture and the trajectory. Ctrl-C ends the run
-    and keeps what was flown. A vehicle whose process dies brakes, and the run goes on without it; with --respawn it is
-    started again and flies on. With --with dashboard a page shows it live; the page ends with the run, and what it
-    shows stays in the browser.
+    The processes communicate over Zenoh. The run ends with a table of metrics, a picture and the trajectory. Ctrl-C
+    ends the run early and keeps its results. If a vehicle's process exits, the vehicle brakes and the run continues
+    without it. With --respawn, the process is restarted and flies on. --with dashboard shows the run on a page; the
+    browser keeps its last state when the run ends.
 
     Example: outrider run escort --seed 3 --law switching
     """
     if in_process and (realtime or respawn or companions):
         raise typer.BadParameter(
-            "--realtime, --respawn and --with need processes; leave --in-process out"
+            "--realtime, --respawn and --with need several processes; leave --in-process out"
         )
 
     beside = tuple(parse_companion(text) for text in companions or ())
@@ -103,23 +103,23 @@ def command(
         respawn=respawn,
         changes=changes,
     )
-    strangers = any(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
+    has_external = any(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
     _check_processes(flown, 0 if in_process else allow_processes)
-    if in_process and strangers:
-        raise typer.BadParameter("--driver external is another process; leave --in-process out")
-    kept = options.secret_of(secret, wanted=strangers)
+    if in_process and has_external:
+        raise typer.BadParameter("--driver external needs another process; leave --in-process out")
+    run_secret = options.secret_of(secret, wanted=has_external)
     check_code(flown, named, source=scenario, allowed=allow_code)
-    # what does not fit shows here, not in a child
+    # report faults of user code here, not in a child
     print_warnings((*scenario_warnings(flown), *check_own_functions(flown)))
     if record is not None:
-        import outrider.recording.writer  # noqa: F401 - a missing extra shows here, not in a child
+        import outrider.recording.writer  # noqa: F401 - report a missing extra here, not in a child
     folder = (out or default_folder(flown.name)) if files else None
     output = Output(folder=str(folder or ""), picture=picture, record=str(record or ""))
     with making(folder), stop_on_signals() as stop:
         if in_process:
-            outcome = _fly_here(flown, kept, folder, picture, record, stop)
+            outcome = _fly_here(flown, run_secret, folder, picture, record, stop)
         else:
-            outcome = _fly_apart(flown, kept, output, beside, stop)
+            outcome = _fly_apart(flown, run_secret, output, beside, stop)
         _report(outcome, folder, json=json)
     _end(outcome, stop)
 
@@ -131,7 +131,7 @@ def _report(outcome: "Outcome", folder: Path | None, *, json: bool) -> None:
     if folder is not None:
         try:
             write_summary(outcome.summary, folder)
-        except OSError as error:  # it is printed all the same
+        except OSError as error:  # the summary is printed nevertheless
             outcome.fault = outcome.fault or f"{error.filename}: {error.strerror}"
     if json:
         print_json(outcome.summary)
@@ -155,17 +155,17 @@ def _fly_apart(
 
 
 def _check_processes(flown: "Scenario", allowed: int) -> None:
-    """Refuse a run over more processes than are allowed; 0: it has none.
+    """Check the number of processes against its limit; 0: the run starts none.
 
     Raises:
-        ScenarioError: If there are more.
+        ScenarioError: If the run needs more processes.
     """
     outside = sum(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
     wanted = 1 + len(flown.vehicles) - outside
     if 0 < allowed < wanted:
         raise ScenarioError(
-            f"{flown.name}: needs {wanted} processes; allowed: {allowed}; raise it with --allow-processes {wanted}, or "
-            "use --in-process"
+            f"{flown.name}: needs {wanted} processes; allowed: {allowed}; add --allow-processes {wanted} or "
+            "--in-process"
         )
 
 
@@ -181,7 +181,7 @@ def _fly_here(
     from outrider.running.warming import warm_up_flight
     from sim.server.flight import Flight
 
-    print_warnings(promise_warnings(flown))
+    print_warnings(assumption_warnings(flown))
     shown = 0.0
     recorder = None
     if record is not None:
@@ -224,7 +224,7 @@ def _end(outcome: "Outcome", stop: Stop) -> None:
 
     if stop:
         if outcome.summary is None:
-            ERR.tell("outrider: interrupted before the first tick; nothing was flown")
+            ERR.tell("outrider: interrupted before the first tick; there are no results")
         raise typer.Exit(stop.exit_code)
     if outcome.fault:
         unusable = outcome.unusable and outcome.summary is None

@@ -1,4 +1,4 @@
-"""`outrider scenarios`: what is shipped, what it says, and a file of one's own to begin with."""
+"""`outrider scenarios`: list, text and copies of shipped scenarios."""
 
 import shlex
 from pathlib import Path
@@ -12,9 +12,9 @@ from outrider.cli.options import Json
 from outrider.cli.standard_files import print_text
 from sim.scenario.loading import load_scenario, scenario_names, schema_text, shipped_text
 
-Name = Annotated[str, typer.Argument(help="A shipped scenario's name.")]
+Name = Annotated[str, typer.Argument(help="Name of a shipped scenario.")]
 SCHEMA_FILE = "scenario.schema.json"
-"""Written beside a new scenario, for editors that know JSON Schema."""
+"""File name of the JSON Schema beside a new scenario, for editors."""
 
 app = typer.Typer(invoke_without_command=True, add_completion=False, rich_markup_mode=None)
 
@@ -24,9 +24,9 @@ def command(
     context: typer.Context,
     json: Json = False,
 ) -> None:
-    """List the shipped scenarios, show one, or begin your own.
+    """List, show or create scenarios.
 
-    The schema is for an editor that knows JSON Schema.
+    The schema is for editors that support JSON Schema.
 
     Example: outrider scenarios, or outrider scenarios show escort
     """
@@ -47,14 +47,14 @@ def command(
         ]
         print_json({"scenarios": rows})
         return
-    told = [(s.name, s.law.name, f"{s.duration:g} s", s.title) for s in shipped]
+    listed = [(s.name, s.law.name, f"{s.duration:g} s", s.title) for s in shipped]
     whole = ("name", "law", "time")
-    print_table((*whole, "what it is"), told, right=("time",), whole=whole)
+    print_table((*whole, "title"), listed, right=("time",), whole=whole)
 
 
 @app.command()
 def show(name: Name = "escort") -> None:
-    """Print a shipped scenario's file.
+    """Print the file of a shipped scenario.
 
     Example: outrider scenarios show figure-3-switching
     """
@@ -63,38 +63,30 @@ def show(name: Name = "escort") -> None:
 
 @app.command()
 def new(
-    file: Annotated[Path, typer.Argument(help="The file to be written.")],
-    base: Annotated[
-        str, typer.Option("--from", help="The shipped scenario that it begins as.")
-    ] = "escort",
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace a file that is there already.")
-    ] = False,
-    schema: Annotated[
-        bool, typer.Option(help=f"Write {SCHEMA_FILE} beside it, for the editor.")
-    ] = True,
+    file: Annotated[Path, typer.Argument(help="File to write.")],
+    base: Annotated[str, typer.Option("--from", help="Copy this shipped scenario.")] = "escort",
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    schema: Annotated[bool, typer.Option(help=f"Write {SCHEMA_FILE} for editors, too.")] = True,
 ) -> None:
-    """Begin a scenario of one's own as a copy of a shipped one.
+    """Create a scenario as a copy of a shipped one.
 
-    Editors that know TOML with JSON Schema (taplo, Even Better TOML) complete its fields and mark what is wrong.
+    Editors with JSON Schema for TOML (taplo, Even Better TOML) complete its fields and mark errors.
 
     Example: outrider scenarios new mine.toml, then outrider check mine.toml and outrider run mine.toml
     """
     if file.suffix != ".toml":
-        raise typer.BadParameter(f"{file}: a scenario's file ends in .toml: {file.name}.toml")
+        raise typer.BadParameter(f"{file}: wrong ending; allowed: {file.name}.toml")
     if file.stem in scenario_names():
-        raise typer.BadParameter(f"{file}: {file.stem} is a shipped scenario; choose another name")
+        raise typer.BadParameter(f"{file}: name of a shipped scenario; allowed: another name")
     text = shipped_text(base)
     if file.exists() and not force:
-        raise typer.BadParameter(f"{file}: is there already; --force replaces it")
+        raise typer.BadParameter(f"{file}: exists already; --force replaces it")
     with writing(file):
         if schema:
             text = f"#:schema {SCHEMA_FILE}\n{text}"
             file.with_name(SCHEMA_FILE).write_text(schema_text(), encoding="utf-8")
         file.write_text(text, encoding="utf-8")
-    OUT.tell(
-        f"{file}: written; outrider check {shlex.quote(str(file))} says whether it can be flown"
-    )
+    OUT.tell(f"{file}: written; validate it with outrider check {shlex.quote(str(file))}")
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""`outrider simulator`: the process that knows the truth, with the router inside."""
+"""`outrider simulator`: process that simulates the world and hosts the router."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -17,12 +17,12 @@ from outrider.cli.console import (
     FlightProgress,
     flight_progress,
     print_json,
+    print_starting,
     print_summary,
     print_warnings,
-    tell_starting,
 )
 from outrider.cli.stopping import stop_on_signals
-from outrider.running.assumptions import promise_warnings
+from outrider.running.assumptions import assumption_warnings
 from outrider.running.exit_reports import Report, Reports
 from outrider.running.parent import Output, read_start
 from outrider.running.resolve import resolve
@@ -39,22 +39,23 @@ if TYPE_CHECKING:
 
 ServedScenario = Annotated[
     str,
-    typer.Argument(help="A shipped scenario's name, or a TOML file.", envvar="OUTRIDER_SCENARIO"),
+    typer.Argument(help="Name of a shipped scenario, or a TOML file.", envvar="OUTRIDER_SCENARIO"),
 ]
 Listen = Annotated[
     list[str] | None,
-    typer.Option(help=f"Host the router, on this endpoint; {options.DEFAULT_ENDPOINT} by default."),
+    typer.Option(help=f"Host the router on this endpoint; default: {options.DEFAULT_ENDPOINT}."),
 ]
 OtherRouter = Annotated[
     str,
     typer.Option(
-        help="Use the router at this endpoint instead of hosting one.", envvar="OUTRIDER_CONNECT"
+        help="Connect to the router at this endpoint instead of hosting one.",
+        envvar="OUTRIDER_CONNECT",
     ),
 ]
 ServedSeed = Annotated[
     int | None,
     typer.Option(
-        help="Seed of all random numbers; the scenario's own by default.",
+        help="Set the seed of all random numbers; default: the scenario's.",
         min=0,
         max=2**53 - 1,
         envvar="OUTRIDER_SEED",
@@ -63,13 +64,13 @@ ServedSeed = Annotated[
 ServedDuration = Annotated[
     float | None,
     typer.Option(
-        help="Simulated time in s, instead of the scenario's.", envvar="OUTRIDER_DURATION"
+        help="Set the simulated time in s; default: the scenario's.", envvar="OUTRIDER_DURATION"
     ),
 ]
 ServedJoinTimeout = Annotated[
     float | None,
     typer.Option(
-        help="Seconds to wait for vehicles, or a router that is away; the scenario's by default.",
+        help="Wait this many seconds for vehicles or router; default: the scenario's.",
         min=0.0,
         envvar="OUTRIDER_JOIN_TIMEOUT",
     ),
@@ -79,36 +80,34 @@ Respawn = Annotated[
 ]
 Out = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FOLDER", help="Folder for trajectory, picture and summary; none by default."
-    ),
+    typer.Option(metavar="FOLDER", help="Write trajectory, picture and summary to this folder."),
 ]
 
 
 class _Job(NamedTuple):
-    """The run to simulate."""
+    """Run to simulate."""
 
     scenario: Scenario
     run: str
     connect: str
-    """Endpoint of the router elsewhere; empty: this process hosts one."""
+    """Endpoint of another process's router; empty: this process hosts the router."""
     listen: tuple[str, ...]
     credential: Credential | None
-    """Credential by which the router elsewhere knows this process."""
+    """Credential of this process for another process's router."""
     given: CredentialSet | None
-    """Credentials by which the router in this process knows its clients."""
+    """Credentials of all clients of this process's router."""
     secret: str
     output: Output
 
 
 class _Terminal:
-    """Reports to a person: warnings and progress on standard error, the summary on standard output."""
+    """Reports to the terminal: warnings and progress on standard error, the summary on standard output."""
 
     def __init__(self, job: _Job, *, json: bool) -> None:
         self._job, self._json = job, json
 
     def begin(self, warnings: tuple[str, ...]) -> None:
-        """Print the warnings, and what the simulator waits for."""
+        """Print the warnings and the awaited vehicles."""
         job = self._job
         print_warnings((*scenario_warnings(job.scenario), *warnings))
         names = ", ".join(vehicle.name for vehicle in job.scenario.vehicles)
@@ -118,15 +117,15 @@ class _Terminal:
         ERR.tell(f"{where}, run {job.run}: waiting for {names}")
         if job.listen and job.given is None:
             ERR.tell(
-                "no credentials: every process that reaches this endpoint may read and write everything"
+                "no credentials: every process that reaches this endpoint can read and write everything"
             )
 
     def progress(self) -> "AbstractContextManager[FlightProgress | _Parent]":
-        """Return a bar."""
+        """Return a progress bar."""
         return flight_progress(self._job.scenario, "waiting")
 
     def flown(self, summary: Summary) -> None:
-        """Wait for the files: they are printed with it."""
+        """Do nothing: the summary is printed together with the files."""
 
     def end(self, summary: Summary, files: list[Path]) -> None:
         """Print the summary and the files."""
@@ -137,19 +136,19 @@ class _Terminal:
 
 
 class _Parent(Reports):
-    """Reports to `outrider run`, which has printed the scenario's own warnings."""
+    """Reports to `outrider run`, which has printed the scenario's warnings already."""
 
     def begin(self, warnings: tuple[str, ...]) -> None:
-        """Write what stands in the way of a certificate."""
+        """Write the warnings about certificates."""
         if warnings:
             self.write(Report(warnings=warnings))
 
     def progress(self) -> "AbstractContextManager[FlightProgress | _Parent]":
-        """Return this."""
+        """Return this object, which reports progress."""
         return nullcontext(self)
 
     def flown(self, summary: Summary) -> None:
-        """Write the summary first of all, so that a full disk does not take it."""
+        """Write the summary before any file, so that a full disk cannot lose it."""
         self.write(Report(summary=summary))
 
     def end(self, _summary: Summary, files: list[Path]) -> None:
@@ -178,9 +177,9 @@ def command(
 ) -> None:
     """Simulate a scenario for vehicles that join over Zenoh.
 
-    It waits for them, flies with them, and sums the run up. In lockstep it goes as fast as they answer; with --realtime
-    it keeps the wall clock. Where it hosts the router its credentials are the file with everybody's (router.json),
-    where it uses another its own (simulator.json).
+    The simulator waits for the vehicles, flies the scenario and prints a summary. In lockstep, it runs as fast as the
+    vehicles answer; with --realtime, it follows the wall clock. Its credentials are router.json if it hosts the router,
+    and simulator.json if it connects to another router.
 
     Example: outrider simulator escort --listen tcp/127.0.0.1:17447 --out runs/mine
     """
@@ -210,18 +209,18 @@ def command(
     options.check_endpoints(
         endpoints or (connect,), secured=secured or bool(connect), insecure=insecure
     )
-    kept = options.secret_of(secret, wanted=secured)
+    run_secret = options.secret_of(secret, wanted=secured)
     output = Output(folder=str(out or ""), record=str(record or ""))
-    job = _Job(flown, run, connect, endpoints, credential, given, kept, output)
-    tell_starting()
+    job = _Job(flown, run, connect, endpoints, credential, given, run_secret, output)
+    print_starting()
     raise typer.Exit(_simulate(job, _Terminal(job, json=json)))
 
 
 def _simulate(job: _Job, audience: _Terminal | _Parent) -> int:
-    """Wait for the vehicles and fly; return the exit code."""
+    """Wait for the vehicles and fly the scenario; return the exit code."""
     flown = job.scenario
     with ExitStack() as opened:
-        # The router listens while the rest is compiled, so that vehicles need not wait to reach it.
+        # The router listens before the compilation, so that vehicles can connect meanwhile.
         session = opened.enter_context(
             open_session(
                 Party(role=Role.SIMULATOR, name=SIMULATOR_NAME),
@@ -234,8 +233,8 @@ def _simulate(job: _Job, audience: _Terminal | _Parent) -> int:
             )
         )
         warm_up(flown)
-        audience.begin(promise_warnings(flown))
-        # Not before: a signal ends the compiling at once.
+        audience.begin(assumption_warnings(flown))
+        # Not earlier: a signal must end the compilation at once.
         stop = opened.enter_context(stop_on_signals())
         recorder = opened.enter_context(_recorder(job))
         progress = opened.enter_context(audience.progress())
@@ -252,7 +251,7 @@ def _simulate(job: _Job, audience: _Terminal | _Parent) -> int:
             secret=job.secret,
             on_event=on_event,
             stop=lambda: bool(stop),
-            warn=promise_warnings,
+            warn=assumption_warnings,
         )
         if recorder is not None:
             recorder.vehicles = server.vehicles
@@ -265,7 +264,7 @@ def _simulate(job: _Job, audience: _Terminal | _Parent) -> int:
 
 @contextmanager
 def _recorder(job: _Job) -> "Iterator[FlightRecorder | None]":
-    """Open the recording, if one is wanted: a file that cannot be written shows before any vehicle joins."""
+    """Open the recording, if any, before vehicles join: an unwritable file fails early."""
     if not job.output.record:
         yield None
         return
@@ -279,7 +278,7 @@ def _recorder(job: _Job) -> "Iterator[FlightRecorder | None]":
 def _follower(
     server: Server, recorder: "FlightRecorder | None", progress: FlightProgress | _Parent
 ) -> Callable[[], None]:
-    """Return what records each tick, and shows ten a second."""
+    """Return a callback that records each tick and shows ten ticks per second."""
     shown = 0.0
 
     def on_tick() -> None:
@@ -295,10 +294,9 @@ def _follower(
 
 
 def _end(job: _Job, server: Server, audience: _Terminal | _Parent) -> None:
-    """Sum up and write what was flown, also where the router was lost for good.
+    """Write the summary and the files of the run, even after the router was lost.
 
-    Of a run that could not begin the cause alone is reported; only a vehicle that was restarted again and again has a
-    summary worth keeping.
+    A run without a tick has no summary, unless a vehicle was restarted repeatedly.
     """
     seconds = time.perf_counter() - server.started
     flight, respawn = server.flight, job.scenario.run.respawn
@@ -319,5 +317,5 @@ def _end(job: _Job, server: Server, audience: _Terminal | _Parent) -> None:
             folder = Path(job.output.folder)
             files += write_flight(flight, summary, folder, picture=job.output.picture)
         files += [Path(job.output.record)] if job.output.record else []
-    finally:  # also where the disk is full
+    finally:  # even if the disk is full
         audience.end(summary, files)

@@ -1,4 +1,4 @@
-"""The standard files of a process: open whatever its caller has closed, and named in errors."""
+"""Standard files of a process: reopened if the caller has closed them, and named in errors."""
 
 import os
 import sys
@@ -7,7 +7,7 @@ from pathlib import Path
 from bus.files import writing
 
 STANDARD_OUTPUT = Path("standard output")
-"""Its name in errors."""
+"""Name of standard output in errors."""
 
 
 def print_text(text: str) -> None:
@@ -22,12 +22,12 @@ def print_text(text: str) -> None:
 
 
 def open_standard_files() -> None:
-    """Open /dev/null in the place of standard files that the caller has closed.
+    """Open /dev/null in place of standard files that the caller has closed.
 
-    Otherwise they are None to Python, and the next files that are opened get their numbers.
+    Otherwise they are None in Python, and the next open files get their descriptors.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            descriptor = os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+            descriptor = os.open(os.devnull, os.O_RDWR)  # the lowest free descriptor
             os.set_inheritable(descriptor, True)
             setattr(sys, name, os.fdopen(descriptor, mode))

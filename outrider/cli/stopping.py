@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as a wish, not as an exception in the middle of a tick."""
+"""Ctrl-C and SIGTERM as a request to stop, not as an exception in the middle of a tick."""
 
 import signal
 import threading
@@ -8,7 +8,7 @@ from types import FrameType
 
 
 class Stop:
-    """The signal that has asked for the end, if any."""
+    """Request to stop: the signal received, if any."""
 
     def __init__(self) -> None:
         self.signal: int | None = None
@@ -19,31 +19,31 @@ class Stop:
         return self.signal is not None
 
     def handle(self, number: int, _frame: FrameType | None) -> None:
-        """Take the signal down."""
+        """Store the signal."""
         self.signal = number
         self.count += 1
         self._asked.set()
 
     def wait(self) -> None:
-        """Sleep until a signal asks for the end."""
-        while not self._asked.wait(1.0):  # in pieces: a signal's handler runs between two of them
+        """Sleep until a signal arrives."""
+        while not self._asked.wait(1.0):  # in short waits: signal handlers run between them
             pass
 
     @property
     def exit_code(self) -> int:
-        """As a shell would say it."""
+        """Exit code after the signal, as in a shell; 0 without a signal."""
         return 0 if self.signal is None else 128 + self.signal
 
 
 def ended_by() -> list[signal.Signals]:
-    """The signals that ask for the end."""
+    """Return the signals that request a stop; without SIGHUP if it is ignored, as under nohup."""
     kept = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     return [signal.SIGINT, signal.SIGTERM, *([] if kept else [signal.SIGHUP])]
 
 
 @contextmanager
 def stop_on_signals() -> Iterator[Stop]:
-    """While this lasts, SIGINT, SIGTERM and SIGHUP only set a flag; the last not where it is ignored, as by nohup."""
+    """Make SIGINT, SIGTERM and SIGHUP set a flag only, within this context; an ignored SIGHUP stays ignored."""
     stop = Stop()
     before = {number: signal.signal(number, stop.handle) for number in ended_by()}
     try:

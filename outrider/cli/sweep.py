@@ -1,4 +1,4 @@
-"""`outrider sweep`: laws, degradations and seeds on all cores."""
+"""`outrider sweep`: runs of laws, degradations and seeds on all cores."""
 
 import shlex
 import sys
@@ -22,47 +22,47 @@ if TYPE_CHECKING:
 
 SweepName = Annotated[
     str,
-    typer.Argument(
-        help="A shipped sweep (network), a shipped scenario, or a TOML file of either kind."
-    ),
+    typer.Argument(help="Shipped sweep (network), shipped scenario, or TOML file of either."),
 ]
 Laws = Annotated[
     list[str] | None,
-    typer.Option("--law", help="Laws, between commas, instead of the file's; may be repeated."),
+    typer.Option("--law", help="Fly these comma-separated laws; default: the file's; repeatable."),
 ]
 Vary = Annotated[
     list[str] | None,
     typer.Option(
         "--vary",
         metavar="FIELD=V,V",
-        help="A field of the scenario and its values; repeated: the product.",
+        help="Vary a field over these values; several fields: all combinations.",
     ),
 ]
 Seeds = Annotated[
     int | None,
-    typer.Option(help="How many seeds each point is flown with.", min=1, max=1_000_000),
+    typer.Option(help="Fly each point with this many seeds.", min=1, max=1_000_000),
 ]
 FirstSeed = Annotated[
-    int | None, typer.Option(help="The first of them, 0 by default.", min=0, max=2**52)
+    int | None, typer.Option(help="Set the first seed; default: 0.", min=0, max=2**52)
 ]
 Out = Annotated[
     Path | None,
     typer.Option(
         metavar="FOLDER",
-        help="Folder for the results, sweeps/NAME by default; a sweep that was cut short goes on there.",
+        help="Write or resume the results in this folder; default: sweeps/NAME.",
     ),
 ]
-Jobs = Annotated[int | None, typer.Option(help="Worker processes; one a core by default.", min=1)]
+Jobs = Annotated[
+    int | None, typer.Option(help="Set the number of workers; default: one per core.", min=1)
+]
 Dask = Annotated[
     str,
     typer.Option(
         "--dask",
         metavar="ADDRESS",
-        help="Fly on this Dask cluster (its scheduler); needs the extra [dask].",
+        help="Fly on the Dask cluster with this scheduler; needs the extra [dask].",
     ),
 ]
 Fresh = Annotated[
-    bool, typer.Option("--fresh", help="Throw away what the folder holds and start over.")
+    bool, typer.Option("--fresh", help="Delete the folder's results and start again.")
 ]
 
 
@@ -81,11 +81,11 @@ def command(
     fresh: Fresh = False,
     json: Json = False,
 ) -> None:
-    """Fly each law at each degradation with many seeds.
+    """Fly each law under each degradation with many seeds, on all cores.
 
-    On all cores; each run is a row of a Parquet table. Interrupted or killed, the same command goes on where it
-    stopped. A run that raises is a row with its error, and the exit code is then 1. `outrider report FOLDER` draws the
-    results. Needs the extra [sweep].
+    Each run becomes a row of a Parquet table. After an interruption, the same command resumes the sweep. A run that
+    fails is a row with its error, and the command then exits with 1. `outrider report FOLDER` draws the results. Needs
+    the extra [sweep].
 
     Example: outrider sweep escort --law linear,switching --vary links.detections.delay=0,0.5,1 --seeds 20 --out
     sweeps/delay
@@ -123,7 +123,7 @@ def command(
         file = folder.finish()
     seconds = time.monotonic() - began
     flown = len(folder.done) - before + folder.failed
-    told: dict[str, Any] = {
+    counts: dict[str, Any] = {
         "sweep": sweep,
         "rows": folder.rows,
         "failed": folder.failed,
@@ -132,11 +132,11 @@ def command(
         "runs_per_second": round(flown / seconds, 3) if seconds > 0.0 else 0.0,
         "file": str(file),
     }
-    _tell(told, folder, where, json=json)
+    _print_results(counts, folder, where, json=json)
 
 
 def _lay_out(sweep: "Sweep", named: Sequence[str], *, allow_code: bool) -> "SweepPlan":
-    """Load all points, with a bar."""
+    """Load all points, with a progress bar."""
     from outrider.experiments.sweep.plan import lay_out
 
     with runs_bar() as progress:
@@ -145,14 +145,14 @@ def _lay_out(sweep: "Sweep", named: Sequence[str], *, allow_code: bool) -> "Swee
             sweep,
             named=named,
             allow_code=allow_code,
-            told=lambda done, of: progress.update(task, completed=done, total=of),
+            on_progress=lambda done, of: progress.update(task, completed=done, total=of),
         )
 
 
 def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any) -> None:  # noqa: ANN401 - an extra's type
-    """Fly what is missing, with a bar.
+    """Fly the missing runs, with a progress bar.
 
-    It fills with what runs cost, so that the time left is right for ticks of any length.
+    The bar counts the estimated cost of the runs, so that the remaining time is right for ticks of any length.
     """
     from outrider.experiments.sweep.running import cost_of, fly_sweep
     from sim.compiling.threads import cores
@@ -189,27 +189,30 @@ def _interrupted(
     plan: "SweepPlan", folder: "SweepFolder", end: KeyboardInterrupt | SystemExit
 ) -> None:
 
-    folder.take_stock()  # what was written may not be counted yet
-    kept = f"{len(folder.done):,} of {plan.runs:,} runs are kept in {folder.path}"
-    ERR.tell(f"outrider: interrupted; {kept}, and the same command goes on from there")
+    folder.count_rows()  # rows may be written, but not counted yet
+    kept = f"{len(folder.done):,} of {plan.runs:,} runs are in {folder.path}"
+    ERR.tell(f"outrider: interrupted; {kept}; run the same command to resume")
     raise typer.Exit(130 if isinstance(end, KeyboardInterrupt) else int(end.code or 0)) from end
 
 
-def _tell(told: dict[str, Any], folder: "SweepFolder", where: Path, *, json: bool) -> None:
+def _print_results(
+    counts: dict[str, Any], folder: "SweepFolder", where: Path, *, json: bool
+) -> None:
+    """Print the results of a sweep, and exit with 1 if a run failed."""
     from outrider.experiments.sweep.folder import read_head, read_results
 
     if json:
-        print_json(told)
+        print_json(counts)
     else:
-        new = f"{told['flown']:,} of them now in {told['seconds']:.1f} s, {told['runs_per_second']:.1f} runs/s"
+        new = f"{counts['flown']:,} of them now in {counts['seconds']:.1f} s, {counts['runs_per_second']:.1f} runs/s"
         OUT.tell(
-            f"{told['rows']:,} runs, {new}; in {folder.violated:,} the UGV was lost from sight"
+            f"{counts['rows']:,} runs, {new}; the UGV was out of sight in {folder.violated:,} runs"
         )
-        OUT.tell(f"  {told['file']}\n  outrider report {shlex.quote(str(where))} draws them")
+        OUT.tell(f"  {counts['file']}\n  draw them with outrider report {shlex.quote(str(where))}")
     if folder.failed:
         head = read_head(folder.path)
         errors = [] if head is None else read_results(folder.path, head.columns)["error"]
         reason = next((error for error in errors if error is not None), "")
-        again = "the same command flies them again"
-        ERR.tell(f"outrider: {folder.failed} of {told['rows']:,} runs failed: {reason}; {again}")
+        again = "run the same command to fly them again"
+        ERR.tell(f"outrider: {folder.failed} of {counts['rows']:,} runs failed: {reason}; {again}")
         raise typer.Exit(1)

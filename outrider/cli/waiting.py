@@ -1,4 +1,4 @@
-"""Waiting for a run's simulator, and for a router that is away."""
+"""Waiting for a run's simulator, and for a disconnected router."""
 
 import time
 from typing import TYPE_CHECKING
@@ -11,18 +11,18 @@ if TYPE_CHECKING:
     from bus.session import Session
 
 AWAY = 3.0
-"""The time after which a party that is away has gone for good [s]."""
+"""Time after which a disconnected party counts as lost [s]."""
 
 
 class RouterTimer:
-    """Tells a router that has gone from one that is away for a moment."""
+    """Timer that distinguishes a lost router from a brief disconnection."""
 
     def __init__(self, session: "Session") -> None:
         self._session = session
         self._since: float | None = None
 
     def has_gone(self) -> bool:
-        """True once the router was away at every look for `AWAY`."""
+        """Return true if the router was disconnected at every call for at least `AWAY`."""
         if self._session.connected:
             self._since = None
             return False
@@ -30,23 +30,23 @@ class RouterTimer:
         return time.monotonic() - self._since > AWAY
 
 
-def tell_waiting(run: str) -> None:
-    """Say that nothing comes before the simulator does."""
+def print_waiting(run: str) -> None:
+    """Print that the command waits for the simulator."""
     from outrider.cli.console import ERR  # a vehicle's process must not load a scenario
 
-    ERR.tell(f"waiting for the simulator of the run {run}; Ctrl-C leaves")
+    ERR.tell(f"waiting for the simulator of the run {run}; Ctrl-C quits")
 
 
 def await_status(session: "Session", stop: Stop) -> Status | None:
-    """The first status that tells of the vehicles; None if a signal came before it."""
-    statuses, told = session.inbox(STATUS), False
+    """Wait for the first status with the vehicles' geometry; return None if a signal arrives first."""
+    statuses, is_announced = session.inbox(STATUS), False
     while not stop:
-        envelope = statuses.receive(0.5 if told else 1.0)
+        envelope = statuses.receive(0.5 if is_announced else 1.0)
         status = None if envelope is None else envelope.message
         if isinstance(status, Status) and status.geometry is not None:
             session.forget(statuses)
             return status
-        if not (told or stop):
-            told = True
-            tell_waiting(session.run)
+        if not (is_announced or stop):
+            is_announced = True
+            print_waiting(session.run)
     return None

@@ -1,1 +1,1 @@
-"""Figures, claims, sweeps, reports, searches for a violation, and the suite."""
+"""Experiments: the paper's figures and claims, sweeps and reports."""

@@ -1,7 +1,4 @@
-"""The claims of the paper's figures, held against flights.
-
-Every claim is computed from flights, none is taken for granted.
-"""
+"""Claims of the paper's figures, each checked with simulated flights."""
 
 import itertools
 import math
@@ -33,23 +30,23 @@ from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 
 GONE = 1e-3
-"""e(t) counts as zero below this share of e(0)."""
+"""Share of e(0) below which e(t) counts as zero."""
 SLIDING = 10
-"""A distance that rises to r_s this often slides along it."""
+"""Number of rises to r_s from which on a distance counts as sliding along r_s."""
 BESIDE = 40.0
-"""For so long the UGV of scenario 2 drives beside covered ground [s]."""
+"""Time for which the UGV of scenario 2 drives beside covered ground [s]."""
 
 
 class Claim(msgspec.Struct, frozen=True, kw_only=True):
-    """One row of the table of claims."""
+    """Row of the table of claims."""
 
     figure: str
-    """Of the paper, with its sub-figure; `anchor` where a number is known from elsewhere."""
+    """Figure and sub-figure of the paper; `anchor`: comparison with a reference value."""
     claim: str
     value: str
-    """The value that was found, with its unit."""
+    """Measured value, with unit."""
     number: float
-    """The same as one number, in SI units."""
+    """Measured value as one number, in SI units."""
     holds: bool
 
 
@@ -58,7 +55,7 @@ def _farthest(*flights: Flight) -> list[float]:
 
 
 def claims_1(low: Flight, high: Flight, bounded: Flight) -> list[Claim]:
-    """Figure 1: coverage alone (11), with a low and a high k_v, and with a high one and bounded input."""
+    """Check figure 1: coverage alone, eq. (11), with a low and a high k_v, and with a high k_v and bounded input."""
     flights = {"low k_v": low, "high k_v": high, "high k_v, bounded": bounded}
     r_v, far = low.scenario.visibility.radius, _farthest(low, high, bounded)
     return [
@@ -103,7 +100,7 @@ def _claims_1b(low: Flight, high: Flight) -> list[Claim]:
         ),
         Claim(
             figure="1b",
-            claim="at a high k_v its only peaks are where u_si turns",
+            claim="at a high k_v, the velocity error peaks only where u_si turns",
             value=f"{len(found)} peaks above {PEAK * v_ref:.2f} m/s while something is uncovered, each after a turn of "
             f"{least:.0f}° or more; 95 % of the ticks turn by less than {usual:.1f}°",
             number=float(len(found)),
@@ -137,7 +134,7 @@ def _claim_rising(flights: Sequence[Flight]) -> Claim:
 
 
 def claims_2(scenarios: Sequence[Scenario]) -> list[Claim]:
-    """Figure 2: the weighting functions against the conditions of Proposition 2."""
+    """Check figure 2: the weighting functions satisfy the conditions of Proposition 2."""
     return [_claim_weighting(scenario) for scenario in scenarios]
 
 
@@ -161,7 +158,7 @@ def _claim_weighting(scenario: Scenario) -> Claim:
 
 
 def claims_3(linear: Flight, switching: Flight, logarithmic: Flight) -> list[Claim]:
-    """Figure 3: the distance under the three weightings."""
+    """Check figure 3: the distance under the three weightings."""
     flights = {"linear": linear, "switching": switching, "logarithmic": logarithmic}
     r_v, r_s = linear.scenario.visibility.radius, switching_radius_of(linear) or math.nan
     far, rises = _farthest(*flights.values()), [crossings(flight) for flight in flights.values()]
@@ -180,7 +177,7 @@ def claims_3(linear: Flight, switching: Flight, logarithmic: Flight) -> list[Cla
         *kept,
         Claim(
             figure="3",
-            claim="linear is conservative: it stays nearest and well inside r_s",
+            claim="linear is conservative: it stays closest, well inside r_s",
             value=f"largest {far[0]:.2f} m, {far[0] / r_s:.0%} of r_s = {r_s:.3f} m; mean {mean[0]:.2f} m",
             number=far[0] / r_s,
             holds=far[0] < min(r_s, far[1], far[2]) and rises[0] == 0,
@@ -194,7 +191,7 @@ def claims_3(linear: Flight, switching: Flight, logarithmic: Flight) -> list[Cla
         ),
         Claim(
             figure="3",
-            claim="logarithmic goes further out than linear, without sliding",
+            claim="logarithmic goes farther out than linear, without sliding",
             value=f"largest {far[2]:.2f} m, mean {mean[2]:.2f} m; rises to r_s {rises[2]} times",
             number=mean[2] - mean[0],
             holds=far[2] > far[0] and mean[2] > mean[0] and rises[2] == 0,
@@ -233,14 +230,14 @@ def _claims_lower(figure: str, coverage: Flight, circle: Flight) -> list[Claim]:
 
 
 def claims_4(coverage: Flight, circle: Flight) -> list[Claim]:
-    """Figure 4: coverage against the circle, on uncovered ground."""
+    """Check figure 4: coverage against the circle, on uncovered ground."""
     return _claims_lower("4", coverage, circle)
 
 
 def claims_5(
     open_coverage: Flight, open_circle: Flight, coverage: Flight, circle: Flight
 ) -> list[Claim]:
-    """Figure 5: coverage against the circle beside covered ground, held against the open ground of figure 4."""
+    """Check figure 5: coverage against the circle beside covered ground, compared with the open ground of figure 4."""
     near = until(coverage, BESIDE)
     e, e_circle = error(coverage)[near], error(circle)[near]
     ratio = float(e.mean() / e_circle.mean())
@@ -257,7 +254,7 @@ def claims_5(
         ),
         Claim(
             figure="5c",
-            claim="and e(t) is steadier",
+            claim="e(t) is steadier",
             value=f"standard deviation {e.std():.1f} m², rises by {rise(e):.0f} m² in all; circle "
             f"{e_circle.std():.1f} m², "
             f"{rise(e_circle):.0f} m²",
@@ -268,11 +265,11 @@ def claims_5(
 
 
 def claim_collapse(too_fast: Flight) -> Claim:
-    """The paper's omega_pv = 1 rad/s asks for more than its own vehicle has (Remark 3)."""
+    """Check that the paper's omega_pv = 1 rad/s exceeds the abilities of its vehicle (Remark 3)."""
     mean, law = float(distance(too_fast).mean()), too_fast.scenario.law
     return Claim(
         figure="4b",
-        claim=f"a circle at {law_parameters(law).circle_rate:g} rad/s cannot be flown: it collapses (Remark 3)",
+        claim=f"a circle at {law_parameters(law).circle_rate:g} rad/s cannot be flown and collapses (Remark 3)",
         value=f"mean distance {mean:.2f} m where r_s = {switching_radius_of(too_fast) or math.nan:.2f} m is asked for",
         number=mean,
         holds=mean < 1.0,
@@ -280,14 +277,14 @@ def claim_collapse(too_fast: Flight) -> Claim:
 
 
 def claim_anchor(what: str, found: float, known: float, unit: str, tolerance: float) -> Claim:
-    """A number that is known from elsewhere: from a formula, or from a program written apart from this one.
+    """Compare a measured value with a reference value, from a formula or an independent program.
 
     Args:
-        what: Which number.
-        found: In our flight.
-        known: From elsewhere.
-        unit: Of both, with a space before it; empty for a count.
-        tolerance: How far they may be apart, in the same unit.
+        what: Name of the value.
+        found: Measured value.
+        known: Reference value.
+        unit: Unit of both, with a leading space; empty for a count.
+        tolerance: Largest difference, in the same unit.
     """
     return Claim(
         figure="anchor",

@@ -1,4 +1,4 @@
-"""Intervals, of 95 % if nothing else is said, for what sweeps and suites count and average."""
+"""Confidence intervals of shares and means, 95 % by default."""
 
 import math
 from collections.abc import Sequence
@@ -11,32 +11,32 @@ _RESAMPLES = 2000
 
 
 def wilson_interval(hits: int, trials: int, level: float = 0.95) -> tuple[float, float]:
-    """The interval of a share, Wilson 1927: honest for few trials and for shares of 0 and 1.
+    """Return the confidence interval of a share, Wilson 1927: valid for few trials and for shares of 0 and 1.
 
     Args:
-        hits: How often it happened.
-        trials: Of how many.
-        level: Share of all cases in which the interval holds the chance.
+        hits: Number of hits.
+        trials: Number of trials.
+        level: Confidence level.
 
     Raises:
-        ValueError: If hits lies outside 0 to trials, or there are no trials.
+        ValueError: If hits is outside 0 to trials, or there are no trials.
     """
     if trials < 1 or not 0 <= hits <= trials:
         raise ValueError(
-            f"hits = {hits} of trials = {trials}: allowed are 1 trial or more, and hits from 0 to trials"
+            f"hits = {hits}, trials = {trials}: out of range; allowed: 1 trial or more, and hits from 0 to trials"
         )
     low, high = stats.binomtest(hits, trials).proportion_ci(level, method="wilson")
     return float(low), float(high)
 
 
 def mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
-    """The mean and its interval by Student's t, from the spread of the values; of a single one NaN.
+    """Return the mean and its interval by Student's t; for a single value, the interval is NaN.
 
     Raises:
-        ValueError: If there are none.
+        ValueError: If there are no values.
     """
     if not values:
-        raise ValueError("no values: allowed is one or more")
+        raise ValueError("values: empty; allowed: one value or more")
     mean = fmean(values)
     if len(values) == 1:
         return mean, math.nan, math.nan
@@ -46,20 +46,20 @@ def mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def interquartile_interval(tasks: Sequence[Sequence[float]]) -> tuple[float, float, float]:
-    """The interquartile mean, of the middle half of all scores, and its interval by the stratified bootstrap.
+    """Return the interquartile mean of all scores, and its interval by the stratified bootstrap.
 
-    As Agarwal et al. 2021 (rliable) define it: seeds are drawn anew within each task, with percentiles of 2000 such
-    draws, the same ones for the same scores. Of a single seed it is NaN.
+    As defined by Agarwal et al. 2021 (rliable): seeds are resampled within each task, and the interval is given by
+    percentiles of 2000 resamples. Equal scores give equal intervals. For a single seed, the interval is NaN.
 
     Args:
-        tasks: The scores of each, as many as there are seeds.
+        tasks: Scores of each task, one per seed.
 
     Raises:
-        ValueError: If there are none, or not as many in each task.
+        ValueError: If there are no scores, or the tasks differ in their number of seeds.
     """
     if not tasks or not all(len(one) == len(tasks[0]) > 0 for one in tasks):
         raise ValueError(
-            "the scores: allowed is one task or more, each with as many seeds, one or more"
+            "tasks: empty, or with different numbers of seeds; allowed: one task or more, with equal numbers of seeds"
         )
     scores = np.array(tasks, dtype=np.float64)
     middle, count = float(stats.trim_mean(scores, 0.25, axis=None)), scores.shape[1]

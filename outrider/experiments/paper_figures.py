@@ -1,4 +1,4 @@
-"""The paper's figures 1 to 5, flown anew, and the table of what they claim."""
+"""Reproduction of the paper's figures 1 to 5, and the table of their claims."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -44,40 +44,40 @@ from sim.world import World
 Flights = dict[str, Flight]
 
 GAINS = ("low", "high", "bounded")
-"""The flights of figure 1."""
+"""Flights of figure 1."""
 WEIGHTINGS = ("linear", "switching", "logarithmic")
-"""The flights of figure 3."""
+"""Flights of figure 3."""
 
 
 def make_figures(
     out: Path, *, on_progress: Callable[[str, float], None] | None = None
 ) -> list[Claim]:
-    """Fly the paper's experiments, draw figure-1.png to figure-5.png and hold their claims against the flights.
+    """Fly the paper's experiments, draw figure-1.png to figure-5.png, and check the claims.
 
     Args:
-        out: Folder for the pictures; made if it is not there.
-        on_progress: Is told what is going on and which share of it all is done.
+        out: Folder for the pictures; created if missing.
+        on_progress: Called with the current step and the share done.
 
     Returns:
-        The claims, figure by figure, then the numbers known from elsewhere.
+        The claims, figure by figure, then comparisons with reference values.
 
     Raises:
         OSError: If a picture cannot be written.
     """
-    tell = on_progress or (lambda _what, _share: None)
+    report = on_progress or (lambda _what, _share: None)
     out.mkdir(parents=True, exist_ok=True)
-    flights = fly_all(lambda what, share: tell(what, 0.6 * share))
+    flights = fly_all(lambda what, share: report(what, 0.6 * share))
     for number, draw in enumerate((figure_1, figure_2, figure_3, figure_4, figure_5), start=1):
-        tell(f"drawing figure {number}", 0.6 + 0.08 * (number - 1))
+        report(f"drawing figure {number}", 0.6 + 0.08 * (number - 1))
         with style.look():
             style.save(draw(flights), out / f"figure-{number}.png")
     claims = all_claims(flights)
-    tell("done", 1.0)
+    report("done", 1.0)
     return claims
 
 
 def experiments() -> dict[str, Scenario]:
-    """The scenarios of the figures, by a short name."""
+    """Return the scenarios of the figures by a short name."""
     first, second = load_scenario("scenario-1"), load_scenario("scenario-2")
     return {
         "low": load_scenario("figure-1-low-gain"),
@@ -98,18 +98,18 @@ def _by_circle(scenario: Scenario) -> Scenario:
     return msgspec.structs.replace(scenario, law=circle)
 
 
-def fly_all(tell: Callable[[str, float], None]) -> Flights:
+def fly_all(on_progress: Callable[[str, float], None]) -> Flights:
     """Fly every experiment."""
     flights: Flights = {}
     planned = experiments()
     for number, (name, scenario) in enumerate(planned.items()):
-        tell(f"flying {scenario.name}", number / len(planned))
+        on_progress(f"flying {scenario.name}", number / len(planned))
         flights[name] = fly(scenario, scenario.seed)[0]
     return flights
 
 
 def all_claims(flights: Flights) -> list[Claim]:
-    """The claims of the five figures, then the numbers known from elsewhere."""
+    """Return the claims of the five figures, then comparisons with reference values."""
     return [
         *claims_1(*(flights[name] for name in GAINS)),
         *claims_2([flights[law].scenario for law in WEIGHTINGS]),
@@ -124,13 +124,13 @@ def all_claims(flights: Flights) -> list[Claim]:
 
 
 def _anchors(flights: Flights) -> Iterator[Claim]:
-    """Check values of an independent program for a UGV on a straight line, and the error of bare ground."""
+    """Compare with an independent program, for a UGV on a straight line, and with the error of uncovered ground."""
     scenario = flights["open"].scenario
     middle = (0.5 * scenario.area.width, 0.5 * scenario.area.height)
     ugvs = tuple(msgspec.structs.replace(ugv, position=middle) for ugv in scenario.ugv)
     world = World(msgspec.structs.replace(scenario, ugv=ugvs), 0)
     bare, c = float(world.measure()[0, 1]), world.parameters
-    yield claim_anchor("e(0) over bare ground", bare, full_error(c.r_o, c.desired), " m²", 0.1)
+    yield claim_anchor("e(0) over uncovered ground", bare, full_error(c.r_o, c.desired), " m²", 0.1)
     far = {name: float(distance(flight).max()) for name, flight in flights.items()}
     yield claim_anchor("largest distance, coverage alone", far["bounded"], 9.4, " m", 0.1)
     # Sliding is chaotic: a start 1 mm away changes the switching law's largest distance by 2 cm and its count by
@@ -146,7 +146,7 @@ def _anchors(flights: Flights) -> Iterator[Claim]:
 
 
 def figure_1(flights: Flights) -> Figure:
-    """Coverage alone: tracks, velocity error and e(t) for two gains, and with bounded input."""
+    """Draw coverage alone: tracks, velocity error and e(t) for two gains, and with bounded input."""
     figure = style.new_figure(1400, 760)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.05, 1.0))
     gains = {name: law_parameters(flights[name].scenario.law).speed_gain for name in GAINS}
@@ -186,7 +186,7 @@ def _mark_stop(axes: Axes, flight: Flight) -> None:
 
 
 def _draw_departure(axes: Axes, flights: Flights, labels: dict[str, str]) -> None:
-    """Tracks of figure 1, and the moment at which the UAV is farthest outside the circle r_v."""
+    """Draw the tracks of figure 1, and the largest distance of the UAV outside the circle r_v."""
     one = flights["bounded"]
     ground(axes, one.scenario.area.width, one.scenario.area.height)
     a, g = one.world.escorts[0].tolist()
@@ -215,7 +215,7 @@ def _draw_departure(axes: Axes, flights: Flights, labels: dict[str, str]) -> Non
 
 
 def figure_2(flights: Flights) -> Figure:
-    """The three weightings over distance."""
+    """Draw the three weightings over distance."""
     figure = style.new_figure(1400, 480)
     axes = figure.subplots(1, 3)
     r_s, r_v = 0.0, flights["linear"].scenario.visibility.radius
@@ -252,7 +252,7 @@ def figure_2(flights: Flights) -> Figure:
 
 
 def figure_3(flights: Flights) -> Figure:
-    """The distance under the three weightings, and a closer look at r_s."""
+    """Draw the distance under the three weightings, with a detail near r_s."""
     figure = style.new_figure(1400, 700)
     whole, close = figure.subplots(2, 1, sharex=True, height_ratios=(1.3, 1.0))
     one = flights["linear"]
@@ -263,7 +263,7 @@ def figure_3(flights: Flights) -> Figure:
             )
     for axes, letter, title in (
         (whole, "a", "Distance under the three weightings"),
-        (close, "b", "The same, close to $r_s$"),
+        (close, "b", "Detail near $r_s$"),
     ):
         style.over_time(axes, one.scenario.duration, r"$\|p_\Delta\|$ [m]")
         style.panel(axes, letter, title)
@@ -278,12 +278,12 @@ def figure_3(flights: Flights) -> Figure:
 
 
 def figure_4(flights: Flights) -> Figure:
-    """Coverage against the circle on uncovered ground."""
+    """Draw coverage against the circle on uncovered ground."""
     return _comparison(flights["open"], flights["open, circle"], "")
 
 
 def figure_5(flights: Flights) -> Figure:
-    """Coverage against the circle beside covered ground."""
+    """Draw coverage against the circle beside covered ground."""
     figure = _comparison(flights["beside"], flights["beside, circle"], "covered before")
     figure.axes[2].axvspan(
         0.0, BESIDE, color=style.COVERAGE(0.6), alpha=0.35, linewidth=0.0, zorder=0.5

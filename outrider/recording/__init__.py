@@ -1,1 +1,1 @@
-"""Flights in a file: MCAP written while they are flown, and what can be done with it afterwards."""
+"""Recordings of flights as MCAP files: writing, reading, repair, and a second flight of the commands."""

@@ -1,6 +1,6 @@
-"""The file of a recording.
+"""File of a recording.
 
-Our own messages as JSON, exact to the last bit, beside what viewers of MCAP understand at once.
+It holds Outrider's messages as JSON, exact to the last bit, and standard channels for MCAP viewers.
 """
 
 import logging
@@ -27,22 +27,21 @@ with needs("record"):
     from foxglove.mcap import MCAPWriteOptions
 
 FLUSH_PERIOD = 0.25
-"""Wall time between two flushes [s]: with the thread's own period, what a kill can cost stays under half a second."""
+"""Wall time between two flushes [s]: together with the thread's period, a kill loses less than half a second."""
 _LEVEL = 1
-"""Of the compression: the fastest that the library offers; on these messages no worse than its default."""
+"""Compression level: the fastest of the library; on these messages as good as the default."""
 
 
 class _Sink:
-    """The file as foxglove-sdk writes to it.
+    """File object for foxglove-sdk.
 
-    A write that fails is kept for us to raise: the library would print it, for ever.
+    A failed write is stored and raised by `check`: the library would only print it, again and again.
     """
 
     def __init__(self, path: Path, *, private: bool) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
-        if (
-            not path.exists() or path.is_file()
-        ):  # who has the old file open does not read the new one
+        if not path.exists() or path.is_file():
+            # A process that has the old file open must not read the new one.
             path.unlink(missing_ok=True)
             flags |= os.O_EXCL
         opened = os.open(path, flags, 0o600 if private else 0o666)
@@ -60,12 +59,12 @@ class _Sink:
         return len(data)
 
     def check(self) -> None:
-        """Raise what a write has failed with."""
+        """Raise the error of a failed write, if any."""
         if self.fault is not None:
             raise self.fault
 
     def flush(self) -> None:
-        """Nothing waits here."""
+        """Do nothing: the file is unbuffered."""
 
     def seek(self, offset: int, whence: int = 0) -> int:
         return self._file.seek(offset, whence)
@@ -75,14 +74,14 @@ class _Sink:
 
 
 class RecordingFile:
-    """An MCAP file that takes messages in the order of simulated time, from one thread.
+    """MCAP file, written in the order of simulated time from one thread.
 
     Args:
-        path: The file; one that is there is replaced.
-        private: True if it tells a secret, and its owner alone may read it.
+        path: File to write; an existing file is replaced.
+        private: True if the file contains a secret, so that only its owner may read it.
 
     Raises:
-        OSError: If it cannot be written.
+        OSError: If the file cannot be written.
     """
 
     def __init__(self, path: Path, *, private: bool = False) -> None:
@@ -105,7 +104,7 @@ class RecordingFile:
         self._base = self._last = 0
         self._r_v = math.inf
         self._lost: set[str] = set()
-        self._hazards_told = False
+        self._hazards_written = False
 
     def _add(self, topic: schemas.Topic) -> None:
         self._own[topic.name] = foxglove.Channel(
@@ -113,18 +112,18 @@ class RecordingFile:
         )
 
     def begin(self, head: schemas.Head, scenario: Scenario | None) -> None:
-        """A flight begins; it is in the file at once."""
+        """Start a flight and write its head to the file at once."""
         self._base = round(head.start * 1e9)
         self._r_v = scenario.visibility.radius if scenario is not None else math.inf
         self._lost = set()
-        self._hazards_told = False
+        self._hazards_written = False
         self._viewers.begin(scenario)
         self._put(schemas.SCENARIO, head, 0.0)
         self.flush()
 
     @property
     def next_start(self) -> float:
-        """The place of another flight on the file's clock [s]."""
+        """Start of another flight on the file's clock [s]."""
         return math.ceil(self._last / 1e8 + 1.0) / 10.0
 
     def _clock(self, seconds: float) -> int:
@@ -141,17 +140,17 @@ class RecordingFile:
         return time_ns
 
     def take(self, topic: schemas.Topic, message: Message, seconds: float) -> None:
-        """Take down a message, for everybody; a flight's hazards once.
+        """Write a message to its channel and to the viewers' channels; write a flight's hazards once.
 
         Args:
-            topic: Its channel.
-            message: Of the flight that has begun.
-            seconds: When, in simulated time.
+            topic: Channel of the message.
+            message: Message of the current flight.
+            seconds: Simulated time [s].
         """
-        if isinstance(message, GroundMap) and self._hazards_told:
+        if isinstance(message, GroundMap) and self._hazards_written:
             message = msgspec.structs.replace(message, hazards=())
         elif isinstance(message, GroundMap):
-            self._hazards_told = True
+            self._hazards_written = True
             self._viewers.hazards(message.hazards)
         time_ns = self._put(topic, message, seconds)
         if isinstance(message, Truth):
@@ -163,16 +162,18 @@ class RecordingFile:
             self._viewers.coverage(message, time_ns)
 
     def tick(self, tick: Tick, names: Sequence[str], escorts: Mapping[str, str]) -> None:
-        """Take down a tick whose messages are text already, and the commands of the one before, for everybody.
+        """Write a tick whose messages are encoded already, with the commands of the previous tick.
 
         Args:
-            tick: What happened.
-            names: Of the vehicles, in the order of its states.
-            escorts: Each UAV, and the UGV it escorts.
+            tick: Encoded tick.
+            names: Names of the vehicles, in the order of the states.
+            escorts: UGV of each UAV.
         """
         self._sink.check()
         if tick.commands:
-            self._own[schemas.COMMANDS.name].log(tick.commands, log_time=self._clock(tick.begun))
+            self._own[schemas.COMMANDS.name].log(
+                tick.commands, log_time=self._clock(tick.previous_time)
+            )
         time_ns = self._clock(tick.time)
         self._own[schemas.TRUTH.name].log(tick.truth, log_time=time_ns)
         places = zip(names, tick.states.tolist(), strict=True)
@@ -186,7 +187,7 @@ class RecordingFile:
         escorts: Mapping[str, str],
         distances: Sequence[float],
     ) -> None:
-        """Show a tick to viewers, and say when a UAV loses sight of its UGV, and when it sees it again."""
+        """Write a tick for viewers, and log when a UAV loses sight of its UGV and when it sees it again."""
         if self._viewers.due(seconds):
             self._viewers.show(seconds, dict(places), escorts, time_ns)
         for uav, distance in zip(escorts, distances, strict=True):
@@ -200,40 +201,43 @@ class RecordingFile:
                     warning=not seen,
                 )
 
-    def word(self, ugv: str, tick: int, said: Teleoperation, seconds: float) -> None:
-        """Take down an operator's message that a UGV received at a tick, which began at `seconds`."""
+    def operator_command(self, ugv: str, tick: int, command: Teleoperation, seconds: float) -> None:
+        """Write an operator's command that a UGV received at a tick, which started at `seconds`."""
         self._put(
             schemas.operator_topic(ugv),
-            schemas.OperatorWord(
-                tick=tick, operator=said.operator, velocity=said.velocity, goal=said.goal
+            schemas.OperatorCommand(
+                tick=tick,
+                operator=command.operator,
+                velocity=command.velocity,
+                goal=command.goal,
             ),
             seconds,
         )
 
     def log(self, line: str, seconds: float, *, warning: bool = False) -> None:
-        """Take down a line for a person."""
+        """Write a log line."""
         self._viewers.log(line, self._clock(seconds), warning=warning)
 
     def flush(self) -> None:
-        """Let the file hold all there is.
+        """Write all buffered messages to the file.
 
         Raises:
-            OSError: If it does not take it.
+            OSError: If a write failed.
         """
         self._writer.flush()
         self._sink.check()
         self._due = time.monotonic() + FLUSH_PERIOD
 
     def flush_if_due(self) -> None:
-        """Flush, if the last time was long ago."""
+        """Flush if `FLUSH_PERIOD` has passed since the last flush."""
         if time.monotonic() >= self._due:
             self.flush()
 
     def close(self) -> None:
-        """End the file as MCAP wants it.
+        """Complete and close the file.
 
         Raises:
-            OSError: If it does not take all there is.
+            OSError: If a write failed.
         """
         self._writer.close()
         self._sink.close()

@@ -1,4 +1,4 @@
-"""Reading a recording as a stream, up to its last whole record: a killed file reads like one that was closed."""
+"""Reading of a recording as a stream, up to its last complete record; the file of a killed process can be read, too."""
 
 import os
 import struct
@@ -35,13 +35,13 @@ Sent = TypeVar("Sent", bound=Message)
 
 _MAGIC_BYTES = 8
 _MOST_BYTES = 16 << 20
-"""Of a record and of a chunk's content: the largest map of the ground, and as much again as a viewer is shown of it."""
+"""Largest size of a record and of a chunk's content [bytes]: the largest ground map, twice."""
 _SPARE, _RATIO = 32 << 20, 200
-"""A whole file may unpack to so many bytes, and to so many times its size.
+"""Largest unpacked size of a file: a fixed part [bytes], plus a multiple of its size.
 
-Flights unpack to twelve times theirs, a short one of the largest area to 140 times."""
+Flights unpack to twelve times their size; a short flight over the largest area, to 140 times."""
 _LEAST = 512
-"""A packed record counts as so many bytes more: a million empty ones take their time and room, too."""
+"""Additional size that each packed record counts [bytes], as a million empty records take time and memory, too."""
 _DATA_END = struct.pack("<BQI", Opcode.DATA_END, 4, 0)
 _KEPT = (records.Header, records.Schema, records.Channel, records.Message)
 _BROKEN = (
@@ -52,37 +52,39 @@ _BROKEN = (
     RuntimeError,
     MemoryError,
 )
-"""The errors that the libraries raise on bytes that are no record."""
+"""Errors that the libraries raise on damaged records."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Damage:
-    """The place from which on a file cannot be read."""
+    """Damage of a file: the position from which on it cannot be read."""
 
     end: int = 0
-    """Bytes that could be read."""
+    """Readable bytes."""
     size: int = 0
-    """Bytes that are there."""
+    """Size of the file [bytes]."""
     reason: str = ""
-    """Empty: the file was closed as it should be."""
+    """Description of the damage; empty: the file is complete."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
-    """One message of a recording."""
+    """Message of a recording."""
 
     topic: str
     time: int
-    """On the file's clock [ns]."""
+    """Time on the file's clock [ns]."""
     data: bytes
 
 
 class _Bounded(BufferedReader):
-    """A file that gives one record at most at a time: the library trusts the lengths within a record."""
+    """File with a limit on each read, as the library trusts the lengths in a record."""
 
     def read(self, size: int | None = -1, /) -> bytes:
         if size is None or not 0 <= size <= _MOST_BYTES:
-            raise ValueError(f"a record with a part of {size} bytes; {_MOST_BYTES:,} are the most")
+            raise ValueError(
+                f"a record with a part of {size} bytes; allowed: {_MOST_BYTES:,} at most"
+            )
         return super().read(size)
 
 
@@ -96,10 +98,10 @@ def _open(path: Path) -> BufferedReader:
 
 
 def _unpacked(chunk: records.Chunk) -> bytes:
-    """Return the content of a chunk; neither its declared nor its true size may be more than fits."""
+    """Return the content of a chunk, and check its declared and its true size."""
     size, packed = chunk.uncompressed_size, BytesIO(chunk.data)
     if size > _MOST_BYTES:
-        raise ValueError(f"a chunk of {size:,} bytes; {_MOST_BYTES:,} are the most")
+        raise ValueError(f"a chunk of {size:,} bytes; allowed: {_MOST_BYTES:,} at most")
     if chunk.compression == "zstd":
         unpacker = zstandard.ZstdDecompressor(max_window_size=_MOST_BYTES)
         content: bytes = unpacker.stream_reader(packed).read(size + 1)
@@ -110,52 +112,52 @@ def _unpacked(chunk: records.Chunk) -> bytes:
     else:
         raise UnsupportedCompressionError(repr(chunk.compression[:20]))
     if len(content) != size:
-        raise ValueError(f"a chunk that does not unpack to the {size:,} bytes that it declares")
+        raise ValueError(f"a chunk of another size than the {size:,} bytes that it declares")
     if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
         raise ValueError("a chunk's checksum is wrong")
     return content
 
 
 def stream(path: Path, damage: Damage | None = None) -> Iterator[Any]:
-    """Every whole record of the data section: header, schemas, channels and messages as the library `mcap` has them.
+    """Yield every complete record of the data section as an object of the library `mcap`.
 
     Args:
-        path: The file.
-        damage: Is told where and why reading ended.
+        path: File to read.
+        damage: Receives the position and the reason of a failure.
 
     Raises:
-        ScenarioError: If it is no MCAP file.
+        ScenarioError: If the file is not an MCAP file.
     """
-    told = damage if damage is not None else Damage()
+    damage = damage if damage is not None else Damage()
     with _open(path) as file:
-        told.size = os.fstat(file.fileno()).st_size
-        told.end = min(_MAGIC_BYTES, told.size)
+        damage.size = os.fstat(file.fileno()).st_size
+        damage.end = min(_MAGIC_BYTES, damage.size)
         try:
-            yield from _records(file, told)
+            yield from _records(file, damage)
         except InvalidMagic as error:
             raise ScenarioError(
-                f"{path}: not an MCAP file; allowed: a recording of Outrider's"
+                f"{path}: not an MCAP file; allowed: a recording made by Outrider"
             ) from error
         except _BROKEN as error:
-            words = " ".join(str(error).split()) or type(error).__name__
-            told.reason = f"damaged at byte {told.end}: {words}"
-            if isinstance(error, EndOfFile | struct.error) and file.tell() == told.size:
-                within = "without a footer" if told.end == told.size else "within a record"
-                told.reason = f"it ends {within}"
+            message = " ".join(str(error).split()) or type(error).__name__
+            damage.reason = f"damaged at byte {damage.end}: {message}"
+            if isinstance(error, EndOfFile | struct.error) and file.tell() == damage.size:
+                within = "without a footer" if damage.end == damage.size else "within a record"
+                damage.reason = f"it ends {within}"
 
 
-def _records(file: BufferedReader, told: Damage) -> Iterator[Any]:
-    """Read the records of a file, those in its chunks too, and tell how far they reach."""
-    left = _SPARE + _RATIO * told.size
+def _records(file: BufferedReader, damage: Damage) -> Iterator[Any]:
+    """Yield the records of a file and of its chunks, and store the position reached."""
+    left = _SPARE + _RATIO * damage.size
     reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=_MOST_BYTES)
     for record in reader.records:
         if isinstance(record, records.DataEnd):
-            told.end = told.size
+            damage.end = damage.size
             return
         if isinstance(record, records.Chunk):
             content = _unpacked(record)
             left -= len(content)
-            # with an end of its own, which a cut record would swallow
+            # An appended end record, which a truncated record would swallow.
             packed = StreamReader(BytesIO(content + _DATA_END), skip_magic=True, emit_chunks=True)
             for part in packed.records:
                 left -= _LEAST
@@ -167,26 +169,26 @@ def _records(file: BufferedReader, told: Damage) -> Iterator[Any]:
                     yield part
         elif isinstance(record, _KEPT):
             yield record
-        told.end = file.tell()
+        damage.end = file.tell()
 
 
 def entries(
     path: Path, topics: Collection[str] = (), damage: Damage | None = None
 ) -> Iterator[Entry]:
-    """The messages in the order in which they were written.
+    """Yield the messages in the order in which they were written.
 
     Args:
-        path: The file.
-        topics: Which channels; none: all.
-        damage: Is told where and why reading ended.
+        path: File to read.
+        topics: Channels to read; empty: all.
+        damage: Receives the position and the reason of a failure.
 
     Raises:
-        ScenarioError: If it is no MCAP file, or not one of Outrider's.
+        ScenarioError: If the file is not an MCAP file made by Outrider.
     """
     names: dict[int, str] = {}
     for record in stream(path, damage):
         if isinstance(record, records.Channel):
-            if record.message_encoding != "cdr":  # of other programs
+            if record.message_encoding != "cdr":  # CDR: a channel of another program
                 names[record.id] = record.topic
         elif isinstance(record, records.Message) and record.channel_id in names:
             topic = names[record.channel_id]
@@ -197,23 +199,23 @@ def entries(
 
 
 def out_of_range(path: Path, topic: str, time: int) -> ScenarioError:
-    """Return the error of a message with a time [ns] that no recording has."""
+    """Return the error for a message whose time [ns] exceeds the range."""
     return ScenarioError(
         f"{path}: {topic}: time = {time} ns: out of range; allowed up to {schemas.LATEST}"
     )
 
 
 def decoded(path: Path, entry: Entry, decoder: "msgspec.json.Decoder[Sent]") -> Sent:
-    """The message of an entry.
+    """Decode the message of an entry.
 
     Raises:
-        ScenarioError: If it is none of its kind.
+        ScenarioError: If the message has another type.
     """
     try:
         return decoder.decode(entry.data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ScenarioError(
-            f"{path}: {entry.topic} at {entry.time / 1e9:g} s: {error}; allowed: what Outrider writes"
+            f"{path}: {entry.topic} at {entry.time / 1e9:g} s: {error}; allowed: a message written by Outrider"
         ) from error
 
 
@@ -228,11 +230,11 @@ def _all(path: Path, topic: schemas.Topic, kind: type[Sent], flight: int | None)
 
 
 def coverages(path: Path, *, flight: int | None = None) -> Iterator[CoverageMap]:
-    """Every map of the ground in the file, read as a stream.
+    """Yield the coverage maps of a file, read as a stream.
 
     Args:
-        path: The file.
-        flight: Of which of its flights, from 0; None: of all, one after the other.
+        path: File to read.
+        flight: Number of the flight in the file, from 0; None: all flights in order.
 
     Raises:
         ScenarioError: If the file cannot be read.
@@ -241,7 +243,7 @@ def coverages(path: Path, *, flight: int | None = None) -> Iterator[CoverageMap]
 
 
 def grounds(path: Path, *, flight: int) -> Iterator[GroundMap]:
-    """Every map of the ground with its hazards of one flight, each with them; as `coverages`."""
+    """Yield the ground maps of one flight, each with the hazards; arguments as in `coverages`."""
     hazards = None
     for ground in _all(path, schemas.GROUND, GroundMap, flight):
         hazards = ground.hazards if hazards is None else hazards
@@ -249,13 +251,13 @@ def grounds(path: Path, *, flight: int) -> Iterator[GroundMap]:
 
 
 def statuses(path: Path, *, flight: int | None = None) -> Iterator[Status]:
-    """Every Status; as `coverages`."""
+    """Yield the status messages; arguments as in `coverages`."""
     return _all(path, schemas.STATUS, Status, flight)
 
 
 @dataclass(slots=True, kw_only=True)
 class Recording:
-    """One flight of a file, without its maps."""
+    """Flight of a file, without its maps."""
 
     path: Path
     number: int
@@ -263,49 +265,49 @@ class Recording:
     head: schemas.Head
     truths: list[Truth] = field(default_factory=list)
     commands: dict[int, schemas.Commands] = field(default_factory=dict)
-    """By tick."""
-    words: list[tuple[str, schemas.OperatorWord]] = field(default_factory=list)
-    """UGV and message of each operator's command, in the order in which they were received."""
+    """Commands by tick."""
+    operator_commands: list[tuple[str, schemas.OperatorCommand]] = field(default_factory=list)
+    """UGV and message of each operator's command, in the order received."""
     changes: list[Change] = field(default_factory=list)
-    """The operators' changes; of a run that an observer recorded, pauses and speeds too."""
+    """Operators' changes; in an observer's recording also pauses and changes of speed."""
     factors: list[float] = field(default_factory=list)
-    """Simulated seconds per second of wall time, as the run's status told now and then."""
+    """Real-time factors of the run's status messages."""
     links: dict[str, LinkStatus] = field(default_factory=dict)
-    """The counters of each link by the last status: nothing else of a recording tells."""
+    """Counters of each link in the last status."""
     certificates: CertificateStatus | None = None
-    """The words of the safety filters by then, held against the truth; None where none watched."""
+    """Counts of certified ticks in the last status, compared with the truth; None without a safety filter."""
     mission: MissionResult | None = None
-    """The UGVs' way through by then; None where there are no hazards."""
+    """Mission result in the last status; None without hazards."""
     damage: Damage = field(default_factory=Damage)
 
     @property
     def last_ground(self) -> GroundMap | None:
-        """The last map of the ground with its hazards; None where there are none."""
+        """Last ground map, with hazards; None without hazards."""
         found = deque(grounds(self.path, flight=self.number), maxlen=1)
         return found[0] if found else None
 
     @property
     def scenario(self) -> Scenario:
-        """The scenario that was flown.
+        """Scenario that was flown.
 
         Raises:
-            ScenarioError: If the file does not tell, or this version cannot fly it.
+            ScenarioError: If the file does not contain the scenario, or this version cannot fly it.
         """
         return schemas.scenario_in(self.head, file=str(self.path))
 
     @property
     def missing_ticks(self) -> int:
-        """Ticks between the first and the last that are not in the file."""
+        """Number of ticks between the first and the last that are not in the file."""
         if not self.truths:
             return 0
         return self.truths[-1].tick - self.truths[0].tick + 1 - len(self.truths)
 
 
 def load(path: Path) -> list[Recording]:
-    """The flights of a file.
+    """Read the flights of a file.
 
     Raises:
-        ScenarioError: If it is no MCAP file, not one of Outrider's, of another version, or nothing whole is in it.
+        ScenarioError: If the file was not made by this version of Outrider, or contains no complete record.
     """
     damage = Damage()
     flights: list[Recording] = []
@@ -313,16 +315,16 @@ def load(path: Path) -> list[Recording]:
     decoders: dict[str, msgspec.json.Decoder[Any]] = {
         topic.name: msgspec.json.Decoder(topic.message) for topic in topics
     }
-    words = msgspec.json.Decoder(schemas.OperatorWord)
-    seen = 0
+    operator_commands = msgspec.json.Decoder(schemas.OperatorCommand)
+    count = 0
     for entry in entries(path, damage=damage):
-        seen += 1
+        count += 1
         if entry.topic == schemas.SCENARIO.name:
             head = schemas.read_head(entry.data, file=str(path))
             flights.append(Recording(path=path, number=len(flights), head=head, damage=damage))
             continue
         ugv = schemas.ugv_of(entry.topic)
-        decoder = words if ugv is not None else decoders.get(entry.topic)
+        decoder = operator_commands if ugv is not None else decoders.get(entry.topic)
         if decoder is None or not flights:
             continue
         message = decoded(path, entry, decoder)
@@ -330,8 +332,8 @@ def load(path: Path) -> list[Recording]:
             flights[-1].truths.append(message)
         elif isinstance(message, schemas.Commands):
             flights[-1].commands[message.tick] = message
-        elif isinstance(message, schemas.OperatorWord):
-            flights[-1].words.append((ugv or "", message))
+        elif isinstance(message, schemas.OperatorCommand):
+            flights[-1].operator_commands.append((ugv or "", message))
         elif isinstance(message, Change):
             flights[-1].changes.append(message)
         elif isinstance(message, Status):
@@ -341,33 +343,35 @@ def load(path: Path) -> list[Recording]:
                 flights[-1].factors.append(message.realtime_factor)
     if not flights:
         why = damage.reason
-        what = f"not a recording of Outrider: no {schemas.SCENARIO.name} in it"
-        if damage.reason and not seen:
-            what = "nothing whole is in it"
+        what = f"not a recording made by Outrider: no {schemas.SCENARIO.name} in it"
+        if damage.reason and not count:
+            what = "no complete record in it"
         raise ScenarioError(f"{path}: {what}{f' ({why})' if why else ''}")
     return flights
 
 
 def flight_of(path: Path, number: int | None = None) -> Recording:
-    """One flight of a file: the last that has a truth, unless one is asked for.
+    """Read one flight of a file.
 
     Args:
-        path: The file.
-        number: Which, from 0; negative counts from the end.
+        path: File to read.
+        number: Number of the flight, from 0; negative: from the end; None: the last flight with a tick.
 
     Raises:
-        ScenarioError: If the file cannot be read, or has no such flight, or no tick is in it.
+        ScenarioError: If the file cannot be read, has no such flight, or the flight has no tick.
     """
     flights = load(path)
     if number is None:
         flown = [flight for flight in flights if flight.truths]
         if not flown:
             raise ScenarioError(
-                f"{path}: no tick in it: the run was over before it began, or the file was cut off there"
+                f"{path}: no tick in it: the run ended before its first tick, or the file is truncated"
             )
         return flown[-1]
     if not -len(flights) <= number < len(flights):
-        raise ScenarioError(f"{path}: flight {number}: allowed are 0 to {len(flights) - 1}")
+        raise ScenarioError(
+            f"{path}: flight {number}: no such flight; allowed: 0 to {len(flights) - 1}"
+        )
     if not flights[number].truths:
         raise ScenarioError(f"{path}: flight {number}: no tick in it")
     return flights[number]

@@ -1,7 +1,4 @@
-"""Flying a recording again: the same commands through the same simulator, without pilots.
-
-And the recorded flight as it was.
-"""
+"""Second flight of recorded commands, without pilots, and restoration of the recorded flight."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,7 +18,7 @@ _FIELDS = ("position", "velocity", "acceleration")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Difference:
-    """The first number that is not the same."""
+    """First value that differs."""
 
     tick: int
     vehicle: str
@@ -30,29 +27,29 @@ class Difference:
     flown: tuple[float, float]
 
     def __str__(self) -> str:
-        """One line for a person."""
+        """Describe the difference in one line."""
         return f"tick {self.tick}, {self.vehicle}: {self.field} recorded {self.recorded}, flown again {self.flown}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reflight:
-    """A recording flown again."""
+    """Result of a second flight."""
 
     flight: Flight
     ticks: int
-    """Ticks that were flown again."""
+    """Number of ticks flown again."""
     recorded_sha256: str
-    """`trajectory_sha256` of the recorded numbers."""
+    """`trajectory_sha256` of the recorded flight."""
     trajectory_sha256: str
-    """The same of the flight."""
+    """`trajectory_sha256` of the second flight."""
     difference: Difference | None
-    """None: every position, velocity and applied command is the same to the last bit."""
+    """First difference; None: every position, velocity and applied command is identical to the last bit."""
     note: str
-    """Why there may be a difference, or why it was not flown to the end; empty: nothing to say."""
+    """Reason for a difference or for an early end; empty: none."""
 
 
 def from_the_start(recording: Recording) -> bool:
-    """True if it holds the flight from its first tick."""
+    """Return true if the recording contains the flight's first tick."""
     return bool(recording.truths) and recording.truths[0].tick == 0
 
 
@@ -62,24 +59,24 @@ def _new_flight(recording: Recording) -> Flight:
     if not from_the_start(recording):
         where = f"begins at tick {recording.truths[0].tick}" if recording.truths else "is empty"
         raise ScenarioError(
-            f"{recording.path}: {where}; allowed: a recording from the first tick on"
+            f"{recording.path}: {where}; allowed: a recording that starts at tick 0"
         )
     if set(recording.truths[0].vehicles) != set(flight.world.names):
         raise ScenarioError(
-            f"{recording.path}: its vehicles are not those of its scenario {scenario.name!r}"
+            f"{recording.path}: vehicles differ from the vehicles of its scenario {scenario.name!r}"
         )
     return flight
 
 
 def _without_gap(recording: Recording) -> int:
-    """Counts the truths that follow each other from the first on."""
+    """Return the number of truths before the first gap."""
     return next(
         (k for k, truth in enumerate(recording.truths) if truth.tick != k), len(recording.truths)
     )
 
 
 def _put(flight: Flight, truth: Truth) -> None:
-    """Make the world's state the recorded one, and take it down."""
+    """Set the world to a recorded state, and record it."""
     world = flight.world
     for k, name in enumerate(world.names):
         vehicle = truth.vehicles[name]
@@ -94,25 +91,27 @@ def _put(flight: Flight, truth: Truth) -> None:
 
 
 def external_uavs(recording: Recording) -> set[str]:
-    """UAVs that a program of the user's own has flown: detections have reached it, and it reports no estimate."""
+    """Return the UAVs flown by a program of the user: they receive detections, but report no estimate."""
     reported = {e.uav for truth in recording.truths for e in truth.escorts if e.report is not None}
-    seen = {e.uav for truth in recording.truths for e in truth.escorts if e.detection is not None}
-    dark = {
+    detecting = {
+        e.uav for truth in recording.truths for e in truth.escorts if e.detection is not None
+    }
+    disconnected = {
         name.partition("/")[0]
         for name, link in recording.links.items()
         if name.endswith(f"/{LinkKind.DETECTIONS}") and not link.delivered
     }
-    return seen - reported - dark
+    return detecting - reported - disconnected
 
 
 def restore(recording: Recording) -> Flight:
-    """The recorded flight, with its record and its ground, as if it had just been flown.
+    """Restore a recorded flight with its record and its coverage.
 
-    Every state is the recorded one; the ground is what the UAVs saw from there. Ticks that an observer missed are
-    bridged with the last command that is known.
+    States are taken from the recording; coverage is computed from them. Ticks that an observer missed are simulated
+    with the last known command.
 
     Raises:
-        ScenarioError: If the file does not tell the scenario, or does not begin with the first tick.
+        ScenarioError: If the file does not contain the scenario, or does not start at tick 0.
     """
     flight = _new_flight(recording)
     _put(flight, recording.truths[0])
@@ -131,7 +130,7 @@ def restore(recording: Recording) -> Flight:
 
 
 def _repeat(flight: Flight, control: Control) -> None:
-    """Repeat an operator's change of law, driver or link; of all UGVs where none is named."""
+    """Repeat an operator's change of law or driver; without a vehicle it applies to all UGVs."""
     if control.action is Action.LAW and control.law is not None:
         flight.law = control.law
     elif control.action is Action.DRIVER and control.driver is not None:
@@ -141,7 +140,7 @@ def _repeat(flight: Flight, control: Control) -> None:
 
 
 def _commands(recording: Recording, flight: Flight) -> Iterator[bool]:
-    """Put the commands of each tick into the flight's array; ends where one is not in the file."""
+    """Set the flight's commands tick by tick; stop at the first tick without commands in the file."""
     for tick in range(_without_gap(recording) - 1):
         asked = recording.commands.get(tick)
         if asked is None or set(asked.accelerations) != set(flight.world.names):
@@ -166,13 +165,13 @@ def _difference(flight: Flight, truth: Truth) -> Difference | None:
 
 
 def refly(recording: Recording) -> Reflight:
-    """Fly the recorded commands again and compare every tick with what was recorded.
+    """Fly the recorded commands again, and compare every tick with the recording.
 
     Raises:
-        ScenarioError: If the file does not tell the scenario, or does not begin with the first tick.
+        ScenarioError: If the file does not contain the scenario, or does not start at tick 0.
     """
     flight = _new_flight(recording)
-    copy = _new_flight(recording)  # only hashes what was recorded
+    copy = _new_flight(recording)  # to hash the recorded states
     difference = _difference(flight, recording.truths[0])
     flight.recorder.record(flight.answers.reports)
     _put(copy, recording.truths[0])
@@ -206,6 +205,6 @@ def _note(recording: Recording, flight: Flight, difference: Difference | None) -
     missing = recording.truths[-1].tick - flight.recorder.ticks
     if missing:
         notes.append(
-            f"flown again to tick {flight.recorder.ticks}: the next is not in the file, which has {missing} more"
+            f"flown again up to tick {flight.recorder.ticks} only, {missing} ticks before the end: the file has a gap"
         )
     return "; ".join(notes)

@@ -1,4 +1,4 @@
-"""Repair of a recording whose process was killed: its whole records in a new file that any reader of MCAP opens."""
+"""Repair of the recording of a killed process: copy of its complete records to a valid MCAP file."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,32 +15,32 @@ with needs("record"):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Repair:
-    """The outcome of a repair."""
+    """Result of a repair."""
 
     messages: int
     lost_bytes: int
     reason: str
-    """The fault; empty: none."""
+    """Description of the damage; empty: none."""
 
 
 def repair(path: Path, out: Path) -> Repair:
-    """Write every whole record of a file into a new one that any reader of MCAP opens.
+    """Write every complete record of a file to a valid MCAP file.
 
     Args:
-        path: The killed file.
-        out: The new one; replaced if it is there.
+        path: Damaged file.
+        out: New file; an existing file is replaced.
 
     Raises:
-        ScenarioError: If there is nothing to save, or both are the same file.
+        ScenarioError: If the file has no complete record, or both paths are the same file.
         OSError: If the new file cannot be written.
     """
     if out.exists() and out.samefile(path):
-        raise ScenarioError(f"{out}: is the file to be repaired; allowed: another one")
+        raise ScenarioError(f"{out}: is the damaged file itself; allowed: another file")
     damage = Damage()
     found = stream(path, damage)
     first = next(found, None)
     if first is None:
-        raise ScenarioError(f"{path}: nothing whole is in it ({damage.reason})")
+        raise ScenarioError(f"{path}: no complete record in it ({damage.reason})")
     messages = 0
     kinds, channels = {0: 0}, dict[int, int]()
     with writing(out), out.open("wb") as file:

@@ -1,7 +1,7 @@
-"""The content of a recording: its channels, their JSON schemas, and the head that says what was flown.
+"""Content of a recording: channels, their JSON schemas, and the head of each flight.
 
-Times are simulated: nanoseconds since the first tick. One file holds one run; a run that was reset has several
-flights, one after the other, each with a head of its own.
+Times are simulated, in nanoseconds since the first tick. A file holds one run. A run that was reset has several
+flights in order, each with its own head.
 """
 
 import copy
@@ -26,55 +26,55 @@ from sim.scenario.types import Scenario
 from sim.server.recorder import platform_row
 
 FORMAT = 1
-"""Of the file. Another number cannot be read."""
+"""Version of the file format; other versions cannot be read."""
 PROFILE = "outrider"
-"""In the MCAP header."""
+"""Profile in the MCAP header."""
 
 
 LATEST = (1 << 31) * 1_000_000_000 - 1
-"""The latest time of a recording [ns]: formats of others count seconds in 32 bits."""
+"""Latest time of a recording [ns]: other formats count seconds in 32 bits."""
 
 
 class Head(Message, frozen=True, kw_only=True):
-    """The scenario, seed and platform of a flight; its first message."""
+    """First message of a flight, with scenario, seed and platform."""
 
     format: int = FORMAT
     outrider: Text
     """Version that wrote the file."""
     episode: Tick = 0
-    """The flight's number in the run."""
+    """Number of the flight in the run."""
     start: NonNegative = 0.0
-    """The place of this flight's tick 0 on the file's clock [s]."""
+    """Time of the flight's tick 0 on the file's clock [s]."""
     name: Text
-    """Of the scenario."""
+    """Name of the scenario."""
     seed: Tick
     secret: str = ""
-    """Of the run. Empty: none, or whoever recorded was not told it."""
+    """Secret of the run; empty: none, or unknown to the observer."""
     platform: dict[str, str]
-    """The platform that the bits depend on besides scenario and seed."""
+    """Platform, which may affect the last bits of a trajectory."""
     scenario: dict[str, Any] | None = None
-    """All of it; None: whoever recorded did not know it."""
+    """Complete scenario; None: unknown to the observer."""
     infinite: tuple[str, ...] = ()
-    """Fields of the scenario that are infinite: JSON has no such number and they are null there."""
+    """Infinite fields of the scenario, which are null there, as JSON has no infinite numbers."""
 
 
 class Commands(Message, frozen=True, kw_only=True):
-    """Each vehicle's commanded acceleration during a tick, before the bounds: needed to fly it again."""
+    """Commanded acceleration of each vehicle during a tick, before bounds apply; needed for a second flight."""
 
     tick: Tick
     accelerations: dict[Name, Vector]
-    """[m/s²]"""
+    """Accelerations by vehicle [m/s²]."""
 
 
-class OperatorWord(Teleoperation, frozen=True, kw_only=True):
-    """An operator's command, and the tick of the UGV's observation that held it."""
+class OperatorCommand(Teleoperation, frozen=True, kw_only=True):
+    """Operator's command, with the tick of the UGV's observation that contained it."""
 
     tick: Tick
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Topic:
-    """One of our own channels."""
+    """Channel with Outrider's messages."""
 
     name: str
     message: type[Message]
@@ -86,30 +86,27 @@ COMMANDS = Topic(name="/commands", message=Commands)
 STATUS = Topic(name="/status", message=Status)
 COVERAGE = Topic(name="/coverage", message=CoverageMap)
 TOPICS = (SCENARIO, TRUTH, COMMANDS, STATUS, COVERAGE)
-"""Those that every recording has."""
+"""Channels of every recording."""
 CHANGES = Topic(name="/changes", message=Change)
-"""The operators' changes, where there are any: law and driver, each with its tick.
-
-An observer is told of the clock too.
-"""
+"""Operators' changes of law and driver, with their ticks; in an observer's recording also changes of the clock."""
 GROUND = Topic(name="/ground", message=GroundMap)
-"""The ground with its hazards, where there are any."""
+"""Ground map with hazards, if the scenario has hazards."""
 _OPERATOR = "operator"
 
 
 def operator_topic(ugv: str) -> Topic:
-    """The channel of the operators' commands to this UGV, where there are any."""
-    return Topic(name=f"/{ugv}/{_OPERATOR}", message=OperatorWord)
+    """Return the channel of the operators' commands to a UGV."""
+    return Topic(name=f"/{ugv}/{_OPERATOR}", message=OperatorCommand)
 
 
 def ugv_of(topic: str) -> str | None:
-    """The UGV at whose wheel a topic's words were said; None where it is another topic."""
+    """Return the UGV of a channel of operators' commands; None for another channel."""
     ugv, _, last = topic.removeprefix("/").partition("/")
     return ugv if last == _OPERATOR else None
 
 
 def inlined_schema(message: type[Message]) -> dict[str, Any]:
-    """The JSON schema of a message without references: foxglove-sdk refuses the `$ref` that msgspec puts on top."""
+    """Return the JSON schema of a message without references: foxglove-sdk rejects msgspec's top-level `$ref`."""
     schema = msgspec.json.schema(message)
     definitions: dict[str, Any] = schema.pop("$defs", {})
 
@@ -154,15 +151,15 @@ def head_of(
     episode: int = 0,
     start: float = 0.0,
 ) -> Head:
-    """The head of a flight.
+    """Return the head of a flight.
 
     Args:
-        scenario: What is flown; None: an observer is not told.
-        seed: Of all random numbers.
-        name: Of the scenario, where it is not given.
-        secret: Of the run, where it is known.
-        episode: Which flight of the run.
-        start: Where its tick 0 lies on the file's clock [s].
+        scenario: Scenario that is flown; None: unknown to an observer.
+        seed: Seed of all random numbers.
+        name: Name of the scenario, if the scenario is None.
+        secret: Secret of the run, if known.
+        episode: Number of the flight in the run.
+        start: Time of the flight's tick 0 on the file's clock [s].
     """
     plain: dict[str, Any] | None = msgspec.to_builtins(scenario)
     return Head(
@@ -179,16 +176,16 @@ def head_of(
 
 
 def scenario_in(head: Head, *, file: str) -> Scenario:
-    """The scenario that was flown, every bit of it.
+    """Return the scenario that was flown, exact to the last bit.
 
     Raises:
-        ScenarioError: If it is not there, or this version cannot fly it.
+        ScenarioError: If the head has no scenario, or this version cannot fly it.
     """
     if head.scenario is None:
         raise ScenarioError(
             f"{file}: recorded by an observer without the scenario; allowed: a file recorded with --scenario"
         )
-    raw = copy.deepcopy(head.scenario)  # to put the infinite ones into
+    raw = copy.deepcopy(head.scenario)  # to set the infinite fields
     for field in head.infinite:
         apply_override(raw, field, math.inf, file=file)
     return check_scenario(typed(raw, Scenario, file=file), source=file)
@@ -199,19 +196,17 @@ class _AnyFormat(msgspec.Struct, frozen=True):
 
 
 def read_head(data: bytes, *, file: str) -> Head:
-    """The head from its JSON.
+    """Decode a head.
 
     Raises:
-        ScenarioError: If it is none, or of another version of the format.
+        ScenarioError: If the data is not a head, or has another version of the format.
     """
     try:
         written = msgspec.json.decode(data, type=_AnyFormat).format
         if written != FORMAT:
-            raise ScenarioError(
-                f"{file}: a recording of format {written}; allowed: {FORMAT}, which this version reads"
-            )
+            raise ScenarioError(f"{file}: recording of format {written}; allowed: {FORMAT}")
         return msgspec.json.decode(data, type=Head)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ScenarioError(
-            f"{file}: {SCENARIO.name}: {error}; allowed: the head that Outrider writes"
+            f"{file}: {SCENARIO.name}: {error}; allowed: a head written by Outrider"
         ) from error

@@ -1,7 +1,7 @@
-"""Many ticks of a flight as JSON at once: the same bytes as their `Truth` and `Commands`, without making those.
+"""Encoding of many ticks at once: the same JSON as their `Truth` and `Commands`, without making these messages.
 
-A recording holds every tick, and to make the messages one by one costs more than to write them. What changes from
-tick to tick is numbers: they are written in one go, and put into the text that one message was, once.
+A recording holds every tick, and making the messages costs more than writing them. Only numbers change from tick to
+tick. All numbers are encoded in one call, and inserted into the text of a sample message.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,33 +19,33 @@ from sim.compiling.compile import FloatArray
 from sim.server.flight import Flight
 
 Reports = Sequence[UavReport | None]
-"""The report of each UAV; None: it said nothing."""
+"""Report of each UAV; None: no report."""
 
 _TICK, _MARK = 700_000, 700_001
-"""Stand in a sample for the tick, and from there on for its numbers."""
+"""Placeholders in a sample: of the tick, and the first of its numbers."""
 
 
 class Tick(NamedTuple):
-    """One tick as it is written."""
+    """Encoded tick."""
 
     time: float
-    """Simulated [s]."""
-    begun: float
-    """Time at which the tick before began [s]."""
+    """Simulated time [s]."""
+    previous_time: float
+    """Simulated time of the previous tick [s]."""
     truth: bytes
     commands: bytes
-    """Those of the tick before; empty: there were none."""
+    """Commands of the previous tick; empty: none."""
     distances: list[float]
-    """Of each escort [m]."""
+    """Distance of each escort [m]."""
     states: FloatArray
     """Position and velocity of each vehicle, shape (vehicles, 4)."""
 
 
 class TickTexts:
-    """Writes the ticks of one flight.
+    """Encoder of the ticks of one flight.
 
     Args:
-        flight: Whose record is read.
+        flight: Flight with its record.
     """
 
     def __init__(self, flight: Flight) -> None:
@@ -63,7 +63,7 @@ class TickTexts:
             for name in flight.world.names
         }
         self._escorts = self._marks - _MARK
-        """So many numbers come before those of the escorts, which are five each, the last a gap for the report."""
+        """Number of values before the escorts' values; an escort has five, the last a gap for its report."""
         escorts = tuple(
             EscortTruth(
                 uav=uav.name,
@@ -92,7 +92,7 @@ class TickTexts:
         return self._number(), self._number()
 
     def _template(self, sample: msgspec.Struct) -> bytes:
-        """The sample's text with a gap for the tick, each number and each report."""
+        """Return the sample's text with gaps for the tick, the numbers and the reports."""
         text = self._encoder.encode(sample)
         for number in range(_MARK, self._marks):
             text = text.replace(b"%d.0" % number, b"%b")
@@ -101,7 +101,7 @@ class TickTexts:
         )
 
     def _numbers(self, first: int, commands: FloatArray) -> FloatArray:
-        """The numbers of the texts in their order, a row for each tick; NaN is written as null."""
+        """Return the numbers of the texts in order, one row per tick; NaN is written as null."""
         recorder, (count, vehicles, _) = self._flight.recorder, commands.shape
         numbers: FloatArray = np.full(
             (count, self._escorts + 5 * len(self._flight.world.uavs)), np.nan
@@ -114,27 +114,27 @@ class TickTexts:
         else:
             moving[0, :, 4:6], moving[1:, :, 4:6] = 0.0, recorder.states[: count - 1, :, 4:6]
         moving[:, :, 6:8] = commands
-        seen = numbers[:, self._escorts :].reshape(count, -1, 5)
-        seen[:, :, :4] = recorder.escorts[first : first + count, :, :4]
-        seen[:, :, 1] = np.where(seen[:, :, 1] > 0.0, seen[:, :, 1], 0.0)
+        escorts = numbers[:, self._escorts :].reshape(count, -1, 5)
+        escorts[:, :, :4] = recorder.escorts[first : first + count, :, :4]
+        escorts[:, :, 1] = np.where(escorts[:, :, 1] > 0.0, escorts[:, :, 1], 0.0)
         return numbers
 
     def of(self, first: int, commands: FloatArray, reports: Sequence[Reports]) -> Iterator[Tick]:
-        """Ticks that follow each other and are in the flight's record.
+        """Yield consecutive ticks of the flight's record.
 
         Args:
-            first: The first of them.
-            commands: What was asked for during the tick before each, shape (ticks, vehicles, 2) [m/s²].
-            reports: What each UAV said then.
+            first: First tick.
+            commands: Commands of the tick before each, shape (ticks, vehicles, 2) [m/s²].
+            reports: Reports of the UAVs at each tick.
         """
         numbers, dt, at = self._numbers(first, commands), self._flight.scenario.dt, self._escorts
         width, encode = numbers.shape[1], self._encoder.encode
         texts = encode(numbers.ravel().tolist())[1:-1].split(b",")
         states = numbers[:, 1:at].reshape(*commands.shape[:2], 8)[:, :, :4]
         distances = numbers[:, at::5].tolist()
-        for k, said in enumerate(reports):
+        for k, tick_reports in enumerate(reports):
             tick, row = first + k, texts[k * width : (k + 1) * width]
-            for escort, report in enumerate(said):
+            for escort, report in enumerate(tick_reports):
                 if report is not None:
                     row[at + 5 * escort + 4] = encode(report)
             truth = (self._truth % (tick, *row)).replace(b"[null,null]", b"null")  # no detection

@@ -1,7 +1,6 @@
-"""Channels that viewers of MCAP understand at once (Foxglove, Lichtblick): frames, poses, a scene, the grid, a log.
+"""Standard channels for MCAP viewers (Foxglove, Lichtblick): frames, poses, a scene, the coverage grid, a log.
 
-They are shown a few poses per simulated second: a viewer draws what lies between two of them by itself. Every tick
-stands in our own channels.
+They hold a few poses per simulated second, as viewers interpolate. Outrider's own channels hold every tick.
 """
 
 import math
@@ -22,15 +21,15 @@ with needs("record"):
     from foxglove import channels, messages
 
 _VIEW_PERIOD = 0.2
-"""Simulated time between two poses [s], at least."""
+"""Shortest simulated time between two poses [s]."""
 _SCENE_PERIOD = 1.0
-"""Simulated time between two scenes [s]; each holds everything, since a viewer that jumps sees only the newest."""
+"""Simulated time between two scenes [s]; each scene is complete, as a viewer that seeks shows only the newest."""
 _TRACK_ROOM = 200
-"""Points of a track; beyond that every second one is dropped."""
+"""Largest number of points of a track; then every second point is dropped."""
 _MOST_HAZARDS = 500
-"""So many are shown: each scene holds them all."""
+"""Largest number of hazards shown, as each scene holds all of them."""
 _UAV_HEIGHT, _UGV_HEIGHT = 1.0, 0.1
-"""The heights at which viewers show them [m]; the world itself is flat."""
+"""Heights at which viewers show UAVs and UGVs [m]; the world itself is flat."""
 
 Place = Sequence[float]
 """Position [m] and velocity [m/s] of a vehicle: x, y, v_x, v_y."""
@@ -46,7 +45,7 @@ def _stamp(time_ns: int) -> messages.Timestamp:
 
 
 def _ring(ring: Ring) -> messages.LinePrimitive:
-    """A circle around a vehicle, in its own frame."""
+    """Return a circle around a vehicle, in the vehicle's frame."""
     angles = [2.0 * math.pi * k / 96 for k in range(96)]
     kinds = messages.LinePrimitiveLineType
     return messages.LinePrimitive(
@@ -61,7 +60,7 @@ def _ring(ring: Ring) -> messages.LinePrimitive:
 
 
 def _outline(hazard: Hazard) -> messages.LinePrimitive:
-    """The edge of a hazard on the ground."""
+    """Return the outline of a hazard on the ground."""
     angles = [2.0 * math.pi * k / 24 for k in range(24)]
     (x, y), r = hazard.middle, hazard.radius or 0.0
     edge = hazard.polygon or [(x + r * math.cos(a), y + r * math.sin(a)) for a in angles]
@@ -74,14 +73,14 @@ def _outline(hazard: Hazard) -> messages.LinePrimitive:
 
 
 class _Track:
-    """The way of a vehicle: a line that gets coarser as it gets longer."""
+    """Path of a vehicle: a line that becomes coarser as it becomes longer."""
 
     def __init__(self) -> None:
         self.points: list[messages.Point3] = []
-        self._step, self._passed = 1, -1  # every so manieth point is kept
+        self._step, self._passed = 1, -1  # one point in `_step` is kept
 
     def follow(self, x: float, y: float) -> None:
-        """It has come here."""
+        """Add the vehicle's current position [m]."""
         self._passed += 1
         if self._passed % self._step == 0:
             self.points.append(messages.Point3(x=x, y=y, z=0.02))
@@ -106,10 +105,10 @@ def _uav(color: messages.Color) -> dict[str, Any]:
 
 
 class Viewers:
-    """The channels for viewers of one file.
+    """Channels for viewers of one file.
 
     Args:
-        context: The file's.
+        context: Context of the file.
     """
 
     def __init__(self, context: foxglove.Context) -> None:
@@ -125,7 +124,7 @@ class Viewers:
         self.begin(None)
 
     def begin(self, scenario: Scenario | None) -> None:
-        """Another flight begins."""
+        """Start a flight."""
         self._scene: Scene | None = None if scenario is None else scene_of(scenario)
         self._tracks = defaultdict[str, _Track](_Track)
         self._yaw: dict[str, float] = {}
@@ -133,18 +132,18 @@ class Viewers:
         self._next_view = self._next_scene = -math.inf
 
     def due(self, time: float) -> bool:
-        """True if they want to be shown this simulated time [s]."""
+        """Return true if the next pose is due at this simulated time [s]."""
         return time >= self._next_view
 
     def show(
         self, time: float, places: Mapping[str, Place], escorts: Mapping[str, str], time_ns: int
     ) -> None:
-        """Show where everybody is.
+        """Write the poses of all vehicles.
 
         Args:
-            time: Simulated, of this flight [s].
-            places: Of all vehicles.
-            escorts: Each UAV, and the UGV it escorts.
+            time: Simulated time of this flight [s].
+            places: Positions and velocities of all vehicles.
+            escorts: UGV of each UAV.
             time_ns: The same time on the file's clock [ns].
         """
         self._next_view = time + _VIEW_PERIOD * (1.0 - 1e-6)
@@ -166,7 +165,7 @@ class Viewers:
         stamp: messages.Timestamp,
         time_ns: int,
     ) -> messages.FrameTransform:
-        """Show one vehicle's pose; the same as a transform."""
+        """Write one vehicle's pose, and return it as a transform."""
         x, y, v_x, v_y = place
         if v_x * v_x + v_y * v_y > 1e-6:
             self._yaw[name] = math.atan2(v_y, v_x)
@@ -191,7 +190,7 @@ class Viewers:
     def _draw(self, escorts: Mapping[str, str], stamp: messages.Timestamp, time_ns: int) -> None:
         if self._scene is None:
             self._scene = observed_scene("", None, escorts=escorts, vehicles=self._tracks)
-        if not self._bodies:  # each hangs on its vehicle's frame, so they are made once
+        if not self._bodies:  # made once, as each is attached to its vehicle's frame
             entities = [self._entity(self._scene, vehicle) for vehicle in self._scene.vehicles]
             self._bodies = messages.SceneUpdate(entities=entities).encode()
         tracks = []
@@ -208,18 +207,18 @@ class Viewers:
                 )
             )
         moving = messages.SceneUpdate(entities=tracks).encode()
-        # protobuf joins the two lists of entities
+        # protobuf concatenates the lists of entities
         self._scenes.log(self._hazards + self._bodies + moving, log_time=time_ns)
 
     def hazards(self, hazards: Sequence[Hazard]) -> None:
-        """Show these on the ground from the next scene on."""
+        """Show these hazards from the next scene on."""
         outlines = [_outline(hazard) for hazard in hazards[:_MOST_HAZARDS]]
         entity = messages.SceneEntity(frame_id="world", id="hazards", lines=outlines)
         self._hazards = messages.SceneUpdate(entities=[entity]).encode()
 
     @staticmethod
     def _entity(scene: Scene, vehicle: SceneVehicle) -> messages.SceneEntity:
-        """A vehicle with the circles around it."""
+        """Return the entity of a vehicle with the circles around it."""
         color = _color(vehicle.color)
         return messages.SceneEntity(
             frame_id=vehicle.name,
@@ -230,7 +229,7 @@ class Viewers:
         )
 
     def coverage(self, ground: CoverageMap, time_ns: int) -> None:
-        """Show the coverage of the ground."""
+        """Write the coverage map."""
         pose = messages.Pose(
             position=messages.Vector3(z=-0.01), orientation=messages.Quaternion(w=1.0)
         )
@@ -251,7 +250,7 @@ class Viewers:
         self._grid.log(grid, log_time=time_ns)
 
     def log(self, line: str, time_ns: int, *, warning: bool) -> None:
-        """A line for a person."""
+        """Write a log line."""
         level = messages.LogLevel.Warning if warning else messages.LogLevel.Info
         self._log.log(
             messages.Log(timestamp=_stamp(time_ns), level=level, message=line, name="outrider"),

@@ -1,4 +1,4 @@
-"""Writing a recording while its flight is flown: a tick costs its loop one append, a thread does the rest."""
+"""Recording of a flight from inside the simulator: a tick costs its loop one append, and a thread does the rest."""
 
 import sys
 import threading
@@ -18,7 +18,7 @@ from bus.messages.vehicle import Teleoperation, UavReport
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.schemas import CHANGES, COVERAGE, GROUND, STATUS, head_of
 from outrider.recording.tick_rows import TickTexts
-from outrider.running.assumptions import promise_warnings
+from outrider.running.assumptions import assumption_warnings
 from sim.compiling.compile import FloatArray
 from sim.scenario.types import Scenario
 from sim.scene.told_tiles import ground_map
@@ -27,70 +27,63 @@ from sim.server.perception import News
 from sim.world import World
 
 _WAKE = 0.02
-"""Wall time between two looks of the thread [s]."""
+"""Wall time between two checks of the queue by the thread [s]."""
 _BLOCK = 8
-"""Ticks that the thread writes at once.
-
-Then it lets the flight have the interpreter, which comes back from the bus and must not find it taken for long."""
+"""Ticks that the thread writes at once before it releases the interpreter for the flight's thread."""
 _SWITCH = 1e-4
-"""A flight that is back from the bus gets the interpreter from the thread within this [s].
-
-Python's own 5 ms are many ticks.
-"""
+"""Longest time for which the flight's thread waits for the interpreter [s]; Python's 5 ms are many ticks."""
 _CROWD = 128
-"""For each of so many that wait it writes one block more before that."""
+"""Number of queued items for each additional block that the thread writes at once."""
 _ROOM = 1024
-"""Ticks that wait for the thread before the flight must wait."""
+"""Number of queued items beyond which the flight waits for the thread."""
 _MAP_PERIOD = 1.0
-"""Simulated time between two maps [s], for a grid of up to `_MAP_CELLS`; larger ones come less often."""
+"""Simulated time between two maps [s], for a grid of up to `_MAP_CELLS`; larger maps are written less often."""
 _MAP_CELLS = 50_000
 _STATUS_PERIOD = 0.5
-"""Simulated time between two status messages of a recorder in the simulator [s], at least; wall time, a tenth of it."""
+"""Shortest simulated time between two status messages [s]; the shortest wall time is a tenth of it."""
 
 
-class _Said(NamedTuple):
-    """An operator's command that a UGV received."""
+class _Received(NamedTuple):
+    """Operator's command received by a UGV."""
 
     ugv: str
-    word: Teleoperation
+    command: Teleoperation
 
 
 _Flown = tuple[bytes, tuple[UavReport | None, ...]]
-"""The part of a tick that the flight's own record does not keep: what was asked for, as float64, and what the UAVs
-said.
-"""
-_Other = _Said | Change | CoverageMap | GroundMap | Status | str
-"""A text is a line for a person."""
+"""Part of a tick that the flight's record does not hold: the commands as float64, and the UAVs' reports."""
+_Other = _Received | Change | CoverageMap | GroundMap | Status | str
+"""Other content of a recording; a text is a log line."""
 _Item = tuple[Flight, int, _Flown | None, _Other | None]
-"""Something for the thread, and its tick: one that was flown, or something else.
+"""Queued item with its tick: a tick that was flown, or other content.
 
-Tuples, since the tick pays for making them.
+A plain tuple, as it is made in every tick of the flight.
 """
 
 
-def _news_in(told: Mapping[str, News], tick: int) -> Iterator[_Said | Change]:
-    """The operators' commands and changes at a tick."""
+def _news_in(received: Mapping[str, News], tick: int) -> Iterator[_Received | Change]:
+    """Yield the operators' commands and changes at a tick."""
     laws = []
-    for name, news in told.items():
-        for word in news.operator:
-            yield _Said(name, word)
+    for name, news in received.items():
+        for command in news.operator:
+            yield _Received(name, command)
         if news.driver is not None:
             yield Change(
                 tick=tick, control=Control(action=Action.DRIVER, vehicle=name, driver=news.driver)
             )
-        if news.law is not None and news.law not in laws:  # one order to all UAVs
+        if news.law is not None and news.law not in laws:  # one change applies to all UAVs
             laws.append(news.law)
             yield Change(tick=tick, control=Control(action=Action.LAW, law=news.law))
 
 
 class FlightRecorder:
-    """Records flights from inside the simulator's process: every tick, bit by bit.
+    """Recorder of all ticks inside the simulator's process, exact to the last bit.
 
     Args:
-        path: The file; one that is there is replaced.
-        scenario: What is flown.
-        seed: Of all random numbers.
-        secret: Of the run; a file that tells one is for its owner alone.
+        path: File to write; an existing file is replaced.
+        scenario: Scenario that is flown.
+        seed: Seed of all random numbers.
+        secret: Secret of the run; a file with a secret is readable by its owner only.
 
     Raises:
         OSError: If the file cannot be written.
@@ -105,14 +98,14 @@ class FlightRecorder:
         secret: str = "",
     ) -> None:
         self.vehicles: Callable[[], Mapping[str, VehicleStatus]] = dict
-        """Tells how the vehicles' processes stand; by default nothing beside what the flight itself counts."""
+        """Callback that returns the status of the vehicles' processes, in addition to the flight's own counts."""
         self._file = RecordingFile(path, private=bool(secret))
         self._items: deque[_Item] = deque()
         self._done = threading.Event()
         self._fault: Exception | None = None
-        # The one that the flight's thread is at; _written is the writer's.
+        # The current flight of the flight's thread; `_written` is the writer's.
         self._flight: Flight | None = None
-        self._degradations = 0  # of the flight, those that are in the file
+        self._degradations = 0  # number of the flight's changes of links that are queued
         self._written: Flight | None = None
         self._texts: TickTexts
         self._escorts: dict[str, str] = {}
@@ -126,22 +119,22 @@ class FlightRecorder:
         self._thread.start()
 
     def tick(self, flight: Flight) -> None:
-        """Take down the tick that has just been flown; called after each, from the flight's own thread.
+        """Record the tick that was just flown; called after each tick from the flight's thread.
 
-        Waits only where the disk is slower than the flight for long: nothing is dropped. After a fault of the disk
-        it does nothing; `close` tells.
+        Nothing is dropped: if the disk stays slower than the flight, the call waits. After a write error, the call does
+        nothing, and `close` raises the error.
 
         Args:
-            flight: Another one than before begins a new flight in the file.
+            flight: Current flight; a different flight starts a new flight in the file.
         """
         if self._fault is not None:
             return
         tick, items = flight.world.tick, self._items
         if flight is not self._flight:
-            self._take_up(flight)
-        told = flight.news(tick - 1)
-        if told:
-            items.extend((flight, tick, None, what) for what in _news_in(told, tick - 1))
+            self._start(flight)
+        received = flight.news(tick - 1)
+        if received:
+            items.extend((flight, tick, None, what) for what in _news_in(received, tick - 1))
         if len(flight.degradations) > self._degradations:
             items.extend(
                 (flight, tick, None, change) for change in flight.degradations[self._degradations :]
@@ -153,18 +146,18 @@ class FlightRecorder:
         while self._early:
             self.event(self._early.pop(0))
         if tick >= self._next_map or tick >= self._next_status or flight.over:
-            self._tell_more(flight, tick)
+            self._queue_overview(flight, tick)
         while len(items) > _ROOM and self._fault is None:
             time.sleep(0.001)
 
-    def _take_up(self, flight: Flight) -> None:
+    def _start(self, flight: Flight) -> None:
         self._flight, self._next_map, self._next_status = flight, 0, 0
         self._hazards: tuple[Hazard, ...] | None = None
         self._degradations = 0
         self._pace = (time.monotonic(), 0)
 
-    def _tell_more(self, flight: Flight, tick: int) -> None:
-        """The map and the status, if it is time."""
+    def _queue_overview(self, flight: Flight, tick: int) -> None:
+        """Queue maps and status if they are due."""
         if tick >= self._next_map or flight.over:
             cells = flight.world.coverage.size
             self._next_map = tick + max(
@@ -184,9 +177,9 @@ class FlightRecorder:
                 self._items.append((flight, tick, None, self._status(flight)))
 
     def event(self, line: str) -> None:
-        """Take down a line for a person, at the tick where the flight is now."""
+        """Record a log line at the current tick."""
         if self._flight is None:
-            self._early.append(line)  # vehicles join before anything is flown
+            self._early.append(line)  # vehicles join before the first tick
         else:
             self._items.append((self._flight, self._flight.world.tick, None, line))
 
@@ -199,15 +192,15 @@ class FlightRecorder:
             realtime_factor=max(0, flight.world.tick - tick)
             * flight.scenario.dt
             / max(now - before, 1e-6),
-            warnings=promise_warnings(flight.flown, flight.world.link_table),
+            warnings=assumption_warnings(flight.flown, flight.world.link_table),
             vehicles={**status.vehicles, **self.vehicles()},
         )
 
     def close(self) -> None:
-        """Write what is left and end the file; called once, when the flight is over or has failed.
+        """Write the queued items and close the file; called once, after the flight's end or failure.
 
         Raises:
-            OSError: If not all could be written.
+            OSError: If a write failed.
         """
         flight = self._flight
         if flight is not None and self._fault is None:
@@ -235,23 +228,23 @@ class FlightRecorder:
                     self._file.flush_if_due()
                     time.sleep(0.0 if last else 2e-5)
                 self._file.flush_if_due()
-        except Exception as error:  # noqa: BLE001 - whatever it is, the flight goes on and `close` tells
+        except Exception as error:  # noqa: BLE001 - the flight continues after any error, and `close` raises it
             self._fault = error
             self._items.clear()
 
     def _write_slice(self, *, last: bool) -> bool:
-        """Write some of what waits; whether more of it can be written now."""
+        """Write some queued items; return true if more can be written now."""
         return all(self._write_next(last=last) for _ in range(1 + len(self._items) // _CROWD))
 
     def _write_next(self, *, last: bool) -> bool:
-        """Write what has waited longest, ticks with those that follow; whether it could be."""
+        """Write the oldest queued item, or a block of ticks; return false if there is none to write."""
         if not self._items:
             return False
         flight, tick, flown, other = self._items[0]
-        if tick >= flight.recorder.rows:  # its state is taken down a moment after it is flown
+        if tick >= flight.recorder.rows:  # the state is recorded a moment after the tick
             if not last and flight is self._flight:
                 return False
-            self._items.popleft()  # it never was: something broke that tick
+            self._items.popleft()  # the tick failed and has no state
             return True
         if flight is not self._written:
             self._begin(flight, tick)
@@ -278,11 +271,11 @@ class FlightRecorder:
             self._file.tick(written, flight.world.names, self._escorts)
 
     def _write(self, flight: Flight, tick: int, what: _Other | None) -> None:
-        now, begun = tick * flight.scenario.dt, (tick - 1) * flight.scenario.dt
-        if isinstance(what, _Said):
-            self._file.word(what.ugv, tick - 1, what.word, begun)
+        now, before = tick * flight.scenario.dt, (tick - 1) * flight.scenario.dt
+        if isinstance(what, _Received):
+            self._file.operator_command(what.ugv, tick - 1, what.command, before)
         elif isinstance(what, Change):
-            self._file.take(CHANGES, what, begun)
+            self._file.take(CHANGES, what, before)
         elif isinstance(what, CoverageMap):
             self._file.take(COVERAGE, what, now)
         elif isinstance(what, GroundMap):
@@ -295,9 +288,9 @@ class FlightRecorder:
     def _begin(self, flight: Flight, tick: int) -> None:
         self._written, self._texts = flight, TickTexts(flight)
         self._escorts = {uav.name: uav.escorts for uav in flight.world.uavs}
-        told = (flight.scenario, flight.seed, flight.secret, flight.episode)
-        if told != self._head:
-            self._head, start = told, self._file.next_start
+        identity = (flight.scenario, flight.seed, flight.secret, flight.episode)
+        if identity != self._head:
+            self._head, start = identity, self._file.next_start
             head = head_of(
                 flight.scenario,
                 flight.seed,
@@ -310,7 +303,7 @@ class FlightRecorder:
         for written in self._texts.of(tick - 1, still, [[None] * len(flight.world.uavs)]):
             self._file.tick(written._replace(commands=b""), flight.world.names, self._escorts)
         if tick == 1:
-            # The ground as it was before anybody moved.
+            # The ground before the first tick.
             before = World(flight.scenario, flight.seed, secret=flight.secret)
             self._file.take(COVERAGE, before.coverage_map(), 0.0)
             ground = ground_map(before)

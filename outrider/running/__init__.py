@@ -1,1 +1,1 @@
-"""Starting and ending a run, in processes or in this one, and what it leaves behind."""
+"""Start, watch and end a run, in several processes or in this one, and sum it up."""

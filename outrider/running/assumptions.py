@@ -1,14 +1,16 @@
-"""Tests before a run, and when links change in it, whether a scenario's UAVs can certify that they keep sight.
+"""Checks before a run, and after a change of a link, of the assumptions behind a scenario's certificates.
 
-The declared assumptions are those of docs/explanation/proof.md: A1 the error of a detection, A2 the age of the
-newest one, A5' the time from the start of one motion to the start of the next, A6' where the UAV is. Wind, links and
-detector say which of them they cannot keep, and how often.
+docs/explanation/proof.md numbers the assumptions: A1 bounds the error of a detection, A2 the age of the newest
+one, A5' the time from the start of one plan to the start of the next, and A6' the tracking error. Wind, links and
+detector may break them.
 """
 
 import functools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
+
+import msgspec
 
 from agents.safety.handover import check_assumptions
 from agents.safety.safety_filter import bounds_of
@@ -18,41 +20,56 @@ from bus.ticks import DUST
 from outrider.running.ground_assumptions import ground_warnings
 from outrider.running.link_assumptions import (
     RARE,
-    How,
+    Finding,
+    Frequency,
     InspectedLink,
-    age_shortfalls,
-    how_often,
-    outage_shortfalls,
+    age_findings,
+    frequency_of,
+    interval_findings,
     percent,
 )
-from sim.engine.briefing import largest_tracking_error, safety_parameters, uav_briefing
+from sim.engine.briefing import (
+    largest_tracking_error,
+    monitored_bounds,
+    safety_parameters,
+    uav_briefing,
+)
 from sim.models.safety import SafetyBounds
 from sim.scenario.types import LinkTable, Scenario, Uav
 
+GUIDE = "docs/how-to/keep-sight.md"
+"""Page that explains the bounds of a certificate and how to choose them."""
+_TIMES = (0.1, 0.2, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 30.0)
+"""Bounds that are tried as suggestions, from the cheapest on [s]."""
+_VERDICTS = {
+    Frequency.THROUGHOUT: "cannot be certified",
+    Frequency.CERTAIN: "cannot be certified at known times",
+    Frequency.SOMETIMES: "cannot always be certified",
+}
+
 
 class Shortfall(NamedTuple):
-    """An assumption that links or detector cannot keep."""
+    """Assumption that wind, links or detector may break."""
 
     uav: str
     assumption: str
-    """A1 to A9 of docs/explanation/proof.md; empty: the declared numbers themselves allow no certificate."""
-    how: How
+    """Number in docs/explanation/proof.md, A1 to A9; empty: the declared bounds themselves allow no
+    certificate."""
+    frequency: Frequency
     what: str
-    """The fields as the scenario writes them, and what follows."""
+    """Cause, consequence and remedy."""
     by_chance: bool = False
     """True if a declared bound is exceeded at random, so that its exceedance probability covers the shortfall."""
 
     @property
     def line(self) -> str:
-        """For a person."""
-        if not self.assumption:
-            return f"{self.uav}: not certified: {self.what}"
-        return f"{self.uav}: not certified, {self.assumption} is broken {self.how}: {self.what}"
+        """Warning in one line."""
+        return f"{self.uav}: {self.what}; see {GUIDE}"
 
 
 @functools.lru_cache(maxsize=256)
-def promise_warnings(scenario: Scenario, links: LinkTable | None = None) -> tuple[str, ...]:
-    """Warnings of what stands in the way of the law `certified`, one line each; none for other laws.
+def assumption_warnings(scenario: Scenario, links: LinkTable | None = None) -> tuple[str, ...]:
+    """Return warnings about the assumptions of the scenario's certificates, one line each.
 
     Arguments as in `shortfalls`.
     """
@@ -72,94 +89,153 @@ def _perfect_detectors(scenario: Scenario) -> Iterator[str]:
                 else "detections.noise"
             )
             yield (
-                f"{uav.name}: {source} = 0: sight is certified for a detector without any error; for a real one set "
-                "certificate.max_measurement_error to its greatest error [m]"
+                f"{uav.name}: {source} = 0: sight is certified for a detector without any error; for a real detector "
+                f"set certificate.max_measurement_error to its largest error [m]; see {GUIDE}"
             )
 
 
 def how_certifiable(scenario: Scenario) -> str | None:
-    """Tells if sight can be certified `always`, `not always` or `hardly ever`, as far as that is known.
+    """Return `always`, `not always` or `hardly ever`: how often sight can be certified, as far as known in advance.
 
-    None for other laws.
+    None for laws without a safety filter.
     """
     if not scenario.uav or not LAWS[scenario.law.name].watched:
         return None
-    broken = {found.how for found in shortfalls(scenario)}
-    return "hardly ever" if How.THROUGHOUT in broken else "not always" if broken else "always"
+    broken = {found.frequency for found in shortfalls(scenario)}
+    return "hardly ever" if Frequency.THROUGHOUT in broken else "not always" if broken else "always"
 
 
 def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shortfall, ...]:
-    """The declared assumptions of the law `certified` that cannot be kept, and how often they are broken.
+    """Return the assumptions that a scenario's UAVs cannot rely on, and how often each is broken.
 
     Args:
-        scenario: What is flown; what the UAVs rely on follows from it when they join.
-        links: What the links do now, where an operator has changed them; by default the scenario's.
+        scenario: Scenario to fly; the UAVs' bounds follow from it.
+        links: Links as an operator has changed them; None: the scenario's.
 
     Returns:
-        Empty for other laws, and where nothing stands in the way. What is expected less than once in a million
-        runs is left out.
+        Empty for laws without a safety filter. Shortfalls expected less than once in a million runs are left out.
     """
     if not LAWS[scenario.law.name].watched:
         return ()
     table, found = links or scenario.links, list[Shortfall]()
     for uav in scenario.uav:
-        promise = bounds_of(uav_briefing(scenario, uav.name, scenario.seed))
+        bounds = bounds_of(uav_briefing(scenario, uav.name, scenario.seed))
         found += [
-            Shortfall(uav.name, "", How.THROUGHOUT, fault) for fault in check_assumptions(promise)
+            Shortfall(uav.name, "", Frequency.THROUGHOUT, f"sight cannot be certified: {fault}")
+            for fault in check_assumptions(bounds)
         ]
-        if math.isfinite(promise.placed_error):
-            found += [
-                Shortfall(uav.name, "A1", how, what, by_chance=True)
-                for how, what in _errors(scenario, promise.max_measurement_error)
-            ]
-            found += [
-                Shortfall(uav.name, "A6'", how, what) for how, what in _off(scenario, uav, promise)
-            ]
-        for kind, name, check in (
-            (LinkKind.DETECTIONS, "A2", age_shortfalls),
-            (LinkKind.COMMANDS, "A5'", outage_shortfalls),
-        ):
-            link = InspectedLink(scenario, table, uav.name, kind)
-            found += [
-                Shortfall(uav.name, name, how, what, how is not How.CERTAIN)
-                for how, what in check(link, promise)
-            ]
+        for assumption, one in _findings(scenario, table, uav, bounds):
+            remedy = one.remedy or _remedy(scenario, table, uav, assumption, one)
+            by_chance = assumption == "A1" or (
+                assumption in ("A2", "A5'") and one.frequency is not Frequency.CERTAIN
+            )
+            what = (
+                f"{one.cause}: sight {_VERDICTS[one.frequency]} with {_declared(bounds, one.field)} ({assumption}); "
+                f"{remedy}"
+            )
+            found.append(Shortfall(uav.name, assumption, one.frequency, what, by_chance))
     return tuple(found)
 
 
-# A1: the error of a detection
+def _findings(
+    scenario: Scenario, table: LinkTable, uav: Uav, bounds: SafetyBounds
+) -> Iterator[tuple[str, Finding]]:
+    """Yield each broken assumption of a UAV, with its number."""
+    if math.isfinite(bounds.placed_error):
+        for finding in _measurement_errors(scenario, bounds.max_measurement_error):
+            yield "A1", finding
+        for finding in _tracking_errors(scenario, uav, bounds):
+            yield "A6'", finding
+    for kind, assumption, check in (
+        (LinkKind.DETECTIONS, "A2", age_findings),
+        (LinkKind.COMMANDS, "A5'", interval_findings),
+    ):
+        for finding in check(InspectedLink(scenario, table, uav.name, kind), bounds):
+            yield assumption, finding
 
 
-def _errors(scenario: Scenario, eps: float) -> Iterator[tuple[How, str]]:
-    """Noise is normal in each axis, so that its norm exceeds x with the chance exp(-x²/(2 sigma²)), cut or not."""
+def _declared(bounds: SafetyBounds, field: str) -> str:
+    """Return a declared bound as the scenario writes it."""
+    values = {
+        "max_measurement_error": f"{bounds.max_measurement_error:g} m",
+        "max_tracking_error": f"{bounds.max_tracking_error:g} m",
+        "max_measurement_age": f"{bounds.max_measurement_age:g} s",
+        "max_command_delay": f"{bounds.delay_ticks * bounds.dt:g} s",
+        "max_command_interval": f"{bounds.interval_ticks * bounds.dt:g} s",
+    }
+    return f"certificate.{field} = {values[field]}"
+
+
+def _remedy(
+    scenario: Scenario, table: LinkTable, uav: Uav, assumption: str, finding: Finding
+) -> str:
+    """Return the smallest bound that removes a finding and can be certified, as an option of the command line."""
+    field, last = f"certificate.{finding.field}", 0.0
+    for value in finding.values or _longer_times(scenario, uav, finding.field):
+        tried = msgspec.structs.replace(
+            scenario,
+            certificate=msgspec.structs.replace(scenario.certificate, **{finding.field: value}),
+        )
+        found = _findings(tried, table, uav, monitored_bounds(tried, uav.name))
+        if any(assumption == other for other, _ in found):
+            last = value
+            continue
+        if check_assumptions(bounds_of(uav_briefing(tried, uav.name, tried.seed))):
+            cause = f"{field} = {value:g} would cover this, but allows no certificate"
+            return f"{cause}; improve the link, the detector or the UAV"
+        return f"try --set {field}={value:g}"
+    return f"no {field} up to {last:g} covers this; improve the link or the detector"
+
+
+def _longer_times(scenario: Scenario, uav: Uav, field: str) -> Iterable[float]:
+    """Return the times that exceed a declared bound [s]."""
+    declared: float = getattr(safety_parameters(scenario, uav.name), field)
+    return [time for time in _TIMES if time > declared * (1.0 + DUST)]
+
+
+def _measurement_errors(scenario: Scenario, bound: float) -> Iterator[Finding]:
+    """Find detections whose error exceeds the bound [m].
+
+    Noise is normal on each axis, so its norm exceeds x with probability exp(-x²/(2 sigma²)) before truncation.
+    """
     sigma, cut = scenario.detections.noise, scenario.detections.truncation
-    if sigma == 0.0 or eps >= sigma * cut * (1.0 - DUST):
+    if sigma == 0.0 or bound >= sigma * cut * (1.0 - DUST):
         return
     beyond = math.exp(-0.5 * cut * cut)
-    share = (math.exp(-0.5 * (eps / sigma) ** 2) - beyond) / (1.0 - beyond)
-    if share * scenario.ticks / scenario.detection_period > RARE:
-        errors = (
-            "have no bound (detections.truncation = inf)"
-            if math.isinf(cut)
-            else f"of the detections reach {sigma * cut:g} m"
+    share = (math.exp(-0.5 * (bound / sigma) ** 2) - beyond) / (1.0 - beyond)
+    if share * scenario.ticks / scenario.detection_period <= RARE:
+        return
+    cause = (
+        f"detections.noise = {sigma:g} m: {percent(share)} of the detections have a larger error"
+    )
+    if math.isinf(cut):
+        yield Finding(
+            frequency_of(share),
+            f"detections.truncation = inf, {cause}",
+            "max_measurement_error",
+            remedy=f"try --set detections.truncation=3 and certificate.max_measurement_error={3.0 * sigma:g} or more",
         )
-        yield (
-            how_often(share),
-            f"certificate.max_measurement_error = {eps:g} m, but the errors {errors} at detections.noise = "
-            f"{sigma:g} m: "
-            f"{percent(share)} are larger",
+        return
+    yield Finding(
+        frequency_of(share), cause, "max_measurement_error", values=(_rounded_up(sigma * cut),)
+    )
+
+
+def _tracking_errors(scenario: Scenario, uav: Uav, bounds: SafetyBounds) -> Iterator[Finding]:
+    """Find a tracking error that wind and position error allow beyond the bound."""
+    largest = largest_tracking_error(scenario, uav)
+    if largest > bounds.max_tracking_error * (1.0 + DUST):
+        yield Finding(
+            Frequency.SOMETIMES,
+            f"wind and uav.position_error allow a tracking error of {largest:.3g} m",
+            "max_tracking_error",
+            values=(_rounded_up(largest),),
         )
 
 
-# A6': where the UAV is
-
-
-def _off(scenario: Scenario, uav: Uav, promise: SafetyBounds) -> Iterator[tuple[How, str]]:
-    """Wind and own position may take it farther from where it is told that it is than is declared, but need not."""
-    most, declared = largest_tracking_error(scenario, uav), promise.max_tracking_error
-    if most > declared * (1.0 + DUST):
-        what = (
-            f"certificate.max_tracking_error = {declared:g} m, but wind and uav.position_error allow "
-            f"a tracking error of {most:.3g} m"
-        )
-        yield How.SOMETIMES, what
+def _rounded_up(value: float) -> float:
+    """Return a value rounded up to three significant digits."""
+    if not (0.0 < value < math.inf):
+        return value
+    step = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return float(f"{math.ceil(value / step * (1.0 - DUST)) * step:.3g}")

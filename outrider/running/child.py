@@ -1,4 +1,4 @@
-"""One process of a run, as `outrider run` sees it."""
+"""Child process of `outrider run`."""
 
 import contextlib
 import os
@@ -17,48 +17,47 @@ import msgspec
 from outrider.running.parent import Start
 
 _TAIL = 200
-"""Lines of a child's standard error that are kept."""
-_TOLD = 12
-"""Of them so many are told in one line."""
+"""Number of lines of standard error kept for each child."""
+_REPORTED = 12
+"""Number of those lines in an error message."""
 _WARNING = re.compile(r"(?:outrider(?:\.\w+)+|py\.warnings): ")
-"""The beginning of a line with which a child's log warns."""
+"""Prefix of a warning in a child's log."""
 _ERROR = "outrider: "
-"""The beginning of the line with which a command of ours fails."""
+"""Prefix of the error line of an `outrider` command."""
 _TRACEBACK = "Traceback (most recent call last):"
 _TOKEN = "OUTRIDER_TOKEN"  # noqa: S105 - a variable's name
-_KEPT_BACK = ("OUTRIDER_SECRET", "OUTRIDER_CREDENTIALS", "OUTRIDER_PASSWORD", "OUTRIDER_HOST")
-"""Variables by which the user joins other runs, sets this one's secret, or serves a page to other machines; no child
-inherits them."""
+_PRIVATE = ("OUTRIDER_SECRET", "OUTRIDER_CREDENTIALS", "OUTRIDER_PASSWORD", "OUTRIDER_HOST")
+"""Variables that no child inherits: the run's secret, credentials for other runs, and the host of a public page."""
 
 
 def outrider_command(*words: str) -> list[str]:
-    """Return the command line that runs a command of ours in a process of its own."""
+    """Return the command line that runs an `outrider` command in a new process."""
     return [sys.executable, "-P", "-m", "outrider", *words]
 
 
 def child_environment(*, companion: bool = False) -> dict[str, str]:
-    """Return our environment without secrets.
+    """Return the environment of this process without secrets.
 
     Args:
         companion: True for a companion, which keeps the page's token.
     """
-    left_out = _KEPT_BACK if companion else (*_KEPT_BACK, _TOKEN)
+    left_out = _PRIVATE if companion else (*_PRIVATE, _TOKEN)
     return {name: value for name, value in os.environ.items() if name not in left_out}
 
 
 class Child:
-    """One process of the run, with the end of its standard error.
+    """Process of the run, with the last lines of its standard error.
 
-    Its standard input stays open: it ends when that closes, so also when this process is killed.
+    Its standard input stays open. The child exits when it closes, so also when this process is killed.
 
     Args:
-        name: On the bus.
-        arguments: Words of the `outrider` command line.
+        name: Name on the bus.
+        arguments: Arguments of the `outrider` command line.
         start: First line of its standard input.
-        lines: Receives its standard output, line by line; None is its end.
-        log: The file that keeps all of its standard error, if it writes any; None: no file does.
-        companion: True: it is no part of the run.
-        on_warning: Called from another thread with each line with which its log warns.
+        lines: Receives its standard output line by line, then None.
+        log: File for its standard error; None: no file.
+        companion: True for a companion, which is not part of the run.
+        on_warning: Called from another thread with each warning in its log.
     """
 
     def __init__(
@@ -82,7 +81,7 @@ class Child:
             stdout=subprocess.DEVNULL if lines is None else subprocess.PIPE,
             stderr=subprocess.PIPE,
             env=child_environment(companion=companion),
-            start_new_session=True,  # Ctrl-C reaches us alone; we end the children in order
+            start_new_session=True,  # Ctrl-C reaches only this process, which ends the children in order
         )
         self._send(msgspec.json.encode(start) + b"\n")
         self._readers: list[threading.Thread] = []
@@ -92,7 +91,9 @@ class Child:
 
     def _send(self, line: bytes) -> None:
         if self._process.stdin is not None:
-            with contextlib.suppress(BrokenPipeError):  # it has ended; its exit code says why
+            with contextlib.suppress(
+                BrokenPipeError
+            ):  # the child has exited; its exit code gives the reason
                 self._process.stdin.write(line)
                 self._process.stdin.flush()
 
@@ -137,34 +138,34 @@ class Child:
         return [line for line in self._tail if line]
 
     def stderr_tail(self) -> str:
-        """The end of what it wrote to standard error but warnings, in one line; of a traceback what follows it.
+        """Return the last lines of standard error, without warnings, as one line; after a traceback only its message.
 
-        With OUTRIDER_DEBUG all of it, as it was written.
+        With OUTRIDER_DEBUG, return the whole traceback unchanged.
         """
         lines = self._last_lines()
         if _TRACEBACK not in lines:
-            return " | ".join(lines[-_TOLD:])
+            return " | ".join(lines[-_REPORTED:])
         if os.environ.get("OUTRIDER_DEBUG"):
             return "\n".join(["", *lines])
         last = len(lines) - lines[::-1].index(_TRACEBACK)
-        where = f" (the whole traceback: {self._log})" if self._log is not None else ""
+        where = f" (full traceback: {self._log})" if self._log is not None else ""
         return " | ".join(line for line in lines[last:] if not line.startswith(" ")) + where
 
-    def position_error(self) -> str:
-        """The line with which it failed, where all that it has to say is that line; empty otherwise."""
+    def error_line(self) -> str:
+        """Return its error message if standard error holds nothing else; otherwise an empty text."""
         lines = self._last_lines()
         is_all = len(lines) == 1 and lines[0].startswith(_ERROR)
         return lines[0].removeprefix(_ERROR) if is_all else ""
 
     def drop_log(self) -> None:
-        """Remove its log: all that is in it has been told."""
+        """Remove its log, whose content has been reported."""
         if self._log is not None:
             with contextlib.suppress(OSError):
                 self._log.unlink()
                 self._log.parent.rmdir()
 
     def exit_report(self) -> str:
-        """Its end in words, for a person."""
+        """Describe its exit in one line."""
         code = self.ended
         how = (
             f"was killed by signal {-code}"
@@ -175,29 +176,29 @@ class Child:
         return f"{self.name} (pid {self.pid}) {how}" + (f": {tail}" if tail else "")
 
     def ask_to_end(self) -> None:
-        """Close its standard input, by which it ends."""
+        """Ask it to exit, by closing its standard input."""
         if self._process.stdin is not None:
             with contextlib.suppress(OSError):
                 self._process.stdin.close()
 
     def wait(self, patience: float) -> bool:
-        """Wait up to `patience` [s] for its end; true if it has ended."""
+        """Wait up to `patience` [s] for its exit; return true if it has exited."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(patience)
         return self.ended is not None
 
     def kill(self) -> None:
-        """SIGKILL, and wait for its end."""
+        """Send SIGKILL and wait for the exit."""
         self._process.kill()
         self._process.wait()
 
     def close(self) -> None:
-        """Close our ends of its pipes."""
+        """Close this process's ends of its pipes."""
         self.ask_to_end()
         for reader in self._readers:
             reader.join(5.0)
         if any(reader.is_alive() for reader in self._readers):
-            return  # of a process that stands still; what a thread reads cannot be closed
+            return  # a hung process; a stream that a thread reads cannot be closed
         for stream in (self._process.stdout, self._process.stderr):
             if stream is not None:
                 with contextlib.suppress(OSError):

@@ -1,4 +1,4 @@
-"""Companions: commands of extensions and other packages that run beside a run or a recording, `--with NAME`."""
+"""Companions: commands of extensions that run beside a run or a recording, `--with NAME`."""
 
 import queue
 import time
@@ -12,29 +12,30 @@ from bus.errors import ScenarioError
 from outrider.running.child import Child
 
 _PATIENCE = 10.0
-"""Wall time for a companion to be ready, after which the run starts without waiting [s]."""
+"""Longest wait for a companion to be ready; then the run starts [s, wall time]."""
 _LAST_FRAME = 2.0
-"""Wall time for all companions to show the end of the run [s]."""
+"""Longest wait for all companions to show the end of the run [s, wall time]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Companion:
-    """The object of an entry point `outrider.companions`; the command of the same name is started.
+    """Object of an entry point `outrider.companions`; the command of the same name is started.
 
-    `outrider run --with NAME:port=9000` starts `outrider NAME --connect ENDPOINT --run RUN --port 9000 --child`. It
-    reads a `outrider.running.parent.Start` from its standard input, with the operator's credential and the UAVs' law,
-    and ends with that input. It writes a line to its standard output once it is ready, which the user is shown, and
-    one once it has shown the end of the run. If it fails before it is ready, nothing is flown; later the run goes on.
+    `outrider run --with NAME:port=9000` starts `outrider NAME --connect ENDPOINT --run RUN --port 9000 --child`. The
+    command reads a `outrider.running.parent.Start` from standard input, with the operator's credential and the UAVs'
+    law, and exits when that input closes. It writes one line to standard output when it is ready, which the user
+    sees, and one when it has shown the end of the run. If it fails before it is ready, the run does not start. If it
+    fails later, the run continues.
     """
 
     realtime: float | None = None
-    """Pace of a run with it, in simulated seconds per second, unless the user sets one; None: as fast as it goes."""
+    """Default pace of a run with it [simulated seconds per second]; None: as fast as possible."""
     replays: bool = False
     """True: `outrider replay FILE --with NAME` calls the command with `--replay FILE`."""
 
 
 class Beside(NamedTuple):
-    """A companion that the user has asked for."""
+    """Companion requested by the user."""
 
     name: str
     words: tuple[str, ...]
@@ -46,16 +47,16 @@ def parse_companion(text: str) -> Beside:
     """Parse `NAME` or `NAME:OPTION=VALUE,OPTION`, and check that its extra is installed.
 
     Raises:
-        ScenarioError: If there is no such companion, or a library of it is missing.
+        ScenarioError: If the companion is unknown, or one of its libraries is missing.
     """
     name, _, options = text.partition(":")
     known = plugins.registered("companions")
     if name not in known:
-        allowed = ", ".join(sorted(known)) or "none is installed"
-        raise ScenarioError(f"--with {text}: no such companion; allowed: {allowed}")
+        allowed = ", ".join(sorted(known)) or "none, as none is installed"
+        raise ScenarioError(f"--with {text}: unknown companion; allowed: {allowed}")
     companion = plugins.load(known[name])
     if not isinstance(companion, Companion):
-        raise ScenarioError(f"--with {text}: {known[name].value} is no Companion")
+        raise ScenarioError(f"--with {text}: {known[name].value} is not a Companion")
     extra = plugins.extra_of(known[name])
     if extra:
         plugins.require(extra, f"--with {name}")
@@ -67,10 +68,10 @@ def parse_companion(text: str) -> Beside:
 
 
 class Companions:
-    """The companions' processes of one run.
+    """Companion processes of one run.
 
     Args:
-        on_event: Called with a line for a person.
+        on_event: Called with a line for the user.
     """
 
     def __init__(self, on_event: Callable[[str], None]) -> None:
@@ -83,7 +84,7 @@ class Companions:
         self._lines[start(lines)] = lines
 
     def failed_before_ready(self, is_over: Callable[[], bool]) -> Child | None:
-        """Wait until all are ready; return the first that has ended before."""
+        """Wait until all are ready; return the first that exits instead."""
         limit = time.monotonic() + _PATIENCE
         for child, lines in self._lines.items():
             while not is_over() and time.monotonic() < limit:
@@ -97,7 +98,7 @@ class Companions:
         return None
 
     def await_end_shown(self) -> None:
-        """Wait until they have shown the end of the run, but not for long."""
+        """Wait briefly until they have shown the end of the run."""
         limit = time.monotonic() + _LAST_FRAME
         for child, lines in self._lines.items():
             if child.ended is None:
@@ -105,13 +106,13 @@ class Companions:
                     lines.get(timeout=max(0.0, limit - time.monotonic()))
 
     def report_lost(self) -> None:
-        """Report each companion that has ended before the run, once."""
+        """Report each companion that has exited before the run's end, once."""
         for child in [child for child in self._lines if child.ended is not None]:
             del self._lines[child]
-            self._on_event(f"{child.exit_report()}; the run goes on without it")
+            self._on_event(f"{child.exit_report()}; the run continues without it")
 
 
 def pace_with(companions: Sequence[Beside]) -> float | None:
-    """Return the pace of a run beside these companions; None: as fast as it goes."""
+    """Return the pace of a run with these companions; None: as fast as possible."""
     paces = [one.companion.realtime for one in companions if one.companion.realtime is not None]
     return paces[0] if paces else None

@@ -1,4 +1,4 @@
-"""Reports of the simulator's process to the process that started it: JSON lines on stdout."""
+"""Reports of the simulator's process to its parent: JSON lines on standard output."""
 
 import sys
 from collections.abc import Sequence
@@ -9,18 +9,18 @@ from outrider.running.summary import Summary
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One line; exactly one field is set."""
+    """Report of one line; exactly one field is set."""
 
     tick: int | None = None
-    """The flight has come to it."""
+    """Current tick."""
     event: str | None = None
-    """Something a person should know."""
+    """Event to show to the user."""
     warnings: Sequence[str] | None = None
-    """Why what is flown will not do what one may expect."""
+    """Warnings about the scenario."""
     summary: Summary | None = None
-    """The flight is over."""
+    """Summary at the end of the run."""
     files: list[str] | None = None
-    """These are written."""
+    """Files that were written."""
 
 
 class Reports:
@@ -32,7 +32,7 @@ class Reports:
         sys.stdout.buffer.flush()
 
     def show(self, tick: int) -> None:
-        """Report the tick that the flight has reached."""
+        """Report the current tick."""
         self.write(Report(tick=tick))
 
     def say(self, line: str) -> None:

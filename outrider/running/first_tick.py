@@ -1,4 +1,4 @@
-"""One tick flown with the user's own functions, to try them."""
+"""Trial of the user's functions for one tick."""
 
 from concurrent.futures.process import BrokenProcessPool
 
@@ -12,12 +12,12 @@ from sim.scenario.types import Scenario
 
 
 def check_first_tick(scenario: Scenario) -> None:
-    """Fly one tick where functions of the user's own fly, so that they are called once.
+    """Fly one tick if the scenario uses the user's functions, so that each is called once.
 
-    In a process of its own: a library that crashes ends that one alone, and only it needs the compiler.
+    The tick is flown in another process: a crashing library ends only that process, and only it needs the compiler.
 
     Raises:
-        ScenarioError: If one fails.
+        ScenarioError: If a function fails.
     """
     outside = any(DRIVERS[ugv.driver].outside for ugv in scenario.ugv)
     if not own_code(scenario) or outside:
@@ -25,15 +25,15 @@ def check_first_tick(scenario: Scenario) -> None:
     tick = msgspec.structs.replace(scenario, duration=scenario.dt)
     with open_pool(1) as pool:
         try:
-            pool.submit(_fly_for_nothing, tick).result()
+            pool.submit(_try, tick).result()
         except BrokenProcessPool:
             raise ScenarioError(
-                "the process that flies the first tick with your code has crashed"
+                "the process that tried your code for one tick has crashed; check the library that it calls"
             ) from None
 
 
-def _fly_for_nothing(scenario: Scenario) -> None:
-    """A worker's: without its results, which need not be pickled."""
-    from outrider.running.flying import fly  # noqa: PLC0415 - the compiler is the worker's alone
+def _try(scenario: Scenario) -> None:
+    """Fly a scenario in a worker, and drop the results, which cannot be pickled."""
+    from outrider.running.flying import fly  # noqa: PLC0415 - only the worker needs the compiler
 
     fly(scenario, scenario.seed)

@@ -1,4 +1,4 @@
-"""A run in this process: the same world, pilots and loop as over the bus, without a bus."""
+"""Run in this process: the same world, pilots and loop as over the bus, without a bus."""
 
 import copy
 import time
@@ -28,13 +28,13 @@ def make_pilots(
     weighting: Weighting | None = None,
     path: VirtualPath | None = None,
 ) -> dict[str, UavPilot | UgvPilot]:
-    """The scenario's pilots, briefed as they would be over the bus.
+    """Make the scenario's pilots, briefed as over the bus.
 
     Args:
-        scenario: What is flown.
-        seed, secret: Of the run.
-        weighting: Instead of the scenario's `custom.weighting`.
-        path: Instead of the scenario's `custom.path`.
+        scenario: Scenario to fly.
+        seed, secret: Seed and secret of the run.
+        weighting: Replaces the scenario's `custom.weighting`.
+        path: Replaces the scenario's `custom.path`.
     """
     weighting = weighting or load_function(scenario.custom.weighting, what="custom.weighting")
     path = path or load_function(scenario.custom.path, what="custom.path")
@@ -42,36 +42,38 @@ def make_pilots(
     own = load_function(scenario.custom.uav_policy, what="custom.uav_policy")
     pilots: dict[str, UavPilot | UgvPilot] = {}
     for vehicle in scenario.vehicles:
-        told = briefing(scenario, vehicle.name, seed, secret)
-        if isinstance(told, UavBriefing):
+        brief = briefing(scenario, vehicle.name, seed, secret)
+        if isinstance(brief, UavBriefing):
             pilots[vehicle.name] = UavPilot(
-                told,
+                brief,
                 weighting=weighting,
                 path=path,
-                policy=copy.deepcopy(own),  # it remembers a flight
+                policy=copy.deepcopy(own),  # it may keep state within a flight
                 policy_name=scenario.custom.uav_policy,
             )
         else:
-            pilots[vehicle.name] = UgvPilot(told, policy=policy, policy_name=scenario.custom.policy)
+            pilots[vehicle.name] = UgvPilot(
+                brief, policy=policy, policy_name=scenario.custom.policy
+            )
     return pilots
 
 
 class InProcess:
-    """The exchange without a bus: each pilot is called with its observation."""
+    """Exchange without a bus: each pilot is called with its observation."""
 
     def __init__(self, pilots: Mapping[str, Pilot]) -> None:
         self._pilots = pilots
         self._observations: Mapping[str, Observation] = {}
 
     def begin(self, tick: int) -> None:
-        """Nobody operates a run in one process."""
+        """Do nothing: a run in one process has no operators."""
 
     def publish(self, observations: Mapping[str, Observation]) -> None:
-        """Keep the observations for the pilots."""
+        """Store the observations for the pilots."""
         self._observations = observations
 
     def collect(self, tick: int) -> dict[str, Command]:
-        """Let every pilot answer."""
+        """Call every pilot and return the commands."""
         commands: dict[str, Command] = {}
         observations = self._observations
         for name, pilot in self._pilots.items():
@@ -93,15 +95,15 @@ def fly(
     """Fly a scenario in this process.
 
     Args:
-        scenario: What is flown.
-        seed: Of all random numbers, with the secret.
-        secret: Of the run, as `sim.engine.run_keys.check_secret` returns it; empty: none.
-        weighting: For the law `weighted`, instead of the scenario's.
-        path: For the law `path`, instead of the scenario's.
+        scenario: Scenario to fly.
+        seed: Seed of all random numbers, together with the secret.
+        secret: Secret of the run, as returned by `sim.engine.run_keys.check_secret`; empty: none.
+        weighting: Weighting for the law `weighted`; replaces the scenario's.
+        path: Path for the law `path`; replaces the scenario's.
         on_tick: Called after each tick with the flight, which it may stop.
 
     Returns:
-        The flight with its record, and the summary.
+        The flight with its record, and its summary.
     """
     flight = Flight(scenario, seed, secret=secret)
     exchange = InProcess(make_pilots(scenario, seed, secret=secret, weighting=weighting, path=path))
@@ -117,17 +119,17 @@ def run(
     secret: str = "",
     allow_code: bool = False,
 ) -> Summary:
-    """Fly a scenario in this process and sum it up.
+    """Fly a scenario in this process and return its summary.
 
     Args:
-        scenario: A shipped name, a file, or a scenario.
-        seed: Of all random numbers; the scenario's own by default.
-        secret: Of the run: 32 to 128 hexadecimal digits; empty: none, and the seed alone gives the flight.
-        allow_code: Whether the code that a file names is loaded; that of a scenario made in Python always is.
+        scenario: Name of a shipped scenario, a file, or a scenario.
+        seed: Seed of all random numbers; None: the scenario's.
+        secret: Secret of the run, 32 to 128 hexadecimal digits; empty: none, and the seed alone determines the run.
+        allow_code: True: load code that the file names. Code of a scenario made in Python is always loaded.
 
     Raises:
-        ScenarioError: If it cannot be flown.
-        ValueError: If the secret is none.
+        ScenarioError: If the scenario cannot be flown.
+        ValueError: If the secret is invalid.
     """
     flown = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     check_code(flown, source=scenario, allowed=allow_code or isinstance(scenario, Scenario))

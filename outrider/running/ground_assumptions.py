@@ -1,6 +1,7 @@
-"""Assumptions of the guarantee that a cautious UGV stays on tiles that it knows to be drivable.
+"""Checks of the assumptions under which a cautious UGV is certified to stay on tiles that it knows to be drivable.
 
-See docs/explanation/ground.md. Lost, late and scattered commands are none: commands carry the stop that follows them.
+See docs/explanation/ground.md. Lost, late and reordered commands break none of them: each command carries the stop
+that follows it.
 """
 
 from collections.abc import Iterator
@@ -11,23 +12,25 @@ from sim.models.hazards import BLOCK, TOUCH
 from sim.scenario.ground_tables import ground_tables
 from sim.scenario.types import Scenario, Ugv
 
+GUIDE = "docs/explanation/ground.md"
+"""Page that explains the guarantee."""
 _CAUTIOUS = CAUTIONS[0]
 
 
 def ground_warnings(scenario: Scenario) -> Iterator[str]:
-    """Warn of each cautious UGV that navigates without the guarantee, with the assumption that fails."""
+    """Warn of each cautious UGV that navigates without the guarantee, and name the broken assumption."""
     if not scenario.has_ground:
         return
     for k, ugv in enumerate(scenario.ugv):
         if ugv.driver == "navigate" and ugv.caution == _CAUTIOUS:
-            for reason in (*_start_faults(scenario, k, ugv), *_told_faults(scenario, ugv)):
-                yield f"{ugv.name}: not certified to stay on tiles that it knows: {reason}"
+            for reason in (*_start_faults(scenario, k, ugv), *_report_faults(scenario, ugv)):
+                yield f"{ugv.name}: not certified to stay on known tiles: {reason}; see {GUIDE}"
 
 
 def _start_faults(scenario: Scenario, k: int, ugv: Ugv) -> Iterator[str]:
-    """A UGV starts at rest, and on tiles that are all drivable: on an edge or a corner on several."""
+    """Yield the faults of a start: the UGV must be at rest, and all tiles that it touches drivable."""
     if ugv.velocity != (0.0, 0.0):
-        yield f"ugv.{k}.velocity = {list(ugv.velocity)}: it starts moving; allowed: from rest"
+        yield f"ugv.{k}.velocity = {list(ugv.velocity)}: the UGV starts moving; allowed: 0"
     tiles, tile = ground_tables(scenario).tiles, scenario.ground.tile
     rows, columns = tiles.shape
     x, y = ugv.position
@@ -36,17 +39,17 @@ def _start_faults(scenario: Scenario, k: int, ugv: Ugv) -> Iterator[str]:
         slice(*span(x - TOUCH, x + TOUCH, tile, columns)),
     ]
     if (around == BLOCK).any():
-        yield f"ugv.{k}.position = {list(ugv.position)}: it starts on an edge of a blocked tile"
+        yield f"ugv.{k}.position = {list(ugv.position)}: the UGV touches a blocked tile; move it"
 
 
-def _told_faults(scenario: Scenario, ugv: Ugv) -> Iterator[str]:
-    """No tile is told as drivable that is not; and of two UAVs none tells it otherwise than the other."""
+def _report_faults(scenario: Scenario, ugv: Ugv) -> Iterator[str]:
+    """Yield the faults of tile reports: no blocked tile may be reported drivable, and no two reports may differ."""
     ground = scenario.ground
-    tellers = [uav for uav in scenario.uav if uav.escorts == ugv.name]
-    if tellers and ground.miss > 0.0:
-        yield f"ground.miss = {ground.miss:g}: a tile with a hazard may be told as clear"
-    if len(tellers) > 1 and ground.false_alarm > 0.0:
+    escorts = [uav for uav in scenario.uav if uav.escorts == ugv.name]
+    if escorts and ground.miss > 0.0:
+        yield f"ground.miss = {ground.miss:g}: a tile with a hazard may be reported clear; allowed: 0"
+    if len(escorts) > 1 and ground.false_alarm > 0.0:
         yield (
-            f"ground.false_alarm = {ground.false_alarm:g}: {len(tellers)} UAVs tell it of the ground, and may "
-            "contradict each other; allowed: one of them, or no false alarms"
+            f"ground.false_alarm = {ground.false_alarm:g}: the reports of {len(escorts)} UAVs may contradict each "
+            "other; allowed: one UAV, or 0"
         )

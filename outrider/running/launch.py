@@ -1,4 +1,4 @@
-"""A run as three operating-system processes or more: started together, watched, and ended together."""
+"""Run in several operating-system processes, which are started, watched and ended together."""
 
 import contextlib
 import functools
@@ -26,19 +26,19 @@ from outrider.running.summary import Process, Summary
 from sim.scenario.resolved import as_toml
 from sim.scenario.types import Scenario, Uav, Ugv
 
-_HELD = 3.0
-"""Time for which an event before the first tick waits [s]: it is not told if a vehicle's own error ends the run."""
+_EVENT_DELAY = 3.0
+"""Delay of an event before the first tick [s]: it is dropped if a vehicle's error ends the run."""
 _PATIENCE = 10.0
-"""Time that a process may take to end when it was asked to [s]."""
+"""Longest wait for a process to exit after a request [s]."""
 _UNUSABLE = 2
-"""Exit code of a process that cannot use what the user has given."""
-_LIVES = 3
-"""A process that dies more often than this while the clock stands still is not started again."""
+"""Exit code of a process that rejects the user's input."""
+_MAX_RESTARTS = 3
+"""Largest number of restarts of a process without progress of simulated time."""
 
 
 @contextlib.contextmanager
 def _ended_afterwards() -> Iterator[list[Child]]:
-    """Children that are all ended afterwards."""
+    """Yield a list of children, and end them all afterwards."""
     children: list[Child] = []
     try:
         yield children
@@ -53,29 +53,29 @@ def _ended_afterwards() -> Iterator[list[Child]]:
 
 
 class Outcome(msgspec.Struct, kw_only=True):
-    """The end of a run."""
+    """Result of a run."""
 
     summary: Summary | None = None
     files: list[Path] = []
     fault: str = ""
-    """The failure on the way, for a person; empty where nothing did."""
+    """Description of the failure; empty: none."""
     unusable: bool = False
-    """True: the failure is that what the user has given cannot be flown."""
+    """True if the user's input cannot be flown."""
 
 
 class Watcher(msgspec.Struct, frozen=True, kw_only=True):
-    """Callbacks of whoever follows a run, and can end it."""
+    """Callbacks that follow a run and may end it."""
 
     on_tick: Callable[[int], None]
-    """Called with the tick, some times a second."""
+    """Called with the current tick, several times per second."""
     on_event: Callable[[str], None]
-    """Called with a line for a person."""
+    """Called with a line for the user."""
     on_warnings: Callable[[Sequence[str]], None]
-    """Called with what stands in the way of the scenario's promise, a line each."""
+    """Called with warnings about assumptions of the scenario's certificates, one line each."""
     stop: Callable[[], int]
-    """Counts who has asked for the end: once ends the run in order, twice at once."""
+    """Return the number of requests to stop: 1 ends the run in order, 2 ends it at once."""
     companions: tuple[Beside, ...] = ()
-    """Commands that run beside the run."""
+    """Companions that run beside the run."""
 
 
 def launch(
@@ -85,19 +85,19 @@ def launch(
     *,
     secret: str = "",
 ) -> Outcome:
-    """Fly a scenario as one process for the simulator and one for each vehicle, over Zenoh on a private socket.
+    """Fly a scenario with one process for the simulator and one for each vehicle, over Zenoh on a private socket.
 
-    Each process has credentials of its own, made for this run alone and gone with it. The scenario is written into the
-    run's private folder, where the simulator reads it; no vehicle is told of the file, which holds goals and seed.
+    Each process has its own credentials, which are made for this run and deleted afterwards. The simulator reads the
+    scenario from the run's private folder. Vehicles never learn of this file, which holds goals and seed.
 
     Args:
-        scenario: What is flown, with all options applied.
-        watcher: Who follows the run.
-        output: What is written.
-        secret: Of the run, for the simulator's process alone; empty: none.
+        scenario: Scenario to fly, with all options applied.
+        watcher: Callbacks that follow the run.
+        output: Files to write.
+        secret: Secret of the run, passed to the simulator's process only; empty: none.
 
     Returns:
-        The summary of what was flown, if anything was; and the fault that ended it early.
+        The summary, if any tick was flown, and the failure that ended the run early.
     """
     with run_folder() as folder, _ended_afterwards() as beside, _ended_afterwards() as children:
         run = f"run-{os.getpid()}-{secrets.token_hex(4)}"
@@ -106,7 +106,7 @@ def launch(
         processes.start_simulator(output, secret)
         unready = processes.start_companions(beside)
         if unready is not None:
-            fault = unready.position_error() or unready.exit_report()
+            fault = unready.error_line() or unready.exit_report()
             unready.drop_log()
             return Outcome(fault=fault, unusable=unready.ended == _UNUSABLE)
         if not watcher.stop():
@@ -116,31 +116,30 @@ def launch(
         if outcome.summary is not None:
             for child in children:
                 child.wait(2.0 if outcome.summary.complete else 0.5)
-            if (
-                not watcher.stop() and not scenario.run.respawn
-            ):  # one may have failed just before the end
+            if not watcher.stop() and not scenario.run.respawn:
+                # A vehicle may have failed just before the end.
                 failed = [child.exit_report() for child in children[1:] if child.ended]
                 outcome.fault = outcome.fault or next(iter(failed), "")
-            who = [Process(name=child.name, pid=child.pid) for child in children]
-            outcome.summary = msgspec.structs.replace(outcome.summary, processes=who)
+            processes_flown = [Process(name=child.name, pid=child.pid) for child in children]
+            outcome.summary = msgspec.structs.replace(outcome.summary, processes=processes_flown)
         return outcome
 
 
 def _is_outside(vehicle: Uav | Ugv) -> bool:
-    """Return whether the user starts this vehicle's process."""
+    """Return true if the user starts this vehicle's process."""
     return isinstance(vehicle, Ugv) and DRIVERS[vehicle.driver].outside
 
 
 class _Processes:
-    """The run's processes, the simulator's first.
+    """Processes of the run; the simulator's is the first.
 
     Args:
-        scenario: What is flown.
-        folder: The run's private folder.
-        run: Its name.
-        children: Where they are kept, so that they are ended whatever happens.
-        watcher: Who follows the run, and is told what the processes warn of.
-        logs: The folder for what each writes to standard error; None: it is not kept.
+        scenario: Scenario to fly.
+        folder: Private folder of the run.
+        run: Name of the run.
+        children: List that receives the processes; the caller ends all of them.
+        watcher: Callbacks that receive the processes' warnings.
+        logs: Folder for each process's standard error; None: not kept.
     """
 
     def __init__(
@@ -156,7 +155,7 @@ class _Processes:
         self._watcher = watcher
         self._logs = logs
         self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-        """Reports of the simulator, a line each."""
+        """Reports of the simulator, one line each."""
         self._scenario, self._folder, self._run = scenario, folder, run
         self._endpoint = f"{UNIX}/{folder / 'bus.sock'}"
         self._uavs = [uav.name for uav in scenario.uav]
@@ -167,7 +166,7 @@ class _Processes:
         self._files = {
             name: folder / f"{name}.json" for name in (OPERATOR_NAME, OBSERVER_NAME, *own)
         }
-        """Credentials of parties that are no children of ours: they read them from a file."""
+        """Credential files of parties that are not children of this process."""
         for name, path in self._files.items():
             write_credential(self._credentials.of(name), path)
 
@@ -180,11 +179,11 @@ class _Processes:
         return self._logs / f"{name}.log" if self._logs is not None else None
 
     def _joining(self) -> list[str]:
-        """Return the options by which a client finds the router."""
+        """Return the options with the router's endpoint and the run's name."""
         return ["--connect", self._endpoint, "--run", self._run]
 
     def start_simulator(self, output: Output, secret: str) -> None:
-        """Start it; clients wait until its router listens."""
+        """Start the simulator; clients wait until its router listens."""
         file = self._folder / "scenario.toml"
         file.write_text(as_toml(self._scenario), encoding="utf-8")
         arguments = ["simulator", str(file), "--listen", self._endpoint, "--run", self._run]
@@ -203,7 +202,7 @@ class _Processes:
         )
 
     def start_companions(self, started: list[Child]) -> Child | None:
-        """Start the companions, and wait until they are ready; return the first that fails."""
+        """Start the companions and wait until they are ready; return the first that fails."""
         for name, words, _ in self._watcher.companions:
             self.companions.add(functools.partial(self._start_companion, name, words, started))
         return self.companions.failed_before_ready(
@@ -246,29 +245,29 @@ class _Processes:
         )
 
     def start_vehicles(self) -> None:
-        """Start a process for each, and say what one of the user's own needs to know."""
+        """Start a process for each vehicle; print the join options of a vehicle that the user starts."""
         for vehicle in self._scenario.vehicles:
             if _is_outside(vehicle):
                 joining = " ".join(self._joining())
                 known = f"--name {vehicle.name} --credentials {self._files[vehicle.name]}"
-                self._watcher.on_event(f"{vehicle.name} is yours: {joining} {known}")
+                self._watcher.on_event(f"start {vehicle.name} yourself with {joining} {known}")
             else:
                 self.children.append(self._start(vehicle.name))
 
     def start_again(self, dead: Child) -> None:
-        """Put a new process in the place of one that has ended."""
+        """Replace a process that has exited by a new one."""
         place = self.children.index(dead)
         dead.close()
         self.children[place] = self._start(dead.name)
 
 
 def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcome:
-    """Follow the run until the simulator's process has ended."""
+    """Follow the run until the simulator's process exits."""
     simulator, followed = processes.simulator, _Followed(processes, watcher, respawn=respawn)
     outcome, asked = followed.outcome, False
     while True:
         if watcher.stop() > 1:
-            raise KeyboardInterrupt  # who asks twice does not wait for a summary
+            raise KeyboardInterrupt  # a second request does not wait for a summary
         if not asked and (watcher.stop() or followed.must_end()):
             asked = True
             simulator.ask_to_end()
@@ -288,12 +287,12 @@ def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcom
 
 
 class _Followed:
-    """State of a run that is followed.
+    """State of the run as its parent process follows it.
 
     Args:
         processes: Processes of the run.
-        watcher: Receives ticks, events and warnings.
-        respawn: True: a vehicle's process that fails is started again.
+        watcher: Callbacks that receive ticks, events and warnings.
+        respawn: True: restart a vehicle's process if it fails.
     """
 
     def __init__(self, processes: _Processes, watcher: Watcher, *, respawn: bool) -> None:
@@ -304,11 +303,11 @@ class _Followed:
         """Failures of each vehicle's process since the newest tick."""
         self._counted: set[int] = set()
         self._events: deque[tuple[float, str]] = deque()
-        """Events that wait, and the time at which each is shown."""
+        """Pending events, each with the time at which it is shown."""
         self._is_dropping_events = False
 
     def read(self, line: bytes) -> None:
-        """Read one of the simulator's reports."""
+        """Process one report of the simulator."""
         report = msgspec.json.decode(line, type=Report)
         if report.tick is not None:
             if report.tick > self._tick:
@@ -316,8 +315,8 @@ class _Followed:
             self._tick = report.tick
             self._watcher.on_tick(report.tick)
         if report.event is not None and not self._is_dropping_events:
-            held = 0.0 if self._tick else _HELD
-            self._events.append((time.monotonic() + held, report.event))
+            delay = 0.0 if self._tick else _EVENT_DELAY
+            self._events.append((time.monotonic() + delay, report.event))
         if report.warnings is not None:
             self._watcher.on_warnings(report.warnings)
         if report.summary is not None:
@@ -326,12 +325,12 @@ class _Followed:
             self.outcome.files = [Path(file) for file in report.files]
 
     def show_events(self, *, all_of_them: bool = False) -> None:
-        """Show the events whose time has come."""
+        """Show the events that are due."""
         while self._events and (all_of_them or time.monotonic() >= self._events[0][0]):
             self._watcher.on_event(self._events.popleft()[1])
 
     def must_end(self) -> bool:
-        """Report processes that have failed, start vehicles again; return true if the run must end for one."""
+        """Report failed processes and restart vehicles; return true if a failure must end the run."""
         if self.outcome.summary is not None:
             return False
         self._processes.companions.report_lost()
@@ -340,14 +339,14 @@ class _Followed:
             for child in self._processes.children[1:]
             if child.ended not in (None, 0) and child.pid not in self._counted
         ]
-        fatal = [self._is_fatal(child) for child in dead]  # each is reported
+        fatal = [self._is_fatal(child) for child in dead]  # a list, so that each is reported
         return any(fatal)
 
     def _is_fatal(self, dead: Child) -> bool:
         self._counted.add(dead.pid)
         self._deaths[dead.name] += 1
         deaths, outcome = self._deaths[dead.name], self.outcome
-        own = dead.position_error()
+        own = dead.error_line()
         if own and not self._respawn and self._tick == 0:
             outcome.fault, outcome.unusable = own, dead.ended == _UNUSABLE
             dead.drop_log()
@@ -355,12 +354,12 @@ class _Followed:
             self._is_dropping_events = True
             return True
         report = dead.exit_report()
-        if self._respawn and deaths <= _LIVES:
-            self._watcher.on_event(f"{report}: started again")
+        if self._respawn and deaths <= _MAX_RESTARTS:
+            self._watcher.on_event(f"{report}; restarted")
             self._processes.start_again(dead)
             return False
         if self._respawn:
-            report += f"; for the {deaths}th time at tick {self._tick}, and it is not started again"
+            report += f"; failure {deaths} at tick {self._tick}, so it is not restarted"
         self._watcher.on_event(report)
         outcome.fault = outcome.fault or report
         return self._respawn or self._tick == 0

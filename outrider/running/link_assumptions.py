@@ -1,6 +1,6 @@
-"""Assumptions of the law `certified` that a radio link cannot keep: A2, the age of detections, and A5', commands.
+"""Checks of a radio link against the bounds of a certificate: the age of detections (A2) and command gaps (A5').
 
-How often random losses break them is an expected share of the ticks (`sim.channel.gaps`).
+Random losses are reported with the expected share of ticks in which they exceed a bound (`sim.channel.gaps`).
 """
 
 import math
@@ -32,25 +32,38 @@ from sim.scenario.types import LinkTable, Scenario
 
 RARE = 1e-6
 """Events that are expected less often than this in a whole run are not reported."""
-_MOST_PLAYED = 1_000_000
-"""Ticks of a recorded link that are inspected at most."""
+_MOST_REPLAYED = 1_000_000
+"""Largest number of ticks inspected of a recorded link."""
 _NO_BLACKOUTS = np.zeros((0, 2), dtype=np.int64)
 
 
-class How(StrEnum):
+class Frequency(StrEnum):
     """Frequency at which an assumption is broken."""
 
-    THROUGHOUT = "for certain and throughout"
-    """In every tick, or in most of them: hardly anything can be certified."""
-    CERTAIN = "for certain"
-    """At times that are known before the run."""
-    SOMETIMES = "now and then"
-    """At random."""
+    THROUGHOUT = "throughout"
+    """In every tick or in most ticks: hardly anything can be certified."""
+    CERTAIN = "at known times"
+    """At times known before the run."""
+    SOMETIMES = "at random"
 
 
-def how_often(share: float, *, whole: bool = True) -> How:
-    """Return the frequency that a share of the ticks means; `whole`: of all ticks, not of a part."""
-    return How.THROUGHOUT if whole and share >= 0.5 else How.SOMETIMES
+class Finding(NamedTuple):
+    """Bound of the certificate that a scenario may exceed."""
+
+    frequency: Frequency
+    cause: str
+    """Fields of the scenario with their values, and their effect."""
+    field: str
+    """Field of `[certificate]` with the bound."""
+    values: tuple[float, ...] = ()
+    """Values of the bound to try as a remedy; empty: a list of times."""
+    remedy: str = ""
+    """Advice for the user; empty: the bound is to be raised."""
+
+
+def frequency_of(share: float, *, whole: bool = True) -> Frequency:
+    """Return the frequency for a share of the ticks; `whole`: of all ticks, not of a part."""
+    return Frequency.THROUGHOUT if whole and share >= 0.5 else Frequency.SOMETIMES
 
 
 def percent(share: float) -> str:
@@ -58,19 +71,19 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.3g} %"
 
 
-class _Played(NamedTuple):
-    """Delays that a recorded link gives to the messages of a run."""
+class _Replay(NamedTuple):
+    """Delays of a run's messages on a recorded link."""
 
     delays: tuple[IntArray, ...]
-    """For each alignment of recording and messages: see `recorded_late_share`."""
+    """Delays for each alignment of recording and messages: see `recorded_late_share`."""
     ticks: int
-    """Ticks that are inspected of each, without the end of a window."""
+    """Inspected ticks of each alignment, without the end of a window."""
     whole: bool
-    """True if all of the recording is inspected."""
+    """True if the whole recording is inspected."""
 
 
 class InspectedLink:
-    """A UAV's link of one kind with what follows from its settings."""
+    """Link of one kind of a UAV, with its settings and delays in ticks."""
 
     def __init__(self, scenario: Scenario, table: LinkTable, uav: str, kind: LinkKind) -> None:
         self.scenario, self._traces = scenario, table.traces
@@ -83,59 +96,59 @@ class InspectedLink:
         self.most = first_tick_from(longest_delay(self.settings), p.dt)
 
     def named(self, *fields: str) -> str:
-        """These fields with their values, but for those that are zero."""
+        """Return these fields with their values, without zeros."""
         values = {field: getattr(self.settings, field) for field in fields}
         return ", ".join(
             f"{self.path}.{field} = {value:g}" for field, value in values.items() if value
         )
 
-    def dark(self) -> Iterator[tuple[int, int]]:
-        """First tick of each planned blackout of this flight, and the first after it."""
+    def planned_blackouts(self) -> Iterator[tuple[int, int]]:
+        """Yield the first tick of each planned blackout within the run, and the first tick after it."""
         for first, after in self.parameters.blackouts.tolist():
             if first < min(after, self.scenario.ticks):
                 yield first, min(after, self.scenario.ticks)
 
-    def played(self, every: int, window: int) -> _Played:
-        """Return the delays of a recorded link without planned blackouts, for every place at which a run may begin.
+    def replayed(self, every: int, window: int) -> _Replay:
+        """Return the delays of a recorded link without planned blackouts, for every possible start of a run.
 
         Args:
             every: Ticks between two messages.
-            window: Ticks that are needed beyond those that are inspected.
+            window: Ticks needed beyond the inspected ones.
         """
         p = self.parameters
         if p.replay == DELAYS:
-            whole = p.period * every <= _MOST_PLAYED
-            ticks = min(p.period, _MOST_PLAYED)
+            whole = p.period * every <= _MOST_REPLAYED
+            ticks = min(p.period, _MOST_REPLAYED)
             places = np.arange(ticks + window)
             delays = delays_at(p, places % p.period)
             sent = [(places + phase) % every == 0 for phase in range(every if whole else 1)]
-            return _Played(tuple(np.where(leaves, delays, -1) for leaves in sent), ticks, whole)
+            return _Replay(tuple(np.where(leaves, delays, -1) for leaves in sent), ticks, whole)
         tick = 1000.0 * p.dt
         step = round(tick * every)
         exact = step > 0 and abs(step - tick * every) < DUST
-        round_ticks = math.ceil(math.lcm(p.period, step) / tick) if exact else _MOST_PLAYED + 1
-        ticks = min(round_ticks, _MOST_PLAYED)
-        begun = min(p.longest + longest_wait(p) + every, _MOST_PLAYED)  # before, the queue fills
-        sent_at = np.arange(0, begun + ticks + window + p.longest + every, every)
+        round_ticks = math.ceil(math.lcm(p.period, step) / tick) if exact else _MOST_REPLAYED + 1
+        ticks = min(round_ticks, _MOST_REPLAYED)
+        filled = min(p.longest + longest_wait(p) + every, _MOST_REPLAYED)  # the queue fills first
+        sent_at = np.arange(0, filled + ticks + window + p.longest + every, every)
         bare = p._replace(blackouts=_NO_BLACKOUTS)
-        with np.errstate(over="ignore"):  # of its draws, where it is not compiled
+        with np.errstate(over="ignore"):  # uncompiled, the random numbers overflow by design
             arrived = first_arrivals(bare, (np.uint64(0), np.uint64(0)), len(sent_at), every=every)
         delays = np.full(int(sent_at[-1]) + 1, -1, dtype=np.int64)
         delays[sent_at] = np.where(arrived < 0, -1, arrived - sent_at)
-        return _Played((delays[begun : begun + ticks + window],), ticks, ticks == round_ticks)
+        return _Replay((delays[filled : filled + ticks + window],), ticks, ticks == round_ticks)
 
-    def inspected(self, played: _Played) -> str:
-        """Describe the part of the recorded link that was inspected."""
-        return "a round" if played.whole else f"its first {self.seconds(played.ticks)}"
+    def inspected(self, replay: _Replay) -> str:
+        """Describe the inspected part of the recorded link."""
+        return "one pass" if replay.whole else f"its first {self.seconds(replay.ticks)}"
 
-    def recorded_share(self, window: IntArray, every: int, dropout: float) -> tuple[float, _Played]:
-        """Return the share of the ticks at which a recorded link is late, and the part that was inspected."""
-        played = self.played(every, len(window) - 1)
-        shares = [recorded_late_share(delays, window, dropout) for delays in played.delays]
-        return sum(shares) / len(shares), played
+    def recorded_share(self, window: IntArray, every: int, dropout: float) -> tuple[float, _Replay]:
+        """Return the share of ticks in which a recorded link is late, and the inspected part."""
+        replay = self.replayed(every, len(window) - 1)
+        shares = [recorded_late_share(delays, window, dropout) for delays in replay.delays]
+        return sum(shares) / len(shares), replay
 
     def longest_gap(self) -> tuple[float, float]:
-        """Return the longest time without a delivery opportunity of a Mahimahi file, and where it begins [s]."""
+        """Return the longest time without a delivery opportunity in a Mahimahi file, and its start [s]."""
         recorded = trace_named(self._traces, self.settings.trace)
         recording = None if recorded is None else recording_of(recorded)
         if not isinstance(recording, Opportunities):
@@ -146,74 +159,80 @@ class InspectedLink:
         return float(np.diff(times)[longest]) / 1000.0, begins / 1000.0
 
     def seconds(self, ticks: float) -> str:
-        """As a time."""
+        """Return ticks as a time with its unit."""
         return f"{ticks * self.scenario.dt:g} s"
 
 
 # A2: the age of the newest detection
 
+_AGE, _INTERVAL = "max_measurement_age", "max_command_interval"
 
-def age_shortfalls(link: InspectedLink, promise: SafetyBounds) -> Iterator[tuple[How, str]]:
-    """Looks are at multiples of the detector's period; each that gets through arrives after `least` to `most` ticks."""
+
+def age_findings(link: InspectedLink, bounds: SafetyBounds) -> Iterator[Finding]:
+    """Find detections that become older than the bound.
+
+    Detections are made at multiples of the detector's period. Each arrives after `least` to `most` ticks, unless it is
+    lost.
+    """
     scenario, p = link.scenario, link.parameters
-    period, age = scenario.detection_period, promise.max_age_ticks
-    limit = f"certificate.max_measurement_age = {promise.max_measurement_age:g} s"
+    period, age = scenario.detection_period, bounds.max_age_ticks
     if link.settings.trace:
-        yield from _recorded_ages(link, promise, limit)
-        yield from _dark_ages(link, age, limit)
+        yield from _recorded_ages(link, bounds)
+        yield from _blackout_ages(link, age)
         return
-    waits, dark = _queue_ticks(p, period), list(_dark_ages(link, age, limit))
+    waits, in_blackouts = _queue_ticks(p, period), list(_blackout_ages(link, age))
     if waits is not None and scenario.detections.dropout == 0.0 and link.least + waits > age:
         rate = 1.0 / (period * scenario.dt)
-        what = f"{link.named('bandwidth', 'queue')}: fewer than the detector's looks, {rate:g} /s"
-        yield How.CERTAIN, f"{what}: they are up to {link.seconds(link.most + waits)} old, {limit}"
+        cause = (
+            f"{link.named('bandwidth', 'queue')}: the link carries fewer messages than the detector sends ({rate:g} "
+            f"/s), and they arrive up to {link.seconds(link.most + waits)} old"
+        )
+        yield Finding(Frequency.CERTAIN, cause, _AGE)
     elif waits is None and link.least + period - 1 > age:
-        how = How.THROUGHOUT if link.least > age else How.CERTAIN
+        frequency = Frequency.THROUGHOUT if link.least > age else Frequency.CERTAIN
         why = link.named("delay", "jitter") or f"detections.rate = {scenario.detections.rate:g} /s"
         oldest = link.seconds(link.least + period - 1)
-        yield (
-            how,
-            f"{why}: the newest detection is {oldest} old before the next one arrives, {limit}",
-        )
+        cause = f"{why}: the newest detection is {oldest} old before the next one arrives"
+        yield Finding(frequency, cause, _AGE)
     else:
-        yield from _unlucky_ages(link, promise, planned=not dark)
-    yield from dark
+        yield from _random_ages(link, bounds, planned=not in_blackouts)
+    yield from in_blackouts
 
 
-def _recorded_ages(
-    link: InspectedLink, promise: SafetyBounds, limit: str
-) -> Iterator[tuple[How, str]]:
-    """Ages that a recording causes by itself in every round, or together with looks that find nothing."""
+def _recorded_ages(link: InspectedLink, bounds: SafetyBounds) -> Iterator[Finding]:
+    """Find ages that a recording causes, alone or together with missed detections."""
     scenario, every = link.scenario, link.scenario.detection_period
-    if promise.max_age_ticks >= scenario.ticks:
+    if bounds.max_age_ticks >= scenario.ticks:
         return
-    window, missed = age_window(promise.max_age_ticks), scenario.detections.dropout
-    share, played = link.recorded_share(window, every, missed)
-    whole = played.whole
+    window, missed = age_window(bounds.max_age_ticks), scenario.detections.dropout
+    share, replay = link.recorded_share(window, every, missed)
+    whole, trace = replay.whole, f"{link.path}.trace"
     dropout = f", detections.dropout = {missed:g}" if missed else ""
     gap, at = link.longest_gap() if not whole else (0.0, 0.0)
     if share * scenario.ticks > RARE:
-        part = f"{percent(share)} of the ticks of {link.inspected(played)}"
-        told = f"the newest detection is older than {limit} in {part}"
-        yield how_often(share, whole=whole), f"{link.path}.trace{dropout}: {told}"
-    elif gap > promise.max_measurement_age + scenario.dt:
-        told = f"no detection arrives for {gap:g} s from {at:g} s on, longer than {limit}"
-        yield How.SOMETIMES, f"{link.path}.trace: {told}"
+        part = f"{percent(share)} of the ticks of {link.inspected(replay)}"
+        cause = f"{trace}{dropout}: the newest detection is too old in {part}"
+        yield Finding(frequency_of(share, whole=whole), cause, _AGE)
+    elif gap > bounds.max_measurement_age + scenario.dt:
+        cause = f"{trace}: no detection arrives for {gap:g} s from {at:g} s on"
+        yield Finding(Frequency.SOMETIMES, cause, _AGE)
     elif not whole:
-        told = f"not older than {limit} in {link.inspected(played)}; the rest was not inspected"
-        yield How.SOMETIMES, f"{link.path}.trace: the newest detection is {told}"
+        cause = (
+            f"{trace}: only {link.inspected(replay)} was inspected, where no detection is too old"
+        )
+        yield Finding(Frequency.SOMETIMES, cause, _AGE, remedy="shorten the recording")
     elif link.parameters.replay != DELAYS:
-        nearly = age_window(max(promise.max_age_ticks - every - 1, 0))
+        nearly = age_window(max(bounds.max_age_ticks - every - 1, 0))
         if link.recorded_share(nearly, every, missed)[0] * scenario.ticks > RARE:
-            told = f"the newest detection becomes so nearly as old as {limit} that it may be older"
-            yield (
-                How.SOMETIMES,
-                f"{link.path}.trace: {told} where a run begins at another place of it",
+            cause = (
+                f"{trace}: the age of the newest detection comes so close to the bound that it exceeds it where a run "
+                "starts at another point of the recording"
             )
+            yield Finding(Frequency.SOMETIMES, cause, _AGE)
 
 
 def _queue_ticks(parameters: LinkParameters, period: int) -> int | None:
-    """Greatest age of the newest look, but for the way, once the queue is full; None: it never fills."""
+    """Return the largest age of the newest detection behind a full queue, without delay; None: no queue forms."""
     if parameters.spacing <= period + DUST:
         return None
     waits = (
@@ -224,16 +243,14 @@ def _queue_ticks(parameters: LinkParameters, period: int) -> int | None:
     return waits + math.floor(parameters.spacing) - 1
 
 
-def _unlucky_ages(
-    link: InspectedLink, promise: SafetyBounds, *, planned: bool
-) -> Iterator[tuple[How, str]]:
-    """Ages that random losses cause; `planned`: with planned blackouts, which alone do not.
+def _random_ages(link: InspectedLink, bounds: SafetyBounds, *, planned: bool) -> Iterator[Finding]:
+    """Find ages that random losses cause; `planned`: include planned blackouts, which alone do not exceed the bound.
 
-    At a sender whose messages wait, each of them is taken to have waited for as long as a full queue lasts.
+    At a sender whose messages wait, each message is assumed to wait as long as a full queue lasts.
     """
     scenario, p = link.scenario, link.parameters
     dropout, period, waited = scenario.detections.dropout, scenario.detection_period, 0
-    if promise.max_age_ticks >= scenario.ticks:
+    if bounds.max_age_ticks >= scenario.ticks:
         return
     if p.spacing > period + DUST:
         waited = (
@@ -244,7 +261,7 @@ def _unlucky_ages(
         p = p._replace(blackouts=_NO_BLACKOUTS)
     late = late_shares(
         p,
-        age_window(promise.max_age_ticks, waited),
+        age_window(bounds.max_age_ticks, waited),
         ticks=scenario.ticks,
         period=period,
         dropout=dropout,
@@ -256,87 +273,98 @@ def _unlucky_ages(
         link.named("burst_length", "burst_interval", "blackout_length", "blackout_interval"),
         f"detections.dropout = {dropout:g}" if dropout else "",
     )
-    share, limit = (
-        float(late.mean()),
-        f"certificate.max_measurement_age = {promise.max_measurement_age:g} s",
-    )
-    told = f"the newest detection is older than {limit} in {percent(share)} of the ticks"
-    yield how_often(share), f"{', '.join(filter(None, fields))}: {told}"
+    share = float(late.mean())
+    effect = f"the newest detection is too old in {percent(share)} of the ticks"
+    yield Finding(frequency_of(share), f"{', '.join(filter(None, fields))}: {effect}", _AGE)
 
 
-def _dark_ages(link: InspectedLink, age: int, limit: str) -> Iterator[tuple[How, str]]:
-    """Planned blackouts after which the newest detection is too old before the next one can arrive."""
+def _blackout_ages(link: InspectedLink, age: int) -> Iterator[Finding]:
+    """Find planned blackouts after which the newest detection is too old before the next one can arrive."""
     scenario, period = link.scenario, link.scenario.detection_period
-    rows = list(link.dark())
-    looks = np.arange(0, scenario.ticks, period)
-    through = np.ones(len(looks), dtype=bool)
+    rows = list(link.planned_blackouts())
+    made = np.arange(0, scenario.ticks, period)
+    arrives = np.ones(len(made), dtype=bool)
     for first, after in rows:
-        through[(looks >= first) & (looks < after)] = False
+        arrives[(made >= first) & (made < after)] = False
     for first, after in rows:
-        before, later = looks[through & (looks < first)], looks[through & (looks >= after)]
+        before, later = made[arrives & (made < first)], made[arrives & (made >= after)]
         until = min(int(later[0]) + link.least if later.size else scenario.ticks, scenario.ticks)
         if not before.size:
-            yield (
-                How.CERTAIN,
-                f"{link.path}.blackouts: nothing is detected before {link.seconds(until)}",
+            cause = f"{link.path}.blackouts: no detection arrives before {link.seconds(until)}"
+            yield Finding(
+                Frequency.CERTAIN, cause, _AGE, remedy=f"end {link.path}.blackouts earlier"
             )
         elif until - 1 - int(before[-1]) > age:
             since, oldest = int(before[-1]) + age + 1, until - 1 - int(before[-1])
-            span = f"from {link.seconds(since)} to {link.seconds(until)}"
-            yield (
-                How.CERTAIN,
+            cause = (
                 f"{link.path}.blackouts, {link.seconds(first)} to {link.seconds(after)}: the newest detection becomes "
-                f"{link.seconds(oldest)} old, {limit}, {span}",
+                f"{link.seconds(oldest)} old, too old from {link.seconds(since)} to {link.seconds(until)}"
             )
+            yield Finding(Frequency.CERTAIN, cause, _AGE)
 
 
-# A5: a command acts exactly tau_c after its tick
+# A5': the time between plans
 
 
-def outage_shortfalls(link: InspectedLink, promise: SafetyBounds) -> Iterator[tuple[How, str]]:
-    """Motions begin at most `outage` after one another: the packets of one link are lost or late for longer."""
-    scenario, p, interval = link.scenario, link.parameters, promise.interval_ticks
+def interval_findings(link: InspectedLink, bounds: SafetyBounds) -> Iterator[Finding]:
+    """Find times between two plans that exceed the bound, as commands are lost or late."""
+    scenario, p, interval = link.scenario, link.parameters, bounds.interval_ticks
     if interval >= scenario.ticks:
         return
     fields = (
         link.named("delay", "jitter", "reorder", "loss", "bandwidth"),
         link.named("burst_length", "burst_interval", "blackout_length", "blackout_interval"),
-        f"{link.path}.blackouts" if any(link.dark()) else "",
+        f"{link.path}.blackouts" if any(link.planned_blackouts()) else "",
         f"{link.path}.trace" if link.settings.trace else "",
-        f"tau_c = {link.seconds(promise.delay_ticks)}",
     )
-    told = ", ".join(filter(None, fields))
-    late = f"the next motion begins later than certificate.max_command_interval = {link.seconds(interval)}"
-    window = command_window(promise.delay_ticks, MOST_CARRIED, interval)
-    if not link.settings.trace and link.least > promise.delay_ticks:
-        soonest = f"no motion arrives before {link.seconds(link.least)} after its tick"
-        yield How.THROUGHOUT, f"{told}: {soonest}, so all are late"
-        return
-    if p.spacing > interval + DUST:
-        rate = 1.0 / (interval * scenario.dt)
-        yield How.THROUGHOUT, f"{told}: fewer messages than {rate:g} /s, so that {late}"
+    settings = ", ".join(filter(None, fields))
+    late = "no command with a new plan takes effect in time"
+    window = command_window(bounds.delay_ticks, MOST_CARRIED, interval)
+    if not link.settings.trace and link.least > bounds.delay_ticks:
+        cause = f"{settings}: every command takes {link.seconds(link.least)} or longer to arrive, so all are late"
+        times = (round(link.least * scenario.dt, 9), round(link.most * scenario.dt, 9))
+        yield Finding(Frequency.THROUGHOUT, cause, "max_command_delay", values=times)
         return
     if p.spacing > 1.0 + DUST:
-        yield How.SOMETIMES, f"{told}: {late}, as packets wait and are dropped"
+        rate = f"{link.path}.bandwidth to {1.0 / scenario.dt:g} messages per second"
+        throughout = p.spacing > interval + DUST
+        cause = f"{settings}: the link carries fewer messages than one per tick, and commands are dropped"
+        yield Finding(
+            Frequency.THROUGHOUT if throughout else Frequency.SOMETIMES,
+            cause,
+            _INTERVAL,
+            remedy=f"raise {rate} or more",
+        )
         return
     lossless = p._replace(
         settings=msgspec.structs.replace(p.settings, loss=0.0), bursts=False, up=0.0
     )
     certain = late_shares(lossless, window, ticks=scenario.ticks)
-    blackouts = [(f, a) for f, a in link.dark() if certain[f:a].max(initial=0.0) == 1.0]
+    blackouts = [
+        (f, a) for f, a in link.planned_blackouts() if certain[f:a].max(initial=0.0) == 1.0
+    ]
     for first, after in blackouts:
         span = f"{link.seconds(first)} to {link.seconds(after)}"
-        yield How.CERTAIN, f"{link.path}.blackouts, {span}: {late}"
+        yield Finding(Frequency.CERTAIN, f"{link.path}.blackouts, {span}: {late}", _INTERVAL)
     if blackouts:
         p = p._replace(blackouts=_NO_BLACKOUTS)
     part = "of the ticks"
     if link.settings.trace:
-        share, played = link.recorded_share(window, 1, 0.0)
-        part = f"of the ticks of {link.inspected(played)}"
-        if share == 0.0 and not played.whole:
-            yield How.SOMETIMES, f"{told}: {link.inspected(played)} alone was inspected"
+        share, replay = link.recorded_share(window, 1, 0.0)
+        part = f"of the ticks of {link.inspected(replay)}"
+        if share == 0.0 and not replay.whole:
+            cause = f"{settings}: only {link.inspected(replay)} was inspected"
+            yield Finding(Frequency.SOMETIMES, cause, _INTERVAL, remedy="shorten the recording")
     else:
         late_share = late_shares(p, window, ticks=scenario.ticks)
         share = float(late_share.mean()) if late_share.size else 0.0  # longer than the run
-    if share * scenario.ticks > RARE:
-        yield how_often(share), f"{told}: {late} in {percent(share)} {part}"
+    if share * scenario.ticks <= RARE:
+        return
+    cause = f"{settings}: {late} in {percent(share)} {part}"
+    if not link.settings.trace and link.most > bounds.delay_ticks:
+        waiting = command_window(link.most, MOST_CARRIED, interval)
+        if late_shares(p, waiting, ticks=scenario.ticks).sum() <= RARE:
+            times = (round(link.most * scenario.dt, 9),)
+            yield Finding(frequency_of(share), cause, "max_command_delay", values=times)
+            return
+    yield Finding(frequency_of(share), cause, _INTERVAL)

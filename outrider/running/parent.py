@@ -1,4 +1,4 @@
-"""A child's view of `outrider run`: the first line of its standard input, and the end of that input."""
+"""Input of a child process of `outrider run`: the first line of standard input, and its end."""
 
 import atexit
 import os
@@ -13,22 +13,22 @@ from bus.credentials import Credential, CredentialSet
 from bus.messages.scenario import Law
 
 _PATIENCE = 10.0
-"""Time for closing sessions and files after the parent has gone [s]."""
+"""Longest time for closing sessions and files after the parent has exited [s]."""
 
 
 class Output(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Files that the simulator writes."""
+    """Output files of the simulator."""
 
     folder: str = ""
-    """Folder for trajectory, picture and summary; empty: none of them."""
+    """Folder for trajectory, picture and summary; empty: not written."""
     picture: bool = True
     """True: draw the picture."""
     record: str = ""
-    """MCAP file in which every tick is recorded; empty: none."""
+    """MCAP file that records every tick; empty: none."""
 
 
 class Start(msgspec.Struct, kw_only=True, omit_defaults=True):
-    """First line of a child's standard input. The pipe stays open: its end asks the child to end."""
+    """First line of a child's standard input. The pipe then stays open; the child exits when it closes."""
 
     credential: Credential | None = None
     """Credential of a client of the run's router."""
@@ -37,22 +37,22 @@ class Start(msgspec.Struct, kw_only=True, omit_defaults=True):
     secret: str = ""
     """Secret of the run, for the simulator alone."""
     law: Law | None = None
-    """Law that the UAVs fly at first, for a companion."""
+    """Initial law of the UAVs, for a companion."""
     folder: str = ""
-    """Private folder of the run, which the simulator removes when it ends."""
+    """Private folder of the run, which the simulator removes on exit."""
     output: Output = Output()
     """Files of the run, for the simulator alone."""
     join_timeout: float = 30.0
-    """Time for which a vehicle waits for a simulator or router [s]."""
+    """Longest wait of a vehicle for a simulator or router [s]."""
     code: dict[str, str] = {}
-    """The user's own code that this vehicle loads: fields of `[custom]` and their values."""
+    """User code that this vehicle loads: fields of `[custom]` and their values."""
 
 
 def read_start() -> Start:
-    """Read the first line of standard input. From then on, the end of standard input ends this process.
+    """Read the first line of standard input; from then on, this process exits when standard input closes.
 
     Raises:
-        SystemExit: If the parent has gone already.
+        SystemExit: If the parent has exited already.
     """
     line = b""
     while not line.endswith(b"\n"):
@@ -73,5 +73,5 @@ def _await_end() -> None:
         pass
     os.kill(os.getpid(), signal.SIGTERM)  # its handler closes sessions and files
     time.sleep(_PATIENCE)
-    # The handler raised in a destructor, for example, and its exception was lost.
+    # Needed if the handler raised in a destructor, for example, and its exception was lost.
     os.kill(os.getpid(), signal.SIGKILL)

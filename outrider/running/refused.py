@@ -1,4 +1,4 @@
-"""Messages that a bridge does not pass on, counted by cause."""
+"""Messages that a bridge rejects, counted by cause."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -7,11 +7,11 @@ _LONGEST = 300
 
 
 class Refused(Exception):
-    """A message that is not passed on; as a string one printable line.
+    """Rejection of a message; as a string one printable line.
 
     Args:
-        cause: In a few words, the same for all alike.
-        what: Of this one, for people.
+        cause: Short text, the same for all rejections of one kind.
+        what: Details of this message.
     """
 
     def __init__(self, cause: str, what: str) -> None:
@@ -21,21 +21,21 @@ class Refused(Exception):
 
 
 class Refusals:
-    """Counts what was refused, and tells the 1st, 2nd, 4th, 8th ... of each cause: a flood must not fill a log.
+    """Counter of rejections; reports the 1st, 2nd, 4th, 8th ... of each cause, so that a flood cannot fill a log.
 
     Args:
-        tell: Takes the newest one, and how many of its cause there have been.
+        report: Called with the newest rejection and the number of rejections with its cause.
     """
 
-    def __init__(self, tell: Callable[[Refused, int], None]) -> None:
-        self._tell = tell
+    def __init__(self, report: Callable[[Refused, int], None]) -> None:
+        self._report = report
         self.counts: Counter[str] = Counter()
         self.newest: Refused | None = None
 
     def add(self, refused: Refused, count: int = 1) -> None:
-        """Take down one, or so many alike."""
+        """Count a rejection, or `count` rejections of one kind."""
         before = self.counts[refused.cause]
         self.counts[refused.cause] = after = before + count
         self.newest = refused
         if before.bit_length() != after.bit_length():
-            self._tell(refused, after)
+            self._report(refused, after)

@@ -1,4 +1,4 @@
-"""Options of a command and a scenario's file, resolved into the one scenario that is flown."""
+"""Merging of a scenario's file and the options of a command."""
 
 from collections.abc import Sequence
 
@@ -20,22 +20,22 @@ def resolve(
     respawn: bool = False,
     changes: Sequence[str] | None = None,
 ) -> tuple[Scenario, list[str]]:
-    """Return the scenario that the options ask for, and the changes by which the user may have named code.
+    """Return the scenario with all options applied, and the changes in which the user may have named code.
 
     Args:
-        source: A shipped scenario's name, or a TOML file.
-        seed: Replaces that of the file, as do all up to `respawn` where they are given.
+        source: Name of a shipped scenario, or a TOML file.
+        seed: Replaces the file's seed. All options up to `respawn` replace the file's field if given.
         duration: Simulated time [s].
-        law: The law of all UAVs.
-        driver: The driver of all UGVs.
-        network: The profile of every link.
+        law: Law of all UAVs.
+        driver: Driver of all UGVs.
+        network: Network profile of every link.
         realtime: Simulated seconds per second of wall time; 0: lockstep.
-        join_timeout: Time to wait for a vehicle or the router [s].
-        respawn: True: restart a vehicle's process that exits.
-        changes: Any fields, as `--set` takes them; applied first.
+        join_timeout: Longest wait for a vehicle or the router [s].
+        respawn: True: restart a vehicle's process if it exits.
+        changes: Changes of fields, in the form of `--set`; applied first.
 
     Raises:
-        ScenarioError: If it cannot be flown.
+        ScenarioError: If the scenario cannot be flown.
     """
     options: dict[str, object] = {
         "seed": seed,
@@ -50,7 +50,5 @@ def resolve(
     given = [(field, value) for field, value in options.items() if value is not None]
     scenario = load_scenario(source, overrides=[*(changes or ()), *given])
     if law and not scenario.uav:
-        raise ScenarioError(
-            f"--law {law}: {scenario.name} has no UAV that could fly it; allowed: none"
-        )
+        raise ScenarioError(f"--law {law}: {scenario.name} has no UAV; allowed: no --law")
     return scenario, [*(changes or ()), *([f"ugv.*.driver={driver}"] if driver else [])]

@@ -1,4 +1,4 @@
-"""The private folder of a run: socket, credentials and scenario; the next start removes that of a killed run."""
+"""Private folder of a run, with socket, credentials and scenario. The next run removes the folder of a killed one."""
 
 import contextlib
 import fcntl
@@ -17,10 +17,10 @@ _PREFIX, _LOCK = "outrider-", ".lock"
 def socket_parent() -> str:
     """Return a folder in which private folders can hold a Unix socket.
 
-    It is TMPDIR, or another if the path there is too long for a socket or has characters that mean something to Zenoh.
+    This is TMPDIR, unless its path is too long for a socket or contains characters with a meaning for Zenoh.
 
     Raises:
-        BusError: If there is none.
+        BusError: If no folder is suitable.
     """
     wanted = tempfile.gettempdir()
     for place in (wanted, os.environ.get("XDG_RUNTIME_DIR", ""), "/tmp", "/var/tmp"):  # noqa: S108 - for private folders
@@ -28,12 +28,12 @@ def socket_parent() -> str:
         if fits and os.path.isabs(place) and os.access(place, os.W_OK | os.X_OK):
             return place
     raise BusError(
-        f"TMPDIR = {wanted!r}: no place for the run's socket; allowed: a short path without '#' and '?'"
+        f"TMPDIR = {wanted!r}: unsuitable for the run's socket; allowed: a short path without '#' and '?'"
     )
 
 
 def remove_left_folders() -> None:
-    """Remove the folders of runs that no process holds any more."""
+    """Remove the folders of runs whose process no longer exists."""
     for lock in Path(socket_parent()).glob(f"{_PREFIX}*/{_LOCK}"):
         with contextlib.suppress(OSError):
             status = lock.parent.lstat()
@@ -46,7 +46,7 @@ def remove_left_folders() -> None:
 
 @contextlib.contextmanager
 def run_folder() -> Iterator[Path]:
-    """Make a folder that only this user can enter, for as long as this is open or the process lives."""
+    """Make a folder that only this user can enter, and remove it afterwards."""
     remove_left_folders()
     with (
         tempfile.TemporaryDirectory(

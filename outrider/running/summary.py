@@ -1,4 +1,4 @@
-"""The numbers that sum up a flight."""
+"""Summary of a run."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 
 class Process(msgspec.Struct, frozen=True, kw_only=True):
-    """One operating-system process of a run."""
+    """Operating-system process of a run."""
 
     name: str
     pid: int
 
 
 class UavMetrics(msgspec.Struct, frozen=True, kw_only=True):
-    """Metrics of one UAV or of several, as `outrider.running.metrics.UAV` explains; None: it does not exist."""
+    """Metrics of one or several UAVs, explained in `outrider.running.metrics.UAV`; None: no value."""
 
     max_distance: float | None
     mean_distance: float | None
@@ -42,21 +42,21 @@ class UavMetrics(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Summary(UavMetrics, frozen=True, kw_only=True):
-    """Numbers that `outrider run --json` prints; those of UAVs are over all of them.
+    """Summary of a run, as printed by `outrider run --json`; UAV metrics are over all UAVs.
 
-    `outrider.running.metrics` explains each number. Without a UAV there are no distances and errors, without hazards no
-    mission, and nothing is counted: a number that does not exist is None.
+    `outrider.running.metrics` explains each metric. A metric without a value is None: without a UAV there are no
+    distances and errors, without hazards no mission.
     """
 
     scenario: str
     seed: int
     secret: str = ""
-    """Of the run, for its owner alone: with the seed it gives the same flight again.
+    """Secret of the run, for its owner only: together with the seed it reproduces the run.
 
-    Empty: none, and the seed alone does.
+    Empty: none, and the seed alone reproduces it.
     """
     law: str | None
-    """The scenario's; `external` where a program of the user's own flew, which reports no estimate.
+    """Law of the scenario; `external` if a program of the user flew the UAVs, which reports no estimate.
 
     None without a UAV.
     """
@@ -85,23 +85,23 @@ class Summary(UavMetrics, frozen=True, kw_only=True):
     links: dict[str, LinkStatus] = {}
     """Metrics of each link, by `vehicle/kind`."""
     traces: dict[str, str] = {}
-    """Recorded links that were played: SHA-256 of the file, by the name in the scenario."""
+    """SHA-256 of each recorded link, by its name in the scenario."""
     realtime: float | None = None
-    """The factor that the clock was to keep; None in lockstep."""
+    """Target real-time factor; None in lockstep."""
     realtime_factor: float
     late_ticks: int = 0
     changes: list[Change] = []
-    """Changes by operators while it flew, with their ticks."""
+    """Operators' changes during the run, with their ticks."""
     deterministic: bool
     first_missing_tick: int | None
-    """The first tick at which a vehicle had no new command."""
+    """First tick at which a vehicle had no new command; None: every command arrived in time."""
     trajectory_sha256: str
     platform: dict[str, str]
     processes: list[Process] = []
 
 
-_FLOWN = (Action.LAW, Action.DRIVER, Action.LINK)
-"""Actions of operators that change a trajectory."""
+_TRAJECTORY_ACTIONS = (Action.LAW, Action.DRIVER, Action.LINK)
+"""Operator actions that change a trajectory."""
 
 
 def _rms(errors: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float | None:
@@ -115,8 +115,8 @@ def _mean(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float | 
 
 
 def switching_radius_of(flight: "Flight", escort: int = 0) -> float | None:
-    """r_s of (18) [m] for one escort; None where it has no finite value."""
-    from sim.models.vehicles import raw_switching_radius  # noqa: PLC0415 - compiled: whoever only reads summaries goes without
+    """Return r_s of one escort, eq. (18) [m]; None if it is not finite."""
+    from sim.models.vehicles import raw_switching_radius  # noqa: PLC0415 - reading a summary needs no compiled code
 
     world = flight.world
     a, g = world.escorts[escort]
@@ -133,7 +133,7 @@ def switching_radius_of(flight: "Flight", escort: int = 0) -> float | None:
 def _faults(
     vehicles: Mapping[str, VehicleStatus], shortened: Mapping[str, int]
 ) -> dict[str, dict[str, int]]:
-    """All that went wrong, by vehicle and cause, without the zeros."""
+    """Return the faults of each vehicle by cause, without zeros."""
     found: dict[str, dict[str, int]] = {}
     for name, count in shortened.items():
         status = vehicles.get(name, VehicleStatus(present=True))
@@ -150,32 +150,32 @@ def _faults(
     return found
 
 
-def certificate_fields(told: CertificateStatus | None) -> dict[str, Any]:
-    """The summary's fields on what safety filters have certified, from their counts; None where none has watched."""
-    if told is None:
+def certificate_fields(status: CertificateStatus | None) -> dict[str, Any]:
+    """Return the summary's fields about certificates; empty for None, which means that no safety filter acted."""
+    if status is None:
         return {}
     return {
-        "certified_share": told.certified / told.ticks,
-        "overridden_share": told.overridden / told.ticks,
-        "uncertified": told.uncertified,
-        "certified_while_lost": told.certified_while_lost,
-        "certificate_broken": told.certificate_broken,
-        "max_command_interval": told.max_command_interval,
-        "longest_command_interval": told.longest_command_interval,
-        "max_tracking_error": told.max_tracking_error,
+        "certified_share": status.certified / status.ticks,
+        "overridden_share": status.overridden / status.ticks,
+        "uncertified": status.uncertified,
+        "certified_while_lost": status.certified_while_lost,
+        "certificate_broken": status.certificate_broken,
+        "max_command_interval": status.max_command_interval,
+        "longest_command_interval": status.longest_command_interval,
+        "max_tracking_error": status.max_tracking_error,
     }
 
 
 def _uav_metrics(flight: "Flight", rows: list[int]) -> dict[str, Any]:
-    """Return the metrics of some UAVs together, from their recorded states and reports.
+    """Return the merged metrics of several UAVs, from their recorded states and reports.
 
     Args:
-        flight: What was flown.
-        rows: The escorts; a mean is over all ticks of all of them.
+        flight: Flight with its record.
+        rows: Rows of the escorts; means are over all their ticks.
     """
     recorder, world, r_v = flight.recorder, flight.world, flight.scenario.visibility.radius
-    told = recorder.escorts[:, rows]
-    distance, error = told[:, :, 0], told[:, :, 1]
+    recorded = recorder.escorts[:, rows]
+    distance, error = recorded[:, :, 0], recorded[:, :, 1]
     pairs = world.escorts[rows]
     p_a, p_g = (recorder.states[:, pairs[:, k], :2] for k in (0, 1))
     radii = [switching_radius_of(flight, k) for k in rows]
@@ -189,9 +189,9 @@ def _uav_metrics(flight: "Flight", rows: list[int]) -> dict[str, Any]:
         "initial_error": _mean(error[0]),
         "mean_error": _mean(error),
         "final_error": _mean(error[-1]),
-        "detections": int((~np.isnan(told[:, :, 2])).sum()),
-        "estimate_rmse": _rms(told[:, :, 4:6] - p_g),
-        "detection_rmse": _rms(told[:, :, 2:4] - (p_a - p_g)),
+        "detections": int((~np.isnan(recorded[:, :, 2])).sum()),
+        "estimate_rmse": _rms(recorded[:, :, 4:6] - p_g),
+        "detection_rmse": _rms(recorded[:, :, 2:4] - (p_a - p_g)),
     }
 
 
@@ -199,9 +199,9 @@ def _by_uav(flight: "Flight") -> dict[str, UavMetrics]:
     """Return the metrics of each UAV, by name."""
     found: dict[str, UavMetrics] = {}
     for k, pair in enumerate(flight.world.escorts):
-        certified, intervened = flight.answers.assurance.shares(k)
+        certified, overridden = flight.answers.assurance.shares(k)
         found[flight.scenario.vehicles[pair[0]].name] = UavMetrics(
-            **_uav_metrics(flight, [k]), certified_share=certified, overridden_share=intervened
+            **_uav_metrics(flight, [k]), certified_share=certified, overridden_share=overridden
         )
     return found
 
@@ -215,20 +215,20 @@ def summarize(
     late_ticks: int = 0,
     changes: Sequence[Change] = (),
 ) -> Summary:
-    """Sum up what was flown so far.
+    """Return the summary of a flight so far.
 
     Args:
-        flight: At least one state must have been taken down.
+        flight: Flight with at least one recorded state.
         seconds: Wall time of the ticks [s].
-        vehicles: How their processes did.
-        realtime: The factor that the clock was to keep.
-        late_ticks: Ticks that it could not keep.
-        changes: What operators have changed.
+        vehicles: Status of the vehicles' processes.
+        realtime: Target real-time factor; None: lockstep.
+        late_ticks: Ticks that missed their wall-clock time.
+        changes: Changes by operators.
     """
-    from sim.server.recorder import platform_row  # noqa: PLC0415 - likewise
+    from sim.server.recorder import platform_row  # noqa: PLC0415 - reading a summary needs no compiled code
 
     scenario, recorder, world = flight.scenario, flight.recorder, flight.world
-    steered = any(change.control.action in _FLOWN for change in changes)
+    steered = any(change.control.action in _TRAJECTORY_ACTIONS for change in changes)
     certified = flight.answers.assurance.status()
     every = _uav_metrics(flight, list(range(len(world.uavs))))
     return Summary(

@@ -1,4 +1,4 @@
-"""Functions of the user's own, named as module:function, and saved policies, named as KIND:FILE."""
+"""Loading and checking of user code: functions named as module:function, and saved policies named as KIND:FILE."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -20,15 +20,16 @@ if TYPE_CHECKING:
 
 
 def load_function(name: str, *, what: str) -> Callable[..., Any] | None:
-    """The function that `module:function` names; None for an empty name. The working folder is searched last.
+    """Load the function named `module:function`; return None for an empty name.
+
+    Modules in the working folder are found last.
 
     Args:
-        name: Where it is.
-        what: What it is for, for the error; a `policy` may also be saved, or an object that predicts: see
-            `load_policy`; so may a `uav_policy`: see `load_uav_policy`.
+        name: `module:function`, or another form that `load_policy` or `load_uav_policy` accepts.
+        what: Field that names the function, for errors; `policy` and `uav_policy` select the loader of policies.
 
     Raises:
-        ScenarioError: If it is not there, or no function.
+        ScenarioError: If the function does not exist or is not callable.
     """
     if not name:
         return None
@@ -39,21 +40,21 @@ def load_function(name: str, *, what: str) -> Callable[..., Any] | None:
         return policy
     found = _named(name, what)
     if not callable(found):
-        raise ScenarioError(f"{what} = {name!r}: not a function")
+        raise ScenarioError(f"{what} = {name!r}: not a function; allowed: module:function")
     loaded: Callable[..., Any] = found
     return loaded
 
 
-def _named(name: str, what: str) -> Any:  # noqa: ANN401 - whatever it is
-    """The object that `module:name` names."""
+def _named(name: str, what: str) -> Any:  # noqa: ANN401 - any object
+    """Return the object named `module:name`."""
     return find_object(name, what)
 
 
 def _load_saved(name: str, what: str, vehicle: Vehicle) -> Any:  # noqa: ANN401 - each kind has its own
-    """Load `KIND:FILE`; return None if the name has no kind of saved policies before its colon.
+    """Load `KIND:FILE`; return None if no kind of saved policies stands before the colon.
 
     Raises:
-        ScenarioError: If it cannot be loaded, or the name is a file without its kind.
+        ScenarioError: If the policy cannot be loaded, or the name is a file without its kind.
     """
     kind, separator, rest = name.partition(":")
     kinds = policy_kinds(vehicle)
@@ -61,24 +62,26 @@ def _load_saved(name: str, what: str, vehicle: Vehicle) -> Any:  # noqa: ANN401 
         return resolve(getattr(kinds[kind], vehicle))(rest, f"{what} = {name!r}")
     if Path(name).suffix in endings():
         allowed = policy_forms(vehicle)
-        raise ScenarioError(f"{what} = {name!r}: a file without its kind; allowed: {allowed}")
+        raise ScenarioError(
+            f"{what} = {name!r}: the kind of the file is missing; allowed: {allowed}"
+        )
     return None
 
 
 def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a function, or an object that predicts
-    """A policy for the driver `policy`.
+    """Load a policy for the driver `policy`.
 
-    What a library has saved is loaded by that library, which must be installed, and runs code that is in the file:
-    load only what you trust. It sees the UGV's row as the environment gives it (`bus.observations.UGV`) and answers the
-    acceleration.
+    The library that saved a policy must be installed to load it. Loading may run code in the file, so load only
+    trusted files. The policy receives the UGV's observation row, as in the environment (`bus.observations.UGV`), and
+    returns the acceleration [m/s²].
 
     Args:
         name: `module:function`, `module:object` with a method `predict`, or `KIND:FILE` of a saved policy
             (`bus.policies`).
-        what: What it is for, for the error.
+        what: Field that names the policy, for errors.
 
     Raises:
-        ScenarioError: If it is not there, cannot be loaded, or is none.
+        ScenarioError: If the policy does not exist, cannot be loaded, or has the wrong type.
     """
     saved = _load_saved(name, what, "ugv")
     if saved is not None:
@@ -86,90 +89,88 @@ def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a 
     found = _named(name, what)
     if isinstance(found, type) or not (callable(found) or isinstance(found, RowPolicy)):
         raise ScenarioError(
-            f"{what} = {name!r}: neither a function nor an object with a method predict"
+            f"{what} = {name!r}: not a policy; allowed: a function, or an object with a method predict"
         )
     return found
 
 
 def load_uav_policy(name: str, *, what: str = "uav_policy") -> "UavPolicy":
-    """A policy for UAVs: the observations of one UAV in all worlds in, its accelerations out, shape (worlds, 2).
+    """Load a policy for UAVs: observations of one UAV in all worlds in, accelerations (worlds, 2) [m/s²] out.
 
-    What a library has saved is loaded with the observation that it was trained on, and may run code that is in the
-    file: load only what you trust.
+    A saved policy is loaded with the observation that it was trained on. Loading may run code in the file, so load
+    only trusted files.
 
     Args:
         name: `module:function`, or `KIND:FILE` of a saved policy (`bus.policies`).
-        what: What it is for, for the error.
+        what: Field that names the policy, for errors.
 
     Raises:
-        ScenarioError: If it is not there, cannot be loaded, or is none.
+        ScenarioError: If the policy does not exist, cannot be loaded, or has the wrong type.
     """
     saved: UavPolicy | None = _load_saved(name, what, "uav")
     if saved is not None:
         return saved
     found = _named(name, what)
     if isinstance(found, type) or not callable(found):
-        raise ScenarioError(f"{what} = {name!r}: neither a function nor an object that is called")
+        raise ScenarioError(
+            f"{what} = {name!r}: not a policy; allowed: a function, or a callable object"
+        )
     policy: UavPolicy = found
     return policy
 
 
 def own_code(scenario: "Scenario") -> dict[str, str]:
-    """The code that a scenario names, whoever has named it: its fields with their values."""
+    """Return all fields of a scenario that name code, with their values."""
     custom: Any = scenario.custom
     named = {f"custom.{name}": getattr(custom, name) for name in custom.__struct_fields__}
     return {field: value for field, value in named.items() if value}
 
 
 def foreign_code(scenario: "Scenario", named: Iterable[str] = ()) -> tuple[str, ...]:
-    """The code that a scenario's file names, and not the user.
+    """Return a message for each field in which the file, not the user, names code.
 
-    It is somebody else's until the user says that it may be loaded.
+    Such code is loaded only with the user's permission.
 
     Args:
-        scenario: What is flown.
-        named: What the user has set: fields, or `field=value` as with `--set`.
-
-    Returns:
-        A line for each field.
+        scenario: Scenario to fly.
+        named: Fields that the user has set, as `field` or `field=value`.
     """
     changes = [change.partition("=") for change in named]
     own = {field.strip() for field, _, _ in changes}
-    # ugv.0.driver=fmu:FILE says it too
-    said = {value.strip().strip("\"'") for _, _, value in changes}
+    # ugv.0.driver=fmu:FILE names code, too
+    values = {value.strip().strip("\"'") for _, _, value in changes}
     given = {} if "custom" in own else own_code(scenario)
     return tuple(
-        f"{field} = {value!r}: the file names code, which is loaded with --allow-code alone (in Python: "
-        "allow_code=True)"
+        f"{field} = {value!r}: the file names code; allow it with --allow-code (in Python: allow_code=True)"
         for field, value in given.items()
-        if field not in own and value not in said
+        if field not in own and value not in values
     )
 
 
 def check_code(
     scenario: "Scenario", named: Iterable[str] = (), *, source: object, allowed: bool
 ) -> None:
-    """Refuse a scenario whose file names code, unless that is allowed; arguments otherwise as of `foreign_code`.
+    """Check that the scenario's file names no code, unless code is allowed; arguments as in `foreign_code`.
 
     Raises:
-        ScenarioError: The first such field.
+        ScenarioError: If a field of the file names code; the error names the first one.
     """
     for line in () if allowed else foreign_code(scenario, named):
-        raise ScenarioError(f"{one_line(str(source))}: {line}; allowed where you trust both")
+        raise ScenarioError(f"{one_line(str(source))}: {line}, if you trust both")
 
 
 def check_own_functions(scenario: "Scenario") -> tuple[str, ...]:
-    """Load the scenario's own functions and hold them against what the paper asks of them, before anything is started.
+    """Load the scenario's functions and check the paper's conditions, before any process starts.
 
     Returns:
-        Warnings, one a line, where a path cannot be followed.
+        Warnings about a path that the UAV cannot follow, one line each.
 
     Raises:
-        ScenarioError: If a function is not there or does not fit.
+        ScenarioError: If a function does not exist or violates a condition.
     """
     if not own_code(scenario):
         return ()
-    from agents.control.orbit import check_path  # noqa: PLC0415 - nobody else needs the laws
+    from agents.control.orbit import check_path  # noqa: PLC0415 - other commands do not need the laws
     from agents.control.visibility import switching_radius  # noqa: PLC0415
     from agents.control.weighting import check_weighting  # noqa: PLC0415
     from agents.laws.policy import check_fit  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""The object that the user names as `module:name`, or as `mine.py:name`."""
+"""Import of objects that the user names as `module:name` or `mine.py:name`."""
 
 import sys
 from importlib import import_module
@@ -10,28 +10,28 @@ from bus.errors import ScenarioError, shortened, told_with_place
 from sim.input.faults import near
 
 _HOME = Path(__file__).resolve().parents[2]
-"""The folder that our packages lie in."""
+"""Folder that holds Outrider's packages."""
 _ENDING = ".py"
 
 
-def find_object(name: str, what: str) -> Any:  # noqa: ANN401 - whatever it is
-    """Return the object that `module:name` names. The working folder is searched last.
+def find_object(name: str, what: str) -> Any:  # noqa: ANN401 - any object
+    """Return the object named `module:name`; modules in the working folder are found last.
 
     Args:
-        name: Its module, or its file in the working folder, and its name there.
-        what: What it is for, for the error.
+        name: Module or file in the working folder, a colon, and the object's name.
+        what: Field that names the object, for errors.
 
     Raises:
-        ScenarioError: If it is not there, its module cannot be imported, or Python finds another module.
+        ScenarioError: If the object does not exist, its module cannot be imported, or Python finds another module.
     """
     module_name, _, wanted = name.partition(":")
     if not (module_name and wanted):
-        raise ScenarioError(f"{what} = {name!r}: not of the form module:function")
+        raise ScenarioError(f"{what} = {name!r}: wrong form; allowed: module:function")
     module = _module(module_name.removesuffix(_ENDING), f"{what} = {name!r}")
     if _hides_a_file(module, module_name):
         raise ScenarioError(
-            f"{what} = {name!r}: {_own_file(module_name).name} in this folder is not found, as Python finds "
-            f"{_place(module)} under its name; allowed: a file whose name no other module has"
+            f"{what} = {name!r}: {_own_file(module_name).name} in this folder is hidden by {_place(module)}; allowed: "
+            "a file whose name no other module has"
         )
     try:
         return getattr(module, wanted)
@@ -43,21 +43,21 @@ def find_object(name: str, what: str) -> Any:  # noqa: ANN401 - whatever it is
 
 
 def _own_file(module_name: str) -> Path:
-    """The user's file of a module in the working folder, whether it is there or not."""
+    """Return the path of a module's file in the working folder; the file need not exist."""
     return Path.cwd() / f"{module_name.removesuffix(_ENDING)}{_ENDING}"
 
 
 def _place(module: ModuleType) -> str:
-    """Where a module was found, for a person."""
+    """Describe the file in which Python found a module."""
     file = getattr(module, "__file__", None)
-    return str(file) if file else f"the module {module.__name__!r} of Python itself"
+    return str(file) if file else f"Python's own module {module.__name__!r}"
 
 
 def _hides_a_file(module: ModuleType, module_name: str) -> bool:
-    """True if the user means a file in the working folder, and Python has found another.
+    """Return true if the user means a file in the working folder, but Python has found another module.
 
-    That is certain where the file itself is named; a library's module may well have a file's name, Python's own may
-    not.
+    A name that ends in .py, or the name of a module of Python's own, surely means the file. The name of a library's
+    module may mean the library.
     """
     file, found = _own_file(module_name), getattr(module, "__file__", None)
     certain = module_name.endswith(_ENDING) or module.__name__ in sys.stdlib_module_names
@@ -87,10 +87,10 @@ def _module(name: str, where: str) -> ModuleType:
 
 
 def _search_last(folder: str) -> None:
-    """Let modules of a folder be found: behind all libraries, so that no file there takes one's place.
+    """Add a folder to Python's path, after all libraries, so that no file in it replaces a library.
 
-    But before a clone that is installed as it lies there: what a user has written in it beside our packages, which are
-    loaded by now, is of no other folder.
+    It comes before a clone of Outrider that is installed in editable mode: other files in the clone must not hide the
+    user's. Outrider's own packages are loaded by then.
     """
     if folder in sys.path:
         return
@@ -100,11 +100,15 @@ def _search_last(folder: str) -> None:
 
 
 def _hidden(folder: Path) -> str:
-    """Name the user's files that Python does not find, as a package of ours has their name."""
+    """Name the user's files that Python does not find because a package of Outrider has the same name."""
     own = [
         path.name
         for name in ("agents", "bus", "outrider", "sim")
         for path in (folder / f"{name}.py", folder / name / "__init__.py")
         if path.exists() and not Path(__file__).is_relative_to(folder)
     ]
-    return f" ({', '.join(own)} beside it is not found: Outrider has that name)" if own else ""
+    return (
+        f" ({', '.join(own)} in this folder is hidden by Outrider's package of that name)"
+        if own
+        else ""
+    )

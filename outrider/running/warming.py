@@ -1,4 +1,4 @@
-"""Compilation of everything that a flight needs, before its first tick."""
+"""Compilation of the code of a flight before its first tick."""
 
 from agents.process import warm_up as warm_up_pilot
 from bus.keys import Role
@@ -11,7 +11,7 @@ def warm_up_flight(scenario: Scenario | None = None) -> None:
     """Compile the world and both kinds of pilot, or load them from the cache.
 
     Args:
-        scenario: The scenario to be flown; None: the default one.
+        scenario: Scenario to fly; None: the default scenario.
     """
     warm_up(scenario or load_scenario())
     for role in (Role.UAV, Role.UGV):

@@ -19,7 +19,7 @@ def open_pool(jobs: int, prepare: Callable[[], None] = _do_nothing) -> ProcessPo
 
     Args:
         jobs: Number of worker processes.
-        prepare: Called first in each worker; a function of a module.
+        prepare: Module-level function, called first in each worker.
     """
     context = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin, initargs=(prepare,))
@@ -39,8 +39,8 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def interrupts_masked() -> Iterator[None]:
-    """Start processes that do not receive SIGINT, which a terminal sends to all; their parent ends them."""
-    # It would be started with the first process, and unblock SIGINT again.
+    """Mask SIGINT in processes started here: a terminal sends it to all, but their parent ends them."""
+    # Otherwise it starts with the first process and unblocks SIGINT again.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

@@ -1,1 +1,1 @@
-"""Views of a flight: pictures, films, terminal and page."""
+"""Views of a flight: pictures, films and the terminal."""

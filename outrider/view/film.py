@@ -1,4 +1,4 @@
-"""Pictures and films of a recording: the flight's picture as PNG, and the flight seen from above as GIF or MP4."""
+"""Picture of a recorded flight as PNG, or a film from above as GIF or MP4."""
 
 import shutil
 import subprocess
@@ -36,26 +36,26 @@ from sim.scene.model import observed_scene
 from sim.server.flight import law_title
 
 WIDTH = 800
-"""Of a film [px]."""
+"""Width of a film [px]."""
 ENDINGS = (".png", ".gif", ".mp4")
 
 Picture = np.ndarray[Any, Any]
-"""RGBA, shape (height, width, 4), uint8."""
+"""RGBA image, shape (height, width, 4), uint8."""
 Progress = Callable[[int, int], None]
-"""Told how many frames of how many are drawn."""
+"""Callback with the number of drawn frames and of all frames."""
 
 
 def check_output(out: Path) -> None:
-    """Refuse what cannot be drawn before any work is done.
+    """Check the output file before any work is done.
 
     Raises:
-        ScenarioError: If the ending is not a known one, or ffmpeg is needed and not there.
+        ScenarioError: If the ending is unknown, or ffmpeg is needed but missing.
     """
     if out.suffix.lower() not in ENDINGS:
-        raise ScenarioError(f"{out}: ending {out.suffix!r}; allowed: {', '.join(ENDINGS)}")
+        raise ScenarioError(f"{out}: unknown ending {out.suffix!r}; allowed: {', '.join(ENDINGS)}")
     if out.suffix.lower() == ".mp4" and shutil.which("ffmpeg") is None:
         raise ScenarioError(
-            f"{out}: MP4 needs the program ffmpeg, which is not on the PATH; allowed without it: .gif, .png"
+            f"{out}: MP4 needs ffmpeg, which is not on the PATH; allowed without it: .gif, .png"
         )
 
 
@@ -70,20 +70,20 @@ def render(
     """Draw a recorded flight.
 
     Args:
-        recording: Must have a truth.
-        out: What is drawn depends on its ending: the flight's picture, or a film.
+        recording: Recording with at least one tick.
+        out: File to write; its ending selects a picture or a film.
         fps: Frames per second of a film.
         speed: Simulated seconds per second of a film.
-        on_frame: Told how far it is.
+        on_frame: Called after each frame with the progress.
 
     Raises:
-        ScenarioError: If it cannot be drawn.
+        ScenarioError: If the recording cannot be drawn.
         OSError: If the file cannot be written.
     """
     check_output(out)
     ending = out.suffix.lower()
     if ending == ".png" and recording.head.scenario is not None and from_the_start(recording):
-        from outrider.view.flight_picture import draw_flight  # noqa: PLC0415 - needed for a picture alone
+        from outrider.view.flight_picture import draw_flight  # noqa: PLC0415 - only a picture needs it
 
         draw_flight(restore(recording), out, recording.last_ground)
         on_frame(1, 1)
@@ -107,7 +107,7 @@ def _counted(frames: Iterator[Picture], total: int, on_frame: Progress) -> Itera
 
 
 def _hazard_colors() -> Iterator[str]:
-    """Shades of what is drawn where there are hazards: tiles on ground seen and unseen, hazards strong and faint."""
+    """Yield the colors of hazards: tiles on covered and uncovered ground, and strong and faint hazards."""
     for color, opacity in TILES:
         yield from (mixed(paper, color, opacity) for paper in COVERED if opacity)
     unknown = mixed(COVERED[0], *TILES[0])
@@ -117,10 +117,7 @@ def _hazard_colors() -> Iterator[str]:
 
 
 def _palette(*, hazards: bool) -> Image.Image:
-    """The colours of a GIF: shades of what is drawn on ground seen and unseen.
-
-    The same for all frames, so nothing flickers.
-    """
+    """Return the palette of a GIF; it is the same for all frames, so that nothing flickers."""
     colors = ["#ffffff", *(covered(k / 31.0) for k in range(32))]
     colors += _hazard_colors() if hazards else ()
     for ink in (LIMIT, INK, MUTED, *UAV[:3], *UGV[:3]):
@@ -153,7 +150,7 @@ def _write_mp4(frames: Iterator[Picture], out: Path, fps: int) -> None:
     first = next(frames)
     height, width = first.shape[:2]
     raw = ["-f", "rawvideo", "-pix_fmt", "rgba", "-s", f"{width}x{height}", "-r", str(fps)]
-    # The whole path: ffmpeg takes what begins with '-' for an option, and what stands before ':' for a protocol.
+    # An absolute path: ffmpeg reads a leading '-' as an option, and text before ':' as a protocol.
     coded = ["-pix_fmt", "yuv420p", "-movflags", "+faststart", str(out.absolute())]
     program = shutil.which("ffmpeg") or "ffmpeg"
     with subprocess.Popen(
@@ -169,24 +166,24 @@ def _write_mp4(frames: Iterator[Picture], out: Path, fps: int) -> None:
                 stdin.write(frame.tobytes())
             stdin.close()
         except BrokenPipeError:
-            pass  # it says why
-        words = stderr.read().decode(errors="replace")
+            pass  # ffmpeg reports the reason
+        message = stderr.read().decode(errors="replace")
     if ffmpeg.returncode:
-        raise OSError(0, f"ffmpeg: {' '.join(words.split()) or ffmpeg.returncode}", str(out))
+        raise OSError(0, f"ffmpeg: {' '.join(message.split()) or ffmpeg.returncode}", str(out))
 
 
 class Film:
-    """One flight from above, frame by frame.
+    """Film of one flight from above.
 
     Args:
-        recording: Must have a truth.
+        recording: Recording with at least one tick.
     """
 
     def __init__(self, recording: Recording) -> None:
         self._truths = recording.truths
         first = self._truths[0]
         self.times: FloatArray = np.array([truth.time for truth in self._truths])
-        """Of the recorded ticks [s]."""
+        """Simulated times of the recorded ticks [s]."""
         self._tracks: dict[str, FloatArray] = {
             name: np.array([truth.vehicles[name].position for truth in self._truths])
             for name in first.vehicles
@@ -196,7 +193,7 @@ class Film:
         self._grounds = grounds(recording.path, flight=recording.number)
         self._ground_waiting = next(self._grounds, None)
         self.hazards = self._ground_waiting is not None
-        """True if the ground has any."""
+        """True if the ground has hazards."""
         head = recording.head
         facts = f"seed {head.seed}"
         self._r_v: float | None = None
@@ -217,14 +214,14 @@ class Film:
         )
 
     def frame_times(self, step: float) -> FloatArray:
-        """Simulated times [s], `step` apart, the flight's end included."""
+        """Return simulated times [s] at a distance of `step` [s], including the flight's end."""
         found: FloatArray = np.append(
             np.arange(self.times[0], self.times[-1], step), self.times[-1]
         )
         return found
 
     def _ground(self) -> tuple[float, float]:
-        """Width and height of the ground [m], as far as a recording without its scenario tells."""
+        """Return width and height of the ground [m], estimated from a recording without scenario."""
         ground = self._waiting
         if ground is not None:
             return ground.columns * ground.cell, ground.rows * ground.cell
@@ -232,7 +229,7 @@ class Film:
         return x + 5.0, y + 5.0
 
     def frames(self, times: FloatArray | list[float]) -> Iterator[Picture]:
-        """The frames at these simulated times [s], which rise."""
+        """Yield the frames at these increasing simulated times [s]."""
         for time in times:
             row = int(np.searchsorted(self.times, float(time) + 1e-9, side="right")) - 1
             yield self._frame(max(0, row))

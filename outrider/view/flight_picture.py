@@ -1,4 +1,4 @@
-"""The picture of one flight: where everybody went, what was seen of the ground, and whether the UGV stayed in sight."""
+"""Picture of one flight: tracks, coverage, distance over time, and a verdict on visibility."""
 
 import textwrap
 from collections.abc import Callable
@@ -22,35 +22,35 @@ from sim.scene.told_tiles import HIT, ground_map
 from sim.server.flight import Flight
 
 SIZE = (1400, 800)
-"""Of the picture [px]."""
+"""Size of the picture [px]."""
 _LEGEND_OF_GROUND = 60
-"""So much higher it is where hazards are explained, too [px]."""
+"""Additional height for the legend of hazards [px]."""
 
 
 def draw_flight(flight: Flight, path: Path, hazards: GroundMap | None = None) -> None:
     """Draw a flight into a PNG file.
 
     Args:
-        flight: Flown to its end or cut short; at least one state must have been taken down.
-        path: The file; its folder must be there.
-        hazards: The ground with hazards at its end; None: as the flight's own world has it.
+        flight: Complete or interrupted flight with at least one recorded state.
+        path: File to write; its folder must exist.
+        hazards: Ground map at the flight's end; None: from the flight's world.
 
     Raises:
         OSError: If the file cannot be written.
-        ValueError: If no state has been taken down.
+        ValueError: If the flight has no recorded state.
     """
     with style.look():
         style.save(flight_figure(flight, hazards), path)
 
 
 def flight_figure(flight: Flight, hazards: GroundMap | None = None) -> Figure:
-    """The same picture as a figure, for those who draw it themselves.
+    """Return the picture of `draw_flight` as a figure.
 
     Raises:
-        ValueError: If no state has been taken down.
+        ValueError: If the flight has no recorded state.
     """
     if flight.recorder.rows == 0:
-        raise ValueError("no state has been taken down: there is nothing to draw")
+        raise ValueError("flight: no recorded state; allowed: a flight with one state or more")
     with style.look():
         if hazards is None:
             hazards = ground_map(flight.world, routes=flight.routes)
@@ -66,7 +66,7 @@ def flight_figure(flight: Flight, hazards: GroundMap | None = None) -> Figure:
         for k, draw in enumerate(panels):
             axes = figure.add_subplot(grid[k, 1])
             draw(axes, flight)
-            if k < len(panels) - 1:  # they share their time axis
+            if k < len(panels) - 1:  # the panels share their time axis
                 axes.set_xlabel("")
                 axes.tick_params(labelbottom=False)
         _draw_header(figure, flight, hazards)
@@ -74,7 +74,7 @@ def flight_figure(flight: Flight, hazards: GroundMap | None = None) -> Figure:
 
 
 def _panels(flight: Flight) -> tuple[Callable[[Axes, Flight], None], ...]:
-    """The charts beside the map."""
+    """Return the functions that draw the charts beside the map."""
     if not flight.world.uavs:
         return (_draw_speed,)
     if flight.scenario.detections.noise > 0.0:
@@ -83,7 +83,7 @@ def _panels(flight: Flight) -> tuple[Callable[[Axes, Flight], None], ...]:
 
 
 def times(flight: Flight) -> FloatArray:
-    """The time of each row of the record [s]."""
+    """Return the simulated time of each row of the record [s]."""
     found: FloatArray = np.arange(flight.recorder.rows, dtype=np.float64) * flight.scenario.dt
     return found
 
@@ -95,13 +95,13 @@ def _end(flight: Flight) -> float:
 def draw_map(
     axes: Axes, flight: Flight, scene: Scene, hazards: GroundMap | None = None
 ) -> AxesImage:
-    """Draw a flight's end from above, with all that led there; the image is the ground's.
+    """Draw the end of a flight from above, with the tracks; return the image of the ground.
 
     Args:
-        axes: To draw on.
-        flight: What was flown.
-        scene: Of its scenario, with the circles that are wanted.
-        hazards: The ground with its hazards; None: it has none.
+        axes: Axes to draw on.
+        flight: Flight with its record.
+        scene: Scene of its scenario, with the circles to draw.
+        hazards: Ground map with hazards; None: no hazards.
     """
     states = flight.recorder.states
     drawn = Map(axes, scene, hazards=hazards)
@@ -115,7 +115,7 @@ def draw_map(
 def _draw_map(figure: Figure, axes: Axes, flight: Flight, hazards: GroundMap | None) -> None:
     scene = scene_of(flight.scenario)
     image = draw_map(axes, flight, scene, hazards)
-    if hazards is not None:  # too long a legend to stand below the map alone
+    if hazards is not None:  # the legend is too long for the space below the map
         keys = legend_of(scene, hazards=hazards)
         figure.legend(handles=keys, loc="outside lower left", ncols=6, columnspacing=1.6)
     else:
@@ -132,7 +132,7 @@ def _draw_map(figure: Figure, axes: Axes, flight: Flight, hazards: GroundMap | N
 
 
 def shade_violations(axes: Axes, time: FloatArray, distance: FloatArray, r_v: float) -> None:
-    """A red veil over the times at which the UGV is out of sight (5)."""
+    """Shade the times at which the UGV is out of sight, eq. (5)."""
     top = axes.get_ylim()[1]
     axes.fill_between(
         time,
@@ -166,11 +166,11 @@ def _draw_error(axes: Axes, flight: Flight) -> None:
     for k in range(error.shape[1]):
         axes.plot(times(flight), error[:, k], color=style.color(style.UAV, k))
     style.over_time(axes, _end(flight), "e(t) [m²]")
-    axes.set_title("Ground around the UGV not yet seen")
+    axes.set_title("Coverage error around the UGV")
 
 
 def _draw_estimate(axes: Axes, flight: Flight) -> None:
-    """Draw how far off the detections are, and the filter's estimates from them."""
+    """Draw the errors of the detections and of the estimates."""
     states, escorts, time = flight.recorder.states, flight.recorder.escorts, times(flight)
     for k, (a, g) in enumerate(flight.world.escorts.tolist()):
         p_a, p_g = states[:, a, :2], states[:, g, :2]
@@ -189,15 +189,15 @@ def _draw_estimate(axes: Axes, flight: Flight) -> None:
             estimated,
             color=style.color(style.UAV, k),
             linewidth=1.2,
-            label="filter" if k == 0 and not np.isnan(estimated).all() else "",
+            label="estimate" if k == 0 and not np.isnan(estimated).all() else "",
         )
     style.over_time(axes, _end(flight), "error [m]")
-    axes.set_title("Estimate of the UGV's place")
+    axes.set_title("Estimate of the UGV's position")
     style.legend_above(axes)
 
 
 def _draw_speed(axes: Axes, flight: Flight) -> None:
-    """Draw how fast the UGVs are, where no UAV escorts them."""
+    """Draw the speeds of UGVs without escort."""
     for k, name in enumerate(flight.world.names):
         speed = np.hypot(flight.recorder.states[:, k, 2], flight.recorder.states[:, k, 3])
         axes.plot(times(flight), speed, color=style.color(style.UGV, k), label=name)
@@ -209,23 +209,23 @@ def _draw_speed(axes: Axes, flight: Flight) -> None:
 
 
 class _Verdict(NamedTuple):
-    """Words on sight, for the header."""
+    """Verdict on visibility, for the header."""
 
     text: str
     color: str
     reached: str
-    """The largest distance."""
+    """Text with the largest distance."""
 
 
 def _verdict(flight: Flight) -> _Verdict | None:
-    """Tells if the UGVs stayed in sight; None without a UAV."""
+    """Return the verdict on visibility; None without a UAV."""
     distance = flight.recorder.escorts[:, :, 0]
     if not distance.size:
         return None
     r_v, farthest = flight.scenario.visibility.radius, float(distance.max())
     reached = f"largest distance {farthest:.2f} m of $r_v$ = {r_v:g} m"
     lost = int((distance >= r_v).any(axis=1).sum())
-    verdict, color = f"UGV in sight all the time, margin {r_v - farthest:.2f} m", style.GOOD
+    verdict, color = f"UGV always in sight, margin {r_v - farthest:.2f} m", style.GOOD
     if lost:
         verdict, color = f"UGV out of sight for {lost * flight.scenario.dt:.2f} s", style.LIMIT
     return _Verdict(verdict, color, reached)
@@ -243,8 +243,8 @@ def _draw_header(figure: Figure, flight: Flight, hazards: GroundMap | None) -> N
         facts.append(verdict.reached)
     title = textwrap.shorten(scenario.title or scenario.name, 50) or "scenario"
     figure.text(0.014, 0.968, title, fontsize=15, fontweight="bold", va="top", parse_math=False)
-    told = named + "   ·   ".join(facts)
-    figure.text(0.014, 0.908, told, color=style.MUTED, va="top")
+    subtitle = named + "   ·   ".join(facts)
+    figure.text(0.014, 0.908, subtitle, color=style.MUTED, va="top")
     if verdict is not None:
         figure.text(
             0.986,
@@ -259,8 +259,8 @@ def _draw_header(figure: Figure, flight: Flight, hazards: GroundMap | None) -> N
     mission = flight.world.mission
     if hazards is not None and mission is not None:
         hits = hazards.states.count(HIT)
-        told = "no hazard hit" if not hits else f"{hits} hazard{'s' if hits > 1 else ''} hit"
+        result = "no hazard hit" if not hits else f"{hits} hazard{'s' if hits > 1 else ''} hit"
         if mission.mission_time is not None:
-            told += f", at the goals after {mission.mission_time:.1f} s"
+            result += f", at the goals after {mission.mission_time:.1f} s"
         color = style.LIMIT if hits else style.MUTED
-        figure.text(0.986, 0.908, told, color=color, va="top", ha="right")
+        figure.text(0.986, 0.908, result, color=color, va="top", ha="right")

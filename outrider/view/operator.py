@@ -1,4 +1,4 @@
-"""The client of a run that terminal and page share: what the simulator tells, and what an operator says to it."""
+"""Client of a run, shared by terminal and page: reads the simulator's messages and sends the operator's."""
 
 import contextlib
 import queue
@@ -21,20 +21,20 @@ from bus.registry import TELEOP
 from bus.session import Session
 
 SILENCE = 2.0
-"""Without a status for so long [s] something is wrong."""
+"""Longest time without a message of the simulator [s]; after it the display shows a fault."""
 READ = (keys.STATUS, keys.SAMPLED_TRUTH, keys.COVERAGE, keys.GROUND)
 """Topics of a client that draws a run."""
 _PACE = 6
-"""Status messages, about a second of them, over which the real-time factor is taken."""
+"""Number of status messages over which the real-time factor is averaged, about a second."""
 
 
 class RunClient:
-    """Reads a run and speaks to it; nobody ever waits for us, and we never wait for the bus.
+    """Client that reads a run's messages and sends an operator's, without ever blocking on the bus.
 
     Args:
-        session: An operator's, or an observer's; then nothing can be said.
-        status: The first one, if it has been read already.
-        read: What it reads.
+        session: Session of an operator, or of an observer, who cannot send.
+        status: First status, if it was received already.
+        read: Topics to read.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class RunClient:
         self.ground: GroundMap | None = None
         self._received = time.monotonic()
         self.fault = ""
-        """Why the last message could not be sent; empty: it was."""
+        """Reason why the last message could not be sent; empty: it was sent."""
         self.may_steer = session.party.role is keys.Role.OPERATOR
         self._controls = session.outbox(keys.CONTROL) if self.may_steer else None
         self.simulator = Presence(session, keys.SIMULATOR_NAME)
@@ -60,24 +60,24 @@ class RunClient:
 
     @property
     def name(self) -> str:
-        """Of the party."""
+        """Name of the party."""
         return self._session.party.name
 
     @property
     def connected(self) -> bool:
-        """True if there is a router."""
+        """True if the router is connected."""
         return self._session.connected
 
     @property
     def age(self) -> float:
-        """Time since the simulator has told something, or joined [s]."""
+        """Time since the simulator's last message, or since it joined [s]."""
         return time.monotonic() - max(self._received, self.simulator.joined)
 
     @property
     def factor(self) -> float:
-        """Simulated seconds per second of wall time, over the last second.
+        """Simulated seconds per second of wall time, averaged over the last second.
 
-        A status alone counts few ticks in real time.
+        The factor in a single status covers only a few ticks.
         """
         if len(self._clock) < 2:
             return 0.0 if self.status is None else self.status.realtime_factor
@@ -85,20 +85,20 @@ class RunClient:
         return (end - start) / max(now - began, 1e-3)
 
     def news(self) -> Iterator[Message]:
-        """Status, truth, coverage and hazards that have come since the last call: the newest of each."""
+        """Yield the newest status, truth, coverage and ground map that arrived since the last call."""
         with contextlib.suppress(BusError):  # the session closes
             for inbox in self._inboxes:
                 received = inbox.next_waiting()
                 if received is not None:
-                    self._take(received.message)
+                    self._store(received.message)
                     yield received.message
 
-    def _take(self, message: Message) -> None:
+    def _store(self, message: Message) -> None:
         match message:
             case Status():
                 self.status, self._received = message, time.monotonic()
                 if message.time == 0.0 or (self._clock and message.time < self._clock[-1][1]):
-                    self._clock.clear()  # nothing flown yet, or another flight
+                    self._clock.clear()  # before the first tick, or another flight
                 self._clock.append((self._received, message.time))
             case Truth():
                 self.truth, self._received = message, time.monotonic()
@@ -108,27 +108,27 @@ class RunClient:
                 self.ground = message
 
     def control(self, control: Control) -> bool:
-        """Say something to the simulator; False if it cannot be said."""
-        return self._controls is not None and self._say(self._controls, control)
+        """Queue a control for the simulator; return false if it cannot be sent."""
+        return self._controls is not None and self._queue(self._controls, control)
 
     def drive(self, vehicle: str, drive: Teleoperation) -> bool:
-        """Say something to a UGV; False if it cannot be said."""
+        """Queue a command for a UGV; return false if it cannot be sent."""
         if not self.may_steer:
             return False
         if vehicle not in self._outboxes:
             self._outboxes[vehicle] = self._session.outbox(keys.OPERATOR, vehicle)
-        return self._say(self._outboxes[vehicle], drive)
+        return self._queue(self._outboxes[vehicle], drive)
 
-    def _say(self, outbox: Outbox, message: Message) -> bool:
+    def _queue(self, outbox: Outbox, message: Message) -> bool:
         try:
             self._unsent.put_nowait((outbox, message))
         except queue.Full:
-            self.fault = "the bus takes no more messages"
+            self.fault = "the bus accepts no more messages"
             return False
         return True
 
     def _send(self) -> None:
-        """Send in a thread of its own: the bus may make a writer wait."""
+        """Send the queued messages, in a separate thread, as the bus may block a sender."""
         while (unsent := self._unsent.get()) is not None:
             outbox, message = unsent
             try:
@@ -138,18 +138,18 @@ class RunClient:
                 self.fault = str(error)
 
     def close(self) -> None:
-        """Send what has been said, and say no more."""
+        """Send the queued messages, and close the client for sending."""
         with contextlib.suppress(queue.Full):
             self._unsent.put_nowait(None)
             self._sender.join(1.0)
 
 
 class Helm:
-    """Takes the wheels of UGVs for an operator, and hands them back to whoever drove before.
+    """Transfer of control over UGVs to an operator, and back to the previous driver.
 
     Args:
-        control: Says something to the simulator.
-        drive: Says something to a UGV: its name, and what is wanted.
+        control: Sends a control to the simulator.
+        drive: Sends a command to a UGV, by the UGV's name.
     """
 
     def __init__(
@@ -158,10 +158,10 @@ class Helm:
         self._control, self._drive = control, drive
         self._before: dict[str, str] = {}
         self.operator = f"operator_{secrets.token_hex(6)}"
-        """Name of the operator: another one's, even with the same credentials, is different."""
+        """Unique name of the operator, even among operators with the same credentials."""
 
     def take(self, vehicle: str, driver: str) -> bool:
-        """Ask for the wheel of a UGV that this driver drives now; False if it cannot be asked for."""
+        """Request control over a UGV from its current driver; return false if the request cannot be sent."""
         if driver not in ("", TELEOP):
             self._before[vehicle] = driver
         return self._control(
@@ -169,19 +169,19 @@ class Helm:
         )
 
     def holds(self, status: Status | None, vehicle: str) -> bool:
-        """True if the UGV obeys this operator."""
-        return _at_wheel(status, vehicle) == self.operator
+        """Return true if this operator controls the UGV."""
+        return _operator_of(status, vehicle) == self.operator
 
     def displaced(self, status: Status | None, vehicle: str) -> bool:
-        """True if the UGV obeys another operator."""
-        return _at_wheel(status, vehicle) not in ("", self.operator)
+        """Return true if another operator controls the UGV."""
+        return _operator_of(status, vehicle) not in ("", self.operator)
 
     def steer(self, vehicle: str, name: str, velocity: Vector | None) -> bool:
-        """Say which velocity [m/s] the operator of this name wants; None is to brake."""
+        """Send the desired velocity [m/s] of the operator of this name; None: brake."""
         return self._drive(vehicle, Teleoperation(operator=name, velocity=velocity))
 
     def hand_back(self, vehicle: str, to: str = "") -> str:
-        """Let a driver drive on, or the one from before; its name, empty where nobody is known."""
+        """Return control to a driver, by default the previous one; return its name, empty if none is known."""
         heir = to or self._before.get(vehicle, "")
         if heir and self._control(Control(action=Action.DRIVER, vehicle=vehicle, driver=heir)):
             self._before.pop(vehicle, None)
@@ -189,7 +189,7 @@ class Helm:
         return ""
 
     def waiting(self, status: Status | None) -> list[str]:
-        """The UGVs that obey this operator and whose driver from before waits for the wheel."""
+        """Return the UGVs that this operator controls and whose previous driver is known."""
         return [
             name
             for name, driver in ({} if status is None else status.drivers).items()
@@ -197,8 +197,8 @@ class Helm:
         ]
 
 
-def _at_wheel(status: Status | None, vehicle: str) -> str:
-    """The operator whom a UGV obeys; empty: none, or an unknown one."""
+def _operator_of(status: Status | None, vehicle: str) -> str:
+    """Return the operator that controls a UGV; empty: none or unknown."""
     if status is None or status.drivers.get(vehicle) != TELEOP:
         return ""
     return status.operators.get(vehicle, "")

@@ -1,4 +1,4 @@
-"""The files of a run: the trajectory, the picture and the summary."""
+"""Output files of a run: trajectory, coverage, picture, scenario and summary."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -21,11 +21,11 @@ PICTURE = "flight.png"
 COVERAGE = "coverage.npy"
 SUMMARY = "summary.json"
 SCENARIO = "scenario.toml"
-"""The scenario that was flown, with all options applied."""
+"""Scenario that was flown, with all options applied."""
 
 
 def default_folder(scenario: str) -> Path:
-    """A folder that no run before has used, named by time and scenario."""
+    """Return an unused folder, named by time and scenario."""
     stamp = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
     folder = Path("runs") / f"{stamp}-{scenario or 'scenario'}"
     taken = 1
@@ -37,10 +37,10 @@ def default_folder(scenario: str) -> Path:
 
 @contextmanager
 def making(folder: Path | None) -> Iterator[None]:
-    """Make a folder before the flight: if it cannot be made it shows. With nothing in it in the end it goes again.
+    """Make a folder before the flight, so that a failure shows early; remove it afterwards if it is empty.
 
     Raises:
-        OSError: If it cannot be made.
+        OSError: If the folder cannot be made.
     """
     wanted = [] if folder is None else [folder, *folder.parents]
     new = [one for one in wanted if not one.exists()]
@@ -49,13 +49,13 @@ def making(folder: Path | None) -> Iterator[None]:
     try:
         yield
     finally:
-        with suppress(OSError):  # one that holds something stays, and so do those that it is in
+        with suppress(OSError):  # folders with content stay
             for one in new:
                 one.rmdir()
 
 
 def write_summary(summary: Summary, folder: Path) -> Path:
-    """Write the summary as JSON; where it tells a secret, for the file's owner alone."""
+    """Write the summary as JSON; with a secret, the file is readable by its owner only."""
     path = folder / SUMMARY
     content = msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n"
     write_whole(path, content, private=bool(summary.secret))
@@ -65,25 +65,24 @@ def write_summary(summary: Summary, folder: Path) -> Path:
 def write_flight(
     flight: "Flight", summary: Summary, folder: Path, *, picture: bool = True
 ) -> list[Path]:
-    """Write all there is of a flight.
+    """Write the output files of a flight.
 
     Args:
-        flight: What was flown.
-        summary: Its summary.
-        folder: Is made if it is not there; files of an earlier run in it are replaced.
-        picture: Whether to draw it.
+        flight: Flight with its record.
+        summary: Summary of the flight.
+        folder: Folder for the files; created if missing. Files of an earlier run are replaced.
+        picture: True: draw the picture.
 
     Returns:
         The files.
 
     Raises:
-        OSError: If a file cannot be written; all that can be are there.
+        OSError: If a file cannot be written; all other files are written nevertheless.
     """
     folder.mkdir(parents=True, exist_ok=True)
     scenario = msgspec.structs.replace(flight.scenario, seed=flight.seed)
-    work: dict[
-        str, Callable[[Path], object]
-    ] = {  # the smallest first: what is there when the disk is full is there
+    # Smallest files first, so that a full disk loses as few as possible.
+    work: dict[str, Callable[[Path], object]] = {
         SUMMARY: lambda path: write_summary(summary, path.parent),
         SCENARIO: lambda path: path.write_text(as_toml(scenario), encoding="utf-8"),
         COVERAGE: lambda path: np.save(path, flight.world.coverage),

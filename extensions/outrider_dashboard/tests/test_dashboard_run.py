@@ -141,7 +141,7 @@ def test_a_page_that_dies_is_told_once_and_the_run_goes_on_in_lockstep_to_its_en
             os.kill(child_of(run, "dashboard"), signal.SIGKILL)
         out, err = run.communicate(timeout=120)
         assert run.returncode == 0, err
-    assert err.count("the run goes on without it") == 1
+    assert err.count("the run continues without it") == 1
     assert "killed by signal 9" in err
     summary = json.loads(out)
     assert summary["ticks"] == 5_000

@@ -238,7 +238,7 @@ def test_the_interquartile_mean_and_its_interval_are_rliables() -> None:
     assert (low, high) == pytest.approx(np.percentile(again, [2.5, 97.5]), abs=1.5)
     middle, *interval = interquartile_interval([[3.0], [5.0]])
     assert (middle, np.isnan(interval).all()) == (4.0, True)
-    with refused(ValueError, "the scores: allowed is one task or more"):
+    with refused(ValueError, "tasks: empty, or with different numbers of seeds"):
         interquartile_interval([[1.0, 2.0], [1.0]])
 
 

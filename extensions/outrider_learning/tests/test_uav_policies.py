@@ -289,7 +289,7 @@ def test_a_model_of_another_input_is_refused() -> None:
         ({"dt": 0.1, "detections.rate": 10.0}, "uav_0: dt = 0.1: the policy is made for 0.05"),
         ({"custom.uav_policy": "npz:none.npz"}, r"^custom.uav_policy = 'npz:none.npz': .*read"),
         ({"custom.uav_policy": "json:nothing"}, "^custom.uav_policy = 'json:nothing'"),
-        ({"custom.uav_policy": "collections:Counter"}, "neither a function nor an object"),
+        ({"custom.uav_policy": "collections:Counter"}, "not a policy"),
         ({"custom.uav_policy": "mine.npz"}, "names no policy; allowed: module:function, npz:FILE"),
         ({"law.name": "policy", "custom.uav_policy": ""}, "the law 'policy' needs it"),
     ],

@@ -1,1 +1,1 @@
-"""A sweep's results for people: intervals, pictures, one page, a table."""
+"""Report on sweeps: intervals, pictures, a page and tables."""

@@ -1,4 +1,4 @@
-"""The report as one page that needs nothing beside itself, and its table as Markdown."""
+"""Report as a self-contained HTML page, and its tables as Markdown."""
 
 import base64
 from collections.abc import Iterator
@@ -33,17 +33,17 @@ COLUMNS = (
 MISSION_COLUMNS = (
     "at the goals",
     "mission time [s]",
-    "hits a flight",
-    "known before [s]",
-    "seen ahead",
+    "hits per run",
+    "warning time [s]",
+    "path reported ahead",
 )
-"""Those of ground with hazards, after the others."""
+"""Additional columns for ground with hazards."""
 _FAULTS = tuple(
     (*COLUMNS, *MISSION_COLUMNS).index(name) - 1
-    for name in ("lost the UGV", "certified while lost", "certificate broken", "hits a flight")
+    for name in ("lost the UGV", "certified while lost", "certificate broken", "hits per run")
 )
-"""Columns after the law's that are bad where they are not 0."""
-_UNPROMISED = ", where it is not certified"
+"""Columns in which a value other than 0 is bad, counted after the law's column."""
+_UNCERTIFIED = ", where it is not certified"
 
 
 def _percent(share: float) -> str:
@@ -55,12 +55,12 @@ def _mean(values: list[float], digits: int = 3) -> str:
 
 
 def _count(values: list[float]) -> str:
-    """Ticks of all runs; a sweep of an older version did not count them."""
+    """Return the sum over all runs; `-` for a sweep of an older version without the column."""
     return f"{int(sum(values)):,}" if values else "-"
 
 
 def cells_of(law: str, cell: Cell) -> list[str]:
-    """A row of the table: the texts under `COLUMNS`."""
+    """Return a row of the table: the texts of `COLUMNS`."""
     runs = f"{len(cell.flown)}" + (f" (+{cell.failed} failed)" if cell.failed else "")
     rate, found = cell.rate(), cell.numbers("margin")
     certified = cell.numbers("certified_share")
@@ -84,7 +84,7 @@ def cells_of(law: str, cell: Cell) -> list[str]:
 
 
 def mission_cells(cell: Cell) -> list[str]:
-    """The texts under `MISSION_COLUMNS`."""
+    """Return the texts of `MISSION_COLUMNS`."""
     arrived, hits = cell.numbers("arrived"), cell.numbers("hazards_hit")
     ahead = cell.numbers("reported_share")
     return [
@@ -97,22 +97,24 @@ def mission_cells(cell: Cell) -> list[str]:
 
 
 def columns_of(panel: Panel) -> tuple[str, ...]:
-    """The columns of a panel's table: those of hazards only where it has any."""
+    """Return the columns of a panel's table; with `MISSION_COLUMNS` only if it has hazards."""
     has = any(cell.numbers("hazards_hit") for cell in panel.cells.values())
     return (*COLUMNS, *MISSION_COLUMNS) if has else COLUMNS
 
 
 def certified_runs(material: Material) -> str:
-    """Counts the runs that were certified at every tick, and how many of them lost the UGV; empty where none was."""
+    """Return a sentence on the runs that were certified at every tick; empty if there are none."""
     runs = [row for cell in material.cells for row in cell.certified]
     if not runs:
         return ""
     lost = sum(row["violated"] for row in runs)
-    return f"{len(runs):,} runs were certified at every tick; {lost:,} of them lost the UGV."
+    return (
+        f"{len(runs):,} runs were certified at every tick; {lost:,} of them lost sight of the UGV."
+    )
 
 
 def rows_of(panel: Panel) -> Iterator[tuple[str, list[str]]]:
-    """The table of a panel: for each value and law, the value and the row."""
+    """Yield the rows of a panel's table: for each value and law, the value and the texts."""
     hazards = len(columns_of(panel)) > len(COLUMNS)
     for value in panel.values:
         for law in panel.laws:
@@ -123,7 +125,7 @@ def rows_of(panel: Panel) -> Iterator[tuple[str, list[str]]]:
 
 
 def holds(panel: Panel, law: str) -> tuple[str, bool]:
-    """Up to which value no run of a law lost the UGV, in words, and whether that is all of them."""
+    """Return the largest value up to which no run of a law lost sight, as text, and if this covers all values."""
     flown = [value for value in panel.values if panel.cell(law, value).flown]
     if not flown:
         return "-", False
@@ -132,32 +134,32 @@ def holds(panel: Panel, law: str) -> tuple[str, bool]:
         if not panel.field:
             return "holds", True
         last = f"to {value_of(panel.field, flown[-1])}" if panel.ordered else "over each"
-        return f"{last}, all that was tried", True
+        return f"{last}, all values tried", True
     cells = [panel.cell(law, value) for value in (broken[:1] if panel.ordered else broken)]
-    unpromised = all(
+    uncertified = all(
         cell.numbers("certified_share") and not any(row["violated"] for row in cell.certified)
         for cell in cells
     )
-    promised = _UNPROMISED if unpromised else ""
+    suffix = _UNCERTIFIED if uncertified else ""
     if not panel.field:
-        return f"broken{promised}", False
+        return f"broken{suffix}", False
     if not panel.ordered:
         names = ", ".join(value_of(panel.field, value) for value in broken)
-        return f"broken over {names if len(broken) < len(flown) else 'each'}{promised}", False
+        return f"broken over {names if len(broken) < len(flown) else 'each'}{suffix}", False
     kept = flown[: flown.index(broken[0])]
     until = f"to {value_of(panel.field, kept[-1])}, " if kept else ""
-    return f"{until}broken at {value_of(panel.field, broken[0])}{promised}", False
+    return f"{until}broken at {value_of(panel.field, broken[0])}{suffix}", False
 
 
 def markdown(material: Material) -> str:
-    """The tables as Markdown: how far each law holds, then every value."""
+    """Return the tables as Markdown: the limit of each law, then every value."""
     lines = [
         "| experiment | " + " | ".join(material.law) + " |",
         "|---|" + "---|" * len(material.law),
     ]
     for panel in material.panels:
-        words = [holds(panel, law)[0] for law in material.law]
-        lines.append(f"| {_plain(panel.title)} | " + " | ".join(words) + " |")
+        limits = [holds(panel, law)[0] for law in material.law]
+        lines.append(f"| {_plain(panel.title)} | " + " | ".join(limits) + " |")
     for panel in material.panels:
         lines += ["", f"**{_plain(panel.title)}**", ""]
         lines += [
@@ -185,9 +187,9 @@ def _overview(material: Material) -> Iterator[str]:
     for panel in material.panels:
         yield f"<tr><td>{escape(panel.title)}</td>"
         for law in material.law:
-            words, good = holds(panel, law)
-            shade = "good" if good else "bad" if "broken" in words else ""
-            yield f'<td class="{shade}">{escape(words)}</td>'
+            limit, good = holds(panel, law)
+            shade = "good" if good else "bad" if "broken" in limit else ""
+            yield f'<td class="{shade}">{escape(limit)}</td>'
         yield "</tr>"
     yield "</table></div>"
 
@@ -217,9 +219,9 @@ def _facts(material: Material) -> Iterator[str]:
     yield '<div class="facts">'
     for fact, what in (
         (f"{material.rows:,}", "runs"),
-        (f"{violated:,}", "lost the UGV from sight"),
+        (f"{violated:,}", "lost sight of the UGV"),
         (f"{material.failed:,}", "failed"),
-        (" and ".join(str(count) for count in seeds), "seeds a point"),
+        (" and ".join(str(count) for count in seeds), "seeds per point"),
         (", ".join(sorted({head.sweep.scenario for head in material.heads})), "scenario"),
         (", ".join(sorted({head.outrider for head in material.heads})), "version of Outrider"),
     ):
@@ -232,30 +234,30 @@ def _settings(material: Material) -> Iterator[str]:
         changes = {f"Changed in all runs of {head.sweep.scenario}": head.sweep.set}
         changes |= {f"In “{block.name}”": block.set for block in head.sweep.block}
         for where, fixed in changes.items():
-            told = ", ".join(f"{name} = {tick_of('', value)}" for name, value in fixed.items())
-            if told:
-                yield f"<p>{escape(where)}: {escape(told)}.</p>"
+            fields = ", ".join(f"{name} = {tick_of('', value)}" for name, value in fixed.items())
+            if fields:
+                yield f"<p>{escape(where)}: {escape(fields)}.</p>"
 
 
 def _caution(material: Material) -> str:
-    """Bounds the rate of something that has not happened in so many runs."""
+    """Return a sentence with the largest rate that zero violations at a point still allow."""
     fewest = min((len(cell.flown) for cell in material.cells if cell.flown), default=0)
     if not fewest:
-        return "No run was flown to its end."
+        return "No run is complete."
     rate = _percent(wilson_interval(0, fewest)[1])
     return (
-        f"None of {fewest} runs, the fewest at a value, still allows a rate of up to {rate} (95 %): the "
-        "intervals are below."
+        f"No violation in {fewest} runs, the smallest number at a value, still allows a rate of up to {rate} (95 %); "
+        "the intervals are below."
     )
 
 
 def page(material: Material, pictures: dict[str, Path], command: str) -> str:
-    """The whole page as HTML; pictures are inside.
+    """Return the page as HTML, with the pictures inside.
 
     Args:
-        material: Of the report.
-        pictures: By name.
-        command: That makes this report.
+        material: Results of the report.
+        pictures: Picture files by name.
+        command: Command line that makes this report.
     """
     look = (files("outrider.experiments.report") / "page.css").read_text("utf-8")
     title = " · ".join(
@@ -265,17 +267,16 @@ def page(material: Material, pictures: dict[str, Path], command: str) -> str:
         f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>{escape(title)}</title><style>{look}</style>",
         f"<h1>{escape(title)}</h1>",
-        '<p class="muted">The promise: the UAV never loses sight of the UGV, ‖p_a − p_g‖ &lt; r_v. Here is what '
-        "it stands.</p>",
+        '<p class="muted">Robustness of visibility, ‖p_a − p_g‖ &lt; r_v, to network degradation.</p>',
         *_facts(material),
     ]
     if material.missing:
         parts.append(
-            f"<p><b>Not finished:</b> {material.missing:,} runs are still to be flown; the same command goes on.</p>"
+            f"<p><b>Not finished:</b> {material.missing:,} runs are missing; run the same command to resume.</p>"
         )
     parts += [
-        "<h2>How far each law keeps the promise</h2>",
-        f"<p>The largest value up to which no run lost sight of the UGV. {_caution(material)} "
+        "<h2>Limits of each law</h2>",
+        f"<p>Largest value up to which no run lost sight of the UGV. {_caution(material)} "
         f"{certified_runs(material)}</p>",
         *_overview(material),
     ]
@@ -292,7 +293,7 @@ def page(material: Material, pictures: dict[str, Path], command: str) -> str:
     ]
     commands = "\n".join([*(head.command for head in material.heads), command])
     parts += [
-        "<h2>How this was made</h2>",
+        "<h2>Commands and settings</h2>",
         *_settings(material),
         f"<pre>{escape(commands)}</pre></html>",
     ]

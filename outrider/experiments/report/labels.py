@@ -1,4 +1,4 @@
-"""Names of a scenario's fields on an axis, with units."""
+"""Axis labels of a scenario's fields, with units."""
 
 import math
 from pathlib import PurePath
@@ -9,34 +9,34 @@ _LINK = {
     "jitter": ("jitter", "s"),
     "max_jitter": ("largest jitter", "s"),
     "loss": ("loss", "%"),
-    "burst_length": ("length of bursts", "s"),
-    "burst_interval": ("time between bursts", "s"),
+    "burst_length": ("burst length", "s"),
+    "burst_interval": ("burst interval", "s"),
     "burst_loss": ("loss in bursts", "%"),
-    "blackout_length": ("length of blackouts", "s"),
-    "blackout_interval": ("time between blackouts", "s"),
+    "blackout_length": ("blackout length", "s"),
+    "blackout_interval": ("blackout interval", "s"),
     "duplicates": ("duplicates", "%"),
-    "reorder": ("share held back", "%"),
-    "reorder_delay": ("time held back", "s"),
+    "reorder": ("reordering", "%"),
+    "reorder_delay": ("reordering delay", "s"),
     "bandwidth": ("bandwidth", "1/s"),
     "trace": ("recording", ""),
 }
 _FIELDS = {
-    "dt": ("length of a tick", "s"),
+    "dt": ("tick length", "s"),
     "duration": ("duration", "s"),
-    "command_timeout": ("time a command is held", "s"),
-    "detections.noise": ("noise of the detections per axis", "m"),
-    "detections.dropout": ("looks that fail", "%"),
-    "detections.rate": ("looks", "1/s"),
+    "command_timeout": ("command timeout", "s"),
+    "detections.noise": ("detection noise per axis", "m"),
+    "detections.dropout": ("missed detections", "%"),
+    "detections.rate": ("detection rate", "1/s"),
     "visibility.radius": ("visibility radius r_v", "m"),
     "coverage.desired": ("desired coverage C*", ""),
-    "sensor.range": ("range of the sensor", "m"),
-    "area.cell": ("cell of the grid", "m"),
-    "links.profile": ("profile", ""),
-    "wind.gust": ("gusts of the wind per axis", "m/s²"),
+    "sensor.range": ("sensor range", "m"),
+    "area.cell": ("cell size", "m"),
+    "links.profile": ("network profile", ""),
+    "wind.gust": ("wind gusts per axis", "m/s²"),
     "law.parameters.speed_gain": ("speed gain k_v", ""),
     "law.parameters.weight_gain": ("weight gain k_β", ""),
-    "law.parameters.circle_rate": ("rate of the circle", "rad/s"),
-    "law.parameters.circle_radius": ("radius of the circle", "m"),
+    "law.parameters.circle_rate": ("circle rate", "rad/s"),
+    "law.parameters.circle_radius": ("circle radius", "m"),
     "law.parameters.reference_speed": ("reference speed v_ref", "m/s"),
 }
 _ENDINGS = {
@@ -46,28 +46,28 @@ _ENDINGS = {
 
 
 def _named(field: str) -> tuple[str, str]:
-    """Words and unit of a field; its own name and no unit for one that is not in the tables."""
+    """Return label and unit of a field; its name without unit if it is not in the tables."""
     head, _, last = field.rpartition(".")
     link, _, kind = head.rpartition(".")
     if link == "links" and last in _LINK:
-        words, unit = _LINK[last]
-        return f"{words} of the {kind}", unit
+        label, unit = _LINK[last]
+        return f"{label} of the {kind}", unit
     if field in _FIELDS:
         return _FIELDS[field]
     if last in _ENDINGS:
-        words, unit = _ENDINGS[last]
-        return f"{words}, {head}", unit
+        label, unit = _ENDINGS[last]
+        return f"{label}, {head}", unit
     return field, ""
 
 
 def label_of(field: str) -> str:
-    """Such as `delay of the detections [s]`."""
-    words, unit = _named(field)
-    return f"{words} [{unit}]" if unit else words
+    """Return the label of a field with its unit, such as `delay of the detections [s]`."""
+    label, unit = _named(field)
+    return f"{label} [{unit}]" if unit else label
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A number with so many digits that count, without an exponent."""
+    """Return a number with `digits` significant digits, without exponent."""
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g}"
     places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
@@ -76,12 +76,12 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def is_number(value: object) -> TypeGuard[int | float]:
-    """True for a number; true and false are none."""
+    """Return true for a number; a bool is not a number."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def tick_of(field: str, value: object) -> str:
-    """A value as it stands on the axis, without its unit: shares in per cent."""
+    """Return the text of a value on the axis, without unit; shares in per cent."""
     if value is None:
         return "none"
     if not is_number(value):
@@ -91,6 +91,6 @@ def tick_of(field: str, value: object) -> str:
 
 
 def value_of(field: str, value: object) -> str:
-    """A value with its unit."""
+    """Return the text of a value with its unit."""
     unit = _named(field)[1] if isinstance(value, int | float) else ""
     return f"{tick_of(field, value)} {unit}".strip()

@@ -1,7 +1,4 @@
-"""The report's pictures.
-
-How often the promise breaks, by how much, what is covered meanwhile, how old the information is.
-"""
+"""Pictures of the report: violations, margins, coverage errors and ages of information."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -21,23 +18,24 @@ from outrider.experiments.report.labels import tick_of
 from outrider.experiments.report.results import Material, Panel
 
 _KINDS = {"detections": (style.UAV[0], "o"), "commands": (style.UGV[0], "s")}
-"""Colour and mark of the links."""
+"""Color and marker of the links."""
 _UNEVEN = 6.0
-"""Beyond this ratio of the range to the smallest gap the values stand side by side, at even distances."""
+"""Ratio of the range to the smallest gap, beyond which values are placed at equal distances."""
 MOST_PANELS = 24
-"""So many are drawn; the rest is in the table."""
+"""Largest number of panels; the tables contain all."""
 _PANEL = (520, 400)
+"""Size of a panel [px]."""
 _HEADER, _KEY_LINE = 84, 24
-"""Of a panel, above them all, and of each further line of the legend [px]."""
+"""Height of the header, and of each further line of the legend [px]."""
 _KEYS_A_LINE = 6
 _MOST_LETTERS = 40
-"""Of words that stand side by side below a panel; more are turned."""
+"""Total length of horizontal labels below a panel; longer labels are rotated."""
 
 Draw = Callable[[Axes, Panel, "list[float]", float], None]
 
 
 def positions(panel: Panel) -> tuple[list[float], float]:
-    """Places of the values on the axis, and the smallest gap between two."""
+    """Return the positions of the values on the axis, and the smallest gap between two."""
     values = panel.values
     if panel.ordered and len(values) > 1:
         numbers = [float(value) for value in values]
@@ -55,7 +53,7 @@ def _dress(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
     if panel.field:
         labels = [style.plain(tick_of(panel.field, value)) for value in panel.values]
     drawn: list[float] = []
-    for k, x in enumerate(where):  # labels that would touch are left out
+    for k, x in enumerate(where):  # leave out labels that would overlap
         if drawn and x - drawn[-1] < (where[-1] - where[0]) / 11.0:
             labels[k] = ""
         else:
@@ -68,7 +66,7 @@ def _dress(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
 def _laws_aside(
     panel: Panel, where: list[float], gap: float
 ) -> Iterator[tuple[str, str, list[float]]]:
-    """Each law, its colour, and the places of its marks beside the values, so that none hides another."""
+    """Yield each law, its color, and positions of its marks beside the values, so that no mark hides another."""
     for number, law in enumerate(panel.laws):
         aside = gap * 0.62 * ((number + 0.5) / len(panel.laws) - 0.5)
         yield law, style.law_color(law), [x + aside for x in where]
@@ -81,7 +79,7 @@ def _sheet(
     draw: Draw,
     keys: Sequence[Line2D | Patch],
 ) -> Figure:
-    """One picture: a panel for each experiment, all with the same axis upwards."""
+    """Draw a picture with a panel for each experiment and a common vertical axis."""
     panels = material.panels[:MOST_PANELS]
     columns = min(len(panels), 2 if len(panels) in (2, 4) else 3)
     rows = math.ceil(len(panels) / columns)
@@ -119,7 +117,7 @@ def _law_keys(material: Material) -> list[Line2D | Patch]:
 
 
 def violations(material: Material) -> Figure:
-    """The share of runs that lost the UGV, with Wilson's 95 % interval."""
+    """Draw the share of runs that lost sight of the UGV, with Wilson's 95 % interval."""
 
     def draw(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
         for law, color, xs in _laws_aside(panel, where, gap):
@@ -149,18 +147,15 @@ def violations(material: Material) -> Figure:
         style.key(style.MUTED, "95 % interval (Wilson)", linewidth=2.2, alpha=0.6),
     ]
     return _sheet(
-        material, "How often the UGV was lost from sight", "runs with a violation", draw, keys
+        material, "Share of runs that lost sight of the UGV", "runs with a violation", draw, keys
     )
 
 
 def margins(material: Material) -> Figure:
-    """The distribution of r_v minus the largest distance.
-
-    All runs as a line, the middle half as a bar, the median as a mark.
-    """
+    """Draw the distribution of r_v minus the largest distance: range, middle half and median of the runs."""
     everything = [margin for cell in material.cells for margin in cell.numbers("margin")]
     highest = max([*everything, 0.5])
-    # once out of sight, how far hardly matters
+    # beyond r_v, the distance matters little
     lowest = max(min([*everything, 0.0]), -highest) - 0.1 * highest
 
     def draw(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
@@ -207,7 +202,7 @@ def margins(material: Material) -> Figure:
         style.key(style.MUTED, "middle half", linewidth=5, alpha=0.6),
         style.key(style.MUTED, "all runs", linewidth=1.0),
         style.key(style.LIMIT, "below: out of sight"),
-        style.key(style.MUTED, "deeper", marker="v", markersize=5, linestyle=""),
+        style.key(style.MUTED, "below the picture", marker="v", markersize=5, linestyle=""),
     ]
     return _sheet(
         material, "Margin: $r_v$ minus the largest distance of a run", "margin [m]", draw, keys
@@ -217,7 +212,7 @@ def margins(material: Material) -> Figure:
 def _band(
     axes: Axes, panel: Panel, xs: list[float], found: list[list[float]], color: str, mark: str
 ) -> None:
-    """Means with their 95 % interval as a band, or as bars where nothing lies between the values, which have no order.
+    """Draw means with their 95 % interval, as a band for ordered values and as bars otherwise.
 
     Values without numbers are left out.
     """
@@ -234,7 +229,7 @@ def _band(
 
 
 def errors(material: Material) -> Figure:
-    """The coverage error e(t) (4), averaged over the flight and the runs."""
+    """Draw the coverage error e(t), eq. (4), averaged over time and runs."""
     means = [fmean(found) for cell in material.cells if (found := cell.numbers("mean_error"))]
     top = 1.25 * max([*means, 1.0])
 
@@ -250,7 +245,7 @@ def errors(material: Material) -> Figure:
     ]
     return _sheet(
         material,
-        "Coverage error, mean over the flight: what is not yet seen around the UGV",
+        "Coverage error around the UGV, mean over the run",
         "mean e(t) [m²]",
         draw,
         keys,
@@ -258,7 +253,7 @@ def errors(material: Material) -> Figure:
 
 
 def ages(material: Material) -> Figure | None:
-    """The age of information of the links, all laws together; None where no run has told any."""
+    """Draw the age of information of the links over all laws; None if no run has recorded it."""
     cells = material.cells
     kinds = {
         kind: look
@@ -303,7 +298,7 @@ def ages(material: Material) -> Figure | None:
     ]
     return _sheet(
         material,
-        "Age of information: how old the newest that has arrived is",
+        "Age of information: age of the newest message delivered",
         "age [s]",
         draw,
         keys,
@@ -311,33 +306,30 @@ def ages(material: Material) -> Figure | None:
 
 
 CAPTIONS = {
-    "violations": "Share of the runs in which the distance reached r_v at least once. Marks: what was counted; "
-    "bars: Wilson's "
-    "95 % interval. Marks stand beside their value so that none hides another.",
-    "margins": "How near each run came to r_v. Thin line: all runs; thick bar: the middle half; white dot: the "
-    "median. Below the "
-    "red line the UGV was out of sight; what lies deeper than the picture goes is marked at its lower edge.",
-    "errors": "e(t) of equation (4), averaged over the flight; low is good. Band: 95 % interval of the mean over "
-    "the seeds.",
-    "ages": "Age of the newest detection that has reached the UAV's computer, and of the newest command that has "
-    "reached the "
-    "actuators. Solid: mean over flight and runs; dotted: the oldest seen in any run. "
-    "Out of sight nothing is detected: where the UGV is lost for good, the age grows to the end of the flight.",
+    "violations": "Share of the runs in which the distance reached r_v at least once. Marks: measured share; bars: "
+    "Wilson's 95 % interval. Marks are placed beside their value, so that no mark hides another.",
+    "margins": "Margin to r_v of the runs. Thin line: range of all runs; thick bar: middle half; white dot: median. "
+    "Below the red line the UGV was out of sight. A triangle marks values below the picture.",
+    "errors": "e(t) of equation (4), averaged over the run; low is good. Band: 95 % interval of the mean over the "
+    "seeds.",
+    "ages": "Age of the newest detection received by the UAV's computer, and of the newest command received by the "
+    "actuators. Solid: mean over time and runs; dotted: largest age in any run. There are no detections out of sight: "
+    "if the UGV is lost for good, the age grows to the end of the run.",
 }
 
 
 def draw_all(material: Material, out: Path) -> dict[str, Path]:
-    """Draw everything there is to draw.
+    """Draw all pictures of a report.
 
     Args:
-        material: Of the report.
+        material: Results of the report.
         out: Folder for the pictures.
 
     Returns:
-        The pictures by name.
+        The picture files by name.
 
     Raises:
-        OSError: If one cannot be written.
+        OSError: If a picture cannot be written.
     """
     drawn: dict[str, Path] = {}
     for name, draw in (

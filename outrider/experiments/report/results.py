@@ -1,4 +1,4 @@
-"""From the folders of sweeps to what is drawn: panels, in each the laws, and for each law and value the runs."""
+"""Results of sweeps, arranged for a report: panels with the runs of each law at each value."""
 
 import math
 from collections import defaultdict
@@ -24,7 +24,7 @@ class Cell:
 
     @property
     def flown(self) -> list[dict[str, Any]]:
-        """Those that did not fail."""
+        """Runs that did not fail."""
         return [row for row in self.rows if row["error"] is None]
 
     @property
@@ -34,60 +34,60 @@ class Cell:
 
     @property
     def violated(self) -> int:
-        """In how many the UGV was lost from sight."""
+        """Number of runs that lost sight of the UGV."""
         return sum(row["violated"] for row in self.flown)
 
     @property
     def certified(self) -> list[dict[str, Any]]:
-        """Those in which sight was certified at every tick."""
+        """Runs in which sight was certified at every tick."""
         return [row for row in self.flown if row["certified_share"] == 1.0]
 
     def rate(self) -> tuple[float, float, float] | None:
-        """The share of runs that lost the UGV, with its 95 % interval; None without runs."""
+        """Return the share of runs that lost sight of the UGV, with its 95 % interval; None without runs."""
         runs = len(self.flown)
         return (self.violated / runs, *wilson_interval(self.violated, runs)) if runs else None
 
     def numbers(self, column: str) -> list[float]:
-        """The finite numbers of a column."""
-        # a sweep of an older version does not have every column
+        """Return the finite numbers of a column."""
+        # A sweep of an older version may lack a column.
         found = [row.get(column) for row in self.flown]
         return [value for value in found if value is not None and math.isfinite(value)]
 
 
 @dataclass(slots=True, kw_only=True)
 class Panel:
-    """One experiment: what one field does to each law, everything else alike."""
+    """Effect of one field on each law, with all other fields fixed."""
 
     title: str
     field: str
-    """The varied field; empty where there is none."""
+    """Varied field; empty: none."""
     values: list[Any]
-    """Of the field, rising."""
+    """Values of the field, in increasing order."""
     laws: list[str]
     cells: dict[tuple[str, Any], Cell]
 
     @property
     def label(self) -> str:
-        """Of the axis."""
+        """Label of the axis."""
         return label_of(self.field) if self.field else ""
 
     @property
     def ordered(self) -> bool:
-        """True if the values are numbers, so that one is more than another."""
+        """True if all values are numbers."""
         return all(map(is_number, self.values))
 
     def cell(self, law: str, value: object) -> Cell:
-        """The runs of a law at a value; empty where none are flown."""
+        """Return the runs of a law at a value, possibly none."""
         return self.cells.get((law, value), Cell())
 
     def numbers(self, value: object, column: str) -> list[float]:
-        """The finite numbers of a column at a value, of all laws."""
+        """Return the finite numbers of a column at a value, over all laws."""
         return [number for law in self.laws for number in self.cell(law, value).numbers(column)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Material:
-    """All that a report is made of."""
+    """Content of a report."""
 
     folders: tuple[Path, ...]
     heads: tuple[SweepHead, ...]
@@ -95,27 +95,27 @@ class Material:
     rows: int
     failed: int
     missing: int
-    """Runs that are not flown yet."""
+    """Number of runs that are not flown yet."""
     law: tuple[str, ...]
-    """Of all panels, in the order of the laws' table."""
+    """Laws of all panels, in the order of the laws' table."""
 
     @property
     def cells(self) -> list[Cell]:
-        """Of all panels."""
+        """Cells of all panels."""
         return [cell for panel in self.panels for cell in panel.cells.values()]
 
 
 @dataclass(slots=True, kw_only=True)
 class _Block:
-    """A block of one or several folders, with their rows."""
+    """Block of one or several folders, with its rows."""
 
     name: str
     vary: dict[str, None]
     rows: list[dict[str, Any]]
     folder: Path
-    """The first of them."""
+    """First folder."""
     apart: str = ""
-    """The mark that tells it from others of the same name."""
+    """Suffix that distinguishes it from other blocks of the same name."""
 
 
 def _ordered_laws(laws: set[str]) -> list[str]:
@@ -124,7 +124,7 @@ def _ordered_laws(laws: set[str]) -> list[str]:
 
 
 def _rising(values: Sequence[Any]) -> list[Any]:
-    """Each value once: numbers rising, then everything else as it came."""
+    """Return each value once: increasing numbers, then all other values in their order."""
     once = list(dict.fromkeys(values))
     numbers = [value for value in once if is_number(value)]
     return sorted(numbers) + [value for value in once if value not in numbers]
@@ -134,7 +134,7 @@ def _read(folder: Path) -> tuple[SweepHead, list[dict[str, Any]]]:
     head = read_head(folder)
     if head is None:
         raise ScenarioError(
-            f"{folder}: no sweep's folder; allowed: one that `outrider sweep` has made"
+            f"{folder}: not a folder of a sweep; allowed: a folder made by `outrider sweep`"
         )
     results = read_results(folder, head.columns)
     return head, [
@@ -147,15 +147,12 @@ def _identity(row: dict[str, Any], vary: Sequence[str]) -> tuple[Any, ...]:
 
 
 def _join(into: _Block, rows: list[dict[str, Any]]) -> bool:
-    """Take rows of another folder in.
-
-    False where the same run is there with another outcome, so that they must stay apart.
-    """
+    """Add the rows of another folder; return false, without adding, if a run has different results in both."""
     vary = list(into.vary)
-    there = {_identity(row, vary): row for row in into.rows}
+    known = {_identity(row, vary): row for row in into.rows}
     new = []
     for row in rows:
-        same = there.get(_identity(row, vary))
+        same = known.get(_identity(row, vary))
         if same is None:
             new.append(row)
         elif same["trajectory_sha256"] != row["trajectory_sha256"]:
@@ -165,7 +162,7 @@ def _join(into: _Block, rows: list[dict[str, Any]]) -> bool:
 
 
 def _blocks(found: Sequence[tuple[Path, SweepHead, list[dict[str, Any]]]]) -> list[_Block]:
-    """The blocks of all folders; those that ask the same are one, as where each folder has a law of its own."""
+    """Return the blocks of all folders; blocks with equal fields are merged, such as blocks with different laws."""
     blocks: dict[bytes, list[_Block]] = defaultdict(list)
     for folder, head, rows in found:
         for block in head.sweep.block:
@@ -186,7 +183,7 @@ def _blocks(found: Sequence[tuple[Path, SweepHead, list[dict[str, Any]]]]) -> li
 
 
 def _panels_of(block: _Block) -> Iterator[Panel]:
-    """The field with the most values is the axis; each combination of the others is a panel."""
+    """Yield a panel for each combination of fields; the field with the most values is the axis."""
     values = {name: _rising([row[name] for row in block.rows]) for name in block.vary}
     axis = max(values, key=lambda name: len(values[name]), default="")
     others = [name for name in values if name != axis]
@@ -219,15 +216,15 @@ def read_material(folders: Sequence[Path]) -> Material:
     """Read the results of sweeps, finished or not.
 
     Args:
-        folders: One or more; experiments that several share become one.
+        folders: One folder or more; experiments that they share are merged.
 
     Raises:
-        ScenarioError: If a folder is no sweep's, has no rows yet, or is damaged.
+        ScenarioError: If a folder does not belong to a sweep, has no rows yet, or is damaged.
     """
     found = [(folder, *_read(folder)) for folder in dict.fromkeys(folders)]
     for folder, _, rows in found:
         if not rows:
-            raise ScenarioError(f"{folder}: no run is flown yet")
+            raise ScenarioError(f"{folder}: no results yet; resume the sweep")
     panels = [panel for block in _blocks(found) for panel in _panels_of(block)]
     everything = [row for _, _, rows in found for row in rows]
     return Material(

@@ -1,4 +1,1 @@
-"""Experiments over a degraded network.
-
-Laws, degradations and seeds, flown on all cores, each run one row of a table.
-"""
+"""Sweeps: runs of laws, degradations and seeds on all cores, with a table row for each run."""

@@ -1,4 +1,4 @@
-"""The table's columns, and how a run's summary becomes a row of it."""
+"""Columns of a sweep's table, and the conversion of a run's summary to a row."""
 
 from typing import Any
 
@@ -13,13 +13,13 @@ FIRST = {
     "scenario": "string",
     "version": "string",
 }
-"""Columns that come before the varied fields, with their Parquet types."""
+"""Columns before the varied fields, with their Parquet types."""
 RESULTS = columns()
-"""Columns that a run fills, with their Parquet types; `outrider.running.metrics` explains them."""
+"""Columns with a run's results, with their Parquet types; `outrider.running.metrics` explains them."""
 
 
 def _link_columns(summary: Summary) -> dict[str, float | None]:
-    """Metrics of all links of one kind."""
+    """Return the merged metrics of all links of each kind."""
     found: dict[str, float | None] = {}
     for kind in LINK_COLUMNS:
         links = [status for name, status in summary.links.items() if name.endswith(f"/{kind}")]
@@ -31,11 +31,11 @@ def _link_columns(summary: Summary) -> dict[str, float | None]:
 
 
 def row_of(summary: Summary, seconds: float) -> dict[str, Any]:
-    """Return the results of a run that was flown.
+    """Return the results of a successful run.
 
     Args:
-        summary: Of the run.
-        seconds: Its wall time [s].
+        summary: Summary of the run.
+        seconds: Wall time of the run [s].
     """
     row: dict[str, Any] = {
         name: getattr(summary.mission if name in MISSION else summary, name, None)
@@ -51,6 +51,6 @@ def row_of(summary: Summary, seconds: float) -> dict[str, Any]:
 
 
 def failed_row(error: Exception, seconds: float) -> dict[str, Any]:
-    """Return the row of a run that raised."""
+    """Return the row of a failed run."""
     reason = " ".join(f"{type(error).__name__}: {error}".split())
     return {**dict.fromkeys(RESULTS), "seconds": seconds, "error": reason}

@@ -1,4 +1,4 @@
-"""A sweep described: typed, read from TOML or from the command line, refused in one line where it makes no sense."""
+"""Definition of a sweep, read from TOML and the command line and checked."""
 
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
@@ -20,40 +20,40 @@ Seed = Annotated[int, Meta(ge=0, le=2**53 - 1)]
 
 _VARY_EXAMPLE = "field=value,value, such as links.detections.delay=0,0.5,1"
 _OWN = {"seed": "--seeds, in a file seeds", "law.name": "--law, in a file laws"}
-"""Fields that a sweep varies in a way of its own."""
+"""Fields that a sweep varies by other options."""
 
 
 class Block(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One experiment of a sweep: the product of what it varies."""
+    """Experiment of a sweep: all combinations of the values of its varied fields."""
 
     name: Line = ""
-    """The name in tables and pictures; the varied fields by default."""
+    """Name in tables and pictures; empty: the varied fields."""
     vary: dict[str, Any] = {}
-    """Fields of the scenario, each with a list of values."""
+    """Varied fields of the scenario, each with a list of values."""
     set: dict[str, Any] = {}
-    """Fields that are changed in all of its runs."""
+    """Fields changed in all runs of the block."""
 
 
 class Sweep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A plan of runs: each law, in each block, at each combination of its values, with each seed."""
+    """Sweep: each law, in each block, at each combination of values, with each seed."""
 
     title: Line = ""
     scenario: Text = "escort"
-    """A shipped name, or a file; found beside the sweep's own file too."""
+    """Name of a shipped scenario, or a file; a relative path may start at the sweep's file."""
     laws: Annotated[tuple[Text, ...], Meta(min_length=1)] | None = None
-    """The scenario's own where none is given."""
+    """Laws to fly; None: the scenario's law."""
     seeds: Annotated[int, Meta(ge=1, le=1_000_000)] = 20
-    """Their number: first_seed and those after it."""
+    """Number of seeds, from `first_seed` on."""
     first_seed: Seed = 0
     set: dict[str, Any] = {}
-    """Fields that are changed in all runs."""
+    """Fields changed in all runs."""
     vary: dict[str, Any] = {}
-    """A sweep of one block gives here what it varies."""
+    """Varied fields of a sweep without blocks."""
     block: tuple[Block, ...] = ()
 
 
 def shipped_sweeps() -> dict[str, Traversable]:
-    """The shipped sweeps by name."""
+    """Return the shipped sweeps by name."""
     entries = (files("outrider.experiments.sweep") / "shipped").iterdir()
     return {
         entry.name.removesuffix(".toml"): entry
@@ -63,7 +63,7 @@ def shipped_sweeps() -> dict[str, Traversable]:
 
 
 def _flat(table: Mapping[str, Any], path: str = "") -> dict[str, Any]:
-    """Nested tables as dotted fields: in TOML `links.detections.delay = ...` is a table in a table."""
+    """Flatten nested tables to dotted fields, as TOML reads `links.detections.delay = ...` as nested tables."""
     found: dict[str, Any] = {}
     for key, value in table.items():
         if isinstance(value, dict) and value:
@@ -74,64 +74,64 @@ def _flat(table: Mapping[str, Any], path: str = "") -> dict[str, Any]:
 
 
 def _varied(table: Mapping[str, Any], path: str, file: str) -> dict[str, Any]:
-    """The varied fields with their values, checked.
+    """Check the varied fields and return them with their values.
 
     Raises:
-        ScenarioError: If a field has no list of values, an empty one, a value twice, or is varied in another way.
+        ScenarioError: If a field has no list, an empty list or a repeated value, or is varied by another option.
     """
     varied = _flat(table)
     for field, values in varied.items():
         if field in _OWN:
-            wrong = "is not varied like other fields"
+            wrong = "cannot be varied here"
             raise Fault(f"{path}{field}", values, wrong, _OWN[field]).error(file)
         if not isinstance(values, list) or not values:
             wrong = "empty" if isinstance(values, list) else "not a list"
             raise Fault(f"{path}{field}", values, wrong, "a list of one value or more").error(file)
         if any(value in values[:k] for k, value in enumerate(values)):
-            raise Fault(f"{path}{field}", values, "a value twice", "each value once").error(file)
+            raise Fault(f"{path}{field}", values, "a repeated value", "each value once").error(file)
     return varied
 
 
 def checked(sweep: Sweep, *, file: str) -> Sweep:
-    """The sweep with its fields flat, everything in blocks, and each block with a name.
+    """Check a sweep; return it with dotted fields, everything in blocks, and a name for each block.
 
     Args:
-        sweep: As it was given.
-        file: For the error.
+        sweep: Sweep as given.
+        file: File for error messages.
 
     Raises:
-        ScenarioError: If it makes no sense; one line.
+        ScenarioError: If the sweep is invalid; the message is one line.
     """
     if sweep.vary and sweep.block:
-        raise Fault("vary", sweep.vary, "beside [[block]]", "either [vary] or [[block]]").error(
-            file
-        )
+        raise Fault(
+            "vary", sweep.vary, "used together with [[block]]", "either [vary] or [[block]]"
+        ).error(file)
     laws = sweep.laws or ()
     if len(set(laws)) < len(laws):
-        raise Fault("laws", list(laws), "a law twice", "each law once").error(file)
+        raise Fault("laws", list(laws), "a repeated law", "each law once").error(file)
     blocks: list[Block] = []
     for k, block in enumerate(sweep.block or (Block(vary=sweep.vary),)):
         varied = _varied(block.vary, f"block.{k}.vary." if sweep.block else "vary.", file)
         name = block.name or ", ".join(varied) or "unvaried"
         if name in [other.name for other in blocks]:
-            raise Fault(
-                f"block.{k}.name", name, "taken by another block", "a name of its own"
-            ).error(file)
+            raise Fault(f"block.{k}.name", name, "name of another block", "a unique name").error(
+                file
+            )
         blocks.append(Block(name=name, vary=varied, set=_flat(block.set)))
     return msgspec.structs.replace(sweep, set=_flat(sweep.set), vary={}, block=tuple(blocks))
 
 
 def parse_vary(text: str, *, file: str) -> tuple[str, list[Any]]:
-    """Field and values of a `--vary field=value,value`; the values as TOML writes them, or else plain text.
+    """Parse `field=value,value` of --vary; values are TOML, or else plain text.
 
     Raises:
-        ScenarioError: If it is not of that form.
+        ScenarioError: If the text has another form.
     """
     field, separator, values = text.partition("=")
     field = field.strip()
     parts = [part.strip() for part in values.split(",")]
     if not separator or not all(field.split(".")):
-        raise Fault("--vary", text, "not of the form field=value,value", _VARY_EXAMPLE).error(file)
+        raise Fault("--vary", text, "wrong form", _VARY_EXAMPLE).error(file)
     if not values.strip():
         raise Fault("--vary", text, "no values", _VARY_EXAMPLE).error(file)
     try:
@@ -144,7 +144,7 @@ def parse_vary(text: str, *, file: str) -> tuple[str, list[Any]]:
 
 
 def _read(source: str) -> tuple[Sweep, str]:
-    """A sweep and its text; a scenario is a sweep that varies nothing yet, without a text."""
+    """Read a sweep and its text; a scenario becomes a sweep without varied fields and without text."""
     if source in scenario_names():
         return Sweep(scenario=source), ""
     shipped = shipped_sweeps()
@@ -176,21 +176,21 @@ def describe_sweep(
     seeds: int | None = None,
     first_seed: int | None = None,
 ) -> tuple[Sweep, str]:
-    """The sweep that a file and a command line ask for.
+    """Return the sweep defined by a file and the options of a command.
 
     Args:
-        source: A shipped sweep, a shipped scenario, or a TOML file of either kind: one with a `[[uav]]` is a scenario.
-        laws: Instead of the file's, between commas.
-        vary: Fields with their values, `field=value,value`; only where the file is a scenario.
-        changes: Fields that are changed in all runs, `field=value`.
-        seeds: How many, instead of the file's.
-        first_seed: Instead of the file's.
+        source: Shipped sweep, shipped scenario, or TOML file of either; a file with `[[uav]]` is a scenario.
+        laws: Comma-separated laws; replaces the file's.
+        vary: Varied fields with values, `field=value,value`; only for a file without varied fields.
+        changes: Fields changed in all runs, `field=value`.
+        seeds: Number of seeds; replaces the file's.
+        first_seed: First seed; replaces the file's.
 
     Returns:
-        The sweep, checked, and the text of its file, empty where there is none.
+        The checked sweep, and the text of its file, empty for a scenario.
 
     Raises:
-        ScenarioError: If it cannot be read or makes no sense; one line.
+        ScenarioError: If the sweep cannot be read or is invalid; the message is one line.
     """
     file = one_line(source) or "."
     sweep, text = _read(source)
@@ -198,16 +198,14 @@ def describe_sweep(
         raise Fault(
             "--vary",
             vary[0],
-            "this sweep says itself what is varied",
+            "this sweep file defines its varied fields",
             "a scenario, or another sweep file",
         ).error(file)
     varied: dict[str, Any] = dict(sweep.vary)
     for one in vary:
         field, values = parse_vary(one, file=file)
         if field in varied:
-            raise Fault("--vary", one, "this field is varied already", "each field once").error(
-                file
-            )
+            raise Fault("--vary", one, "field varied already", "each field once").error(file)
         varied[field] = values
     fixed = {**_flat(sweep.set), **dict(parse_override(change, file=file) for change in changes)}
     names = tuple(name.strip() for name in laws.split(",")) if laws else sweep.laws

@@ -1,7 +1,8 @@
-"""A sweep's folder: what was asked for, and the results so far, which a kill at any time leaves whole.
+"""Folder of a sweep: its definition and the results so far, consistent after a kill at any time.
 
-Every finished task of about a second is a Parquet file of its own in `parts/`, written beside it and renamed. The
-end merges all of them into `results.parquet`. So a kill loses the runs in flight and no others.
+Every finished task, of about a second, is written to a Parquet file in `parts/`, under a temporary name that is changed
+at the end. When the sweep is complete, all files are merged into `results.parquet`. A kill loses only the runs in
+progress.
 """
 
 import fcntl
@@ -25,18 +26,18 @@ RESULTS = "results.parquet"
 PARTS = "parts"
 _LOCK = ".lock"
 _MOST_PARTS = 200
-"""Beyond so many small files they are merged into one: reading them takes a millisecond each."""
+"""Number of small files that are merged into one, as each takes a millisecond to read."""
 _MOST_HEAD, _MOST_TABLE = 4 << 20, 1 << 30
-"""Of a head and of a table with results [bytes]."""
+"""Largest sizes of a head and of a table with results [bytes]."""
 _BATCH = 1000
-"""Rows that are unpacked at once."""
+"""Number of rows unpacked at once."""
 
 
 class SweepHead(msgspec.Struct, frozen=True, kw_only=True):
-    """The head of a folder: enough to tell it from another sweep's, and to report on it."""
+    """Head of a folder: identifies the sweep, and describes its table."""
 
     outrider: str
-    """The version that made it."""
+    """Version of Outrider that made the folder."""
     command: str
     digest: str
     runs: int
@@ -45,10 +46,10 @@ class SweepHead(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def read_head(folder: Path) -> SweepHead | None:
-    """Read a folder's head; None where it is no sweep's.
+    """Read a folder's head; return None if the folder does not belong to a sweep.
 
     Raises:
-        ScenarioError: If its head is damaged.
+        ScenarioError: If the head is damaged.
     """
     try:
         return msgspec.json.decode(read_regular(folder / HEAD, _MOST_HEAD), type=SweepHead)
@@ -56,7 +57,7 @@ def read_head(folder: Path) -> SweepHead | None:
         return None
     except msgspec.MsgspecError as error:
         raise ScenarioError(
-            f"{folder / HEAD}: damaged: {error}; --fresh starts the sweep over"
+            f"{folder / HEAD}: damaged: {error}; start again with --fresh"
         ) from error
 
 
@@ -67,9 +68,9 @@ def _write_table(path: Path, table: pa.Table) -> None:
 
 
 def _read_table(path: Path, columns: dict[str, str]) -> pa.Table:
-    remedy = "delete it and its runs are flown again"
+    remedy = "delete the file to fly its runs again"
     content = pa.BufferReader(read_regular(path, _MOST_TABLE))
-    try:  # without Arrow's threads: at the end of a process they may abort it (apache/arrow#34314)
+    try:  # without Arrow's threads, which may abort a process at its exit (apache/arrow#34314)
         table = _unpacked(path, pq.ParquetFile(content, pre_buffer=False), columns)
     except pa.ArrowException as error:
         reason = " ".join(str(error).split()).rstrip(".")
@@ -78,14 +79,14 @@ def _read_table(path: Path, columns: dict[str, str]) -> pa.Table:
 
 
 def _unpacked(path: Path, file: pq.ParquetFile, columns: dict[str, str]) -> pa.Table:
-    """Return the table of a file, whose size is checked before it is unpacked.
+    """Return the table of a file; its size is checked before and while it is unpacked.
 
     Raises:
-        ScenarioError: If it has other columns, or too many rows or bytes.
+        ScenarioError: If the table has other columns, or too many rows or bytes.
     """
     if not file.schema_arrow.equals(schema_of(columns)):
         raise ScenarioError(
-            f"{path}: has not the columns of this sweep; delete it and its runs are flown again"
+            f"{path}: columns of another sweep; delete the file to fly its runs again"
         )
     rows, size = file.metadata.num_rows, 0
     if rows > MOST_RUNS:
@@ -94,22 +95,22 @@ def _unpacked(path: Path, file: pq.ParquetFile, columns: dict[str, str]) -> pa.T
     for batch in file.iter_batches(_BATCH, use_threads=False):
         size += batch.nbytes
         if size > _MOST_TABLE:
-            raise ScenarioError(f"{path}: unpacks to more than {_MOST_TABLE >> 30} GiB")
+            raise ScenarioError(f"{path}: too large; allowed: {_MOST_TABLE >> 30} GiB unpacked")
         batches.append(batch)
     return pa.Table.from_batches(batches, schema=file.schema_arrow)
 
 
 def schema_of(columns: dict[str, str]) -> pa.Schema:
-    """The Parquet schema of a sweep's table."""
+    """Return the Parquet schema of a sweep's table."""
     return pa.schema([(name, pa.type_for_alias(kind)) for name, kind in columns.items()])
 
 
 def read_results(folder: Path, columns: dict[str, str]) -> dict[str, list[Any]]:
-    """All rows of a folder, finished or not, column by column, in the order of their numbers.
+    """Return all rows of a folder by column, in the order of run numbers; the sweep may be unfinished.
 
     Args:
-        folder: A sweep's.
-        columns: From its head.
+        folder: Folder of a sweep.
+        columns: Columns from its head.
 
     Raises:
         ScenarioError: If a file is damaged.
@@ -121,7 +122,7 @@ def read_results(folder: Path, columns: dict[str, str]) -> dict[str, list[Any]]:
     table = pa.concat_tables(tables)
     runs, errors = table["run"].to_pylist(), table["error"].to_pylist()
     best: dict[int, int] = {}
-    # a run may be there twice: a part that is merged already, or one that first failed
+    # A run may occur twice: in a part that is merged already, or after a failure.
     for k, run in enumerate(runs):
         if run not in best or errors[best[run]] is not None:
             best[run] = k
@@ -130,18 +131,18 @@ def read_results(folder: Path, columns: dict[str, str]) -> dict[str, list[Any]]:
 
 
 class SweepFolder:
-    """The folder of a sweep that is being flown; nobody else writes into it meanwhile.
+    """Folder of a sweep in progress, locked against other writers.
 
     Args:
-        path: Is made if it is not there.
-        plan: What is flown.
-        command: That began it.
-        text: Of the sweep's file, kept beside the results.
-        fresh: Whether to start over if there is something.
+        path: Path of the folder; created if missing.
+        plan: Plan of the sweep.
+        command: Command line that started the sweep.
+        text: Text of the sweep's file, stored beside the results.
+        fresh: True: delete existing results.
 
     Raises:
-        ScenarioError: If it holds another sweep or other files, or is in use.
-        OSError: If it cannot be written.
+        ScenarioError: If the folder holds another sweep or other files, or is in use.
+        OSError: If the folder cannot be written.
     """
 
     def __init__(
@@ -149,26 +150,26 @@ class SweepFolder:
     ) -> None:
         self.path, self._plan = path, plan
         self._columns = plan.columns
-        # all there can be before there is a head
-        there = path.is_dir() and any(
+        # Files other than these imply that there is a head.
+        has_files = path.is_dir() and any(
             entry.name not in (_LOCK, FILE) and not entry.name.endswith(UNFINISHED)
             for entry in path.iterdir()
         )
-        if there and not (path / HEAD).exists():
-            raise ScenarioError(f"{path}: not empty, and no sweep's folder; choose another --out")
+        if has_files and not (path / HEAD).exists():
+            raise ScenarioError(f"{path}: not empty and not a sweep's folder; choose another --out")
         path.mkdir(parents=True, exist_ok=True)
         self._lock = (path / _LOCK).open("w")
         self._rows: dict[int, tuple[bool, bool]] = {}
-        """Of each run whether it failed, and whether the UGV was lost."""
+        """Run numbers, each with two flags: the run failed, the UGV was out of sight."""
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if fresh:
                 self._clear()
             self._claim(command, text)
-            self.take_stock()
+            self.count_rows()
         except BlockingIOError as error:
             self.close()
-            raise ScenarioError(f"{path}: another sweep is writing there now") from error
+            raise ScenarioError(f"{path}: in use by another sweep; choose another --out") from error
         except BaseException:
             self.close()
             raise
@@ -179,24 +180,24 @@ class SweepFolder:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def take_stock(self) -> None:
-        """See what is there, and remove what a kill has left half written."""
+    def count_rows(self) -> None:
+        """Read the existing rows, and remove files that a kill has left incomplete."""
         for left in self.path.rglob(f"*{UNFINISHED}"):
             left.unlink()
-        begun = read_results(self.path, self._columns)
-        kept = zip(begun["run"], begun["error"], begun["violated"], strict=True)
+        found = read_results(self.path, self._columns)
+        kept = zip(found["run"], found["error"], found["violated"], strict=True)
         self._rows = {run: (error is not None, bool(violated)) for run, error, violated in kept}
         self._number = max((int(part.stem) for part in self._parts()), default=0)
 
     def _clear(self) -> None:
-        """Throw a sweep away; its head goes last, so that after a kill nobody takes the rest for another's."""
+        """Delete the sweep; its head last, so that the folder stays identifiable after a kill."""
         if (self.path / HEAD).exists():
             shutil.rmtree(self.path / PARTS, ignore_errors=True)
             for name in (RESULTS, FILE, HEAD):
                 (self.path / name).unlink(missing_ok=True)
 
     def _claim(self, command: str, text: str) -> None:
-        """Make sure that the folder is this sweep's."""
+        """Write the head of a new folder, or check that the folder belongs to this sweep."""
         plan, head = self._plan, read_head(self.path)
         if head is None:
             if text:
@@ -213,13 +214,13 @@ class SweepFolder:
                 self.path / HEAD, msgspec.json.format(msgspec.json.encode(head), indent=2) + b"\n"
             )
         elif head.outrider != plan.version:
-            made = f"made by outrider {head.outrider}, this is {plan.version}"
+            made = f"made by Outrider {head.outrider}, this is {plan.version}"
             raise ScenarioError(
-                f"{self.path}: {made}; choose another --out, or start over with --fresh"
+                f"{self.path}: {made}; choose another --out, or start again with --fresh"
             )
         elif head.digest != plan.digest:
             raise ScenarioError(
-                f"{self.path}: holds another sweep; choose another --out, or start over with --fresh"
+                f"{self.path}: holds another sweep; choose another --out, or start again with --fresh"
             )
         self.path.joinpath(PARTS).mkdir(exist_ok=True)
 
@@ -228,7 +229,7 @@ class SweepFolder:
 
     @property
     def done(self) -> set[int]:
-        """Numbers of the runs that are flown and did not fail."""
+        """Numbers of the successful runs."""
         return {run for run, (failed, _) in self._rows.items() if not failed}
 
     @property
@@ -238,7 +239,7 @@ class SweepFolder:
 
     @property
     def violated(self) -> int:
-        """In how many runs the UGV was lost from sight."""
+        """Number of runs in which the UGV was out of sight."""
         return sum(violated for _, violated in self._rows.values())
 
     @property
@@ -247,24 +248,24 @@ class SweepFolder:
         return len(self._rows)
 
     def add(self, results: Iterable[dict[str, Any]]) -> None:
-        """Keep the results of some runs; when this returns, a kill does not lose them.
+        """Write the results of some runs; after the call, a kill does not lose them.
 
         Args:
-            results: Each with its run's number.
+            results: Results, each with its run number.
         """
         rows = [{**self._plan.head(result["run"]), **result} for result in results]
-        self._keep(pa.Table.from_pylist(rows, schema=schema_of(self._columns)))
+        self._write_part(pa.Table.from_pylist(rows, schema=schema_of(self._columns)))
         self._rows |= {
             row["run"]: (row["error"] is not None, bool(row["violated"])) for row in rows
         }
         if self._number % _MOST_PARTS == 0:
-            # one file of several small ones; a kill in between leaves rows twice, which reading mends
+            # Merge the small files; a kill in between leaves rows twice, which reading handles.
             parts = self._parts()[-_MOST_PARTS:]
-            self._keep(pa.concat_tables([_read_table(part, self._columns) for part in parts]))
+            self._write_part(pa.concat_tables([_read_table(part, self._columns) for part in parts]))
             for part in parts:
                 part.unlink()
 
-    def _keep(self, table: pa.Table) -> None:
+    def _write_part(self, table: pa.Table) -> None:
         """Write a table as the next part."""
         self._number += 1
         _write_table(self.path / PARTS / f"{self._number:08d}.parquet", table)
@@ -282,5 +283,5 @@ class SweepFolder:
         return self.path / RESULTS
 
     def close(self) -> None:
-        """Let others write there."""
+        """Release the lock."""
         self._lock.close()

@@ -1,4 +1,4 @@
-"""A sweep laid out: every point of it a scenario that can be flown, every run a number."""
+"""Plan of a sweep: a checked scenario for every point, and a number for every run."""
 
 import hashlib
 import math
@@ -21,32 +21,32 @@ from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 
 MOST_RUNS = 1_000_000
-"""Runs of a sweep at most, and rows of its table."""
+"""Largest number of runs of a sweep and of rows of its table."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepPoint:
-    """One law at one combination of values; flown with every seed."""
+    """Law and combination of values, flown with every seed."""
 
     block: str
     law: str
     fields: dict[str, Any]
-    """The value here of each field that the sweep varies anywhere; None where the scenario has no such value."""
+    """Value of each field that the sweep varies in any block; None if the scenario has no such value."""
     scenario: Scenario
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepPlan:
-    """All of a sweep. Run number r is point r // seeds with seed number r % seeds."""
+    """Plan of a sweep. Run r is point r // seeds with seed number r % seeds."""
 
     sweep: Sweep
     points: tuple[SweepPoint, ...]
     columns: dict[str, str]
-    """Of the table: their names and Parquet types, in order."""
+    """Columns of the table with their Parquet types, in order."""
     version: str
-    """Of Outrider."""
+    """Version of Outrider."""
     digest: str
-    """Of every point and seed: two sweeps with the same one fly the same runs."""
+    """Hash of all points and seeds: sweeps with equal hashes fly equal runs."""
     warnings: tuple[str, ...]
 
     @property
@@ -55,18 +55,18 @@ class SweepPlan:
         return len(self.points) * self.sweep.seeds
 
     def seed_of(self, run: int) -> int:
-        """The seed of a run."""
+        """Return the seed of a run."""
         return self.sweep.first_seed + run % self.sweep.seeds
 
     def head(self, run: int) -> dict[str, Any]:
-        """The columns of a run that are known before it is flown."""
+        """Return the columns of a run that are known before the run."""
         point = self.points[run // self.sweep.seeds]
         named = {"run": run, "block": point.block, "law": point.law, "seed": self.seed_of(run)}
         return {**named, "scenario": point.scenario.name, "version": self.version, **point.fields}
 
 
 def _value_at(raw: object, path: str, given: object) -> object:
-    """A field of a scenario in plain tables; of one that no scenario keeps, as of a profile, what it was given."""
+    """Return a field of a scenario in plain tables; for a field that scenarios do not store, the value given."""
     for part in path.split("."):
         if isinstance(raw, dict):
             raw = raw.get(part)
@@ -78,7 +78,7 @@ def _value_at(raw: object, path: str, given: object) -> object:
 
 
 def _kind(values: list[object]) -> str:
-    """The Parquet type that holds these values; text where they are of several kinds, lists or tables."""
+    """Return the Parquet type of some values: text for lists, tables and mixed types."""
     if all(isinstance(value, bool) for value in values):
         return "bool"
     if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
@@ -97,9 +97,9 @@ def _as_column(value: object, kind: str) -> object:
 
 
 def _loaded(
-    sweep: Sweep, told: Callable[[int, int], None]
+    sweep: Sweep, on_progress: Callable[[int, int], None]
 ) -> Iterator[tuple[Block, dict[str, Any], Scenario]]:
-    """The scenario of every point, in order, with what the sweep varies in it."""
+    """Yield the block, varied values and scenario of every point, in order."""
     laws: tuple[str | None, ...] = sweep.laws or (None,)
     wanted = [
         (block, law, dict(zip(block.vary, values, strict=True)))
@@ -108,17 +108,17 @@ def _loaded(
         for values in product(*block.vary.values())
     ]
     for number, (block, law, values) in enumerate(wanted):
-        told(number, len(wanted))
+        on_progress(number, len(wanted))
         named = {} if law is None else {"law.name": law}
         scenario = load_scenario(
             sweep.scenario, overrides={**sweep.set, **block.set, **named, **values}
         )
         outside = next((ugv.driver for ugv in scenario.ugv if DRIVERS[ugv.driver].outside), None)
         if outside is not None:
-            wrong = f"the driver {outside!r} is another process; a sweep has none"
+            wrong = f"the driver {outside!r} is another process; allowed: drivers of Outrider"
             raise ScenarioError(f"{one_line(sweep.scenario)}: {wrong}")
         if law is not None and not scenario.uav:
-            wrong = f"laws = {list(sweep.laws or ())}: there is no UAV that could fly them"
+            wrong = f"laws = {list(sweep.laws or ())}: the scenario has no UAV"
             raise ScenarioError(f"{one_line(sweep.scenario)}: {wrong}; allowed: none")
         yield block, values, scenario
 
@@ -134,18 +134,18 @@ def lay_out(
     *,
     named: Collection[str] = (),
     allow_code: bool = False,
-    told: Callable[[int, int], None] = lambda _done, _of: None,
+    on_progress: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> SweepPlan:
-    """Load every point of a sweep: what cannot be flown shows before anything is.
+    """Load and check every point of a sweep before the first run.
 
     Args:
-        sweep: Checked.
-        named: Fields that the user has set, and no file.
-        allow_code: Whether the code that a file names is loaded.
-        told: Is told how many points are loaded, and how many there are.
+        sweep: Checked sweep.
+        named: Fields set by the user, not by a file.
+        allow_code: True: load code that a file names.
+        on_progress: Called with the numbers of loaded and of all points.
 
     Raises:
-        ScenarioError: If a point is impossible; one line.
+        ScenarioError: If a point cannot be flown; the message is one line.
     """
     varied: dict[str, list[object]] = {}
     for block in sweep.block:
@@ -159,7 +159,7 @@ def lay_out(
         )
     points: list[SweepPoint] = []
     warnings: dict[str, None] = {}
-    for block, values, scenario in _loaded(sweep, told):
+    for block, values, scenario in _loaded(sweep, on_progress):
         raw = msgspec.to_builtins(scenario)
         fields = {
             field: _as_column(_value_at(raw, field, values.get(field)), kind)

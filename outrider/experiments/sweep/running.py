@@ -1,7 +1,4 @@
-"""The sweep's loop.
-
-Tasks of about a second, handed to worker processes here or on a cluster, results taken as they come.
-"""
+"""Execution of a sweep: tasks of about a second, on worker processes or a cluster."""
 
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -21,36 +18,36 @@ if TYPE_CHECKING:
     from distributed import Client
 
 _TASK = 20_000
-"""Ticks of one UAV in a task: about a second, beside which a task's own cost of some milliseconds is nothing."""
+"""Ticks of one UAV in a task, about a second; the overhead of a task is some milliseconds."""
 _CONNECT = 10.0
-"""To find a cluster's scheduler [s]."""
+"""Timeout of the connection to a cluster's scheduler [s]."""
 _AHEAD = 3
-"""Tasks of each worker that are submitted."""
+"""Number of tasks submitted per worker."""
 _TASKS_A_WORKER = 4
-"""At least, if there are runs enough: so that all workers end at about the same time."""
+"""Smallest number of tasks per worker, given enough runs, so that all workers finish at about the same time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepTask:
-    """Some runs of one point."""
+    """Runs of one point."""
 
     scenario: Scenario
     seeds: dict[int, int]
-    """By the runs' numbers."""
+    """Seeds by run number."""
 
 
 def cost_of(scenario: Scenario) -> int:
-    """Cost of a run of a scenario, in ticks of one UAV."""
+    """Return the estimated cost of a run, in ticks of one UAV."""
     return scenario.ticks * max(1, len(scenario.uav))
 
 
 def make_tasks(plan: SweepPlan, done: set[int], workers: int) -> list[SweepTask]:
-    """Cut what is still to be flown into tasks, in order.
+    """Divide the missing runs into tasks, in order.
 
     Args:
-        plan: The whole sweep.
-        done: Numbers of the runs that need not be flown.
-        workers: How many processes fly.
+        plan: Plan of the sweep.
+        done: Numbers of the finished runs.
+        workers: Number of worker processes.
     """
     missing = plan.runs - len(done)
     most = max(1, missing // (_TASKS_A_WORKER * workers))
@@ -70,30 +67,30 @@ def make_tasks(plan: SweepPlan, done: set[int], workers: int) -> list[SweepTask]
 
 @contextmanager
 def open_cluster(address: str, version: str) -> Iterator["Client"]:
-    """A client of a Dask cluster whose workers have the same Outrider.
+    """Open a client of a Dask cluster whose workers have the same version of Outrider.
 
     Args:
-        address: Of the scheduler.
-        version: Of Outrider here.
+        address: Address of the scheduler.
+        version: Version of Outrider here.
 
     Raises:
-        PeerLost: If there is no scheduler or no worker, or one has another Outrider or none.
+        PeerLost: If there is no scheduler or worker, or a worker has another version or none.
     """
-    from distributed import Client  # noqa: PLC0415 - an extra
+    from distributed import Client  # noqa: PLC0415 - optional dependency
 
     try:
         client = Client(address, timeout=_CONNECT)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
-        raise PeerLost(f"--dask {address}: no scheduler there ({error})") from error
+        raise PeerLost(f"--dask {address}: no scheduler found ({error})") from error
     with client:
         try:
             found = client.run(installed_version)
         except Exception as error:
-            raise PeerLost(f"--dask {address}: a worker cannot load outrider: {error}") from error
+            raise PeerLost(f"--dask {address}: a worker cannot import outrider: {error}") from error
         for worker, other in found.items():
             if other != version:
                 raise PeerLost(
-                    f"--dask {address}: worker {worker} has outrider {other}, this is {version}"
+                    f"--dask {address}: worker {worker} has outrider {other}; allowed: {version}"
                 )
         if not found:
             raise PeerLost(f"--dask {address}: the cluster has no workers")
@@ -103,7 +100,7 @@ def open_cluster(address: str, version: str) -> Iterator["Client"]:
 def _results(
     tasks: list[SweepTask], jobs: int, client: "Client | None"
 ) -> Generator[list[dict[str, Any]]]:
-    """Yield the results of the tasks, as they come."""
+    """Yield the results of the tasks as they arrive."""
     if client is not None:
         yield from _results_of_cluster(tasks, jobs, client)
     elif jobs == 1:
@@ -133,13 +130,13 @@ def _results_of_pool(tasks: list[SweepTask], jobs: int) -> Generator[list[dict[s
 def _results_of_cluster(
     tasks: list[SweepTask], jobs: int, client: "Client"
 ) -> Generator[list[dict[str, Any]]]:
-    from distributed import as_completed  # noqa: PLC0415 - an extra
+    from distributed import as_completed  # noqa: PLC0415 - optional dependency
 
     def submit(task: SweepTask) -> Any:  # noqa: ANN401 - distributed's future
         return client.submit(fly_runs, task.scenario, task.seeds, pure=False)
 
     waiting = iter(tasks)
-    # A future that nobody refers to is cancelled: so is what is left when this is closed.
+    # Dask cancels a future without references, and so the remaining tasks when this generator is closed.
     asked = as_completed([submit(task) for task in islice(waiting, _AHEAD * jobs)])  # type: ignore[no-untyped-call]
     for future in asked:
         yield future.result()
@@ -148,7 +145,7 @@ def _results_of_cluster(
 
 
 def _is_a_death(error: Exception) -> bool:
-    """Return whether a worker process has died: of the pool, or one too many of a cluster's."""
+    """Return true if a worker process of the pool died, or too many of the cluster."""
     return type(error).__name__ in ("BrokenProcessPool", "KilledWorker")
 
 
@@ -160,19 +157,19 @@ def fly_sweep(
     client: "Client | None" = None,
     on_results: Callable[[list[dict[str, Any]]], None] = lambda _results: None,
 ) -> None:
-    """Fly what is missing of a sweep.
+    """Fly the missing runs of a sweep.
 
-    A run that raises has its row, with the error; a worker that dies is replaced.
+    A failed run has a row with its error; a worker that dies is replaced.
 
     Args:
-        plan: The whole sweep.
-        folder: Where the results are kept.
+        plan: Plan of the sweep.
+        folder: Folder that stores the results.
         jobs: Number of worker processes.
-        client: Of a cluster, to fly there and not here.
-        on_results: Is told of results that are kept.
+        client: Client of a cluster; None: fly on this machine.
+        on_results: Called with results after they are stored.
 
     Raises:
-        PeerLost: If workers die again and again and nothing comes of it, or the cluster is gone.
+        PeerLost: If workers die repeatedly without results, or the cluster disconnects.
     """
     done = set(folder.done)
     while True:
@@ -190,11 +187,11 @@ def fly_sweep(
         except Exception as error:
             if client is not None and not _is_a_death(error):
                 raise PeerLost(
-                    f"--dask: the cluster is gone ({type(error).__name__}: {error}); what is done is kept"
+                    f"--dask: the cluster disconnected ({type(error).__name__}: {error}); finished runs are stored"
                 ) from error
             if not _is_a_death(error):
                 raise
             if len(done) == before:
                 raise PeerLost(
-                    "worker processes die at once; out of memory? (fewer --jobs); what is done is kept"
+                    "worker processes die at once, maybe out of memory; try fewer --jobs; finished runs are stored"
                 ) from error

@@ -1,4 +1,4 @@
-"""The work of a sweep's worker process: a few runs of one point, each in this process."""
+"""Work of a sweep's worker process: some runs of one point."""
 
 import time
 from functools import cache
@@ -13,16 +13,16 @@ from sim.scenario.types import Scenario
 
 @cache
 def warm_up_once() -> None:
-    """Compile everything that a flight needs, once in a process."""
+    """Compile the code of a flight, once per process."""
     warm_up_flight()
 
 
 def fly_run(scenario: Scenario, seed: int) -> dict[str, Any]:
-    """The results of one run; of one that raises, why."""
+    """Fly a run and return its results, or the error of a failed run."""
     started = time.perf_counter()
     try:
         summary = fly(scenario, seed)[1]
-    except Exception as error:  # noqa: BLE001 - whatever it is, it belongs into this run's row, and the others go on
+    except Exception as error:  # noqa: BLE001 - any error is stored in the run's row, and other runs continue
         return failed_row(error, time.perf_counter() - started)
     return row_of(summary, time.perf_counter() - started)
 
@@ -32,15 +32,15 @@ def fly_runs(scenario: Scenario, seeds: dict[int, int]) -> list[dict[str, Any]]:
 
     Args:
         scenario: Scenario of one point.
-        seeds: Seeds by the runs' numbers.
+        seeds: Seeds by run number.
 
     Returns:
-        The results, each with its run's number.
+        The results, each with its run number.
     """
     warm_up_once()
     return [{"run": run, **fly_run(scenario, seed)} for run, seed in seeds.items()]
 
 
 def installed_version() -> str:
-    """Of Outrider, where this is called."""
+    """Return the version of Outrider in the calling process."""
     return version("outrider")

@@ -1,1 +1,1 @@
-"""Driving a UGV from a terminal: the wheel (keys to velocity), the link (the bus), the map and the screen."""
+"""Teleoperation of a UGV from a terminal: keys, link to the bus, map and screen."""

@@ -1,4 +1,4 @@
-"""A picture made of characters: Braille dots on coloured cells, and single letters over them."""
+"""Picture of characters: Braille dots on colored cells, with letters over them."""
 
 import math
 
@@ -6,17 +6,17 @@ from rich.segment import Segment
 from rich.style import Style
 
 _DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
-"""The bit of each of a cell's dots, by row and column."""
+"""Bits of a cell's dots, by row and column."""
 _BLANK = 0x2800
 
 
 class Canvas:
-    """Width x height cells, each of 2 x 4 dots; (0, 0) is the upper left dot.
+    """Canvas of width x height cells with 2 x 4 dots each; (0, 0) is the upper left dot.
 
     Args:
-        width: In cells.
-        height: In cells.
-        background: Colour of a cell that has no other.
+        width: Width [cells].
+        height: Height [cells].
+        background: Default color of a cell.
     """
 
     def __init__(self, width: int, height: int, background: str) -> None:
@@ -28,7 +28,7 @@ class Canvas:
         self._letters = [[""] * width for _ in range(height)]
 
     def dot(self, x: float, y: float, color: str) -> None:
-        """Set a dot; a cell has the colour of its last one."""
+        """Set a dot; a cell has the color of its last dot."""
         if not (0.0 <= x < 2 * self.width and 0.0 <= y < 4 * self.height):
             return
         column, row = int(x) // 2, int(y) // 4
@@ -38,7 +38,7 @@ class Canvas:
     def line(
         self, x0: float, y0: float, x1: float, y1: float, color: str, *, dashed: bool = False
     ) -> None:
-        """Dots from one point to another."""
+        """Draw a line of dots."""
         steps = min(int(max(abs(x1 - x0), abs(y1 - y0))) + 1, 10_000)
         for step in range(steps + 1):
             if dashed and step % 4 >= 2:
@@ -49,7 +49,7 @@ class Canvas:
     def circle(
         self, x: float, y: float, radius: float, color: str, *, dashed: bool = False
     ) -> None:
-        """Dots around a point."""
+        """Draw a circle of dots."""
         steps = min(max(int(2.0 * math.pi * radius), 8), 10_000)
         for step in range(steps):
             if not (dashed and step % 6 >= 3):
@@ -57,11 +57,11 @@ class Canvas:
                 self.dot(x + radius * math.cos(angle), y + radius * math.sin(angle), color)
 
     def ground(self, column: int, row: int, color: str) -> None:
-        """Colour a cell."""
+        """Set the background color of a cell."""
         self._grounds[row][column] = color
 
     def letter(self, x: float, y: float, text: str, color: str) -> None:
-        """Write from the cell that holds a dot on; over the dots."""
+        """Write a text over the dots, from the cell of a dot on."""
         if not (0.0 <= y < 4 * self.height):
             return
         row, first = int(y) // 4, math.floor(x) // 2
@@ -71,7 +71,7 @@ class Canvas:
                 self._colors[row][column] = color
 
     def row(self, row: int) -> list[Segment]:
-        """One line of it."""
+        """Return one line of the canvas."""
         segments: list[Segment] = []
         text, style = "", ("", "", False)
         for column in range(self.width):

@@ -1,4 +1,4 @@
-"""The scene's colours on a dark terminal."""
+"""Colors of the scene on a dark terminal."""
 
 from sim.scene import colors
 
@@ -8,19 +8,19 @@ INK = "#dfe3ea"
 FAINT = "#8a93a2"
 EDGE = "#4a5362"
 LIMIT = "#f0576b"
-"""`LIMIT`, lighter."""
+"""Lighter shade of the scene's `LIMIT`."""
 GOOD = "#5fc48f"
-"""`GOOD`, lighter."""
+"""Lighter shade of the scene's `GOOD`."""
 UAV = (colors.UAV[1], "#3a6c9c")
-"""The UAV, and where it has been."""
+"""Colors of the UAV and of its track."""
 UGV = (colors.UGV[0], "#99602a")
-"""The UGV, and where it has been."""
+"""Colors of the UGV and of its track."""
 ALARM = colors.LIMIT
 HAZARDS = {"block": "#c3cad6", "rough": "#b8945f", "find": "#f2c230"}
-"""Of hazards by their kind, on a dark ground."""
+"""Colors of known hazards by kind."""
 UNKNOWN = {"block": "#5d6675", "rough": "#665640", "find": "#86712f"}
-"""Of those that no UGV knows of."""
+"""Colors of unknown hazards by kind."""
 TILES = ("", "", "#3a2f20", "#565e6b", "", "")
-"""Of tiles that are known to be more than ground, by their code in a `GroundMap`; empty: as it is covered."""
+"""Colors of tiles by their code in a `GroundMap`; empty: the color of the coverage."""
 COVERED = tuple(f"#{18 + 6 * k:02x}{21 + 8 * k:02x}{26 + 5 * k:02x}" for k in range(6))
-"""From unseen ground to covered ground; so little colour that they become greys where there are only 256."""
+"""Colors from uncovered to covered ground; muted, so that they become greys on a terminal with 256 colors."""

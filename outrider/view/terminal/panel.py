@@ -1,4 +1,4 @@
-"""The numbers beside the map, and the lines above it, as text."""
+"""Texts of the screen: the panel of numbers beside the map, and the lines above it."""
 
 import math
 from collections import deque
@@ -14,7 +14,7 @@ from outrider.view.terminal.palette import ALARM, EDGE, FAINT, GOOD, INK, LIMIT,
 from outrider.view.terminal.teleoperation import DriveView
 
 WIDTH = 36
-"""Of the panel [cells]."""
+"""Width of the panel [cells]."""
 _INNER = WIDTH - 4
 _BARS = "▁▂▃▄▅▆▇█"
 _EIGHTHS = " ▏▎▍▌▋▊▉█"
@@ -23,15 +23,15 @@ _LOCKSTEP_FACTOR = 20.0
 
 @dataclass(slots=True)
 class ErrorCurve:
-    """e(t) of the last while, for its curve."""
+    """Recent values of the coverage error e(t), for a curve."""
 
     errors: deque[float] = field(default_factory=lambda: deque(maxlen=_INNER))
     time: float = -math.inf
     step: float = 1.0
-    """Simulated time between two of them [s]."""
+    """Simulated time between two values [s]."""
 
     def add(self, time: float, error: float) -> None:
-        """Add one, if it is time."""
+        """Add a value [m²] if it is due."""
         if time < self.time:
             self.errors.clear()
             self.time = -math.inf
@@ -41,7 +41,7 @@ class ErrorCurve:
 
 
 class Banner(NamedTuple):
-    """The line that tells how it stands."""
+    """Line with the current state."""
 
     text: str
     color: str
@@ -49,7 +49,7 @@ class Banner(NamedTuple):
 
 
 def farthest(view: DriveView, vehicle: str) -> EscortTruth | None:
-    """Of the UAVs that escort this UGV, the one that is farthest away."""
+    """Return the escort of a UGV that is farthest away; None if unknown."""
     if view.truth is None:
         return None
     return max(
@@ -60,38 +60,38 @@ def farthest(view: DriveView, vehicle: str) -> EscortTruth | None:
 
 
 def banner(view: DriveView, vehicle: str, *, leaving: bool) -> Banner:
-    """The one thing that matters most now."""
+    """Return the most important message now."""
     if view.status is not None and view.status.over:
-        return Banner("the flight is over · q leaves", "#12151a", GOOD)
+        return Banner("the flight is over · q quits", "#12151a", GOOD)
     trouble = _trouble(view)
     if trouble:
         return Banner(trouble, "#ffffff", ALARM)
     if leaving:
-        return Banner("handing the wheel back", "#12151a", GOOD)
+        return Banner("returning control", "#12151a", GOOD)
     paused = view.status is not None and view.status.paused
     if view.mine:
         does = "paused" if paused else "driving" if view.wanted is not None else "braking"
         return Banner(f"YOU DRIVE {vehicle} · {does}", "#12151a", UGV[0])
     pause = " (paused)" if paused else ""
     if view.asked:
-        return Banner(f"taking the wheel of {vehicle}{pause}", "#12151a", UGV[1])
+        return Banner(f"taking control of {vehicle}{pause}", "#12151a", UGV[1])
     driver = "another operator" if view.driver == TELEOP else view.driver
-    who = f"{driver} drives" if driver else "nobody is known to drive"
-    return Banner(f"{who} {vehicle}{pause} · an arrow key takes the wheel", INK, EDGE)
+    state = f"{driver} drives {vehicle}" if driver else f"the driver of {vehicle} is unknown"
+    return Banner(f"{state}{pause} · an arrow key takes control", INK, EDGE)
 
 
 def _trouble(view: DriveView) -> str:
     if not view.connected:
-        return "THE ROUTER HAS GONE · the UGV brakes · waiting for it"
+        return "ROUTER DISCONNECTED · the UGV brakes · waiting for the router"
     if not view.present:
-        return "THE SIMULATOR HAS GONE · waiting for it · q leaves"
+        return "SIMULATOR DISCONNECTED · waiting for it · q quits"
     if view.age > SILENCE:
-        return f"NO NEWS FROM THE SIMULATOR for {view.age:.0f} s"
-    return view.fault and f"TROUBLE: {view.fault}"
+        return f"NO MESSAGE FROM THE SIMULATOR for {view.age:.0f} s"
+    return view.fault and f"ERROR: {view.fault}"
 
 
 def title(view: DriveView, run: str, *, wide: bool = True) -> Text:
-    """The run's name and its time; where it is not wide the time alone."""
+    """Return the title with the run's name and time; without the name if not `wide`."""
     text = Text(" OUTRIDER ", style=f"bold {UAV[0]}", no_wrap=True)
     status = view.status
     if status is None:
@@ -115,7 +115,7 @@ def _total(status: Status) -> str:
 
 
 def numbers(view: DriveView, vehicle: str, history: ErrorCurve) -> Text:
-    """The panel."""
+    """Return the panel of numbers."""
     text = Text(no_wrap=True, style=INK)
     escort = farthest(view, vehicle)
     _distance(text, view, escort)
@@ -155,7 +155,7 @@ def _severity(distance: float, r_v: float, r_s: float | None) -> str:
 
 
 def _gauge(distance: float | None, r_v: float | None, r_s: float | None, color: str) -> Text:
-    """The distance as a bar that is full at r_v, with a mark at r_s."""
+    """Return the distance as a bar that is full at r_v, with a mark at r_s."""
     share = 0.0 if distance is None or r_v is None else min(distance / r_v, 1.0)
     eighths = round(share * _INNER * 8)
     full, rest = divmod(eighths, 8)
@@ -193,7 +193,7 @@ def _velocities(text: Text, view: DriveView, vehicle: str, escort: EscortTruth |
         style=FAINT,
     )
     wanted = view.wanted if view.wanted is not None else (0.0, 0.0) if view.mine else None
-    _velocity(text, "you want", wanted, UGV[0])
+    _velocity(text, "desired", wanted, UGV[0])
     vehicles = view.truth.vehicles if view.truth is not None else {}
     shown = {vehicle: UGV[0]} | ({} if escort is None else {escort.uav: UAV[0]})
     for name, color in shown.items():
@@ -212,20 +212,21 @@ def _velocity(text: Text, name: str, velocity: tuple[float, float] | None, color
 
 
 def _mission(text: Text, view: DriveView) -> None:
-    """Lines about the UGVs' way through ground with hazards."""
-    told = view.status.mission if view.status is not None else None
-    if told is None:
+    """Add the lines on the mission, in a scenario with hazards."""
+    mission = view.status.mission if view.status is not None else None
+    if mission is None:
         return
-    if told.mission_time is None:
+    if mission.mission_time is None:
         _row(text, "at the goals", "not yet")
     else:
-        _row(text, "at the goals", f"after {told.mission_time:.1f} s", GOOD)
-    _row(text, "hazards hit", str(told.hazards_hit), LIMIT if told.hazards_hit else GOOD, bold=True)
-    _row(text, "on the way / known", f"{told.hazards_on_path} / {told.warned}")
-    if told.reported_share is not None:
-        _row(text, "way seen ahead", f"{100.0 * told.reported_share:.0f} %")
-    if told.finds:
-        _row(text, "found", f"{told.found} of {told.finds}")
+        _row(text, "at the goals", f"after {mission.mission_time:.1f} s", GOOD)
+    hits = mission.hazards_hit
+    _row(text, "hazards hit", str(hits), LIMIT if hits else GOOD, bold=True)
+    _row(text, "on the path / known", f"{mission.hazards_on_path} / {mission.warned}")
+    if mission.reported_share is not None:
+        _row(text, "path reported ahead", f"{100.0 * mission.reported_share:.0f} %")
+    if mission.finds:
+        _row(text, "found", f"{mission.found} of {mission.finds}")
     text.append("\n")
 
 
@@ -235,11 +236,11 @@ def _clock(text: Text, view: DriveView) -> None:
         return
     lockstep = status.target_factor is None
     pace = "paused" if status.paused else f"x {view.factor:.2f}"
-    _row(text, "real time" + ("" if lockstep else f" (wanted x {status.target_factor:g})"), pace)
+    _row(text, "real time" + ("" if lockstep else f" (target x {status.target_factor:g})"), pace)
     if lockstep and view.factor > _LOCKSTEP_FACTOR:
         text.append("too fast to drive: --realtime 1\n", style=LIMIT)
     elif lockstep:
-        text.append("lockstep: as fast as it goes\n", style=FAINT)
+        text.append("lockstep: as fast as possible\n", style=FAINT)
     else:
         _row(text, "late ticks", f"{status.late_ticks}", LIMIT if status.late_ticks else INK)
 
@@ -254,12 +255,12 @@ def _processes(text: Text, view: DriveView) -> None:
 
 
 def _process(text: Text, name: str, vehicle: VehicleStatus, *, known: bool = True) -> None:
-    state, color = ("here", GOOD) if vehicle.present else ("AWAY", LIMIT)
+    state, color = ("up", GOOD) if vehicle.present else ("DOWN", LIMIT)
     if not known:
         state, color = "unknown", FAINT
     text.append("● ", style=color)
     text.append(name)
-    told = [f"lost {vehicle.lost}x"] if vehicle.lost else []
-    told += [f"missed {vehicle.missing_commands}"] if vehicle.missing_commands else []
-    told += [f"shortened {vehicle.shortened_commands}"] if vehicle.shortened_commands else []
-    text.append(", ".join([*told, state]).rjust(_INNER - 2 - len(name)) + "\n", style=color)
+    counts = [f"lost {vehicle.lost}x"] if vehicle.lost else []
+    counts += [f"missed {vehicle.missing_commands}"] if vehicle.missing_commands else []
+    counts += [f"shortened {vehicle.shortened_commands}"] if vehicle.shortened_commands else []
+    text.append(", ".join([*counts, state]).rjust(_INNER - 2 - len(name)) + "\n", style=color)

@@ -1,27 +1,27 @@
-"""The velocity that pressed keys ask of the UGV. Pure: the clock is an argument.
+"""Velocity commanded by pressed keys. Pure: the clock is an argument.
 
-A terminal tells when a key goes down and repeats it while it is held, but never tells when it is let go. So a key
-is a dead man's switch: it counts for a moment, and its repeats prolong it. Whoever lets go, falls asleep or loses the
-connection brakes.
+A terminal reports when a key is pressed, and repeats a held key, but does not report its release. A key therefore acts
+as a dead man's switch: a press counts for a moment, and repeats prolong it. The UGV brakes when the operator releases
+the key, falls asleep or loses the connection.
 """
 
 import math
 from enum import Enum
 
 FIRST = 0.7
-"""The time for which the first press counts [s]; longer than most keyboards take to begin repeating."""
+"""Duration of the first press [s]; longer than the repeat delay of most keyboards."""
 REPEAT = 0.4
-"""The time that each repeat adds [s]."""
+"""Duration of each repeat [s]."""
 CHORD = 0.15
-"""Two keys that go down within this time [s] are one diagonal."""
+"""Longest time between two presses that make a diagonal [s]."""
 STEP = 0.05
-"""By how much the speed is set [m/s]."""
+"""Step of the speed setting [m/s]."""
 LOWEST, HIGHEST = STEP, 20.0
-"""Bounds of the speed [m/s]."""
+"""Bounds of the speed setting [m/s]."""
 
 
 class Heading(Enum):
-    """A direction on the ground; y is up on the map."""
+    """Direction on the ground; y points up on the map."""
 
     EAST = (1, 0)
     WEST = (-1, 0)
@@ -30,24 +30,24 @@ class Heading(Enum):
 
     @property
     def axis(self) -> int:
-        """0 along x, 1 along y."""
+        """Axis of the direction: 0 for x, 1 for y."""
         return 0 if self.value[0] else 1
 
 
 class PressedKeys:
-    """The velocity that the operator wants now.
+    """State of the keys, and the velocity that they command.
 
     Args:
-        speed: How fast a pressed key drives [m/s].
+        speed: Speed of a pressed key [m/s].
     """
 
     def __init__(self, speed: float) -> None:
         self.speed = speed
-        self._held: dict[Heading, float] = {}  # what is held, and since when [s]
+        self._held: dict[Heading, float] = {}  # held keys, and the times of their first press [s]
         self._until = -math.inf
 
     def press(self, heading: Heading, now: float) -> None:
-        """A key has gone down, or is repeated, at `now` [s]."""
+        """Register a press or a repeat at `now` [s]."""
         if not self._is_held(now):
             self._held = {}
         if heading in self._held:
@@ -62,15 +62,15 @@ class PressedKeys:
         self._until = now + FIRST
 
     def release(self) -> None:
-        """Want nothing any more: brake."""
+        """Release all keys: brake."""
         self._held = {}
 
     def faster(self, steps: int) -> None:
-        """Set the speed higher by so many steps, or lower."""
+        """Increase the speed by a number of steps; negative: reduce it."""
         self.speed = min(max(round(self.speed / STEP + steps) * STEP, LOWEST), HIGHEST)
 
     def velocity(self, now: float) -> tuple[float, float] | None:
-        """The velocity that is wanted at `now` [s], in m/s; None: to brake."""
+        """Return the commanded velocity at `now` [s], in m/s; None: brake."""
         if not self._is_held(now):
             return None
         x, y = (sum(heading.value[axis] for heading in self._held) for axis in (0, 1))

@@ -1,4 +1,4 @@
-"""The screen: a Textual app that shows the link's view and passes keys on."""
+"""Screen of the teleoperation: a Textual app that shows the run and forwards keys."""
 
 import math
 from typing import ClassVar
@@ -20,9 +20,9 @@ from outrider.view.terminal.teleoperation import DriveLink, DriveView
 from outrider.view.terminal.topview import Trails, draw
 
 _PERIOD = 0.1
-"""Time between two pictures [s]; the map has every second one, for the sake of slow connections."""
+"""Time between two updates [s]; the map takes part in every second one, to spare slow connections."""
 _NARROW = WIDTH + 20
-"""Below this width the map makes room for the numbers [cells]."""
+"""Width below which the map is hidden [cells]."""
 
 _HEADINGS = {
     "up,w,W": Heading.NORTH,
@@ -30,27 +30,27 @@ _HEADINGS = {
     "left,a,A": Heading.WEST,
     "right,d,D": Heading.EAST,
 }
-"""The meaning of the keys; with caps lock too."""
+"""Directions of the keys, with and without caps lock."""
 
 
 class TopView(Widget):
-    """The map."""
+    """Map widget."""
 
     canvas: Canvas | None = None
 
     def render_line(self, y: int) -> Strip:
-        """One line of it."""
+        """Return one line of the map."""
         if self.canvas is None or y >= self.canvas.height:
             return Strip.blank(self.size.width)
         return Strip(self.canvas.row(y)).adjust_cell_length(self.size.width)
 
 
 class DriveApp(App[int]):
-    """Shows one UGV's drive until it is over.
+    """App that shows one UGV until the operator quits.
 
     Args:
-        link: Does the driving.
-        run: The run's name.
+        link: Link to the bus.
+        run: Name of the run.
     """
 
     ENABLE_COMMAND_PALETTE = False
@@ -86,7 +86,7 @@ class DriveApp(App[int]):
         self._pictures = 0
 
     def compose(self) -> ComposeResult:
-        """The rooms of the screen."""
+        """Lay out the screen."""
         yield Static(id="title")
         yield Static(id="banner")
         with Horizontal(id="body"):
@@ -95,28 +95,28 @@ class DriveApp(App[int]):
         yield Static(id="keys")
 
     def on_mount(self) -> None:
-        """Begin to draw."""
+        """Start the updates."""
         self.set_interval(_PERIOD, self.show)
         self.show()
 
     def on_resize(self, event: events.Resize) -> None:
-        """Give the numbers precedence where it is narrow."""
+        """Hide the map on a narrow screen."""
         self.query_one(TopView).display = event.size.width >= _NARROW
         self.call_after_refresh(self.show)
 
     def show(self) -> None:
-        """Draw all that is known now."""
+        """Update the screen."""
         if self._link.over:
             self.exit(self._code)
             return
         if not self.query(TopView):
-            return  # the screen is being taken down, and the clock has ticked once more
+            return  # a last timer event while the screen closes
         view = self._link.view()
-        self._remember(view)
-        told = banner(view, self._link.vehicle, leaving=self._link.leaving)
+        self._store(view)
+        message = banner(view, self._link.vehicle, leaving=self._link.leaving)
         line = self.query_one("#banner", Static)
-        line.update(Text(told.text))
-        line.styles.background, line.styles.color = told.ground, told.color
+        line.update(Text(message.text))
+        line.styles.background, line.styles.color = message.ground, message.color
         self.query_one("#title", Static).update(
             title(view, self._run_name, wide=self.size.width >= _NARROW)
         )
@@ -126,7 +126,7 @@ class DriveApp(App[int]):
             self._draw_map(view)
         self._pictures += 1
 
-    def _remember(self, view: DriveView) -> None:
+    def _store(self, view: DriveView) -> None:
         if view.truth is not None:
             self._trails.follow(view.truth)
             escort = farthest(view, self._link.vehicle)
@@ -143,7 +143,7 @@ class DriveApp(App[int]):
             widget.refresh()
 
     def action_press(self, name: str) -> None:
-        """Drive that way for a moment."""
+        """Drive in a direction for a moment."""
         self._link.press(Heading[name])
 
     def action_brake(self) -> None:
@@ -151,37 +151,37 @@ class DriveApp(App[int]):
         self._link.brake()
 
     def action_faster(self, steps: int) -> None:
-        """Set the speed."""
+        """Change the speed by a number of steps."""
         self._link.faster(steps)
 
     def action_hand_back(self) -> None:
-        """Let the driver from before drive on."""
+        """Return control to the previous driver."""
         self._link.hand_back()
 
     def action_zoom(self) -> None:
-        """Show the whole area, or the surroundings."""
+        """Toggle between the whole area and the UGV's surroundings."""
         self._wide = not self._wide
         self.show()
 
     def action_leave(self, code: int) -> None:
-        """Hand the wheel back and leave."""
+        """Return control and quit."""
         self._code = code
         self._link.leave()
 
 
 def _keys(view: DriveView, width: int) -> Text:
-    """The keys and what they do, in as many lines as it takes: none is lost where it is narrow."""
-    words = (
+    """Return the list of keys, wrapped to the width of the screen."""
+    keys = (
         ("WASD ←↑↓→", "drive"),
         ("space", "brake"),
         ("+-", f"{view.speed:.2f} m/s"),
-        ("h", "hand back"),
+        ("h", "return control"),
         ("z", "zoom"),
-        ("q", "leave"),
+        ("q", "quit"),
     )
     text, used = Text(), 0
-    for key, word in words:
-        entry = Text.assemble(f" {key}", f" {word} ", style=FAINT)
+    for key, action in keys:
+        entry = Text.assemble(f" {key}", f" {action} ", style=FAINT)
         entry.stylize(f"bold {INK}", 1, 1 + len(key))
         if used and used + len(entry) > width:
             text.append("\n")

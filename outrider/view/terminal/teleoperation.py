@@ -1,4 +1,4 @@
-"""Teleoperation of one UGV: a thread between keys and bus, so that a slow terminal never holds up a brake."""
+"""Teleoperation of one UGV: a thread between keys and bus, so that a slow terminal never delays braking."""
 
 import math
 import threading
@@ -14,48 +14,48 @@ from outrider.view.operator import Helm, RunClient
 from outrider.view.terminal.pressed_keys import FIRST, REPEAT, Heading, PressedKeys
 from sim.scene.model import Scene, observed_scene
 
-_LOOK = 0.05
-"""Time between two looks at the bus [s]."""
+_POLL = 0.05
+"""Time between two checks of the bus [s]."""
 _SEND, _SEND_FASTEST = 0.1, 0.02
-"""Time between two messages to the vehicle [s], in real time and at most."""
-_HOLD = 0.5
-"""The time for which a message counts for a vehicle [s], simulated, unless the scenario says otherwise."""
+"""Time between two commands to the vehicle [s]: at real time, and the shortest."""
+_COMMAND_TIMEOUT = 0.5
+"""Simulated time for which a command stays in effect [s], by default."""
 _ASK_AGAIN = 1.0
-"""Time after which a control that shows no effect is sent anew [s]."""
+"""Time after which a request without effect is repeated [s]."""
 _SETTLE = 1.5
-"""The longest wait for the hand-back [s]."""
+"""Longest wait for the transfer of control at the end [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveView:
-    """All that is known of a run at one moment."""
+    """State of a run, as known to the operator."""
 
     status: Status | None = None
     truth: Truth | None = None
     coverage: CoverageMap | None = None
     ground: GroundMap | None = None
     age: float = 0.0
-    """Time since the simulator has told something [s]."""
+    """Time since the simulator's last message [s]."""
     factor: float = 0.0
-    """Simulated seconds per second of wall time, lately."""
+    """Simulated seconds per second of wall time, recently."""
     connected: bool = True
     present: bool = True
-    """True if the simulator is there."""
+    """True if the simulator is connected."""
     driver: str = ""
-    """The UGV's driver."""
+    """Current driver of the UGV."""
     mine: bool = False
-    """True if it obeys this terminal."""
+    """True if this terminal controls the UGV."""
     asked: bool = False
-    """True if the wheel has been asked for and not been given yet."""
+    """True if control was requested but not granted yet."""
     wanted: tuple[float, float] | None = None
-    """The velocity that is wanted [m/s]."""
+    """Desired velocity [m/s]; None: none."""
     speed: float = 0.0
-    """The speed that a pressed key asks for [m/s]."""
+    """Speed of a pressed key [m/s]."""
     fault: str = ""
 
     @property
     def scene(self) -> Scene | None:
-        """The map's scene; None before it is known."""
+        """Scene of the map; None before the first messages."""
         if self.status is None or self.status.geometry is None or self.truth is None:
             return None
         geometry, vehicles = self.status.geometry, self.truth.vehicles
@@ -65,20 +65,20 @@ class DriveView:
 
 
 def ugvs_of(status: Status) -> tuple[str, ...]:
-    """The UGVs of a run, as far as its status tells."""
+    """Return the UGVs named in a run's status."""
     escorted = () if status.geometry is None else status.geometry.uavs.values()
     return tuple(sorted({*status.drivers, *escorted}))
 
 
 class DriveLink:
-    """Drives one UGV over the bus.
+    """Link that drives one UGV over the bus.
 
     Args:
-        session: The operator's.
-        vehicle: Which UGV.
-        speed: How fast a pressed key drives [m/s].
-        back: Who gets the wheel in the end; empty: who had it before.
-        status: The first one.
+        session: Session of the operator.
+        vehicle: Name of the UGV.
+        speed: Speed of a pressed key [m/s].
+        back: Driver that receives control at the end; empty: the previous driver.
+        status: First status.
     """
 
     def __init__(
@@ -98,38 +98,38 @@ class DriveLink:
         self._nudge, self._over = threading.Event(), threading.Event()
         self._back, self._before, self._heir = back, "", ""
         self.leaving = False
-        """True if the end has been asked for."""
-        # Whether the wheel must be handed back, and whether it was ours already.
+        """True after a request to quit."""
+        # True if control must be returned, and if it was granted already.
         self._taken = self._granted = False
-        # Whether a brake must be sent, and whether the last message was a velocity.
+        # True if a brake command must be sent, and if the last command was a velocity.
         self._braked = self._moving = False
-        self._asked = self._sent = -math.inf  # when the wheel was asked for, a message sent [s]
-        self._keys_from = -math.inf  # from when on keys count [s]
+        self._asked = self._sent = -math.inf  # times of the last request and command [s]
+        self._keys_from = -math.inf  # time from which on keys count [s]
         self._error: Exception | None = None
         self.handed_to = ""
-        """Returns the driver that is known to have got the wheel back."""
+        """Driver that has confirmed control; empty: none."""
         self._follow()
         session.announce()
         self._thread = threading.Thread(target=self._run, name="outrider-drive", daemon=True)
 
     def start(self) -> None:
-        """Begin to read and to send."""
+        """Start to read and to send."""
         self._thread.start()
 
     def leave(self) -> None:
-        """Ask for the end, the wheel handed back; may be called from a signal's handler."""
+        """Request to return control and quit; may be called from a signal handler."""
         self.leaving = True
 
     @property
     def over(self) -> bool:
-        """True if all is handed back and nothing more is sent."""
+        """True if control is returned and nothing more is sent."""
         return self._over.is_set()
 
     def wait(self, patience: float | None = None) -> bool:
-        """Wait until all is handed back; whether it is.
+        """Wait until control is returned; return false after a timeout.
 
         Raises:
-            Exception: If the thread has failed, with what.
+            Exception: If the thread has failed; the thread's error.
         """
         done = self._over.wait(patience)
         if self._error is not None:
@@ -137,35 +137,35 @@ class DriveLink:
         return done
 
     def press(self, heading: Heading) -> None:
-        """Drive there for a moment; the first time, take the wheel."""
+        """Drive in a direction for a moment; the first call takes control."""
         self._do(lambda: self._press(heading, time.monotonic()))
 
     def brake(self) -> None:
-        """Brake; also takes the wheel."""
+        """Brake; the first call takes control."""
         self._do(self._release)
 
     def faster(self, steps: int) -> None:
-        """Set the speed higher by so many steps, or lower."""
+        """Increase the speed by a number of steps; negative: reduce it."""
         self._do(lambda: self._keys.faster(steps))
 
     def hand_back(self) -> None:
-        """Let the driver from before drive on."""
+        """Return control to the previous driver."""
         self._do(self._return)
 
     def farewell(self) -> str:
-        """A line that tells how it ended."""
+        """Describe in one line which driver controls the UGV at the end."""
         ugv = self.vehicle
         if self.handed_to:
-            return f"{ugv} is handed back to {self.handed_to}"
+            return f"{ugv}: control returned to {self.handed_to}"
         if self._heir:
-            return f"{ugv} was to be handed back to {self._heir}; nobody has confirmed it yet"
+            return f"{ugv}: control offered to {self._heir}, not confirmed yet"
         if self._taken:
             unknown = self._client.simulator.there and not (self._back or self._before)
-            why = "say --back DRIVER" if unknown else "the simulator has gone"
-            return f"{ugv} could not be handed back ({why}); it brakes without an operator"
+            why = "name a driver with --back" if unknown else "the simulator disconnected"
+            return f"{ugv}: control not returned ({why}); the UGV brakes without an operator"
         if self._driver == TELEOP:
-            return f"{ugv} was left to another operator"
-        return f"{ugv} was left to {self._driver or 'its driver'}"
+            return f"{ugv}: another operator drives"
+        return f"{ugv}: {self._driver or 'its driver'} drives"
 
     def _do(self, change: Callable[[], object]) -> None:
         with self._lock:
@@ -183,7 +183,7 @@ class DriveLink:
         self._braked = True
 
     def view(self) -> DriveView:
-        """All that is known now."""
+        """Return the current state."""
         with self._lock:
             client = self._client
             return DriveView(
@@ -208,24 +208,24 @@ class DriveLink:
             while not self.leaving:
                 with self._lock:
                     self._turn(time.monotonic())
-                self._nudge.wait(_LOOK)
+                self._nudge.wait(_POLL)
                 self._nudge.clear()
             self._finish()
-        except Exception as error:  # noqa: BLE001 - is raised where it can be told: in `wait`
+        except Exception as error:  # noqa: BLE001 - raised in `wait`, where it can be reported
             self._error = error
         finally:
             self._client.close()
             self._over.set()
 
     def _finish(self) -> None:
-        """Hand the wheel back, and see it taken."""
+        """Return control, and wait for the confirmation."""
         with self._lock:
             self._return()
             if not self._heir:
                 return
         limit = time.monotonic() + _SETTLE
         while time.monotonic() < limit and self._client.simulator.there and not self.handed_to:
-            time.sleep(_LOOK / 2)
+            time.sleep(_POLL / 2)
             with self._lock:
                 self._read()
 
@@ -234,25 +234,25 @@ class DriveLink:
         wanted, status = self._keys.velocity(now), self._client.status
         if not self._client.simulator.there or status is None or status.over:
             self._keys.release()
-            # Nobody listens; the vehicle brakes when its operator is silent.
+            # No simulator receives commands; the vehicle brakes when its operator is silent.
             self._braked = self._moving = False
             return
         if wanted is not None or self._braked:
-            self._take(now)
+            self._request(now)
         if wanted is not None:
             if not self._moving or now - self._sent >= self._period(status):
                 self._steer(wanted, now)
         elif self._braked or self._moving:
             self._steer(None, now)
 
-    def _take(self, now: float) -> None:
+    def _request(self, now: float) -> None:
         self._taken, self._heir, self.handed_to = True, "", ""
         if not self._mine and now - self._asked >= _ASK_AGAIN:
             self._helm.take(self.vehicle, self._driver)
             self._asked = now
 
     def _return(self) -> None:
-        """Hand the wheel back, if it was taken and there is somebody to take it."""
+        """Return control if it was taken and a driver is known."""
         self._keys.release()
         heir = self._back or self._before
         if not (self._taken and heir and self._client.simulator.there):
@@ -268,7 +268,7 @@ class DriveLink:
                 self._follow()
 
     def _follow(self) -> None:
-        """Keep up with who drives: somebody else may take the wheel, and a simulator may be started anew."""
+        """Update the current driver: another operator may take control, and the simulator may restart."""
         driver, now = self._driver, time.monotonic()
         if driver == TELEOP:
             self._before = self._before or self._last_driver()
@@ -284,14 +284,14 @@ class DriveLink:
             self._lose(now, held=False)
 
     def _lose(self, now: float, *, held: bool) -> None:
-        """Leave the wheel to another driver: a key that is still held does not take it back."""
+        """Leave control to another driver; a key that is still held does not take it back."""
         self._keys.release()
         self._taken = self._granted = self._braked = self._moving = False
         self._asked = -math.inf
         self._keys_from = now + FIRST if held else -math.inf
 
     def _last_driver(self) -> str:
-        """The driver before an operator who has not handed the wheel back, as far as the status still tells."""
+        """Return the last driver before teleoperation in the status's changes; empty if unknown."""
         status = self._client.status
         controls = [change.control for change in status.changes] if status is not None else []
         found = [one.driver for one in controls if one.vehicle in (None, self.vehicle)]
@@ -308,8 +308,10 @@ class DriveLink:
 
     @staticmethod
     def _period(status: Status) -> float:
-        """So often that a message still counts when the next one comes, whatever the pace of simulated time."""
-        return min(max(_HOLD / 3.0 / max(status.realtime_factor, 1e-3), _SEND_FASTEST), _SEND)
+        """Return the time between commands [s], so that each is still in effect when the next arrives."""
+        return min(
+            max(_COMMAND_TIMEOUT / 3.0 / max(status.realtime_factor, 1e-3), _SEND_FASTEST), _SEND
+        )
 
     def _steer(self, velocity: tuple[float, float] | None, now: float) -> None:
         self._helm.steer(self.vehicle, self._client.name, velocity)

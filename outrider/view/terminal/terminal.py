@@ -1,4 +1,4 @@
-"""The terminal, and how to leave it as it was, whatever ends the drive."""
+"""Terminal settings, and their restoration at the end of the teleoperation."""
 
 import contextlib
 import logging
@@ -15,18 +15,18 @@ from bus.errors import ScenarioError
 from outrider.view.terminal.teleoperation import DriveLink
 
 _GRACE, _PATIENCE = 2.0, 15.0
-"""The time that the screen may take to close once all is handed back [s], after a signal and after a key.
+"""Longest time for the screen to close after control is returned [s]: after a signal, and after a key.
 
-A terminal that has gone never does, one that has just told a key is slow at worst."""
+A terminal that is closed never answers; one that has just sent a key is slow at worst."""
 _LEAVE = b"\x1b[<u\x1b[?1049l\x1b[?25h\x1b[?1004l\x1b[?2004l\x1b[?7h"
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def check_terminal() -> None:
-    """Refuse to drive without one.
+    """Check that the process has a terminal.
 
     Raises:
-        ScenarioError: If standard input, output or error is none.
+        ScenarioError: If standard input, output or error is not a terminal.
     """
     for name, stream in (
         ("input", sys.__stdin__),
@@ -35,40 +35,40 @@ def check_terminal() -> None:
     ):
         if stream is None or not stream.isatty():
             raise ScenarioError(
-                f"drive: standard {name} is no terminal; over SSH use `ssh -t`, in a container `-it`"
+                f"drive: standard {name} is not a terminal; over SSH use `ssh -t`, in a container `-it`"
             )
 
 
 def know_colours() -> None:
-    """Count on 256 colours where the terminal says no more than `xterm`, as in containers.
+    """Assume 256 colors for a terminal that reports only `xterm`, as in containers.
 
-    To be called before Textual loads.
+    Must be called before Textual is imported.
     """
     if os.environ.get("TERM") in ("xterm", "screen", "tmux") and not os.environ.get("COLORTERM"):
         os.environ.setdefault("TEXTUAL_COLOR_SYSTEM", "256")
 
 
 class Ending:
-    """Signals as a wish: the wheel is handed back first."""
+    """Handler of signals that first returns control."""
 
     def __init__(self, link: DriveLink) -> None:
         self._link = link
         self.code = 0
-        """The exit code that the signal asks for."""
+        """Exit code after the signal; 0 without a signal."""
         self.closed = threading.Event()
 
     def handle(self, number: int, _frame: FrameType | None) -> None:
-        """Take the signal down."""
+        """Store the signal, and request to quit."""
         self.code = 128 + number
         self._link.leave()
 
     def guard(self, descriptor: int, attributes: list[Any]) -> None:
-        """End the process even if its screen cannot close.
+        """Exit even if the screen cannot close.
 
-        Textual waits for its writer thread, which waits for ever in a write to a stuck terminal. So no clean exit is
-        possible then: this is the one place that calls `os._exit`.
+        Textual waits for its writer thread, which blocks forever in a write to a hung terminal. No clean exit is
+        possible then; this is the only place that calls `os._exit`.
         """
-        with contextlib.suppress(Exception):  # is told by whoever waits for the link
+        with contextlib.suppress(Exception):  # reported by the caller that waits for the link
             self._link.wait()
         if not self.closed.wait(_GRACE if self.code else _PATIENCE):
             with contextlib.suppress(OSError, termios.error):
@@ -80,10 +80,10 @@ class Ending:
 
 @contextlib.contextmanager
 def ending(link: DriveLink) -> Iterator[Ending]:
-    """While this lasts, SIGINT, SIGTERM and SIGHUP hand the wheel back; afterwards the terminal is as before."""
+    """Make SIGINT, SIGTERM and SIGHUP return control within this context; restore the terminal afterwards."""
     descriptor = sys.__stdin__.fileno() if sys.__stdin__ is not None else 0
     attributes = termios.tcgetattr(descriptor)
-    # what was typed before there was a screen drives nothing
+    # Keys typed before the screen appears must not drive.
     termios.tcflush(descriptor, termios.TCIFLUSH)
     end = Ending(link)
     before = {number: signal.signal(number, end.handle) for number in SIGNALS}
@@ -102,7 +102,7 @@ def ending(link: DriveLink) -> Iterator[Ending]:
 
 @contextlib.contextmanager
 def quiet_logs() -> Iterator[list[str]]:
-    """While this lasts, warnings are kept instead of written across the screen."""
+    """Collect log messages within this context instead of writing them across the screen."""
     lines: list[str] = []
 
     class Keep(logging.Handler):

@@ -1,4 +1,4 @@
-"""The map: the UGV and what is around it from above, in characters."""
+"""Map of the UGV and its surroundings from above, in characters."""
 
 import math
 from collections import deque
@@ -26,23 +26,23 @@ from sim.scene.model import Scene
 from sim.scene.told_tiles import HIT
 
 _SHOWN = 1.35
-"""The map's reach around the UGV, in r_v."""
+"""Half the size of the map around the UGV [r_v]."""
 _KEPT = 400
 _TRAIL_STEP = 0.15
 """Distance between two points of a trail [m]."""
 _COVERED = tuple(COVERED[round(level / 255.0 * (len(COVERED) - 1))] for level in range(256))
-"""The ground's colour by the byte that says how much of its coverage it has."""
+"""Color of the ground by its coverage, 0 to 255."""
 
 
 @dataclass(slots=True)
 class Trails:
-    """The ways of the vehicles so far."""
+    """Paths of the vehicles so far."""
 
     points: dict[str, deque[tuple[float, float]]] = field(default_factory=dict)
     tick: int = 0
 
     def follow(self, truth: Truth) -> None:
-        """Add where they are now; a flight that begins anew has none."""
+        """Add the current positions; clear the trails when a flight restarts."""
         if truth.tick < self.tick:
             self.points.clear()
         self.tick = truth.tick
@@ -54,15 +54,15 @@ class Trails:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Window:
-    """The part of the ground that is shown."""
+    """Visible part of the ground."""
 
     x: float
-    """Of the middle [m]."""
+    """Position of the center [m]."""
     y: float
     scale: float
-    """Metres per dot."""
+    """Scale [m per dot]."""
     width: int
-    """In dots."""
+    """Width [dots]."""
     height: int
 
     def dot(self, point: tuple[float, float]) -> tuple[float, float]:
@@ -79,15 +79,15 @@ class _Window:
 def draw(
     view: DriveView, vehicle: str, trails: Trails, *, width: int, height: int, wide: bool
 ) -> Canvas:
-    """The map.
+    """Draw the map.
 
     Args:
-        view: What is known.
-        vehicle: The UGV in the middle.
-        trails: Where the vehicles have been.
-        width: In cells.
-        height: In cells.
-        wide: The whole area instead of the UGV's surroundings.
+        view: State of the run.
+        vehicle: UGV in the center.
+        trails: Paths of the vehicles.
+        width: Width [cells].
+        height: Height [cells].
+        wide: True: show the whole area instead of the UGV's surroundings.
     """
     canvas = Canvas(width, height, BACKGROUND)
     truth, scene = view.truth, view.scene
@@ -97,9 +97,9 @@ def draw(
     limits = [ring for ring in scene.rings if ring.around == vehicle]
     reach = None if wide or not limits else _SHOWN * max(ring.radius for ring in limits)
     window = _window(scene, truth.vehicles[vehicle].position, canvas, reach)
-    told = view.coverage
-    if told is not None and len(told.cells) == told.rows * told.columns:
-        _paint_grid(canvas, window, told, told.cell, told.cells, _COVERED)
+    coverage = view.coverage
+    if coverage is not None and len(coverage.cells) == coverage.rows * coverage.columns:
+        _paint_grid(canvas, window, coverage, coverage.cell, coverage.cells, _COVERED)
     _paint_area(canvas, window, scene)
     has_hazards = view.status is not None and view.status.mission is not None
     hazards = view.ground if has_hazards else None
@@ -134,7 +134,7 @@ def draw(
 def _window(
     scene: Scene, middle: tuple[float, float], canvas: Canvas, reach: float | None
 ) -> _Window:
-    """The ground within so many metres around a place, or all of it."""
+    """Return the window within `reach` [m] of a point; None: the whole area."""
     width, height = 2 * canvas.width, 4 * canvas.height
     if reach is not None:
         scale = 2.0 * reach / min(width, height)
@@ -151,7 +151,7 @@ def _paint_grid(
     codes: bytes,
     shades: Sequence[str],
 ) -> None:
-    """Colour the ground by a grid of fields, `side` [m] wide: each by its code, where that has a shade."""
+    """Color the ground by a grid with cells of `side` [m]; an empty shade leaves the color."""
     for row in range(canvas.height):
         for column in range(canvas.width):
             x, y = window.point(2 * column + 1, 4 * row + 2)
@@ -163,7 +163,7 @@ def _paint_grid(
 
 
 def _paint_hazards(canvas: Canvas, window: _Window, ground: GroundMap) -> None:
-    """Draws the hazards: those that the UGVs do not know faint."""
+    """Draw the hazards; those unknown to the UGVs are faint."""
     for hazard, state in zip(ground.hazards, ground.states, strict=True):
         color = LIMIT if state == HIT else (HAZARDS if state else UNKNOWN)[hazard.kind]
         if hazard.polygon:
@@ -175,7 +175,7 @@ def _paint_hazards(canvas: Canvas, window: _Window, ground: GroundMap) -> None:
 
 
 def _mark_hazards(canvas: Canvas, window: _Window, ground: GroundMap) -> None:
-    """A star where there is something to be found, and a cross on each hazard that a UGV has hit."""
+    """Mark objects to find with a star, and hazards that a UGV has hit with a cross."""
     for hazard, state in zip(ground.hazards, ground.states, strict=True):
         if hazard.kind == "find":
             color = (HAZARDS if state else UNKNOWN)[hazard.kind]
@@ -214,7 +214,7 @@ def _paint_scale(canvas: Canvas, window: _Window) -> None:
 
 
 def _round_length(least: float) -> float:
-    """1, 2 or 5 times a power of ten, not below this."""
+    """Return the smallest 1, 2 or 5 times a power of ten that is not below `least`."""
     power = 10.0 ** math.floor(math.log10(least))
     return next(
         factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= least * 0.999
