@@ -1,4 +1,4 @@
-"""The operator's controls of a run."""
+"""Run controls of the operator."""
 
 from enum import StrEnum
 from typing import Annotated
@@ -11,7 +11,7 @@ from bus.messages.scenario import Law
 
 
 class Action(StrEnum):
-    """The actions of a `Control`."""
+    """Action of a `Control`."""
 
     PAUSE = "pause"
     RESUME = "resume"
@@ -24,30 +24,34 @@ class Action(StrEnum):
 
 
 class Control(Message, frozen=True, kw_only=True):
-    """An operator's request to the simulator; takes effect at the next tick. Only the fields of its action count."""
+    """Request from an operator to the simulator; it takes effect at the next tick. Only the fields of its action are
+    read.
+    """
 
     action: Action
     ticks: Annotated[int, Meta(ge=1, le=1_000_000)] = 1
-    """STEP: how far."""
+    """STEP: number of ticks to advance."""
     factor: Annotated[float, Meta(ge=1e-3, le=1e4)] | None = None
-    """SPEED: simulated seconds per second of wall time; None: lockstep, as fast as it goes."""
+    """SPEED: simulated seconds per second of wall time; None: lockstep, as fast as possible."""
     seed: Tick | None = None
-    """RESET: of the new flight; None: the same again."""
+    """RESET: seed of the new run; None: the same seed again."""
     law: Law | None = None
-    """LAW: what the UAVs fly."""
+    """LAW: control law for the UAVs."""
     vehicle: Name | None = None
-    """DRIVER: which UGV; LINK: whose. None: every one."""
+    """DRIVER: the UGV; LINK: the vehicle. None: all of them."""
     driver: Name | None = None
-    """DRIVER: who takes its wheel."""
+    """DRIVER: new driver."""
     operator: Name | None = None
-    """DRIVER: the operator who takes it, where the driver obeys one; each has a name of its own."""
+    """DRIVER: name of the operator who takes control, for a driver that follows an operator. Each operator has a unique
+    name.
+    """
     link: LinkKind | None = None
-    """LINK: which."""
+    """LINK: kind of link."""
     settings: LinkSettings | None = None
-    """LINK: what it does to messages from now on."""
+    """LINK: new settings of the link."""
 
     def in_words(self) -> str:
-        """Tells a person what was asked for."""
+        """Return a short description of the request for the user."""
         match self.action:
             case Action.LAW if self.law is not None:
                 return f"law {self.law.name}"
@@ -68,7 +72,7 @@ class Control(Message, frozen=True, kw_only=True):
 
 
 class Change(Message, frozen=True, kw_only=True):
-    """A control that has taken effect, and when."""
+    """Control that has taken effect, and its tick."""
 
     tick: Tick
     control: Control

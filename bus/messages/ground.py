@@ -1,4 +1,4 @@
-"""Tiles of the ground, and the map of it that radio messages and telemetry carry."""
+"""Ground tiles, and the maps of them in radio messages and telemetry."""
 
 import math
 from typing import Annotated
@@ -10,99 +10,106 @@ from bus.messages.base import Message, Name, NonNegative, Place, Positive, Tick,
 from bus.registry import HAZARDS
 
 TILE_LETTERS = "?.~#*"
-"""Names of the states of a tile in messages: not seen, clear, rough, blocked, and clear with a find on it."""
+"""Letters for the states of a tile in messages: unknown, clear, rough, blocked, and clear with a find."""
 
 
 BLOCK_SIDE = 8
-"""Tiles along each side of a `MapUpdate`."""
+"""Tiles per side of a `MapUpdate`."""
 
 
 MOST_BLOCKS = 4
-"""Blocks that one command carries at most."""
+"""Maximum number of map updates in one command."""
 
 
 MOST_CORNERS = 128
-"""Corners of a route that one command carries at most: what turns more often is shown up to there."""
+"""Maximum number of route corners in one command; a longer route is truncated."""
 
 
 class TileReport(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """A tile of the ground as a vehicle's own sensor sees it; in JSON an array of these fields, in this order."""
+    """Tile observed by a vehicle's own sensor. In JSON: an array of these fields, in this order."""
 
     column: Place
     row: Place
-    """The tile from x = column * tile and y = row * tile [m] on."""
+    """Tile index: the tile's lower left corner is (column * tile, row * tile) [m]."""
     state: Annotated[str, Meta(pattern=r"^[.~#*]$(?!\n)")]
-    """One of `TILE_LETTERS`."""
+    """State of the tile, one of `TILE_LETTERS`."""
 
 
 class MapUpdate(Message, frozen=True, kw_only=True):
-    """A UAV's radio message of the ground to its UGV: the states of a block of tiles, as its sensor has told them."""
+    """Radio message from a UAV to its UGV: the states of a block of ground tiles, as its sensor reported them."""
 
     column: Place
     row: Place
-    """Of the block: that of its first tile divided by `BLOCK_SIDE`."""
+    """Block index: column and row of the block's first tile, divided by `BLOCK_SIDE`."""
     tiles: Annotated[str, Meta(pattern=r"^[?.~#*]{64}$(?!\n)")]
-    """The state of each tile, of `TILE_LETTERS`, row by row from the least y on; beyond the area they are not seen."""
+    """State of each tile, a letter of `TILE_LETTERS`, row by row from the smallest y; tiles outside the area are
+    unknown.
+    """
 
 
 class UavGround(Message, frozen=True, kw_only=True):
-    """A UAV's sensor of hazards, as its briefing tells."""
+    """The UAV's hazard sensor, as given in its briefing."""
 
     tile: Positive
     """Width of a tile [m]."""
     map_update_rate: NonNegative
-    """Blocks that it radios to its UGV in a second [1/s]."""
+    """Map updates that the UAV radios to its UGV per second [1/s]."""
 
 
 class UgvGround(Message, frozen=True, kw_only=True):
-    """A UGV's sensor of the ground and its caution, as its briefing tells."""
+    """The UGV's ground sensor and its caution, as given in its briefing."""
 
     tile: Positive
     """Width of a tile [m]."""
     sensing_range: NonNegative
-    """Range of its own sensor [m]: it sees each tile that has a point so near."""
+    """Range of the UGV's own sensor [m]: it observes every tile with a point within this distance."""
     caution: Name
-    """Its caution on ground that it does not know: one of `bus.registry.CAUTIONS`."""
+    """Caution on unknown ground: one of `bus.registry.CAUTIONS`."""
     delay: NonNegative = 0.0
-    """From the tick that a command answers to the one in which it acts [s]."""
+    """Time from the tick that a command answers to the tick in which it takes effect [s]."""
     rough_speed_share: Annotated[float, Meta(gt=0.0, le=1.0)]
-    """Of its largest speed that it has at least on rough ground."""
+    """Smallest share of its maximum speed that the UGV keeps on rough ground."""
     executes_trajectories: bool = False
-    """True if its receiver flies the motions that commands carry: a command acts in its own tick or not at all, and the
-    vehicle brakes where none does."""
+    """True if the receiver executes the backup trajectories of commands. A command then takes effect in its own tick or
+    not at all, and the vehicle brakes if none does.
+    """
 
 
 SpeedShare = Annotated[float, Meta(gt=0.0, le=1.0)]
 DEFAULT_SHARE = 0.4
-"""Share of its maximum speed that a vehicle keeps on rough ground where none is given."""
+"""Default share of its maximum speed that a vehicle keeps on rough ground."""
 MOST_POLYGON_CORNERS = 1000
 SAME_CORNER = 1e-3 + 1e-9
-"""Corners of a polygon that are no farther apart than a millimetre, but for rounding, are one [m]."""
+"""Distance up to which two corners of a polygon count as one [m]: a millimetre plus rounding."""
 
 
 def kept_share(kind: str, share: float | None) -> float:
-    """Return the share of its maximum speed that a vehicle keeps on a hazard; `share`: as given for a rough one."""
+    """Return the share of its maximum speed that a vehicle keeps on a hazard; `share` is the given value for rough
+    ground, or None.
+    """
     if not HAZARDS[kind].slows:
         return 1.0
     return DEFAULT_SHARE if share is None else share
 
 
 class Hazard(Message, frozen=True, kw_only=True):
-    """A disc or a polygon of ground that a vehicle should know of; no vehicle is told of it."""
+    """Disc or polygon of hazardous ground. The simulator sends it to no vehicle: vehicles must detect it."""
 
     kind: Name
-    """A row of `bus.registry.HAZARDS`: `block`, not to be touched; `rough`, to be driven slowly; `find`, to find."""
+    """Row of `bus.registry.HAZARDS`: `block` (do not touch), `rough` (drive slowly) or `find` (an object to find)."""
     center: Vector | None = None
-    """Of a disc [m]."""
+    """Center of a disc [m]."""
     radius: Positive | None = None
-    """Of a disc [m]."""
+    """Radius of a disc [m]."""
     polygon: Annotated[tuple[Vector, ...], Meta(max_length=MOST_POLYGON_CORNERS)] = ()
-    """Instead of a disc: its corners in order round it, either way [m]. Its sides do not meet but at corners."""
+    """Corners of a polygon in order, clockwise or counterclockwise [m]; an alternative to a disc. Its sides meet only
+    at corners.
+    """
     speed_share: SpeedShare | None = None
-    """If it is rough: of its largest speed that a vehicle keeps on it; by default 0.4."""
+    """Share of its maximum speed that a vehicle keeps on rough ground; 0.4 by default."""
 
     def __post_init__(self) -> None:
-        """Merge corners that follow each other within `SAME_CORNER`, the last and the first too."""
+        """Merge consecutive corners closer than `SAME_CORNER`, including the last and the first."""
         corners: list[Vector] = []
         for corner in self.polygon:
             if not corners or math.dist(corner, corners[-1]) > SAME_CORNER:
@@ -113,24 +120,24 @@ class Hazard(Message, frozen=True, kw_only=True):
 
     @property
     def kept_share(self) -> float:
-        """Share of its maximum speed that a vehicle keeps on it."""
+        """Return the share of its maximum speed that a vehicle keeps on the hazard."""
         return kept_share(self.kind, self.speed_share)
 
     @property
     def bounds(self) -> tuple[Vector, Vector]:
-        """Lower and upper corner of the rectangle around the polygon, or twice the center of the disc [m]."""
+        """Return the lower and upper corner of the polygon's bounding box, or the center of the disc twice [m]."""
         x, y = zip(*(self.polygon or (self.center or (0.0, 0.0),)), strict=True)
         return (min(x), min(y)), (max(x), max(y))
 
     @property
     def middle(self) -> Vector:
-        """Center of the disc, or of the rectangle around the polygon [m]."""
+        """Return the center of the disc, or of the polygon's bounding box [m]."""
         low, high = self.bounds
         return 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])
 
 
 class GroundMap(Message, frozen=True, kw_only=True):
-    """The ground for observers: its hazards as they truly are, and what the UGVs know of it."""
+    """Ground for observers: the true hazards, and the UGVs' knowledge of them."""
 
     tick: Tick
     columns: Annotated[int, Meta(ge=1)]
@@ -138,13 +145,13 @@ class GroundMap(Message, frozen=True, kw_only=True):
     tile: Positive
     """Width of a tile [m]."""
     tiles: bytes
-    """Each tile as the UGVs know it, all together, row by row from y = 0 (base64 in JSON).
+    """Combined knowledge of all UGVs, one byte per tile, row by row from y = 0 (base64 in JSON).
 
-    Its place in `TILE_LETTERS`; 5 where a UAV has seen it and has not told it yet.
+    Each byte is an index into `TILE_LETTERS`; 5: observed by a UAV, but not yet sent.
     """
     states: bytes
-    """Of each hazard: 0, no UGV knows of it, or nobody has found it; 1, one does; 2, one has hit it."""
+    """State of each hazard: 0, unknown to all UGVs, or not yet found; 1, known or found; 2, hit by a UGV."""
     routes: dict[Name, tuple[Vector, ...]] = {}
-    """The way that each UGV plans to its goal, by its corners [m], from where it is; no vehicle is told."""
+    """Planned route of each UGV to its goal: its corners, from the UGV's position on [m]. Sent to no vehicle."""
     hazards: tuple[Hazard, ...] = ()
-    """In a recording only in a flight's first map: they stay where they are."""
+    """True hazards. A recording holds them only in the first map of a run, because they do not move."""

@@ -1,4 +1,4 @@
-"""A radio link: its settings and its counters."""
+"""Settings and counters of a radio link."""
 
 from enum import StrEnum
 from typing import Annotated, Any
@@ -10,90 +10,93 @@ from bus.messages.base import Message, Name, NonNegative, Seconds, Share, Text, 
 
 
 class LinkKind(StrEnum):
-    """The kinds of messages that cross a link."""
+    """Kind of messages that a link carries."""
 
     DETECTIONS = "detections"
-    """From a UAV's detector to its computer."""
+    """From the UAV's detector to its computer."""
     COMMANDS = "commands"
-    """From a vehicle's computer to its actuators."""
+    """From the vehicle's computer to its actuators."""
     OPERATOR = "operator"
-    """From an operator to a UGV."""
+    """From the operator to a UGV."""
     RADIO = "radio"
-    """From a UAV to the UGV it escorts."""
+    """From a UAV to the UGV that it escorts."""
 
 
 class LinkSettings(Message, frozen=True, kw_only=True):
-    """The settings of one link, all that it does to messages; the default is a perfect one."""
+    """Settings of one link; the default is a perfect link."""
 
     delay: Annotated[float, Meta(ge=0.0, le=30.0)] = 0.0
-    """[s]"""
+    """Fixed delay [s]."""
     jitter: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.0
-    """Scale of the extra delay [s]."""
+    """Scale of the random extra delay [s]."""
     jitter_shape: Name = "uniform"
-    """A row of `sim.channel.jitter.SHAPES`, which says what the scale means."""
+    """Distribution of the jitter, a row of `sim.channel.jitter.SHAPES`; it defines the meaning of the scale."""
     max_jitter: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
-    """The extra delay lies between -delay and this [s], as if drawn again until it does; 0: five times the jitter."""
+    """Upper bound of the extra delay [s]; its lower bound is -delay. Values outside are drawn again. 0: five times the
+    jitter.
+    """
     loss: Share = 0.0
-    """Share of messages that are lost, each on its own."""
+    """Share of messages lost independently."""
     burst_length: Seconds = 0.0
-    """Mean length of the bad state (Gilbert-Elliott) [s]; 0: no bursts."""
+    """Mean duration of the bad state (Gilbert-Elliott) [s]; 0: no bursts."""
     burst_interval: Seconds = 0.0
-    """Mean time in the good state between two [s]."""
+    """Mean time in the good state between two bursts [s]."""
     burst_loss: Share = 1.0
-    """Share of messages that are lost in the bad state."""
+    """Share of messages lost in the bad state."""
     blackouts: Annotated[tuple[tuple[Seconds, Seconds], ...], Meta(max_length=1000)] = ()
-    """Start and length of planned ones [s]: nothing that leaves then gets through."""
+    """Start and duration of each scheduled blackout [s]: messages sent during a blackout are lost."""
     blackout_interval: Seconds = 0.0
-    """Mean time between the end of a random blackout and the start of the next [s]; 0: none."""
+    """Mean time from the end of a random blackout to the start of the next [s]; 0: none."""
     blackout_length: Seconds = 0.0
-    """Length of each random one [s]."""
+    """Duration of each random blackout [s]."""
     duplicates: Share = 0.0
-    """Share of messages that arrive twice; the copy has a delay of its own."""
+    """Share of messages that arrive twice; the copy has an independent delay."""
     reorder: Share = 0.0
-    """Share of messages that are held back."""
+    """Share of messages that are delayed by `reorder_delay`."""
     reorder_delay: Annotated[float, Meta(ge=0.0, le=30.0)] = 0.0
-    """By how much [s]."""
+    """Extra delay of a reordered message [s]."""
     bandwidth: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
-    """Messages per second [1/s]; 0: no limit."""
+    """Maximum number of messages per second [1/s]; 0: no limit."""
     queue: Annotated[int, Meta(ge=1, le=10_000)] = 10
-    """Messages that can wait at the sender."""
+    """Capacity of the sender's queue [messages]."""
     keep: Name = "newest"
-    """The messages that a full queue keeps, of `KEEPS`."""
+    """Messages that a full queue keeps, one of `KEEPS`."""
     trace: Text = ""
-    """A recorded link that is played in a loop instead of drawing: a Mahimahi file, or a CSV table of sent and delay.
+    """Trace file, replayed in a loop instead of random draws: a Mahimahi file, or a CSV table of sent times and delays.
 
-    The file lies beside the scenario's or below. Beside a Mahimahi file, which says when bytes may leave, stands all
-    but bandwidth; beside a table, which says what became of each message, stand delay and blackouts alone."""
+    The file lies in the scenario's folder or below. A Mahimahi file defines when bytes can leave: all settings but
+    `bandwidth` can be combined with it. A table defines the outcome of each message: only `delay` and `blackouts`
+    can."""
     message_bytes: Annotated[int, Meta(ge=1, le=1_000_000)] = 1000
-    """Size of a message where a Mahimahi file is played [bytes]: each of its lines lets 1,500 bytes leave."""
+    """Size of a message for a Mahimahi file [bytes]; each line of the file lets 1,500 bytes leave."""
 
     def changes(self) -> dict[str, Any]:
-        """Return the fields in which it differs from a perfect link, as plain values."""
+        """Return the fields that differ from a perfect link, as plain values."""
         theirs = msgspec.to_builtins(LinkSettings())
         mine = msgspec.to_builtins(self)
         return {name: value for name, value in mine.items() if value != theirs[name]}
 
 
 class LinkStatus(Message, frozen=True, kw_only=True):
-    """The counters of a link: sent + duplicated = delivered + lost + waiting + flying."""
+    """Counters of a link: sent + duplicated = delivered + lost + queued + in_transit."""
 
     sent: Tick
     delivered: Tick
-    """Copies among them."""
+    """Messages delivered, copies included."""
     duplicated: Tick
-    """Copies that were made."""
+    """Copies made."""
     queued: Tick
-    """At the sender."""
+    """Messages in the sender's queue."""
     in_transit: Tick
     lost: dict[Text, Tick]
-    """By cause, of `sim.channel.link.CAUSES`."""
+    """Messages lost, by cause, one of `sim.channel.link.CAUSES`."""
     delivery_ratio: Share | None = None
-    """Of the messages whose fate is known, the share that was not lost."""
+    """Share of messages delivered, among those whose outcome is known."""
     age: NonNegative | None = None
-    """Of the newest information delivered, at the last tick [s]; None before the first."""
+    """Age of the newest delivered information at the last tick [s]; None before the first delivery."""
     mean_age: NonNegative | None = None
-    """Over the ticks since then."""
+    """Mean age over all ticks since the first delivery [s]."""
     max_age: NonNegative | None = None
     degraded: bool = False
-    """True if its settings do anything to a message."""
+    """True if the settings differ from a perfect link."""
     settings: LinkSettings | None = None

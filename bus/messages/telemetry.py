@@ -1,4 +1,4 @@
-"""What observers of a run receive."""
+"""Telemetry messages for observers of a run."""
 
 from typing import Annotated
 
@@ -24,36 +24,36 @@ from bus.registry import DEFAULT_LAW
 
 
 class VehicleTruth(Message, frozen=True, kw_only=True):
-    """The true state of one vehicle."""
+    """True state of one vehicle."""
 
     position: Vector
     velocity: Vector
     acceleration: Vector
-    """Applied since the last tick, after the bounds."""
+    """Mean acceleration since the last tick, after the bounds [m/s²]."""
     command: Vector
-    """The command that it was asked for since the last tick, before the bounds [m/s²].
+    """Commanded acceleration since the last tick, before the bounds [m/s²].
 
-    Where it was silent, what stood in for it.
+    If no command arrived, its substitute.
     """
 
 
 class EscortTruth(Message, frozen=True, kw_only=True):
-    """The true relation of one UAV to the UGV it escorts."""
+    """True state of one UAV relative to the UGV that it escorts."""
 
     uav: Name
     ugv: Name
     distance: NonNegative
     """|p_a - p_g| [m]."""
     coverage_error: NonNegative
-    """e(t) of (4) with the true p_g [m²]."""
+    """Coverage error e(t) of (4) with the true p_g [m²]."""
     detection: Vector | None
-    """The relative position detected at this tick [m], if any."""
+    """Relative position detected at this tick [m]; None: no detection."""
     report: UavReport | None
-    """The UAV's report at the last tick."""
+    """Report of the UAV at the last tick."""
 
 
 class Truth(Message, frozen=True, kw_only=True):
-    """Everything but the grid, for observers."""
+    """Complete true state, except for the coverage grid."""
 
     tick: Tick
     time: NonNegative
@@ -62,172 +62,175 @@ class Truth(Message, frozen=True, kw_only=True):
 
 
 class CoverageMap(Message, frozen=True, kw_only=True):
-    """The coverage as bytes: 255 is the desired coverage or more."""
+    """Coverage of the ground as bytes: 255 is the desired coverage or more."""
 
     tick: Tick
     columns: Annotated[int, Meta(ge=1)]
     rows: Annotated[int, Meta(ge=1)]
     cell: Positive
     cells: bytes
-    """Row by row from y = 0 (base64 in JSON)."""
+    """Coverage of each cell, row by row from y = 0 (base64 in JSON)."""
 
 
 class UgvGuarantee(Message, frozen=True, kw_only=True):
-    """Certificates of a cautious UGV so far, compared with the truth (docs/explanation/ground.md)."""
+    """Certificates of a cautious UGV so far, compared with the true state (docs/explanation/ground.md)."""
 
     entered_unknown_tile: Tick
     """Ticks in which it drove over a tile that it did not know to be drivable."""
     ticks: Tick
-    """Ticks in which it reported whether it is certified to stay on tiles that it knows."""
+    """Ticks in which it reported whether it is certified to stay on known tiles."""
     certified: Tick
-    """Ticks in which it was."""
+    """Ticks certified."""
     uncertified: dict[Text, Tick] = {}
-    """Ticks in which it was not, by reason."""
+    """Ticks not certified, by reason."""
     certificate_broken: Tick
-    """Certified ticks after which it was not certified, or in which it entered such a tile, although all assumptions
-    hold: the guarantee is wrong if there is one."""
+    """Violations: certified ticks after which the UGV was not certified, or in which it entered an unknown tile,
+    although all assumptions hold. Any value above 0 shows an error in the guarantee.
+    """
 
 
 class MissionResult(Message, frozen=True, kw_only=True):
-    """The UGVs' way through ground with hazards, all together: for measuring, no vehicle is told."""
+    """Mission results over ground with hazards, for all UGVs together; for evaluation only, sent to no vehicle."""
 
     arrived: bool
-    """True if every UGV that has goals has reached them all."""
+    """True if every UGV with goals has reached all of them."""
     mission_time: NonNegative | None
-    """Time at which the last of them had [s]; None: not yet, or nobody has a goal."""
+    """Time at which the last UGV reached its last goal [s]; None: not yet, or no UGV has a goal."""
     hazards_hit: Tick
-    """Blocking hazards that were touched, each once by each UGV."""
+    """Blocking hazards touched; each UGV counts a hazard once."""
     near_misses: Tick
-    """Blocking hazards that a UGV came nearer to than 0.2 m without touching them."""
+    """Blocking hazards that a UGV approached to less than 0.2 m without touching them."""
     hazards_on_path: Tick
-    """Hazards, blocking or rough, that a UGV came nearer to than 2 m."""
+    """Blocking or rough hazards that a UGV approached to less than 2 m."""
     warned: Tick
-    """Those of them that it knew of before it came so near."""
+    """Number of these hazards that the UGV knew before it came within 2 m."""
     mean_warning_time: NonNegative | None
-    """Time from then until it came so near, in the mean of those [s]; None: there are none."""
+    """Mean time from the first knowledge of a hazard until the UGV came within 2 m [s]; None: no such hazard."""
     reported_share: Share | None
-    """Share of the way that led over tiles which had come by radio before; None: nobody has moved."""
+    """Share of the driven distance on tiles that were received by radio beforehand; None: no UGV has moved."""
     ground_certified_share: Share | None = None
-    """Share of the ticks at which cautious UGVs were certified, of those in which they reported it; None: none did."""
+    """Share of reported ticks in which cautious UGVs were certified; None: no reports."""
     entered_unknown_tile: Tick = 0
-    """Ticks in which a UGV drove over a tile that it did not know to be drivable, of all UGVs."""
+    """Ticks in which a UGV drove over a tile that it did not know to be drivable, summed over all UGVs."""
     ground_certificate_broken: Tick = 0
-    """As `UgvGuarantee.certificate_broken`, of all UGVs."""
+    """`UgvGuarantee.certificate_broken`, summed over all UGVs."""
     guarantees: dict[Name, UgvGuarantee] = {}
     """Guarantee of each UGV, by name."""
     stationary_time: NonNegative
-    """Time that the UGVs stood still before they had arrived [s]."""
+    """Time that UGVs stood still before arrival [s]."""
     finds: Tick
-    """Things to be found."""
+    """Objects to find."""
     found: Tick
-    """Those that a vehicle's sensor has told of."""
+    """Objects reported by a vehicle's sensor."""
 
 
 class VehicleStatus(Message, frozen=True, kw_only=True):
-    """The state of a vehicle's process, and what has gone wrong with it so far."""
+    """State of a vehicle's process, and its faults so far."""
 
     present: bool
     missing_commands: Tick = 0
-    """Ticks for which no new command was there."""
+    """Ticks without a new command."""
     stale_commands: Tick = 0
-    """Commands that were used after the tick they answer."""
+    """Commands used after the tick that they answer."""
     shortened_commands: Tick = 0
-    """Commands that were longer than the vehicle's bound."""
+    """Commands shortened to the vehicle's bound."""
     lost: Tick = 0
-    """Number of times that its process went away during the run."""
+    """Number of times that the vehicle's process disconnected during the run."""
     rejoined: Tick = 0
-    """Number of times that it came back."""
+    """Number of times that it reconnected."""
     rejected: dict[Text, Tick] = {}
-    """Messages and sessions that were refused, by cause."""
+    """Rejected messages and sessions, by cause."""
     last_fault: Text = ""
 
 
 class Geometry(Message, frozen=True, kw_only=True):
-    """The facts that a picture of the run needs and that do not change."""
+    """Constant facts for a picture of the run."""
 
     area: Area
     visibility_radius: Positive
-    """r_v [m]."""
+    """Visibility radius r_v [m]."""
     sensor_range: Positive
-    """r [m]."""
+    """Sensor range r [m]."""
     switching_radius: Coordinate | None
-    """r_s of (18) of the first escort [m]; None where it has no finite value."""
+    """Switching radius r_s of (18) of the first escort [m]; None: no finite value."""
     dt: Positive
-    """[s]"""
+    """Duration of a tick [s]."""
     limits: dict[Name, Limits] = {}
-    """Each vehicle's bounds."""
+    """Bounds of each vehicle, by name."""
     uavs: dict[Name, Name]
-    """Each UAV, and the UGV it escorts."""
+    """The escorted UGV of each UAV, by name of the UAV."""
     goals: dict[Name, tuple[Vector, ...]] = {}
-    """The first goals of each UGV that may drive to them [m]; not more than 100 each."""
+    """First goals of each UGV whose driver uses goals [m]; at most 100 each."""
     origin: Origin = Origin()
-    """Place on Earth that the positions are counted from."""
+    """Geographic position of the origin."""
 
 
 class CertificateStatus(Message, frozen=True, kw_only=True):
-    """The words of all UAVs' safety filters so far, held against the truth."""
+    """Certificates of all UAVs' safety filters so far, compared with the true state."""
 
     ticks: Tick
-    """Ticks that a filter watched over, of each UAV."""
+    """Ticks supervised by a safety filter, summed over all UAVs."""
     certified: Tick
-    """Those that were certified."""
+    """Ticks certified."""
     overridden: Tick
-    """Those in which a filter acted instead of the law."""
+    """Ticks in which a filter overrode the control law."""
     uncertified: dict[NotCertified, Tick] = {}
-    """Those that were not certified, by reason."""
+    """Ticks not certified, by reason."""
     certified_while_lost: Tick = 0
-    """Those that were certified although the UGV was out of sight: the certificate is wrong if there is one."""
+    """Certified ticks in which the UGV was out of sight. Any value above 0 shows an error in the certificate."""
     certificate_broken: Tick = 0
-    """Those that were not certified although the one before was and all assumptions hold: likewise."""
+    """Ticks not certified although the previous tick was and all assumptions hold. Any value above 0 shows an error in
+    the certificate.
+    """
     max_command_interval: NonNegative | None = None
-    """Longest time from the start of a motion to the start of the next, as it is declared, B [s]."""
+    """Declared bound on the time from the start of one plan to the start of the next [s]."""
     longest_command_interval: NonNegative | None = None
-    """The longest so far [s]."""
+    """Longest such time so far [s]."""
     max_tracking_error: NonNegative | None = None
-    """Largest true distance of a UAV from where it is told that it is, as it is declared, w [m]; None: nothing takes it
-    from there, or w has no bound.
+    """Declared bound on a UAV's distance from its reference position [m]; None: no disturbance acts, or no bound is
+    declared.
     """
     largest_tracking_error: NonNegative | None = None
-    """And the farthest so far [m]; None: nothing takes it from there."""
+    """Largest such distance so far [m]; None: no disturbance acts."""
 
 
 class Status(Message, frozen=True, kw_only=True):
-    """The state of the run, for observers, a few times a second."""
+    """State of the run, sent to observers a few times per second."""
 
     scenario: Text
     seed: int
     tick: Tick
     ticks: Tick
-    """Ticks that the run will have."""
+    """Total ticks of the run."""
     time: NonNegative
     realtime_factor: NonNegative
-    """Simulated seconds per second of wall time, lately."""
+    """Recent pace: simulated seconds per second of wall time."""
     target_factor: NonNegative | None = None
-    """The pace that the clock is to keep; None: lockstep, as fast as it goes."""
+    """Target pace: simulated seconds per second of wall time; None: lockstep, as fast as possible."""
     late_ticks: Tick = 0
-    """Ticks that the clock could not keep."""
+    """Ticks that ran late."""
     paused: bool = False
     law: Name = DEFAULT_LAW
-    """The law that the UAVs fly now."""
+    """Current control law of the UAVs."""
     drivers: dict[Name, Name] = {}
-    """The driver of each UGV now."""
+    """Current driver of each UGV."""
     operators: dict[Name, Name] = {}
-    """The operator at the wheel of each UGV, by the `Control.operator` that took it last; where that is known."""
+    """Current operator of each UGV, from the latest `Control.operator`; only where known."""
     changes: tuple[Change, ...] = ()
-    """The last controls that have taken effect, the newest last; not more than 20."""
+    """Most recent controls that took effect, newest last; at most 20."""
     refusals: tuple[Text, ...] = ()
-    """The last wishes of operators that were refused, and why; not more than 5."""
+    """Most recent rejected operator requests, with the reason; at most 5."""
     geometry: Geometry | None = None
     certified: dict[Name, bool] = {}
-    """True if sight is certified to be kept, by UAV; only those that a safety filter watches over."""
+    """True if visibility is certified, by UAV; only UAVs with a safety filter."""
     uncertified: dict[Name, NotCertified] = {}
-    """Reason why not, by UAV."""
+    """Reason for the missing certificate, by UAV."""
     certificates: CertificateStatus | None = None
-    """Counts of what has been certified so far; None where no safety filter has watched over anything."""
+    """Counts of certified ticks so far; None: no safety filter has been active."""
     mission: MissionResult | None = None
-    """The UGVs' way through; None where there are no hazards."""
+    """Mission results of the UGVs; None: no hazards in the scenario."""
     warnings: tuple[Text, ...] = ()
-    """Assumptions of the certificate that the links cannot keep as they are now, a line each."""
+    """Assumptions of the certificate that the present links violate, one line each."""
     links: dict[Text, LinkStatus] = {}
     """Counters of each link, by `vehicle/kind`."""
     vehicles: dict[Name, VehicleStatus]

@@ -1,4 +1,4 @@
-"""Briefings, observations and commands: all that the simulator and the vehicles exchange."""
+"""Briefings, observations and commands: all messages between the simulator and the vehicles."""
 
 from typing import Annotated
 
@@ -40,65 +40,65 @@ from bus.messages.scenario import (
 )
 
 MOST_CARRIED = 6
-"""Motions that one command carries at most: its own and those before it that have not begun, so that it fits a
-kilobyte.
+"""Maximum number of backup trajectories in one command: its own and earlier ones that have not started. It keeps a
+command below one kilobyte.
 """
 
 
 class BackupTrajectory(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """A backup trajectory: the acceleration of one tick, then a plan that ends at rest.
+    """Backup trajectory: the acceleration of one tick, then a plan that ends at rest.
 
-    A command carries it, and a receiver flies it even where later commands are lost. In JSON it is an array of these
-    fields, in this order. Its name is the tick in which it begins.
+    A command carries it, and the receiver executes it even if later commands are lost. In JSON it is an array of these
+    fields, in this order. It is identified by its first tick.
     """
 
     begins: Tick
-    """The tick in which it begins; the receiver lets it begin in no other."""
+    """First tick; the receiver starts the trajectory in no other tick."""
     parent: Annotated[int, Meta(ge=-1, le=2**53)]
-    """It begins only if the motion that is flown then is the one that began in this tick; -1: none is flown."""
+    """First tick of the trajectory that must be active when this one starts; -1: none may be active."""
     acceleration: Vector
-    """In its first tick [m/s²]."""
+    """Acceleration in the first tick [m/s²]."""
     turn: Ticks = 0
     cruise: Ticks = 0
     brake: Ticks = 0
-    """Lengths of the plan after it, to turn, cruise and brake [ticks]; then the vehicle rests."""
+    """Durations of the plan's phases: turn, cruise and brake [ticks]; then the vehicle rests."""
     turning: Vector = (0.0, 0.0)
     braking: Vector = (0.0, 0.0)
-    """Accelerations while it turns and brakes [m/s²]."""
+    """Accelerations of the turn and brake phases [m/s²]."""
 
 
 class VehicleBriefing(Message, frozen=True, kw_only=True):
-    """All a vehicle is told when it joins.
+    """Data that a vehicle receives when it joins.
 
-    One that joins again is told its own past too, in parts: each is a briefing of its own.
+    A vehicle that rejoins also receives its own past, in parts: each part is a separate briefing.
     """
 
     vehicle: Name
     dt: Positive
-    """Time between two ticks [s]."""
+    """Duration of a tick [s]."""
     area: Area
     limits: Limits
     key: PilotKey
-    """Of the pilot's own random numbers.
+    """Key of the pilot's own random numbers.
 
-    Where the run has a secret it leads to nothing else: not to the seed, nor to any other
-    draw. Where it has none, whoever tries all seeds finds the run's: there the seed is the secret."""
+    If the run has a secret, the key reveals neither the seed nor any other random number. Without a secret, the run's
+    seed can be found by trying all seeds: the seed itself is then the secret."""
     more: bool = False
     """True if another part of the past follows."""
     episode: Tick = 0
-    """Number of the flight that this is for."""
+    """Number of the episode."""
 
 
 class UavBriefing(VehicleBriefing, frozen=True, kw_only=True):
-    """All a UAV is told when it joins."""
+    """Data that a UAV receives when it joins."""
 
     target_limits: Limits
-    """The bounds of the UGV it escorts."""
+    """Bounds of the UGV that it escorts."""
     visibility_radius: Positive
-    """r_v [m]."""
+    """Visibility radius r_v [m]."""
     sensor: Sensor
     desired_coverage: Positive
-    """C* of (4)."""
+    """Desired coverage C* of (4)."""
     covered: tuple[Region, ...] = ()
     """Ground covered from the start."""
     law: Law
@@ -106,158 +106,165 @@ class UavBriefing(VehicleBriefing, frozen=True, kw_only=True):
     estimator: Estimator
     safety: SafetyParameters = SafetyParameters(max_measurement_error=None, max_measurement_age=1.0)
     command_timeout: NonNegative = 0.5
-    """Time for which a command without a motion stays in effect when no new one arrives [s]; then the UAV brakes."""
+    """Time for which the last command without a backup trajectory stays in effect when no new one arrives [s]; then the
+    UAV brakes.
+    """
     ground: UavGround | None = None
-    """None: there are no hazards, and nothing is told of the ground."""
+    """Hazard sensor; None: no hazards in the scenario, and no reports of the ground."""
     origin: Origin = Origin()
-    """Place on Earth that its positions are counted from, for bridges to programs that count in degrees."""
+    """Geographic position of the origin, for bridges to software that uses degrees."""
     past: "tuple[UavObservation, ...]" = ()
-    """Its observations so far in this run, tick by tick; where its process was away, without detections."""
+    """Its observations so far in this run, tick by tick; without detections for ticks at which its process was
+    disconnected.
+    """
 
 
 class UgvBriefing(VehicleBriefing, frozen=True, kw_only=True):
-    """All a UGV is told when it joins."""
+    """Data that a UGV receives when it joins."""
 
     driver: Name
-    """A row of `bus.registry.DRIVERS`."""
+    """Driver, a row of `bus.registry.DRIVERS`."""
     goals: tuple[Vector, ...]
-    """Waypoints [m], in order."""
+    """Waypoints in order [m]."""
     goal_tolerance: Positive
-    """epsilon: a goal counts as reached nearer than this [m]."""
+    """Goal tolerance epsilon: a goal is reached at a smaller distance [m]."""
     script: tuple[ScriptStep, ...] = ()
-    """The steps of the driver `script`, in the order of time."""
+    """Steps of the driver `script`, ordered by time."""
     command_timeout: NonNegative = 0.5
-    """Time that an operator's last word counts [s]; then the driver `teleop` brakes."""
+    """Time for which the operator's last message stays in effect [s]; then the driver `teleop` brakes."""
     ground: UgvGround | None = None
-    """None: there are no hazards, and nothing is told of the ground."""
+    """Ground sensor; None: no hazards in the scenario, and no reports of the ground."""
     past: "tuple[UgvObservation, ...]" = ()
-    """As a UAV's."""
+    """Its observations so far in this run, tick by tick."""
 
 
 class Detection(Message, frozen=True, kw_only=True):
-    """One noisy look of the UAV at the UGV."""
+    """One noisy detection of the UGV by the UAV."""
 
     time: NonNegative
-    """Time at which it was taken [s]: a tick times dt. One between two ticks is refused by the filter, and counted."""
+    """Time of the detection [s], a multiple of dt. The estimator rejects and counts detections between two ticks."""
     relative_position: Vector
-    """p_a - p_g with noise [m]."""
+    """Relative position p_a - p_g with noise [m]."""
 
 
 class RelativeInformation(Message, frozen=True, kw_only=True):
-    """The radio message of a UAV to its UGV: relative information, and how much it has seen."""
+    """Radio message from a UAV to its UGV: relative position, and coverage progress."""
 
     time: NonNegative
-    """Time at which it was estimated [s]: a tick times dt. One between two ticks is used for nothing."""
+    """Time of the estimate [s], a multiple of dt. The UGV ignores a message between two ticks."""
     relative_position: Vector
-    """The estimate of p_a - p_g [m]."""
+    """Estimate of p_a - p_g [m]."""
     coverage_error: NonNegative
-    """e(t) of (4) on the UAV's own map [m²]."""
+    """Coverage error e(t) of (4) on the UAV's own map [m²]."""
 
 
 class VehicleObservation(Message, frozen=True, kw_only=True):
-    """The perception of a vehicle at a tick."""
+    """Perception of a vehicle at a tick."""
 
     tick: Tick
     time: NonNegative
     position: Vector
-    """Its reference position [m]: in wind or with a position error not quite the true one of a UAV."""
+    """Reference position [m]; with wind or a position error, a UAV's true position differs from it."""
     velocity: Vector
-    """Its reference velocity [m/s]."""
+    """Reference velocity [m/s]."""
     tile_reports: tuple[TileReport, ...] = ()
-    """Tiles that its own sensor has reported since the tick before; a UAV's each once, when covered enough."""
+    """Tiles that its own sensor has reported since the previous tick; a UAV reports each tile once, when it is covered
+    enough.
+    """
     committed_trajectory: Tick | None = None
-    """The motion that the vehicle flew in the tick before: that in which it began; None: it flew none."""
+    """First tick of the trajectory that the vehicle executed in the previous tick; None: it executed none."""
     over: bool = False
-    """True: the run has ended at this tick and no command is awaited."""
+    """True: the run has ended at this tick, and no command is expected."""
     episode: Tick = 0
-    """Number of the flight; a reset begins the next."""
+    """Number of the episode; a reset starts the next."""
 
 
 class UavObservation(VehicleObservation, frozen=True, kw_only=True):
-    """The perception of a UAV at a tick."""
+    """Perception of a UAV at a tick."""
 
     detections: tuple[Detection, ...] = ()
     law: Law | None = None
-    """The law to fly from this tick on; None: the one before."""
+    """Control law from this tick on; None: unchanged."""
 
 
 class Teleoperation(Message, frozen=True, kw_only=True):
-    """The wish of an operator at a UGV's wheel: a velocity, or a goal; neither means to brake."""
+    """Request of an operator who steers a UGV: a velocity or a goal; without either, the UGV brakes."""
 
     operator: Text
-    """The operator's name."""
+    """Name of the operator."""
     velocity: Vector | None = None
     """Desired velocity [m/s]."""
     goal: Vector | None = None
-    """The goal [m]."""
+    """Desired goal [m]."""
 
 
 class UgvObservation(VehicleObservation, frozen=True, kw_only=True):
-    """The perception of a UGV at a tick."""
+    """Perception of a UGV at a tick."""
 
     radio: tuple[RelativeInformation, ...] = ()
     map_updates: tuple[MapUpdate, ...] = ()
-    """The blocks that have come by radio, of the ground that the UAV has seen."""
+    """Map updates received by radio, from the UAV's sensor."""
     operator: tuple[Teleoperation, ...] = ()
-    """The operators' messages that have come to the vehicle at this tick, the oldest first."""
+    """Operators' messages received at this tick, oldest first."""
     driver: Name | None = None
-    """The driver from this tick on, a row of `bus.registry.DRIVERS`; None: the one before."""
+    """Driver from this tick on, a row of `bus.registry.DRIVERS`; None: unchanged."""
 
 
 class UavReport(Message, frozen=True, kw_only=True):
-    """The report of a UAV to observers; no vehicle reads it."""
+    """Report of a UAV to observers; sent to no vehicle."""
 
     estimate: Vector
-    """Place at which it believes the UGV to be [m]."""
+    """Estimated position of the UGV [m]."""
     covariance: Covariance
-    """Of that estimate [m²]."""
+    """Covariance of the estimate [m²]."""
     age: NonNegative
-    """Time since the newest detection that was believed [s]."""
+    """Time since the newest accepted detection [s]."""
     rejected: Tick
-    """Detections refused by the gate so far."""
+    """Detections rejected by the gate so far."""
     decision: FilterDecision | None = None
-    """Decision of the safety filter; None: no filter watches over this law."""
+    """Decision of the safety filter; None: the control law has no safety filter."""
 
 
 class UavCommand(Message, frozen=True, kw_only=True):
-    """A UAV's answer to its observation of the same tick."""
+    """Response of a UAV to its observation of the same tick."""
 
     tick: Tick
     acceleration: Vector
     backup_trajectories: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
-    """The motions to be flown from the tick on in which the last of them begins, and before it those that it may
-    have missed, one a tick, the oldest first. Without one the vehicle holds the acceleration, and brakes when no
-    command comes.
+    """Backup trajectories, one per tick, oldest first: the last starts the command's plan, the earlier ones replace
+    trajectories that the vehicle may have missed. Without one, the vehicle holds the acceleration, and brakes after
+    `command_timeout`.
     """
     radio: tuple[RelativeInformation, ...] = ()
     map_updates: Annotated[tuple[MapUpdate, ...], Meta(max_length=MOST_BLOCKS)] = ()
-    """The blocks that it radios, of the ground that it has seen. One that says of a tile what its sensor has not said
-    is not sent."""
+    """Map updates to send by radio. The simulator drops an update that contradicts the reports of the UAV's sensor."""
     report: UavReport | None = None
 
 
 class UgvReport(Message, frozen=True, kw_only=True):
-    """The report of a cautious UGV to observers; no vehicle reads it."""
+    """Report of a cautious UGV to observers; sent to no vehicle."""
 
     certified: bool
-    """True if it is certified to stay on tiles that it knows to be drivable, whatever becomes of its commands."""
+    """True if it is certified to stay on tiles known to be drivable, even if commands are lost."""
     uncertified: Text = ""
-    """Why not."""
+    """Reason if it is not certified."""
 
 
 class UgvCommand(Message, frozen=True, kw_only=True):
-    """A UGV's answer to its observation of the same tick."""
+    """Response of a UGV to its observation of the same tick."""
 
     tick: Tick
     acceleration: Vector
     backup_trajectories: Annotated[tuple[BackupTrajectory, ...], Meta(max_length=MOST_CARRIED)] = ()
-    """As of a UAV: the acceleration of a tick, and the stop that follows it. None: the command is held."""
+    """Backup trajectories as in `UavCommand`: the acceleration of a tick, and the stop that follows. Without one, the
+    vehicle holds the acceleration.
+    """
     route: Annotated[tuple[Vector, ...], Meta(max_length=MOST_CORNERS)] | None = None
-    """For observers, no vehicle reads it: the way that it plans to its goal, by its corners [m], from where it is; none
-    where it knows none. None: as before.
+    """Planned route to the goal, for observers only: its corners, from the vehicle's position on [m]; empty: no route
+    known; None: unchanged.
     """
     report: UgvReport | None = None
-    """None: it does not promise to stay on tiles that it knows."""
+    """Certificate of the tick; None: the UGV does not guarantee to stay on known tiles."""
 
 
 Observation = UavObservation | UgvObservation
