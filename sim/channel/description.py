@@ -131,7 +131,10 @@ def _number_faults(settings: LinkSettings, path: str) -> Iterator[Fault]:
             )
         if not 0.0 < length < math.inf:
             yield Fault(
-                f"{path}blackouts.{k}.1", length, "the blackout has no duration", "above 0 s, finite"
+                f"{path}blackouts.{k}.1",
+                length,
+                "the blackout has no duration",
+                "above 0 s, finite",
             )
 
 
@@ -172,7 +175,9 @@ def _blackout_ticks(
 
 
 @functools.lru_cache(maxsize=64)
-def _trace_rows(recorded: RecordedLink | None, delay: float, dt: float) -> tuple[int, IntArray, int]:
+def _trace_rows(
+    recorded: RecordedLink | None, delay: float, dt: float
+) -> tuple[int, IntArray, int]:
     """Return the kind of a trace, its rows, and its period, as in `LinkParameters`."""
     if recorded is None:
         return NOTHING, np.zeros((0, 2), dtype=np.int64), 0

@@ -6,11 +6,12 @@ Ticks in which nothing is sent, queued or in transit may be skipped: the next `b
 A packet passes these stages:
 
 1. The sender's queue, if the bandwidth is limited: one packet leaves every 1/bandwidth. A full queue drops the oldest
-queued packet, or the new one. The transmission time is part of the delay. 2. The channel at the tick at which the
-packet leaves. A blackout, a burst or independent loss drops it; the first of them is counted as the cause. The sender
-does not notice. 3. A packet that gets through may be duplicated. Each copy has its own delay: delay + jitter, and
-`reorder_delay` for reordered packets. A packet that leaves at tick k with the delay d arrives at the first tick n with
-n dt >= k dt + d. Packets of one tick arrive in the order in which they left.
+   queued packet, or the new one. The transmission time is part of the delay.
+2. The channel at the tick at which the packet leaves. A blackout, a burst or independent loss drops it; the first of
+   them is counted as the cause. The sender does not notice.
+3. A packet that gets through may be duplicated. Each copy has its own delay: delay + jitter, and `reorder_delay` for
+   reordered packets. A packet that leaves at tick k with the delay d arrives at the first tick n with n dt >= k dt + d.
+   Packets of one tick arrive in the order in which they left.
 
 A trace (`LinkParameters.replay`) is replayed in a loop from an offset that is drawn once from the link's key. In a
 table of delays, the last row before the packet replaces the random numbers of stages 2 and 3. With delivery
@@ -198,7 +199,9 @@ def _transmit(link: Link, packets: RecordArray, w: int, packet: Packet, later: f
     if twice and link.in_transit < link.room:
         link.duplicated += 1
         packet.copy = True
-        _transport(link, packets, w, packet, link.tick + _transit_time(p, share_too, held_too, later))
+        _transport(
+            link, packets, w, packet, link.tick + _transit_time(p, share_too, held_too, later)
+        )
 
 
 @compiled

@@ -166,7 +166,9 @@ def _opportunities(text: str) -> Opportunities:
     if before == 0:
         raise _Wrong(1, 0, "the recording lasts 0 ms", "a last line above 0 ms")
     found: IntArray = np.array(times, dtype=np.int64)
-    at_start = int(np.searchsorted(found, 1))  # the start of a period is the end of the previous one
+    at_start = int(
+        np.searchsorted(found, 1)
+    )  # the start of a period is the end of the previous one
     return Opportunities(np.concatenate([found[at_start:], np.full(at_start, before)]))
 
 

@@ -23,7 +23,7 @@ _WIDEST = 1e6
 """Largest side of Q [m], limited by the coordinates in messages."""
 _LARGEST_BOUND = 1e12
 """Largest finite bound in messages."""
-_BOUND = re.compile(r"(uav|ugv)\.\d+\.(max_speed|max_acceleration)|detections\.cut")
+_BOUND = re.compile(r"(uav|ugv)\.\d+\.(max_speed|max_acceleration)|detections\.truncation")
 _ROUNDING = 1e-12
 
 

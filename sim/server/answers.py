@@ -160,6 +160,6 @@ class Answers:
         self.external.add(name)
         self.assurance.disregard(uav)
         self._on_notice(
-            f"{name} sees its UGV and reports no estimate: a program of your own flies it, of which the law "
-            f"{law} tells nothing"
+            f"{name} receives detections but reports no estimate: your own program flies it, and the law "
+            f"{law} does not apply to it"
         )
