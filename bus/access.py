@@ -23,17 +23,15 @@ from bus.keys import (
     Party,
     Role,
     read_by,
-    slot_token,
     token,
+    vehicle_token,
     written_by,
 )
 from bus.roles import Roles, own_grants, roles_among
 
 
 def _expressions(key: Key, party: Party, run: str) -> str:
-    """Return the keys of one row that belong to a party: a vehicle's own key, or those of all vehicles for other
-    parties.
-    """
+    """Return the keys of one row that a party may use: a vehicle's own key, else the keys of all vehicles."""
     return key.expression(run, party.name if party.role is key.vehicle else "*")
 
 
@@ -63,7 +61,7 @@ def grants(party: Party, run: str, extensions: Iterable[Roles] = ()) -> tuple[Gr
     own = token(run, party.name, "*")
     declared = tuple(token(run, party.name, place) for place in range(PLACES))
     if party.role is Role.SIMULATOR:
-        declared += tuple(slot_token(run, "*", role) for role in (Role.UAV, Role.UGV))
+        declared += tuple(vehicle_token(run, "*", role) for role in (Role.UAV, Role.UGV))
     found.add(Grant(message="liveliness_token", flow="ingress", keys=declared))
     found.add(Grant(message="liveliness_query", flow="ingress", keys=(own,)))
     found.add(Grant(message="declare_liveliness_subscriber", flow="ingress", keys=(watched,)))
@@ -134,8 +132,9 @@ def router_settings(given: CredentialSet | None) -> Iterator[dict[str, Any]]:
 
 
 def _tls_settings(identity: Identity, side: str) -> dict[str, Any]:
-    """Return the settings of mutual TLS as the only protocol. Zenoh accepts PEM in base64, so that no key is written to
-    a file.
+    """Return the settings of mutual TLS as the only protocol.
+
+    Zenoh accepts PEM in base64, so that no key is written to a file.
     """
 
     def encoded(text: str) -> str:

@@ -295,8 +295,8 @@ _REASONS = {
     "WRONG_VERSION_NUMBER": "does not speak TLS",
 }
 _UNVERIFIED = {
-    "unable to get local issuer certificate": "was issued by another authority than this process' own: create both with the same "
-    "`outrider credentials`",
+    "unable to get local issuer certificate": "was issued by another authority than this process' own: create "
+    "both with the same `outrider credentials`",
     "certificate signature failure": "was issued by another authority than this process' own",
     "certificate has expired": "has expired: renew it and restart the router",
     "certificate is not yet valid": "is not valid yet: check this machine's clock",

@@ -13,9 +13,7 @@ _LIBRARIES = tuple(
 
 
 def place_in_user_code(error: BaseException) -> str:
-    """Return the innermost frame of an error in a user's file, such as `mine.py:3, in steer`; empty if there is
-    none.
-    """
+    """Return the innermost frame of an error in a user's file, such as `mine.py:3, in steer`; empty if none."""
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         file = os.path.realpath(frame.filename)
         if not frame.filename.startswith("<") and not file.startswith((*_OURS, *_LIBRARIES)):
@@ -23,7 +21,7 @@ def place_in_user_code(error: BaseException) -> str:
     return ""
 
 
-def told_with_place(error: BaseException) -> str:
+def error_with_place(error: BaseException) -> str:
     """Return an error in user code with its type and position."""
     place = place_in_user_code(error)
     return f"{type(error).__name__}: {error}" + (f" ({place})" if place else "")

@@ -176,7 +176,7 @@ def token(run: str, name: str, place: int | str) -> str:
         run: Name of the run.
         name: Name of the party; `*` matches any.
         place: Number of the session, from 0 to `PLACES` - 1; `*` matches any. The simulator uses a vehicle's role
-            instead: see `slot_token`.
+            instead: see `vehicle_token`.
     """
     return f"{ROOT}/{run}/{name}/{_TOKEN}/{place}"
 
@@ -187,7 +187,7 @@ def token_owner(expression: str) -> tuple[str, int]:
     return parts[-3], _PLACE_NUMBERS.get(parts[-1], -1)
 
 
-def slot_token(run: str, name: str, role: Role) -> str:
+def vehicle_token(run: str, name: str, role: Role) -> str:
     """Return the simulator's liveliness token of a vehicle in its scenario.
 
     Args:

@@ -24,7 +24,7 @@ def parameter_names(name: str) -> tuple[str, ...]:
 
 
 def own_parameters(law: Law) -> Mapping[str, LawNumber]:
-    """Return the given parameters that belong to the law: a scenario may hold those of several laws."""
+    """Return the given parameters that belong to the law: a scenario may hold parameters of several laws."""
     own = parameter_names(law.name)
     return {name: value for name, value in law.parameters.items() if name in own}
 

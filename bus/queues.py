@@ -46,12 +46,12 @@ class Outbox:
         self._encoder = msgspec.json.Encoder()
         self._decoder = msgspec.json.Decoder(key.message)
         self._topic = key.topic
-        self.take_place(0)
+        self.set_place(0)
         self.wanted = False
         """True if the key has a reader now."""
         self._listener = publisher.declare_matching_listener(self._see)
 
-    def take_place(self, place: int) -> None:
+    def set_place(self, place: int) -> None:
         """Send the number of this session within its party with all further messages.
 
         It travels in the sequence number of Zenoh's source info, which is free: the transport keeps the order.

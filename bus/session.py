@@ -16,9 +16,9 @@ from bus.keys import (
     Role,
     check_reads,
     check_writes,
-    slot_token,
     token,
     token_owner,
+    vehicle_token,
 )
 from bus.queues import WAKE_PERIOD, Envelope, Inbox, Outbox
 
@@ -100,7 +100,7 @@ class Session:
             else zenoh.CongestionControl.DROP,
         )
         outbox = Outbox(publisher, key)
-        outbox.take_place(self.place)
+        outbox.set_place(self.place)
         self._outboxes.append(outbox)
         return outbox
 
@@ -193,7 +193,7 @@ class Session:
             )
         self.place = free[0]
         for outbox in self._outboxes:
-            outbox.take_place(self.place)
+            outbox.set_place(self.place)
         self._kept.append(liveliness.declare_token(token(self.run, self.party.name, self.place)))
         for _ in liveliness.get(
             token(self.run, self.party.name, self.place), timeout=_QUERY_TIMEOUT
@@ -202,12 +202,12 @@ class Session:
 
     def offer(self, vehicle: str, role: Role) -> None:
         """Declare that this simulator's scenario has a vehicle."""
-        offered = slot_token(self.run, vehicle, role)
+        offered = vehicle_token(self.run, vehicle, role)
         self._kept.append(self._zenoh.liveliness().declare_token(offered))
 
     def is_offered(self) -> bool:
         """Return whether a simulator's scenario has this party's vehicle."""
-        offered = slot_token(self.run, self.party.name, self.party.role)
+        offered = vehicle_token(self.run, self.party.name, self.party.role)
         replies = self._zenoh.liveliness().get(offered, timeout=_QUERY_TIMEOUT)
         return any(reply.ok is not None for reply in list(replies))
 

@@ -15,7 +15,7 @@ from bus.messages.vehicle import Detection, RelativeInformation
 NO_TICK = -1
 """Placeholder for a time stamp that matches no tick."""
 
-DUST = 1e-6
+TICK_TOLERANCE = 1e-6
 """Tolerance, in ticks, when converting a time stamp to a tick: 0.35 s is seven ticks of 0.05 s."""
 
 MOST_TICKS = 2**40
@@ -47,10 +47,10 @@ def tick_of(time: float, dt: float) -> int:
         The tick; NO_TICK if the time is between two ticks, or not finite. The receiver ignores such a message.
     """
     ticks = time / dt
-    if not -DUST <= ticks < 2.0**53:
+    if not -TICK_TOLERANCE <= ticks < 2.0**53:
         return NO_TICK
     tick = round(ticks)
-    return tick if abs(ticks - tick) <= DUST else NO_TICK
+    return tick if abs(ticks - tick) <= TICK_TOLERANCE else NO_TICK
 
 
 def looks_of(detections: Iterable[Detection | RelativeInformation], dt: float) -> tuple[Look, ...]:
@@ -70,9 +70,9 @@ def radio_ticks(dt: float) -> int:
 
 def ticks_within(duration: float, dt: float) -> int:
     """Return the number of whole ticks in a duration [s]; `MOST_TICKS` if it is unlimited."""
-    return math.floor(min(duration / dt + DUST, MOST_TICKS))
+    return math.floor(min(duration / dt + TICK_TOLERANCE, MOST_TICKS))
 
 
 def first_tick_from(time: float, dt: float) -> int:
     """Return the first tick at or after a time [s]."""
-    return math.ceil(time / dt - DUST)
+    return math.ceil(time / dt - TICK_TOLERANCE)

@@ -18,7 +18,7 @@ from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
 from sim.engine.batch import Batch
 from sim.engine.ground_state import CONSTANTS, GroundState
-from sim.engine.mission import mission_of, record_claim, receive_block
+from sim.engine.mission import mission_of, receive_block, record_claim
 from sim.engine.world_state import BatchState, BatchTables
 from sim.engine.world_tick import measure
 from sim.models.ground import (
@@ -211,7 +211,7 @@ class World:
         if ground is None:
             return ()
         columns = ground.tiles.shape[2]
-        places = ground.seen[0, vehicle, : ground.told.item(0, vehicle)].tolist()
+        places = ground.seen[0, vehicle, : ground.report_counts.item(0, vehicle)].tolist()
         states = (ground.known.item(0, vehicle, *divmod(place, columns)) for place in places)
         return tuple(
             TileReport(place % columns, place // columns, TILE_LETTERS[state])

@@ -194,7 +194,7 @@ def change(flight: Any) -> None:
     if tick == 150:
         flight.assign_driver("ugv_0", "teleop")
     if 150 <= tick < 220 and tick % 4 == 0:
-        flight.say("ugv_0", Teleoperation(operator="a person", velocity=(0.15, -0.1)))
+        flight.teleoperate("ugv_0", Teleoperation(operator="a person", velocity=(0.15, -0.1)))
 
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])

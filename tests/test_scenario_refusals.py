@@ -44,10 +44,10 @@ time_is_whole | dt=1e-9 | dt = 1e-09 | 1e-06 to 1 s
 time_is_whole | duration=30.02 | duration = 30.02 | multiples of dt = 0.05 s, such as 30
 time_is_whole | duration=0.01 | duration = 0.01 | such as 0.05
 time_is_whole | duration=500000.05 | duration = 500000.05 | 10,000,000 ticks at most, 500000 s
-looks_fit_ticks | detections.rate=7 | detections.rate = 7.0 | 20, 10, 6.667, ... 1/s
-looks_fit_ticks | detections.rate=40 | detections.rate = 40.0 | 20, 10, 6.667, ... 1/s
-looks_fit_ticks | detections.rate=1e-6 | detections.rate = 1e-06 | 20, 10, 6.667, ... 1/s
-looks_fit_ticks | detections.rate=5e-324 | detections.rate = 5e-324 | 20, 10, 6.667, ... 1/s
+rates_fit_ticks | detections.rate=7 | detections.rate = 7.0 | 20, 10, 6.667, ... 1/s
+rates_fit_ticks | detections.rate=40 | detections.rate = 40.0 | 20, 10, 6.667, ... 1/s
+rates_fit_ticks | detections.rate=1e-6 | detections.rate = 1e-06 | 20, 10, 6.667, ... 1/s
+rates_fit_ticks | detections.rate=5e-324 | detections.rate = 5e-324 | 20, 10, 6.667, ... 1/s
 sight_is_within_range | visibility.radius=5 | visibility.radius = 5.0 | less than sensor.range = 5 m
 points_are_inside | uav.0.position=[40.5, 9] | uav.0.position = [40.5, 9.0] | [0, 40] x [0, 40] m
 points_are_inside | ugv.0.position=[7, -1] | ugv.0.position = [7.0, -1.0] | [0, 40] x [0, 40] m
@@ -94,7 +94,7 @@ reference_speed_is_possible | law.parameters.reference_speed=0.7
 reference_speed_is_possible | uav.0.max_speed=inf & uav.0.max_acceleration=inf | law.parameters.reference_speed
 | a number > 0, in m/s
 controller_is_stable | law.parameters.b_c=-4.0 | law.parameters = {a_c = -3.0, b_c = -4.0 | 0 < D A - B C < A D
-looks_fit_ticks | ground.rate=7 & hazard=[{kind="block",center=[1,1],radius=0.2}] | ground.rate = 7.0 | 20, 10, 6.667
+rates_fit_ticks | ground.rate=7 & hazard=[{kind="block",center=[1,1],radius=0.2}] | ground.rate = 7.0 | 20, 10, 6.667
 hazards_are_known | hazard=[{kind="wall",center=[1,1],radius=0.2}] | hazard.0.kind = "wall" | rough, block, find
 hazards_are_known | hazard_field=[{kind="blok",count=1,radius=[1,2]}] | hazard_field.0.kind = "blok" | block
 hazards_are_known | ground.touch=explode | ground.touch = "explode" | stuck, damage
@@ -124,9 +124,9 @@ hazards_lie_in_area | hazard=[{kind="rough",polygon=[[-1,1],[-2,2],[-2,1]]}]
 | hazard.0.polygon = [[-1.0, 1.0], [-2.0, 2.0], [-2.0, 1.0]] | [0, 40] x [0, 40] m
 starts_and_goals_are_free | hazard=[{kind="rough",center=[1,1],radius=1},{kind="block",center=[20,12.5],radius=1}]
 | hazard.1.center = [20.0, 12.5] | off all starts and goals
-ways_are_open | hazard=[{kind="block",polygon=[[9,0],[9.5,0],[9.5,40],[9,40]]}]
+routes_are_open | hazard=[{kind="block",polygon=[[9,0],[9.5,0],[9.5,40],[9,40]]}]
 | ugv.0.goals.0 = [14.0, 8.0] | tiles of 0.5 m
-ways_are_open | ground.tile=2 & hazard=[{kind="block",center=[20.5,13.5],radius=0.1}] | ugv.0.goals.1 = [20.0, 13.0]
+routes_are_open | ground.tile=2 & hazard=[{kind="block",center=[20.5,13.5],radius=0.1}] | ugv.0.goals.1 = [20.0, 13.0]
 | tiles of 2 m
 fields_are_possible | hazard_field=[{kind="block",count=1,radius=[2,1]}]
 | hazard_field.0.radius = [2.0, 1.0] | smallest

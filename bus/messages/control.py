@@ -24,8 +24,9 @@ class Action(StrEnum):
 
 
 class Control(Message, frozen=True, kw_only=True):
-    """Request from an operator to the simulator; it takes effect at the next tick. Only the fields of its action are
-    read.
+    """Request from an operator to the simulator; it takes effect at the next tick.
+
+    Only the fields of its action are read.
     """
 
     action: Action

@@ -84,8 +84,9 @@ SAME_CORNER = 1e-3 + 1e-9
 
 
 def kept_share(kind: str, share: float | None) -> float:
-    """Return the share of its maximum speed that a vehicle keeps on a hazard; `share` is the given value for rough
-    ground, or None.
+    """Return the share of its maximum speed that a vehicle keeps on a hazard.
+
+    `share` is the given value for rough ground, or None.
     """
     if not HAZARDS[kind].slows:
         return 1.0

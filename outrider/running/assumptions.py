@@ -14,7 +14,7 @@ from agents.safety.handover import check_assumptions
 from agents.safety.safety_filter import bounds_of
 from bus.messages.links import LinkKind
 from bus.registry import LAWS
-from bus.ticks import DUST
+from bus.ticks import TICK_TOLERANCE
 from outrider.running.ground_assumptions import ground_warnings
 from outrider.running.link_assumptions import (
     RARE,
@@ -133,7 +133,7 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
 def _errors(scenario: Scenario, eps: float) -> Iterator[tuple[How, str]]:
     """Noise is normal in each axis, so that its norm exceeds x with the chance exp(-x²/(2 sigma²)), cut or not."""
     sigma, cut = scenario.detections.noise, scenario.detections.truncation
-    if sigma == 0.0 or eps >= sigma * cut * (1.0 - DUST):
+    if sigma == 0.0 or eps >= sigma * cut * (1.0 - TICK_TOLERANCE):
         return
     beyond = math.exp(-0.5 * cut * cut)
     share = (math.exp(-0.5 * (eps / sigma) ** 2) - beyond) / (1.0 - beyond)
@@ -157,7 +157,7 @@ def _errors(scenario: Scenario, eps: float) -> Iterator[tuple[How, str]]:
 def _off(scenario: Scenario, uav: Uav, promise: SafetyBounds) -> Iterator[tuple[How, str]]:
     """Wind and own position may take it farther from where it is told that it is than is declared, but need not."""
     most, declared = largest_tracking_error(scenario, uav), promise.max_tracking_error
-    if most > declared * (1.0 + DUST):
+    if most > declared * (1.0 + TICK_TOLERANCE):
         what = (
             f"certificate.max_tracking_error = {declared:g} m, but wind and uav.position_error allow "
             f"a tracking error of {most:.3g} m"

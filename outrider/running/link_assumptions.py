@@ -13,7 +13,7 @@ import numpy as np
 
 from bus.messages.links import LinkKind
 from bus.messages.vehicle import MOST_CARRIED
-from bus.ticks import DUST, first_tick_from
+from bus.ticks import TICK_TOLERANCE, first_tick_from
 from sim.channel.description import link_parameters, longest_delay, longest_wait
 from sim.channel.gaps import (
     age_window,
@@ -112,7 +112,7 @@ class InspectedLink:
             return _Played(tuple(np.where(leaves, delays, -1) for leaves in sent), ticks, whole)
         tick = 1000.0 * p.dt
         step = round(tick * every)
-        exact = step > 0 and abs(step - tick * every) < DUST
+        exact = step > 0 and abs(step - tick * every) < TICK_TOLERANCE
         round_ticks = math.ceil(math.lcm(p.period, step) / tick) if exact else _MOST_PLAYED + 1
         ticks = min(round_ticks, _MOST_PLAYED)
         begun = min(p.longest + longest_wait(p) + every, _MOST_PLAYED)  # before, the queue fills
@@ -214,7 +214,7 @@ def _recorded_ages(
 
 def _queue_ticks(parameters: LinkParameters, period: int) -> int | None:
     """Greatest age of the newest look, but for the way, once the queue is full; None: it never fills."""
-    if parameters.spacing <= period + DUST:
+    if parameters.spacing <= period + TICK_TOLERANCE:
         return None
     waits = (
         (parameters.settings.queue - 1) * period + 1
@@ -235,11 +235,11 @@ def _unlucky_ages(
     dropout, period, waited = scenario.detections.dropout, scenario.detection_period, 0
     if promise.max_age_ticks >= scenario.ticks:
         return
-    if p.spacing > period + DUST:
+    if p.spacing > period + TICK_TOLERANCE:
         waited = (
             link.settings.queue * period if p.newest else math.ceil(link.settings.queue * p.spacing)
         )
-        period = math.ceil(p.spacing - DUST)
+        period = math.ceil(p.spacing - TICK_TOLERANCE)
     if not planned:
         p = p._replace(blackouts=_NO_BLACKOUTS)
     late = late_shares(
@@ -312,11 +312,11 @@ def outage_shortfalls(link: InspectedLink, promise: SafetyBounds) -> Iterator[tu
         soonest = f"no motion arrives before {link.seconds(link.least)} after its tick"
         yield How.THROUGHOUT, f"{told}: {soonest}, so all are late"
         return
-    if p.spacing > interval + DUST:
+    if p.spacing > interval + TICK_TOLERANCE:
         rate = 1.0 / (interval * scenario.dt)
         yield How.THROUGHOUT, f"{told}: fewer messages than {rate:g} /s, so that {late}"
         return
-    if p.spacing > 1.0 + DUST:
+    if p.spacing > 1.0 + TICK_TOLERANCE:
         yield How.SOMETIMES, f"{told}: {late}, as packets wait and are dropped"
         return
     lossless = p._replace(

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bus.messages.links import LinkSettings
-from bus.ticks import DUST, first_tick_from
+from bus.ticks import TICK_TOLERANCE, first_tick_from
 from sim.channel.jitter import NORMAL, SHAPES, UNIFORM, jitter_share
 from sim.channel.link_records import DELAYS, NOTHING, OPPORTUNITIES, LinkParameters
 from sim.channel.recorded import (
@@ -185,7 +185,7 @@ def _trace_rows(
     if isinstance(recording, Opportunities):
         rows = np.stack([recording.times, np.zeros_like(recording.times)], axis=1)
         return OPPORTUNITIES, rows, int(recording.times[-1])
-    rows = first_ticks(recording, delay, dt, DUST)
+    rows = first_ticks(recording, delay, dt, TICK_TOLERANCE)
     return DELAYS, rows, max(first_tick_from(recording.duration, dt), 1)
 
 
@@ -265,7 +265,7 @@ def least_ticks(parameters: LinkParameters) -> int:
         arrives = parameters.trace[parameters.trace[:, 1] >= 0, 1]
         return int(arrives.min()) if arrives.size else 0
     settings, waits = parameters.settings, 0
-    if parameters.spacing > 1.0 + DUST:
+    if parameters.spacing > 1.0 + TICK_TOLERANCE:
         waits = (
             settings.queue if parameters.newest else math.floor(settings.queue * parameters.spacing)
         )
@@ -288,7 +288,7 @@ def arrival_share(parameters: LinkParameters, ticks: int) -> float:
         ) / (parameters.high - parameters.low)
         return 0.0 if extra < parameters.least else min(max(share, 0.0), 1.0)
 
-    room = (ticks + DUST) * parameters.dt - settings.delay
+    room = (ticks + TICK_TOLERANCE) * parameters.dt - settings.delay
     return (1.0 - settings.reorder) * within(room) + settings.reorder * within(
         room - settings.reorder_delay
     )

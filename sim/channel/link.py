@@ -30,7 +30,7 @@ import math
 
 import numpy as np
 
-from bus.ticks import DUST, first_tick_from
+from bus.ticks import TICK_TOLERANCE, first_tick_from
 from sim.channel.jitter import jitter_quantile
 from sim.channel.link_records import (
     ARRIVED,
@@ -100,7 +100,7 @@ def trace_offset(key: Key, period: int) -> int:
 @compiled
 def in_milliseconds(tick: int, dt: float) -> int:
     """Return the last full millisecond up to this tick."""
-    return math.floor(tick * dt * 1000.0 + DUST)
+    return math.floor(tick * dt * 1000.0 + TICK_TOLERANCE)
 
 
 @compiled
@@ -208,7 +208,7 @@ def _transmit(link: Link, packets: RecordArray, w: int, packet: Packet, later: f
 def _in_random_blackout(link: Link, tick: int) -> bool:
     """Draw exponential times between blackouts of fixed duration, stationary from the first tick on."""
     up, down = link.parameters.up, link.parameters.down
-    while link.blackout_end <= tick + DUST:
+    while link.blackout_end <= tick + TICK_TOLERANCE:
         word_0, word_1, _, _ = draw(_key_of(link), LINK_STATE, link.renewals, _ONE)
         link.renewals += 1
         between = -up * math.log1p(-to_uniform(word_0))
@@ -218,7 +218,7 @@ def _in_random_blackout(link: Link, tick: int) -> bool:
         else:
             link.blackout_begin = tick + (place - down if place < down else between)
         link.blackout_end = link.blackout_begin + down
-    return bool(link.blackout_begin <= tick + DUST)
+    return bool(link.blackout_begin <= tick + TICK_TOLERANCE)
 
 
 @compiled
@@ -253,7 +253,9 @@ def _count_age(link: Link) -> None:
 @compiled
 def _sender_is_free(link: Link) -> bool:
     """True if the sender may transmit at this tick: packet m of a busy period leaves m spacings after the first."""
-    return bool(link.busy_since + link.served * link.parameters.spacing <= link.tick + DUST)
+    return bool(
+        link.busy_since + link.served * link.parameters.spacing <= link.tick + TICK_TOLERANCE
+    )
 
 
 @compiled
@@ -286,7 +288,7 @@ def _grant(link: Link, packets: RecordArray, w: int, traces: IntArray, tick: int
             if link.granted == message_bytes:
                 link.granted = 0
                 # slightly later than the tick, so that a packet that leaves after a tick arrives after it
-                later = max(0.001 * (now - offset) - (tick - 1) * p.dt, 2.0 * DUST * p.dt)
+                later = max(0.001 * (now - offset) - (tick - 1) * p.dt, 2.0 * TICK_TOLERANCE * p.dt)
                 packet = packets[w, link.number, WAITING, _leave_queue(link)]
                 _transmit(link, packets, w, packet, later)
         k += 1

@@ -34,7 +34,7 @@ def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:
 
 
 def ugv_carries(scenario: Scenario, ugv: Ugv) -> bool:
-    """Return whether a UGV's commands carry backup trajectories, as those of the driver `navigate` do."""
+    """Return whether a UGV's commands carry backup trajectories, as with the driver `navigate`."""
     return scenario.has_ground and ugv.driver == "navigate"
 
 

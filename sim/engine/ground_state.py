@@ -78,7 +78,7 @@ class GroundState(NamedTuple):
     strides: FloatArray
     """Longest distance that each UGV drives in a tick [m]. Shape (UGVs,)."""
     hazards: RecordArray
-    """`HazardRow`: first those of the scenario, then the random ones. Shape (worlds, hazards)."""
+    """`HazardRow`: first the scenario's hazards, then the random ones. Shape (worlds, hazards)."""
     tiles: TileArray
     """True state of each tile. Shape (worlds, rows, columns)."""
     looked: npt.NDArray[np.float32]
@@ -87,7 +87,7 @@ class GroundState(NamedTuple):
     """State of each tile as reported by each vehicle's own sensor. Shape (worlds, vehicles, rows, columns)."""
     seen: npt.NDArray[np.int32]
     """Tiles reported since the previous tick, as row * columns + column. Shape (worlds, vehicles, room)."""
-    told: IntArray
+    report_counts: IntArray
     """Number of these tiles. Shape (worlds, vehicles)."""
     pace: FloatArray
     """Share of its maximum speed that each vehicle has at its position; 0: stuck. Shape (worlds, vehicles)."""
@@ -150,7 +150,7 @@ def ground_of(scenario: Scenario, worlds: int) -> GroundState | None:
         looked=np.zeros((worlds, uavs, *size), np.float32),
         known=np.zeros((worlds, vehicles, *size), np.uint8),
         seen=np.zeros((worlds, vehicles, room), np.int32),
-        told=np.zeros((worlds, vehicles), np.int64),
+        report_counts=np.zeros((worlds, vehicles), np.int64),
         pace=np.ones((worlds, vehicles)),
         before=np.zeros((worlds, ugvs, 2)),
         hits=np.zeros((worlds, ugvs, count), np.uint8),

@@ -33,9 +33,9 @@ def _report(
 ) -> None:
     """Record the report of a tile by a vehicle's sensor."""
     ground.known[world, vehicle, row, column] = state
-    n = ground.told[world, vehicle]
+    n = ground.report_counts[world, vehicle]
     ground.seen[world, vehicle, n] = row * ground.tiles.shape[2] + column
-    ground.told[world, vehicle] = n + 1
+    ground.report_counts[world, vehicle] = n + 1
 
 
 @compiled
@@ -207,8 +207,8 @@ def perceive_ground(
 ) -> None:
     """Report the tiles that each vehicle's sensor has observed since the previous tick."""
     tick = state.ticks[world]
-    for v in range(ground.told.shape[1]):
-        ground.told[world, v] = 0
+    for v in range(ground.report_counts.shape[1]):
+        ground.report_counts[world, v] = 0
     if tick > 0 and tick % ground.parameters[0].period == 0:
         for u in range(escorts.shape[0]):
             v = escorts[u, 0]

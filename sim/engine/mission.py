@@ -119,8 +119,8 @@ def receive_block(
 def _record_sensors(ground: GroundState, world: int, tick: int) -> None:
     """Record the hazards that the vehicles' own sensors have just reported."""
     columns = ground.tiles.shape[2]
-    for v in range(ground.told.shape[1]):
-        for i in range(ground.told[world, v]):
+    for v in range(ground.report_counts.shape[1]):
+        for i in range(ground.report_counts[world, v]):
             row, column = ground.seen[world, v, i] // columns, ground.seen[world, v, i] % columns
             if (
                 ground.known[world, v, row, column] == CLEAR

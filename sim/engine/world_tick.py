@@ -9,7 +9,7 @@ from sim.channel.link_records import ARRIVED
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
 from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState
-from sim.engine.ground_tick import drive_on, store_positions, perceive_ground
+from sim.engine.ground_tick import drive_on, perceive_ground, store_positions
 from sim.engine.mission import record_mission
 from sim.engine.world_state import BatchState, BatchTables, Vehicle, WorldParameters
 from sim.models.detection import detect

@@ -19,8 +19,8 @@ from bus.messages.ground import Hazard
 from bus.plugins import needs
 from sim.compiling.compile import FloatArray, IntArray
 from sim.engine.batch import Batch
+from sim.scene.ground_map import ground_map
 from sim.scene.known import scene_of
-from sim.scene.told_tiles import ground_map
 from sim.world import World
 
 if TYPE_CHECKING:

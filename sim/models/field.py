@@ -54,9 +54,7 @@ def density(rho2: float, r_o: float) -> float:
 
 @compiled
 def chord(center: float, half: float, cell: float, count: int) -> tuple[int, int]:
-    """Return the first cell, and the one after the last, with centers within `half` of `center`, on a line of
-    `count`.
-    """
+    """Return the range of cells with centers within `half` of `center`: first, and end; at most `count` cells."""
     first = math.ceil((center - half) / cell - 0.5)
     last = math.floor((center + half) / cell - 0.5)
     return max(0, int(first)), min(count, int(last) + 1)

@@ -79,8 +79,8 @@ def tile_index(p: float, tile: float, count: int) -> int:
 def state_at(tiles: TileArray, tile: float, x: float, y: float) -> int:
     """Return the state of the tile at a point; outside the area, of the nearest tile.
 
-    The true state of this tile takes precedence over, or equals, that of any hazard at the point: at CLEAR there is no
-    hazard to check, at ROUGH no blocking one.
+    Its true state equals the state of any hazard at the point, or takes precedence over it: at CLEAR there is no hazard
+    to check, at ROUGH no blocking one.
 
     Args:
         tiles: The map.

@@ -243,7 +243,7 @@ def fields_have_room(scenario: Scenario) -> Iterator[Fault]:
 
 
 def _placed(scenario: Scenario, fields: tuple[HazardField, ...]) -> int:
-    """Return the total number of hazards, including those of these fields."""
+    """Return the total number of hazards, including the hazards of these fields."""
     tables = ground_tables(msgspec.structs.replace(scenario, hazard_field=fields))
     key = np.uint64(scenario.seed), np.uint64(0)  # any key: runs use others
     with np.errstate(

@@ -30,7 +30,7 @@ class GroundTables(NamedTuple):
     corners: FloatArray
     """Corners of the polygons [m]. Shape (corners, 2)."""
     tiles: TileArray
-    """True states with the given hazards, without those of fields. Shape (rows, columns)."""
+    """True states with the given hazards, without the hazards of fields. Shape (rows, columns)."""
     fields: RecordArray
     """Table of `HazardFieldRow`."""
     stops: FloatArray

@@ -38,9 +38,7 @@ def read_resolved(file: Path) -> Scenario:
 
 
 def _table(fields: Mapping[str, object], path: tuple[str, ...]) -> Iterator[str]:
-    """Yield the lines of a table: its values first, then its subtables. Fields with None are omitted, as None is their
-    default.
-    """
+    """Yield the lines of a table: its values first, then its subtables. Fields with None (the default) are omitted."""
     tables: list[tuple[str, str, dict[str, object]]] = []
     for key, value in fields.items():
         if isinstance(value, dict):

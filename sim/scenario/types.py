@@ -67,7 +67,7 @@ class Wind(_Table, frozen=True, kw_only=True):
     gust_time: Positive = 2.0
     """Time constant of the gusts, after which their correlation is 1/e [s]."""
     limit: NonNegative | None = None
-    """Largest acceleration of mean and gust together [m/s²]; by default that of the mean plus 3 gusts."""
+    """Largest acceleration of mean and gust together [m/s²]; by default the norm of the mean plus 3 gusts."""
 
     @property
     def largest(self) -> float:
@@ -80,9 +80,7 @@ MOST_HAZARDS = 10_000
 
 
 class HazardField(_Table, frozen=True, kw_only=True):
-    """Discs at random positions that differ with each seed. They never block the last route from a UGV's start to its
-    goals.
-    """
+    """Discs at random positions, different for each seed. A route from each UGV's start to its goals stays open."""
 
     kind: Name
     """Kind of hazard, a row of `bus.registry.HAZARDS`."""
@@ -102,9 +100,7 @@ class HazardField(_Table, frozen=True, kw_only=True):
 
 
 class Ground(_Table, frozen=True, kw_only=True):
-    """Ground tiles in which hazards are observed and reported, and the quality of the sensors; no effect without
-    hazards.
-    """
+    """Ground tiles for reports of hazards, and quality of the sensors; no effect without hazards."""
 
     tile: Positive = 0.5
     """Side of a tile [m]."""

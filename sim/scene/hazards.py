@@ -14,7 +14,7 @@ from matplotlib.path import Path
 
 from bus.messages.ground import GroundMap, Hazard
 from sim.scene.colors import FAINT, HAZARDS, INK, LIMIT, TILES, rgb
-from sim.scene.told_tiles import HIT, KNOWN, UNKNOWN
+from sim.scene.ground_map import HIT, KNOWN, UNKNOWN
 
 _SHADES = np.array([(*rgb(color), opacity) for color, opacity in TILES])
 _SOLID: dict[str, Any] = {"facecolor": HAZARDS["block"], "edgecolor": HAZARDS["block"]}

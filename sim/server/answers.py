@@ -150,7 +150,7 @@ class Answers:
             self.assurance.track(uav, self._recorder.tracking_error_at(tick, uav))
         said = tick if command is None else command.tick
         distance = self._recorder.distance(said, uav)
-        self.assurance.take(uav, tick, command, self._evidence, distance, watched=watched)
+        self.assurance.record(uav, tick, command, self._evidence, distance, watched=watched)
 
     def _check_pilot(self, uav: int, command: UavCommand, tick: int, law: str) -> None:
         """Detect a UAV flown by the user's program: Outrider's pilot always reports once it has a detection."""

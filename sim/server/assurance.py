@@ -84,15 +84,11 @@ class Assurance:
         record_tracking_error(self._bounds, self._counts, uav, off)
 
     def excuse(self, uav: int) -> None:
-        """Allow this UAV's certificate to end at the next tick: its control law has changed, or its process has
-        rejoined.
-        """
+        """Allow this UAV's certificate to end at the next tick, after a new control law or a reconnection."""
         self._counts["certified_before"][uav] = False
 
     def disregard(self, uav: int) -> None:
-        """Exclude a UAV that is flown by a program without certificates: missing reports are then no fault of a
-        filter.
-        """
+        """Exclude a UAV that is flown by a program without certificates: its missing reports are not faults."""
         self._counts["ticks"][uav] -= self._silent[uav]
         self.reasons[NotCertified.NO_REPORT] -= self._silent[uav]
         self.reasons += Counter()  # drops zero counts

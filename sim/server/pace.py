@@ -8,7 +8,7 @@ from bus.errors import PeerLost
 from bus.messages.vehicle import Command, Observation, UavObservation
 from bus.session import Session
 from sim.scenario.types import Run
-from sim.server.sessions import Slots
+from sim.server.sessions import Sessions
 
 _CHECK_INTERVAL = 0.2
 """Interval at which a waiting pace checks connections and requests to stop [s]."""
@@ -65,12 +65,12 @@ class Lockstep:
     def __init__(
         self,
         session: Session,
-        slots: Slots,
+        sessions: Sessions,
         timing: Run,
         on_event: Callable[[str], None],
     ) -> None:
         self._session = session
-        self._slots = slots
+        self._sessions = sessions
         self._deadline = timing.deadline
         self._join_timeout = timing.join_timeout
         self._respawn = timing.respawn
@@ -94,7 +94,7 @@ class Lockstep:
     def publish(self, observations: Mapping[str, Observation]) -> None:
         """Send each vehicle its observation."""
         self._observations = observations
-        given = self._slots.send(observations)
+        given = self._sessions.send(observations)
         now = time.monotonic()
         self._given_up -= given
         self._awaited = {
@@ -140,9 +140,9 @@ class Lockstep:
         awaited, timeout = self._awaited, self._check_interval
         next_check = time.monotonic() + timeout
         while awaited:
-            envelope = self._slots.commands.receive(timeout)
+            envelope = self._sessions.commands.receive(timeout)
             if envelope is not None:
-                if self._slots.accept(envelope, tick, commands, oldest=tick):
+                if self._sessions.accept(envelope, tick, commands, oldest=tick):
                     awaited.pop(envelope.sender, None)
                     self._due.add(envelope.sender)
                     self._reconnecting.pop(envelope.sender, None)
@@ -153,7 +153,7 @@ class Lockstep:
                 # a flood of messages must not prevent the checks
                 if time.monotonic() < next_check:
                     continue
-            self._slots.follow()
+            self._sessions.follow()
             if idle():
                 break
             timeout = self._check_interval
@@ -193,12 +193,12 @@ class Lockstep:
         """Wait for disconnected vehicles or continue without them; send those that returned what they missed."""
         now = time.monotonic()
         grace = self._grace if tick else self._first_grace
-        for name in self._awaited.keys() & set(self._slots.absent):
+        for name in self._awaited.keys() & set(self._sessions.absent):
             if not self._awaited[name].patient:
                 limit = self._join_timeout if self._may_return(name) else grace
                 self._awaited[name] = _Wait(now, limit, patient=True)
-        back = [name for name in self._slots.unbriefed if name in self._awaited]
-        for name in self._slots.send({name: self._observations[name] for name in back}):
+        back = [name for name in self._sessions.unbriefed if name in self._awaited]
+        for name in self._sessions.send({name: self._observations[name] for name in back}):
             # it has its whole past to process
             self._awaited[name] = _Wait(now, self._join_timeout, patient=self._may_return(name))
 
@@ -209,7 +209,7 @@ class Lockstep:
     def _give_up(self, tick: int) -> None:
         now = time.monotonic()
         late = [name for name, wait in self._awaited.items() if now - wait.since >= wait.limit]
-        absent = set(self._slots.absent)
+        absent = set(self._sessions.absent)
         for name in late:
             waited = now - self._awaited.pop(name).since
             self._due.add(name)
@@ -220,7 +220,7 @@ class Lockstep:
                         f"{name} did not reconnect within {waited:.1f} s; it brakes and the run continues"
                     )
             else:
-                self._slots.name_late(name, tick, waited)
+                self._sessions.name_late(name, tick, waited)
 
 
 class RealTime:
@@ -236,13 +236,13 @@ class RealTime:
     """
 
     def __init__(
-        self, slots: Slots, *, dt: float, factor: float, on_event: Callable[[str], None]
+        self, sessions: Sessions, *, dt: float, factor: float, on_event: Callable[[str], None]
     ) -> None:
         self.factor: float | None = factor
         """Simulated seconds per second of wall time."""
         self.late_ticks = 0
         """Ticks that ran late."""
-        self._slots = slots
+        self._sessions = sessions
         self._period = dt / factor
         self._on_event = on_event
         self._start: float | None = None
@@ -255,8 +255,8 @@ class RealTime:
 
     def publish(self, observations: Mapping[str, Observation]) -> None:
         """Send each vehicle its observation; a long past is sent in parts, one per tick."""
-        self._slots.follow()
-        self._slots.send(observations, parts=1)
+        self._sessions.follow()
+        self._sessions.send(observations, parts=1)
 
     def _due(self, tick: int) -> float:
         """Return the time at which this tick ends [s], on the monotonic clock."""
@@ -292,8 +292,8 @@ class RealTime:
         return commands
 
     def _accept_all(self, tick: int, commands: dict[str, Command]) -> None:
-        while (envelope := self._slots.commands.next_waiting()) is not None:
-            self._slots.accept(envelope, tick, commands)
+        while (envelope := self._sessions.commands.next_waiting()) is not None:
+            self._sessions.accept(envelope, tick, commands)
 
 
 Pace = Lockstep | RealTime

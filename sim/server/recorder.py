@@ -140,8 +140,7 @@ class Recorder:
 
     @property
     def states(self) -> FloatArray:
-        """Return position [m], velocity [m/s] and applied acceleration [m/s²] of each vehicle, shape (rows, vehicles,
-        6).
+        """Return position [m], velocity [m/s] and applied acceleration [m/s²]. Shape (rows, vehicles, 6).
 
         The last row of a complete run has no acceleration: NaN.
         """

@@ -12,7 +12,7 @@ from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 from sim.server.operator_controls import OperatorControls
 from sim.server.pace import Lockstep, Pace, RealTime
-from sim.server.sessions import Slots
+from sim.server.sessions import Sessions
 from sim.server.telemetry import Telemetry, Warn
 
 
@@ -49,17 +49,17 @@ class Server:
         self._started = False
         self._join_timeout = scenario.run.join_timeout
         self._stop = stop
-        self._slots = Slots(session, self.flight, on_event)
+        self._sessions = Sessions(session, self.flight, on_event)
 
         def make_pace(factor: float | None) -> Pace:
             if factor is not None:
-                return RealTime(self._slots, dt=scenario.dt, factor=factor, on_event=on_event)
-            return Lockstep(session, self._slots, scenario.run, on_event)
+                return RealTime(self._sessions, dt=scenario.dt, factor=factor, on_event=on_event)
+            return Lockstep(session, self._sessions, scenario.run, on_event)
 
         self._operators = OperatorControls(
             session, self.flight, make_pace, scenario.run.realtime or None, on_event
         )
-        self._telemetry = Telemetry(session, self.flight, self._slots, self._operators, warn)
+        self._telemetry = Telemetry(session, self.flight, self._sessions, self._operators, warn)
         session.announce()
 
     def join(self) -> None:
@@ -70,22 +70,20 @@ class Server:
         """
         limit = time.monotonic() + self._join_timeout
         while not self._idle():
-            self._slots.follow()
-            for name in self._slots.unbriefed:
-                self._slots.brief(name)
-            missing = self._slots.absent
+            self._sessions.follow()
+            for name in self._sessions.unbriefed:
+                self._sessions.brief(name)
+            missing = self._sessions.absent
             if not missing:
                 return
             if time.monotonic() > limit:
                 raise PeerLost(
                     f"{' and '.join(missing)} did not join within {self._join_timeout:g} s"
                 )
-            self._slots.commands.receive(0.2)
+            self._sessions.commands.receive(0.2)
 
     def _idle(self) -> bool:
-        """Check for a request to stop, and send telemetry, while the simulator waits; return True at the end of the
-        run.
-        """
+        """Check for a request to stop and send telemetry while waiting; return True at the end of the run."""
         if self._stop():
             self.flight.stop()
         self._telemetry.refresh()
@@ -130,8 +128,8 @@ class Server:
 
     def vehicles(self) -> dict[str, VehicleStatus]:
         """Return the status of each vehicle's process so far."""
-        self._slots.follow()
-        return self._slots.statuses()
+        self._sessions.follow()
+        return self._sessions.statuses()
 
     @property
     def changes(self) -> tuple[Change, ...]:
@@ -161,7 +159,7 @@ class Server:
             again = self._operators.next_flight()
             if again is not None:
                 self.flight = again
-                self._slots.fly(again)
+                self._sessions.fly(again)
                 self._telemetry.fly(again)
                 self._operators.pace.restart()
                 self.started, self._started = time.perf_counter(), False

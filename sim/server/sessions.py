@@ -31,8 +31,8 @@ _QUIET = 10.0
 """Time between two log lines about one late vehicle [s]."""
 
 
-@dataclass(slots=True, kw_only=True)
-class VehicleSlot:
+@dataclass(sessions=True, kw_only=True)
+class VehicleSessions:
     """Sessions of one vehicle. The first to join is active until it leaves; then the next one becomes active."""
 
     name: str
@@ -67,7 +67,7 @@ class VehicleSlot:
         return next(iter(self.sessions), None)
 
 
-class Slots:
+class Sessions:
     """Sessions of all vehicles, and the inbox of their commands.
 
     Args:
@@ -84,34 +84,34 @@ class Slots:
         """Number of arrivals of each session number, by vehicle."""
         self._changes: dict[tuple[str, int], bool] = {}
         """Arrivals (True) and departures (False) since the last `follow`, by vehicle and session number."""
-        self._slots: dict[str, VehicleSlot] = {}
+        self._sessions: dict[str, VehicleSessions] = {}
         for vehicle in flight.scenario.vehicles:
             role = Role.UAV if isinstance(vehicle, Uav) else Role.UGV
             session.offer(vehicle.name, role)
-            self._slots[vehicle.name] = VehicleSlot(
+            self._sessions[vehicle.name] = VehicleSessions(
                 name=vehicle.name,
                 role=role,
                 briefings=session.outbox(BRIEFING[role], vehicle.name),
                 observations=session.outbox(OBSERVATION[role], vehicle.name),
             )
-        keys: dict[str, Key] = {name: COMMAND[slot.role] for name, slot in self._slots.items()}
+        keys: dict[str, Key] = {name: COMMAND[entry.role] for name, entry in self._sessions.items()}
         self.commands = session.inbox_of_all(keys)
         session.watch("*", self._record)
 
     def fly(self, flight: Flight) -> None:
         """Start another run: every vehicle receives a new briefing."""
         self._flight = flight
-        for slot in self._slots.values():
-            slot.newest = -1
-            slot.missed.clear()
-            slot.owed = 0 if slot.sessions else None
+        for entry in self._sessions.values():
+            entry.newest = -1
+            entry.missed.clear()
+            entry.owed = 0 if entry.sessions else None
 
     def _record(self, name: str, place: int, present: bool) -> None:
         """Record that a session joined or left; called from a thread of Zenoh.
 
         Only the latest event of each session number is kept: a flood must neither fill the memory nor stop the clock.
         """
-        if name not in self._slots:
+        if name not in self._sessions:
             return
         with self._gate:
             self._arrivals[name, place] += present
@@ -129,65 +129,67 @@ class Slots:
             ]
             self._changes.clear()
         for name, place, arrivals, present in changes:
-            slot = self._slots[name]
-            if place in slot.sessions and not (present and slot.sessions[place] == arrivals):
-                self._leave(slot, place)
-            if present and place not in slot.sessions:
-                self._arrive(slot, place, arrivals)
-        for name, slot in self._slots.items():
-            unreadable = self.commands.refused[name] - slot.refused[UNREADABLE]
+            entry = self._sessions[name]
+            if place in entry.sessions and not (present and entry.sessions[place] == arrivals):
+                self._leave(entry, place)
+            if present and place not in entry.sessions:
+                self._arrive(entry, place, arrivals)
+        for name, entry in self._sessions.items():
+            unreadable = self.commands.refused[name] - entry.refused[UNREADABLE]
             if unreadable > 0:
-                self._refuse(slot, UNREADABLE, self.commands.fault[name], unreadable)
+                self._refuse(entry, UNREADABLE, self.commands.fault[name], unreadable)
 
-    def _arrive(self, slot: VehicleSlot, place: int, arrivals: int) -> None:
-        slot.sessions[place] = arrivals
-        if len(slot.sessions) > 1:
+    def _arrive(self, entry: VehicleSessions, place: int, arrivals: int) -> None:
+        entry.sessions[place] = arrivals
+        if len(entry.sessions) > 1:
             self._refuse(
-                slot,
+                entry,
                 SECOND_SESSION,
                 f"a second session (number {place}) joined; "
-                f"the first (number {slot.holder}) stays active",
+                f"the first (number {entry.holder}) stays active",
             )
             return
-        self._begin(slot)
+        self._begin(entry)
 
-    def _begin(self, slot: VehicleSlot) -> None:
+    def _begin(self, entry: VehicleSessions) -> None:
         """Make a session active."""
-        slot.owed = 0
-        if slot.lost:
-            slot.rejoined += 1
-            self._flight.rejoin(slot.name)
-            self._on_event(f"{slot.name} rejoined at tick {self._flight.world.tick}")
+        entry.owed = 0
+        if entry.lost:
+            entry.rejoined += 1
+            self._flight.rejoin(entry.name)
+            self._on_event(f"{entry.name} rejoined at tick {self._flight.world.tick}")
 
-    def _leave(self, slot: VehicleSlot, place: int) -> None:
-        held = slot.holder == place
-        del slot.sessions[place]
+    def _leave(self, entry: VehicleSessions, place: int) -> None:
+        held = entry.holder == place
+        del entry.sessions[place]
         if not held:
             return
         if not self._flight.over:
-            slot.lost += 1
-            self._on_event(f"{slot.name} disconnected at tick {self._flight.world.tick}")
-        if slot.sessions:
-            self._begin(slot)
+            entry.lost += 1
+            self._on_event(f"{entry.name} disconnected at tick {self._flight.world.tick}")
+        if entry.sessions:
+            self._begin(entry)
 
-    def _refuse(self, slot: VehicleSlot, cause: str, fault: str, count: int = 1) -> None:
-        if not slot.refused[cause]:
+    def _refuse(self, entry: VehicleSessions, cause: str, fault: str, count: int = 1) -> None:
+        if not entry.refused[cause]:
             self._on_event(
-                f"{slot.name}: {cause}: {fault}; rejected, further ones are only counted"
+                f"{entry.name}: {cause}: {fault}; rejected, further ones are only counted"
             )
-        slot.refused[cause] += count
-        slot.fault = fault[:LONGEST_TEXT]
+        entry.refused[cause] += count
+        entry.fault = fault[:LONGEST_TEXT]
 
     @property
     def absent(self) -> list[str]:
         """Return the vehicles without a session, in name order."""
-        return [name for name, slot in self._slots.items() if not slot.present]
+        return [name for name, entry in self._sessions.items() if not entry.present]
 
     @property
     def unbriefed(self) -> list[str]:
         """Return the vehicles whose active session is not fully briefed."""
         return [
-            name for name, slot in self._slots.items() if slot.present and slot.owed is not None
+            name
+            for name, entry in self._sessions.items()
+            if entry.present and entry.owed is not None
         ]
 
     def brief(self, name: str, *, parts: int | None = None) -> bool:
@@ -200,20 +202,20 @@ class Slots:
         Returns:
             True if the vehicle is fully briefed now.
         """
-        slot, now = self._slots[name], self._flight.world.tick
+        entry, now = self._sessions[name], self._flight.world.tick
         sent = 0
-        while slot.owed is not None and (parts is None or sent < parts):
-            end = min(slot.owed + PART, now)
+        while entry.owed is not None and (parts is None or sent < parts):
+            end = min(entry.owed + PART, now)
             first = briefing(self._flight.scenario, name, self._flight.seed, self._flight.secret)
-            past = self._flight.past(name, slot.owed, end, slot.missed)
-            slot.briefings.send(
+            past = self._flight.past(name, entry.owed, end, entry.missed)
+            entry.briefings.send(
                 msgspec.structs.replace(
                     first, past=past, more=end < now, episode=self._flight.episode
                 )
             )
             sent += 1
-            slot.owed = end if end < now else None
-        return slot.owed is None
+            entry.owed = end if end < now else None
+        return entry.owed is None
 
     def send(
         self, observations: Mapping[str, Observation], *, parts: int | None = None
@@ -229,13 +231,13 @@ class Slots:
         """
         given = set()
         for name, observation in observations.items():
-            slot = self._slots[name]
-            if slot.sessions and (slot.owed is None or self.brief(name, parts=parts)):
-                slot.observations.send(observation)
-                slot.missed.discard(observation.tick)
+            entry = self._sessions[name]
+            if entry.sessions and (entry.owed is None or self.brief(name, parts=parts)):
+                entry.observations.send(observation)
+                entry.missed.discard(observation.tick)
                 given.add(name)
             else:
-                slot.missed.add(observation.tick)
+                entry.missed.add(observation.tick)
         return given
 
     def accept(
@@ -246,7 +248,7 @@ class Slots:
         *,
         oldest: int | None = None,
     ) -> bool:
-        """Add a command to those of this tick, or reject it.
+        """Add a command to the commands of this tick, or reject it.
 
         Args:
             envelope: Received message.
@@ -257,38 +259,38 @@ class Slots:
         Returns:
             True if the command was accepted.
         """
-        slot, command = self._slots[envelope.sender], envelope.message
+        entry, command = self._sessions[envelope.sender], envelope.message
         if not isinstance(command, UavCommand | UgvCommand):
             return False
         answered = command.tick
-        if envelope.place is not None and slot.present and envelope.place != slot.holder:
+        if envelope.place is not None and entry.present and envelope.place != entry.holder:
             self._refuse(
-                slot,
+                entry,
                 SECOND_SESSION,
                 f"a command for tick {answered} from a second session (number {envelope.place}); "
-                f"the first (number {slot.holder}) stays active",
+                f"the first (number {entry.holder}) stays active",
             )
-        elif answered == slot.newest:
-            self._refuse(slot, TWICE, f"tick {answered} again at tick {tick}")
+        elif answered == entry.newest:
+            self._refuse(entry, TWICE, f"tick {answered} again at tick {tick}")
         elif (
-            answered > tick or answered < slot.newest or (oldest is not None and answered < oldest)
+            answered > tick or answered < entry.newest or (oldest is not None and answered < oldest)
         ):
-            self._refuse(slot, ANOTHER_TICK, f"tick {answered} at tick {tick}")
+            self._refuse(entry, ANOTHER_TICK, f"tick {answered} at tick {tick}")
         else:
-            slot.newest = answered
+            entry.newest = answered
             commands[envelope.sender] = command
             return True
         return False
 
     def report_late(self, name: str, tick: int, late: float) -> None:
         """Report that a vehicle has missed its deadline."""
-        slot, now = self._slots[name], time.monotonic()
-        slot.fault = f"no command for tick {tick} after {late:.1f} s"
-        slot.late += 1
-        if now - slot.late_reported >= _QUIET:
-            slot.late_reported = now
-            often = f", for the {slot.late}th time" if slot.late > 1 else ""
-            self._on_event(f"{name} is late{often}: {slot.fault}")
+        entry, now = self._sessions[name], time.monotonic()
+        entry.fault = f"no command for tick {tick} after {late:.1f} s"
+        entry.late += 1
+        if now - entry.late_reported >= _QUIET:
+            entry.late_reported = now
+            often = f", for the {entry.late}th time" if entry.late > 1 else ""
+            self._on_event(f"{name} is late{often}: {entry.fault}")
 
     def statuses(self) -> dict[str, VehicleStatus]:
         """Return the status of each vehicle."""
@@ -296,11 +298,11 @@ class Slots:
         return {
             name: msgspec.structs.replace(
                 answers.counted(name),
-                present=slot.present,
-                lost=slot.lost,
-                rejoined=slot.rejoined,
-                rejected=dict(slot.refused),
-                last_fault=slot.fault,
+                present=entry.present,
+                lost=entry.lost,
+                rejoined=entry.rejoined,
+                rejected=dict(entry.refused),
+                last_fault=entry.fault,
             )
-            for name, slot in self._slots.items()
+            for name, entry in self._sessions.items()
         }

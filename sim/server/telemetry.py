@@ -12,11 +12,11 @@ from bus.keys import COVERAGE, GROUND, SAMPLED_TRUTH, STATUS, TRUTH
 from bus.messages.telemetry import Status
 from bus.session import Session
 from sim.scenario.types import LinkTable, Scenario
+from sim.scene.ground_map import ground_map, hazards_of
 from sim.scene.known import geometry_of
-from sim.scene.told_tiles import ground_map, hazards_of
 from sim.server.flight import Flight
 from sim.server.operator_controls import OperatorControls
-from sim.server.sessions import Slots
+from sim.server.sessions import Sessions
 
 _PERIOD = 0.2
 """Wall time between two status messages, and between two coverage maps [s]."""
@@ -49,12 +49,12 @@ class Telemetry:
         self,
         session: Session,
         flight: Flight,
-        slots: Slots,
+        sessions: Sessions,
         operators: OperatorControls,
         warn: Warn,
     ) -> None:
         self._warn = warn
-        self._flight, self._slots, self._operators = flight, slots, operators
+        self._flight, self._sessions, self._operators = flight, sessions, operators
         self._geometry = geometry_of(flight.scenario)
         self._truth, self._sampled = session.outbox(TRUTH), session.outbox(SAMPLED_TRUTH)
         self._map, self._status = session.outbox(COVERAGE), session.outbox(STATUS)
@@ -88,7 +88,7 @@ class Telemetry:
         if now < self._due and not at_once:
             return
         self._due = now + _PERIOD
-        self._slots.follow()
+        self._sessions.follow()
         if self._status.wanted:
             self._status.send(self.status(now))
         if self._map.wanted:
@@ -118,5 +118,5 @@ class Telemetry:
             refusals=tuple(self._operators.refusals),
             geometry=self._geometry,
             warnings=self._warn(flight.flown, world.link_table),
-            vehicles=self._slots.statuses(),
+            vehicles=self._sessions.statuses(),
         )

@@ -146,7 +146,7 @@ def test_an_operator_of_the_worlds_unit_is_one_of_the_run() -> None:
     unit = WorldUnit(flown, 3)
     assert [one.name for one in unit.inputs if not one.unit] == ["ugv_0.operator.new"]
     for tick in range(flown.ticks):
-        flight.say("ugv_0", Teleoperation(operator="anybody", velocity=wish))
+        flight.teleoperate("ugv_0", Teleoperation(operator="anybody", velocity=wish))
         flight.fly_tick(exchange)
         words = {"ugv_0.operator.new": True, "ugv_0.operator.velocity.x": wish[0]}
         told = unit.step(tick * DT, DT, words | {"ugv_0.operator.velocity.y": wish[1]})

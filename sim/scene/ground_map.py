@@ -21,7 +21,7 @@ _KINDS = {row.code: name for name, row in HAZARDS.items()}
 
 
 def hazards_of(world: World) -> tuple[Hazard, ...]:
-    """Return the hazards of a world: those of the scenario, and those drawn for this run."""
+    """Return the hazards of a world: the scenario's, and the random ones of this run."""
     ground = world.ground
     if ground is None:
         return ()
