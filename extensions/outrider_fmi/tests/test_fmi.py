@@ -308,7 +308,7 @@ def test_one_unit_drives_a_run_and_a_files_own_is_not_loaded_unasked(units: Path
     flown = load_scenario("escort", overrides={"ugv.0.driver": named})
     assert foreign_code(flown) == foreign_code(flown, ["seed=3"]) != ()
     assert foreign_code(flown, [f'ugv.0.driver="{named}"']) == ()
-    with pytest.raises(ScenarioError, match=r"ugv\.0\.driver = .*another.*one policy a run"):
+    with pytest.raises(ScenarioError, match=r"ugv\.0\.driver = .*another.*one policy per run"):
         load_scenario("escort", overrides={"ugv.0.driver": named, "custom.policy": "mine:drive"})
 
 

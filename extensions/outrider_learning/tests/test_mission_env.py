@@ -133,7 +133,7 @@ def test_nothing_changes_without_hazards() -> None:
 
 @pytest.mark.parametrize("side", [0, 4, 257, 2.5, True, math.nan, math.inf])
 def test_a_picture_of_tiles_has_a_middle(side: Any) -> None:
-    with refused(ValueError, "tile_patch = .*must be an odd whole number from 1 to 255"):
+    with refused(ValueError, "tile_patch = .*allowed: an odd whole number from 1 to 255"):
         outrider.parallel_env(grounded(), tile_patch=side)
     with refused(ValueError, "tile_patch = "):
         outrider.vector_env(grounded(), num_envs=1, tile_patch=side)
