@@ -31,7 +31,7 @@ _QUIET = 10.0
 """Time between two log lines about one late vehicle [s]."""
 
 
-@dataclass(sessions=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class VehicleSessions:
     """Sessions of one vehicle. The first to join is active until it leaves; then the next one becomes active."""
 
