@@ -57,7 +57,7 @@ class Progress(NamedTuple):
     """Goals reached."""
     arrived: int
     """Tick at which it reached the last goal; -1: not yet, or it has none."""
-    told: int
+    received_tiles: int
     """Tiles received by radio, each counted once."""
     listed: int
     """Number of hazards in the list of near ones; -1: not listed yet."""

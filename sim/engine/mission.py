@@ -110,7 +110,7 @@ def receive_block(
             ground.radioed[world, ugv, row, column] = state
         if received[row, column] == 0:
             received[row, column] = tick + 1
-            ground.missions[world, ugv].told += 1
+            ground.missions[world, ugv].received_tiles += 1
             if state != CLEAR:
                 _record_hazards(ground, world, row, column, ground.warned[world, ugv], tick)
 

@@ -45,11 +45,11 @@ class Standing:
     """Progress towards its goal [m]."""
     to_go: float
     """Distance to the next goal [m]; 0 if none is left."""
-    told: int
+    received_tiles: int
     hits: int
     still: int
     """Tiles received by radio, hazards hit, and ticks at standstill; 0 without hazards."""
-    new_told: int
+    new_tiles: int
     new_hits: int
     new_still: int
     """Increase of these in this tick."""
@@ -160,10 +160,10 @@ def _measure_mission(
     row, mission, hits = state.standings[world, bt.ugvs[ugv]], ground.missions[world, ugv], 0
     for n in range(ground.hits.shape[2]):
         hits += ground.hits[world, ugv, n]
-    row.new_told = mission.told - row.told
+    row.new_tiles = mission.received_tiles - row.received_tiles
     row.new_hits = hits - row.hits
     row.new_still = mission.still - row.still
-    row.told, row.hits = mission.told, hits
+    row.received_tiles, row.hits = mission.received_tiles, hits
     row.still = mission.still
 
 
@@ -219,7 +219,7 @@ def _pay(
             area = 0.0
             if ground is not None:
                 tile, ugv = ground.parameters[0].tile, bt.escorts[tables.place[v], 1]
-                area = tile * tile * state.standings[world, ugv].new_told
+                area = tile * tile * state.standings[world, ugv].new_tiles
             terms[0], terms[1], terms[2], terms[3], terms[4], terms[5] = uav_terms(
                 weights,
                 row.error,

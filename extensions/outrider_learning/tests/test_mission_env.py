@@ -84,7 +84,7 @@ def test_a_world_of_the_vector_environment_is_the_parallel_one_bit_for_bit() -> 
     assert math.isnan(told["mission_time"])
     tiles = seen["ugv_0"]["tiles"]
     assert equal(tiles, all_infos["ugv_0"]["final_obs"][0]["tiles"])
-    received = env.world.ground.missions["told"].item()
+    received = env.world.ground.missions["received_tiles"].item()
     assert received > 100
     metrics = env.metrics()["ugv_0"]
     assert metrics["reward_hit"] == 0.0  # it was paid for once, some ticks ago
