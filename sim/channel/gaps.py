@@ -164,11 +164,11 @@ def none_in_time(chain: LossChain, useful: FloatArray) -> tuple[FloatArray, Floa
     ends = [value] * (last + 1 + whole + 1)  # X by offset
     for o in range(last, 0, -1):
         clear = (1.0 - useful[o] * chain.through[:, None]) * value
-        dark = chain.pull(ends[o + whole], whole)
+        blackout = chain.pull(ends[o + whole], whole)
         if broken:
             sooner = np.maximum(chain.pull(ends[o + whole]), ends[o + whole - 1])
-            dark = chain.pull(sooner, whole - 1)
-        either = begins * dark + (1.0 - begins) * clear
+            blackout = chain.pull(sooner, whole - 1)
+        either = begins * blackout + (1.0 - begins) * clear
         ends[o] = np.maximum(clear, either)
         value = chain.pull(either)
     left = np.minimum(1.0, chain.down - np.arange(whole)) / (chain.up + chain.down)
@@ -207,16 +207,16 @@ def late_shares(
     starts, offsets = np.arange(-1, ticks - len(window) + 1), np.arange(last + 1)[:, None]
     leaves = (np.arange(period) + offsets) % period == 0
     shares = none_in_time(chain, useful[:, None] * leaves)[1][starts % period]
-    dark = np.zeros(ticks + last + 2, dtype=bool)  # from tick -1 on
+    blackout = np.zeros(ticks + last + 2, dtype=bool)  # from tick -1 on
     for first, after in parameters.blackouts.tolist():
-        dark[1 + first : 1 + min(after, ticks)] = True
-    before = np.concatenate(([0], np.cumsum(dark)))
+        blackout[1 + first : 1 + min(after, ticks)] = True
+    before = np.concatenate(([0], np.cumsum(blackout)))
     hidden = before[starts + last + 2] - before[starts + 2]
     shares[(hidden > 0) & (hidden == last)] = 1.0
     partly = np.flatnonzero((hidden > 0) & (hidden < last))
     for group in (partly[k : k + _GROUP] for k in range(0, len(partly), _GROUP)):
         at = starts[group] + offsets
-        reached = useful[:, None] * ((at % period == 0) & ~dark[at + 1])
+        reached = useful[:, None] * ((at % period == 0) & ~blackout[at + 1])
         shares[group] = none_in_time(chain, reached)[1]
     return shares
 

@@ -139,8 +139,8 @@ def rates_fit_ticks(scenario: Scenario) -> Iterator[Fault]:
     if scenario.has_ground:
         rates["ground.rate"] = scenario.ground.rate
     for field, rate in rates.items():
-        looks = rate * scenario.dt
-        period = 1.0 / looks if looks > 0.0 else math.inf
+        per_tick = rate * scenario.dt
+        period = 1.0 / per_tick if per_tick > 0.0 else math.inf
         if period > _MOST_TICKS or not is_whole(period, 1e-6):
             some = ", ".join(f"{1.0 / (n * scenario.dt):.4g}" for n in (1, 2, 3))
             wrong = "the period is not a whole number of ticks"
