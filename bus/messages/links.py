@@ -32,7 +32,7 @@ class LinkSettings(Message, frozen=True, kw_only=True):
     jitter_shape: Name = "uniform"
     """Distribution of the jitter, a row of `sim.channel.jitter.SHAPES`; it defines the meaning of the scale."""
     max_jitter: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
-    """Upper bound of the extra delay [s]; its lower bound is -delay. Values outside are drawn again. 0: five times the
+    """Upper bound of the extra delay [s]; its lower bound is -delay. Values outside are redrawn (in effect). 0: five times the
     jitter.
     """
     loss: Share = 0.0

@@ -29,7 +29,7 @@ class VehicleTruth(Message, frozen=True, kw_only=True):
     position: Vector
     velocity: Vector
     acceleration: Vector
-    """Mean acceleration since the last tick, after the bounds [m/s²]."""
+    """Acceleration applied since the last tick, after the bounds [m/s²]."""
     command: Vector
     """Commanded acceleration since the last tick, before the bounds [m/s²].
 
