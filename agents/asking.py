@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bus.errors import ScenarioError, shortened, told_with_place
+from bus.errors import ScenarioError, error_with_place, shortened
 
 _LOG = logging.getLogger("outrider.policy")
 LARGEST = 1e6
@@ -58,7 +58,7 @@ class AskedPolicy:
             raise ScenarioError(f"{self.where(tick)}: {error}") from error
         except Exception as error:
             raise ScenarioError(
-                f"{self.where(tick)}: raised {shortened(told_with_place(error))}"
+                f"{self.where(tick)}: raised {shortened(error_with_place(error))}"
             ) from error
         self._mind_time(tick, time.perf_counter() - begun)
         return answer

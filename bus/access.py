@@ -1,7 +1,7 @@
-"""The key table turned into Zenoh's access control.
+"""Zenoh access control, derived from the key table.
 
-There is no second list: what `bus.keys` gives a party is what the router lets through, everything else it drops.
-Zenoh denies in silence, so the session asks the same table first and says `AccessDenied`.
+The router forwards only what `bus.keys` grants a party and drops everything else. Zenoh drops messages silently, so the
+session checks the same table first and raises `AccessDenied`.
 """
 
 import base64
@@ -23,25 +23,25 @@ from bus.keys import (
     Party,
     Role,
     read_by,
-    slot_token,
     token,
+    vehicle_token,
     written_by,
 )
 from bus.roles import Roles, own_grants, roles_among
 
 
 def _expressions(key: Key, party: Party, run: str) -> str:
-    """The keys of one row that are this party's: a vehicle's own, all of them for anybody else."""
+    """Return the keys of one row that a party may use: a vehicle's own key, else the keys of all vehicles."""
     return key.expression(run, party.name if party.role is key.vehicle else "*")
 
 
 def grants(party: Party, run: str, extensions: Iterable[Roles] = ()) -> tuple[Grant, ...]:
-    """All that the router lets through for a party: the key table, and who is there.
+    """Return everything that the router forwards for a party: the keys of the table, and liveliness tokens.
 
     Args:
-        party: Who.
+        party: The party.
         run: Name of the run.
-        extensions: Roles of extensions that take part in it.
+        extensions: Roles of extensions in the run.
 
     Raises:
         AccessDenied: If an extension grants a key of a run.
@@ -50,10 +50,9 @@ def grants(party: Party, run: str, extensions: Iterable[Roles] = ()) -> tuple[Gr
     for key in written_by(party):
         own = _expressions(key, party, run)
         found.add(Grant(message="put", flow="ingress", keys=(own,)))
-        # A publisher sends only if it is told that somebody has subscribed; the simulator subscribes to all
-        # vehicles at once.
-        told = tuple(dict.fromkeys((own, key.expression(run, "*"))))
-        found.add(Grant(message="declare_subscriber", flow="egress", keys=told))
+        # # A publisher sends only once it knows of a subscriber; the simulator subscribes to all vehicles at once.
+        declared_keys = tuple(dict.fromkeys((own, key.expression(run, "*"))))
+        found.add(Grant(message="declare_subscriber", flow="egress", keys=declared_keys))
     for key in read_by(party):
         own = _expressions(key, party, run)
         found.add(Grant(message="declare_subscriber", flow="ingress", keys=(own,)))
@@ -62,7 +61,7 @@ def grants(party: Party, run: str, extensions: Iterable[Roles] = ()) -> tuple[Gr
     own = token(run, party.name, "*")
     declared = tuple(token(run, party.name, place) for place in range(PLACES))
     if party.role is Role.SIMULATOR:
-        declared += tuple(slot_token(run, "*", role) for role in (Role.UAV, Role.UGV))
+        declared += tuple(vehicle_token(run, "*", role) for role in (Role.UAV, Role.UGV))
     found.add(Grant(message="liveliness_token", flow="ingress", keys=declared))
     found.add(Grant(message="liveliness_query", flow="ingress", keys=(own,)))
     found.add(Grant(message="declare_liveliness_subscriber", flow="ingress", keys=(watched,)))
@@ -71,9 +70,9 @@ def grants(party: Party, run: str, extensions: Iterable[Roles] = ()) -> tuple[Gr
 
 
 def access_control(given: CredentialSet) -> dict[str, Any]:
-    """Zenoh's `access_control` for a run: nothing is allowed but each party's grants."""
+    """Return Zenoh's `access_control` for a run: deny everything except each party's grants."""
     by = "usernames" if given.tls is None else "cert_common_names"
-    # The router knows the keys of an extension only where one of its parties has credentials.
+    # The router knows the keys of an extension only if one of its parties has credentials.
     extensions = roles_among([credential.party for credential in given.parties])
     rules: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []
@@ -103,9 +102,9 @@ def access_control(given: CredentialSet) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def router_settings(given: CredentialSet | None) -> Iterator[dict[str, Any]]:
-    """The settings by which a router knows its parties, for as long as it takes to open it.
+    """Yield the settings with which a router authenticates its parties.
 
-    Zenoh reads names and passwords from a file; it lies in a private folder and is gone afterwards.
+    Zenoh reads names and passwords from a file. It lies in a private folder that is removed on exit.
 
     Raises:
         BusError: If that file cannot be written.
@@ -133,7 +132,10 @@ def router_settings(given: CredentialSet | None) -> Iterator[dict[str, Any]]:
 
 
 def _tls_settings(identity: Identity, side: str) -> dict[str, Any]:
-    """Mutual TLS, and no other protocol beside it; Zenoh takes PEM in base64, so that no key lies in a file for it."""
+    """Return the settings of mutual TLS as the only protocol.
+
+    Zenoh accepts PEM in base64, so that no key is written to a file.
+    """
 
     def encoded(text: str) -> str:
         return base64.b64encode(text.encode()).decode()
@@ -148,7 +150,7 @@ def _tls_settings(identity: Identity, side: str) -> dict[str, Any]:
 
 
 def client_settings(credential: Credential | None) -> dict[str, Any]:
-    """The settings by which a client says who it is."""
+    """Return the settings with which a client authenticates itself."""
     if credential is None:
         return {}
     if credential.tls is not None:

@@ -1,7 +1,8 @@
-"""Certificates in the place of passwords: an authority for a run, and one identity for each party (mutual TLS).
+"""Certificates for mutual TLS: an authority for each run, and one identity for each party.
 
-Made and read by `cryptography`, which is the extra [tls] and imported only where certificates are used. A vehicle's
-certificate is good for a client alone, the router's for a server alone: nobody's may stand for the router's.
+Certificates are made and read by `cryptography` (extra [tls]), which is imported only if certificates are used. A
+vehicle's certificate is valid only for a client, and the router's only for a server: no party can impersonate the
+router.
 """
 
 import ssl
@@ -23,39 +24,41 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric import ec
 
 ROUTER_HOSTS = ("localhost", "127.0.0.1", "::1", "router")
-"""Names under which a router is found that has been given no others; `router` is its name among containers."""
+"""Default names of a router; `router` is its name among containers."""
 AUTHORITY_DAYS = 3650
 PARTY_DAYS = 365
-"""The life of certificates; a router's holds as long as its authority, so that no renewal needs it to stop."""
+"""Lifetime of certificates [days]. A router's certificate lasts as long as its authority, so that a renewal does not
+stop the router.
+"""
 WARNED_DAYS = 30
-"""An end is told so long ahead [days]."""
-_AHEAD = timedelta(days=1)
-"""Certificates hold from so long before they were made: clocks differ."""
-_PATIENCE = 2.0
-"""The time that a router may take to say what it has against a certificate [s]."""
+"""Time before expiry at which a warning is logged [days]."""
+_CLOCK_TOLERANCE = timedelta(days=1)
+"""Start of validity before the time of creation, for clocks that differ."""
+_REPLY_TIMEOUT = 2.0
+"""Time limit for a router to report its objection to a certificate [s]."""
 
 
 class Identity(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One party's certificate and key, and the authority whose certificates it trusts; all in PEM."""
+    """One party's certificate and key, and the authority that it trusts; all in PEM."""
 
     authority: str
     certificate: str
     key: str
 
     def __repr__(self) -> str:
-        """Without the key: it must not get into a log."""
+        """Omit the key: it must not appear in a log."""
         return "Identity(...)"
 
 
 class Authority(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The authority that signs a run's certificates: for the run's owner alone, and no process of it."""
+    """Authority that signs a run's certificates. Only the owner of the run holds it, no process."""
 
     run: str
     certificate: str
     key: str
 
     def __repr__(self) -> str:
-        """Without the key: it must not get into a log."""
+        """Omit the key: it must not appear in a log."""
         return f"Authority(run={self.run!r})"
 
 
@@ -100,10 +103,10 @@ def _text(certificate: "x509.Certificate") -> str:
     return certificate.public_bytes(Encoding.PEM).decode()
 
 
-def _begin(
+def _unsigned(
     name: str, days: float, issuer: "x509.Name | None" = None
 ) -> "tuple[ec.EllipticCurvePrivateKey, x509.CertificateBuilder]":
-    """A new key, and what its certificate begins with; without an issuer it is issued by itself."""
+    """Return a new key and an unsigned certificate; without an issuer it is self-issued."""
     from cryptography import x509  # noqa: PLC0415
     from cryptography.hazmat.primitives.asymmetric import ec  # noqa: PLC0415
     from cryptography.x509.oid import NameOID  # noqa: PLC0415
@@ -116,14 +119,14 @@ def _begin(
         .issuer_name(subject if issuer is None else issuer)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - _AHEAD)
+        .not_valid_before(now - _CLOCK_TOLERANCE)
         .not_valid_after(now + timedelta(days=days))
     )
     return key, builder
 
 
 def new_authority(run: str) -> Authority:
-    """An authority of one's own for the certificates of one run; none that it makes holds longer than itself.
+    """Return a new authority for the certificates of one run; no certificate outlives it.
 
     Raises:
         BusError: If the extra [tls] is missing.
@@ -132,8 +135,8 @@ def new_authority(run: str) -> Authority:
     from cryptography import x509  # noqa: PLC0415
     from cryptography.hazmat.primitives import hashes  # noqa: PLC0415
 
-    serial = f"{x509.random_serial_number():x}"[:8]  # two authorities of one run can be told apart
-    key, builder = _begin(f"Outrider {run} {serial}"[:64], AUTHORITY_DAYS)
+    serial = f"{x509.random_serial_number():x}"[:8]  # distinguishes two authorities of one run
+    key, builder = _unsigned(f"Outrider {run} {serial}"[:64], AUTHORITY_DAYS)
     usage = x509.KeyUsage(
         digital_signature=False,
         content_commitment=False,
@@ -154,13 +157,13 @@ def new_authority(run: str) -> Authority:
 def issue(
     authority: Authority, name: str, *, days: float = PARTY_DAYS, hosts: Sequence[str] = ()
 ) -> Identity:
-    """A new key, and a certificate for it.
+    """Issue a certificate for a new key.
 
     Args:
-        authority: By whom.
-        name: The common name, by which access control knows a party.
-        days: How long it holds, though no longer than the authority.
-        hosts: Names and addresses under which a router is found; none: it is a client's.
+        authority: Authority that signs the certificate.
+        name: Common name, by which access control identifies the party.
+        days: Lifetime [days]; at most the remaining lifetime of the authority.
+        hosts: Names and addresses of the router; none: a client's certificate.
 
     Raises:
         AccessDenied: If the authority cannot be read, or has expired.
@@ -176,9 +179,9 @@ def issue(
     left = (issuer.not_valid_after_utc - datetime.now(UTC)) / timedelta(days=1)
     if left <= 0.0:
         raise AccessDenied(
-            f"the authority has expired on {issuer.not_valid_after_utc:%Y-%m-%d}: make all credentials anew"
+            f"the authority has expired on {issuer.not_valid_after_utc:%Y-%m-%d}: create all credentials again"
         )
-    key, builder = _begin(name, min(days, left), issuer.subject)
+    key, builder = _unsigned(name, min(days, left), issuer.subject)
     purpose = ExtendedKeyUsageOID.SERVER_AUTH if hosts else ExtendedKeyUsageOID.CLIENT_AUTH
     builder = builder.add_extension(
         x509.BasicConstraints(ca=False, path_length=None), critical=True
@@ -205,7 +208,7 @@ def _host(text: str) -> "x509.GeneralName":
 
 
 def hosts_of(identity: Identity) -> tuple[str, ...]:
-    """Names and addresses under which a router is found; none for a client's.
+    """Return the names and addresses of a router's certificate; none for a client's.
 
     Raises:
         AccessDenied: If the certificate cannot be read.
@@ -222,17 +225,17 @@ def hosts_of(identity: Identity) -> tuple[str, ...]:
 
 
 def check_identity(identity: Identity, name: str) -> datetime:
-    """Refuse what a router or a client would refuse later and say less about.
+    """Check a certificate that a router or client would reject with a less helpful error.
 
     Args:
-        identity: What is checked.
-        name: Whose it should be.
+        identity: Identity to check.
+        name: Name of its owner.
 
     Returns:
-        When the certificate or its authority ends, whichever is first.
+        Expiry of the certificate or of its authority, whichever is earlier.
 
     Raises:
-        AccessDenied: If it cannot be read, is another's, has expired, or its parts do not belong together.
+        AccessDenied: If it cannot be read, belongs to another party, has expired, or its parts do not match.
         BusError: If the extra [tls] is missing.
     """
     _need()
@@ -246,25 +249,27 @@ def check_identity(identity: Identity, name: str) -> datetime:
         str(part.value) for part in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     ]
     if names != [name]:
-        raise AccessDenied(f"{what} is for {' and '.join(names) or 'nobody'}")
+        raise AccessDenied(f"{what} is for {' and '.join(names) or 'no party'}")
     if _read_key(identity.key, f"the key of {name}").public_key() != certificate.public_key():
-        raise AccessDenied(f"{what} and its key do not belong together")
+        raise AccessDenied(f"{what} and its key do not match")
     try:
         certificate.verify_directly_issued_by(authority)
     except (ValueError, TypeError, InvalidSignature) as error:
-        raise AccessDenied(f"{what} is of another authority than the one beside it") from error
+        raise AccessDenied(
+            f"{what} was issued by another authority than the one in its file"
+        ) from error
     now = datetime.now(UTC)
     for part, called in ((certificate, what), (authority, f"the authority of {name}")):
         if part.not_valid_after_utc <= now:
             raise AccessDenied(f"{called} has expired on {_day(part.not_valid_after_utc)}: {RENEW}")
         if part.not_valid_before_utc > now:
             raise AccessDenied(
-                f"{called} holds only from {_day(part.not_valid_before_utc)} on: is this machine's clock right?"
+                f"{called} is not valid before {_day(part.not_valid_before_utc)}: check this machine's clock"
             )
     return min(certificate.not_valid_after_utc, authority.not_valid_after_utc)
 
 
-RENEW = "outrider credentials FOLDER --renew makes a new one"
+RENEW = "`outrider credentials FOLDER --renew` makes a new one"
 
 
 def _day(when: datetime) -> str:
@@ -272,66 +277,68 @@ def _day(when: datetime) -> str:
 
 
 def expiry_warning(name: str, end: datetime) -> str:
-    """A line for a person where the end is less than `WARNED_DAYS` away; empty where it is not."""
+    """Return a warning if the certificate ends within `WARNED_DAYS`; else an empty text."""
     days = (end - datetime.now(UTC)) / timedelta(days=1)
     if days >= WARNED_DAYS:
         return ""
-    return f"the certificate of {name} ends in {days:.0f} days, on {_day(end)}: {RENEW}"
+    return f"the certificate of {name} expires in {days:.0f} days, on {_day(end)}: {RENEW}"
 
 
 _REASONS = {
-    "TLSV13_ALERT_CERTIFICATE_REQUIRED": "wants a certificate",
-    "TLSV1_ALERT_UNKNOWN_CA": "does not trust the authority of this certificate: is it of the same `outrider "
-    "credentials`?",
-    "TLSV1_ALERT_DECRYPT_ERROR": "does not trust the authority of this certificate: is it of the same `outrider "
-    "credentials`?",
+    "TLSV13_ALERT_CERTIFICATE_REQUIRED": "requires a certificate",
+    "TLSV1_ALERT_UNKNOWN_CA": "does not trust the authority of this certificate: create both with the same "
+    "`outrider credentials`",
+    "TLSV1_ALERT_DECRYPT_ERROR": "does not trust the authority of this certificate: create both with the same "
+    "`outrider credentials`",
     "SSLV3_ALERT_CERTIFICATE_EXPIRED": f"says that this certificate has expired: {RENEW}",
     "SSLV3_ALERT_UNSUPPORTED_CERTIFICATE": "says that this certificate is not for a client",
     "WRONG_VERSION_NUMBER": "does not speak TLS",
 }
 _UNVERIFIED = {
-    "unable to get local issuer certificate": "is of another authority than this process' own: is it of the same "
-    "`outrider credentials`?",
-    "certificate signature failure": "is of another authority than this process' own",
-    "certificate has expired": "has expired: renew it and start the router anew",
-    "certificate is not yet valid": "does not hold yet: is this machine's clock right?",
-    "unsuitable certificate purpose": "is not a router's: another party listens there",
+    "unable to get local issuer certificate": "was issued by another authority than this process' own: create "
+    "both with the same `outrider credentials`",
+    "certificate signature failure": "was issued by another authority than this process' own",
+    "certificate has expired": "has expired: renew it and restart the router",
+    "certificate is not yet valid": "is not valid yet: check this machine's clock",
+    "unsuitable certificate purpose": "is not a router's: another party listens at this endpoint",
 }
 
 
 def find_fault(host: str, port: int, identity: Identity) -> str:
-    """Why a router does not let an identity in, or an identity does not trust the router; Zenoh does not say it.
+    """Return why a router rejects an identity, or an identity the router; Zenoh does not report the reason.
 
     Args:
-        host: Where the router listens.
-        port: Likewise.
-        identity: The client's.
+        host: Host of the router.
+        port: Port of the router.
+        identity: Identity of the client.
 
     Returns:
-        A sentence about the router, without its subject; empty where TLS has no objection.
+        Predicate of a sentence about the router; empty if TLS raises no objection.
 
     Raises:
-        OSError: If nobody answers there.
+        OSError: If no process answers there.
     """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.load_verify_locations(cadata=identity.authority)
     with tempfile.TemporaryDirectory(prefix="outrider-") as folder:
-        path = Path(folder) / "identity.pem"  # the folder is private, and gone at once
+        path = Path(folder) / "identity.pem"  # the folder is private and removed at once
         path.write_text(identity.certificate + identity.key, encoding="ascii")
         context.load_cert_chain(path)
     try:
         with (
-            create_connection((host, port), _PATIENCE) as plain,
+            create_connection((host, port), _REPLY_TIMEOUT) as plain,
             context.wrap_socket(plain, server_hostname=host) as opened,
         ):
-            opened.settimeout(_PATIENCE)
-            opened.read(1)  # what the router has against a certificate comes after the handshake
+            opened.settimeout(_REPLY_TIMEOUT)
+            opened.read(1)  # the router's objection arrives after the handshake
     except ssl.SSLCertVerificationError as error:
-        told = error.verify_message
-        if "mismatch" in told:
-            mend = "name it with `outrider credentials --tls --router HOST`"
-            return f"has a certificate that is not for {host!r}: {mend}"
-        return f"has a certificate that {_UNVERIFIED.get(told, f'cannot be verified: {told}')}"
+        message = error.verify_message
+        if "mismatch" in message:
+            remedy = "add it with `outrider credentials --tls --router HOST`"
+            return f"has a certificate that is not for {host!r}: {remedy}"
+        return (
+            f"has a certificate that {_UNVERIFIED.get(message, f'cannot be verified: {message}')}"
+        )
     except ssl.SSLError as error:
         reason = error.reason or str(error)
         return _REASONS.get(

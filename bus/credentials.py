@@ -1,6 +1,6 @@
-"""Credentials by which the router knows who is who, and their files.
+"""Credentials that identify parties to the router, and their files.
 
-Credentials are passwords, or certificates (`bus.certificates`) where traffic is encrypted.
+Credentials are passwords, or certificates (`bus.certificates`) if traffic is encrypted.
 """
 
 import os
@@ -22,28 +22,28 @@ from bus.roles import RESERVED, named_roles, party_of
 
 _PASSWORD_BYTES = 24
 _MOST_BYTES = 4 << 20
-"""Of a file of credentials: those of some ten thousand parties."""
+"""Maximum size of a credentials file [bytes]: enough for ten thousand parties."""
 _Kind = TypeVar("_Kind")
 ROUTER_FILE = "router"
-"""Name of the file that holds everybody's credentials: the router's alone; and the common name of its certificate."""
+"""Name of the router's file, which holds the credentials of all parties, and common name of its certificate."""
 AUTHORITY_FILE = "authority"
-"""Name of the file with which certificates are renewed: the owner's, and no process'."""
+"""Name of the file that renews certificates; it belongs to the owner, not to a process."""
 
 
 class Credential(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
 ):
-    """By what the router knows one party: a password or a certificate."""
+    """Credential of one party: a password or a certificate."""
 
     name: Name
     role: Name
-    """A role of the key table or of an extension."""
+    """Role of the key table or of an extension."""
     password: Annotated[str, Meta(pattern="^[A-Za-z0-9_-]{8,128}$")] | None = None
     tls: Identity | None = None
 
     @property
     def party(self) -> Party:
-        """The party that it is for.
+        """Return the party of the credential.
 
         Raises:
             AccessDenied: If the role is unknown here.
@@ -51,28 +51,28 @@ class Credential(
         return party_of(self.role, self.name)
 
     def __repr__(self) -> str:
-        """Without the password: it must not get into a log."""
+        """Omit the password: it must not appear in a log."""
         return f"Credential(name={self.name!r}, role={self.role!r})"
 
 
 class CredentialSet(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
 ):
-    """Everybody's credentials for one run: what its router knows, and nobody else."""
+    """Credentials of all parties of one run, for its router only."""
 
     run: str
     parties: tuple[Credential, ...]
     tls: Identity | None = None
-    """The router's own where parties are known by certificates; of theirs it needs to know the names alone."""
+    """Identity of the router itself, if parties use certificates; of the parties it then needs only the names."""
 
     def for_router(self) -> "CredentialSet":
-        """The same without what the router need not know: the keys of others."""
+        """Return a copy without the parties' keys, which the router does not need."""
         return msgspec.structs.replace(
             self, parties=tuple(msgspec.structs.replace(party, tls=None) for party in self.parties)
         )
 
     def of(self, name: str) -> Credential:
-        """One party's.
+        """Return the credential of one party.
 
         Raises:
             AccessDenied: If there is none of this name.
@@ -81,23 +81,23 @@ class CredentialSet(
             if credential.name == name:
                 return credential
         raise AccessDenied(
-            f"there are no credentials for {name}; there are some for {', '.join(c.name for c in self.parties)}"
+            f"no credentials for {name}; available: {', '.join(c.name for c in self.parties)}"
         )
 
 
 def new_credentials(
     run: str, uavs: Iterable[str], ugvs: Iterable[str], *, extensions: Iterable[str] = ()
 ) -> CredentialSet:
-    """Random credentials for a run's vehicles, its simulator, operator and observers.
+    """Return random passwords for a run's vehicles, simulator, operator and observers.
 
     Args:
-        run: Its name.
+        run: Name of the run.
         uavs: Names of the UAVs.
         ugvs: Names of the UGVs.
         extensions: Names of entry points `outrider.roles` whose parties take part.
 
     Raises:
-        ValueError: If two parties have one name.
+        ValueError: If two parties have the same name.
     """
     made = tuple(
         msgspec.convert(
@@ -118,19 +118,19 @@ def new_certificates(
     days: float = PARTY_DAYS,
     extensions: Iterable[str] = (),
 ) -> CredentialSet:
-    """Certificates for a run's router, vehicles, simulator, operator and observers.
+    """Return certificates for a run's router, vehicles, simulator, operator and observers.
 
     Args:
-        authority: Who makes them.
+        authority: Authority that signs them.
         uavs: Names of the UAVs.
         ugvs: Names of the UGVs.
-        hosts: Names and addresses under which the router is found, beside `ROUTER_HOSTS`.
-        days: How long the parties' hold; the router's does as long as the authority.
+        hosts: Names and addresses of the router, in addition to `ROUTER_HOSTS`.
+        days: Lifetime of the parties' certificates [days]; the router's lasts as long as the authority.
         extensions: Names of entry points `outrider.roles` whose parties take part.
 
     Raises:
-        ValueError: If two parties have one name.
-        AccessDenied: If the authority has expired, or a host cannot be one.
+        ValueError: If two parties have the same name.
+        AccessDenied: If the authority has expired, or a host is invalid.
         BusError: If the extra [tls] is missing.
     """
     made = tuple(
@@ -156,7 +156,7 @@ def _roles(
         if names.count(name) > 1 or name in (ROUTER_FILE, AUTHORITY_FILE):
             others = [role for role, kind in roles if role == kind and role not in STAFF]
             taken = ", ".join((*RESERVED, *others))
-            raise ValueError(f"{name}: two parties with one name; {taken} are taken")
+            raise ValueError(f"{name}: two parties have this name; reserved: {taken}")
     return roles
 
 
@@ -166,19 +166,19 @@ def write_credentials(
     authority: Authority | None = None,
     owner: tuple[int, int] | None = None,
 ) -> dict[str, Path]:
-    """Write a file for each party, and one with all of them for the router; mode 600.
+    """Write one file for each party, and one with all of them for the router; mode 600.
 
     Args:
-        given: What is written.
-        folder: Is made if it is not there, mode 700.
-        authority: Who has made the certificates.
-        owner: User and group that get the files, and last of all the folder.
+        given: Credentials to write.
+        folder: Destination; created with mode 700 if missing.
+        authority: Authority that signed the certificates.
+        owner: User and group that become owner of the files, and finally of the folder.
 
     Returns:
-        The file of each name; the router's is `ROUTER_FILE`, the authority's `AUTHORITY_FILE`.
+        File of each name; the router's is `ROUTER_FILE`, the authority's `AUTHORITY_FILE`.
 
     Raises:
-        OSError: If a file cannot be written, or is there already.
+        OSError: If a file cannot be written, or exists.
     """
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     contents: dict[str, Credential | CredentialSet | Authority] = {ROUTER_FILE: given.for_router()}
@@ -188,7 +188,7 @@ def write_credentials(
     files = {name: folder / f"{name}.json" for name in contents}
     for path in files.values():
         if path.exists():
-            raise FileExistsError(17, "there already; credentials are never overwritten", str(path))
+            raise FileExistsError(17, "exists; credentials are never overwritten", str(path))
     for name, content in contents.items():
         write_credential(content, files[name], owner)
     if owner is not None:
@@ -204,7 +204,7 @@ def write_credential(
     """Write credentials into a new file; mode 600.
 
     Raises:
-        OSError: If it cannot be written, or is there already.
+        OSError: If it cannot be written, or exists.
     """
     write_whole(path, _encoded(content), private=True, fresh=True, owner=owner)
 
@@ -216,9 +216,9 @@ def _encoded(content: Credential | CredentialSet | Authority) -> bytes:
 def replace_credentials(
     content: Credential | CredentialSet, path: Path, owner: tuple[int, int] | None = None
 ) -> None:
-    """Put renewed credentials into the place of others, by default of the same owner.
+    """Replace credentials by renewed ones; the owner stays the same by default.
 
-    At no moment is the file half of each, or anybody else's to read.
+    The replacement is atomic, and the file is never readable by others.
 
     Raises:
         OSError: If it cannot be written.
@@ -231,10 +231,10 @@ def replace_credentials(
 
 
 def give_folder(folder: Path, owner: tuple[int, int]) -> None:
-    """Give a folder away, through an open descriptor: a link in its place is not followed.
+    """Change the owner of a folder through an open descriptor, which does not follow a symbolic link.
 
     Raises:
-        OSError: If it cannot be given away.
+        OSError: If the owner cannot be changed.
     """
     opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
@@ -248,10 +248,10 @@ def _read(path: Path, kind: type[_Kind], what: str) -> _Kind:
     try:
         status = path.stat()
         mode = stat.S_IMODE(status.st_mode)
-        # A container's secrets are another user's, and theirs to protect.
+        # A container's secrets belong to another user, who protects them.
         if mode & 0o077 and status.st_uid == os.geteuid():
             raise AccessDenied(
-                f"{path}: others can read these credentials (mode {mode:o}); chmod 600 it"
+                f"{path}: others can read these credentials (mode {mode:o}); run chmod 600"
             )
         return msgspec.json.decode(read_regular(path, _MOST_BYTES), type=kind)
     except OSError as error:
@@ -261,25 +261,25 @@ def _read(path: Path, kind: type[_Kind], what: str) -> _Kind:
 
 
 def read_credential(path: Path) -> Credential:
-    """One party's credential.
+    """Return one party's credential.
 
     Raises:
-        AccessDenied: If it cannot be read, is none, or others can read it too.
+        AccessDenied: If it cannot be read, is invalid, or is readable by others.
     """
     found = _read(path, Credential, "a party's credentials")
     if (found.password is None) == (found.tls is None):
         raise AccessDenied(
-            f"{path}: not a party's credentials: needs a password or a certificate, one of the two"
+            f"{path}: not a party's credentials: needs either a password or a certificate"
         )
     _check_role(path, found)
     return found
 
 
 def read_credentials(path: Path) -> CredentialSet:
-    """The router's credentials.
+    """Return the router's credentials.
 
     Raises:
-        AccessDenied: If they cannot be read, are none, or others can read them too.
+        AccessDenied: If they cannot be read, are invalid, or are readable by others.
     """
     found = _read(path, CredentialSet, "a router's credentials")
     for party in found.parties:
@@ -299,9 +299,9 @@ def _check_role(path: Path, credential: Credential) -> None:
 
 
 def read_authority(path: Path) -> Authority:
-    """The authority of a run's certificates.
+    """Return the authority of a run's certificates.
 
     Raises:
-        AccessDenied: If it cannot be read, is none, or others can read it too.
+        AccessDenied: If it cannot be read, is invalid, or is readable by others.
     """
     return _read(path, Authority, "an authority")

@@ -1,4 +1,4 @@
-"""Every error that Outrider raises on purpose, split by who must act; and where in a user's own code others begin."""
+"""Errors that Outrider raises on purpose, grouped by who can fix them; and the position of an error in user code."""
 
 import os
 import sysconfig
@@ -13,7 +13,7 @@ _LIBRARIES = tuple(
 
 
 def place_in_user_code(error: BaseException) -> str:
-    """The innermost frame of an error in a file of the user's own: `mine.py:3, in wheel`; empty where there is none."""
+    """Return the innermost frame of an error in a user's file, such as `mine.py:3, in steer`; empty if none."""
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         file = os.path.realpath(frame.filename)
         if not frame.filename.startswith("<") and not file.startswith((*_OURS, *_LIBRARIES)):
@@ -21,14 +21,14 @@ def place_in_user_code(error: BaseException) -> str:
     return ""
 
 
-def told_with_place(error: BaseException) -> str:
-    """An error of the user's own code with its type, and where it was raised."""
+def error_with_place(error: BaseException) -> str:
+    """Return an error in user code with its type and position."""
     place = place_in_user_code(error)
     return f"{type(error).__name__}: {error}" + (f" ({place})" if place else "")
 
 
 def shortened(text: str, longest: int = 160) -> str:
-    """A text on one line; of a longer one its beginning and its end, where libraries say what was wrong."""
+    """Return a text on one line; shorten a long one to its beginning and its end, where libraries give the reason."""
     flat = " ".join(text.split())
     if len(flat) <= longest:
         return flat
@@ -37,23 +37,23 @@ def shortened(text: str, longest: int = 160) -> str:
 
 
 class OutriderError(Exception):
-    """Base of all errors below; its text is one line for a person."""
+    """Base class of all Outrider errors; the message is one line."""
 
 
 class ScenarioError(OutriderError):
-    """The scenario must be mended by the person who wrote it.
+    """Invalid scenario, to be fixed by its author.
 
-    The text names the file, the field, its value and what is allowed.
+    The message names the file, the field, its value and what is allowed.
     """
 
 
 class BusError(OutriderError):
-    """Something between the processes failed."""
+    """Failure of communication between processes."""
 
 
 class AccessDenied(BusError):
-    """A role used a key that the key table does not give it; nothing was sent."""
+    """Use of a key that the key table does not grant; nothing was sent."""
 
 
 class PeerLost(BusError):
-    """Another process did not come, or went away; the text names it."""
+    """Another process did not join, or disconnected; the message names it."""

@@ -1,6 +1,6 @@
-"""Files: reading those that others may have made, and writing.
+"""Safe reading of files from other parties, and atomic writing.
 
-Read are regular ones alone, and none that is larger than it can have reason to be.
+Only regular files up to a maximum size are read.
 """
 
 import errno
@@ -13,18 +13,18 @@ from io import BufferedReader
 from pathlib import Path
 
 UNFINISHED = ".unfinished"
-"""End of the name of a file that is being written; a kill may leave it."""
+"""Suffix of a file that is being written; it may remain after a kill."""
 
 
 def open_regular(path: Path, most: int | None = None) -> BufferedReader:
-    """Open a file for reading, without waiting at a FIFO and without reading a device.
+    """Open a file for reading; never block on a FIFO or read a device.
 
     Args:
         path: The file.
-        most: Its largest size [bytes]; None: any.
+        most: Maximum size [bytes]; None: any.
 
     Raises:
-        OSError: If it cannot be opened, is no regular file, or is larger.
+        OSError: If it cannot be opened, is not a regular file, or is larger.
     """
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     try:
@@ -42,9 +42,9 @@ def open_regular(path: Path, most: int | None = None) -> BufferedReader:
 
 
 def read_regular(path: Path, most: int) -> bytes:
-    """The content of a file; otherwise as `open_regular`."""
+    """Return the content of a file; see `open_regular`."""
     with open_regular(path, most) as file:
-        content = file.read(most + 1)  # it may grow meanwhile
+        content = file.read(most + 1)  # the file may grow meanwhile
     if len(content) > most:
         raise _too_large(path, most)
     return content
@@ -52,7 +52,7 @@ def read_regular(path: Path, most: int) -> bytes:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Let an error while a file is written name it: a disk that is full knows no file, nor does a write that fails."""
+    """Add the file's name to an error raised while writing it: a full disk reports none."""
     try:
         yield
     except OSError as error:
@@ -69,14 +69,14 @@ def write_whole(
     fresh: bool = False,
     owner: tuple[int, int] | None = None,
 ) -> None:
-    """Write a file that is there whole or not at all: a new one beside it, then renamed.
+    """Write a file atomically: write a temporary file in the same folder, then rename it.
 
     Args:
         path: The file.
-        content: Its bytes.
-        private: Let its owner alone read it, from its first byte on.
-        fresh: Fail if the file is there; otherwise it is replaced.
-        owner: User and group that get it.
+        content: Content of the file.
+        private: Make the file readable only by its owner, from its first byte on.
+        fresh: Fail if the file exists; otherwise replace it.
+        owner: User and group that become its owner.
 
     Raises:
         OSError: If it cannot be written; names the file.

@@ -1,4 +1,4 @@
-"""Joining and leaving the bus, as the router or as a client of it."""
+"""Joining and leaving the bus, as its router or as a client."""
 
 import json
 import logging
@@ -21,15 +21,15 @@ from bus.session import Session
 
 _LOG = logging.getLogger("outrider.bus")
 _LARGE = 1 << 20
-"""Payloads [bytes] that router and clients let through at least: keys of extensions may carry so much."""
+"""Minimum size limit of payloads [bytes]: keys of extensions may carry this much."""
 _OPENED_IN: set[int] = set()
-"""Process ids of this process and of those that it was forked from, if they have opened a session."""
+"""Ids of this process and of its fork ancestors that have opened a session."""
 _PROBED = ("tcp", "tls", "ws", UNIX)
-"""Protocols of which a plain connection shows whether a router listens."""
+"""Protocols for which a plain connection shows that a router listens."""
 _PROBE = 0.05
-"""Interval at which a client looks whether its router listens [s]."""
+"""Interval at which a client checks whether its router listens [s]."""
 _HEADER = 4096
-"""Room for a message's frame beside its payload [bytes]."""
+"""Size of a message's frame in addition to its payload [bytes]."""
 
 _COMMON: dict[str, Any] = {
     "scouting/multicast/enabled": False,
@@ -49,7 +49,7 @@ _CLIENT: dict[str, Any] = {
 _ROUTER: dict[str, Any] = {
     "mode": "router",
     "listen/exit_on_failure": True,
-    # Who connects and says nothing must not keep others out: by default 100 of these do so for 10 s.
+    # Silent connections must not keep other clients out: by default 100 of them do so for 10 s.
     "transport/unicast/accept_pending": 2000,
     "transport/unicast/accept_timeout": 2000,
     "transport/unicast/max_sessions": 1000,
@@ -64,17 +64,17 @@ def _config(settings: Mapping[str, Any]) -> zenoh.Config:
 
 
 def _reason(error: zenoh.ZError) -> str:
-    """Zenoh's reason without the place in its source."""
+    """Return Zenoh's reason without the position in its source."""
     return str(error).splitlines()[0].rpartition(" at /")[0] or str(error)
 
 
 def _received(largest: int) -> dict[str, Any]:
-    """Drops larger messages before their fragments are put together."""
+    """Return settings that drop larger messages before their fragments are assembled."""
     return {"transport/link/rx/max_message_size": largest + _HEADER}
 
 
 def _dropped(run: str) -> dict[str, Any]:
-    """Drops payloads that are larger than their key allows before anybody's inbox keeps them."""
+    """Return settings that drop payloads larger than their key allows, before an inbox stores them."""
     return {
         "low_pass_filter": [
             {
@@ -90,9 +90,9 @@ def _dropped(run: str) -> dict[str, Any]:
 
 
 def _allow_open_files() -> None:
-    """As many open files as this user may have.
+    """Raise the limit of open files to this user's maximum.
 
-    Each connection is one, and 1,024 of those who say nothing keep others out.
+    Each connection is one file: at a limit of 1,024, silent connections keep other clients out.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft != hard:
@@ -123,31 +123,31 @@ def _open_router(
 def _explained(
     endpoint: str, credential: Credential, identity: Identity, error: BusError
 ) -> BusError:
-    """Names the fault that keeps a certificate from a router; all that Zenoh says is that it could not connect."""
+    """Return an error that explains why the router rejects a certificate; Zenoh reports only a failed connection."""
     found = Locator.of(endpoint)
     try:
         fault = find_fault(found.host, int(found.port), identity)
     except OSError:
         return error
     return AccessDenied(
-        f"the router at {endpoint} {fault or 'refuses this process'} (as {credential.name})"
+        f"the router at {endpoint} {fault or 'rejects this process'} (as {credential.name})"
     )
 
 
 def _check_protocol(endpoints: tuple[str, ...], *, certified: bool) -> None:
-    """Refuse what could not work, or would send in the clear.
+    """Check that the endpoints match the credentials, and that nothing is sent unencrypted.
 
     Raises:
-        AccessDenied: If an endpoint and the credentials do not fit together.
+        AccessDenied: If an endpoint and the credentials do not match.
     """
     for endpoint in endpoints:
         if certified and not endpoint.startswith("tls/"):
             raise AccessDenied(
-                f"endpoint {endpoint}: these credentials are certificates, so it must begin with tls/"
+                f"endpoint {endpoint}: must begin with tls/, because the credentials are certificates"
             )
         if endpoint.startswith("tls/") and not certified:
             raise AccessDenied(
-                f"endpoint {endpoint}: needs certificates; `outrider credentials --tls` makes them"
+                f"endpoint {endpoint}: requires certificates; make them with `outrider credentials --tls`"
             )
 
 
@@ -158,7 +158,7 @@ def _check_certificate(identity: Identity, name: str) -> None:
 
 
 def _await_router(router: Locator, endpoint: str, join_timeout: float) -> None:
-    """Wait until the router accepts connections. A signal ends this wait; in Zenoh's own it would be ignored.
+    """Wait until the router accepts connections. Signals interrupt this wait, but not Zenoh's own.
 
     Raises:
         BusError: If it does not do so in time.
@@ -179,7 +179,7 @@ def _open_client(
         wanted = round(1000.0 * join_timeout)
         if router.protocol in _PROBED:
             _await_router(router, connect, join_timeout)
-            # A router that is there refuses this process for good, or is crowded for a while.
+            # A listening router rejects this process for good, or is overloaded for a while.
             limit = min(wanted, limit)
         else:
             limit = wanted
@@ -200,21 +200,21 @@ def _open_client(
         who = (
             "without credentials"
             if credential is None
-            else f"as {credential.name}: is the password the run's, and is it a router?"
+            else f"as {credential.name}: check the run's password, and that a router listens there"
         )
         raise AccessDenied(f"{connect} accepts connections, but not this process {who}") from error
 
 
 def _refuse_fork() -> None:
-    """Refuse a forked process whose parent has had a session: Zenoh would wait for ever for threads of the parent.
+    """Reject a forked process whose parent has opened a session: Zenoh would wait forever for threads of the parent.
 
     Raises:
-        BusError: If this is one.
+        BusError: If this process is one.
     """
     if _OPENED_IN - {os.getpid()}:
         raise BusError(
-            "a forked process cannot open a session on the bus after its parent has opened one; allowed: a process "
-            "that is started otherwise, such as by multiprocessing.get_context('spawn')"
+            "a forked process cannot join the bus after its parent has; allowed: a process started by another "
+            "method, such as multiprocessing.get_context('spawn')"
         )
     _OPENED_IN.add(os.getpid())
 
@@ -233,22 +233,22 @@ def open_session(
     """Join the bus.
 
     Args:
-        party: Who this process is.
+        party: Identity of this process.
         run: Name of the run.
-        connect: Endpoint of the router, such as `tcp/127.0.0.1:7447`; then this process is its client.
-        listen: Endpoints to listen on; then this process is the router.
-        credential: By what a client is known.
-        given: By what a router knows its clients; None lets everybody in to everything.
-        join_timeout: Time for which a client tries to reach a router that is away [s]; None: 10 s. A router that
-            refuses the client is tried for 10 s at most.
+        connect: Endpoint of the router, such as `tcp/127.0.0.1:7447`; this process is then its client.
+        listen: Endpoints to listen on; this process is then the router.
+        credential: Credential of a client.
+        given: Credentials of all clients, for the router; None: no access control.
+        join_timeout: Time for which a client tries to reach an absent router [s]; None: 10 s. A router that rejects the
+            client is tried for at most 10 s.
 
     Raises:
         ValueError: If the run's name cannot be part of a key.
-        ScenarioError: If an endpoint is not one, or its host has no address.
-        BusError: If the router cannot be reached, an endpoint cannot be listened on, or this process was forked from
-            one that has opened a session.
-        AccessDenied: If the router does not know the credential, or it does not fit the endpoint, or its
-            certificate is not good.
+        ScenarioError: If an endpoint is invalid, or its host has no address.
+        BusError: If the router cannot be reached, an endpoint cannot be opened, or this process was forked from one
+            that has opened a session.
+        AccessDenied: If the router rejects the credential, it does not match the endpoint, or its certificate is
+            invalid.
     """
     check_run_name(run)
     if credential is not None and credential.party != party:
@@ -279,5 +279,5 @@ def open_session(
         session.close()
         try:
             opened.close()  # type: ignore[no-untyped-call]
-        except zenoh.ZError as error:  # what was to be said has been said
+        except zenoh.ZError as error:  # all messages have been sent
             _LOG.warning("the session did not close in time: %s", str(error).partition(" at /")[0])

@@ -1,6 +1,6 @@
-"""THE table: which message travels on which key, who writes it and who reads it. Everything else is derived from it.
+"""Key table: each message with its key, its writer and its readers. Access control is derived from it.
 
-A key is `outrider/<run>/<vehicle>/<topic>`, or `outrider/<run>/<topic>` where no vehicle is meant.
+A key is `outrider/<run>/<vehicle>/<topic>`, or `outrider/<run>/<topic>` for a key without a vehicle.
 """
 
 import re
@@ -25,12 +25,12 @@ from bus.messages.vehicle import (
 
 ROOT = "outrider"
 PLACES = 8
-"""Sessions of one party that can be there at once; each declares a liveliness token of its own."""
+"""Maximum number of simultaneous sessions of one party; each declares its own liveliness token."""
 _SMALL, _LARGE, _HUGE = 1 << 16, 1 << 20, 1 << 24
 
 
 class Role(StrEnum):
-    """The role of a process."""
+    """Role of a process."""
 
     SIMULATOR = "simulator"
     UAV = "uav"
@@ -38,23 +38,23 @@ class Role(StrEnum):
     OPERATOR = "operator"
     OBSERVER = "observer"
     GUEST = "guest"
-    """A party of an extension without rows in this table: `bus.roles`."""
+    """Party of an extension without rows in this table: see `bus.roles`."""
 
 
 SIMULATOR_NAME = Role.SIMULATOR.value
 OPERATOR_NAME = Role.OPERATOR.value
 OBSERVER_NAME = Role.OBSERVER.value
 STAFF = {SIMULATOR_NAME: Role.SIMULATOR, OPERATOR_NAME: Role.OPERATOR, OBSERVER_NAME: Role.OBSERVER}
-"""The names on the bus that no vehicle may bear, and whose they are."""
+"""Reserved names on the bus, with their roles."""
 
 
 class Delivery(StrEnum):
-    """A message's way of travelling."""
+    """Delivery guarantee of a message."""
 
     EVERY = "every"
-    """Each one arrives, in order; the writer waits rather than lose one."""
+    """Each message arrives, in order; the writer blocks rather than lose one."""
     NEWEST = "newest"
-    """Old ones may be dropped; the writer never waits."""
+    """Old messages may be dropped; the writer never blocks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,41 +63,43 @@ class Key:
 
     topic: str
     vehicle: Role | None
-    """The kind of vehicle whose key this is; None: the key has no vehicle in it."""
+    """Kind of vehicle in the key; None: no vehicle."""
     message: type[Message]
     writer: Role
     readers: tuple[Role, ...]
     delivery: Delivery = Delivery.EVERY
     largest: int = _SMALL
-    """Larger payloads [bytes] the router drops where the writer is not the simulator, and readers refuse unread."""
+    """Maximum payload [bytes]. The router drops larger ones unless the simulator sent them; readers reject them
+    unread.
+    """
 
     def expression(self, run: str, vehicle: str = "") -> str:
-        """The key of one vehicle (or of none) in one run; `*` stands for any."""
+        """Return the key of one vehicle (or of none) in one run; `*` matches any vehicle."""
         middle = f"{vehicle}/" if self.vehicle is not None else ""
         return f"{ROOT}/{run}/{middle}{self.topic}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Party:
-    """The identity of a process, by role and name: `uav_0` is not `uav_1`."""
+    """Identity of a process: its role and name. `uav_0` is not `uav_1`."""
 
     role: Role
-    """Role by whose rows of this table it reads and writes."""
+    """Role whose rows of this table apply to it."""
     name: str
     extension: str = ""
     """Role of an extension (`bus.roles`); empty: none."""
 
 
 class Grant(NamedTuple):
-    """One thing that the router lets through for a party, or does not though another rule would."""
+    """Permission of a party for one kind of message, or an exception to another permission."""
 
     message: str
     """Zenoh's kind of message."""
     flow: str
-    """`ingress` or `egress`, as the router sees it."""
+    """`ingress` or `egress`, from the router's point of view."""
     keys: tuple[str, ...]
     permission: str = "allow"
-    """`allow`, or `deny`, which is stronger."""
+    """`allow`, or `deny`, which takes precedence."""
 
 
 _WATCHING = (Role.OBSERVER, Role.OPERATOR)
@@ -121,10 +123,10 @@ TRUTH = Key("truth", None, Truth, Role.SIMULATOR, _WATCHING, Delivery.NEWEST, _L
 SAMPLED_TRUTH = Key(
     "sampled-truth", None, Truth, Role.SIMULATOR, _WATCHING, Delivery.NEWEST, _LARGE
 )
-"""The truth for people's eyes: some ticks of it, as often as an eye can see."""
+"""Truth for display: sampled at a rate for the human eye."""
 COVERAGE = Key("coverage", None, CoverageMap, Role.SIMULATOR, _WATCHING, Delivery.NEWEST, _LARGE)
 GROUND = Key("ground", None, GroundMap, Role.SIMULATOR, _WATCHING, Delivery.NEWEST, _HUGE)
-"""The hazards, if there are any: what no vehicle is told of them, with what the vehicles know."""
+"""Hazards, if there are any: their true state, which no vehicle receives, and the vehicles' knowledge."""
 STATUS = Key("status", None, Status, Role.SIMULATOR, _WATCHING, Delivery.NEWEST, _LARGE)
 
 KEYS: tuple[Key, ...] = (
@@ -153,7 +155,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 
 
 def check_run_name(run: str) -> str:
-    """The run's name, if it can be part of a key.
+    """Return the name of a run after checking that it can be part of a key.
 
     Raises:
         ValueError: If it cannot.
@@ -166,38 +168,38 @@ def check_run_name(run: str) -> str:
 
 
 def token(run: str, name: str, place: int | str) -> str:
-    """The liveliness token of one session of a party: there while its process is.
+    """Return the liveliness token of one session of a party; it exists as long as the process.
 
-    Places are numbered, so that access control can list all keys that a party may declare.
+    Session numbers are limited, so that access control can list all keys that a party may declare.
 
     Args:
         run: Name of the run.
-        name: Of the party; `*` stands for any.
-        place: Number of the session, from 0 to `PLACES` - 1; `*` stands for any. In the place of a number the
-            simulator puts a vehicle's role: see `slot_token`.
+        name: Name of the party; `*` matches any.
+        place: Number of the session, from 0 to `PLACES` - 1; `*` matches any. The simulator uses a vehicle's role
+            instead: see `vehicle_token`.
     """
     return f"{ROOT}/{run}/{name}/{_TOKEN}/{place}"
 
 
 def token_owner(expression: str) -> tuple[str, int]:
-    """The owner of a token, and the number of its session; -1 where it has none."""
+    """Return the owner of a token, and the number of its session; -1 if it has none."""
     parts = expression.split("/")
     return parts[-3], _PLACE_NUMBERS.get(parts[-1], -1)
 
 
-def slot_token(run: str, name: str, role: Role) -> str:
-    """The simulator's liveliness token of a vehicle in its scenario.
+def vehicle_token(run: str, name: str, role: Role) -> str:
+    """Return the simulator's liveliness token of a vehicle in its scenario.
 
     Args:
         run: Name of the run.
-        name: Of the vehicle; `*` stands for any.
-        role: Its kind.
+        name: Name of the vehicle; `*` matches any.
+        role: Role of the vehicle.
     """
     return token(run, name, role.value)
 
 
 def largest_payloads(run: str) -> dict[int, tuple[str, ...]]:
-    """The largest payload [bytes], and the keys of a run for which it is that, of all that is not the simulator's."""
+    """Return the payload limits [bytes] of all keys that the simulator does not write, each with its keys."""
     found: dict[int, tuple[str, ...]] = {}
     for key in KEYS:
         if key.writer is not Role.SIMULATOR:
@@ -207,17 +209,17 @@ def largest_payloads(run: str) -> dict[int, tuple[str, ...]]:
 
 
 def written_by(party: Party) -> tuple[Key, ...]:
-    """The rows that a party may write, for its own vehicle if it is one."""
+    """Return the rows that a party may write, a vehicle for itself only."""
     return tuple(key for key in KEYS if party.role is key.writer)
 
 
 def read_by(party: Party) -> tuple[Key, ...]:
-    """The rows that a party may read, for its own vehicle if it is one."""
+    """Return the rows that a party may read, a vehicle for itself only."""
     return tuple(key for key in KEYS if party.role in key.readers)
 
 
 def _check(may: bool, verb: str, key: Key, party: Party, vehicle: str) -> None:
-    """Refuse what the table does not give, and a vehicle the keys of others."""
+    """Reject what the table does not grant, and the keys of other vehicles."""
     if party.role in (Role.UAV, Role.UGV) and key.vehicle is not None:
         may = may and party.role is key.vehicle and party.name == vehicle
     if not may:
@@ -227,7 +229,7 @@ def _check(may: bool, verb: str, key: Key, party: Party, vehicle: str) -> None:
 
 
 def check_writes(key: Key, party: Party, vehicle: str = "") -> None:
-    """Refuse what the table does not give.
+    """Check that a party may write a key.
 
     Raises:
         AccessDenied: If this party may not write this key of this vehicle.
@@ -236,7 +238,7 @@ def check_writes(key: Key, party: Party, vehicle: str = "") -> None:
 
 
 def check_reads(key: Key, party: Party, vehicle: str = "") -> None:
-    """Refuse what the table does not give.
+    """Check that a party may read a key.
 
     Raises:
         AccessDenied: If this party may not read this key of this vehicle.

@@ -1,4 +1,4 @@
-"""Parameters of a law: from the numbers of a message to the class that the law's file declares."""
+"""Conversion of a law's parameters from a message to the class declared in the law's file."""
 
 from collections.abc import Mapping
 from importlib import import_module
@@ -24,27 +24,27 @@ def parameter_names(name: str) -> tuple[str, ...]:
 
 
 def own_parameters(law: Law) -> Mapping[str, LawNumber]:
-    """Return the given parameters that are the law's own: a scenario may have those of several laws."""
+    """Return the given parameters that belong to the law: a scenario may hold parameters of several laws."""
     own = parameter_names(law.name)
     return {name: value for name, value in law.parameters.items() if name in own}
 
 
 def unknown_parameters(law: Law) -> tuple[str, ...]:
-    """Return the given parameters that no law has."""
+    """Return the given parameters that belong to no law."""
     others = [name for name in law.parameters if name not in parameter_names(law.name)]
     known = {name for row in LAWS for name in parameter_names(row)} if others else set()
     return tuple(name for name in others if name not in known)
 
 
 def law_parameters(law: Law) -> Any:  # noqa: ANN401 - the law's own class
-    """Return the parameters of a law as its file declares them; None for a law without a file.
+    """Return the parameters of a law as its declared class; None for a law without a file.
 
     Raises:
-        ScenarioError: If one is of a wrong type or out of its bounds, or no law has it.
+        ScenarioError: If a parameter has a wrong type, is out of bounds, or belongs to no law.
     """
     for name in unknown_parameters(law):
         allowed = ", ".join(parameter_names(law.name)) or "none"
-        raise ScenarioError(f"law.parameters.{name}: no law has it; allowed: {allowed}")
+        raise ScenarioError(f"law.parameters.{name}: unknown parameter; allowed: {allowed}")
     parameters = parameters_class(law.name)
     if parameters is None:
         return None

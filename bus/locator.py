@@ -1,4 +1,4 @@
-"""The parts of an endpoint, such as `tcp/127.0.0.1:17447`, `tls/[::1]:17447` or `unixsock-stream//run/bus.sock`."""
+"""Endpoints and their parts, such as `tcp/127.0.0.1:17447`, `tls/[::1]:17447` or `unixsock-stream//run/bus.sock`."""
 
 import os
 import re
@@ -9,30 +9,30 @@ from typing import NamedTuple, Self
 from bus.errors import ScenarioError
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
-"""Addresses that only this machine reaches."""
+"""Addresses that only this machine can reach."""
 UNIX = "unixsock-stream"
 PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", UNIX)
 LONGEST_SOCKET_PATH = 107 if sys.platform == "linux" else 103
-"""Of a Unix socket [bytes]; the system has no room for a longer one."""
+"""Maximum length of a Unix socket's path [bytes], given by the operating system."""
 _OPTIONS = re.compile("[?#]")
-"""Begin Zenoh's metadata and settings of an endpoint, in a Unix socket's path too."""
+"""Characters at which Zenoh ends the path of an endpoint, also of a Unix socket."""
 _INET = re.compile(r"(\[[^\[\]]+\]|[^\[\]:]+):([0-9]{1,5})")
 _LAST_PORT = 65535
 
 
 class Locator(NamedTuple):
-    """An endpoint taken apart, whatever it is worth."""
+    """Parts of an endpoint, not checked."""
 
     protocol: str
     address: str
-    """A path for a Unix socket, else host and port."""
+    """Path of a Unix socket, else host and port."""
     host: str
-    """Without brackets; empty where there is no port."""
+    """Host without brackets; empty if there is no port."""
     port: str
 
     @classmethod
     def of(cls, endpoint: str) -> Self:
-        """The parts of an endpoint."""
+        """Return the parts of an endpoint."""
         protocol, _, rest = endpoint.partition("/")
         address = rest if protocol == UNIX else _OPTIONS.split(rest, maxsplit=1)[0]
         host, _, port = address.rpartition(":")
@@ -40,11 +40,11 @@ class Locator(NamedTuple):
 
     @property
     def is_local(self) -> bool:
-        """True if only processes of this machine can reach it."""
+        """True if only processes on this machine can reach it."""
         return self.protocol == UNIX or self.host in LOOPBACK
 
     def listens(self) -> bool:
-        """True if a process accepts connections there."""
+        """True if a process accepts connections at the endpoint."""
         return not self.connection_fault()
 
     def connection_fault(self) -> str:
@@ -61,7 +61,7 @@ class Locator(NamedTuple):
         return ""
 
     def syntax_fault(self) -> str:
-        """Return what is wrong with it, and what is allowed; empty if nothing is."""
+        """Return the syntax error and what is allowed; empty if the syntax is valid."""
         if self.protocol not in PROTOCOLS:
             return f"unknown protocol; allowed: {', '.join(PROTOCOLS)}, as in tcp/127.0.0.1:17447"
         if self.protocol == UNIX:
@@ -72,7 +72,7 @@ class Locator(NamedTuple):
             if self.address.count(":") > 1 and "[" not in self.address:
                 wrong = "an IPv6 address without brackets"
             elif ":" not in self.address:
-                wrong = "names no port"
+                wrong = "has no port"
             return f"{wrong}; allowed: {self.protocol}/HOST:PORT or {self.protocol}/[IPV6-ADDRESS]:PORT"
         if not 0 < int(parts[2]) <= _LAST_PORT:
             return f"port {parts[2]}; allowed: 1 to {_LAST_PORT}"
@@ -81,7 +81,7 @@ class Locator(NamedTuple):
 
 def _path_fault(path: str) -> str:
     if not path:
-        return f"names no file; allowed: {UNIX}/ and a path"
+        return f"has no file; allowed: {UNIX}/ and a path"
     if _OPTIONS.search(path):
         return "Zenoh ends a path at '#' and '?'; allowed: a path without them"
     if len(os.fsencode(path)) > LONGEST_SOCKET_PATH:
@@ -90,9 +90,9 @@ def _path_fault(path: str) -> str:
 
 
 def check_endpoint(endpoint: str) -> Locator:
-    """Return the parts of an endpoint that can be used.
+    """Check an endpoint and return its parts.
 
-    A name server that does not answer now is no fault: it may do so later.
+    A name server that does not respond is not an error: it may respond later.
 
     Raises:
         ScenarioError: If it is not an endpoint, or its host has no address.

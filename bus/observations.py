@@ -2,8 +2,7 @@
 
 Arrays, spaces, docstrings and the documentation are generated from these tables. SI units; positions are in the world
 frame, relative positions are p_delta = p_a - p_g. The tables keep the information contract of `bus.messages`: a
-vehicle's row holds its own state and what it perceives. The tables of the state hold the truth, and no vehicle reads
-them.
+vehicle's row holds its own state and its perception. The state's tables hold the truth, which no vehicle reads.
 """
 
 import math
@@ -19,7 +18,7 @@ from bus.messages.scenario import Area
 _Class = TypeVar("_Class", bound=type)
 
 Row = npt.NDArray[np.floating[Any]]
-"""A row as an array, float64 or float32."""
+"""Row as an array, float64 or float32."""
 
 
 class Entry(NamedTuple):
@@ -28,7 +27,7 @@ class Entry(NamedTuple):
     name: str
     meaning: str
     unit: str
-    """Empty for a number without a unit."""
+    """Unit; empty for a dimensionless number."""
     low: str
     """Lower bound: 0, 1 or a name of `SYMBOLS`, with a minus sign if it is negative."""
     high: str
@@ -36,7 +35,7 @@ class Entry(NamedTuple):
 
 
 Table = tuple[Entry, ...]
-"""The entries of a row, in order."""
+"""Entries of a row, in order."""
 
 SYMBOLS = {
     "T": "length of an episode [s]",
@@ -48,15 +47,15 @@ SYMBOLS = {
     "D": "diagonal of the area [m]",
     "E": "2 C*^2 W H, more than e(t) can ever be [m^2]",
 }
-"""The meaning of the names in the ranges."""
+"""Meaning of the symbols in the ranges."""
 
 _TIME = Entry("time", "time since the start of the episode", "s", "0", "T")
-_AGE = Entry("age", "time since the newest detection was taken; T before the first", "s", "0", "T")
-_UNDERWAY = Entry("underway", "1 while a goal is still to be reached, else 0", "", "0", "1")
+_AGE = Entry("age", "age of the newest detection; T before the first", "s", "0", "T")
+_UNDERWAY = Entry("underway", "1 until the last goal is reached, else 0", "", "0", "1")
 
 
 def _motion(whose: str) -> Table:
-    """Return position and velocity of a vehicle."""
+    """Return the entries for position and velocity of a vehicle."""
     return (
         Entry("x", f"{whose}position, x", "m", "0", "W"),
         Entry("y", f"{whose}position, y", "m", "0", "H"),
@@ -68,40 +67,40 @@ def _motion(whose: str) -> Table:
 UAV: Table = (
     _TIME,
     *_motion("own "),
-    Entry("detected", "1 if a detection has come at this tick, else 0", "", "0", "1"),
+    Entry("detected", "1 if a detection arrived at this tick, else 0", "", "0", "1"),
     Entry("relative_x", "detected p_a - p_g, x; 0 without a detection", "m", "-d_max", "d_max"),
     Entry("relative_y", "detected p_a - p_g, y; 0 without a detection", "m", "-d_max", "d_max"),
     _AGE,
 )
-"""A UAV's observation: its own state, and the newest detection of the UGV."""
+"""Observation of a UAV: its own state, and the newest detection of the UGV."""
 
 GRADIENT: Table = tuple(
     Entry(
         f"gradient_{axis}",
-        f"u_cov of (6) at the estimate, over the size of its integrand, {axis}; 0 without an estimate",
+        f"u_cov of (6) at the estimate, normalized by the size of its integrand, {axis}; 0 without an estimate",
         "",
         "-1",
         "1",
     )
     for axis in "xy"
 )
-"""Two further entries of a UAV's row on request: the direction of new ground, on its own map."""
+"""Optional entries of a UAV's observation: the direction of uncovered ground, on its own map."""
 
 UGV: Table = (
     _TIME,
     *_motion("own "),
     _UNDERWAY,
-    Entry("goal_x", "goal, x; the last one stays when reached; 0 without goals", "m", "0", "W"),
-    Entry("goal_y", "goal, y; the last one stays when reached; 0 without goals", "m", "0", "H"),
+    Entry("goal_x", "goal, x; the last goal remains when reached; 0 without goals", "m", "0", "W"),
+    Entry("goal_y", "goal, y; the last goal remains when reached; 0 without goals", "m", "0", "H"),
 )
-"""A UGV's observation: its own state, and its own goal."""
+"""Observation of a UGV: its own state, and its own goal."""
 
 STATE: Table = (
     _TIME,
     Entry("covered", "share of the area with C >= C*", "", "0", "1"),
     Entry("seen", "mean of min(C / C*, 1) over the area", "", "0", "1"),
 )
-"""Facts of no single vehicle, at the start of the state."""
+"""Entries of the state that belong to no single vehicle; they come first."""
 
 UAV_STATE: Table = (
     *_motion(""),
@@ -109,7 +108,7 @@ UAV_STATE: Table = (
     Entry("coverage_error", "e(t) of (4) with the true p_g", "m^2", "0", "E"),
     _AGE,
 )
-"""The truth of one UAV and its UGV."""
+"""True state of one UAV and its UGV."""
 
 UGV_STATE: Table = (
     *_motion(""),
@@ -117,7 +116,7 @@ UGV_STATE: Table = (
     Entry("goal_x", "goal, x", "m", "0", "W"),
     Entry("goal_y", "goal, y", "m", "0", "H"),
 )
-"""The truth of one UGV."""
+"""True state of one UGV."""
 
 
 def names(table: Table) -> tuple[str, ...]:
@@ -126,7 +125,7 @@ def names(table: Table) -> tuple[str, ...]:
 
 
 def by_name(table: Table, rows: npt.ArrayLike) -> dict[str, Any]:
-    """Return the entries of rows by name, views where they are arrays.
+    """Return the entries of rows by name; views if the rows are an array.
 
     Args:
         table: The entries.
@@ -136,12 +135,12 @@ def by_name(table: Table, rows: npt.ArrayLike) -> dict[str, Any]:
 
 
 def record_type(table: Table) -> np.dtype[np.void]:
-    """Return the dtype of a structured array whose records are rows; `as_rows` gives them as plain numbers."""
+    """Return the dtype of a structured array whose records are rows; `as_rows` returns them as plain numbers."""
     return np.dtype([(entry.name, np.float64) for entry in table], align=True)
 
 
 def as_rows(records: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
-    """Return a view of records as rows. Shape (...) to (..., entries)."""
+    """Return a view of records as rows, from shape (...) to (..., entries)."""
     return records.view(np.float64).reshape(*records.shape, -1)
 
 
@@ -150,7 +149,7 @@ def bounds(table: Table, extent: Mapping[str, float]) -> tuple[list[float], list
 
     Args:
         table: The entries.
-        extent: The values of `SYMBOLS` that they need.
+        extent: Values of `SYMBOLS`.
     """
     values = {"0": 0.0, "1": 1.0, **extent}
 
@@ -161,31 +160,31 @@ def bounds(table: Table, extent: Mapping[str, float]) -> tuple[list[float], list
 
 
 ROUNDING = 1.0 + 2.0**-50
-"""Factor on a bound of a vector's length: its components may exceed the length by a few last places."""
+"""Factor on a bound of a vector's length: rounding may let components exceed the length."""
 
 
 def clipped(table: Table, row: Row, area: Area, dt: float) -> Row:
-    """Return a row whose velocity and relative position are clipped, as every observation is.
+    """Return a row with clipped velocity and relative position, as in every observation.
 
-    Only values that carry no information are changed: relative positions beyond the area's diagonal, which a diverged
-    estimate or unlimited noise gives, and speeds at which a vehicle without a limit crosses the area in one tick.
+    Only values without information change: relative positions beyond the area's diagonal (a diverged estimate,
+    unlimited noise), and speeds at which an unlimited vehicle crosses the area in one tick.
 
     Args:
         table: The entries.
         row: Shape (entries,).
-        area: Q.
-        dt: Length of a tick [s].
+        area: Area Q.
+        dt: Duration of a tick [s].
     """
     unlimited = dict.fromkeys(SYMBOLS, math.inf)
     return np.clip(row, *bounds(table, unlimited | largest(area, dt)))
 
 
 def largest(area: Area, dt: float) -> dict[str, float]:
-    """Return the values of `D`, and of `d_max` and `v_max` where nothing else bounds them.
+    """Return the values of `D`, and of `d_max` and `v_max` if nothing else bounds them.
 
     Args:
-        area: Q.
-        dt: Length of a tick [s].
+        area: Area Q.
+        dt: Duration of a tick [s].
     """
     diagonal = math.hypot(area.width, area.height) * ROUNDING
     return {"D": diagonal, "d_max": diagonal, "v_max": diagonal / dt}
@@ -207,7 +206,7 @@ TABLES = {
     "uav_state": UAV_STATE,
     "ugv_state": UGV_STATE,
 }
-"""The tables by their marks, `<!-- generated: NAME -->`, in docstrings and in the documentation."""
+"""Tables by their marks, `<!-- generated: NAME -->`, in docstrings and in the documentation."""
 
 
 def with_tables(cls: _Class) -> _Class:
@@ -223,7 +222,7 @@ def with_tables(cls: _Class) -> _Class:
 
 
 def state_names(vehicles: Iterable[tuple[str, Table]]) -> list[str]:
-    """Return the names of the state's entries: the common ones, then those of each vehicle, as `uav_0.x`."""
+    """Return the names of the state's entries: first the common ones, then each vehicle's, such as `uav_0.x`."""
     return [
         *names(STATE),
         *(f"{name}.{entry}" for name, table in vehicles for entry in names(table)),

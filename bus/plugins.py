@@ -1,4 +1,4 @@
-"""Entry points through which extensions and other packages add to Outrider, and the extras that they need."""
+"""Entry points through which extensions and other packages extend Outrider, and their optional dependencies."""
 
 import sys
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ GROUPS = (
     *("commands", "companions", "drivers", "laws"),
     *("policies", "roles", "sensors", "sinks"),
 )
-"""The groups of entry points, `outrider.<group>`."""
+"""Groups of entry points, `outrider.<group>`."""
 
 _OURS = "outrider"
 _Kind = TypeVar("_Kind")
@@ -24,14 +24,14 @@ _Kind = TypeVar("_Kind")
 def registered(group: str) -> dict[str, EntryPoint]:
     """Return the entry points of `outrider.<group>` by name, Outrider's own first.
 
-    Two packages may use one name. The first then wins, with a warning: a package must not stop every command.
+    If two packages use the same name, the first wins, with a warning: a package must not stop every command.
     """
     found: dict[str, EntryPoint] = {}
     entries = entry_points(group=f"{_OURS}.{group}")
     for entry in sorted(entries, key=lambda one: (_owner(one) != _OURS, _owner(one), one.name)):
         first = found.setdefault(entry.name, entry)
         if first.value != entry.value:
-            warn(f"{entry.name!r} of {_owner(entry)} is ignored: {_owner(first)} has one")
+            warn(f"{entry.name!r} of {_owner(entry)} is ignored: {_owner(first)} provides it")
     return found
 
 
@@ -39,7 +39,7 @@ def load(entry: EntryPoint) -> Any:  # noqa: ANN401 - a command, a law, a sink, 
     """Import the object of an entry point.
 
     Raises:
-        ScenarioError: If a library of its extra is missing.
+        ScenarioError: If an optional dependency is missing.
         OutriderError: If it cannot be imported for another reason.
     """
     group = entry.group.removeprefix(f"{_OURS}.")
@@ -49,27 +49,27 @@ def load(entry: EntryPoint) -> Any:  # noqa: ANN401 - a command, a law, a sink, 
 
 
 def extra_of(entry: EntryPoint) -> str:
-    """Return the extra with the libraries of an entry point; empty if it is not one of Outrider's."""
+    """Return the extra that installs the libraries of an entry point; empty if it is not Outrider's."""
     package = entry.module.partition(".")[0]
     extra = package.removeprefix(f"{_OURS}_") if _owner(entry) == _OURS else ""
     return extra if extra in extras() else ""
 
 
 def load_all(group: str, kind: type[_Kind]) -> dict[str, _Kind]:
-    """Import the objects of `outrider.<group>`, by name; leave out those that fail, with a warning.
+    """Import the objects of `outrider.<group>` by name; skip those that fail, with a warning.
 
     Args:
         group: Name of the group.
-        kind: Class of its objects.
+        kind: Class of the objects.
     """
     found: dict[str, _Kind] = {}
     for name, entry in registered(group).items():
         if find_spec(entry.module.partition(".")[0]) is None:
-            continue  # a copy of the core alone
+            continue  # a copy of the core without extensions
         try:
             one = load(entry)
             if not isinstance(one, kind):
-                raise TypeError(f"{entry.value} is no {kind.__name__}")
+                raise TypeError(f"{entry.value} is not a {kind.__name__}")
             found[name] = one
         except Exception as error:  # noqa: BLE001 - a package must not stop every command
             warn(f"{entry.group}: {name!r} of {_owner(entry)} is ignored: {error}")
@@ -77,7 +77,7 @@ def load_all(group: str, kind: type[_Kind]) -> dict[str, _Kind]:
 
 
 def source_files() -> list[Path]:
-    """Return the source files of all packages with an entry point of Outrider, in a fixed order."""
+    """Return the source files of all packages with Outrider entry points, in a fixed order."""
     entries = [entry for group in GROUPS for entry in entry_points(group=f"{_OURS}.{group}")]
     found: list[Path] = []
     for name in sorted({entry.module.partition(".")[0] for entry in entries}):
@@ -92,15 +92,15 @@ def source_files() -> list[Path]:
 
 @contextmanager
 def needs(extra: str, what: str = "", kind: type[OutriderError] = ScenarioError) -> Iterator[None]:
-    """Explain an import that fails because an extra is not installed.
+    """Explain an import error caused by an extra that is not installed.
 
     Args:
-        extra: Name of the extra; empty: none of Outrider's.
-        what: Text before the error's reason, for example an option.
+        extra: Name of the extra; empty: not one of Outrider's.
+        what: Prefix of the message, such as an option.
         kind: Class of the error.
 
     Raises:
-        OutriderError: Of this kind, with the missing package and the command that installs it.
+        OutriderError: With the missing package and the command that installs it.
     """
     try:
         yield
@@ -115,7 +115,7 @@ def require(extra: str, what: str = "") -> None:
     """Check that all packages of an extra are installed.
 
     Raises:
-        ScenarioError: If one is missing; with the command that installs it.
+        ScenarioError: If one is missing, with the command that installs it.
     """
     for package in missing(extra):
         prefix = f"{what}: " if what else ""
@@ -128,7 +128,7 @@ def install_command(extra: str) -> str:
 
 
 def extras() -> tuple[str, ...]:
-    """Return the names of all extras that a user may install."""
+    """Return the names of all extras that a user can install."""
     names = metadata(_OURS).get_all("Provides-Extra") or []
     return tuple(name for name in names if name not in ("dev", "docs"))
 

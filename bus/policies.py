@@ -13,10 +13,10 @@ Vehicle = Literal["uav", "ugv"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PolicyKind:
-    """A kind of saved policies: the object of an entry point, whose name is the text before the colon.
+    """Kind of saved policies: the object of an entry point, whose name is the text before the colon.
 
     A loader is a `module:function`, imported when a policy is loaded. It is called with the text after the colon, and
-    with field and value for its errors.
+    with the field and value for error messages.
     """
 
     form: str
@@ -37,14 +37,14 @@ def policy_kinds(vehicle: Vehicle) -> Mapping[str, PolicyKind]:
 
 
 def policy_forms(vehicle: Vehicle) -> str:
-    """Return the allowed forms of a policy for this kind of vehicle, for errors."""
+    """Return the allowed forms of a policy for this kind of vehicle, for error messages."""
     forms = ["module:function"]
     forms += [f"{name}:{kind.form}" for name, kind in sorted(policy_kinds(vehicle).items())]
     return " or ".join([*([", ".join(forms[:-1])] if forms[1:] else []), forms[-1]])
 
 
 def endings() -> frozenset[str]:
-    """Return the endings of files with saved policies, such as `.onnx`."""
+    """Return the suffixes of policy files, such as `.onnx`."""
     vehicles: tuple[Vehicle, ...] = ("uav", "ugv")
     forms = {kind.form for vehicle in vehicles for kind in policy_kinds(vehicle).values()}
     return frozenset(f".{form.rpartition('.')[2]}" for form in forms if "." in form)

@@ -1,4 +1,4 @@
-"""The presence of a party in a run, as a session follows it."""
+"""Presence of a party in a run."""
 
 import math
 import time
@@ -7,13 +7,13 @@ from bus.session import Session
 
 
 class Presence:
-    """Follows whether a party has a session in a run."""
+    """Tracks whether a party has a session in a run."""
 
     def __init__(self, session: Session, name: str) -> None:
         self._places: set[int] = set()
         self._changed = time.monotonic()
         self.joined = -math.inf
-        """Time at which a session of it came last [s]; none has: minus infinity."""
+        """Time at which its latest session joined [s]; minus infinity before the first."""
         session.watch(name, self._change)
 
     def _change(self, _name: str, place: int, present: bool) -> None:
@@ -26,9 +26,9 @@ class Presence:
 
     @property
     def there(self) -> bool:
-        """True if it has a session now."""
+        """True if the party has a session now."""
         return bool(self._places)
 
     def absent_for(self) -> float:
-        """Time since it had one, or since it is followed [s]; 0: it is there."""
+        """Return the time since its last session ended, or since tracking started [s]; 0 if it is present."""
         return 0.0 if self._places else time.monotonic() - self._changed

@@ -1,4 +1,4 @@
-"""Inboxes and outboxes of a session: one key each, typed, checked and counted."""
+"""Inboxes and outboxes of a session: each has one key, a message type, checks and counters."""
 
 import logging
 import threading
@@ -15,46 +15,46 @@ from bus.messages.base import LONGEST_TEXT, Message
 
 _LOG = logging.getLogger("outrider.bus")
 WAKE_PERIOD = 0.1
-"""A waiting reader looks up this often [s], for deadlines and for peers that come and go."""
+"""Interval at which a waiting reader wakes to check deadlines and peers [s]."""
 
 
 class Envelope(NamedTuple):
-    """A message that has arrived."""
+    """Received message."""
 
     sender: str
-    """The vehicle in its key; empty where there is none."""
+    """Name of the vehicle in its key; empty if the key has none."""
     message: Message
     source: zenoh.SourceInfo | None
-    """The session that sent it, as it says itself; None where it does not say."""
+    """Sending session, as stated by the sender; None: not stated."""
 
     @property
     def session(self) -> zenoh.ZenohId | None:
-        """The session's identity: no other is equal to it."""
+        """Unique identity of the session."""
         return None if self.source is None else self.source.source_id.zid
 
     @property
     def place(self) -> int | None:
-        """The number of the session among those of its party."""
+        """Number of the session within its party."""
         return None if self.source is None else self.source.source_sn
 
 
 class Outbox:
-    """Writes one key."""
+    """Writer of one key."""
 
     def __init__(self, publisher: zenoh.Publisher, key: Key) -> None:
         self._publisher = publisher
         self._encoder = msgspec.json.Encoder()
         self._decoder = msgspec.json.Decoder(key.message)
         self._topic = key.topic
-        self.take_place(0)
+        self.set_place(0)
         self.wanted = False
-        """True if anybody reads it now."""
+        """True if the key has a reader now."""
         self._listener = publisher.declare_matching_listener(self._see)
 
-    def take_place(self, place: int) -> None:
-        """Tell readers from now on the number of this session among those of its party.
+    def set_place(self, place: int) -> None:
+        """Send the number of this session within its party with all further messages.
 
-        It travels where Zenoh has the sequence number of a source: order is kept by the transport.
+        It travels in the sequence number of Zenoh's source info, which is free: the transport keeps the order.
         """
         self._source = zenoh.SourceInfo(self._publisher.id, place)
 
@@ -65,12 +65,12 @@ class Outbox:
         """Send a message.
 
         Raises:
-            ValueError: If it breaks its own type's bounds (NaN and infinity do); nothing was sent.
-            BusError: If the session is gone.
+            ValueError: If it breaks its own type's bounds (as NaN and infinity do); nothing was sent.
+            BusError: If the session is closed.
         """
         payload = self._encoder.encode(message)
         try:
-            # What the reader will do: NaN has become null, 1e308 is out of bounds.
+            # Decode as the reader will: NaN has become null, 1e308 is out of bounds.
             self._decoder.decode(payload)
         except msgspec.ValidationError as error:
             raise ValueError(f"{self._topic}: {error}") from error
@@ -81,7 +81,7 @@ class Outbox:
 
 
 class Inbox:
-    """Reads one topic, in order. What does not decode is counted, logged and dropped."""
+    """Reader of one topic, in order. Messages that do not decode are counted, logged and dropped."""
 
     def __init__(
         self,
@@ -99,17 +99,17 @@ class Inbox:
         self._poked = False
         self._peeked: Envelope | None = None
         self.refused: dict[str, int] = {sender: 0 for sender, _ in known.values()}
-        """The number of messages of each sender that did not decode."""
+        """Number of messages of each sender that did not decode."""
         self.fault: dict[str, str] = {sender: "" for sender, _ in known.values()}
-        """Why the last of them did not."""
+        """Reason why the last of them did not decode, by sender."""
 
     def _open_subscriber(self) -> "zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]":
         if self._subscriber is None:
             raise BusError("the inbox is closed")
         return self._subscriber
 
-    def receive(self, patience: float) -> Envelope | None:
-        """The next message, or None after `patience` [s] without one, or once somebody has called `poke`."""
+    def receive(self, timeout: float) -> Envelope | None:
+        """Return the next message; None after `timeout` [s] without one, or after a call of `poke`."""
         if self._peeked is not None:
             return self.next_waiting()
         subscriber = self._open_subscriber()
@@ -119,17 +119,17 @@ class Inbox:
                 envelope = self._open(subscriber.recv())
                 if envelope is not None:
                     return envelope
-                if time.monotonic() - started >= patience:
+                if time.monotonic() - started >= timeout:
                     break
             self._poked = False
             return None
         except zenoh.ZError as error:
-            raise BusError(f"the session is gone: {error}") from error
+            raise BusError(f"the session is closed: {error}") from error
         finally:
             self._since = None
 
     def next_waiting(self) -> Envelope | None:
-        """The next message if it is there already; None without waiting if not."""
+        """Return the next message if one has arrived; else None, without waiting."""
         if self._peeked is not None:
             peeked, self._peeked = self._peeked, None
             return peeked
@@ -140,18 +140,18 @@ class Inbox:
                 if envelope is not None:
                     return envelope
         except zenoh.ZError as error:
-            raise BusError(f"the session is gone: {error}") from error
+            raise BusError(f"the session is closed: {error}") from error
         return None
 
     def holds_any(self) -> bool:
-        """True if a message is there already; it stays."""
+        """True if a message has arrived; it stays in the inbox."""
         self._peeked = self.next_waiting()
         return self._peeked is not None
 
     def close(self) -> None:
-        """Read no more. Until that has been done, what still comes is read and dropped.
+        """Stop reading; drop messages that arrive until the subscriber is closed.
 
-        A full inbox would hold up the end.
+        A full inbox would block closing.
         """
         subscriber, self._subscriber = self._subscriber, None
         if subscriber is None:
@@ -169,13 +169,13 @@ class Inbox:
         leaving.join()
 
     def poke(self) -> None:
-        """Make `receive` return, now or when it is called next; may be called from any thread."""
+        """Make `receive` return, now or at its next call; thread-safe."""
         self._poked = True
         if self._since is not None:
             self._wake()
 
     def nudge(self) -> None:
-        """Let a reader that has waited for a while look at the clock."""
+        """Wake a reader that has waited for a while, so that it checks the clock."""
         if self._since is not None and time.monotonic() - self._since >= WAKE_PERIOD:
             self._wake()
 
@@ -183,10 +183,10 @@ class Inbox:
         payload, key = sample.payload.to_bytes(), sample.key_expr
         known = self._decoders.get(key)
         if not payload or known is None:
-            return None  # a wake-up; nobody of this run; or a pattern, which nobody writes who means well
+            return None  # a wake-up, an unknown sender, or a pattern, which no honest sender writes
         sender, decoder, largest = known
         if len(payload) > largest:
-            self._refuse(sender, key, f"{len(payload)} bytes; allowed up to {largest}")
+            self._refuse(sender, key, f"{len(payload)} bytes; allowed: at most {largest}")
             return None
         try:
             return Envelope(sender, decoder.decode(payload), sample.source_info)
@@ -195,9 +195,9 @@ class Inbox:
             return None
 
     def _refuse(self, sender: str, key: zenoh.KeyExpr, reason: str) -> None:
-        told = reason[:LONGEST_TEXT]
-        reason = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in told)
+        text = reason[:LONGEST_TEXT]
+        reason = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
         self.fault[sender] = reason
         self.refused[sender] = count = self.refused[sender] + 1
-        if count & (count - 1) == 0:  # the 1st, 2nd, 4th, 8th ...: a flood must not fill a log
-            _LOG.warning("refused a message on %s: %s (%d so far)", key, reason, count)
+        if count & (count - 1) == 0:  # the 1st, 2nd, 4th, 8th ...: a flood must not fill the log
+            _LOG.warning("rejected a message on %s: %s (%d so far)", key, reason, count)

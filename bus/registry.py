@@ -1,10 +1,9 @@
-"""Laws, drivers, sensors and hazards: one row each, with all that others need to know of them.
+"""Registry of laws, drivers, sensors and hazards: one row each, with all that other modules need.
 
-Their names are words of the messages (`Law.name`, `UgvBriefing.driver`, `Control.driver`, `Sensor.model`) and of
-scenarios, so their tables stand here, below everybody, as the table of keys and the columns of observations do: the
-simulator, which may import no agent, checks scenarios and operators' requests by the same rows by which a vehicle
-chooses its code and by which command line, page, reports and pictures list and draw. No name is copied and none is
-handed through. Nothing is imported either: what is code, a row names as `module:name`.
+The names appear in messages (`Law.name`, `UgvBriefing.driver`, `Control.driver`, `Sensor.model`) and in scenarios. The
+tables are in the lowest layer so that the simulator, which must not import agents, checks scenarios and operators'
+requests by the same rows that vehicles, command line, page and reports use. The tables import no code: a row refers to
+it as `module:name`.
 
 `CONTRIBUTING.md` shows how to add a row.
 """
@@ -21,7 +20,7 @@ _Row = TypeVar("_Row", bound="LawRow | DriverRow | SensorRow | HazardKindRow")
 
 
 def _table(*rows: _Row) -> Mapping[str, _Row]:
-    """The rows by name.
+    """Return the rows by name.
 
     Raises:
         ValueError: If two rows have the same name.
@@ -33,7 +32,7 @@ def _table(*rows: _Row) -> Mapping[str, _Row]:
 
 
 def resolve(where: str) -> Any:  # noqa: ANN401 - whatever it is
-    """The object that `module:name` names."""
+    """Import and return the object `module:name`."""
     module, _, name = where.partition(":")
     return getattr(import_module(module), name)
 
@@ -50,7 +49,7 @@ LAWS = _table(
     LawRow(
         name="coverage",
         module="agents.laws.coverage",
-        about="see ground (6) to (11), and never turn back",
+        about="cover the ground (6) to (11), without returning to the UGV",
         covers=True,
         needs_radius=False,
         keeps_sight=False,
@@ -60,14 +59,14 @@ LAWS = _table(
     LawRow(
         name="linear",
         module="agents.laws.linear",
-        about="both (17), weighted in proportion to the distance",
+        about="tracking and coverage (17), weighted linearly by distance",
         covers=True,
         color="#2a9d8f",
     ),
     LawRow(
         name="switching",
         module="agents.laws.switching",
-        about="one or the other, switched at r_s",
+        about="tracking or coverage, switched at r_s",
         covers=True,
         color="#8e5bb5",
         mark="s",
@@ -75,7 +74,7 @@ LAWS = _table(
     LawRow(
         name="logarithmic",
         module="agents.laws.logarithmic",
-        about="both, tracking unbounded towards r_s (19)",
+        about="tracking and coverage, with an unbounded tracking weight towards r_s (19)",
         covers=True,
         color="#1f5fbf",
         mark="D",
@@ -83,14 +82,14 @@ LAWS = _table(
     LawRow(
         name="circle",
         module="agents.laws.circle",
-        about="circle round the UGV (22) to (25)",
+        about="circle around the UGV (22) to (25)",
         color="#5b616b",
         mark="^",
     ),
     LawRow(
         name="weighted",
         module="agents.laws.weighted",
-        about="both, by a weighting of your own (custom.weighting)",
+        about="tracking and coverage, with your own weighting (custom.weighting)",
         covers=True,
         own="weighting",
         color="#d16ba5",
@@ -98,14 +97,14 @@ LAWS = _table(
     LawRow(
         name="path",
         module="agents.laws.path",
-        about="a path of your own beside the UGV (custom.path)",
+        about="follow your own path relative to the UGV (custom.path)",
         own="path",
         color="#4bb3c9",
     ),
     LawRow(
         name="certified",
         module="agents.laws.logarithmic",
-        about="logarithmic, or a policy of your own (custom.uav_policy), with the safety filter behind it",
+        about="logarithmic, or your own policy (custom.uav_policy), with the safety filter",
         covers=True,
         inner="uav_policy",
         watched=True,
@@ -115,7 +114,7 @@ LAWS = _table(
     LawRow(
         name="lookahead",
         module="agents.laws.lookahead",
-        about="the best of many motions for the next seconds, with the safety filter behind it",
+        about="best of many trajectories over the next seconds, with the safety filter",
         covers=True,
         watched=True,
         separate=True,
@@ -124,7 +123,7 @@ LAWS = _table(
     ),
     LawRow(
         name="policy",
-        about="a policy of your own (custom.uav_policy) alone, without the safety filter",
+        about="your own policy (custom.uav_policy), without the safety filter",
         needs_radius=False,
         own="uav_policy",
         color="#6b4a8f",
@@ -132,16 +131,16 @@ LAWS = _table(
     ),
     *load_all("laws", LawRow).values(),
 )
-"""The laws by name, in the order in which tables and reports list them."""
+"""Laws by name, in the order of tables and reports."""
 DEFAULT_LAW = "logarithmic"
 
 
 TELEOP = "teleop"
-"""The driver that an operator takes the wheel with."""
+"""Driver for teleoperation."""
 DRIVERS = _table(
     DriverRow(
         name="waypoints",
-        about="from goal to goal",
+        about="drive from goal to goal",
         module="agents.drivers.waypoints",
         wants="goals",
         avoids=False,
@@ -149,27 +148,27 @@ DRIVERS = _table(
     ),
     DriverRow(
         name="wander",
-        about="to random points",
+        about="drive to random points",
         module="agents.drivers.wander",
         avoids=False,
     ),
     DriverRow(
         name="script",
-        about="timed velocities",
+        about="follow timed velocities",
         module="agents.drivers.script",
         needs="script",
         avoids=False,
     ),
     DriverRow(
         name="evade",
-        about="away from the UAV, by what it radios",
+        about="evade the UAV, using its radio messages",
         module="agents.drivers.evade",
         listens=True,
         avoids=False,
     ),
     DriverRow(
         name="navigate",
-        about="from goal to goal over the ground as it is told and seen",
+        about="drive from goal to goal around known hazards",
         module="agents.drivers.navigate",
         make="agents.drivers.compiled:NavigateDriver",
         separate=True,
@@ -178,15 +177,15 @@ DRIVERS = _table(
     ),
     DriverRow(
         name=TELEOP,
-        about="an operator",
+        about="follow an operator",
         make="agents.drivers.teleop:TeleopDriver",
         operated=True,
     ),
-    DriverRow(name="policy", about="a policy of your own (custom.policy)", own="policy"),
-    DriverRow(name="external", about="a process of your own", outside=True),
+    DriverRow(name="policy", about="your own policy (custom.policy)", own="policy"),
+    DriverRow(name="external", about="your own process", outside=True),
     *load_all("drivers", DriverRow).values(),
 )
-"""The drivers by name, in the order in which help texts list them."""
+"""Drivers by name, in the order of help texts."""
 DEFAULT_DRIVER = "waypoints"
 
 
@@ -195,27 +194,27 @@ SENSORS = _table(
     SensorRow(
         name="plateau",
         module="sim.models.sensors.plateau",
-        about="sees well over most of its disc",
+        about="nearly constant quality over most of its disc",
     ),
     *load_all("sensors", SensorRow).values(),
 )
-"""The sensors by name."""
+"""Sensors by name."""
 DEFAULT_SENSOR = "hill"
 
 
 HAZARDS = _table(
-    HazardKindRow(name="rough", code=2, about="ground to be driven slowly", slows=True),
-    HazardKindRow(name="block", code=3, about="not to be touched", drivable=False),
-    HazardKindRow(name="find", code=4, about="a thing to be found"),
+    HazardKindRow(name="rough", code=2, about="ground to drive over slowly", slows=True),
+    HazardKindRow(name="block", code=3, about="obstacle, not to be touched", drivable=False),
+    HazardKindRow(name="find", code=4, about="object to find"),
 )
-"""The kinds of hazards by name."""
+"""Kinds of hazards by name."""
 TOUCHES = ("stuck", "damage")
-"""Effects on a vehicle of touching a blocking hazard: it stays there, or it drives on and the touch is counted."""
+"""Effects of touching a blocking hazard: the vehicle is stuck, or drives on and the touch is counted."""
 BOLD = "bold"
 CAUTIONS = ("cautious", BOLD)
-"""Cautions of a UGV towards ground that nobody has seen: only as fast as it can stop before it, or on."""
+"""Cautions of a UGV on unknown ground: drive only as fast as it can stop before it, or drive on."""
 
 
 def described(rows: Mapping[str, LawRow] | Mapping[str, DriverRow]) -> str:
-    """The rows as one text for a command's help: each name with its line."""
+    """Return the rows as one text for help: each name with its description."""
     return "; ".join(f"{row.name}: {row.about}" for row in rows.values())

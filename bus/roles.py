@@ -1,7 +1,7 @@
-"""Roles that extensions and other packages add to a run, under the entry points `outrider.roles`.
+"""Roles that extensions and other packages add to a run, by entry points `outrider.roles`.
 
-Such a role has the rows of the key table of an observer, of an operator, or none. Beside them it may have keys of its
-own, outside those of every run: no package can give a party a key that the table does not give it.
+Such a role has the key-table rows of an observer, of an operator, or none. It may also have its own keys, outside the
+keys of every run: no package can grant a party a key that the table does not grant.
 """
 
 import functools
@@ -20,19 +20,21 @@ _BUILT_IN = frozenset(role.value for role in Role if role is not Role.GUEST)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Roles:
-    """The roles of one package: the object of an entry point."""
+    """Roles of one package: the object of an entry point."""
 
     parties: Mapping[str, Role]
-    """The role of the key table by whose rows each party reads and writes: `GUEST` (none), `OBSERVER` or `OPERATOR`.
+    """Key-table role of each party: `GUEST` (no rows), `OBSERVER` or `OPERATOR`.
 
     A party and its role have the same name."""
     grants: Callable[[Party], Sequence[Grant]]
-    """Return a party's grants beside the key table, for every party of a run in which one of these takes part."""
+    """Function that returns a party's grants outside the key table, for every party of a run with one of these
+    roles.
+    """
 
 
 @functools.cache
 def extension_roles() -> Mapping[str, Roles]:
-    """Return the roles by the name of their entry point; a package whose roles break a rule is left out."""
+    """Return the roles by name of their entry point; skip invalid ones, with a warning."""
     found: dict[str, Roles] = {}
     for name, roles in plugins.load_all("roles", Roles).items():
         taken = {*RESERVED, *_BUILT_IN, Role.GUEST.value}.union(
@@ -68,7 +70,9 @@ def named_roles(name: str) -> Roles:
     """
     known = extension_roles()
     if name not in known:
-        raise ScenarioError(f"--roles {name}: no such roles; allowed: {', '.join(known) or 'none'}")
+        raise ScenarioError(
+            f"--roles {name}: unknown roles; available: {', '.join(known) or 'none'}"
+        )
     return known[name]
 
 
@@ -76,24 +80,24 @@ def party_of(role: str, name: str) -> Party:
     """Return the party of this role and name.
 
     Raises:
-        AccessDenied: If there is no such role here.
+        AccessDenied: If the role is unknown here.
     """
     if role in _BUILT_IN:
         return Party(role=Role(role), name=name)
     for roles in extension_roles().values():
         if role in roles.parties:
             return Party(role=roles.parties[role], name=name, extension=role)
-    raise AccessDenied(f"{name}: role {role!r} is unknown here; is its extension installed?")
+    raise AccessDenied(f"{name}: role {role!r} is unknown; is its extension installed?")
 
 
 def roles_among(parties: Sequence[Party]) -> list[Roles]:
-    """Return the extensions' roles that some of these parties have."""
+    """Return the extension roles that at least one of these parties has."""
     present = {party.extension for party in parties}
     return [roles for roles in extension_roles().values() if not present.isdisjoint(roles.parties)]
 
 
 def own_grants(roles: Roles, party: Party) -> tuple[Grant, ...]:
-    """Return a party's grants beside the key table, checked: none touches a key of a run.
+    """Return a party's grants outside the key table, after checking that none touches a key of a run.
 
     Raises:
         AccessDenied: If one does.
@@ -106,8 +110,8 @@ def own_grants(roles: Roles, party: Party) -> tuple[Grant, ...]:
 
 
 def _check_outside(key: str) -> None:
-    """Refuse a key that lies under `outrider/`, or matches a key or a liveliness token of a run."""
-    import zenoh  # noqa: PLC0415 - a router's and a test's alone
+    """Reject a key under `outrider/`, or one that matches a key or liveliness token of a run."""
+    import zenoh  # noqa: PLC0415 - used only by a router
 
     try:
         expression = zenoh.KeyExpr(key)
@@ -118,7 +122,7 @@ def _check_outside(key: str) -> None:
     except zenoh.ZError as error:
         raise AccessDenied(f"key {key!r} of an extension's role: {error}") from error
     if inside:
-        raise AccessDenied(f"key {key!r} of an extension's role: touches a run's own keys")
+        raise AccessDenied(f"key {key!r} of an extension's role: overlaps a run's own keys")
 
 
 @functools.cache

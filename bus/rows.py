@@ -1,6 +1,6 @@
-"""Rows of the registry: all that others need to know of a law, a driver, a sensor, a hazard or a saved policy.
+"""Rows of the registry: descriptions of laws, drivers, sensors and kinds of hazards.
 
-A package that adds a law, a driver or a sensor makes its row in a module that imports nothing else of Outrider.
+A package that adds a law, a driver or a sensor makes its row in a module that imports nothing else from Outrider.
 """
 
 from dataclasses import dataclass
@@ -8,95 +8,95 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LawRow:
-    """A law of the UAVs."""
+    """Control law of the UAVs."""
 
     name: str
     module: str = ""
-    """Its file, with `Parameters`, `Memory` and `command`; empty where the user's policy flies in its place."""
+    """Module with `Parameters`, `Memory` and `command`; empty if the user's policy flies instead."""
     about: str
-    """One line, for help texts."""
+    """One-line description for help texts."""
     covers: bool = False
-    """True if it steers by the coverage gradient, and so by v_ref of (10)."""
+    """True if it uses the coverage gradient, and so v_ref of (10)."""
     needs_radius: bool = True
     """True if it needs a positive switching radius r_s (18)."""
     keeps_sight: bool = True
-    """True if it ever turns back to the UGV."""
+    """True if it returns to the UGV."""
     own: str = ""
-    """The field of `[custom]` that names the function of the user's own which it needs."""
+    """Field of `[custom]` that names the user's function; required."""
     inner: str = ""
-    """The field of `[custom]` whose policy flies in its place inside the safety filter, where one is named."""
+    """Field of `[custom]` with an optional policy that replaces it inside the safety filter."""
     watched: bool = False
-    """True if the safety filter stands behind it."""
+    """True if the safety filter supervises it."""
     separate: bool = False
-    """True if a batch contains it only where it is flown, as it takes long to compile."""
+    """True if a batch compiles it only when it is used, because it takes long to compile."""
     color: str
-    """Color of its lines in pictures and tables."""
+    """Color of its lines in plots and tables."""
     mark: str = "o"
-    """Marker of its points, by its name in matplotlib."""
+    """Marker of its points, by its matplotlib name."""
 
     @property
     def compared(self) -> bool:
-        """True if it flies in every comparison: it keeps sight and needs nothing of the user's own."""
+        """True if every comparison includes it: it maintains visibility and needs no user code."""
         return self.keeps_sight and not self.own
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriverRow:
-    """A driver of the UGVs."""
+    """Driver of the UGVs."""
 
     name: str
     about: str
-    """One line, for help texts."""
+    """One-line description for help texts."""
     module: str = ""
-    """Its file, with `Parameters`, `Memory` and `command`; empty: it is not compiled, and drives in no batch."""
+    """Module with `Parameters`, `Memory` and `command`; empty: not compiled, and not available in a batch."""
     make: str = ""
-    """The class that drives, made from a `UgvBriefing`, where that is not the file alone."""
+    """Class that drives, constructed from a `UgvBriefing`; empty: the module alone."""
     needs: str = ""
-    """The field of `[[ugv]]` without which it cannot drive."""
+    """Required field of `[[ugv]]`."""
     wants: str = ""
-    """The field of `[[ugv]]` without which it stands still."""
+    """Field of `[[ugv]]` without which the UGV stands still."""
     listens: bool = False
-    """True if it uses what the UAV radios."""
+    """True if it uses the UAV's radio messages."""
     avoids: bool = True
-    """False if it drives where it wants, whatever hazards are there."""
+    """False if it ignores hazards."""
     unbounded: bool = False
-    """True if it drives without a bound where the UGV has none; the others assume a large one."""
+    """True if it drives without a bound if the UGV has none; other drivers assume a large bound."""
     separate: bool = False
-    """True if a batch contains it only where it drives over ground, as it takes long to compile."""
+    """True if a batch compiles it only for scenarios with ground, because it takes long to compile."""
     operated: bool = False
-    """True if it does what an operator says."""
+    """True if it follows an operator."""
     own: str = ""
-    """The field of `[custom]` that names what drives."""
+    """Field of `[custom]` that names the user's function."""
     outside: bool = False
-    """True if it is a process of the user's own, from start to end."""
+    """True if it is a separate process of the user's."""
 
     @property
     def provided(self) -> bool:
-        """True if its code is neither a function nor a process of the user's own."""
+        """True if its code belongs to Outrider or an installed package, not to the user."""
         return bool(self.module or self.make)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorRow:
-    """A sensor of the ground."""
+    """Sensor of the ground."""
 
     name: str
     module: str
-    """Its file, with the compiled functions `quality` and `slope` of the squared distance."""
+    """Module with the compiled functions `quality` and `slope` of the squared distance."""
     about: str
-    """One line, for help texts."""
+    """One-line description for help texts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HazardKindRow:
-    """A kind of hazards on the ground. Their geometry is in `sim.models.hazards`."""
+    """Kind of ground hazard. `sim.models.hazards` defines the geometry."""
 
     name: str
     code: int
-    """State of a tile that one touches: 0 is a tile that nobody has seen, 1 a clear one."""
+    """State of a tile that touches one; 0 is an unknown tile, 1 a clear one."""
     about: str
-    """One line, for help texts."""
+    """One-line description for help texts."""
     drivable: bool = True
     """False if a vehicle that touches it is stuck or damaged."""
     slows: bool = False
-    """True if a vehicle keeps only a share of its largest speed on it."""
+    """True if it limits a vehicle to a share of its maximum speed."""

@@ -1,4 +1,4 @@
-"""One process on the bus: with its queues and its joining the only place that speaks Zenoh."""
+"""Session of a process on the bus; with `bus.queues` and `bus.joining` the only module that uses Zenoh."""
 
 import logging
 import threading
@@ -16,25 +16,25 @@ from bus.keys import (
     Role,
     check_reads,
     check_writes,
-    slot_token,
     token,
     token_owner,
+    vehicle_token,
 )
 from bus.queues import WAKE_PERIOD, Envelope, Inbox, Outbox
 
 __all__ = ["Envelope", "Inbox", "Outbox", "Session"]
 
 _LOG = logging.getLogger("outrider.bus")
-_ROOM = 256
-"""Messages that wait in an inbox before their writers must."""
-_LOOK = 2.0
-"""The longest time for which a session looks which places of its party are taken [s]."""
+_CAPACITY = 256
+"""Capacity of an inbox [messages]; writers block when it is full."""
+_QUERY_TIMEOUT = 2.0
+"""Time limit for finding the free session numbers of a party [s]."""
 
 
 class Session:
-    """One process on the bus, in one run.
+    """Session of one process in one run.
 
-    Use `bus.joining.open_session`.
+    Open it with `bus.joining.open_session`.
     """
 
     def __init__(
@@ -50,9 +50,9 @@ class Session:
         self.party = party
         self.run = run
         self.id = str(zenoh_session.zid())
-        """The session's identity; no other has the same."""
+        """Unique identity of the session."""
         self.place = 0
-        """Its number among the sessions of its party that are there."""
+        """Number of the session among the present sessions of its party."""
         self._alarm = threading.Thread(target=self._nudge_all, name="outrider-alarm", daemon=True)
         self._alarm.start()
 
@@ -62,7 +62,7 @@ class Session:
                 inbox.nudge()
 
     def close(self) -> None:
-        """Stop the reminders and the reading; the Zenoh session closes with its `with`."""
+        """Stop the timer and all readers; the Zenoh session closes with its `with`."""
         with self._gate:
             self._closing.set()
         self._alarm.join()
@@ -71,24 +71,24 @@ class Session:
 
     @property
     def below(self) -> zenoh.Session:
-        """The Zenoh session itself, for bridges: they use keys that are not the table's."""
+        """Return the Zenoh session itself, for bridges with keys outside the table."""
         return self._zenoh
 
     @property
     def routers(self) -> frozenset[str]:
-        """Its routers now, by session: a router has itself, and a client none while its own is away."""
+        """Return the ids of its routers: a router's own id, and none for a disconnected client."""
         return frozenset({self.id} if self._hosts else map(str, self._zenoh.info.routers_zid()))
 
     @property
     def connected(self) -> bool:
-        """True if it has a router now."""
+        """True if it is connected to a router now."""
         return bool(self.routers)
 
     def outbox(self, key: Key, vehicle: str = "") -> Outbox:
-        """A writer of one key.
+        """Return a writer of one key.
 
         Raises:
-            AccessDenied: If the table does not give it to this party.
+            AccessDenied: If the table does not grant the key to this party.
         """
         check_writes(key, self.party, vehicle)
         every = key.delivery is Delivery.EVERY
@@ -100,21 +100,21 @@ class Session:
             else zenoh.CongestionControl.DROP,
         )
         outbox = Outbox(publisher, key)
-        outbox.take_place(self.place)
+        outbox.set_place(self.place)
         self._outboxes.append(outbox)
         return outbox
 
     def inbox(self, key: Key, vehicle: str = "", *, newest: int = 0) -> Inbox:
-        """A reader of one key.
+        """Return a reader of one key.
 
         Args:
-            key: The row.
-            vehicle: Whose.
-            newest: How many messages wait at most, the oldest making room for the newest; 0: the writer waits when
-                the inbox is full, or the newest one alone is kept where the table says so.
+            key: Row of the table.
+            vehicle: Name of the vehicle.
+            newest: Capacity of the inbox; the oldest message makes room for the newest. 0: the writer blocks when the
+                inbox is full, or only the newest message is kept if the table says so.
 
         Raises:
-            AccessDenied: If the table does not give it to this party.
+            AccessDenied: If the table does not grant the key to this party.
         """
         check_reads(key, self.party, vehicle)
         expression = key.expression(self.run, vehicle)
@@ -122,20 +122,20 @@ class Session:
         return self._subscribe(expression, expression, {expression: (vehicle, key)}, kept=kept)
 
     def inbox_of_all(self, keys: Mapping[str, Key]) -> Inbox:
-        """One reader for the same topic of several vehicles, in the order of arrival.
+        """Return one reader for the same topic of several vehicles, in the order of arrival.
 
         Args:
-            keys: The key for each vehicle; all of one topic.
+            keys: Key of each vehicle; all have the same topic.
 
         Raises:
-            AccessDenied: If the table does not give one of them to this party.
+            AccessDenied: If the table does not grant one of them to this party.
         """
         for vehicle, key in keys.items():
             check_reads(key, self.party, vehicle)
         known = {key.expression(self.run, vehicle): (vehicle, key) for vehicle, key in keys.items()}
         one = next(iter(keys.values()))
-        every, nobody = one.expression(self.run, "*"), one.expression(self.run, "-")
-        return self._subscribe(every, nobody, known, kept=0)
+        every, unused = one.expression(self.run, "*"), one.expression(self.run, "-")
+        return self._subscribe(every, unused, known, kept=0)
 
     def _subscribe(
         self,
@@ -146,76 +146,78 @@ class Session:
         kept: int,
     ) -> Inbox:
         def wake() -> None:
-            with self._gate:  # Zenoh's session cannot be used while another thread closes it
+            with self._gate:  # Zenoh's session must not be used while another thread closes it
                 if not self._closing.is_set():
                     self._zenoh.put(
                         wake_expression, b"", allowed_destination=zenoh.Locality.SESSION_LOCAL
                     )
 
         handler: Any = (
-            zenoh.handlers.RingChannel(kept) if kept else zenoh.handlers.FifoChannel(_ROOM)
+            zenoh.handlers.RingChannel(kept) if kept else zenoh.handlers.FifoChannel(_CAPACITY)
         )
         inbox = Inbox(self._zenoh.declare_subscriber(expression, handler), wake, known)
         self._inboxes.append(inbox)
         return inbox
 
     def forget(self, inbox: Inbox) -> None:
-        """Read an inbox no more: who writes it is told where nobody else does."""
+        """Close an inbox: a writer without other readers is notified."""
         self._inboxes.remove(inbox)
         inbox.close()
 
     def report_unknown_certificates(self, known: frozenset[str]) -> None:
-        """Log each client whose certificate names no party of the run: the router lets it do nothing."""
+        """Log each client whose certificate names no party of the run: the router grants it nothing."""
 
         def see(event: zenoh.LinkEvent) -> None:
             name = event.link.auth_identifier
             if event.kind == zenoh.SampleKind.PUT and name is not None and name not in known:
                 _LOG.warning(
-                    "%r has a certificate of this run's authority, but is no party of it: it gets nothing",
+                    "%r has a certificate of this run's authority, but is not a party of the run: access denied",
                     name[:64],
                 )
 
         self._kept.append(self._zenoh.info.declare_link_events_listener(see, history=True))
 
     def announce(self) -> None:
-        """Declare this session present, until it leaves or dies, at the first free place of its party.
+        """Declare this session present until it leaves or dies, with the first free number of its party.
 
         Raises:
-            AccessDenied: If all places are taken.
+            AccessDenied: If all numbers are in use.
         """
         liveliness = self._zenoh.liveliness()
-        there = liveliness.get(token(self.run, self.party.name, "*"), timeout=_LOOK)
+        there = liveliness.get(token(self.run, self.party.name, "*"), timeout=_QUERY_TIMEOUT)
         taken = {token_owner(str(reply.ok.key_expr))[1] for reply in there if reply.ok is not None}
         free = [place for place in range(PLACES) if place not in taken]
         if not free:
             raise AccessDenied(
-                f"{self.party.name} has {PLACES} sessions in the run {self.run} already; no more are let in"
+                f"{self.party.name} already has {PLACES} sessions in the run {self.run}; allowed: at most {PLACES}"
             )
         self.place = free[0]
         for outbox in self._outboxes:
-            outbox.take_place(self.place)
+            outbox.set_place(self.place)
         self._kept.append(liveliness.declare_token(token(self.run, self.party.name, self.place)))
-        for _ in liveliness.get(token(self.run, self.party.name, self.place), timeout=_LOOK):
-            pass  # once this is answered the router knows of the token, and who comes next sees it
+        for _ in liveliness.get(
+            token(self.run, self.party.name, self.place), timeout=_QUERY_TIMEOUT
+        ):
+            pass  # once this is answered, the router knows the token, and later sessions see it
 
     def offer(self, vehicle: str, role: Role) -> None:
         """Declare that this simulator's scenario has a vehicle."""
-        offered = slot_token(self.run, vehicle, role)
+        offered = vehicle_token(self.run, vehicle, role)
         self._kept.append(self._zenoh.liveliness().declare_token(offered))
 
     def is_offered(self) -> bool:
-        """True if a simulator's scenario has the vehicle that this party is."""
-        offered = slot_token(self.run, self.party.name, self.party.role)
-        replies = self._zenoh.liveliness().get(offered, timeout=_LOOK)
+        """Return whether a simulator's scenario has this party's vehicle."""
+        offered = vehicle_token(self.run, self.party.name, self.party.role)
+        replies = self._zenoh.liveliness().get(offered, timeout=_QUERY_TIMEOUT)
         return any(reply.ok is not None for reply in list(replies))
 
     def watch(self, party_name: str, on_change: Callable[[str, int, bool], None]) -> None:
-        """Tell when a session of a party comes or goes, those that are there already included.
+        """Report when a session of a party joins or leaves, including sessions already present.
 
         Args:
-            party_name: Whom to watch; `*` is everybody.
-            on_change: Called with a name, the number of a session among that party's and whether it is present, from a
-                thread of Zenoh's: keep it short.
+            party_name: Name of the party; `*` for all.
+            on_change: Called with the party's name, the number of the session within the party, and whether it is
+                present. Runs in a thread of Zenoh, so it must be short.
         """
 
         def see(sample: zenoh.Sample) -> None:

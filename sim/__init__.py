@@ -1,1 +1,1 @@
-"""The truth of a run: the vehicles, the ground, the detections and the clock."""
+"""Simulation: vehicles, ground, detections, radio links and the clock."""

@@ -1,4 +1,4 @@
-"""The world: the true state of all vehicles and of the ground. A batch of one, with names.
+"""World: the true state of all vehicles and of the ground, as a named view of a batch of one.
 
 Arrays have an axis for vehicles, in name order. One seed, one secret and the same commands give the same bits.
 """
@@ -18,7 +18,7 @@ from sim.compiling.compile import FloatArray, IntArray
 from sim.compiling.records import RecordArray
 from sim.engine.batch import Batch
 from sim.engine.ground_state import CONSTANTS, GroundState
-from sim.engine.mission import mission_of, note_claim, receive_block
+from sim.engine.mission import mission_of, receive_block, record_claim
 from sim.engine.world_state import BatchState, BatchTables
 from sim.engine.world_tick import measure
 from sim.models.ground import (
@@ -33,16 +33,16 @@ from sim.models.ground import (
 from sim.models.motion import NO_MOTION, keep_motion, received_motion
 from sim.scenario.types import LinkTable, Scenario, Uav
 
-_CODES = {words: code for code, words in UNCERTIFIED.items()}
+_CODES = {text: code for code, text in UNCERTIFIED.items()}
 
 
 class World:
-    """The true state of one run.
+    """True state of one run.
 
     Args:
-        scenario: What is flown.
-        seed: Of all random numbers, with the secret.
-        secret: Of the run, as `sim.engine.run_keys.check_secret` returns it; empty: none.
+        scenario: Scenario of the run.
+        seed: Seed of all random numbers, together with the secret.
+        secret: Secret of the run, as `sim.engine.run_keys.check_secret` returns it; empty: none.
     """
 
     def __init__(self, scenario: Scenario, seed: int, *, secret: str = "") -> None:
@@ -53,12 +53,12 @@ class World:
 
     @classmethod
     def of_batch(cls, batch: Batch, number: int, seed: int) -> Self:
-        """View one world of a batch, as it is at any time; the batch's owner advances it.
+        """Return a view of one world of a batch; the batch's owner advances it.
 
         Args:
             batch: The batch.
-            number: Of the world.
-            seed: Of the world's random numbers.
+            number: Index of the world.
+            seed: Seed of the world's random numbers.
         """
         world = cls.__new__(cls)
         world._show(batch, number, seed)
@@ -69,7 +69,7 @@ class World:
         self.scenario, self.seed = scenario, seed
         self._batch, self._number = batch, number
         self.names: tuple[str, ...] = tuple(vehicle.name for vehicle in scenario.vehicles)
-        """Vehicles in the order of every array."""
+        """Names of the vehicles, in the order of every array."""
         self.uavs: tuple[Uav, ...] = tuple(
             vehicle for vehicle in scenario.vehicles if isinstance(vehicle, Uav)
         )
@@ -77,7 +77,7 @@ class World:
 
     @property
     def tick(self) -> int:
-        """The tick that it is at."""
+        """Current tick."""
         return self._batch.state.ticks.item(self._number)
 
     @property
@@ -103,22 +103,22 @@ class World:
 
     @property
     def reference_position(self) -> FloatArray:
-        """Positions to which the commands lead [m]; without wind and errors of the own position, the true ones."""
+        """Reference positions [m]; without wind and position errors, the true ones. Shape (vehicles, 2)."""
         return self.vehicles["reference_position"]
 
     @property
     def reference_velocity(self) -> FloatArray:
-        """Velocities to which the commands lead [m/s]."""
+        """Reference velocities [m/s]. Shape (vehicles, 2)."""
         return self.vehicles["reference_velocity"]
 
     @property
     def acceleration(self) -> FloatArray:
-        """Accelerations applied in the last tick, after their bounds [m/s²]. Shape (vehicles, 2)."""
+        """Accelerations applied in the last tick, after the bounds [m/s²]. Shape (vehicles, 2)."""
         return self.vehicles["acceleration"]
 
     @property
     def commands(self) -> FloatArray:
-        """Commands that acted in the last tick, before the bounds [m/s²]. Shape (vehicles, 2)."""
+        """Commands executed in the last tick, before the bounds [m/s²]. Shape (vehicles, 2)."""
         return self.vehicles["command"]
 
     @property
@@ -128,13 +128,13 @@ class World:
 
     @property
     def coverage(self) -> FloatArray:
-        """C of (3) on the grid, all UAVs together. Shape (rows, columns)."""
+        """C of (3) on the grid, summed over all UAVs. Shape (rows, columns)."""
         coverage: FloatArray = self._batch.state.coverage[self._number]
         return coverage
 
     @property
     def ground(self) -> GroundState | None:
-        """The ground as that of a batch of one; None if there are no hazards."""
+        """Ground in the form of a batch of one; None: no hazards."""
         ground, k = self._batch.ground, self._number
         if ground is None or self._batch.worlds == 1:
             return ground
@@ -142,7 +142,7 @@ class World:
         return ground._replace(**{name: getattr(ground, name)[k : k + 1] for name in changing})
 
     def move_to(self, tick: int) -> None:
-        """Be at another tick, with everything as it is."""
+        """Set the tick, without any other change."""
         self._batch.state.ticks[self._number] = tick
 
     @property
@@ -157,20 +157,20 @@ class World:
 
     @property
     def link_table(self) -> LinkTable:
-        """The links' settings now, as a scenario would write them."""
+        """Current settings of the links, in the form of a scenario."""
         return self._batch.link_table
 
     def change_links(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> None:
-        """Give links other settings; see `Batch.change_links`."""
+        """Change the settings of links; see `Batch.change_links`."""
         self._batch.change_links(kind, vehicle, settings)
 
     @property
     def arrays(self) -> tuple[BatchTables, BatchState]:
-        """The batch of one, for compiled functions."""
+        """Tables and state of the batch, for compiled functions."""
         return self._batch.tables, self._batch.state
 
     def received(self, uav: int) -> tuple[Detection, ...]:
-        """The detections that have reached a UAV's computer at this tick, in the order of arrival."""
+        """Return the detections that have reached a UAV's computer at this tick, in order of arrival."""
         state, dt = self._batch.state, self.parameters.dt
         k = self._number
         packets = state.packets[k, uav, ARRIVED, : state.links[k, uav]["arrived"]]
@@ -188,13 +188,14 @@ class World:
         acceleration: tuple[float, float],
         motions: Sequence[BackupTrajectory] = (),
     ) -> None:
-        """A vehicle's command sets out to its actuators in the coming tick; one a tick.
+        """Send a vehicle's command to its actuators in the next tick; at most one per tick.
 
         Args:
-            vehicle: Its row in every array.
-            answered: The tick whose observation it answers.
-            acceleration: [m/s²]
-            motions: That it carries, one a tick, the oldest first. Without a receiver for them the acceleration acts.
+            vehicle: Row of the vehicle.
+            answered: Tick whose observation it answers.
+            acceleration: Acceleration [m/s²].
+            motions: Backup trajectories in the command, one per tick, oldest first. Without a receiver for them, the
+                acceleration is executed.
         """
         row = self.vehicles[vehicle]
         row["outgoing_tick"], row["outgoing"] = answered, acceleration
@@ -205,12 +206,12 @@ class World:
             keep_motion(kept, received_motion(motion)[0], self.tick)
 
     def seen_ground(self, vehicle: int) -> tuple[TileReport, ...]:
-        """The tiles of which a vehicle's own sensor has told since the tick before."""
+        """Return the tiles that a vehicle's own sensor has reported since the previous tick."""
         ground = self.ground
         if ground is None:
             return ()
         columns = ground.tiles.shape[2]
-        places = ground.seen[0, vehicle, : ground.told.item(0, vehicle)].tolist()
+        places = ground.seen[0, vehicle, : ground.report_counts.item(0, vehicle)].tolist()
         states = (ground.known.item(0, vehicle, *divmod(place, columns)) for place in places)
         return tuple(
             TileReport(place % columns, place // columns, TILE_LETTERS[state])
@@ -218,7 +219,7 @@ class World:
         )
 
     def receive_block(self, vehicle: int, block: MapUpdate) -> None:
-        """A UGV is told of a block of tiles by radio: for measuring how long before it knew of what was on its way."""
+        """Record a map update that a UGV has received by radio, to measure warning times."""
         if self.ground is not None:
             n = int(np.flatnonzero(self.ground.ugvs == vehicle)[0])
             place = block.row, block.column
@@ -226,22 +227,22 @@ class World:
 
     @property
     def mission(self) -> MissionResult | None:
-        """The UGVs' way through so far; None where there are no hazards."""
+        """Mission results of the UGVs so far; None: no hazards."""
         if self.ground is None:
             return None
         names = [self.names[k] for k in self.ground.ugvs]
         goal_rows = self._batch.tables.goal_rows
         return mission_of(goal_rows, self.ground, 0, self.parameters.dt, names)
 
-    def note_claim(self, vehicle: int, report: UgvReport | None) -> None:
-        """Take in what a UGV claims at this tick of staying on tiles that it knows; None: nothing."""
+    def record_claim(self, vehicle: int, report: UgvReport | None) -> None:
+        """Record a UGV's claim at this tick to stay on known tiles; None: no claim."""
         if self.ground is None:
             return
         claim = NO_CLAIM
         if report is not None:
             claim = CERTIFIED if report.certified else _CODES.get(report.uncertified, WAY_UNKNOWN)
         ugv = int(np.flatnonzero(self.ground.ugvs == vehicle)[0])
-        note_claim(self.ground.missions[0], ugv, claim)
+        record_claim(self.ground.missions[0], ugv, claim)
 
     @property
     def tiles(self) -> TileArray:
@@ -249,24 +250,24 @@ class World:
         return np.zeros((0, 0), np.uint8) if self.ground is None else self.ground.tiles[0]
 
     def known_block(self, vehicle: int, row: int, column: int) -> str:
-        """A block of tiles as a vehicle's own sensor has told them, by `TILE_LETTERS`; not seen beyond the area."""
+        """Return a block of tiles as reported by a vehicle's own sensor, as `TILE_LETTERS`; unknown beyond the area."""
         known = self.tiles if self.ground is None else self.ground.known[0, vehicle]
         return block_letters(known, row, column)
 
     def flown(self, vehicle: int) -> int | None:
-        """The motion that a vehicle flies, by the tick in which it began; None: none."""
+        """Return the first tick of the trajectory that a vehicle executes; None: no trajectory."""
         begins = int(self._batch.state.flown[self._number, vehicle, 0]["begins"])
         return None if begins == NO_MOTION else begins
 
     def advance(self) -> None:
-        """Advance by one tick: what was sent sets out, and each vehicle acts on its newest command that has arrived.
+        """Advance by one tick: send the commands; each vehicle executes the newest one that has arrived.
 
-        Where none comes, the last one is held for a while; then the vehicle brakes.
+        Without one, the last command stays in effect for a while; then the vehicle brakes.
         """
         self._batch.advance(linked=True)
 
     def step(self, commands: FloatArray) -> None:
-        """Advance by one tick in which everybody acts on these commands, whatever the links do.
+        """Advance by one tick in which all vehicles execute these commands, independent of the links.
 
         Args:
             commands: Accelerations [m/s²], shape (vehicles, 2), float64, finite; the bounds of (1) are applied here.
@@ -275,9 +276,9 @@ class World:
         self._batch.advance(linked=False)
 
     def measure(self) -> FloatArray:
-        """Distance [m] and e(t) (4) with the true p_g [m²] of each escort at this tick.
+        """Measure the distance [m], and e(t) (4) with the true p_g [m²], of each escort at this tick.
 
-        Shape (UAVs, 2). Apart from the tick, because nobody needs it before the vehicles have answered.
+        Shape (UAVs, 2). Separate from the tick, because it is needed only after the vehicles have responded.
         """
         tables, state = self.arrays
         measure(tables.world, state.vehicles, tables.escorts, state.coverage, self._number, True)
@@ -285,10 +286,11 @@ class World:
         return np.stack((uavs["distance"], uavs["coverage_error"]), axis=1)
 
     def coverage_map(self, scratch: FloatArray | None = None) -> CoverageMap:
-        """The coverage for observers, a byte a cell: 255 where nothing is left to be seen.
+        """Return the coverage for observers, one byte per cell: 255 is fully covered.
 
         Args:
-            scratch: As large as the grid, changed; without it an array is made, which costs more than the sums in it.
+            scratch: Array of the grid's shape; changed. Without it one is allocated, which costs more than the
+                computation.
         """
         rows, columns = self.coverage.shape
         share = np.multiply(self.coverage, 255.0 / self.parameters.desired, out=scratch)

@@ -254,7 +254,7 @@ def test_a_refused_client_is_told_why(endpoint: str) -> None:
     uav, ugv = GIVEN.of("uav_0"), GIVEN.of("ugv_0")
     for party, credential, told in (
         (uav.party, None, "without credentials"),
-        (uav.party, named("uav_0", Role.UAV), "as uav_0: is the password the run's"),
+        (uav.party, named("uav_0", Role.UAV), "as uav_0: check the run's password"),
         (ugv.party, uav, "cannot use the credentials of uav_0"),
     ):
         with (

@@ -99,7 +99,7 @@ def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) 
     vehicles = np.zeros(2, record_type(Vehicle))
     flown["begins"], flown["plain"] = truth["flown"], truth["bare"]
     vehicles["command_tick"] = tick
-    assurance.take(
+    assurance.record(
         0,
         tick,
         UavCommand(tick=answered, acceleration=(0.0, 0.0), report=report)

@@ -247,4 +247,4 @@ with open_session(Party(role=Role.SIMULATOR, name="simulator"), "run", listen=(s
 
 def test_a_forked_process_is_refused_a_session_after_its_parents(endpoint: str) -> None:
     (line,) = python(FORKED, endpoint, timeout=60).stdout.splitlines()
-    assert line.startswith("a forked process cannot open a session")
+    assert line.startswith("a forked process cannot join the bus")

@@ -102,8 +102,11 @@ def mixed(**parts: str) -> Identity:
     [
         (lambda: identity("ugv_0"), "the certificate of uav_0 is for ugv_0"),
         (lambda: identity(days=-0.5), "the certificate of uav_0 has expired on"),
-        (lambda: mixed(key=identity().key), "and its key do not belong together"),
-        (lambda: mixed(authority=FOREIGN.certificate), "of another authority than the one"),
+        (lambda: mixed(key=identity().key), "and its key do not match"),
+        (
+            lambda: mixed(authority=FOREIGN.certificate),
+            "was issued by another authority than the one",
+        ),
         (lambda: mixed(certificate="garbage"), "not a certificate in PEM"),
         (lambda: mixed(key="garbage"), "not a private key in PEM"),
     ],
@@ -118,9 +121,9 @@ def test_a_certificate_that_would_be_refused_is_named_before_anything_is_sent(ma
 @pytest.mark.parametrize(
     ("kind", "told"),
     rows("""
-no certificate | needs certificates; `outrider credentials --tls` makes them
-a password | needs certificates; `outrider credentials --tls` makes them
-a foreign authority | has a certificate that is of another authority than this process' own
+no certificate | requires certificates; make them with `outrider credentials --tls`
+a password | requires certificates; make them with `outrider credentials --tls`
+a foreign authority | has a certificate that was issued by another authority than this process' own
 a foreign authority that trusts ours | does not trust the authority of this certificate
 a router's certificate | says that this certificate is not for a client
 expired | says that this certificate has expired
@@ -165,7 +168,7 @@ def test_certificates_and_unencrypted_endpoints_do_not_go_together() -> None:
         pass
     assert "must begin with tls/" in refusal("tcp/127.0.0.1:1", UAV)
     with (
-        pytest.raises(AccessDenied, match="needs certificates"),
+        pytest.raises(AccessDenied, match="requires certificates"),
         open_session(SIMULATOR, RUN, listen=("tls/127.0.0.1:1",)),
     ):
         pass
@@ -198,7 +201,7 @@ def test_a_name_that_the_router_does_not_know_gets_nothing_and_is_named(endpoint
                 told.wait(0.02)
             assert receives.try_recv() is None
             assert received.try_recv() is None
-    told = "'nobody' has a certificate of this run's authority, but is no party of it"
+    told = "'nobody' has a certificate of this run's authority, but is not a party of the run"
     assert told in caplog.text
 
 
@@ -224,14 +227,14 @@ def test_certificates_are_renewed_while_the_router_goes_on(endpoint, monkeypatch
 def test_an_end_is_told_a_month_ahead(endpoint: str, caplog: pytest.LogCaptureFixture) -> None:
     now = datetime.now(UTC)
     assert expiry_warning("uav_0", now + timedelta(days=30, hours=1)) == ""
-    assert "uav_0 ends in 30 days" in expiry_warning("uav_0", now + timedelta(days=29, hours=23))
+    assert "uav_0 expires in 30 days" in expiry_warning("uav_0", now + timedelta(days=29, hours=23))
     theirs = issue(AUTHORITY, "router", days=20, hosts=("127.0.0.1",))
     ending = msgspec.structs.replace(GIVEN, tls=theirs)
     with hosted(endpoint, ending), client_of(endpoint, known_as(identity(days=10))):
         told = [record.getMessage() for record in caplog.records]
     assert [line.partition(", on")[0] for line in told] == [
-        "the certificate of router ends in 20 days",
-        "the certificate of uav_0 ends in 10 days",
+        "the certificate of router expires in 20 days",
+        "the certificate of uav_0 expires in 10 days",
     ]
 
 
@@ -262,7 +265,7 @@ def test_the_command_makes_checks_and_renews(tmp_path, command):
     notes = {Path(row["file"]).stem: row["note"] for row in told["credentials"] if row["note"]}
     assert code == 0
     assert list(notes) == ["uav_0"]
-    assert "ends in 3 days" in notes["uav_0"]
+    assert "expires in 3 days" in notes["uav_0"]
     (tmp_path / "made" / "ugv_0.json").write_bytes((tmp_path / "made" / "uav_0.json").read_bytes())
     code, told = credentials("--check")
     assert code == 1

@@ -86,7 +86,7 @@ router for strangers | router --listen tcp/0.0.0.0:17447 | there are no credenti
 simulator for strangers | simulator --listen tcp/[::]:17447 | there are no credentials
 no endpoint | router --listen 17447 | endpoint '17447'
 no endpoint to go to | uav --connect nowhere | endpoint 'nowhere'
-no port | uav --connect tcp/127.0.0.1 | names no port
+no port | uav --connect tcp/127.0.0.1 | has no port
 IPv6 without brackets | record f.mcap --connect tcp/::1:17447 | an IPv6 address without brackets
 port out of range | record f.mcap --connect tls/base:70000 | port 70000
 port that is none | router --listen tcp/127.0.0.1:80x | not a host and a port
@@ -122,7 +122,7 @@ report of no sweep | report . | not a folder of a sweep
 suite, unknown law | suite --law lograithmic | law 'lograithmic': unknown
 suite, unknown task | suite --only nosie | no such task, did you mean 'noise'?; allowed: paper,
 suite, policy not there | suite --uav-policy nowhere:f | --uav-policy = 'nowhere:f'
-suite, no secret | suite --law linear --secret 1234 | --secret: 4 characters that are no secret; allowed:
+suite, no secret | suite --law linear --secret 1234 | --secret: 4 characters: not a secret; allowed:
 suite, estimate for a law | suite --estimate | --estimate: for a --uav-policy alone
 suite, two outputs | suite --law linear --markdown --json | both want stdout
 unit of another's agent | fmu export uav escort --agent ugv_0 | no uav of escort; allowed: uav_0

@@ -167,7 +167,11 @@ def test_a_broken_certificate_is_excused_by_actual_errors_alone(declared, given)
         measured = record.escorts[:, 0, 2:4] - (record.states[:, 0, :2] - record.states[:, 1, :2])
         times = scenario.dt * np.arange(len(off))
         received = (times < 4.0) | (times >= 6.0) & (times < 8.0) | (times >= 11.0)
-        wrong = received & (np.hypot(*measured.T) > 0.29) if declared.max_measurement_error else off > 0.08
+        wrong = (
+            received & (np.hypot(*measured.T) > 0.29)
+            if declared.max_measurement_error
+            else off > 0.08
+        )
         first = next(iter(times[wrong].tolist()), scenario.duration)
         assert broken[k] == (first > 5.0) + (first > 9.0), first
     assert {0.0, 2.0} <= set(broken)  # some flights of either kind

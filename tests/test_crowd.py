@@ -44,7 +44,7 @@ def test_a_party_has_so_many_sessions_and_no_more(endpoint: str) -> None:
             one.announce()
         assert [one.place for one in opened[:PLACES]] == list(range(PLACES))
         with pytest.raises(
-            AccessDenied, match=f"ugv_0 has {PLACES} sessions in the run run already"
+            AccessDenied, match=f"ugv_0 already has {PLACES} sessions in the run run"
         ):
             opened[-1].announce()
 

@@ -51,7 +51,10 @@ def test_actions_may_be_lists_or_arrays_of_any_number_type(name: str, kind: Any)
     assert equal(step(env, given), step(twin, np.array(action)))
 
 
-NO_PAIR, NOT_FINITE = r"must be (two|\(2, 2\)) numbers", "must be two finite numbers, at most 1e.06"
+NO_PAIR, NOT_FINITE = (
+    r"allowed: (two|\(2, 2\)) numbers",
+    "allowed: two finite numbers of at most 1e.06",
+)
 
 
 @pytest.mark.parametrize("name", ACTING)
@@ -172,7 +175,7 @@ def test_a_bad_seed_is_refused_and_the_episode_goes_on(names: tuple[str, ...], s
         (OF_ONE_AGENT, {"others": {"ugv_9": "wander"}}, "no such vehicle"),
         (OF_ONE_AGENT, {"others": {"ugv_0": 3}}, "neither a name nor a policy"),
         *((OF_ONE_AGENT, {"threads": n}, "threads") for n in (0, 1.5, math.nan)),
-        (ALL, {"secret": "1234"}, "secret: 4 characters that are no secret"),
+        (ALL, {"secret": "1234"}, "secret: 4 characters: not a secret"),
         *((("vector", "parallel vector"), {"num_envs": n}, "num_envs") for n in (0, -3, 1.5, "2")),
     ],
     ids=str,
@@ -212,7 +215,7 @@ def test_numbers_of_numpy_are_numbers() -> None:
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_an_argument_of_another_name_is_refused_and_those_that_there_are_are_named(name):
-    with refused(TypeError, r"'durations': no such setting; allowed: .*duration, "):
+    with refused(TypeError, r"'durations': unknown setting; allowed: .*duration, "):
         MAKERS[name](SCENARIO, durations=2.0)
 
 

@@ -247,7 +247,7 @@ def test_two_corners_of_a_convex_polygon_changed_over_make_it_cross_itself(count
     n %= count - 1
     corners[n], corners[n + 1] = corners[n + 1], corners[n]
     (wrong,) = faults(Hazard(kind="rough", polygon=tuple(corners)))
-    assert wrong.startswith("it crosses itself: its sides from corners")
+    assert wrong.startswith("crosses itself: the sides from corners")
 
 
 @given(stars(st.just("rough")), st.integers(-12, -3), st.floats(0.0, 7.0), st.integers(0, 3))
@@ -274,7 +274,7 @@ def test_a_ring_that_closes_but_for_rounding_is_accepted(star, exponent, angle, 
 )
 def test_sides_that_meet_but_at_their_corners_are_refused(corners) -> None:
     (wrong,) = faults(Hazard(kind="rough", polygon=tuple(corners)))
-    assert wrong.startswith("it crosses itself")
+    assert wrong.startswith("crosses itself")
 
 
 def test_ten_thousand_hazards_of_a_file_are_read_and_checked():

@@ -41,7 +41,7 @@ def test_a_certified_tick_on_unknown_ground_breaks_the_certificate() -> None:
     for _ in range(100):
         world.send(0, world.tick, (0.0, 0.0))
         world.send(1, world.tick, (0.1, 0.0))
-        world.note_claim(1, CERTIFIED)
+        world.record_claim(1, CERTIFIED)
         world.advance()
     told = mission(world).guarantees["ugv_0"]
     assert told.ticks == told.certified == 100
@@ -53,13 +53,13 @@ def test_a_certified_tick_on_unknown_ground_breaks_the_certificate() -> None:
 def test_a_certificate_that_is_not_kept_is_broken_unless_the_ground_was_told_falsely() -> None:
     world = World(on_unseen_ground(), 1)
     for report in (CERTIFIED, NOT, NOT, None, CERTIFIED, NOT, CERTIFIED, None):
-        world.note_claim(1, report)
+        world.record_claim(1, report)
     told = mission(world).guarantees["ugv_0"]
     assert told.certificate_broken == 2  # it may cease to claim: then another driver drives
     assert (told.certified, told.uncertified) == (3, {NOT.uncertified: 3})
     world.ground.missions["untrue"] = 1
     for report in (CERTIFIED, NOT):
-        world.note_claim(1, report)
+        world.record_claim(1, report)
     assert mission(world).ground_certificate_broken == 2
 
 

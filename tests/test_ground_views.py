@@ -37,8 +37,8 @@ from outrider.view.terminal.topview import Trails, draw
 from sim.scenario.types import Ground, Scenario, Ugv
 from sim.scene.colors import HAZARDS, LIMIT
 from sim.scene.drawing import Map
+from sim.scene.ground_map import HIT, KNOWN, SEEN, UNKNOWN, ground_map
 from sim.scene.known import geometry_of, scene_of
-from sim.scene.told_tiles import HIT, KNOWN, SEEN, UNKNOWN, ground_map
 from sim.server.flight import Flight
 
 ORANGE = Color.parse(UGV[0])

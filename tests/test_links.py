@@ -168,7 +168,7 @@ def test_an_operator_degrades_a_link_while_it_flies(tmp_path: Path) -> None:
             status(lambda s: s.links["uav_0/detections"].lost["loss"] > 100)
             for told, kind, more in (
                 ("has no link", LinkKind.RADIO, {"vehicle": "ugv_0", "settings": LinkSettings()}),
-                ("without an end", LinkKind.RADIO, {"settings": LinkSettings(burst_length=1.0)}),
+                ("bursts never end", LinkKind.RADIO, {"settings": LinkSettings(burst_length=1.0)}),
                 ("one is missing", LinkKind.DETECTIONS, {}),
             ):
                 degrade(kind, **more)

@@ -192,7 +192,7 @@ def test_motions_beyond_the_vehicles_bound_are_counted_and_told_once(caplog) -> 
             }
         )
     assert flight.answers.shortened == {"uav_0": 2, "ugv_0": 0}
-    assert caplog.text.count("its command for tick 0, 0.5 m/s², is longer than its bound 0.3") == 1
+    assert caplog.text.count("its command for tick 0, 0.5 m/s², exceeds its bound 0.3") == 1
 
 
 # -- the theorem

@@ -336,7 +336,7 @@ def test_code_of_ones_own_is_flown_or_warned_of(own: str, options: dict[str, str
     assert (foreign_code(flown, named), scenario_warnings(flown)) == ((), ())
     ignored, _ = resolve("escort", changes=code, law="linear", driver="evade")
     (warning,) = scenario_warnings(ignored)
-    assert warning.startswith(f"custom.{own} = 'mine:f': nothing flies it; for ")
+    assert warning.startswith(f"custom.{own} = 'mine:f': not used; requires ")
     assert all(name in warning for name in options.values())
 
 
@@ -368,8 +368,8 @@ def test_answers_in_wrong_units_are_counted_or_told_once(tmp_path, monkeypatch, 
     assert flight.answers.shortened == {"uav_0": 0, "ugv_0": 0}
     first, second = (record.getMessage() for record in caplog.records)
     assert first == (
-        "ugv_0: its command for tick 0, 5 m/s², is longer than its bound 0.1 m/s² and is shortened "
-        "to it; more of these are only counted"
+        "ugv_0: its command for tick 0, 5 m/s², exceeds its bound 0.1 m/s² and is shortened; "
+        "further ones are only counted"
     )
     assert second.startswith("policy = 'units:wheel': tick 0: returned 5 m/s², longer than the")
 
@@ -418,7 +418,7 @@ def test_a_uav_of_ones_own_is_not_titled_with_the_law_that_it_does_not_fly(tmp_p
     summary = summarize(flight, seconds=1.0)
     assert (summary.law, summary.certified_share, summary.uncertified) == ("external", None, {})
     (line,) = told
-    assert line.startswith("uav_0 sees its UGV and reports no estimate: a program of your own")
+    assert line.startswith("uav_0 receives detections but reports no estimate: your own program")
     recording = flight_of(tmp_path / "own.mcap")
     assert external_uavs(recording) == {"uav_0"}
     for drawn in (flight_figure(flight), flight_figure(restore(recording))):

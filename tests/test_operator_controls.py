@@ -48,7 +48,7 @@ def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:
     ("control", "told"),
     [
         (Control(action=Action.LAW, law=Law(name="fancy")), "fancy"),
-        (Control(action=Action.LAW), "law is missing"),
+        (Control(action=Action.LAW), "law: missing"),
         (Control(action=Action.LAW, law=Law(name="weighted")), "custom.weighting"),
         (Control(action=Action.DRIVER, driver="ghost"), "ghost"),
         (Control(action=Action.DRIVER, vehicle="ugv_7", driver="teleop"), "ugv_7"),
@@ -70,7 +70,7 @@ def test_what_cannot_be_done_is_refused_named_and_changes_nothing(control, told,
             operator=work,
         )
     assert flight.recorder.sha256() == whole(300).recorder.sha256()
-    assert "is refused" in run.events[0]
+    assert "is rejected" in run.events[0]
     assert told in run.events[0]
     assert not run.server.changes
 
@@ -194,7 +194,7 @@ def change(flight: Any) -> None:
     if tick == 150:
         flight.assign_driver("ugv_0", "teleop")
     if 150 <= tick < 220 and tick % 4 == 0:
-        flight.say("ugv_0", Teleoperation(operator="a person", velocity=(0.15, -0.1)))
+        flight.teleoperate("ugv_0", Teleoperation(operator="a person", velocity=(0.15, -0.1)))
 
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])

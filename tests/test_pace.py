@@ -96,7 +96,7 @@ def test_vehicles_that_went_with_their_router_are_waited_for(timetable: Any) -> 
     bus.refuses_to_answer = set()
     commands = pace.collect(0, lambda: False)
     assert set(commands) == set(NAMES)
-    assert events[-1] == "the router is back"
+    assert events[-1] == "router reconnected"
 
 
 def test_one_that_had_answered_before_the_router_died_is_waited_for_at_the_next_tick() -> None:

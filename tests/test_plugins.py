@@ -145,7 +145,10 @@ def test_they_fly_the_same_bits_in_processes_of_their_own(package, flights) -> N
     ("change", "told"),
     [
         ("law.name=cautios", "did you mean 'cautious'?"),
-        ("law.parameters.powr=1", "law.parameters.powr = 1: no law has it, did you mean 'power'?"),
+        (
+            "law.parameters.powr=1",
+            "law.parameters.powr = 1: unknown parameter, did you mean 'power'?",
+        ),
         ("law.parameters.power=x", 'law.parameters.power = "x": not a number'),
         ("ugv.0.driver=zigzg", "did you mean 'zigzag'?"),
         ("sensor.model=con", "did you mean 'cone'?"),

@@ -170,7 +170,7 @@ def test_motions_and_wind_are_flown_again_and_restored(name: str, tmp_path: Path
     assert found.trajectory_sha256 == found.recorded_sha256 == flight.recorder.sha256()
     again = restore(recording).recorder
     assert again.sha256() == flight.recorder.sha256()
-    assert again.told.tobytes() == flight.recorder.told.tobytes()
+    assert again.reference.tobytes() == flight.recorder.reference.tobytes()
 
 
 def test_a_command_is_what_was_asked_for_before_the_bounds(tmp_path: Path) -> None:

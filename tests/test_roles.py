@@ -76,9 +76,9 @@ def test_its_parties_have_credentials_and_the_rows_of_their_base() -> None:
             check_reads(UAV_OBSERVATION, party, "uav_0")
     with pytest.raises(AccessDenied):
         check_reads(STATUS, node)
-    with refused(ValueError, "two parties with one name"):
+    with refused(ValueError, "two parties have this name"):
         new_credentials("run", ["viewer"], ["ugv_0"], extensions=["view"])
-    with refused(ScenarioError, "--roles vew: no such roles; allowed: view"):
+    with refused(ScenarioError, "--roles vew: unknown roles; available: view"):
         new_credentials("run", ["uav_0"], ["ugv_0"], extensions=["vew"])
 
 

@@ -185,11 +185,11 @@ def test_where_one_is_wanted_it_is_new_unless_it_is_given(secret_file: str) -> N
     ("content", "message"),
     [
         (None, "No such file"),
-        (b"", "the file is empty; allowed: 32 to 128"),
-        (b"\xff" * 40, "not a text file"),
-        (b"0" * 31, "31 characters that are no secret; allowed: "),
-        (b"0" * 10**6, "1000 characters that are no secret"),
-        (b"my very own passphrase, and it is long", "38 characters that are no secret"),
+        (b"", "is empty; allowed: 32 to 128"),
+        (b"\xff" * 40, "is no text"),
+        (b"0" * 31, "31 characters: not a secret; allowed: "),
+        (b"0" * 10**6, "1000 characters: not a secret"),
+        (b"my very own passphrase, and it is long", "38 characters: not a secret"),
     ],
     ids=["missing", "empty", "no text", "short", "long", "words"],
 )

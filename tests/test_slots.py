@@ -44,8 +44,8 @@ def test_a_vehicle_that_comes_back_with_its_past_flies_the_same_bits(victim, tmp
     assert flight.answers.first_missing is None
     assert (statuses[victim].lost, statuses[victim].rejoined) == (1, 1)
     assert run.events == [
-        f"{victim} is lost at tick 1234",
-        f"{victim} has joined again at tick 1234",
+        f"{victim} disconnected at tick 1234",
+        f"{victim} rejoined at tick 1234",
     ]
 
 
@@ -122,7 +122,7 @@ def test_a_lost_vehicle_brakes_and_one_that_returns_is_told_nothing_it_has_misse
     later = run.vehicles[2].seen
     back = 101 + flight.answers.missing["uav_0"]
     assert 300 <= back <= returned[0] + 1
-    assert run.events[0] == "uav_0 is lost at tick 101"
+    assert run.events[0] == "uav_0 disconnected at tick 101"
     assert [seen.tick for seen in later[:back]] == list(range(back))
     assert sum(bool(seen.detections) for seen in later[:101]) > 50
     assert not any(seen.detections for seen in later[102:back])
@@ -138,7 +138,7 @@ def test_a_vehicle_that_does_not_come_back_is_given_up_once(tmp_path: Path) -> N
         flight = run.fly()
     assert flight.complete
     assert flight.answers.missing == {"uav_0": 39, "ugv_0": 0}
-    assert [event for event in run.events if "has not come back within 0." in event] == run.events[
+    assert [event for event in run.events if "did not reconnect within 0." in event] == run.events[
         1:
     ]
     assert len(run.events) == 2
@@ -167,7 +167,7 @@ def test_the_first_session_keeps_the_slot_and_a_second_one_is_counted_named_and_
     assert status.rejected.keys() == {"comes from a second session"}
     # Its command may overtake the news that it has come: either tells both sessions.
     assert "a second session (number 1)" in run.events[0]
-    assert "the first (number 0) keeps the slot" in run.events[0]
+    assert "the first (number 0) stays active" in run.events[0]
     assert len(run.events) == 1
     assert [seen.tick for seen in first.seen] == list(range(400))
 

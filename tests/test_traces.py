@@ -233,7 +233,7 @@ def test_an_operator_gives_a_link_a_recorded_one_that_was_read_and_no_other(tmp_
     flight.degrade(LinkKind.COMMANDS, None, LinkSettings(trace=name))
     assert flight.world.links.status()["uav_0/commands"].settings == LinkSettings(trace=name)
     flight.degrade(LinkKind.RADIO, None, LinkSettings())
-    with pytest.raises(ScenarioError, match="not among the recorded links that were read"):
+    with pytest.raises(ScenarioError, match="not among the traces that were read"):
         flight.degrade(LinkKind.COMMANDS, None, LinkSettings(trace="/etc/hostname"))
 
 
@@ -398,11 +398,11 @@ BAD = {
     "binary": (b"1\n2\0\n", "not text but binary"),
     "not UTF-8": (b"sent,delay\n0,\xff\n", "byte 13: not text in UTF-8"),
     "prose": (b"A drive through the city\n", "line 1 = "),
-    "another unit": (b"sent [ms],delay [ms]\n0,1\n", "not a recorded link"),
+    "another unit": (b"sent [ms],delay [ms]\n0,1\n", "not a trace"),
     "no rows": (b"sent,delay\n", "line 1: a header without rows"),
     "too few cells": (b"sent,delay\n0,1\n1\n", "line 3 = 1: too few cells"),
-    "no number": (b"sent,delay\n0,fast\n", "line 2 = fast: delay is no time"),
-    "no time": (b"sent,delay\nnan,0.1\n", "line 2 = nan: sent is no time"),
+    "no number": (b"sent,delay\n0,fast\n", "line 2 = fast: delay is not a time"),
+    "no time": (b"sent,delay\nnan,0.1\n", "line 2 = nan: sent is not a time"),
     "negative": (b"sent,delay\n0,-0.1\n", "line 2 = -0.1: a negative delay"),
     "back in time": (b"sent,delay\n1,0.1\n0.5,0.1\n", "line 3 = 0.5: sent before 1 s"),
     "too late": (b"sent,delay\n0,61\n", "the delay can be 61 s"),
@@ -459,9 +459,9 @@ def test_a_scenario_names_recordings_beside_it_or_below(trace, told, tmp_path) -
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        (("links.radio.loss=0.1",), "links.radio.loss = 0.1: cannot stand beside a recorded table"),
-        (("links.radio.profile=wifi",), "links.radio.jitter = 0.003: cannot stand beside"),
-        (("links.radio.bandwidth=5",), "links.radio.bandwidth = 5.0: cannot stand beside"),
+        (("links.radio.loss=0.1",), "links.radio.loss = 0.1: cannot be combined with a table"),
+        (("links.radio.profile=wifi",), "links.radio.jitter = 0.003: cannot be combined with"),
+        (("links.radio.bandwidth=5",), "links.radio.bandwidth = 5.0: cannot be combined with"),
         (("links.radio.duplicates=0.5",), "allowed: 0; delay and blackouts may"),
     ],
 )

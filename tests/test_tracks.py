@@ -37,7 +37,7 @@ def test_a_recorded_track_is_driven_again(tmp_path: Path) -> None:
         ("a,b\n1,2\n", "has no column"),
         ("time [s],ugv_0.vx [m/s],ugv_0.vy [m/s]\n0,x,0\n", "not a trajectory"),
         ("time [s],ugv_0.vx [m/s],ugv_0.vy [m/s]\n0,0,0\n", "too short"),
-        ("time [s],ugv_0.vx [m/s],ugv_0.vy [m/s]\n0,0,0\n0,0,0\n0,0,0\n", "times that rise"),
+        ("time [s],ugv_0.vx [m/s],ugv_0.vy [m/s]\n0,0,0\n0,0,0\n0,0,0\n", "increasing times"),
     ],
 )
 def test_a_track_that_is_none_is_refused_in_one_line(content, told, tmp_path):

@@ -128,7 +128,7 @@ def test_without_wind_the_true_state_is_the_reference_state() -> None:
 
 def test_wind_takes_the_uav_from_what_it_is_told_and_nothing_else(tmp_path) -> None:
     flight, summary = fly(WINDY, 1)
-    off = flight.recorder.states[:, :, :4] - flight.recorder.told
+    off = flight.recorder.states[:, :, :4] - flight.recorder.reference
     declared = told(WINDY).safety.max_tracking_error
     assert 0.05 < np.hypot(off[:, 0, 0], off[:, 0, 1]).max() == summary.tracking_error
     assert summary.tracking_error <= summary.max_tracking_error == declared
@@ -143,7 +143,7 @@ def test_wind_takes_the_uav_from_what_it_is_told_and_nothing_else(tmp_path) -> N
         header, *rows = csv.reader(file)
     assert header[-2:] == ["uav_0.told_x [m]", "uav_0.told_y [m]"]
     assert [tuple(map(float, row[-2:])) for row in rows] == [
-        tuple(place) for place in flight.recorder.told[:, 0, :2].tolist()
+        tuple(place) for place in flight.recorder.reference[:, 0, :2].tolist()
     ]
 
 

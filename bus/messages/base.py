@@ -23,38 +23,38 @@ Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,31}$(?!\n)")]
 
 
 LONGEST_TEXT = 500
-"""Letters of a text."""
+"""Maximum length of a text [characters]."""
 
 
 Text = Annotated[str, Meta(max_length=LONGEST_TEXT)]
 
 
 Line = Annotated[str, Meta(max_length=LONGEST_TEXT, pattern=r"^[^\x00-\x1f\x7f-\x9f]*$(?!\n)")]
-"""A text without control characters."""
+"""Text without control characters."""
 
 
 PilotKey = Annotated[str, Meta(pattern=r"^[0-9a-f]{32}$(?!\n)")]
-"""128 bits: a string, as not every language's JSON keeps whole numbers of more than 53."""
+"""128-bit key as a string: JSON in some languages is exact only for integers up to 53 bits."""
 
 
 Vector = tuple[Coordinate, Coordinate]
 
 
 Covariance = tuple[NonNegative, Coordinate, NonNegative]
-"""xx, xy and yy of a symmetric 2 x 2 matrix [m²]."""
+"""Entries xx, xy and yy of a symmetric 2 x 2 matrix [m²]."""
 
 
 class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base of every message."""
+    """Base class of all messages."""
 
 
 def or_infinite(bound: float | None) -> float:
-    """Return a bound of a message as a number, infinite where there is none."""
+    """Return a bound of a message as a number; None becomes infinity."""
     return math.inf if bound is None else float(bound)
 
 
 def or_none(bound: float) -> float | None:
-    """Return a bound as a message carries it: None where it is infinite."""
+    """Return a bound in the form of a message; infinity becomes None."""
     return None if math.isinf(bound) else bound
 
 

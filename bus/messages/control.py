@@ -1,4 +1,4 @@
-"""The operator's controls of a run."""
+"""Run controls of the operator."""
 
 from enum import StrEnum
 from typing import Annotated
@@ -11,7 +11,7 @@ from bus.messages.scenario import Law
 
 
 class Action(StrEnum):
-    """The actions of a `Control`."""
+    """Action of a `Control`."""
 
     PAUSE = "pause"
     RESUME = "resume"
@@ -48,7 +48,7 @@ class Control(Message, frozen=True, kw_only=True):
     """LINK: new settings."""
 
     def in_words(self) -> str:
-        """Tells a person what was asked for."""
+        """Return a short description of the request for the user."""
         match self.action:
             case Action.LAW if self.law is not None:
                 return f"law {self.law.name}"

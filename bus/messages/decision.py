@@ -6,14 +6,14 @@ from bus.messages.base import Message, NonNegative, Vector
 
 
 class Source(StrEnum):
-    """Origin of the acceleration that a safety filter lets act."""
+    """Origin of the acceleration that the safety filter applies."""
 
     NOMINAL = "NOMINAL"
     """The nominal control, unchanged."""
     BACKUP = "BACKUP"
-    """A backup trajectory, in the place of the nominal control."""
+    """A backup trajectory instead of the nominal control."""
     BEST_EFFORT = "BEST_EFFORT"
-    """No backup trajectory exists: the UAV flies to the newest measurement, or brakes without one."""
+    """No backup trajectory exists: the UAV flies towards the newest measurement, or brakes if it has none."""
 
 
 class NotCertified(StrEnum):
@@ -28,47 +28,47 @@ class NotCertified(StrEnum):
     OFF_TRAJECTORY = "OFF_TRAJECTORY"
     UNCHECKED_PLAN = "UNCHECKED_PLAN"
     NO_REPORT = "NO_REPORT"
-    """No filter gives this reason: the simulator counts ticks of which no filter has reported."""
+    """Given by the simulator, never by a filter: counts ticks without a report from a filter."""
 
     @property
     def text(self) -> str:
-        """Plain English: what happened."""
+        """Return a plain-English description of the reason."""
         return WHAT_HAPPENED[self]
 
 
 WHAT_HAPPENED = {
-    NotCertified.ASSUMPTIONS: "the declared numbers allow no certificate; `outrider check` names the assumption",
+    NotCertified.ASSUMPTIONS: "the declared bounds allow no certificate; `outrider check` names the assumption",
     NotCertified.NO_MEASUREMENT: "no detection has arrived yet",
-    NotCertified.MEASUREMENT_TOO_OLD: "the newest detection is older than declared",
-    NotCertified.CONTRADICTION: "detections contradict each other: their errors exceed the declared bound, or the UGV "
-    "is faster than declared",
-    NotCertified.COMMAND_INTERVAL: "commands are lost: no plan can begin within the declared interval",
+    NotCertified.MEASUREMENT_TOO_OLD: "the newest detection is older than max_measurement_age",
+    NotCertified.CONTRADICTION: "detections contradict each other: their errors exceed max_measurement_error, or the "
+    "UGV exceeds its speed limit",
+    NotCertified.COMMAND_INTERVAL: "commands are lost: no new plan can start within max_command_interval",
     NotCertified.NO_PLAN: "no plan from here keeps the UGV in sight",
-    NotCertified.OFF_TRAJECTORY: "the UAV is not in the state to which the reported trajectory leads",
-    NotCertified.UNCHECKED_PLAN: "the UAV flies, or may begin, a plan that was not checked from its state",
-    NotCertified.NO_REPORT: "the UAV has no estimate yet, or its command did not come",
+    NotCertified.OFF_TRAJECTORY: "the UAV is not on the trajectory that it reported",
+    NotCertified.UNCHECKED_PLAN: "the UAV executes, or may start, a plan that was not checked from its state",
+    NotCertified.NO_REPORT: "the UAV has no estimate yet, or its command did not arrive",
 }
-"""Plain-English text for each reason."""
+"""Plain-English description of each reason."""
 
 
 class FilterDecision(Message, frozen=True, kw_only=True):
     """Decision of a UAV's safety filter in one tick."""
 
     acceleration: Vector
-    """Acceleration that acts [m/s²]."""
+    """Acceleration applied [m/s²]."""
     source: Source
     """Origin of the acceleration."""
     reason: NotCertified | None
-    """Reason why the tick is not certified; None: visibility is guaranteed from here on."""
+    """Reason why the tick is not certified; None: visibility is guaranteed from this tick on."""
     certified_distance: NonNegative | None
-    """Upper bound of the distance to the UGV now [m]; None before the first detection."""
+    """Upper bound of the present distance to the UGV [m]; None before the first detection."""
 
     @property
     def certified(self) -> bool:
-        """True if visibility is guaranteed from here on, whatever the UGV does within its bounds."""
+        """True if visibility is guaranteed from this tick on, for every UGV motion within its bounds."""
         return self.reason is None
 
     @property
     def overridden(self) -> bool:
-        """True if the filter does not let the nominal control act."""
+        """True if the filter replaces the nominal control."""
         return self.source is not Source.NOMINAL

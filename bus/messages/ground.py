@@ -1,4 +1,4 @@
-"""Tiles of the ground, and the map of it that radio messages and telemetry carry."""
+"""Ground tiles, and the maps of them in radio messages and telemetry."""
 
 import math
 from typing import Annotated
@@ -10,19 +10,19 @@ from bus.messages.base import Message, Name, NonNegative, Place, Positive, Tick,
 from bus.registry import HAZARDS
 
 TILE_LETTERS = "?.~#*"
-"""Names of the states of a tile in messages: not seen, clear, rough, blocked, and clear with a find on it."""
+"""Letters for the states of a tile in messages: unknown, clear, rough, blocked, and clear with a find."""
 
 
 BLOCK_SIDE = 8
-"""Tiles along each side of a `MapUpdate`."""
+"""Tiles per side of a `MapUpdate`."""
 
 
 MOST_BLOCKS = 4
-"""Blocks that one command carries at most."""
+"""Maximum number of map updates in one command."""
 
 
 MOST_CORNERS = 128
-"""Corners of a route that one command carries at most: what turns more often is shown up to there."""
+"""Maximum number of route corners in one command; a longer route is truncated."""
 
 
 class TileReport(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -77,14 +77,17 @@ class UgvGround(Message, frozen=True, kw_only=True):
 
 SpeedShare = Annotated[float, Meta(gt=0.0, le=1.0)]
 DEFAULT_SHARE = 0.4
-"""Share of its maximum speed that a vehicle keeps on rough ground where none is given."""
+"""Default share of its maximum speed that a vehicle keeps on rough ground."""
 MOST_POLYGON_CORNERS = 1000
 SAME_CORNER = 1e-3 + 1e-9
-"""Corners of a polygon that are no farther apart than a millimetre, but for rounding, are one [m]."""
+"""Distance up to which two corners of a polygon count as one [m]: a millimetre plus rounding."""
 
 
 def kept_share(kind: str, share: float | None) -> float:
-    """Return the share of its maximum speed that a vehicle keeps on a hazard; `share`: as given for a rough one."""
+    """Return the share of its maximum speed that a vehicle keeps on a hazard.
+
+    `share` is the given value for rough ground, or None.
+    """
     if not HAZARDS[kind].slows:
         return 1.0
     return DEFAULT_SHARE if share is None else share
@@ -119,18 +122,18 @@ class Hazard(Message, frozen=True, kw_only=True):
 
     @property
     def kept_share(self) -> float:
-        """Share of its maximum speed that a vehicle keeps on it."""
+        """Return the share of its maximum speed that a vehicle keeps on the hazard."""
         return kept_share(self.kind, self.speed_share)
 
     @property
     def bounds(self) -> tuple[Vector, Vector]:
-        """Lower and upper corner of the rectangle around the polygon, or twice the center of the disc [m]."""
+        """Return the lower and upper corner of the polygon's bounding box, or the center of the disc twice [m]."""
         x, y = zip(*(self.polygon or (self.center or (0.0, 0.0),)), strict=True)
         return (min(x), min(y)), (max(x), max(y))
 
     @property
     def middle(self) -> Vector:
-        """Center of the disc, or of the rectangle around the polygon [m]."""
+        """Return the center of the disc, or of the polygon's bounding box [m]."""
         low, high = self.bounds
         return 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])
 

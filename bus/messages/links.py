@@ -1,4 +1,4 @@
-"""A radio link: its settings and its counters."""
+"""Settings and counters of a radio link."""
 
 from enum import StrEnum
 from typing import Annotated, Any
@@ -10,16 +10,16 @@ from bus.messages.base import Message, Name, NonNegative, Seconds, Share, Text, 
 
 
 class LinkKind(StrEnum):
-    """The kinds of messages that cross a link."""
+    """Kind of messages that a link carries."""
 
     DETECTIONS = "detections"
-    """From a UAV's detector to its computer."""
+    """From the UAV's detector to its computer."""
     COMMANDS = "commands"
-    """From a vehicle's computer to its actuators."""
+    """From the vehicle's computer to its actuators."""
     OPERATOR = "operator"
-    """From an operator to a UGV."""
+    """From the operator to a UGV."""
     RADIO = "radio"
-    """From a UAV to the UGV it escorts."""
+    """From a UAV to the UGV that it escorts."""
 
 
 class LinkSettings(Message, frozen=True, kw_only=True):
@@ -56,7 +56,7 @@ class LinkSettings(Message, frozen=True, kw_only=True):
     bandwidth: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
     """Messages per second [1/s]; 0: unlimited."""
     queue: Annotated[int, Meta(ge=1, le=10_000)] = 10
-    """Messages that can wait at the sender."""
+    """Capacity of the sender's queue [messages]."""
     keep: Name = "newest"
     """Messages that a full queue keeps, one of `KEEPS`."""
     trace: Text = ""
@@ -68,14 +68,14 @@ class LinkSettings(Message, frozen=True, kw_only=True):
     """Size of a message with a Mahimahi trace [bytes]; each line of the trace lets 1,500 bytes leave."""
 
     def changes(self) -> dict[str, Any]:
-        """Return the fields in which it differs from a perfect link, as plain values."""
+        """Return the fields that differ from a perfect link, as plain values."""
         theirs = msgspec.to_builtins(LinkSettings())
         mine = msgspec.to_builtins(self)
         return {name: value for name, value in mine.items() if value != theirs[name]}
 
 
 class LinkStatus(Message, frozen=True, kw_only=True):
-    """The counters of a link: sent + duplicated = delivered + lost + waiting + flying."""
+    """Counters of a link: sent + duplicated = delivered + lost + queued + in_transit."""
 
     sent: Tick
     """Messages sent."""

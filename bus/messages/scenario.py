@@ -1,4 +1,4 @@
-"""What a scenario and a briefing describe in the same words: limits, area, sensor, law, detector, safety."""
+"""Structs shared by scenarios and briefings: limits, area, sensor, law, detector, safety parameters."""
 
 from typing import Annotated
 
@@ -18,7 +18,7 @@ class Limits(Message, frozen=True, kw_only=True):
 
     @property
     def numbers(self) -> tuple[float, float]:
-        """v_max [m/s] and u_max [m/s²], infinite where there is none."""
+        """Return v_max [m/s] and u_max [m/s²]; infinite if unbounded."""
         return or_infinite(self.max_speed), or_infinite(self.max_acceleration)
 
 
@@ -67,7 +67,7 @@ class Sensor(Message, frozen=True, kw_only=True):
 LawNumber = (
     bool | Annotated[int, Meta(ge=-(2**53), le=2**53)] | Annotated[float, Meta(ge=-1e12, le=1e12)]
 )
-"""A parameter of a law."""
+"""Value of a law's parameter."""
 
 
 class Law(Message, frozen=True, kw_only=True):
@@ -86,7 +86,7 @@ class Detector(Message, frozen=True, kw_only=True):
     """Properties of the UAV's detector, as the UAV knows them."""
 
     noise: NonNegative = 0.0
-    """Standard deviation per axis [m]."""
+    """Standard deviation of the noise per axis [m]."""
     truncation: Positive | None = 3.0
     """Noise vectors are truncated at this many standard deviations [1]; None: not truncated."""
     period: Positive
@@ -101,7 +101,7 @@ class SafetyParameters(Message, frozen=True, kw_only=True):
     max_measurement_age: Positive
     """Largest age of the newest measurement [s]."""
     max_command_delay: NonNegative = 0.0
-    """Time from the tick that a command answers to the start of its plan [s]."""
+    """Longest time from the tick that a command answers to the start of its plan [s]."""
     max_command_interval: NonNegative = 0.0
     """Longest time from the start of one plan to the start of the next [s]; at least one tick."""
     max_tracking_error: NonNegative | None = 0.0

@@ -1,4 +1,4 @@
-"""What observers of a run receive."""
+"""Telemetry messages for observers of a run."""
 
 from typing import Annotated
 
@@ -82,7 +82,7 @@ class CoverageMap(Message, frozen=True, kw_only=True):
 
 
 class UgvGuarantee(Message, frozen=True, kw_only=True):
-    """Certificates of a cautious UGV so far, compared with the truth (docs/explanation/ground.md)."""
+    """Certificates of a cautious UGV so far, compared with the true state (docs/explanation/ground.md)."""
 
     entered_unknown_tile: Tick
     """Ticks in which it drove on a tile that it did not know to be drivable."""
@@ -238,7 +238,7 @@ class Status(Message, frozen=True, kw_only=True):
     certified: dict[Name, bool] = {}
     """True if visibility is certified, by UAV with a safety filter."""
     uncertified: dict[Name, NotCertified] = {}
-    """Reason why not, by UAV."""
+    """Reason for the missing certificate, by UAV."""
     certificates: CertificateStatus | None = None
     """Counts of certificates so far; None: no safety filter."""
     mission: MissionResult | None = None

@@ -1,4 +1,4 @@
-"""Briefings, observations and commands: all that the simulator and the vehicles exchange."""
+"""Briefings, observations and commands: all messages between the simulator and the vehicles."""
 
 from typing import Annotated
 
@@ -40,16 +40,16 @@ from bus.messages.scenario import (
 )
 
 MOST_CARRIED = 6
-"""Motions that one command carries at most: its own and those before it that have not begun, so that it fits a
-kilobyte.
+"""Maximum number of backup trajectories in one command: its own and earlier ones that have not started. It keeps a
+command below one kilobyte.
 """
 
 
 class BackupTrajectory(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """A backup trajectory: the acceleration of one tick, then a plan that ends at rest.
+    """Backup trajectory: the acceleration of one tick, then a plan that ends at rest.
 
-    A command carries it, and a receiver flies it even where later commands are lost. In JSON it is an array of these
-    fields, in this order. Its name is the tick in which it begins.
+    A command carries it, and the receiver executes it even if later commands are lost. In JSON it is an array of these
+    fields, in this order. It is identified by its first tick.
     """
 
     begins: Tick
@@ -130,7 +130,7 @@ class UgvBriefing(VehicleBriefing, frozen=True, kw_only=True):
     driver: Name
     """Controller of the UGV, a row of `bus.registry.DRIVERS`."""
     goals: tuple[Vector, ...]
-    """Waypoints [m], in order."""
+    """Waypoints in order [m]."""
     goal_tolerance: Positive
     """Distance epsilon below which a goal counts as reached [m]."""
     script: tuple[ScriptStep, ...] = ()

@@ -1,6 +1,6 @@
 """The adversary of the network: blackouts, and what becomes of the UAV's commands."""
 
-from bus.ticks import DUST
+from bus.ticks import TICK_TOLERANCE
 from outrider_falsify.attack_records import RING, Room, Run, View
 from outrider_falsify.conditions import BLACKOUTS, DISTURBANCES, Conditions
 from outrider_falsify.draws import Words, next_share
@@ -54,7 +54,7 @@ def _lose_motion(run: Run, view: View) -> bool:
     """Keep the motion that a command carries in the world; return true if the adversary loses it."""
     bounds, conditions, plots = run.bounds, run.conditions, run.room.plots
     tick, d_ticks = view.tick, bounds.delay_ticks
-    allowed = int(conditions.outage / bounds.dt + DUST)
+    allowed = int(conditions.outage / bounds.dt + TICK_TOLERANCE)
     held, under = run.memory.plan[0], run.memory.pending.sent
     left = held.turn + held.cruise + held.brake
     pending = Pending(tick, d_ticks, allowed, view.distance / conditions.r_v, left)

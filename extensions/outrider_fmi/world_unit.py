@@ -101,7 +101,7 @@ class WorldUnit:
         for name in self._driven:
             if values[f"{name}.operator.new"]:
                 wanted = pair(values, f"{name}.operator.velocity")
-                flight.say(name, Teleoperation(operator="fmi", velocity=wanted))
+                flight.teleoperate(name, Teleoperation(operator="fmi", velocity=wanted))
         flight.fly_tick(self._exchange)
         return self._told()
 

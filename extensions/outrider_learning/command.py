@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bus.errors import OutriderError, ScenarioError, told_with_place
+from bus.errors import OutriderError, ScenarioError, error_with_place
 from bus.policies import policy_forms
 from outrider.cli.options import Json, Secret
 from outrider.cli.standard_files import print_text
@@ -178,7 +178,7 @@ class _Own:
         try:
             return self._policy(seen)
         except Exception as error:
-            raise OutriderError(f"--uav-policy {self._name}: {told_with_place(error)}") from error
+            raise OutriderError(f"--uav-policy {self._name}: {error_with_place(error)}") from error
 
 
 def _fly(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from agents.drivers.policy import RowPolicy
-from bus.errors import ScenarioError, shortened, told_with_place
+from bus.errors import ScenarioError, error_with_place, shortened
 from bus.observations import UGV, Row, names
 from bus.policies import policy_forms
 
@@ -19,7 +19,7 @@ _ROW, _ACTION = (len(UGV),), (2,)
 
 
 def _reason(error: BaseException) -> str:
-    return shortened(told_with_place(error))
+    return shortened(error_with_place(error))
 
 
 def _library(module: str, package: str, where: str) -> ModuleType:

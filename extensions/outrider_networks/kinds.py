@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bus.messages.links import LinkSettings
-from bus.ticks import DUST
+from bus.ticks import TICK_TOLERANCE
 from outrider_networks.automaton import Plan, Window, endless_window, window_of
 from outrider_networks.link_runs import MOST_CELLS, SUMMED, DrawnRun, LinkRun, RecordedRun
 from outrider_networks.places import (
@@ -43,7 +43,7 @@ def detections_run(
     left, by_delay = _left(parameters, ticks), shares_by_delay(parameters)
     reasons = _reasons(parameters, by_delay)
     sent = np.arange(ticks) % period == 0
-    queued = parameters.spacing > period + DUST
+    queued = parameters.spacing > period + TICK_TOLERANCE
     plan = Plan(
         functools.partial(_age_window, by_delay, 0),
         lambda _: endless_window(ticks),
@@ -74,7 +74,7 @@ def commands_run(
     parameters = link_parameters(settings, dt, traces=traces)
     if settings.trace:
         return _recorded_outages(parameters, delay, repeats, ticks)
-    if parameters.spacing > 1.0 + DUST:
+    if parameters.spacing > 1.0 + TICK_TOLERANCE:
         return "fewer packets leave than are sent, so that motions wait and are dropped"
     left, by_delay = _left(parameters, ticks), shares_by_delay(parameters)
     window = functools.partial(_outage_window, by_delay, delay, repeats)
@@ -166,7 +166,7 @@ def _queued(
     kept, it has waited for at most `queue` others.
     """
     ticks = len(left)
-    for misses in range(math.floor(parameters.spacing + DUST) // period):
+    for misses in range(math.floor(parameters.spacing + TICK_TOLERANCE) // period):
         extra = math.ceil(ticks / period) * dropout ** (misses + 1)
         if extra >= 1.0:
             continue
@@ -197,7 +197,9 @@ def _slots(parameters: LinkParameters, first: int, ticks: int) -> Mask:
     """Return by tick whether a sender that is busy from the tick `first` on lets a message go."""
     leaves = np.zeros(ticks, dtype=bool)
     at = np.ceil(
-        first + np.arange(math.ceil(ticks / parameters.spacing)) * parameters.spacing - DUST
+        first
+        + np.arange(math.ceil(ticks / parameters.spacing)) * parameters.spacing
+        - TICK_TOLERANCE
     ).astype(int)
     leaves[at[at < ticks]] = True
     return leaves

@@ -21,8 +21,8 @@ from bus.errors import (
     AccessDenied,
     OutriderError,
     ScenarioError,
+    error_with_place,
     place_in_user_code,
-    told_with_place,
 )
 from outrider.cli.options import help_without_command
 from outrider.cli.standard_files import open_standard_files, print_text
@@ -194,7 +194,7 @@ def _show_traceback() -> None:
 def _system_fault(error: OSError) -> str:
     """Describe a system error and, if known, the file that it concerns."""
     if place_in_user_code(error):
-        return f"{told_with_place(error)}; {_MORE}"
+        return f"{error_with_place(error)}; {_MORE}"
     reason = error.strerror or str(error)
     if error.filename is not None:
         return f"{error.filename}: {reason}"
@@ -229,7 +229,7 @@ def _run() -> int:
             if not place_in_user_code(error):
                 raise
             _show_traceback()
-            return _fail(f"{told_with_place(error)}; {_MORE}", 1)
+            return _fail(f"{error_with_place(error)}; {_MORE}", 1)
         return _fail(f"{format_message()}; see --help", int(getattr(error, "exit_code", 2)))
 
 

@@ -18,7 +18,7 @@ from outrider.envs.vehicle_parts import coverage_of, filter_of, ground_of, refer
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
 from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState
-from sim.engine.mission import goals_of, note_claim
+from sim.engine.mission import goals_of, record_claim
 from sim.engine.monitor import Claim, record_decision
 from sim.models.vehicles import Motion
 
@@ -131,7 +131,7 @@ def _drive(
         one.outgoing[0], one.outgoing[1] = driver_command(
             tables.drivers, state.drivers, place, inputs, tick, here
         )
-        note_claim(ground.missions[world], ugv, memory.flags[0].claim)
+        record_claim(ground.missions[world], ugv, memory.flags[0].claim)
         if one.follows_motions:
             motions = state.batch.motions[world, vehicle]
             one.outgoing_motion, one.outgoing_motions = hand_over_stops(memory, tick, motions)

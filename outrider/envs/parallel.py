@@ -207,7 +207,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         vehicle = world.names.index(name)
         world.send(vehicle, world.tick, command.acceleration, command.backup_trajectories)
         if isinstance(command, UgvCommand):
-            world.note_claim(vehicle, command.report)
+            world.record_claim(vehicle, command.report)
             if command.route is not None and self._view is not None:
                 self._view.show_route(name, command.route)
 

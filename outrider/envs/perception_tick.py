@@ -32,7 +32,7 @@ def _feel_ground(
 ) -> None:
     """A UGV takes in the tiles that its bumper tells of."""
     v = ground.ugvs[ugv]
-    columns, count = ground.tiles.shape[2], ground.told[world, v]
+    columns, count = ground.tiles.shape[2], ground.report_counts[world, v]
     rows = state.places[world, 0, :count]
     across = state.places[world, 1, :count]
     states = state.states[world, :count]
@@ -80,7 +80,7 @@ def _see_ground(
     """Keep the tiles that a UAV's sensor has reported, to radio them."""
     if parameters.telling_ticks > 0:
         columns = ground.tiles.shape[2]
-        for n in range(ground.told[world, v]):
+        for n in range(ground.report_counts[world, v]):
             row, column = ground.seen[world, v, n] // columns, ground.seen[world, v, n] % columns
             found = ground.known[world, v, row, column]
             note_tile(telling_of(state.telling, world, uav), column, row, found)

@@ -21,7 +21,7 @@ from outrider.recording.tick_rows import TickTexts
 from outrider.running.assumptions import assumption_warnings
 from sim.compiling.compile import FloatArray
 from sim.scenario.types import Scenario
-from sim.scene.told_tiles import ground_map
+from sim.scene.ground_map import ground_map
 from sim.server.flight import Flight
 from sim.server.perception import News
 from sim.world import World

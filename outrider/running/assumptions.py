@@ -16,7 +16,7 @@ from agents.safety.handover import check_assumptions
 from agents.safety.safety_filter import bounds_of
 from bus.messages.links import LinkKind
 from bus.registry import LAWS
-from bus.ticks import DUST
+from bus.ticks import TICK_TOLERANCE
 from outrider.running.ground_assumptions import ground_warnings
 from outrider.running.link_assumptions import (
     RARE,
@@ -190,7 +190,7 @@ def _remedy(
 def _longer_times(scenario: Scenario, uav: Uav, field: str) -> Iterable[float]:
     """Return the times that exceed a declared bound [s]."""
     declared: float = getattr(safety_parameters(scenario, uav.name), field)
-    return [time for time in _TIMES if time > declared * (1.0 + DUST)]
+    return [time for time in _TIMES if time > declared * (1.0 + TICK_TOLERANCE)]
 
 
 def _measurement_errors(scenario: Scenario, bound: float) -> Iterator[Finding]:
@@ -199,7 +199,7 @@ def _measurement_errors(scenario: Scenario, bound: float) -> Iterator[Finding]:
     Noise is normal on each axis, so its norm exceeds x with probability exp(-x²/(2 sigma²)) before truncation.
     """
     sigma, cut = scenario.detections.noise, scenario.detections.truncation
-    if sigma == 0.0 or bound >= sigma * cut * (1.0 - DUST):
+    if sigma == 0.0 or bound >= sigma * cut * (1.0 - TICK_TOLERANCE):
         return
     beyond = math.exp(-0.5 * cut * cut)
     share = (math.exp(-0.5 * (bound / sigma) ** 2) - beyond) / (1.0 - beyond)
@@ -224,7 +224,7 @@ def _measurement_errors(scenario: Scenario, bound: float) -> Iterator[Finding]:
 def _tracking_errors(scenario: Scenario, uav: Uav, bounds: SafetyBounds) -> Iterator[Finding]:
     """Find a tracking error that wind and position error allow beyond the bound."""
     largest = largest_tracking_error(scenario, uav)
-    if largest > bounds.max_tracking_error * (1.0 + DUST):
+    if largest > bounds.max_tracking_error * (1.0 + TICK_TOLERANCE):
         yield Finding(
             Frequency.SOMETIMES,
             f"wind and uav.position_error allow a tracking error of {largest:.3g} m",
@@ -238,4 +238,4 @@ def _rounded_up(value: float) -> float:
     if not (0.0 < value < math.inf):
         return value
     step = 10.0 ** (math.floor(math.log10(value)) - 2)
-    return float(f"{math.ceil(value / step * (1.0 - DUST)) * step:.3g}")
+    return float(f"{math.ceil(value / step * (1.0 - TICK_TOLERANCE)) * step:.3g}")

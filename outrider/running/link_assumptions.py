@@ -13,7 +13,7 @@ import numpy as np
 
 from bus.messages.links import LinkKind
 from bus.messages.vehicle import MOST_CARRIED
-from bus.ticks import DUST, first_tick_from
+from bus.ticks import TICK_TOLERANCE, first_tick_from
 from sim.channel.description import link_parameters, longest_delay, longest_wait
 from sim.channel.gaps import (
     age_window,
@@ -125,7 +125,7 @@ class InspectedLink:
             return _Replay(tuple(np.where(leaves, delays, -1) for leaves in sent), ticks, whole)
         tick = 1000.0 * p.dt
         step = round(tick * every)
-        exact = step > 0 and abs(step - tick * every) < DUST
+        exact = step > 0 and abs(step - tick * every) < TICK_TOLERANCE
         round_ticks = math.ceil(math.lcm(p.period, step) / tick) if exact else _MOST_REPLAYED + 1
         ticks = min(round_ticks, _MOST_REPLAYED)
         filled = min(p.longest + longest_wait(p) + every, _MOST_REPLAYED)  # the queue fills first
@@ -233,7 +233,7 @@ def _recorded_ages(link: InspectedLink, bounds: SafetyBounds) -> Iterator[Findin
 
 def _queue_ticks(parameters: LinkParameters, period: int) -> int | None:
     """Return the largest age of the newest detection behind a full queue, without delay; None: no queue forms."""
-    if parameters.spacing <= period + DUST:
+    if parameters.spacing <= period + TICK_TOLERANCE:
         return None
     waits = (
         (parameters.settings.queue - 1) * period + 1
@@ -252,11 +252,11 @@ def _random_ages(link: InspectedLink, bounds: SafetyBounds, *, planned: bool) ->
     dropout, period, waited = scenario.detections.dropout, scenario.detection_period, 0
     if bounds.max_age_ticks >= scenario.ticks:
         return
-    if p.spacing > period + DUST:
+    if p.spacing > period + TICK_TOLERANCE:
         waited = (
             link.settings.queue * period if p.newest else math.ceil(link.settings.queue * p.spacing)
         )
-        period = math.ceil(p.spacing - DUST)
+        period = math.ceil(p.spacing - TICK_TOLERANCE)
     if not planned:
         p = p._replace(blackouts=_NO_BLACKOUTS)
     late = late_shares(
@@ -325,9 +325,9 @@ def interval_findings(link: InspectedLink, bounds: SafetyBounds) -> Iterator[Fin
         times = (round(link.least * scenario.dt, 9), round(link.most * scenario.dt, 9))
         yield Finding(Frequency.THROUGHOUT, cause, "max_command_delay", values=times)
         return
-    if p.spacing > 1.0 + DUST:
+    if p.spacing > 1.0 + TICK_TOLERANCE:
         rate = f"{link.path}.bandwidth to {1.0 / scenario.dt:g} messages per second"
-        throughout = p.spacing > interval + DUST
+        throughout = p.spacing > interval + TICK_TOLERANCE
         cause = f"{settings}: the link carries fewer messages than one per tick, and commands are dropped"
         yield Finding(
             Frequency.THROUGHOUT if throughout else Frequency.SOMETIMES,
@@ -364,7 +364,7 @@ def interval_findings(link: InspectedLink, bounds: SafetyBounds) -> Iterator[Fin
     if not link.settings.trace and link.most > bounds.delay_ticks:
         waiting = command_window(link.most, MOST_CARRIED, interval)
         if late_shares(p, waiting, ticks=scenario.ticks).sum() <= RARE:
-            times = (round(link.most * scenario.dt, 9),)
-            yield Finding(frequency_of(share), cause, "max_command_delay", values=times)
+            values = (round(link.most * scenario.dt, 9),)
+            yield Finding(frequency_of(share), cause, "max_command_delay", values=values)
             return
     yield Finding(frequency_of(share), cause, _INTERVAL)

@@ -1,4 +1,4 @@
-"""Settings of radio links: their checks, and the parameters that follow from them."""
+"""Checks of link settings, and the parameters derived from them."""
 
 import functools
 import math
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bus.messages.links import LinkSettings
-from bus.ticks import DUST, first_tick_from
+from bus.ticks import TICK_TOLERANCE, first_tick_from
 from sim.channel.jitter import NORMAL, SHAPES, UNIFORM, jitter_share
 from sim.channel.link_records import DELAYS, NOTHING, OPPORTUNITIES, LinkParameters
 from sim.channel.recorded import (
@@ -25,25 +25,25 @@ from sim.input.faults import Fault, near
 from sim.input.reading import as_raw, typed
 
 KEEPS = ("newest", "oldest")
-"""The messages that a full queue keeps."""
+"""Messages that a full queue keeps."""
 
 _LONGEST = 60.0
-"""Longest delay of all [s]: what is on its way needs room."""
+"""Largest total delay [s], because packets in transit need memory."""
 _SLOWEST = 1e-3
 """Smallest bandwidth [1/s]."""
 _SHORTEST = 1e-3
-"""Shortest mean time between two random blackouts [s]: each is drawn."""
+"""Shortest mean time between two random blackouts [s], because each is drawn."""
 _JITTER_CUT = 5.0
 _NEEDS = (
-    ("burst_length", "burst_interval", "bursts without an end"),
-    ("blackout_interval", "blackout_length", "blackouts that do not last"),
-    ("reorder", "reorder_delay", "nothing is held back"),
+    ("burst_length", "burst_interval", "bursts never end"),
+    ("blackout_interval", "blackout_length", "blackouts have no duration"),
+    ("reorder", "reorder_delay", "reordered messages have no extra delay"),
 )
-"""Fields that are nothing without another one, that one, and what is wrong where it is 0."""
+"""Fields that require another field above 0, that field, and the error if it is 0."""
 
 
 def extra_delays(settings: LinkSettings) -> tuple[float, float]:
-    """Least and most extra delay [s]."""
+    """Return the smallest and the largest extra delay [s]."""
     j = settings.jitter
     most = settings.max_jitter or _JITTER_CUT * j
     shape = SHAPES[settings.jitter_shape]
@@ -53,13 +53,13 @@ def extra_delays(settings: LinkSettings) -> tuple[float, float]:
 
 
 def longest_delay(settings: LinkSettings, traces: Sequence[RecordedLink] = ()) -> float:
-    """The longest delay of a message that does not wait at the sender [s]."""
+    """Return the longest delay of a message, without its time in the sender's queue [s]."""
     held = settings.reorder_delay if settings.reorder > 0.0 else 0.0
     return settings.delay + extra_delays(settings)[1] + held + longest_recorded(settings, traces)
 
 
 def longest_wait(parameters: LinkParameters) -> int:
-    """The longest wait of a message at its sender that is not dropped [ticks]."""
+    """Return the longest time in the sender's queue of a message that is not dropped [ticks]."""
     p = parameters
     if p.replay != OPPORTUNITIES:
         return math.ceil(p.settings.queue * p.spacing)
@@ -74,23 +74,23 @@ def longest_wait(parameters: LinkParameters) -> int:
 def link_faults(
     settings: LinkSettings, path: str = "", traces: Sequence[RecordedLink] = ()
 ) -> Iterator[Fault]:
-    """Find why a link is impossible whose fields are within their bounds.
+    """Yield the faults of a link whose fields are within their bounds.
 
     Args:
-        settings: Of the link.
-        path: Goes before the fields' names.
-        traces: The recorded links that it may play.
+        settings: Settings of the link.
+        path: Prefix of the fields' names.
+        traces: Traces that the settings may name.
     """
     yield from _number_faults(settings, path)
     if settings.jitter_shape not in SHAPES:
-        wrong = f"no such shape{near(settings.jitter_shape, tuple(SHAPES))}"
+        wrong = f"unknown shape{near(settings.jitter_shape, tuple(SHAPES))}"
         yield Fault(f"{path}jitter_shape", settings.jitter_shape, wrong, ", ".join(SHAPES))
         return
     if settings.keep not in KEEPS:
         yield Fault(
             f"{path}keep",
             settings.keep,
-            f"no such order{near(settings.keep, KEEPS)}",
+            f"unknown order{near(settings.keep, KEEPS)}",
             ", ".join(KEEPS),
         )
     for cause, needed, wrong in _NEEDS:
@@ -111,9 +111,9 @@ def link_faults(
     longest = settings.delay + extra_delays(settings)[1] + settings.reorder_delay
     longest += longest_recorded(settings, traces)
     if longest > _LONGEST:
-        with_what = "what is recorded" if settings.trace else "jitter and reordering"
+        with_what = "the trace" if settings.trace else "jitter and reordering"
         wrong = f"the delay can be {longest:.4g} s with {with_what}"
-        yield Fault(f"{path}delay", settings.delay, wrong, f"{_LONGEST:g} s in all at most")
+        yield Fault(f"{path}delay", settings.delay, wrong, f"at most {_LONGEST:g} s in total")
 
 
 def _number_faults(settings: LinkSettings, path: str) -> Iterator[Fault]:
@@ -126,27 +126,30 @@ def _number_faults(settings: LinkSettings, path: str) -> Iterator[Fault]:
             yield Fault(
                 f"{path}blackouts.{k}.0",
                 start,
-                "a blackout begins before the run",
+                "the blackout starts before the run",
                 "0 s or more, finite",
             )
         if not 0.0 < length < math.inf:
             yield Fault(
-                f"{path}blackouts.{k}.1", length, "a blackout does not last", "above 0 s, finite"
+                f"{path}blackouts.{k}.1",
+                length,
+                "the blackout has no duration",
+                "above 0 s, finite",
             )
 
 
 def check_link(
     settings: LinkSettings, where: str, traces: Sequence[RecordedLink] = ()
 ) -> LinkSettings:
-    """The settings, if there can be such a link.
+    """Check the settings of a link and return them.
 
     Args:
-        settings: Read from a file or made in Python; NumPy's numbers and whole numbers in it become floats.
-        where: Begins the error: the file, or what the link is called.
-        traces: The recorded links that it may play.
+        settings: Read from a file or made in Python; NumPy numbers and integers become floats.
+        where: Prefix of error messages: the file, or the name of the link.
+        traces: Traces that the settings may name.
 
     Returns:
-        Equal settings in which every value has its type.
+        Equal settings with correctly typed values.
 
     Raises:
         ScenarioError: One line with field, value, what is wrong and what is allowed.
@@ -157,10 +160,10 @@ def check_link(
     return checked
 
 
-def _dark_ticks(
+def _blackout_ticks(
     settings: LinkSettings, dt: float
 ) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
-    """Rows (first dark tick, first tick after) in order; what overlaps is one."""
+    """Return rows (first tick of a blackout, first tick after it) in order; overlapping blackouts are merged."""
     rows: list[list[int]] = []
     for start, length in sorted(settings.blackouts):
         first, after = first_tick_from(start, dt), first_tick_from(start + length, dt)
@@ -172,34 +175,36 @@ def _dark_ticks(
 
 
 @functools.lru_cache(maxsize=64)
-def _played(recorded: RecordedLink | None, delay: float, dt: float) -> tuple[int, IntArray, int]:
-    """The recording's kind, its rows, and the length of a round, as in `LinkParameters`."""
+def _trace_rows(
+    recorded: RecordedLink | None, delay: float, dt: float
+) -> tuple[int, IntArray, int]:
+    """Return the kind of a trace, its rows, and its period, as in `LinkParameters`."""
     if recorded is None:
         return NOTHING, np.zeros((0, 2), dtype=np.int64), 0
     recording = recording_of(recorded)
     if isinstance(recording, Opportunities):
         rows = np.stack([recording.times, np.zeros_like(recording.times)], axis=1)
         return OPPORTUNITIES, rows, int(recording.times[-1])
-    rows = first_ticks(recording, delay, dt, DUST)
+    rows = first_ticks(recording, delay, dt, TICK_TOLERANCE)
     return DELAYS, rows, max(first_tick_from(recording.duration, dt), 1)
 
 
 def link_parameters(
     settings: LinkSettings, dt: float, *, per_tick: int = 1, traces: Sequence[RecordedLink] = ()
 ) -> LinkParameters:
-    r"""Turn checked settings into the compiled link's numbers.
+    r"""Convert checked settings to the parameters of the compiled link.
 
-    The two states of Gilbert and Elliott are exact at the ticks: with the mean lengths L and I, $\pi = L/(L + I)$ and
-    $\lambda = 1/L + 1/I$ the exponential of the generator gives bad after bad $\pi + (1 - \pi) e^{-\lambda dt}$
-    and bad after good $\pi (1 - e^{-\lambda dt})$.
+    The two states of Gilbert and Elliott are exact at the ticks: with the mean durations L and I, $\pi = L/(L + I)$ and
+    $\lambda = 1/L + 1/I$, the exponential of the generator gives the probability of bad after bad $\pi + (1 - \pi)
+    e^{-\lambda dt}$ and of bad after good $\pi (1 - e^{-\lambda dt})$.
 
     Args:
-        settings: As `check_link` has returned them.
-        dt: Length of a tick [s].
-        per_tick: Messages that may be sent in every tick without any being lost for want of room.
-        traces: The recorded links that it may play.
+        settings: As returned by `check_link`.
+        dt: Duration of a tick [s].
+        per_tick: Messages that may be sent in every tick without exceeding the capacity.
+        traces: Traces that the settings may name.
     """
-    replay, trace, period = _played(found(traces, settings.trace), settings.delay, dt)
+    replay, trace, period = _trace_rows(found(traces, settings.trace), settings.delay, dt)
     least, most = extra_delays(settings)
     shape, j = SHAPES[settings.jitter_shape], settings.jitter
     bursts = settings.burst_length > 0.0
@@ -214,7 +219,7 @@ def link_parameters(
         longest = max(int(trace[:, 1].max()), 0)
     waits = settings.queue if settings.bandwidth > 0.0 else 0
     room = per_tick * (longest + 1) + (settings.queue + 1 if replay == OPPORTUNITIES else waits)
-    blackouts = _dark_ticks(settings, dt)
+    blackouts = _blackout_ticks(settings, dt)
     harmless = (
         settings.loss,
         settings.bandwidth,
@@ -251,16 +256,16 @@ def link_parameters(
 
 
 def least_ticks(parameters: LinkParameters) -> int:
-    """The age in ticks below which no message arrives, if one is sent in every tick; with a sender that is kept busy.
+    """Return the smallest age at which messages arrive if one is sent in every tick and the sender stays busy [ticks].
 
-    Where the bandwidth is less than one message a tick the queue fills and stays full. From then on each message
-    that leaves has waited `queue` ticks if the newest are kept, and `queue` spacings if the oldest are.
+    If the bandwidth is below one message per tick, the queue fills and stays full. Each message then leaves after
+    `queue` ticks if the newest are kept, and after `queue` spacings if the oldest are.
     """
     if parameters.replay == DELAYS:
         arrives = parameters.trace[parameters.trace[:, 1] >= 0, 1]
         return int(arrives.min()) if arrives.size else 0
     settings, waits = parameters.settings, 0
-    if parameters.spacing > 1.0 + DUST:
+    if parameters.spacing > 1.0 + TICK_TOLERANCE:
         waits = (
             settings.queue if parameters.newest else math.floor(settings.queue * parameters.spacing)
         )
@@ -271,7 +276,7 @@ def least_ticks(parameters: LinkParameters) -> int:
 
 
 def arrival_share(parameters: LinkParameters, ticks: int) -> float:
-    """The share of the messages neither lost nor queued that arrive within so many ticks after they were sent."""
+    """Return the share of messages that arrive within `ticks` after sending, of those neither lost nor queued."""
     settings = parameters.settings
 
     def within(extra: float) -> float:
@@ -283,7 +288,7 @@ def arrival_share(parameters: LinkParameters, ticks: int) -> float:
         ) / (parameters.high - parameters.low)
         return 0.0 if extra < parameters.least else min(max(share, 0.0), 1.0)
 
-    room = (ticks + DUST) * parameters.dt - settings.delay
+    room = (ticks + TICK_TOLERANCE) * parameters.dt - settings.delay
     return (1.0 - settings.reorder) * within(room) + settings.reorder * within(
         room - settings.reorder_delay
     )

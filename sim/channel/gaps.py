@@ -1,9 +1,9 @@
-"""Expected share of the ticks in which a link exceeds a declared bound, because no message arrives in time.
+"""Expected share of ticks in which a link exceeds a declared bound because no message arrives in time.
 
-A *window* holds the messages that keep a bound: by ticks after some tick, the longest delay with which a message that
-leaves then is in time. The bound is exceeded if no message of a window is in time. Random losses are a Markov chain
-over ticks, so the probability of that is one recursion over the window. The probability that a bound is exceeded at
-all in a run needs more: see the extension outrider_networks and extensions/outrider_networks/README.md.
+A *window* lists the messages that satisfy a bound: for each number of ticks after a given tick, the longest delay with
+which a message sent then is in time. The bound is exceeded if no message of a window is in time. Random losses are a
+Markov chain over ticks, so this probability is one recursion over the window. The probability that a bound is exceeded
+at all in a run needs more: see the extension outrider_networks and extensions/outrider_networks/README.md.
 """
 
 import math
@@ -20,7 +20,7 @@ from sim.compiling.compile import FloatArray, IntArray
 Mask = npt.NDArray[np.bool_]
 
 _GROUP = 4096
-"""Windows that are evaluated at a time."""
+"""Windows evaluated at a time."""
 _NEGLIGIBLE = 1e-12
 
 
@@ -28,11 +28,11 @@ def age_window(age: int, waited: int = 0) -> IntArray:
     """Return the window of detections that arrive before the newest is older than `age` [ticks].
 
     Args:
-        age: Greatest age of the newest detection [ticks].
-        waited: Time that each detection has waited at its sender before it leaves [ticks].
+        age: Largest age of the newest detection [ticks].
+        waited: Time that each detection has waited in the sender's queue [ticks].
 
     Returns:
-        By ticks after a detection, the longest delay [ticks] that is in time; -1: none is.
+        Longest delay that is in time, by ticks after a detection [ticks]; -1: none.
     """
     rest = age - waited + 1
     limits = np.arange(max(rest, 0), -1, -1)
@@ -41,17 +41,17 @@ def age_window(age: int, waited: int = 0) -> IntArray:
 
 
 def command_window(delay: int, repeats: int, interval: int) -> IntArray:
-    """Return the window of packets that begin a motion within `interval` ticks after the last one has begun.
+    """Return the window of packets that start a trajectory within `interval` ticks after the start of the last one.
 
-    A new chain of motions begins every d + 1 ticks; copy i of its first motion has to arrive within d - i ticks.
+    A new chain of trajectories starts every d + 1 ticks; copy i of its first trajectory must arrive within d - i ticks.
 
     Args:
-        delay: d, from the tick of a motion's packet to the tick at which it begins [ticks].
-        repeats: Packets that carry a motion, the first included.
-        interval: Longest time from the start of one motion to the start of the next [ticks].
+        delay: d, from the tick of a trajectory's packet to the tick at which it starts [ticks].
+        repeats: Packets that carry a trajectory, including the first.
+        interval: Longest time from the start of one trajectory to the start of the next [ticks].
 
     Returns:
-        By ticks after a packet, the longest delay [ticks] that is in time; -1: none is.
+        Longest delay that is in time, by ticks after a packet [ticks]; -1: none.
     """
     chains = (interval - 1) // (delay + 1) + 1
     limits = np.full(chains * (delay + 1) + repeats + 1, -1, dtype=np.int64)
@@ -62,14 +62,14 @@ def command_window(delay: int, repeats: int, interval: int) -> IntArray:
 
 
 def shares_by_delay(parameters: LinkParameters) -> FloatArray:
-    """Return the share of the messages that are not lost which arrive within 0, 1, ... ticks; the last is 1."""
+    """Return the shares of messages that arrive within 0, 1, ... ticks, of those not lost; the last is 1."""
     return np.array(
         [*(arrival_share(parameters, ticks) for ticks in range(parameters.longest)), 1.0]
     )
 
 
 def useful_shares(window: IntArray, by_delay: FloatArray) -> FloatArray:
-    """Return the share of each message of a window that is in time if it is not lost, up to the last above 0.
+    """Return the share of each message of a window that is in time if not lost, up to the last above 0.
 
     Args:
         window: Limits [ticks], see `age_window`.
@@ -80,22 +80,22 @@ def useful_shares(window: IntArray, by_delay: FloatArray) -> FloatArray:
 
 
 class LossChain(NamedTuple):
-    """Losses of one link as a Markov chain over ticks, good or bad; the first axis is of these states."""
+    """Losses of one link as a Markov chain over ticks; the first axis is the state, good or bad."""
 
     turn: FloatArray
     """Probability of each state after each. Shape (states, states)."""
     share: FloatArray
-    """Stationary distribution, also that of the first tick."""
+    """Stationary distribution, also of the first tick."""
     through: FloatArray
-    """Probability, by state, that a message that leaves outside blackouts is not lost."""
+    """Probability, by state, that a message sent outside blackouts is not lost."""
     up: float
-    """Mean time between two random blackouts [ticks]; 0: there are none."""
+    """Mean time between two random blackouts [ticks]; 0: no blackouts."""
     down: float
-    """Length of a random blackout [ticks]."""
+    """Duration of a random blackout [ticks]."""
 
     @property
     def light(self) -> float:
-        """Share of the time without a random blackout."""
+        """Share of the time outside random blackouts."""
         return self.up / (self.up + self.down) if self.up > 0.0 else 1.0
 
     def push(self, mass: FloatArray) -> FloatArray:
@@ -103,7 +103,7 @@ class LossChain(NamedTuple):
         return mass if len(mass) == 1 else _mixed(self.turn.T, mass)
 
     def pull(self, value: FloatArray, ticks: int = 1) -> FloatArray:
-        """Return the mean of a value that many ticks later, by the state now. Shape (states, any)."""
+        """Return the mean of a value `ticks` later, by the present state. Shape (states, any)."""
         if len(value) == 1:
             return value
         return _mixed(np.linalg.matrix_power(self.turn, ticks), value)
@@ -115,7 +115,7 @@ def _mixed(shares: FloatArray, rows: FloatArray) -> FloatArray:
 
 
 def loss_chain(parameters: LinkParameters, dropout: float = 0.0) -> LossChain:
-    """Return the chain of a link; messages are also lost before it, each with the probability `dropout`."""
+    """Return the chain of a link; `dropout` is the probability that a message is lost before the link."""
     through = (1.0 - dropout) * (1.0 - parameters.settings.loss)
     turn, share, kept = np.ones((1, 1)), np.ones(1), np.array([through])
     if parameters.bursts:
@@ -133,24 +133,24 @@ def loss_chain(parameters: LinkParameters, dropout: float = 0.0) -> LossChain:
 def none_in_time(chain: LossChain, useful: FloatArray) -> tuple[FloatArray, FloatArray]:
     r"""Return an upper bound of the probability that no useful message is in time; exact without random blackouts.
 
-    Let N_o be this probability for the messages from offset o on if there is no blackout at o, and B_o if a blackout
-    has begun since o - 1, the state of the chain at o being known; q = 1 - exp(-1/up) is the probability that one
-    begins within a tick. With K = ⌈D⌉ and the mean over the chain's later state,
+    Let N_o be this probability for the messages from offset o on without a blackout at o, and B_o the one if a blackout
+    has started since o - 1, both for a known state of the chain at o; q = 1 - exp(-1/up) is the probability that a
+    blackout starts within a tick. With K = ⌈D⌉ and the mean over the chain's later state,
 
-    - N_o = (1 - share in time) L_o and L_o = mean of q B_{o+1} + (1 - q) N_{o+1}: exact, as the start has no memory;
-    - B_o = mean of X_{o+K}: the blackout ends after o + K - 1 and before o + K. In the rest of that tick the next
-      one begins with a probability from 0 to q, so what follows is at most X_m = max(N_m, q B_m + (1 - q) N_m).
+    - N_o = (1 - share in time) L_o and L_o = mean of q B_{o+1} + (1 - q) N_{o+1}: exact, as the start is memoryless;
+    - B_o = mean of X_{o+K}: the blackout ends after o + K - 1 and before o + K. In the rest of that tick the next one
+      starts with a probability from 0 to q, so the remainder is at most X_m = max(N_m, q B_m + (1 - q) N_m).
 
-    Where D > 1 is no whole number, the blackout may end just before m = o + K - 1 instead, and what follows is at most
-    the greater of X_m and the mean of X_{m+1}. A shorter one than a tick hides no more than one that lasts a tick.
+    If D > 1 is not an integer, the blackout may instead end just before m = o + K - 1, and the remainder is at most the
+    larger of X_m and the mean of X_{m+1}. A blackout shorter than a tick hides no more than one of a full tick.
 
     Args:
         chain: Losses of the link.
-        useful: By ticks since each start, the share that arrives in time. Shape (last + 1, starts).
+        useful: Share that arrives in time, by ticks since each start. Shape (last + 1, starts).
 
     Returns:
-        After a message that got through, by its state, shape (states, starts); and for a stationary link, of which
-        nothing is known at offset 1, shape (starts,).
+        Probability after a message that got through, by its state, shape (states, starts); and for a stationary link,
+        of which nothing is known at offset 1, shape (starts,).
     """
     last, shape = len(useful) - 1, (len(chain.share), useful.shape[1])
     value, clear = np.ones(shape), np.ones(shape)
@@ -164,16 +164,16 @@ def none_in_time(chain: LossChain, useful: FloatArray) -> tuple[FloatArray, Floa
     ends = [value] * (last + 1 + whole + 1)  # X by offset
     for o in range(last, 0, -1):
         clear = (1.0 - useful[o] * chain.through[:, None]) * value
-        dark = chain.pull(ends[o + whole], whole)
+        blackout = chain.pull(ends[o + whole], whole)
         if broken:
             sooner = np.maximum(chain.pull(ends[o + whole]), ends[o + whole - 1])
-            dark = chain.pull(sooner, whole - 1)
-        either = begins * dark + (1.0 - begins) * clear
+            blackout = chain.pull(sooner, whole - 1)
+        either = begins * blackout + (1.0 - begins) * clear
         ends[o] = np.maximum(clear, either)
         value = chain.pull(either)
     left = np.minimum(1.0, chain.down - np.arange(whole)) / (chain.up + chain.down)
     first = chain.light * clear
-    for k in range(whole):  # in a blackout at the first tick, and for k whole ticks after it
+    for k in range(whole):  # in a blackout at the first tick, and for k full ticks after it
         first = first + left[k] * ends[min(2 + k, last + 1)]
     return value, chain.share @ first
 
@@ -188,18 +188,18 @@ def late_shares(
 ) -> FloatArray:
     """Return the probability, by tick, that no message of the window after it is in time.
 
-    For an age this is the probability that the newest detection is too old where the window ends. Not for links that
-    play a recording, or at whose sender messages wait.
+    For an age this is the probability that the newest detection is too old at the end of the window. Not for links with
+    a trace or a sender's queue.
 
     Args:
         parameters: The link.
         window: See `age_window` and `command_window`.
-        ticks: Length of the run.
-        period: Ticks between two messages; the first leaves at tick 0.
-        dropout: Share of messages that are lost before the link.
+        ticks: Duration of the run [ticks].
+        period: Ticks between two messages; the first is sent at tick 0.
+        dropout: Share of messages lost before the link.
 
     Returns:
-        One value for each window that ends within the run; the first one begins at tick 0. Shape (windows,).
+        One value for each window that ends within the run; the first starts at tick 0. Shape (windows,).
     """
     useful = useful_shares(window, shares_by_delay(parameters))
     chain = loss_chain(parameters, dropout)
@@ -207,34 +207,34 @@ def late_shares(
     starts, offsets = np.arange(-1, ticks - len(window) + 1), np.arange(last + 1)[:, None]
     leaves = (np.arange(period) + offsets) % period == 0
     shares = none_in_time(chain, useful[:, None] * leaves)[1][starts % period]
-    dark = np.zeros(ticks + last + 2, dtype=bool)  # from tick -1 on
+    blackout = np.zeros(ticks + last + 2, dtype=bool)  # from tick -1 on
     for first, after in parameters.blackouts.tolist():
-        dark[1 + first : 1 + min(after, ticks)] = True
-    before = np.concatenate(([0], np.cumsum(dark)))
+        blackout[1 + first : 1 + min(after, ticks)] = True
+    before = np.concatenate(([0], np.cumsum(blackout)))
     hidden = before[starts + last + 2] - before[starts + 2]
     shares[(hidden > 0) & (hidden == last)] = 1.0
     partly = np.flatnonzero((hidden > 0) & (hidden < last))
     for group in (partly[k : k + _GROUP] for k in range(0, len(partly), _GROUP)):
         at = starts[group] + offsets
-        reached = useful[:, None] * ((at % period == 0) & ~dark[at + 1])
+        reached = useful[:, None] * ((at % period == 0) & ~blackout[at + 1])
         shares[group] = none_in_time(chain, reached)[1]
     return shares
 
 
 def delays_at(parameters: LinkParameters, places: IntArray) -> IntArray:
-    """Return the delay of a message that is sent at each of these places of a table [ticks]; -1: it is lost."""
+    """Return the delay of a message sent at each of these positions of a table [ticks]; -1: lost."""
     rows = np.searchsorted(parameters.trace[:, 0], places, side="right") - 1
     delays: IntArray = parameters.trace[rows, 1]
     return delays
 
 
 def recorded_late_share(delays: IntArray, window: IntArray, dropout: float = 0.0) -> float:
-    """Return the share of the ticks of a recording after which no message of the window is in time.
+    """Return the share of a recording's ticks after which no message of the window is in time.
 
     Args:
-        delays: Delay of the message that is sent at each tick [ticks]; -1: none is, or it is lost. Shape (ticks,).
+        delays: Delay of the message sent at each tick [ticks]; -1: none sent, or lost. Shape (ticks,).
         window: See `age_window` and `command_window`.
-        dropout: Share of messages that are lost before the link.
+        dropout: Share of messages lost before the link.
     """
     missed = np.ones(max(len(delays) - len(window) + 1, 0))
     left = np.arange(len(missed))

@@ -1,4 +1,4 @@
-"""Distributions of the extra delay of a message: their shares and quantiles."""
+"""Distributions of the random extra delay: shares and quantiles."""
 
 import math
 
@@ -7,8 +7,8 @@ from sim.compiling.compile import compiled
 UNIFORM, NORMAL, EXPONENTIAL, PARETO = range(4)
 SHAPES = {"uniform": UNIFORM, "normal": NORMAL, "exponential": EXPONENTIAL, "pareto": PARETO}
 """Distributions of the extra delay with the scale j: uniform from -j to j; normal with standard deviation j;
-exponential with mean j; Lomax (Pareto of the second kind, from 0 on) with mean j and the tail index 2.5: its variance
-is finite, its skewness is not.
+exponential with mean j; Lomax (Pareto of the second kind, from 0) with mean j and tail index 2.5, whose variance is
+finite and whose skewness is not.
 """
 
 _TAIL = 2.5

@@ -1,36 +1,36 @@
-r"""One radio link in simulated time, compiled and seeded: a `Link` record and its packets.
+r"""Compiled, seeded radio link in simulated time: a `Link` record and its packets.
 
-In each tick call `begin_tick` once, `send` for each message, then `receive` once. Packets that wait at the sender leave
-before new ones. Ticks in which nothing is sent, waits or flies may be skipped: the next `begin_tick` makes up for them.
+In each tick call `begin_tick` once, `send` for each message, then `receive` once. Queued packets leave before new ones.
+Ticks in which nothing is sent, queued or in transit may be skipped: the next `begin_tick` catches up.
 
 A packet passes these stages:
 
-1. The sender's queue, where the bandwidth is limited: one packet leaves every 1/bandwidth. A full queue drops the
-   oldest packet that waits, or the new one. The transmission time is part of the delay.
-2. The channel at the tick at which the packet leaves. A blackout drops it, or a burst, or independent loss; the first
-   of them is counted as the cause. The sender does not notice.
+1. The sender's queue, if the bandwidth is limited: one packet leaves every 1/bandwidth. A full queue drops the oldest
+   queued packet, or the new one. The transmission time is part of the delay.
+2. The channel at the tick at which the packet leaves. A blackout, a burst or independent loss drops it; the first of
+   them is counted as the cause. The sender does not notice.
 3. A packet that gets through may be duplicated. Each copy has its own delay: delay + jitter, and `reorder_delay` for
-   packets that are held back. A packet that leaves at tick k with the delay d arrives at the first tick n with
-   n dt >= k dt + d. Packets of one tick arrive in the order in which they left.
+   reordered packets. A packet that leaves at tick k with the delay d arrives at the first tick n with n dt >= k dt + d.
+   Packets of one tick arrive in the order in which they left.
 
-A recorded link (`LinkParameters.replay`) is played in a loop from an offset that is drawn once from the link's key. In
-a table of delays, the last row before the packet replaces the draws of stages 2 and 3. With delivery opportunities,
-packets wait at the sender until their bytes have been granted, 1,500 at each opportunity after they were sent; they
+A trace (`LinkParameters.replay`) is replayed in a loop from an offset that is drawn once from the link's key. In a
+table of delays, the last row before the packet replaces the random numbers of stages 2 and 3. With delivery
+opportunities, packets are queued until their bytes have been granted, 1,500 at each opportunity after sending; they
 pass stages 2 and 3 as at the tick before they leave.
 
-Draws are pure functions of (key of the link, purpose, tick, index): for a packet, the tick at which it was sent and its
-number within this tick; for the channel, the tick or the number of the random blackout.
+Random numbers are pure functions of (key of the link, purpose, tick, index): for a packet, the tick at which it was
+sent and its number within this tick; for the channel, the tick or the number of the random blackout.
 
-Packets lie in three lists of the array `packets`, shape (worlds, links, lists, room). `FLYING` is a ring in the order
+Packets are in three lists of the array `packets`, shape (worlds, links, lists, room). `FLYING` is a ring in the order
 in which packets left, `WAITING` the ring of the sender's queue, `ARRIVED` the arrivals of the tick. The caller may
-write the packet that it sends into the first place of `ARRIVED`.
+write the packet to send into the first element of `ARRIVED`.
 """
 
 import math
 
 import numpy as np
 
-from bus.ticks import DUST, first_tick_from
+from bus.ticks import TICK_TOLERANCE, first_tick_from
 from sim.channel.jitter import jitter_quantile
 from sim.channel.link_records import (
     ARRIVED,
@@ -68,13 +68,13 @@ _first_tick_from = compiled(first_tick_from)
 
 
 @compiled
-def _flight_time(parameters: LinkParameters, share: float, held: bool, later: float) -> int:
-    """Return the time of flight of a packet [ticks] that leaves `later` [s] after its tick.
+def _transit_time(parameters: LinkParameters, share: float, held: bool, later: float) -> int:
+    """Return the transit time [ticks] of a packet that leaves `later` [s] after its tick.
 
     Args:
-        parameters: Of the link.
+        parameters: Parameters of the link.
         share: Quantile of the packet's extra delay.
-        held: Whether the packet is held back.
+        held: True if the packet is reordered.
         later: Time after the tick [s].
     """
     settings, extra = parameters.settings, 0.0
@@ -93,19 +93,19 @@ def _flight_time(parameters: LinkParameters, share: float, held: bool, later: fl
 
 @compiled
 def trace_offset(key: Key, period: int) -> int:
-    """Return the place at which the loop of a recorded link begins."""
+    """Return the offset at which the loop of a trace starts."""
     return int(draw(key, LINK_TRACE, _ZERO, _ZERO)[0] % np.uint64(period))
 
 
 @compiled
 def in_milliseconds(tick: int, dt: float) -> int:
-    """Return the last whole millisecond up to this tick."""
-    return math.floor(tick * dt * 1000.0 + DUST)
+    """Return the last full millisecond up to this tick."""
+    return math.floor(tick * dt * 1000.0 + TICK_TOLERANCE)
 
 
 @compiled
 def _first_after(rows: IntArray, column: int, first: int, end: int, time: int) -> int:
-    """Return the first of these rows whose time in a column is later than this one; `end`: none."""
+    """Return the first of these rows whose time in a column is later than `time`; `end`: none."""
     below, above = first, end
     while below < above:
         middle = (below + above) // 2
@@ -122,32 +122,32 @@ def _key_of(link: Link) -> Key:
 
 
 @compiled
-def _place(link: Link, k: int) -> int:
-    """Return the place in a ring of the link for a number below twice its room."""
+def _ring_index(link: Link, k: int) -> int:
+    """Return the ring index for a number below twice the ring's size."""
     return k - link.room if k >= link.room else k
 
 
 @compiled
 def _close_gaps(link: Link, packets: RecordArray, w: int) -> None:
-    """Remove the packets that have arrived from the ring, behind one with a longer delay."""
+    """Remove arrived packets from the ring, behind a packet with a longer delay."""
     row, kept = link.number, 0
     for n in range(link.span):
-        packet = packets[w, row, FLYING, _place(link, link.first + n)]
+        packet = packets[w, row, FLYING, _ring_index(link, link.first + n)]
         if packet.due >= 0:
-            packets[w, row, FLYING, _place(link, link.first + kept)] = packet
+            packets[w, row, FLYING, _ring_index(link, link.first + kept)] = packet
             kept += 1
     link.span = kept
 
 
 @compiled
-def _fly(link: Link, packets: RecordArray, w: int, packet: Packet, due: int) -> None:
-    """Append a packet to those that fly."""
+def _transport(link: Link, packets: RecordArray, w: int, packet: Packet, due: int) -> None:
+    """Add a packet to those in transit."""
     if link.in_transit == link.room:
         link.lost[FULL] += 1
         return
     if link.span == link.room:
         _close_gaps(link, packets, w)
-    k = _place(link, link.first + link.span)
+    k = _ring_index(link, link.first + link.span)
     packets[w, link.number, FLYING, k] = packet
     packets[w, link.number, FLYING, k].due = due
     link.span += 1
@@ -156,19 +156,19 @@ def _fly(link: Link, packets: RecordArray, w: int, packet: Packet, due: int) -> 
 
 @compiled
 def _replay(link: Link, packets: RecordArray, w: int, traces: IntArray, packet: Packet) -> None:
-    """Let a packet leave with the delay or the loss of the last recorded row before it was sent."""
+    """Send a packet with the delay or loss of the last trace row before it was sent."""
     p = link.parameters
     place = (packet.sent_at + trace_offset(_key_of(link), p.period)) % p.period
     ticks = traces[_first_after(traces, 0, p.first_row, p.end_row, place) - 1, 1]
     if link.blackout or ticks < 0:
         link.lost[BLACKOUT if link.blackout else TRACE] += 1
     else:
-        _fly(link, packets, w, packet, link.tick + ticks)
+        _transport(link, packets, w, packet, link.tick + ticks)
 
 
 @compiled
 def _transmit(link: Link, packets: RecordArray, w: int, packet: Packet, later: float) -> None:
-    """Let a packet leave: the channel drops it, or it flies, perhaps twice.
+    """Transmit a packet: the channel drops it or delivers it, possibly twice.
 
     Args:
         link, packets, w: The link.
@@ -195,18 +195,20 @@ def _transmit(link: Link, packets: RecordArray, w: int, packet: Packet, later: f
         word_0, word_1, word_2, _ = draw(key, LINK_DELAY, packet.sent_at, packet.number)
         share, share_too = to_uniform(word_0), to_uniform(word_1)
         held_too = to_uniform(word_2) < s.reorder
-    _fly(link, packets, w, packet, link.tick + _flight_time(p, share, held, later))
+    _transport(link, packets, w, packet, link.tick + _transit_time(p, share, held, later))
     if twice and link.in_transit < link.room:
         link.duplicated += 1
         packet.copy = True
-        _fly(link, packets, w, packet, link.tick + _flight_time(p, share_too, held_too, later))
+        _transport(
+            link, packets, w, packet, link.tick + _transit_time(p, share_too, held_too, later)
+        )
 
 
 @compiled
 def _in_random_blackout(link: Link, tick: int) -> bool:
-    """Draw exponential times between blackouts of fixed length, stationary from the first tick on."""
+    """Draw exponential times between blackouts of fixed duration, stationary from the first tick on."""
     up, down = link.parameters.up, link.parameters.down
-    while link.blackout_end <= tick + DUST:
+    while link.blackout_end <= tick + TICK_TOLERANCE:
         word_0, word_1, _, _ = draw(_key_of(link), LINK_STATE, link.renewals, _ONE)
         link.renewals += 1
         between = -up * math.log1p(-to_uniform(word_0))
@@ -216,12 +218,12 @@ def _in_random_blackout(link: Link, tick: int) -> bool:
         else:
             link.blackout_begin = tick + (place - down if place < down else between)
         link.blackout_end = link.blackout_begin + down
-    return bool(link.blackout_begin <= tick + DUST)
+    return bool(link.blackout_begin <= tick + TICK_TOLERANCE)
 
 
 @compiled
 def _draw_channel(link: Link, traces: IntArray, tick: int) -> None:
-    """Begin a tick with the state of the channel: good or bad, blackout or not."""
+    """Start a tick with the state of the channel: good or bad, blackout or not."""
     p = link.parameters
     link.tick, link.index = tick, 0
     if p.perfect and link.queued == 0:
@@ -240,7 +242,7 @@ def _draw_channel(link: Link, traces: IntArray, tick: int) -> None:
 
 @compiled
 def _count_age(link: Link) -> None:
-    """End a tick: count the age of the newest stamp."""
+    """End a tick: add the age of the newest stamp."""
     if not math.isnan(link.newest):
         age = link.tick - link.newest
         link.age_max = age if link.ages == 0 else max(link.age_max, age)
@@ -251,21 +253,23 @@ def _count_age(link: Link) -> None:
 @compiled
 def _sender_is_free(link: Link) -> bool:
     """True if the sender may transmit at this tick: packet m of a busy period leaves m spacings after the first."""
-    return bool(link.busy_since + link.served * link.parameters.spacing <= link.tick + DUST)
+    return bool(
+        link.busy_since + link.served * link.parameters.spacing <= link.tick + TICK_TOLERANCE
+    )
 
 
 @compiled
 def _leave_queue(link: Link) -> int:
-    """Remove the packet that has waited longest; return its place."""
+    """Remove the oldest queued packet; return its index."""
     k = link.first_waiting
-    link.first_waiting = _place(link, k + 1)
+    link.first_waiting = _ring_index(link, k + 1)
     link.queued -= 1
     return k
 
 
 @compiled
 def _grant(link: Link, packets: RecordArray, w: int, traces: IntArray, tick: int) -> None:
-    """Let packets leave at the recorded opportunities since the link's tick, up to this one, which is the next."""
+    """Transmit packets at the recorded opportunities from the link's tick up to `tick`, which is the next."""
     p, message_bytes = link.parameters, link.parameters.settings.message_bytes
     offset = trace_offset(_key_of(link), p.period)
     begin = in_milliseconds(tick - 1, p.dt) + offset
@@ -283,8 +287,8 @@ def _grant(link: Link, packets: RecordArray, w: int, traces: IntArray, tick: int
             link.granted += used
             if link.granted == message_bytes:
                 link.granted = 0
-                # at least a moment past the tick, so that a packet which leaves after a tick arrives after it
-                later = max(0.001 * (now - offset) - (tick - 1) * p.dt, 2.0 * DUST * p.dt)
+                # slightly later than the tick, so that a packet that leaves after a tick arrives after it
+                later = max(0.001 * (now - offset) - (tick - 1) * p.dt, 2.0 * TICK_TOLERANCE * p.dt)
                 packet = packets[w, link.number, WAITING, _leave_queue(link)]
                 _transmit(link, packets, w, packet, later)
         k += 1
@@ -294,7 +298,7 @@ def _grant(link: Link, packets: RecordArray, w: int, traces: IntArray, tick: int
 
 @compiled
 def catch_up(link: Link, traces: IntArray, tick: int) -> None:
-    """Make up for the ticks up to this one that were skipped; in none of them did a packet wait or fly."""
+    """Catch up on skipped ticks up to `tick`; no packet was queued or in transit in them."""
     while link.tick < tick:
         _draw_channel(link, traces, link.tick + 1)
         _count_age(link)
@@ -302,13 +306,13 @@ def catch_up(link: Link, traces: IntArray, tick: int) -> None:
 
 @compiled
 def begin_tick(link: Link, packets: RecordArray, w: int, traces: IntArray, tick: int) -> None:
-    """Begin a tick: draw the channel's state, then transmit from the queue. Once a tick, in order.
+    """Start a tick: draw the channel's state, then transmit from the queue. Call once per tick, in order.
 
     Args:
         link: The link; changed.
         packets: Packets of all links. Shape (worlds, links, 3, room).
         w: World of the link.
-        traces: Planned blackouts and recorded links. Shape (any, 2).
+        traces: Scheduled blackouts and traces. Shape (rows, 2).
         tick: The tick; 0 is the first.
     """
     catch_up(link, traces, tick - 1)
@@ -327,28 +331,26 @@ def begin_tick(link: Link, packets: RecordArray, w: int, traces: IntArray, tick:
 
 @compiled
 def _wait(link: Link, packets: RecordArray, w: int, packet: Packet) -> None:
-    """Append a packet to the sender's queue, which drops one if it is full."""
-    row, begun = (
-        link.number,
-        1 if link.granted > 0 else 0,
-    )  # the first that waits is leaving already
-    if link.queued - begun >= link.parameters.settings.queue:
+    """Add a packet to the sender's queue, which drops one if it is full."""
+    row = link.number
+    partial = 1 if link.granted > 0 else 0  #  the first queued packet is partly sent
+    if link.queued - partial >= link.parameters.settings.queue:
         link.lost[QUEUE] += 1
         if not link.parameters.newest:
             return
         first = _leave_queue(link)
-        if begun == 1:  # it takes the place of the next one, which is dropped
+        if partial == 1:  # it replaces the next one, which is dropped
             packets[w, row, WAITING, link.first_waiting] = packets[w, row, WAITING, first]
     if link.queued == link.room:
         link.lost[FULL] += 1
         return
-    packets[w, row, WAITING, _place(link, link.first_waiting + link.queued)] = packet
+    packets[w, row, WAITING, _ring_index(link, link.first_waiting + link.queued)] = packet
     link.queued += 1
 
 
 @compiled
 def send(link: Link, packets: RecordArray, w: int, traces: IntArray, packet: Packet) -> None:
-    """Send one packet at the tick that `begin_tick` has begun.
+    """Send one packet at the tick that `begin_tick` has started.
 
     Args:
         link, packets, w, traces: As in `begin_tick`.
@@ -363,7 +365,7 @@ def send(link: Link, packets: RecordArray, w: int, traces: IntArray, packet: Pac
         return
     link.busy_since, link.served = link.tick, 1
     if p.perfect:
-        _fly(link, packets, w, packet, link.tick)
+        _transport(link, packets, w, packet, link.tick)
     elif p.replay == DELAYS:
         _replay(link, packets, w, traces, packet)
     else:
@@ -372,17 +374,17 @@ def send(link: Link, packets: RecordArray, w: int, traces: IntArray, packet: Pac
 
 @compiled
 def receive(link: Link, packets: RecordArray, w: int) -> int:
-    """End a tick: copy its arrivals into the list `ARRIVED`, and count the age of the newest stamp.
+    """End a tick: copy its arrivals into the list `ARRIVED`, and add the age of the newest stamp.
 
     Args:
         link, packets, w: As in `begin_tick`.
 
     Returns:
-        The number of arrivals, which is `link.arrived`.
+        Number of arrivals, which is `link.arrived`.
     """
     row, arrived = link.number, 0
     for n in range(link.span):
-        packet = packets[w, row, FLYING, _place(link, link.first + n)]
+        packet = packets[w, row, FLYING, _ring_index(link, link.first + n)]
         if packet.due == link.tick:
             packets[w, row, ARRIVED, arrived] = packet
             arrived += 1
@@ -393,7 +395,7 @@ def receive(link: Link, packets: RecordArray, w: int) -> int:
             link.in_transit -= 1
             packet.due = -1
     while link.span > 0 and packets[w, row, FLYING, link.first].due < 0:
-        link.first = _place(link, link.first + 1)
+        link.first = _ring_index(link, link.first + 1)
         link.span -= 1
     link.arrived = arrived
     _count_age(link)

@@ -15,25 +15,26 @@ FLYING, WAITING, ARRIVED = range(3)
 """Lists of packets of a link."""
 
 CAUSES = ("loss", "burst", "blackout", "queue", "full", "trace")
-"""Causes of losses; `full`: the link had no room, which never happens to one message a tick; `trace`: lost in the
-recorded link."""
+"""Causes of losses; `full`: the link's capacity was exceeded, impossible for one message per tick; `trace`: lost in the
+trace.
+"""
 LOSS, BURST, BLACKOUT, QUEUE, FULL, TRACE = range(6)
 
 NOTHING, DELAYS, OPPORTUNITIES = range(3)
-"""Kinds of recorded links: none, a table of delays, or delivery opportunities."""
+"""Kinds of traces: none, a table of delays, or delivery opportunities."""
 
 
 class LinkParameters(NamedTuple):
-    """Parameters of one link: its settings, and what follows from them at a length of a tick.
+    """Parameters of one link: its settings, and values derived from them for a given tick duration.
 
-    Made by `sim.channel.description.link_parameters`. The record holds the numbers among the settings.
+    Made by `sim.channel.description.link_parameters`. The record holds the numeric settings.
     """
 
     settings: LinkSettings
     perfect: bool
     """True if the link delivers every message at once."""
     dt: float
-    """[s]"""
+    """Duration of a tick [s]."""
     jitter_shape: int
     """A value of `sim.channel.jitter.SHAPES`."""
     least: float
@@ -41,39 +42,43 @@ class LinkParameters(NamedTuple):
     """Bounds of the extra delay [s]."""
     low: float
     high: float
-    """Shares of the unbounded extra delays below these bounds. Drawing between them equals drawing until it fits."""
+    """Shares of the unbounded extra delays below these bounds. Sampling between them is equivalent to rejection
+    sampling.
+    """
     bursts: bool
     bad_share: float
     bad_stay: float
     bad_enter: float
-    """Probability of the bad state at the start, a tick after bad, a tick after good."""
+    """Probability of the bad state at the start, after a bad tick, and after a good tick."""
     blackouts: IntArray
-    """Rows (first tick of a blackout, first tick after it), in order and apart."""
+    """Rows (first tick of a blackout, first tick after it), in order and disjoint."""
     up: float
     down: float
-    """Mean time between two random blackouts, and their length [ticks]; up is 0: none."""
+    """Mean time between two random blackouts, and their duration [ticks]; `up` is 0: none."""
     spacing: float
-    """Time between two packets that leave [ticks]; 0: no limit."""
+    """Time between two transmitted packets [ticks]; 0: no limit."""
     newest: bool
     """True if a full queue keeps the newest packets."""
     longest: int
     """Longest delay [ticks]."""
     room: int
-    """Packets that may wait or fly at once."""
+    """Maximum number of packets queued or in transit."""
     replay: int
-    """`DELAYS` or `OPPORTUNITIES` for a recorded link."""
+    """Kind of trace: `NOTHING`, `DELAYS` or `OPPORTUNITIES`."""
     trace: IntArray
-    """Rows in order of time. Delays: (first tick, delay in ticks or -1); opportunities: (time in ms, 0)."""
+    """Rows of the trace in order of time. Delays: (first tick, delay in ticks or -1); opportunities: (time in ms,
+    0).
+    """
     period: int
-    """Length of a loop of the trace [ticks or ms]; the last opportunity is at its end."""
+    """Period of the trace [ticks or ms]; the last opportunity is at its end."""
     opportunity: int
-    """Bytes that may leave at each opportunity."""
+    """Bytes that can leave at each opportunity."""
     first_blackout: int = 0
     end_blackout: int = 0
-    """Rows of its blackouts in the array of all traces."""
+    """Range of its blackouts in the array of all traces."""
     first_row: int = 0
     end_row: int = 0
-    """Rows of its trace there."""
+    """Range of its trace there."""
 
 
 class Link:
@@ -81,22 +86,23 @@ class Link:
 
     parameters: LinkParameters
     number: int
-    """Its place among the links of its world."""
+    """Index among the links of its world."""
     room: int
-    """Places of its rings."""
+    """Size of its rings."""
     key: Annotated[WordArray, (2,)]
-    """Key of its random draws."""
+    """Key of its random numbers."""
     tick: int
     index: int
     """Messages sent in this tick."""
     first: int
     span: int
-    """Begin and length of the ring of flying packets. Packets that have arrived before others that left earlier are
-    part of it."""
+    """Start and length of the ring of packets in transit. It includes arrived packets behind ones that are still in
+    transit.
+    """
     in_transit: int
     first_waiting: int
     queued: int
-    """Begin and length of the sender's queue."""
+    """Start and length of the sender's queue."""
     arrived: int
     """Packets that arrived at the last tick."""
     bad: int
@@ -104,47 +110,47 @@ class Link:
     blackout: bool
     """True during a blackout."""
     served: int
-    """Packets that have left since the sender was last idle."""
+    """Packets transmitted since the sender was last idle."""
     renewals: int
     """Random blackouts drawn."""
     granted: int
-    """Bytes granted to the packet that waits first."""
+    """Bytes granted to the first queued packet."""
     sent: int
     delivered: int
     duplicated: int
     originals: int
     """Messages delivered, without copies."""
     ages: int
-    """Ticks in `age_sum`."""
+    """Ticks summed in `age_sum`."""
     busy_since: float
-    """Time since which the sender is busy."""
+    """Time since which the sender has been busy."""
     blackout_begin: float
     blackout_end: float
-    """The random blackout; -1: none drawn yet."""
+    """Start and end of the random blackout; -1: none drawn yet."""
     newest: float
-    """Newest stamp that has arrived; NaN: none."""
+    """Newest received stamp; NaN: none."""
     age_sum: float
     age_max: float
-    """Sum and maximum over the ticks of the age of the newest stamp."""
+    """Sum and maximum over the ticks of the newest stamp's age."""
     lost: Annotated[IntArray, (len(CAUSES),)]
-    """Messages lost by each of `CAUSES`."""
+    """Messages lost, by cause, in the order of `CAUSES`."""
 
 
 class Packet:
     """One message on a link. Each kind of link uses some of the first seven fields."""
 
     stamp: float
-    """Tick that its content is from. In a list of messages to send, -1: none."""
+    """Tick of its content. In a list of messages to send, -1: none."""
     vector: Vector
     """Relative position p_a - p_g [m], or acceleration [m/s²]."""
     error: float
-    """True error of a detection [m], for the counters; vehicles do not receive it."""
+    """True error of a detection [m], for the counters; not sent to vehicles."""
     plan: int
-    """Tick in which the last motion that a command carries begins; -1: none."""
+    """First tick of the last trajectory in a command; -1: none."""
     plans: int
-    """Motions that a command carries; they begin in the tick `plan` and the ticks before it."""
+    """Trajectories in a command; they start in the tick `plan` and the ticks before it."""
     block: int
-    """Number of the block of tiles of a radio message; -1: relative position."""
+    """Number of the block of tiles in a map update; -1: relative position."""
     tiles: Annotated[IntArray, (4,)]
     """States of its tiles, from `agents.estimation.map_updates.block_words`."""
     due: int
@@ -156,7 +162,7 @@ class Packet:
 
 
 def reset_links(links: RecordArray) -> None:
-    """Set the state of links on which nothing was ever sent; parameters, numbers, rooms and keys stay."""
+    """Reset links to the state before any message; parameters, numbers, capacities and keys stay."""
     for name in links.dtype.names or ():
         if name not in ("parameters", "number", "room", "key"):
             links[name] = 0

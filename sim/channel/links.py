@@ -1,4 +1,4 @@
-"""Radio links in many worlds: their records and packets, changes between two ticks, counters, and Python objects."""
+"""Radio links in many worlds: records and packets, changes between two ticks, counters, and Python objects."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -26,12 +26,12 @@ from sim.compiling.records import RecordArray, fill, record_type
 from sim.models.randomness import Key
 
 PER_TICK = {LinkKind.DETECTIONS: 1, LinkKind.COMMANDS: 1, LinkKind.OPERATOR: 64, LinkKind.RADIO: 8}
-"""Messages for which a link has room in every tick; a UAV radios at most five."""
+"""Capacity of a link [messages per tick]; a UAV radios at most five."""
 _COUNTERS = ("sent", "delivered", "duplicated", "queued", "in_transit")
-"""Counters that a link's record and its status have in common."""
+"""Counters common to a link's record and its status."""
 
 _WORLD = constant(0)
-"""World of links that carry objects."""
+"""World of links with objects."""
 
 
 @compiled
@@ -46,7 +46,7 @@ def exchange(
     """Run one tick of a link of world 0: send a packet for each stamp.
 
     Returns:
-        The number of arrivals.
+        Number of arrivals.
     """
     link = links[0, row]
     begin_tick(link, packets, _WORLD, traces, tick)
@@ -84,7 +84,7 @@ def place_traces(links: RecordArray, parameters: Sequence[LinkParameters]) -> In
     """Write the parameters of links into their records.
 
     Returns:
-        The planned blackouts and recorded links of all links, each recorded link once. Shape (any, 2).
+        Scheduled blackouts and traces of all links, each trace once. Shape (rows, 2).
     """
     parts: list[IntArray] = [np.zeros((0, 2), dtype=np.int64), *(p.blackouts for p in parameters)]
     ends = np.cumsum([len(part) for part in parts]).tolist()
@@ -109,7 +109,7 @@ def place_traces(links: RecordArray, parameters: Sequence[LinkParameters]) -> In
 def new_links(
     links: Sequence[LinkParameters], worlds: int = 1
 ) -> tuple[RecordArray, RecordArray, IntArray]:
-    """Make links on which nothing was ever sent; their keys are zero.
+    """Return new links without messages; their keys are zero.
 
     Returns:
         Records of type `Link`, shape (worlds, links); their packets, shape (worlds, links, 3, room); their traces.
@@ -124,13 +124,13 @@ def new_links(
 def first_arrivals(
     parameters: LinkParameters, key: Key, messages: int, *, every: int = 1
 ) -> IntArray:
-    """Return the tick of the first arrival of each message that is sent at the ticks 0, every, 2 every, ...
+    """Return the tick of the first arrival of each message sent at the ticks 0, every, 2 every, ...
 
-    -1: it is lost, or still on its way at the end.
+    -1: lost, or still in transit at the end.
 
     Args:
         parameters: The link.
-        key: Of its random numbers.
+        key: Key of its random numbers.
         messages: Number of messages.
         every: Ticks between two messages.
     """
@@ -142,7 +142,7 @@ def first_arrivals(
 
 
 def link_status(link: Any, settings: LinkSettings | None = None) -> LinkStatus:  # noqa: ANN401 - a record
-    """Return the counters of a link so far, with its settings where they are given."""
+    """Return the counters of a link so far, with its settings if given."""
     dt, ages = float(link["parameters"]["dt"]), int(link["ages"])
     lost = dict(zip(CAUSES, link["lost"].tolist(), strict=True))
     known = int(link["originals"]) + sum(lost.values())
@@ -159,11 +159,11 @@ def link_status(link: Any, settings: LinkSettings | None = None) -> LinkStatus: 
 
 
 def _change_link(link: Any, lists: RecordArray, new: LinkParameters) -> tuple[Any, Any]:  # noqa: ANN401 - a record
-    """Prepare a link for other parameters; return the packets that wait and those that fly, in their order.
+    """Prepare a link for new parameters; return the queued packets and those in transit, in order.
 
     Args:
-        link: The record, at the end of a tick; changed, but for its parameters and rings.
-        lists: Its packets. Shape (3, room).
+        link: Record at the end of a tick; changed, except for its parameters and rings.
+        lists: Packets of the link. Shape (3, room).
         new: Parameters from the next tick on.
     """
     old, room = link["parameters"], int(link["room"])
@@ -174,11 +174,11 @@ def _change_link(link: Any, lists: RecordArray, new: LinkParameters) -> tuple[An
     )
     if not (granted and continues):
         link["granted"] = 0
-    begun, waiting = int(link["granted"] > 0), int(link["queued"])
+    partial, waiting = int(link["granted"] > 0), int(link["queued"])
     queued = lists[WAITING, (link["first_waiting"] + np.arange(waiting)) % room]
-    keeps, queue = np.arange(waiting) - begun, new.settings.queue
+    keeps, queue = np.arange(waiting) - partial, new.settings.queue
     if new.spacing > 0.0 or granted:
-        surplus = keeps < waiting - begun - queue if new.newest else keeps >= queue
+        surplus = keeps < waiting - partial - queue if new.newest else keeps >= queue
         surplus &= keeps >= 0
         link["lost"][QUEUE] += surplus.sum()
         queued = queued[~surplus]
@@ -191,7 +191,7 @@ def _change_link(link: Any, lists: RecordArray, new: LinkParameters) -> tuple[An
 
 
 def _change_channel(link: Any, new: LinkParameters) -> None:  # noqa: ANN401 - a record
-    """Continue a burst or blackout where there still are any; draw the next blackout anew if its law has changed."""
+    """Continue a burst or blackout if there still are any; redraw the next blackout if its distribution has changed."""
     old_up, old_down = link["parameters"]["up"], link["parameters"]["down"]
     link["blackout"] = False
     if not new.bursts:
@@ -207,20 +207,20 @@ def _change_channel(link: Any, new: LinkParameters) -> None:  # noqa: ANN401 - a
 def change_links(
     links: RecordArray, packets: RecordArray, row: int, new: LinkParameters
 ) -> RecordArray:
-    """Give one link other parameters in all worlds, between two ticks.
+    """Change the parameters of one link in all worlds, between two ticks.
 
-    Packets that fly arrive when they would have. Packets that wait stay, except those that a shorter queue drops; the
-    packet that left last keeps the new spacing to the next. A packet that is partly granted begins again, unless the
-    opportunities continue with the same message size. Counters stay.
+    Packets in transit keep their arrival times. Queued packets stay, except those that a shorter queue drops; the new
+    spacing applies from the last packet transmitted. A partly granted packet starts again, unless the opportunities
+    continue with the same message size. Counters stay.
 
     Args:
-        links: Records; changed, but for the parameters, which `place_traces` writes.
-        packets: Their packets; changed.
-        row: The link.
-        new: Its parameters from the next tick on.
+        links: Records; changed, except for the parameters, which `place_traces` writes.
+        packets: Packets of the links; changed.
+        row: Index of the link.
+        new: Parameters from the next tick on.
 
     Returns:
-        The packets, in a larger array if they need more room.
+        The packets, in a larger array if they need more capacity.
     """
     moved = [
         _change_link(link, lists, new)
@@ -248,17 +248,17 @@ def change_links(
 class Links:
     """Radio links with their settings.
 
-    Compiled code carries packets on them. With one world they also carry Python objects: call `send_object` as often as
-    wanted, then `arrivals`, for every tick from 0 on.
+    Compiled code sends packets on them. With one world they also carry Python objects: call `send_object` any number of
+    times, then `arrivals`, for every tick from 0 on.
 
     Args:
         settings: Settings of each link, by kind and vehicle.
-        dt: Length of a tick [s].
+        dt: Duration of a tick [s].
         worlds: Number of worlds.
-        traces: The recorded links that they may play, now or after a change.
+        traces: Traces that the settings may name, now or after a change.
 
     Raises:
-        ScenarioError: If settings are impossible.
+        ScenarioError: If settings are invalid.
     """
 
     def __init__(
@@ -275,7 +275,7 @@ class Links:
         self._settings = [self._check(*name, one) for name, one in settings.items()]
         self._parameters = [self._parameters_of(row) for row in range(len(self.names))]
         self.records, self.packets, self.traces = new_links(self._parameters, worlds)
-        self._ticks = [0] * len(self.names)  # of the next arrivals of objects
+        self._ticks = [0] * len(self.names)  # next tick of `arrivals`
         self._outgoing: list[list[float]] = [
             [] for _ in self.names
         ]  # stamps of this tick's messages
@@ -291,7 +291,7 @@ class Links:
 
     @property
     def degraded(self) -> bool:
-        """True if any link does anything to a message."""
+        """True if any link differs from a perfect one."""
         return not all(p.perfect for p in self._parameters)
 
     def row(self, kind: LinkKind, vehicle: str) -> int:
@@ -299,18 +299,18 @@ class Links:
         return self.names.index((kind, vehicle))
 
     def longest(self, kind: LinkKind) -> int:
-        """Return the longest time from sending to arrival on links of a kind, queue included [ticks]."""
+        """Return the longest time from sending to arrival on links of a kind, including the queue [ticks]."""
         links = zip(self.names, self._parameters, strict=True)
         times = (p.longest + longest_wait(p) for (one, _), p in links if one is kind)
         return max(times, default=0)
 
     def change(self, row: int, settings: LinkSettings) -> None:
-        """Give a link other settings from the next tick on, in all worlds; see `change_links`.
+        """Change the settings of a link from the next tick on, in all worlds; see `change_links`.
 
-        `packets` and `traces` may be other arrays afterwards.
+        `packets` and `traces` may be new arrays afterwards.
 
         Raises:
-            ScenarioError: If the settings are impossible.
+            ScenarioError: If the settings are invalid.
         """
         self._settings[row] = self._check(*self.names[row], settings)
         self._catch_up(row)
@@ -329,17 +329,17 @@ class Links:
         """Send a Python object on a link; the link counts it when `arrivals` is called.
 
         Args:
-            row: The link.
-            tick: The tick of the next `arrivals`.
-            message: The object; delivered as it is, twice if the link duplicates it.
-            stamp: The tick that its content is from.
+            row: Index of the link.
+            tick: Tick of the next `arrivals`.
+            message: The object; delivered unchanged, and twice if the link duplicates it.
+            stamp: Tick of its content.
         """
         self._check_order(row, tick)
         self._objects[row][tick, len(self._outgoing[row])] = message
         self._outgoing[row].append(stamp)
 
     def arrivals(self, row: int, tick: int) -> list[Any]:
-        """Return the objects that arrive on a link at this tick, in order; call it once for each tick."""
+        """Return the objects that arrive on a link at this tick, in order; call once per tick."""
         self._check_order(row, tick)
         self._ticks[row] = tick + 1
         objects = self._objects[row]
@@ -353,7 +353,7 @@ class Links:
         return arrived
 
     def _forget(self, row: int) -> None:
-        """Drop the objects that can no longer arrive."""
+        """Drop objects that can no longer arrive."""
         link, (flying, waiting, _) = self.records[0, row], self.packets[0, row]
         left = int(link["in_transit"]) + int(link["queued"])
         if left == 0:
@@ -368,11 +368,11 @@ class Links:
     def _check_order(self, row: int, tick: int) -> None:
         if tick != self._ticks[row]:
             raise ValueError(
-                f"the link is at tick {self._ticks[row]}, not {tick}: every tick once, in order"
+                f"tick = {tick}: the link is at tick {self._ticks[row]}; allowed: every tick once, in order"
             )
 
     def _catch_up(self, row: int) -> None:
-        """Let a link pass the ticks in which it had nothing to carry."""
+        """Advance a link over ticks without messages."""
         if self._ticks[row] > 0:
             _catch_up(self.records, row, self.traces, self._ticks[row] - 1)
 

@@ -1,7 +1,7 @@
-"""Recorded links: Mahimahi's files of delivery opportunities, and tables of each message's time of sending and delay.
+"""Traces: Mahimahi files of delivery opportunities, and tables with each message's sent time and delay.
 
-A scenario keeps the file itself, so that whoever has the scenario plays the same link. It is read into whole ticks and
-milliseconds, without a draw but that of where in the recording a run begins.
+A scenario contains the file itself, so that every copy of the scenario replays the same link. It is converted to whole
+ticks and milliseconds; only the position at which a run starts is random.
 """
 
 import csv
@@ -25,22 +25,22 @@ from sim.compiling.compile import FloatArray, IntArray
 from sim.input.faults import Fault, shown
 
 MOST_BYTES = 50 << 20
-"""Of a recorded link's file."""
+"""Maximum size of a trace file [bytes]."""
 MOST_LINES = 1_000_000
 TRACE_RULE = "a Mahimahi file (a whole number of ms a line) or a CSV table with the columns sent [s] and delay [s]"
 OPPORTUNITY = 1500
-"""Bytes that may leave at each line of a Mahimahi file."""
+"""Bytes that can leave at each line of a Mahimahi file."""
 
 _DRAWN = ("jitter", "loss", "burst_length", "blackout_interval", "duplicates", "reorder")
 _LONGEST_TIME = 1e12
-"""Of a recording [s], and for Mahimahi [ms]: whole numbers of nanoseconds stay exact."""
+"""Largest time in a trace [s], and in a Mahimahi file [ms]: whole nanoseconds stay exact."""
 
 
 class RecordedLink(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The file of a recorded link, as it was when the scenario was read."""
+    """File of a trace, as read with the scenario."""
 
     name: Text
-    """Name of the file, as given in `links.<kind>.trace`."""
+    """Name of the trace, as in `links.<kind>.trace`."""
     sha256: Annotated[str, Meta(pattern=r"^[0-9a-f]{64}$(?!\n)")]
     """SHA-256 of the file."""
     content: bytes
@@ -48,42 +48,42 @@ class RecordedLink(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class Fates(NamedTuple):
-    """A table of messages: when each was sent, and how long it took. Shapes (rows,)."""
+    """Table of messages with sent times and delays. Shapes (rows,)."""
 
     sent: FloatArray
-    """Since the first [s], rising."""
+    """Time since the first message was sent [s], increasing."""
     delay: FloatArray
-    """[s]; NaN: lost."""
+    """Delay [s]; NaN: lost."""
 
     @property
     def duration(self) -> float:
-        """From the first row to the start of the next round [s]: the last row lasts as long as the gap before it."""
+        """Duration of the table [s]: the last row lasts as long as the gap before it."""
         gaps = np.diff(self.sent)
         last = gaps[gaps > 0.0][-1:]
         return float(self.sent[-1] + last.sum())
 
 
 class Opportunities(NamedTuple):
-    """A Mahimahi file."""
+    """Delivery opportunities of a Mahimahi file."""
 
     times: IntArray
-    """At each of which 1,500 bytes may leave [ms], rising; the last is the length of a round. Shape (lines,)."""
+    """Times at which 1,500 bytes can leave [ms], increasing; the last is the period. Shape (lines,)."""
 
 
 LinkRecording = Fates | Opportunities
 
 
 def pack(name: str, data: bytes) -> RecordedLink:
-    """The recorded link that a scenario keeps of a file's content."""
+    """Return the trace for a file's content, in the form stored in a scenario."""
     digest = hashlib.sha256(data).hexdigest()
     return RecordedLink(name=name, sha256=digest, content=zlib.compress(data, 9))
 
 
 def unpack(recorded: RecordedLink, *, where: str) -> bytes:
-    """The file's content.
+    """Return the content of the file.
 
     Raises:
-        ScenarioError: If it is not what was packed.
+        ScenarioError: If it differs from the packed content.
     """
     inflater = zlib.decompressobj()
     try:
@@ -99,21 +99,21 @@ def unpack(recorded: RecordedLink, *, where: str) -> bytes:
 
 @functools.lru_cache(maxsize=16)
 def recording_of(recorded: RecordedLink) -> LinkRecording:
-    """A recorded link, read.
+    """Return the decoded trace.
 
     Raises:
-        ScenarioError: If it is none.
+        ScenarioError: If it is invalid.
     """
-    where = f"recorded link {recorded.name}"
+    where = f"trace {recorded.name}"
     return read_recording(unpack(recorded, where=where), where=where)
 
 
 def read_recording(data: bytes, *, where: str) -> LinkRecording:
-    """Read a recorded link, of whichever of the two forms.
+    """Read a trace of either form.
 
     Args:
-        data: The file's content.
-        where: Begins the error.
+        data: Content of the file.
+        where: Prefix of error messages.
 
     Raises:
         ScenarioError: One line with the line, its value, what is wrong and what is allowed.
@@ -146,11 +146,11 @@ class _Wrong(Exception):
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
-    """The lines with their numbers, but for empty ones and comments."""
+    """Yield the lines with their numbers, except empty lines and comments."""
     for number, line in enumerate(io.StringIO(text), 1):
-        told = line.strip()
-        if told and not told.startswith("#"):
-            yield number, told
+        content = line.strip()
+        if content and not content.startswith("#"):
+            yield number, content
 
 
 def _opportunities(text: str) -> Opportunities:
@@ -160,13 +160,15 @@ def _opportunities(text: str) -> Opportunities:
             raise _Wrong(number, line, "not a whole number of ms", TRACE_RULE)
         time = int(line)
         if time < before:
-            raise _Wrong(number, time, f"before {before}", "times that do not go back, in ms")
+            raise _Wrong(number, time, f"before {before}", "non-decreasing times, in ms")
         times.append(time)
         before = time
     if before == 0:
         raise _Wrong(1, 0, "the recording lasts 0 ms", "a last line above 0 ms")
     found: IntArray = np.array(times, dtype=np.int64)
-    at_start = int(np.searchsorted(found, 1))  # the start of a round is the end of the one before
+    at_start = int(
+        np.searchsorted(found, 1)
+    )  # the start of a period is the end of the previous one
     return Opportunities(np.concatenate([found[at_start:], np.full(at_start, before)]))
 
 
@@ -174,14 +176,14 @@ def _fates(text: str) -> Fates:
     sent, delay, columns, before = array("d"), array("d"), dict[str, int](), -math.inf
     number = 0
 
-    def told() -> Iterator[str]:
+    def numbered_lines() -> Iterator[str]:
         nonlocal number
         for at, line in _lines(text):
             number = at
             yield line
 
     try:
-        for cells in csv.reader(told()):
+        for cells in csv.reader(numbered_lines()):
             if not columns:
                 columns = _columns(cells, number)
                 continue
@@ -189,7 +191,7 @@ def _fates(text: str) -> Fates:
                 raise _Wrong(number, ",".join(cells), "too few cells", "as many as in the header")
             time, took = _seconds(cells[columns["sent"]], number, "sent"), math.nan
             if time < before:
-                raise _Wrong(number, time, f"sent before {before:g} s", "times that do not go back")
+                raise _Wrong(number, time, f"sent before {before:g} s", "non-decreasing times")
             if cells[columns["delay"]].strip().lower() not in ("", "lost"):
                 took = _seconds(cells[columns["delay"]], number, "delay")
                 if took < 0.0:
@@ -206,10 +208,10 @@ def _fates(text: str) -> Fates:
 
 
 def _columns(cells: list[str], number: int) -> dict[str, int]:
-    """Places of the columns sent and delay; their unit may stand behind them."""
+    """Return the indices of the columns sent and delay; their names may include a unit."""
     found = {cell.strip().lower().removesuffix("[s]").strip(): k for k, cell in enumerate(cells)}
     if not {"sent", "delay"} <= found.keys():
-        raise _Wrong(number, ",".join(cells), "not a recorded link", TRACE_RULE)
+        raise _Wrong(number, ",".join(cells), "not a trace", TRACE_RULE)
     return {name: found[name] for name in ("sent", "delay")}
 
 
@@ -220,17 +222,17 @@ def _seconds(cell: str, number: int, name: str) -> float:
         value = math.nan
     if not abs(value) <= _LONGEST_TIME:
         rule = "a time in s" + (", empty or lost" if name == "delay" else "")
-        raise _Wrong(number, cell, f"{name} is no time", rule)
+        raise _Wrong(number, cell, f"{name} is not a time", rule)
     return value
 
 
 def found(traces: Sequence[RecordedLink], name: str) -> RecordedLink | None:
-    """The recorded link of this name, if it is among these."""
+    """Return the trace with this name; None if it is not among these."""
     return next((one for one in traces if one.name == name), None) if name else None
 
 
 def longest_recorded(settings: LinkSettings, traces: Sequence[RecordedLink]) -> float:
-    """The longest delay of the recorded table that a link plays, beside its own `delay` [s]; 0 where it plays none."""
+    """Return the longest delay in the table that a link replays, in addition to `delay` [s]; 0 without a table."""
     recorded = found(traces, settings.trace)
     recording = None if recorded is None else recording_of(recorded)
     if not isinstance(recording, Fates) or np.isnan(recording.delay).all():
@@ -241,41 +243,41 @@ def longest_recorded(settings: LinkSettings, traces: Sequence[RecordedLink]) -> 
 def trace_faults(
     settings: LinkSettings, path: str, traces: Sequence[RecordedLink]
 ) -> Iterator[Fault]:
-    """Find why a link cannot play the recorded link that it names, or not with its other fields."""
+    """Yield the reasons why a link cannot replay its trace, alone or with its other settings."""
     if not settings.trace:
         return
     recorded = found(traces, settings.trace)
     if recorded is None:
         known = ", ".join(shown(one.name) for one in traces) or "none"
-        wrong = "not among the recorded links that were read with the scenario"
+        wrong = "not among the traces that were read with the scenario"
         yield Fault(f"{path}trace", settings.trace, wrong, known)
         return
     table = isinstance(recording_of(recorded), Fates)
     refused = (*_DRAWN, "bandwidth") if table else ("bandwidth",)
-    what = "a recorded table of delays" if table else "a Mahimahi file"
+    what = "a table of delays" if table else "a Mahimahi file"
     allowed = "delay and blackouts" if table else "all but bandwidth"
     for field in refused:
         if getattr(settings, field):
             yield Fault(
                 f"{path}{field}",
                 getattr(settings, field),
-                f"cannot stand beside {what}",
-                f"0; {allowed} may",
+                f"cannot be combined with {what}",
+                f"0; {allowed} can be combined",
             )
 
 
-def first_ticks(recording: Fates, delay: float, dt: float, dust: float) -> IntArray:
-    """The table in ticks: rows (first tick that it is for, delay in ticks; -1: lost). Shape (rows, 2).
+def first_ticks(recording: Fates, delay: float, dt: float, tolerance: float) -> IntArray:
+    """Return the table in ticks: rows (first tick, delay in ticks; -1: lost). Shape (rows, 2).
 
     Args:
         recording: The table.
-        delay: Added to each [s].
-        dt: Length of a tick [s].
-        dust: A time that is this much of a tick past a tick counts as on it.
+        delay: Fixed delay, added to each [s].
+        dt: Duration of a tick [s].
+        tolerance: Share of a tick by which a time may exceed a tick and still count as this tick.
     """
-    start = np.ceil(recording.sent / dt - dust).astype(np.int64)
-    took = np.ceil((recording.delay + delay) / dt - dust)
+    start = np.ceil(recording.sent / dt - tolerance).astype(np.int64)
+    took = np.ceil((recording.delay + delay) / dt - tolerance)
     rows = np.stack([start, np.where(np.isnan(took), -1.0, took).astype(np.int64)], axis=1)
     last = np.append(start[1:] != start[:-1], True)
-    kept: IntArray = rows[last]  # of those for the same tick the last is the nearest before it
+    kept: IntArray = rows[last]  # of several rows for one tick, keep the last
     return kept

@@ -1,1 +1,1 @@
-"""Compilation, records, lane sums and threads for the compiled functions."""
+"""Compilation, records, lane sums and threads for compiled functions."""

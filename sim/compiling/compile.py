@@ -21,22 +21,22 @@ from bus import plugins
 from bus.registry import DRIVERS, LAWS, SENSORS
 
 FloatArray = npt.NDArray[np.float64]
-"""C-contiguous float64."""
+"""C-contiguous array of float64."""
 IntArray = npt.NDArray[np.int64]
-"""C-contiguous int64."""
+"""C-contiguous array of int64."""
 
 _LOG = logging.getLogger("outrider.compile")
 _F = TypeVar("_F", bound=Callable[..., Any])
 _KEPT_CACHES, _MIN_AGE = 6, 3600.0
-"""The newest caches are kept, and all that were used within this time [s]."""
+"""Number of newest caches kept, and time of last use within which all are kept [s]."""
 
 
 def _source_digest() -> str:
-    """Return a digest of all sources, of the registry's names and of the versions that compile them.
+    """Return a digest of all sources, of the registry's names and of the compiler versions.
 
     numba compares only the file of a function, not the files of the functions that it calls. Compiled code must never
-    outlive a change of either, so each state of the sources has a cache of its own. The sources of extensions and of
-    other packages with entry points belong to them; the order of names is the order in which compiled code chooses.
+    outlive a change of either, so each state of the sources has its own cache. The sources include extensions and other
+    packages with entry points. The order of names is the order in which compiled code selects functions.
     """
     digest = hashlib.sha256(f"{sys.version}{numba.__version__}{np.__version__}".encode())
     root = Path(__file__).resolve().parents[2]
@@ -58,7 +58,7 @@ def _cache_home() -> Path:
     if chosen:
         return Path(chosen)
     shared = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    # The XDG specification says that a relative path is invalid and ignored.
+    # The XDG specification declares relative paths invalid; they must be ignored.
     return (shared if shared.is_absolute() else Path.home() / ".cache") / "outrider"
 
 
@@ -74,7 +74,7 @@ def _remove_old(home: Path) -> None:
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """Return the folder of the compile cache; None if no folder can be written."""
+    """Return the folder of the compile cache; None if no folder is writable."""
     name = f"numba-{_source_digest()}"
     try:
         folder = _cache_home() / name
@@ -84,7 +84,7 @@ def cache_folder() -> Path | None:
         _remove_old(folder.parent)
     except (OSError, RuntimeError) as error:  # RuntimeError: this user has no home folder
         _LOG.warning(
-            "no compile cache (%s): every start compiles, which takes a minute; set OUTRIDER_CACHE to a folder",
+            "no compile cache (%s): every start compiles for about a minute; set OUTRIDER_CACHE to a writable folder",
             f"{error.filename or name}: {error.strerror}" if isinstance(error, OSError) else error,
         )
         return None
@@ -93,9 +93,9 @@ def cache_folder() -> Path | None:
 
 
 def constant(value: int) -> int:
-    """Return a module constant that is handed to compiled functions.
+    """Return a module constant for use as an argument of compiled functions.
 
-    numba compiles a function anew for each plain number in its callers' code, and once for all constants of its own
+    numba compiles a function once per plain number in its callers' code, but only once for all constants of its own
     integer type.
     """
     return cast("int", np.int64(value))
@@ -113,7 +113,7 @@ def compiled(function: _F) -> _F:
 
 
 def inlined(function: _F) -> _F:
-    """Compile a function as a part of each caller, where a call would hand over many arrays."""
+    """Compile a function into each caller, where a call would pass many arrays."""
     return _compile(function, inline="always")
 
 

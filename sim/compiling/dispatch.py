@@ -1,8 +1,8 @@
 # ruff: noqa: ANN401 - numba infers these types
-"""Choice among compiled functions by a whole number, with numba's public `overload`.
+"""Selection among compiled functions by an integer, with numba's public `overload`.
 
-Functions that are handed over as arguments would be compiled again in each process. Here the caller's compiled code
-contains the functions, so it is kept in the cache.
+Functions passed as arguments would be compiled again in each process. Here the caller's compiled code contains the
+functions, so that the cache stores it.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,10 +16,10 @@ Function = Callable[..., Any]
 
 
 def choice(functions: Sequence[Function]) -> Function:
-    """Return a function for compiled code: `call(place, inputs)` calls the function at this place with the inputs.
+    """Return a function for compiled code: `call(place, inputs)` calls the function at this index with the inputs.
 
     Args:
-        functions: Compiled; all with the same arguments and results.
+        functions: Compiled functions with the same arguments and results.
     """
 
     def call(place: Any, inputs: Any) -> Any:
@@ -53,15 +53,15 @@ def choice(functions: Sequence[Function]) -> Function:
 
 
 def commands(functions: Sequence[Function]) -> Function:
-    """Return a function for compiled code that commands a vehicle of a batch by its own law or driver.
+    """Return a function for compiled code that computes a vehicle's command by its own law or driver.
 
-    `call(code, vehicle, parameters, memories, place, inputs)` calls the function of this code as
-    `function(vehicle, parameters[code][row], memories[code][place], *inputs)`, where place is (world, row).
-    `parameters` and `memories` are tuples of structured arrays, one for each function. A function whose parameters
-    are None is not compiled; if it is called nevertheless, the command is not a number.
+    `call(code, vehicle, parameters, memories, place, inputs)` calls the function of this code as `function(vehicle,
+    parameters[code][row], memories[code][place], *inputs)`, where place is (world, row). `parameters` and `memories`
+    are tuples of structured arrays, one for each function. A function whose parameters are None is not compiled; if it
+    is called nevertheless, the command is NaN.
 
     Args:
-        functions: Compiled, one for each code.
+        functions: Compiled functions, one for each code.
     """
 
     def call(

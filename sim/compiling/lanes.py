@@ -1,4 +1,4 @@
-"""Sums of eight interleaved partial sums, which the compiler turns into vector instructions."""
+"""Sums of eight interleaved partial sums, which the compiler vectorizes."""
 
 from sim.compiling.compile import FloatArray, compiled
 
@@ -8,7 +8,7 @@ LANES = 8
 
 @compiled
 def widened(first: int, end: int, count: int) -> tuple[int, int]:
-    """Widen a range of cells to whole blocks if the line of `count` cells has room for them.
+    """Widen a range of cells to whole blocks if the line of `count` cells is long enough.
 
     A compiled loop over whole blocks has no remainder to process one by one.
     """
@@ -21,12 +21,12 @@ def widened(first: int, end: int, count: int) -> tuple[int, int]:
 def lane_sum(terms: FloatArray, begin: int, count: int) -> float:
     """Sum `count` terms from `begin` on.
 
-    Whole blocks go into eight partial sums, which are added as ((a + e) + (c + g)) + ((b + f) + (d + h)); then the
-    remainder is added term by term.
+    Whole blocks go into eight partial sums, added as ((a + e) + (c + g)) + ((b + f) + (d + h)); the remainder is added
+    term by term.
 
     Args:
-        terms: With room for `LANES` numbers behind the last term.
-        begin: The first term.
+        terms: Terms, with room for `LANES` more numbers at the end.
+        begin: Index of the first term.
         count: Number of terms.
     """
     a = b = c = d = e = f = g = h = 0.0

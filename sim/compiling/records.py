@@ -1,6 +1,6 @@
 """Parameters and state as structured arrays: compiled code reads `rows[k].name`.
 
-One array crosses a call from Python, whatever it holds, and a record costs no reference count.
+A call from Python passes one array for all fields, and a record needs no reference counting.
 """
 
 import functools
@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 RecordArray = npt.NDArray[np.void]
-"""A structured array, one record for each element."""
+"""Structured array, one record per element."""
 
 Pair = Annotated[npt.NDArray[np.float64], (2,)]
-"""A vector in a record, x before y."""
+"""Vector in a record, x before y."""
 
 _T = TypeVar("_T")
 _E = TypeVar("_E", bound=Enum)
@@ -28,10 +28,9 @@ _KINDS = {float: np.float64, int: np.int64, bool: np.bool_, np.uint64: np.uint64
 def record_type(fields: type) -> np.dtype[np.void]:
     """Return the dtype of a class: one column for each number, flag, choice, vector, fixed array or nested class.
 
-    A member of an enum is its `code`. A vector is a tuple of two floats; `Annotated[IntArray, (6,)]` holds six
-    numbers. Other fields are left out.
-    The fields that a class adds come before those of its bases: numba would take a record that begins with all fields
-    of another one for that.
+    An enum member is its `code`. A vector is a tuple of two floats; `Annotated[IntArray, (6,)]` holds six numbers.
+    Other fields are omitted. The fields that a class adds come before the fields of its bases: numba would treat a
+    record that starts with all fields of another one as that record.
     """
     hints = get_type_hints(fields, include_extras=True)
     names = dict.fromkeys(
@@ -42,13 +41,13 @@ def record_type(fields: type) -> np.dtype[np.void]:
 
 
 def _column(hint: Any) -> tuple[Any, ...]:  # noqa: ANN401 - a type, as it is annotated
-    """Return the type of a column, and its shape; nothing for a field that is left out."""
+    """Return the type of a column, and its shape; empty for an omitted field."""
     if hint in _KINDS:
         return (_KINDS[hint],)
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Annotated:
         shapes = [part for part in parts[1:] if isinstance(part, tuple)]
-        if shapes:  # an array of NumPy's, whose second parameter is its dtype
+        if shapes:  # a NumPy array type, whose second parameter is its dtype
             return (get_args(get_args(parts[0])[1])[0], shapes[0])
         return _column(parts[0])
     if origin in (Union, UnionType):
@@ -64,12 +63,12 @@ def _column(hint: Any) -> tuple[Any, ...]:  # noqa: ANN401 - a type, as it is an
 
 
 def code(member: Enum) -> int:
-    """Return the number of an enum's member in a record, from 1; 0 stands for None."""
+    """Return the number of an enum member in a record, from 1; 0 is None."""
     return 1 + list(type(member)).index(member)
 
 
 def choice(kinds: type[_E], number: int) -> _E | None:
-    """Return the member of an enum with this `code`; None for 0."""
+    """Return the enum member with this `code`; None for 0."""
     return list(kinds)[number - 1] if number else None
 
 
@@ -92,13 +91,13 @@ def records(fields: type, rows: Sequence[Any]) -> RecordArray:
 
 
 def struct_of(fields: Callable[..., _T], row: Any) -> _T:  # noqa: ANN401 - a record
-    """Return the struct of a record that has all its fields, and maybe more."""
+    """Return the struct of a record with all its fields, and possibly more."""
     values = (row[name].tolist() for name in getattr(fields, "__struct_fields__", ()))
     return fields(*(tuple(one) if isinstance(one, list) else one for one in values))
 
 
 def fresh(fields: type, shape: tuple[int, ...] = (1,)) -> RecordArray:
-    """Return a table of new records: each field has the default that the class gives it, or 0."""
+    """Return a table of new records: each field has the default of the class, or 0."""
     table = np.zeros(shape, dtype=record_type(fields))
     for name in table.dtype.names or ():
         table[name] = getattr(fields, name, 0)

@@ -1,7 +1,7 @@
-"""Many worlds on several cores: compiled loops over a range of worlds, each thread takes ranges until none is left.
+"""Threads for many worlds: each repeatedly runs a compiled loop over a range of worlds.
 
-Threads of Python, not of numba: compiled code gives the interpreter away while it runs, so nothing else is needed,
-the compile cache works as everywhere, and processes that fork or spawn meet no thread pool of a library.
+Python threads, not numba's: compiled code releases the interpreter's lock, the compile cache works as elsewhere, and
+processes that fork or spawn inherit no thread pool of a library.
 """
 
 import itertools
@@ -11,13 +11,13 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 _LEAST = 16
-"""Worlds that are worth a call from a thread."""
+"""Smallest number of worlds for a call from a thread."""
 _PARTS = 8
-"""Ranges for each thread: a core that is slow for a while holds up the others by one of them at most."""
+"""Ranges per thread: a temporarily slow core delays the others by at most one range."""
 
 
 def cores() -> int:
-    """Processor cores that this process may use."""
+    """Return the number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -25,34 +25,34 @@ class WorkerThreads:
     """Threads that share the worlds of a batch; the caller is one of them.
 
     Args:
-        threads: How many; by default one for each core that this process may use.
+        threads: Number of threads; by default one per core that this process may use.
 
     Raises:
-        ValueError: If it is less than 1.
+        ValueError: If it is below 1.
     """
 
     def __init__(self, threads: int | None = None) -> None:
         if threads is not None and not (threads >= 1 and threads % 1 == 0):
-            raise ValueError(f"threads = {threads}: must be a whole number, 1 or more")
+            raise ValueError(f"threads = {threads}: too few; allowed: a whole number, 1 or more")
         self.threads = threads or cores()
         self._pool: ThreadPoolExecutor | None = None
-        self._owner = -1  # a process that was forked has the pool's object, but not its threads
+        self._owner = -1  # a forked process has the pool's object, but not its threads
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[type["WorkerThreads"], tuple[int]]:
-        return WorkerThreads, (self.threads,)  # a copy has threads of its own
+        return WorkerThreads, (self.threads,)  # a copy has its own threads
 
     def shares(self, count: int) -> bool:
-        """True if so many worlds are worth more than one thread."""
+        """Return whether this number of worlds is worth more than one thread."""
         return count >= 2 * _LEAST and self.threads > 1
 
     def share(self, work: Callable[..., object], count: int, *arguments: object) -> None:
-        """Call `work(*arguments, begin, end)` so that the ranges cover 0 to `count`, and wait for all of them.
+        """Call `work(*arguments, begin, end)` for ranges that cover 0 to `count`, and wait for all of them.
 
-        Whichever thread is free takes the next range: cores are not equally fast, and flights not equally long.
+        Each free thread takes the next range, because cores and episodes differ in speed and length.
 
         Raises:
-            Exception: One that any of them raised.
+            Exception: Raised by any of the calls.
         """
         if not self.shares(count):
             work(*arguments, 0, count)
@@ -62,7 +62,7 @@ class WorkerThreads:
         ranges = iter(list(itertools.pairwise(edges)))
 
         def take() -> None:
-            for begin, end in ranges:  # a list's iterator gives each to one thread
+            for begin, end in ranges:  # a list's iterator yields each range to one thread
                 work(*arguments, begin, end)
 
         helpers = min(self.threads, parts) - 1

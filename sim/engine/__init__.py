@@ -1,1 +1,1 @@
-"""A world's tick over arrays of worlds."""
+"""Simulation engine: one tick of a world, over arrays of worlds."""

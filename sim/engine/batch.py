@@ -1,7 +1,7 @@
-"""Many worlds of one scenario at once: arrays with an axis for worlds, and the tick of each, compiled.
+"""Batch of many worlds of one scenario: arrays with a leading axis for worlds, and a compiled tick.
 
-No laws in here. World k with a seed is, bit for bit, the `World` of that seed and secret under the same commands:
-a single world is a batch of one.
+Control laws are not included. World k with a seed is, bit for bit, the `World` of that seed and secret under the same
+commands: a single world is a batch of one.
 """
 
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ def _run_worlds(
     begin: int,
     end: int,
 ) -> None:
-    """Begin worlds, or advance them by one tick."""
+    """Start worlds, or advance them by one tick."""
     for n in range(begin, end):
         if beginning:
             begin_world(tables, state, ground, worlds[n])
@@ -55,37 +55,37 @@ def _run_worlds(
 
 
 def arrays_of(state: object) -> list[npt.NDArray[Any]]:
-    """All arrays of a state, however deep."""
+    """Return all arrays of a nested state."""
     if isinstance(state, tuple):
         return [array for part in state for array in arrays_of(part)]
     return [state] if isinstance(state, np.ndarray) else []
 
 
 class Fresh:
-    """The start of every world: a copy of the first one's arrays, before anything has happened."""
+    """Initial state of every world: a copy of the first world's arrays before the start."""
 
     def __init__(self, state: object) -> None:
         self._pairs = [(array, array[:1].copy()) for array in arrays_of(state) if array.size]
 
     def restore(self, worlds: IntArray) -> None:
-        """Let these worlds be as they were at the start."""
+        """Reset these worlds to the initial state."""
         for array, first in self._pairs:
             array[worlds] = first
 
 
 class Batch:
-    """Many worlds of one scenario; `begin` them first.
+    """Worlds of one scenario; call `begin` first.
 
     Args:
-        scenario: What is flown in each.
-        worlds: How many.
-        gains: Whether the fall of e(t) by each look is counted.
-        threads: Processor cores that share the worlds; by default all that this process may use.
-        secret: Of all their random numbers, with each one's seed; empty: none.
-        others: Kinds of links beside those of detections and commands, which the engine carries.
+        scenario: Scenario of each world.
+        worlds: Number of worlds.
+        gains: True to compute the decrease of e(t) by each sensor update.
+        threads: Processor cores for the worlds; by default all that this process may use.
+        secret: Secret of all random numbers, combined with each world's seed; empty: none.
+        others: Kinds of links in addition to detections and commands, which the engine handles.
 
     Raises:
-        ValueError: If there are no worlds.
+        ValueError: If `worlds` is below 1.
     """
 
     def __init__(
@@ -99,20 +99,20 @@ class Batch:
         others: Sequence[LinkKind] = (),
     ) -> None:
         if worlds < 1:
-            raise ValueError(f"worlds = {worlds}: must be 1 or more")
+            raise ValueError(f"worlds = {worlds}: too few; allowed: 1 or more")
         self.scenario = scenario
         self.worlds = worlds
         self._secret = secret
         self.parameters = world_parameters(scenario, gains=gains)
         self.workers = WorkerThreads(threads)
-        """The threads that share the worlds."""
+        """Threads that share the worlds."""
         self._shared = self.workers.shares(worlds)
         self._all = np.arange(worlds)
         self.links = links_of(scenario, (*ENGINE_LINKS, *others), worlds)
-        """Links of detections, of commands, then of the other kinds."""
+        """Links for detections, for commands, then of the other kinds."""
         self._key_rows = key_rows(scenario, self.links)
         self.link_table = scenario.links
-        """The links' settings now, as a scenario would write them."""
+        """Current settings of the links, in the form of a scenario."""
         self.tables = batch_tables(scenario, self.parameters, self.links.traces)
         vehicles = first_vehicles(scenario)
         self.state = BatchState(
@@ -125,16 +125,16 @@ class Batch:
             packets=self.links.packets,
         )
         self.ground = ground_of(scenario, worlds)
-        """The ground; None if there are no hazards."""
+        """State of the ground; None: no hazards."""
         changing = self.ground._asdict() if self.ground is not None else {}
         changing |= self.state._asdict()
-        for constant in (*CONSTANTS, "packets"):  # links without any packets are new
+        for constant in (*CONSTANTS, "packets"):  # unused packet arrays are created with the links
             changing.pop(constant, None)
         self.fresh = Fresh(tuple(changing.values()))
-        """The start of every world."""
+        """Initial state of every world."""
 
     def _motion_rows(self) -> int:
-        """Motions that each receiver has room for: those that may be under way at once; one where there are none."""
+        """Return the buffer size for pending backup trajectories of a receiver; 1 if there are none."""
         scenario = self.scenario
         delays = [safety_parameters(scenario, uav.name).max_command_delay for uav in scenario.uav]
         delays += [
@@ -145,11 +145,11 @@ class Batch:
     def begin(
         self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None = None
     ) -> None:
-        """Begin worlds anew.
+        """Start worlds with new seeds.
 
         Args:
-            seeds: One for each of them.
-            worlds: Which; all by default.
+            seeds: Seed of each of these worlds.
+            worlds: Indices of the worlds; all by default.
         """
         which = self.restore(seeds, worlds)
         self._run(which, beginning=True)
@@ -157,18 +157,18 @@ class Batch:
     def restore(
         self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None
     ) -> IntArray:
-        """Let worlds be as they were at the start, with the keys of these seeds; before the first look.
+        """Reset worlds to the initial state, with the keys of these seeds, before the first sensor update.
 
         Args:
             seeds, worlds: As in `begin`.
 
         Returns:
-            Which they are.
+            Indices of the worlds.
         """
         which = np.arange(self.worlds) if worlds is None else np.asarray(worlds, dtype=np.int64)
         given = np.asarray(seeds, dtype=np.int64)
         if self.link_table is not self.scenario.links:
-            raise ValueError("a world cannot begin anew: its links have been changed")
+            raise ValueError("worlds cannot be restarted: their links have been changed")
         if given.shape != which.shape:
             raise ValueError(f"{given.size} seeds for {which.size} worlds")
         self.fresh.restore(which)
@@ -181,7 +181,7 @@ class Batch:
         return which
 
     def _place_hazards(self, worlds: IntArray) -> None:
-        """Draw the hazards of the scenario's fields; every seed has others."""
+        """Draw the hazards of the scenario's fields; they differ with every seed."""
         if self.ground is None:
             return
         tables = ground_tables(self.scenario)
@@ -194,7 +194,7 @@ class Batch:
         """Advance all worlds by one tick under the outgoing commands, or under `command` of each vehicle.
 
         Args:
-            linked: Whether commands cross their links.
+            linked: True if commands cross their links.
         """
         self._run(self._all, linked=linked)
 
@@ -206,17 +206,17 @@ class Batch:
             _run_worlds(*given, 0, len(worlds))
 
     def change_links(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> None:
-        """Give links other settings in all worlds, between two ticks: packets on their way arrive as they would have.
+        """Change the settings of links in all worlds, between two ticks; packets in transit keep their arrival time.
 
-        No world can begin anew afterwards.
+        Worlds cannot be restarted afterwards.
 
         Args:
-            kind: The kind of the links.
-            vehicle: The vehicle; None: all that have such a link.
-            settings: The new settings.
+            kind: Kind of the links.
+            vehicle: Name of the vehicle; None: all with such a link.
+            settings: New settings.
 
         Raises:
-            ScenarioError: If the settings are impossible, or this vehicle has no such link.
+            ScenarioError: If the settings are invalid, or this vehicle has no such link.
         """
         names = vehicles_with(self.scenario, kind)
         if vehicle is not None and vehicle not in names:

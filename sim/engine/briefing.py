@@ -1,4 +1,4 @@
-"""The briefing of each vehicle when it joins: its own row of the scenario, and of the others only their bounds."""
+"""Briefing of each vehicle: its own row of the scenario, and only the bounds of the other vehicles."""
 
 from typing import Any
 
@@ -16,30 +16,30 @@ from sim.scenario.types import DEFAULT_AGE, Scenario, Uav, Ugv
 
 
 def limits(vehicle: Uav | Ugv) -> Limits:
-    """A vehicle's bounds as messages carry them."""
+    """Return a vehicle's bounds in the form of a message."""
     return Limits(
         max_speed=or_none(vehicle.max_speed), max_acceleration=or_none(vehicle.max_acceleration)
     )
 
 
 def _error(scenario: Scenario) -> float | None:
-    """The largest error of a detection [m]; None where it has no bound."""
+    """Return the largest error of a detection [m]; None: unbounded."""
     noise = scenario.detections.noise
     return or_none(noise * scenario.detections.truncation) if noise > 0.0 else 0.0
 
 
 def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:
-    """Largest true distance of a UAV from where it is told that it is, w [m]; infinite where that has no bound."""
+    """Return the largest distance of a UAV from its reference position, w [m]; infinite if unbounded."""
     return tracking_error(uav.tracking, scenario.wind.largest, uav.position_error, scenario.dt)
 
 
 def ugv_carries(scenario: Scenario, ugv: Ugv) -> bool:
-    """Return whether a UGV's commands carry the stop that follows them: the driver that navigates does this."""
+    """Return whether a UGV's commands carry backup trajectories, as with the driver `navigate`."""
     return scenario.has_ground and ugv.driver == "navigate"
 
 
 def command_delay(scenario: Scenario, uav: str) -> float:
-    """Return the time from a command's tick to the one in which it acts [s]: as given, or the longest of its link."""
+    """Return the longest delay of a UAV's commands [s]: the declared one, or the longest of its link."""
     if scenario.certificate.max_command_delay is not None:
         return scenario.certificate.max_command_delay
     return longest_delay(scenario.links.of(uav, LinkKind.COMMANDS), scenario.links.traces)
@@ -67,7 +67,7 @@ def safety_parameters(scenario: Scenario, uav: str) -> SafetyParameters:
 
 
 def monitored_bounds(scenario: Scenario, uav: str) -> SafetyBounds:
-    """Return the bounds with which the simulator counts a UAV's certificates."""
+    """Return the bounds with which the simulator checks a UAV's certificates."""
     vehicle = next(one for one in scenario.uav if one.name == uav)
     target = next(one for one in scenario.ugv if one.name == vehicle.escorts)
     return safety_bounds(
@@ -93,7 +93,7 @@ def _common(scenario: Scenario, vehicle: Uav | Ugv, seed: int, secret: str) -> d
 
 
 def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> UavBriefing:
-    """The briefing of a UAV; arguments and errors as of `briefing`."""
+    """Return the briefing of a UAV; arguments and errors as in `briefing`."""
     uav = {one.name: one for one in scenario.uav}[name]
     escorted = {ugv.name: ugv for ugv in scenario.ugv}[uav.escorts]
     return UavBriefing(
@@ -120,7 +120,7 @@ def uav_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> 
 
 
 def ugv_briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> UgvBriefing:
-    """The briefing of a UGV; arguments and errors as of `briefing`."""
+    """Return the briefing of a UGV; arguments and errors as in `briefing`."""
     ugv = {one.name: one for one in scenario.ugv}[name]
     return UgvBriefing(
         **_common(scenario, ugv, seed, secret),
@@ -148,7 +148,7 @@ def ugv_delay(scenario: Scenario, ugv: str) -> float:
 
 
 def briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> Briefing:
-    """The briefing of the vehicle `name` in a run with this seed and secret; neither is in it.
+    """Return the briefing of a vehicle in a run with this seed and secret; it contains neither.
 
     Raises:
         KeyError: If the scenario has no such vehicle.

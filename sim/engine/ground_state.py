@@ -1,4 +1,4 @@
-"""State of the ground in many worlds, and of the UGVs' missions on it."""
+"""State of the ground, and of the UGVs' missions, in many worlds."""
 
 import math
 from typing import NamedTuple
@@ -21,97 +21,99 @@ class GroundParameters(NamedTuple):
 
     tile: float
     period: int
-    """Ticks between two looks of a UAV's sensor at the ground."""
+    """Ticks between two updates of a UAV's ground sensor."""
     miss: float
     false_alarm: float
-    """Chances of a tile with a hazard to be told as clear, and of a clear one to be told as blocked."""
+    """Probability of reporting a tile with a hazard as clear, and a clear tile as blocked."""
     bumper: float
     stuck: bool
-    """True if a vehicle that touches what blocks stays there; else it is damaged and drives on."""
+    """True if a vehicle that touches a blocking hazard is stuck; else it is damaged and drives on."""
 
 
 class Progress(NamedTuple):
-    """The columns of a table: how one UGV does."""
+    """Mission progress of one UGV, a row of a table."""
 
     way: float
-    """That it has driven [m]."""
+    """Distance driven [m]."""
     seen_way: float
-    """Of it on tiles that had come by radio before [m]."""
+    """Distance driven on tiles that had been received by radio [m]."""
     entered: int
     """Ticks in which it drove over a tile that it did not know to be drivable."""
     claim: int
-    """Its claim at this tick, one of `sim.models.ground`'s; 0: none."""
+    """Its claim at this tick, a constant of `sim.models.ground`; 0: none."""
     certified: int
     way_unknown: int
     no_stop: int
-    """Ticks in which it claimed to stay on tiles that it knows, and in which it did not, by reason."""
+    """Ticks in which it was certified to stay on known tiles, and in which it was not, by reason."""
     untrue: int
-    """1 once a tile has been told it as drivable that is not, or as both."""
+    """1 once it received a false report of a tile as drivable, or contradictory reports."""
     broken: int
-    """Certified ticks after which it was not, or in which it left them, although it was told the truth."""
+    """Certified ticks after which it was not certified, or in which it left known tiles, although all reports were
+    true.
+    """
     still: int
-    """Ticks in which it stood still before it had arrived."""
+    """Ticks in which it stood still before arrival."""
     reached: int
-    """Goals."""
+    """Goals reached."""
     arrived: int
-    """The tick at which it had reached the last of them; -1: not yet, or it has none."""
-    told: int
-    """Tiles that have come by radio, each counted once."""
+    """Tick at which it reached the last goal; -1: not yet, or it has none."""
+    received_tiles: int
+    """Tiles received by radio, each counted once."""
     listed: int
-    """Number of hazards near it when they were listed; -1: not yet."""
+    """Number of hazards in the list of near ones; -1: not listed yet."""
     listed_x: float
     listed_y: float
-    """Its position then [m]."""
+    """Its position when they were listed [m]."""
 
 
 class GroundState(NamedTuple):
-    """Ground of all worlds: two constant arrays, then arrays with an axis for worlds in front."""
+    """Ground of all worlds: constant arrays first, then arrays with a leading axis for worlds."""
 
     parameters: RecordArray
     """`GroundParameters`. Shape (1,)."""
     corners: FloatArray
-    """Corners of all polygons [m]. Shape (any, 2)."""
+    """Corners of all polygons [m]. Shape (corners, 2)."""
     ugvs: IntArray
     """Row of each UGV among the vehicles. Shape (UGVs,)."""
     strides: FloatArray
-    """Longest way of each UGV in a tick [m]. Shape (UGVs,)."""
+    """Longest distance that each UGV drives in a tick [m]. Shape (UGVs,)."""
     hazards: RecordArray
-    """`HazardRow`: those of the scenario, then those that were drawn. Shape (worlds, hazards)."""
+    """`HazardRow`: first the scenario's hazards, then the random ones. Shape (worlds, hazards)."""
     tiles: TileArray
     """True state of each tile. Shape (worlds, rows, columns)."""
     looked: npt.NDArray[np.float32]
-    """C of (3) of each UAV alone at the tiles' centres. Shape (worlds, UAVs, rows, columns)."""
+    """C of (3) of each single UAV at the tiles' centers. Shape (worlds, UAVs, rows, columns)."""
     known: TileArray
-    """Tiles as each vehicle's own sensor has reported them. Shape (worlds, vehicles, rows, columns)."""
+    """State of each tile as reported by each vehicle's own sensor. Shape (worlds, vehicles, rows, columns)."""
     seen: npt.NDArray[np.int32]
-    """Tiles that it has reported since the tick before, row * columns + column. Shape (worlds, vehicles, room)."""
-    told: IntArray
-    """Their number. Shape (worlds, vehicles)."""
+    """Tiles reported since the previous tick, as row * columns + column. Shape (worlds, vehicles, room)."""
+    report_counts: IntArray
+    """Number of these tiles. Shape (worlds, vehicles)."""
     pace: FloatArray
-    """Share of its maximum speed that each vehicle has where it is; 0: it is stuck. Shape (worlds, vehicles)."""
+    """Share of its maximum speed that each vehicle has at its position; 0: stuck. Shape (worlds, vehicles)."""
     before: FloatArray
-    """Position of each UGV before it moved [m]. Shape (worlds, UGVs, 2)."""
+    """Position of each UGV before its last move [m]. Shape (worlds, UGVs, 2)."""
     hits: npt.NDArray[np.uint8]
     """1 for each blocking hazard that a UGV has touched. Shape (worlds, UGVs, hazards)."""
     missions: RecordArray
     """`Progress`. Shape (worlds, UGVs)."""
     received: TickArray
-    """Time at which each UGV received each tile by radio first. Shape (worlds, UGVs, rows, columns)."""
+    """Time at which each UGV first received each tile by radio. Shape (worlds, UGVs, rows, columns)."""
     radioed: TileArray
-    """State that the radio has reported of each: BLOCK stays, others are overwritten. Shape as `received`."""
+    """State of each tile as received by radio: BLOCK is final, others are overwritten. Shape as `received`."""
     warned: TickArray
-    """Time at which it knew of each hazard first, by radio or by its bumper. Shape (worlds, UGVs, hazards)."""
+    """Time of its first knowledge of each hazard, by radio or by its own sensor. Shape (worlds, UGVs, hazards)."""
     met: TickArray
-    """Time at which it was nearer than `ON_WAY` first. Shape (worlds, UGVs, hazards)."""
+    """Time at which it first came within `ON_WAY`. Shape (worlds, UGVs, hazards)."""
     nearest: FloatArray
     """Smallest distance to each hazard [m]. Shape (worlds, UGVs, hazards)."""
     near: npt.NDArray[np.int32]
-    """Hazards that it could come nearer to than `ON_WAY` before they are listed anew; `Progress.listed` of them.
+    """Hazards that it could approach within `ON_WAY` before the next listing; the first `Progress.listed` are valid.
 
     Shape (worlds, UGVs, hazards).
     """
     found: TickArray
-    """Time at which any vehicle's sensor reported each hazard first. Shape (worlds, hazards)."""
+    """Time at which a vehicle's sensor first reported each hazard. Shape (worlds, hazards)."""
 
 
 CONSTANTS = ("parameters", "corners", "ugvs", "strides")
@@ -119,7 +121,7 @@ CONSTANTS = ("parameters", "corners", "ugvs", "strides")
 
 
 def ground_of(scenario: Scenario, worlds: int) -> GroundState | None:
-    """Return the ground before anything has been drawn or seen; None if there are no hazards."""
+    """Return the initial ground, before hazards are drawn or reported; None: no hazards."""
     if not scenario.has_ground:
         return None
     tables, ground = ground_tables(scenario), scenario.ground
@@ -148,7 +150,7 @@ def ground_of(scenario: Scenario, worlds: int) -> GroundState | None:
         looked=np.zeros((worlds, uavs, *size), np.float32),
         known=np.zeros((worlds, vehicles, *size), np.uint8),
         seen=np.zeros((worlds, vehicles, room), np.int32),
-        told=np.zeros((worlds, vehicles), np.int64),
+        report_counts=np.zeros((worlds, vehicles), np.int64),
         pace=np.ones((worlds, vehicles)),
         before=np.zeros((worlds, ugvs, 2)),
         hits=np.zeros((worlds, ugvs, count), np.uint8),

@@ -1,8 +1,8 @@
-"""The ground of worlds: its hazards, what vehicles meet on it, and what their sensors tell of it. Compiled.
+"""Compiled tick of the ground: contact of vehicles with hazards, and ground sensors.
 
-The ground is divided into tiles. A UAV's sensor accumulates (3) at their centres; where that reaches C* it tells once
-what is there, as well as it can. A UGV's bumper tells of the tiles around it without errors. Without hazards all
-arrays are empty, and nothing is done.
+The ground is divided into tiles. A UAV's sensor accumulates (3) at their centers; once a tile reaches C*, the sensor
+reports its state once, possibly with an error. A UGV's sensor reports the tiles around it without errors. Without
+hazards all arrays are empty, and nothing is done.
 """
 
 import math
@@ -16,31 +16,33 @@ from sim.models.hazards import BLOCK, ROUGH, crosses_hazard, rough_share
 from sim.models.randomness import GROUND_LOOK, TILE_CHANCE, WordArray, key_of, uniform
 
 _POINTS = 8
-"""Parts of a tick's way, at whose ends its tiles are looked up."""
+"""Segments of the path driven in a tick, whose ends are checked for tiles."""
 
 
 @compiled
 def _tile_range(center: float, reach: float, tile: float, count: int) -> tuple[int, int]:
-    """The tiles on one axis that have a point within `reach` [m] of here: the first, and the one after the last."""
+    """Return the range of tiles on one axis with a point within `reach` [m] of the center: first and end."""
     first = math.ceil((center - reach) / tile) - 1
     last = math.floor((center + reach) / tile)
     return max(0, first), min(count, last + 1)
 
 
 @compiled
-def _tell(ground: GroundState, world: int, vehicle: int, row: int, column: int, state: int) -> None:
-    """The sensor of a vehicle tells of a tile."""
+def _report(
+    ground: GroundState, world: int, vehicle: int, row: int, column: int, state: int
+) -> None:
+    """Record the report of a tile by a vehicle's sensor."""
     ground.known[world, vehicle, row, column] = state
-    n = ground.told[world, vehicle]
+    n = ground.report_counts[world, vehicle]
     ground.seen[world, vehicle, n] = row * ground.tiles.shape[2] + column
-    ground.told[world, vehicle] = n + 1
+    ground.report_counts[world, vehicle] = n + 1
 
 
 @compiled
-def _told_state(
+def _reported_state(
     parameters: GroundParameters, state: int, keys: WordArray, row: int, column: int
 ) -> int:
-    """State that the sensor of UAV v tells of a tile which truly is in this one."""
+    """Return the state that a UAV's sensor reports for a tile with this true state."""
     if state == CLEAR:
         chance, wrong = parameters.false_alarm, BLOCK
     else:
@@ -52,10 +54,10 @@ def _told_state(
 
 
 @compiled
-def _look(
+def _update_sensor(
     numbers: WorldParameters, ground: GroundState, one: Vehicle, world: int, uav: int, vehicle: int
 ) -> None:
-    """Let a UAV look at the ground from its reference position."""
+    """Update a UAV's ground sensor at its reference position."""
     settings = ground.parameters[0]
     x, y = one.reference_position[0], one.reference_position[1]
     looked, known = ground.looked[world, uav], ground.known[world, vehicle]
@@ -71,20 +73,20 @@ def _look(
     first, end = _tile_range(x, numbers.sensor.reach, settings.tile, looked.shape[1])
     for row in range(first_row, end_row):
         sums, states, news = looked[row, first:end], known[row, first:end], 0
-        for i in range(sums.size):  # several to a vector: mostly there is none
+        for i in range(sums.size):  # count first, vectorized: mostly there are none
             news += 1 if (sums[i] >= numbers.desired) & (states[i] == UNSEEN) else 0
         if news == 0:
             continue
         for column in range(first, end):
             if known[row, column] == UNSEEN and looked[row, column] >= numbers.desired:
                 true = ground.tiles[world, row, column]
-                told = _told_state(settings, true, one.keys, row, column)
-                _tell(ground, world, vehicle, row, column, told)
+                reported = _reported_state(settings, true, one.keys, row, column)
+                _report(ground, world, vehicle, row, column, reported)
 
 
 @compiled
-def _feel(ground: GroundState, one: Vehicle, world: int, vehicle: int) -> None:
-    """Report, by the bumper of a UGV, the tiles that have a point within its range."""
+def _sense_near(ground: GroundState, one: Vehicle, world: int, vehicle: int) -> None:
+    """Report the tiles with a point within the range of a UGV's own sensor."""
     parameters = ground.parameters[0]
     x, y = one.reference_position[0], one.reference_position[1]
     known = ground.known[world, vehicle]
@@ -97,14 +99,14 @@ def _feel(ground: GroundState, one: Vehicle, world: int, vehicle: int) -> None:
                 continue
             d_x = max(column * parameters.tile - x, x - (column + 1) * parameters.tile, 0.0)
             if d_x * d_x + d_y * d_y <= parameters.bumper * parameters.bumper:
-                _tell(ground, world, vehicle, row, column, ground.tiles[world, row, column])
+                _report(ground, world, vehicle, row, column, ground.tiles[world, row, column])
 
 
 @compiled
 def _meets_block(
     ground: GroundState, world: int, p: FloatArray, q: FloatArray
 ) -> tuple[int, float]:
-    """The hazard that blocks the way from p to q [m], and the share of the way to it; -1: none."""
+    """Return the blocking hazard on the segment from p to q [m], and the share of the segment before it; -1: none."""
     tile, tiles = ground.parameters[0].tile, ground.tiles[world]
     rows, columns = tiles.shape
     first, end = tile_index(min(p[1], q[1]), tile, rows), tile_index(max(p[1], q[1]), tile, rows)
@@ -122,19 +124,19 @@ def _meets_block(
 def _enters_unknown(
     tile: float,
     known: TileArray,
-    told: TileArray,
+    received: TileArray,
     start: FloatArray,
     end: FloatArray,
     last: tuple[float, float],
 ) -> bool:
-    """Return whether a UGV's way in a tick touches a tile that it does not know to be drivable.
+    """Return whether a UGV's path in a tick touches a tile that it does not know to be drivable.
 
     Args:
         tile: Width of a tile [m].
-        known: States that its bumper has told, which stand against the radio's.
-        told: States that the radio has told.
-        start, end: Of the way [m], a parabola; at rest it enters nothing.
-        last: The way that it would take in a tick with its velocity at the end [m].
+        known: States reported by its own sensor; they take precedence over the radio's.
+        received: States received by radio.
+        start, end: Ends of the path [m], a parabola; at rest it enters no tile.
+        last: Displacement in a tick at its final velocity [m].
     """
     if start[0] == end[0] and start[1] == end[1]:
         return False
@@ -145,11 +147,11 @@ def _enters_unknown(
         rest = share * (1.0 - share)
         x = start[0] + share * (end[0] - start[0]) - rest * bend_x
         y = start[1] + share * (end[1] - start[1]) - rest * bend_y
-        first, stop = _tile_range(y, 0.0, tile, rows)  # closed ones: on an edge two
+        first, stop = _tile_range(y, 0.0, tile, rows)  # closed intervals: two tiles on an edge
         left, right = _tile_range(x, 0.0, tile, columns)
         for i in range(first, stop):
             for j in range(left, right):
-                state = known[i, j] if known[i, j] != UNSEEN else told[i, j]
+                state = known[i, j] if known[i, j] != UNSEEN else received[i, j]
                 if state in (UNSEEN, BLOCK):
                     return True
     return False
@@ -157,7 +159,7 @@ def _enters_unknown(
 
 @compiled
 def drive_on(numbers: WorldParameters, ground: GroundState, state: BatchState, world: int) -> None:
-    """Let the UGVs touch hazards on their way from `before` to where they are; one that is stuck stops."""
+    """Check the UGVs for contact with hazards on their path from `before`; a stuck UGV stops."""
     parameters = ground.parameters[0]
     for n in range(ground.ugvs.shape[0]):
         v, start = ground.ugvs[n], ground.before[world, n]
@@ -192,8 +194,8 @@ def drive_on(numbers: WorldParameters, ground: GroundState, state: BatchState, w
 
 
 @compiled
-def keep_before(ground: GroundState, state: BatchState, world: int) -> None:
-    """Note the UGVs' positions before they move."""
+def store_positions(ground: GroundState, state: BatchState, world: int) -> None:
+    """Store the UGVs' positions before they move."""
     for n in range(ground.ugvs.shape[0]):
         here = state.vehicles[world, ground.ugvs[n]].reference_position
         ground.before[world, n, 0], ground.before[world, n, 1] = here[0], here[1]
@@ -203,13 +205,13 @@ def keep_before(ground: GroundState, state: BatchState, world: int) -> None:
 def perceive_ground(
     numbers: WorldParameters, ground: GroundState, state: BatchState, escorts: IntArray, world: int
 ) -> None:
-    """Report the tiles that every vehicle's sensor has seen since the tick before."""
+    """Report the tiles that each vehicle's sensor has observed since the previous tick."""
     tick = state.ticks[world]
-    for v in range(ground.told.shape[1]):
-        ground.told[world, v] = 0
+    for v in range(ground.report_counts.shape[1]):
+        ground.report_counts[world, v] = 0
     if tick > 0 and tick % ground.parameters[0].period == 0:
         for u in range(escorts.shape[0]):
             v = escorts[u, 0]
-            _look(numbers, ground, state.vehicles[world, v], world, u, v)
+            _update_sensor(numbers, ground, state.vehicles[world, v], world, u, v)
     for n in range(ground.ugvs.shape[0]):
-        _feel(ground, state.vehicles[world, ground.ugvs[n]], world, ground.ugvs[n])
+        _sense_near(ground, state.vehicles[world, ground.ugvs[n]], world, ground.ugvs[n])

@@ -1,6 +1,6 @@
-"""The UGVs' mission: goals, hazards on the way, and how long before each was known. For measuring alone.
+"""Mission results of the UGVs: goals, hazards on the path, and warning times. For evaluation only.
 
-No vehicle is told of any of it.
+No vehicle receives any of them.
 """
 
 import math
@@ -28,28 +28,28 @@ from sim.models.hazards import BLOCK, FOUND, ROUGH, distance_to_hazard, may_be_w
 from sim.models.vehicles import next_goal, norm
 
 ON_WAY = 2.0
-"""A hazard that a UGV comes nearer to than this is on its way [m]."""
+"""Distance below which a hazard counts as on a UGV's path [m]."""
 NEAR_MISS = 0.2
-"""One that blocks, and that it comes nearer to than this without touching it, is a near miss [m]."""
+"""Distance below which a blocking hazard that is not touched counts as a near miss [m]."""
 _SKIN = 1.0
-"""So far a UGV may move until the hazards near it are listed anew [m]."""
+"""Distance after which a UGV's list of near hazards is renewed [m]."""
 _ROUNDING = 1e-6
-"""So much farther than it must a list of them reaches [m]."""
+"""Extra range of the list, for rounding [m]."""
 _STILL = 0.01
-"""Slower than this share of its largest speed a UGV stands still."""
+"""Share of its maximum speed below which a UGV stands still."""
 
 
 @compiled
 def goals_of(goals: FloatArray, goal_rows: IntArray, ugv: int) -> FloatArray:
-    """Return the goals of a UGV [m], a view of the goals of all. Shape (goals, 2)."""
+    """Return the goals of a UGV [m], a view of all goals. Shape (goals, 2)."""
     return goals[goal_rows[ugv] : goal_rows[ugv + 1]]
 
 
 @compiled
-def _note(
+def _record_hazards(
     ground: GroundState, world: int, row: int, column: int, ticks: TickArray, tick: int
 ) -> None:
-    """Somebody is told that there is a hazard on a tile: note it for those that are."""
+    """Record the first knowledge of the hazards on a tile."""
     tile = ground.parameters[0].tile
     x, y, half = (column + 0.5) * tile, (row + 0.5) * tile, math.sqrt(0.5) * tile
     for h in range(ticks.shape[0]):
@@ -60,12 +60,12 @@ def _note(
 
 
 @compiled
-def note_claim(ugvs: RecordArray, ugv: int, claim: int) -> None:
-    """A UGV claims this at the tick that is flown next, or nothing.
+def record_claim(ugvs: RecordArray, ugv: int, claim: int) -> None:
+    """Record the claim of a UGV for the next tick.
 
     Args:
-        ugvs: `Progress` of each, is changed. Shape (UGVs,).
-        ugv: Which.
+        ugvs: `Progress` of each UGV; changed. Shape (UGVs,).
+        ugv: Index of the UGV.
         claim: NO_CLAIM, CERTIFIED, WAY_UNKNOWN or NO_STOP.
     """
     record = ugvs[ugv]
@@ -86,14 +86,14 @@ def receive_block(
     block: tuple[int, int],
     states: npt.NDArray[np.uint8],
 ) -> None:
-    """A UGV is told of a block of tiles by radio.
+    """Record a map update that a UGV has received by radio.
 
     Args:
         ground: Changed.
-        world, ugv: Which.
-        tick: Now.
+        world, ugv: Indices.
+        tick: Current tick.
         block: Row and column of the block.
-        states: Of its tiles, row by row. Shape (BLOCK_SIDE * BLOCK_SIDE,).
+        states: States of its tiles, row by row. Shape (BLOCK_SIDE * BLOCK_SIDE,).
     """
     received = ground.received[world, ugv]
     for place in range(states.shape[0]):
@@ -110,32 +110,32 @@ def receive_block(
             ground.radioed[world, ugv, row, column] = state
         if received[row, column] == 0:
             received[row, column] = tick + 1
-            ground.missions[world, ugv].told += 1
+            ground.missions[world, ugv].received_tiles += 1
             if state != CLEAR:
-                _note(ground, world, row, column, ground.warned[world, ugv], tick)
+                _record_hazards(ground, world, row, column, ground.warned[world, ugv], tick)
 
 
 @compiled
-def _note_sensors(ground: GroundState, world: int, tick: int) -> None:
-    """Note the hazards of which the vehicles' own sensors have just told."""
+def _record_sensors(ground: GroundState, world: int, tick: int) -> None:
+    """Record the hazards that the vehicles' own sensors have just reported."""
     columns = ground.tiles.shape[2]
-    for v in range(ground.told.shape[1]):
-        for i in range(ground.told[world, v]):
+    for v in range(ground.report_counts.shape[1]):
+        for i in range(ground.report_counts[world, v]):
             row, column = ground.seen[world, v, i] // columns, ground.seen[world, v, i] % columns
             if (
                 ground.known[world, v, row, column] == CLEAR
                 or ground.tiles[world, row, column] == CLEAR
             ):
                 continue  # missed, or a false alarm
-            _note(ground, world, row, column, ground.found[world], tick)
+            _record_hazards(ground, world, row, column, ground.found[world], tick)
             for n in range(ground.ugvs.shape[0]):
                 if ground.ugvs[n] == v:
-                    _note(ground, world, row, column, ground.warned[world, n], tick)
+                    _record_hazards(ground, world, row, column, ground.warned[world, n], tick)
 
 
 @compiled
 def _list_near(hazards: RecordArray, near: TickArray, x: float, y: float) -> int:
-    """List the hazards on whose way a UGV may come before it is `_SKIN` away from (x, y) [m]; their number."""
+    """List the hazards that a UGV may approach within `_SKIN` of (x, y) [m]; return their number."""
     listed = 0
     for h in range(hazards.shape[0]):
         if hazards[h].kind == 0 or hazards[h].kind == FOUND:
@@ -150,7 +150,7 @@ def _list_near(hazards: RecordArray, near: TickArray, x: float, y: float) -> int
 def _drive(
     tables: BatchTables, state: BatchState, ground: GroundState, world: int, ugv: int
 ) -> None:
-    """Update the mission of a UGV that has come to where it is."""
+    """Update the mission of a UGV after it has moved."""
     tick, vehicle = state.ticks[world], state.vehicles[world, tables.ugvs[ugv]]
     x, y = vehicle.position[0], vehicle.position[1]
     row, goals = ground.missions[world, ugv], goals_of(tables.goals, tables.goal_rows, ugv)
@@ -183,9 +183,9 @@ def _drive(
 
 
 @compiled
-def note_mission(tables: BatchTables, state: BatchState, ground: GroundState, world: int) -> None:
-    """Record a tick of a world: the reports of sensors, and the places that the UGVs have reached."""
-    _note_sensors(ground, world, state.ticks[world])
+def record_mission(tables: BatchTables, state: BatchState, ground: GroundState, world: int) -> None:
+    """Record a tick of a world: sensor reports, and the UGVs' progress."""
+    _record_sensors(ground, world, state.ticks[world])
     for n in range(ground.ugvs.shape[0]):
         _drive(tables, state, ground, world, n)
 
@@ -204,14 +204,14 @@ def _guarantee(row: RecordArray) -> UgvGuarantee:
 def mission_of(
     goal_rows: IntArray, ground: GroundState, world: int, dt: float, names: Sequence[str]
 ) -> MissionResult:
-    """The mission of a world so far.
+    """Return the mission results of a world so far.
 
     Args:
         goal_rows: As in `BatchTables`.
-        ground: The ground of all worlds.
-        world: Which.
-        dt: Length of a tick [s].
-        names: Of the UGVs.
+        ground: Ground of all worlds.
+        world: Index of the world.
+        dt: Duration of a tick [s].
+        names: Names of the UGVs.
     """
     ugvs, kinds = ground.missions[world], ground.hazards["kind"][world]
     met, warned, blocks = ground.met[world] > 0, ground.warned[world], kinds == BLOCK

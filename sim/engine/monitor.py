@@ -1,8 +1,8 @@
-"""Counts that tell whether a UAV's certificate is true: its reports, held against what truly is.
+"""Counters that check a UAV's certificate: its reports, compared with the true state.
 
-Two of them must be 0 in every flight of every law and network: ticks that are certified while the UGV is out of
-sight, and certificates that end although everything holds that is declared. The simulator counts so for the vehicles
-of a run, and the closed loop for each of many worlds.
+Two of them must be 0 in every run, with every control law and network: certified ticks in which the UGV is out of
+sight, and certificates that end although all declared bounds hold. The simulator counts them for the vehicles of a run,
+and the closed loop for each of many worlds.
 """
 
 from typing import NamedTuple
@@ -15,65 +15,67 @@ from sim.models.motion import waited
 from sim.models.safety import SafetyBounds
 
 _ROUNDING = 1e-9
-"""A measured error that is larger than declared by no more than this [m] is as declared."""
+"""Tolerance when a measured error is compared with its bound [m]."""
 NEVER = -(2**41)
-"""The tick of a detection, where none has arrived."""
+"""Placeholder tick: no detection has arrived."""
 
 
 class CertificateCounters:
-    """One UAV's counts and what they are made of, a row of a table."""
+    """Counters of one UAV, a row of a table."""
 
     newest: int
-    """Tick of the newest detection that has arrived."""
+    """Tick of the newest received detection."""
     errors_kept: bool
-    """True while no detection had a larger error than declared."""
+    """True while no detection error exceeded its bound."""
     tracking_kept: bool
-    """True while the UAV was as near as declared to where it was told that it is."""
+    """True while the tracking error stayed within its bound."""
     interval_kept: bool
-    """True if the motion that the UAV flies began no longer ago than declared."""
+    """True if the active trajectory started no longer ago than the bound allows."""
     certified_before: bool
-    """True if the tick before was certified, and nothing excuses that this one is not."""
+    """True if the previous tick was certified and this one is not excused."""
     suspected: int
     since: int
-    """Certificates that have ended while everything held, but where an outage may yet be seen; the last one's tick."""
+    """Certificates that ended although all bounds held, while a lost command may still explain it; tick of the last
+    one.
+    """
     longest_interval: int
-    """The longest time from the beginning of a motion to that of the next [ticks]."""
+    """Longest time from the start of one trajectory to the start of the next [ticks]."""
     ticks: int
     certified: int
     overridden: int
-    """Ticks that are watched; those of them that were certified; those in which the filter acted."""
+    """Supervised ticks; of these, ticks certified, and ticks overridden by the filter."""
     certified_while_lost: int
-    """Ticks that were certified although the UGV was out of sight, then or where the flight ended with the tick."""
+    """Certified ticks in which, or at whose end, the UGV was out of sight."""
     broken: int
-    """Ticks that were not certified although the one before was and everything held."""
+    """Ticks not certified although the previous tick was and all bounds held."""
 
 
 class ArrivalRecord:
-    """The detections that have reached a UAV at one tick, a row of a table."""
+    """Detections that reached a UAV at one tick, a row of a table."""
 
     newest: int
-    """The newest tick that one was taken in; NEVER: there is none."""
+    """Tick of the newest one; NEVER: none."""
     error: float
-    """The largest norm of an error, by the true relative position then [m]."""
+    """Largest norm of a detection error, relative to the true relative position [m]."""
 
 
 class Claim(NamedTuple):
-    """The claim of a safety filter at one tick, and what is true of it."""
+    """Claim of a safety filter at one tick, with its true state."""
 
     certified: bool
-    """True if it says that sight is kept."""
+    """True if the filter certifies visibility."""
     overridden: bool
-    """True if it acted."""
+    """True if the filter overrode the control law."""
     lost: bool
-    """True if the UGV is out of sight, in the tick that is reported of."""
+    """True if the UGV is out of sight in the reported tick."""
     current: bool
-    """True if it is of this tick: with a clock that waits for nobody it may be of an earlier one, and without a report
-    it is of none.
+    """True if the claim belongs to this tick; in real time it may belong to an earlier one, and without a report to
+    none.
     """
 
 
 def certificate_counters(uavs: int) -> RecordArray:
-    """Nothing has been counted. Shape (uavs,)."""
+    """Return counters that are all zero. Shape (uavs,)."""
     counts: RecordArray = np.zeros(uavs, record_type(CertificateCounters))
     for one in counts:
         reset_counters(one)
@@ -82,7 +84,7 @@ def certificate_counters(uavs: int) -> RecordArray:
 
 @compiled
 def reset_counters(counts: CertificateCounters) -> None:
-    """Nothing has been counted: a flight begins."""
+    """Reset the counters at the start of a run."""
     counts.tracking_kept, counts.interval_kept = True, True
     counts.suspected, counts.since, counts.longest_interval = 0, 0, 0
     (
@@ -97,7 +99,7 @@ def reset_counters(counts: CertificateCounters) -> None:
 
 @compiled
 def reset_filter(counts: CertificateCounters) -> None:
-    """A filter without a memory begins: it answers for no detection of before, and need not certify."""
+    """Reset the memory of a new filter: it has no earlier detections, and need not be certified."""
     counts.newest, counts.errors_kept, counts.certified_before = NEVER, True, False
 
 
@@ -105,17 +107,17 @@ def reset_filter(counts: CertificateCounters) -> None:
 def record_arrival(
     bounds: SafetyBounds, counts: CertificateCounters, taken: int, error: float
 ) -> None:
-    """A detection of the tick `taken` has reached the UAV; its error is so large [m]."""
+    """Record a detection of the tick `taken` that has reached the UAV, with its error [m]."""
     counts.newest = max(counts.newest, taken)
     counts.errors_kept = counts.errors_kept and error <= bounds.max_measurement_error + _ROUNDING
 
 
 @compiled
 def _confirm(bounds: SafetyBounds, counts: CertificateCounters, tick: int) -> None:
-    """Count what was suspected, if everything has held for long enough at this tick.
+    """Count the suspected violations once all bounds have held for long enough.
 
-    That is until the motion of the suspected tick's command may begin: a pilot knows of an outage as soon as nothing
-    that is under way can end it in time.
+    That is until the trajectory of the suspected tick's command may start: a pilot knows that an interval is too long
+    as soon as no pending command can end it in time.
     """
     if tick >= counts.since + bounds.delay_ticks - 1:
         counts.broken += counts.suspected
@@ -126,7 +128,7 @@ def _confirm(bounds: SafetyBounds, counts: CertificateCounters, tick: int) -> No
 def record_decision(
     bounds: SafetyBounds, counts: CertificateCounters, tick: int, said: Claim
 ) -> None:
-    """Count a tick in which a safety filter watches over the UAV, after what has arrived at it."""
+    """Record a tick in which a safety filter supervises the UAV, after its arrivals."""
     held = (
         counts.errors_kept
         and counts.tracking_kept
@@ -151,20 +153,20 @@ def record_decision(
 def record_interval(
     bounds: SafetyBounds, counts: CertificateCounters, tick: int, begins: int, bare: int
 ) -> None:
-    """Hold what a UAV flies in this tick against the longest time between two motions.
+    """Compare the trajectory that a UAV executes in this tick with the longest command interval.
 
     Args:
-        bounds, counts: Of the UAV.
-        tick: Which.
-        begins: Tick in which the motion began that it flies; NO_MOTION: none.
-        bare: Tick that the bare acceleration answers that acts instead; NEVER: a motion is flown.
+        bounds, counts: Bounds and counters of the UAV.
+        tick: The tick.
+        begins: First tick of the active trajectory; NO_MOTION: none.
+        bare: Tick answered by the bare acceleration that acts instead; NEVER: a trajectory is active.
     """
     if bare != NEVER:
         counts.interval_kept = (
             bare == tick and bounds.delay_ticks == 0 and bounds.interval_ticks == 1
         )
     else:
-        wait = waited(tick, begins, bounds.delay_ticks) + 1  # so long at least
+        wait = waited(tick, begins, bounds.delay_ticks) + 1  # a lower bound of the interval
         counts.longest_interval = max(counts.longest_interval, wait)
         counts.interval_kept = wait <= bounds.interval_ticks
     if not counts.interval_kept:
@@ -174,11 +176,11 @@ def record_interval(
 
 @compiled
 def record_end(counts: CertificateCounters, lost: bool) -> None:
-    """The flight ends, and nobody is asked at its last state any more.
+    """Finish a run: the vehicles report nothing about its last state.
 
     Args:
-        counts: Of the UAV.
-        lost: Whether the UGV is out of sight there. If the tick before was certified, and everything held, that counts
+        counts: Counters of the UAV.
+        lost: True if the UGV is out of sight there. If the previous tick was certified and all bounds held, this counts
             as certified out of sight.
     """
     if (
@@ -194,9 +196,9 @@ def record_end(counts: CertificateCounters, lost: bool) -> None:
 
 @compiled
 def record_tracking_error(bounds: RecordArray, counts: RecordArray, uav: int, off: float) -> None:
-    """One UAV truly is so far from where it is told that it is [m].
+    """Record the tracking error of a UAV [m].
 
-    Once that is farther than declared, what is seen from there may be wrong for as long as it is remembered.
+    After it exceeds its bound, measurements may stay wrong for as long as the filter remembers them.
     """
     kept = off <= bounds[uav].max_tracking_error + _ROUNDING
     counts[uav].tracking_kept = counts[uav].tracking_kept and kept
@@ -210,14 +212,14 @@ def record_tick(
     answers: bool,
     said: tuple[bool, bool, bool, bool],
 ) -> None:
-    """`record_arrival`, `record_decision` and `record_interval` of one UAV, for Python.
+    """Call `record_arrival`, `record_decision` and `record_interval` for one UAV, from Python.
 
     Args:
         tables: `SafetyBounds` and `CertificateCounters` of all UAVs.
-        evidence: The truth of this tick: `ArrivalRecord` of each UAV, `Vehicle` of each vehicle, and
-            `CheckedTrajectory` that each flew.
-        place: Its row among the UAVs, its row among all vehicles, and the tick.
-        answers: Whether it has a new command; else it has seen nothing either.
+        evidence: True state of this tick: `ArrivalRecord` of each UAV, `Vehicle` and active `CheckedTrajectory` of each
+            vehicle.
+        place: Row among the UAVs, row among all vehicles, and the tick.
+        answers: True if it has a new command; without one, its detections count as not received.
         said: A `Claim`.
     """
     (bounds, counts), (arrivals, vehicles, flown), (uav, vehicle, tick) = tables, evidence, place

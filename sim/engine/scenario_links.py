@@ -1,7 +1,7 @@
-"""The radio links of a scenario, and the keys of their random numbers.
+"""Radio links of a scenario, and the keys of their random numbers.
 
-Every message crosses in simulated time, inside the simulator: the environment, three processes and containers meet
-one network.
+Every message crosses its link in simulated time, inside the simulator: environment, processes and containers have the
+same network.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from sim.models.randomness import COMMAND_LINK, DETECTION_LINK, OPERATOR_LINK, R
 from sim.scenario.types import Scenario, Uav, Ugv
 
 ENGINE_LINKS = (LinkKind.DETECTIONS, LinkKind.COMMANDS)
-"""Kinds of links that the engine's tick carries."""
+"""Kinds of links that the engine's tick handles."""
 _PURPOSES = {
     LinkKind.DETECTIONS: DETECTION_LINK,
     LinkKind.COMMANDS: COMMAND_LINK,
@@ -33,7 +33,7 @@ def vehicles_with(scenario: Scenario, kind: LinkKind) -> tuple[str, ...]:
 
 
 def links_of(scenario: Scenario, kinds: Sequence[LinkKind], worlds: int = 1) -> Links:
-    """Return the links of these kinds: all of the first kind, in name order, then those of the next.
+    """Return the links of these kinds: all of the first kind in name order, then all of the next.
 
     Args:
         scenario: The scenario.

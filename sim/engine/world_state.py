@@ -1,6 +1,6 @@
-"""State of worlds and their common constants: the arrays of the compiled tick.
+"""State of worlds, and their common constants: the arrays of the compiled tick.
 
-Arrays have an axis for vehicles, or for UAVs with the UGVs they escort, in name order.
+Arrays have an axis for vehicles, or for UAVs with their UGVs, in name order.
 """
 
 import math
@@ -22,7 +22,7 @@ from sim.scenario.types import Scenario, Uav, Ugv
 
 
 class WorldParameters(NamedTuple):
-    """The numbers of a scenario that the tick reads, in SI units."""
+    """Scenario parameters used by the tick, in SI units."""
 
     dt: float
     width: float
@@ -37,13 +37,13 @@ class WorldParameters(NamedTuple):
     dropout: float
     period: int
     hold_ticks: int
-    """For how long a vehicle goes on with its last command when none comes."""
+    """Ticks for which the last command stays in effect when no new one arrives."""
     gains: bool
-    """True if the fall of e(t) by each look is counted."""
+    """True to compute the decrease of e(t) by each sensor update."""
 
 
 def world_parameters(scenario: Scenario, *, gains: bool = False) -> WorldParameters:
-    """The numbers of a scenario."""
+    """Return the world parameters of a scenario."""
     return WorldParameters(
         dt=float(scenario.dt),
         width=float(scenario.area.width),
@@ -71,12 +71,13 @@ class Vehicle:
     max_speed: float
     max_acceleration: float
     follows_motions: bool
-    """True if its receiver flies the motions that its commands carry."""
+    """True if its receiver executes the backup trajectories of commands."""
     delay_ticks: int
     interval_ticks: int
-    """Declared delay of its commands; longest time from the start of a motion to the start of the next [ticks].
+    """Declared delay of its commands, and longest time from the start of one trajectory to the start of the next
+    [ticks].
 
-    Beyond it a motion that arrives late acts as a bare acceleration.
+    After a longer interval, a trajectory that arrives late acts as a bare acceleration.
     """
     position: Pair
     velocity: Pair
@@ -85,29 +86,29 @@ class Vehicle:
     reference_velocity: Pair
     """Reference state [m], [m/s]."""
     acceleration: Pair
-    """Acceleration applied in the last tick, after its bounds [m/s²]."""
+    """Acceleration applied in the last tick, after the bounds [m/s²]."""
     command: Pair
-    """Command that acted in the last tick, before the bounds [m/s²]."""
+    """Command executed in the last tick, before the bounds [m/s²]."""
     command_tick: int
     """Tick that the newest received command answers; -1: none."""
     outgoing: Pair
-    """Command that leaves in the coming tick [m/s²]."""
+    """Command sent in the next tick [m/s²]."""
     outgoing_tick: int
-    """Tick that it answers; -1: there is none."""
+    """Tick that it answers; -1: none."""
     outgoing_motion: int
     outgoing_motions: int
-    """Tick in which the last motion that it carries begins, -1: none; number of motions."""
+    """First tick of the last trajectory in the command, -1: none; number of trajectories."""
     detection: Pair
     """Relative position that a UAV has detected at this tick [m]; NaN: none."""
     gain: float
-    """Decrease of e(t) by the last look of a UAV [m²]."""
+    """Decrease of e(t) by the last sensor update of a UAV [m²]."""
     distance: float
     coverage_error: float
-    """Distance of a UAV to its UGV [m] and e(t) (4) with the true p_g [m²], when they were last measured."""
+    """Distance of a UAV from its UGV [m], and e(t) (4) with the true p_g [m²], at their last measurement."""
     disturbance: Disturbance
     """Tracking error of a UAV and its causes."""
     keys: Annotated[WordArray, (RUN_PURPOSES, 2)]
-    """Keys of its random draws."""
+    """Keys of its random numbers."""
 
 
 class BatchTables(NamedTuple):
@@ -120,44 +121,44 @@ class BatchTables(NamedTuple):
     ugvs: IntArray
     """Row of each UGV among the vehicles. Shape (UGVs,)."""
     traces: IntArray
-    """Planned blackouts and recorded links of all links. Shape (any, 2)."""
+    """Scheduled blackouts and traces of all links. Shape (rows, 2)."""
     disturbances: RecordArray
-    """`DisturbanceParameters` of each UAV. Shape (UAVs,); (0,) if nothing disturbs them."""
+    """`DisturbanceParameters` of each UAV. Shape (UAVs,); (0,) without disturbances."""
     goals: FloatArray
-    """Goals of all UGVs [m]. Shape (any, 2)."""
+    """Goals of all UGVs [m]. Shape (goals, 2)."""
     goal_rows: IntArray
-    """First goal of each UGV, and the end. Shape (UGVs + 1,)."""
+    """Index of each UGV's first goal, and the end. Shape (UGVs + 1,)."""
     tolerances: FloatArray
-    """Distances at which each UGV reaches a goal [m]. Shape (UGVs,)."""
+    """Goal tolerance of each UGV [m]. Shape (UGVs,)."""
 
 
 class BatchState(NamedTuple):
-    """State of each world. All arrays have an axis for worlds in front."""
+    """State of each world. All arrays have a leading axis for worlds."""
 
     ticks: IntArray
-    """Shape (worlds,)."""
+    """Current tick of each world. Shape (worlds,)."""
     vehicles: RecordArray
     """`Vehicle`. Shape (worlds, vehicles)."""
     coverage: FloatArray
-    """C of (3) on the grid, all UAVs together. Shape (worlds, rows, columns)."""
+    """C of (3) on the grid, summed over all UAVs. Shape (worlds, rows, columns)."""
     motions: RecordArray
-    """`CheckedTrajectory` of each motion that commands carry; the one that begins in tick k is in row k % rows.
+    """`CheckedTrajectory` of each trajectory in commands; the one that starts in tick k is in row k % rows.
 
     Shape (worlds, vehicles, rows).
     """
     flown: RecordArray
-    """`CheckedTrajectory` of the motion that each vehicle flies. Shape (worlds, vehicles, 1)."""
+    """`CheckedTrajectory` that each vehicle executes. Shape (worlds, vehicles, 1)."""
     links: RecordArray
-    """`Link`: of the detections of each UAV, then of the commands of each vehicle, then of other kinds.
+    """`Link`: detections of each UAV, then commands of each vehicle, then other kinds.
 
     Shape (worlds, links).
     """
     packets: RecordArray
-    """`Packet`: those that fly, wait, and have arrived at this tick. Shape (worlds, links, 3, room)."""
+    """`Packet`: in transit, queued, and arrived at this tick. Shape (worlds, links, 3, room)."""
 
 
 def first_coverage(scenario: Scenario) -> FloatArray:
-    """Return the coverage grid with which every run begins. Shape (rows, columns)."""
+    """Return the initial coverage grid of every run. Shape (rows, columns)."""
     coverage = empty_coverage(scenario.area.width, scenario.area.height, scenario.area.cell)
     for region in scenario.coverage.covered:
         cover(coverage, region.lower, region.upper, scenario.area.cell, scenario.coverage.desired)
@@ -165,11 +166,11 @@ def first_coverage(scenario: Scenario) -> FloatArray:
 
 
 def first_vehicles(scenario: Scenario) -> RecordArray:
-    """Return the state with which every run begins, before the first look. Shape (vehicles,)."""
+    """Return the initial state of every run, before the first sensor update. Shape (vehicles,)."""
     vehicles = np.zeros(len(scenario.vehicles), record_type(Vehicle))
     for row, one in zip(vehicles, scenario.vehicles, strict=True):
         row["max_speed"], row["max_acceleration"] = one.max_speed, one.max_acceleration
-        row["interval_ticks"] = MOST_TICKS  # the stop of a UGV's motions is safe for any time
+        row["interval_ticks"] = MOST_TICKS  # the stop of a UGV's trajectory is safe for any time
         row["follows_motions"] = isinstance(one, Uav) or ugv_carries(scenario, one)
         if isinstance(one, Uav):
             bounds = monitored_bounds(scenario, one.name)
@@ -182,7 +183,7 @@ def first_vehicles(scenario: Scenario) -> RecordArray:
 
 
 def escorts_of(scenario: Scenario) -> IntArray:
-    """Return rows (UAV, UGV), one for each UAV, in name order. Shape (UAVs, 2)."""
+    """Return the rows (UAV, UGV) of each UAV, in name order. Shape (UAVs, 2)."""
     index = {vehicle.name: k for k, vehicle in enumerate(scenario.vehicles)}
     escorts = {uav.name: uav.escorts for uav in scenario.uav}
     rows = [(index[name], index[escorts[name]]) for name in index if name in escorts]
@@ -190,7 +191,7 @@ def escorts_of(scenario: Scenario) -> IntArray:
 
 
 def disturbances_of(scenario: Scenario) -> RecordArray:
-    """Return the `DisturbanceParameters` of each UAV. Shape (UAVs,); (0,) if nothing disturbs them."""
+    """Return the `DisturbanceParameters` of each UAV. Shape (UAVs,); (0,) without disturbances."""
     wind, dt = scenario.wind, scenario.dt
     uavs = [one for one in scenario.vehicles if isinstance(one, Uav)] if scenario.disturbed else []
     rows = [
@@ -225,6 +226,6 @@ def batch_tables(scenario: Scenario, parameters: WorldParameters, traces: IntArr
 
 
 def joined(arrays: Sequence[FloatArray], width: int) -> tuple[FloatArray, IntArray]:
-    """Return arrays one after the other, and where each begins."""
+    """Concatenate arrays; return the result and the start of each."""
     edges = np.cumsum([0, *(len(array) for array in arrays)]).astype(np.int64)
     return np.concatenate([np.zeros((0, width)), *arrays]), edges

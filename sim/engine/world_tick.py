@@ -1,4 +1,4 @@
-"""One tick of a world, compiled: the same functions serve a single world and each of many."""
+"""Compiled tick of a world, used for single worlds and for batches."""
 
 import math
 
@@ -9,8 +9,8 @@ from sim.channel.link_records import ARRIVED
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
 from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState
-from sim.engine.ground_tick import drive_on, keep_before, perceive_ground
-from sim.engine.mission import note_mission
+from sim.engine.ground_tick import drive_on, perceive_ground, store_positions
+from sim.engine.mission import record_mission
 from sim.engine.world_state import BatchState, BatchTables, Vehicle, WorldParameters
 from sim.models.detection import detect
 from sim.models.field import accumulate, accumulate_with_gain, coverage_error
@@ -23,7 +23,7 @@ from sim.models.wind import draw_disturbance
 
 @compiled
 def _step(numbers: WorldParameters, vehicle: Vehicle, max_speed: float) -> None:
-    """Move the reference state of a vehicle over a tick, (1)."""
+    """Advance the reference state of a vehicle by one tick, (1)."""
     place, velocity = vehicle.reference_position, vehicle.reference_velocity
     p_x, p_y, v_x, v_y, u_x, u_y = step_vehicle(
         place[0],
@@ -45,14 +45,14 @@ def _step(numbers: WorldParameters, vehicle: Vehicle, max_speed: float) -> None:
 def _move(
     numbers: WorldParameters, vehicles: RecordArray, ground: GroundState | None, world: int
 ) -> None:
-    """Move every vehicle to where its command leads, (1)."""
+    """Move every vehicle under its command, (1)."""
     for v in range(vehicles.shape[1]):
         vehicle = vehicles[world, v]
         speed = vehicle.max_speed
         if ground is not None:
             pace = ground.pace[world, v]
             if pace < 1.0:
-                speed = speed * pace if pace > 0.0 else 0.0  # which may be infinite
+                speed = speed * pace if pace > 0.0 else 0.0  # the speed may be infinite
         _step(numbers, vehicle, speed)
 
 
@@ -66,8 +66,8 @@ def apply_disturbance(vehicle: Vehicle) -> None:
 
 
 @compiled
-def _be_at_reference(vehicle: Vehicle) -> None:
-    """Let the true state of a vehicle without disturbances be its reference state."""
+def _reset_to_reference(vehicle: Vehicle) -> None:
+    """Set the true state of a vehicle without disturbances to its reference state."""
     for i in range(2):
         vehicle.position[i] = vehicle.reference_position[i]
         vehicle.velocity[i] = vehicle.reference_velocity[i]
@@ -75,7 +75,7 @@ def _be_at_reference(vehicle: Vehicle) -> None:
 
 @inlined
 def _look(numbers: WorldParameters, state: BatchState, escorts: IntArray, world: int) -> None:
-    """Let every UAV's sensor look at the ground, (3)."""
+    """Update the coverage with every UAV's sensor, (3)."""
     coverage = state.coverage[world]
     for k in range(escorts.shape[0]):
         uav, ugv = state.vehicles[world, escorts[k, 0]], state.vehicles[world, escorts[k, 1]]
@@ -105,7 +105,7 @@ def _look(numbers: WorldParameters, state: BatchState, escorts: IntArray, world:
 
 @inlined
 def _detect(numbers: WorldParameters, uav: Vehicle, ugv: Vehicle, tick: int) -> None:
-    """Let a UAV's detector look for its UGV, if it is due at this tick."""
+    """Run a UAV's detector of its UGV, if it is due at this tick."""
     uav.detection[0], uav.detection[1] = np.nan, np.nan
     if tick % numbers.period == 0:
         _, uav.detection[0], uav.detection[1] = detect(
@@ -131,14 +131,14 @@ def measure(
     world: int,
     error: bool,
 ) -> None:
-    """Measure the distance [m] and e(t) (4) with the true p_g [m²] of each UAV of a world.
+    """Measure the distance [m], and e(t) (4) with the true p_g [m²], of each UAV of a world.
 
     Args:
         parameters: `WorldParameters`. Shape (1,).
-        vehicles, coverage: Of all worlds; `distance` and `coverage_error` are changed.
+        vehicles, coverage: State of all worlds; `distance` and `coverage_error` are changed.
         escorts: Rows (UAV, UGV). Shape (UAVs, 2).
-        world: The world.
-        error: False: leave e(t) at 0.
+        world: Index of the world.
+        error: False: set e(t) to 0.
     """
     numbers = parameters[0]
     for k in range(escorts.shape[0]):
@@ -157,10 +157,12 @@ def measure(
 
 
 @compiled
-def _note_arrival(motions: RecordArray, world: int, vehicle: int, last: int, carried: int) -> None:
-    """Mark the motions of a received command, which begin in the tick `last` and the ticks before it.
+def _record_arrival(
+    motions: RecordArray, world: int, vehicle: int, last: int, carried: int
+) -> None:
+    """Mark the trajectories of a received command; they start in the tick `last` and the ticks before it.
 
-    Motions that have begun already, or whose row holds a later one by now, stay unmarked.
+    Trajectories that have started, or whose row holds a later one, stay unmarked.
     """
     rows = motions.shape[2]
     for begins in range(max(0, last - min(carried, rows) + 1), last + 1):
@@ -171,10 +173,10 @@ def _note_arrival(motions: RecordArray, world: int, vehicle: int, last: int, car
 
 @inlined
 def _fly_motion(numbers: WorldParameters, state: BatchState, world: int, v: int) -> bool:
-    """Fly the motion of this tick if it has come and goes on from the one that is flown, else the rest of that one.
+    """Execute this tick's trajectory if it has arrived and follows the active one, else the rest of the active one.
 
     Returns:
-        False if commands act that carry no motion.
+        False if commands without a trajectory are in effect.
     """
     vehicle, tick = state.vehicles[world, v], state.ticks[world]
     if state.motions[world, v, tick % state.motions.shape[2]].arrived == 1:
@@ -195,10 +197,10 @@ def _fly_motion(numbers: WorldParameters, state: BatchState, world: int, v: int)
 
 @compiled
 def _acts_bare(state: BatchState, world: int, v: int, begins: int) -> bool:
-    """Return whether the newest command acts as a bare acceleration when it arrives.
+    """Return whether the newest command acts as a bare acceleration on arrival.
 
-    One without a motion does. So does one whose motion is late, once the vehicle has waited for longer than declared;
-    before that the motion is void.
+    A command without a trajectory does. One whose trajectory is late does so only after the declared command interval;
+    before that, the trajectory is void.
     """
     if begins < 0:
         return True
@@ -210,7 +212,7 @@ def _acts_bare(state: BatchState, world: int, v: int, begins: int) -> bool:
 
 @inlined
 def _exchange_commands(state: BatchState, traces: IntArray, world: int, v: int, row: int) -> None:
-    """Send the command of a vehicle over its link, and take the newest one that has arrived."""
+    """Send the command of a vehicle over its link, and apply the newest one that has arrived."""
     vehicle, link = state.vehicles[world, v], state.links[world, row]
     begin_tick(link, state.packets, world, traces, state.ticks[world])
     if vehicle.outgoing_tick >= 0:
@@ -224,7 +226,7 @@ def _exchange_commands(state: BatchState, traces: IntArray, world: int, v: int, 
     for n in range(receive(link, state.packets, world)):
         packet = state.packets[world, row, ARRIVED, n]
         if vehicle.follows_motions and packet.plan >= 0:
-            _note_arrival(state.motions, world, v, packet.plan, packet.plans)
+            _record_arrival(state.motions, world, v, packet.plan, packet.plans)
         if packet.stamp > vehicle.command_tick:
             vehicle.command_tick = int(packet.stamp)
             vehicle.command[0], vehicle.command[1] = packet.vector[0], packet.vector[1]
@@ -235,10 +237,10 @@ def _exchange_commands(state: BatchState, traces: IntArray, world: int, v: int, 
 
 @inlined
 def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None:
-    """Send the commands out; each vehicle acts on its newest one that has arrived.
+    """Send the commands; each vehicle executes the newest one that has arrived.
 
-    Without one for a while, it brakes. A receiver of motions begins each in its own tick if its parent is flown then.
-    Otherwise it goes on with the motion that it flies, and brakes at its end.
+    After the command timeout, it brakes. A receiver of trajectories starts each in its own tick if its parent is active
+    then. Otherwise it continues the active trajectory, and rests at its end.
     """
     numbers, uavs = tables.world[0], tables.escorts.shape[0]
     for v in range(state.vehicles.shape[1]):
@@ -255,7 +257,7 @@ def receive_commands(tables: BatchTables, state: BatchState, world: int) -> None
 
 @inlined
 def draw_disturbances(tables: BatchTables, state: BatchState, world: int) -> None:
-    """Draw the disturbances of each UAV in the coming tick."""
+    """Draw the disturbances of each UAV for the next tick."""
     for u in range(tables.disturbances.shape[0]):
         uav = state.vehicles[world, tables.escorts[u, 0]]
         key = key_of(uav.keys, DISTURBANCE)
@@ -266,15 +268,15 @@ def draw_disturbances(tables: BatchTables, state: BatchState, world: int) -> Non
 def _perceive(
     tables: BatchTables, state: BatchState, ground: GroundState | None, world: int
 ) -> None:
-    """Let the vehicles' sensors look at the ground, and the UAVs' detectors at their UGVs.
+    """Run the vehicles' ground sensors, and the UAVs' detectors.
 
-    A sensor of the ground looks from the reference position of its vehicle: the time of a tile's report depends on the
-    vehicle's own track alone, so that no UAV can infer the wind from it.
+    A ground sensor observes from its vehicle's reference position: the time of a report then depends only on the
+    vehicle's own trajectory, so that no UAV can infer the wind from it.
     """
     numbers = tables.world[0]
     if ground is not None:
         perceive_ground(numbers, ground, state, tables.escorts, world)
-        note_mission(tables, state, ground, world)
+        record_mission(tables, state, ground, world)
     for u in range(tables.escorts.shape[0]):
         uav, ugv = tables.escorts[u, 0], tables.escorts[u, 1]
         vehicles = state.vehicles
@@ -283,16 +285,16 @@ def _perceive(
 
 @inlined
 def move(tables: BatchTables, state: BatchState, ground: GroundState | None, world: int) -> None:
-    """Advance to the next tick: vehicles move (1), UAVs look at the ground (3) and at their UGVs."""
+    """Advance to the next tick: vehicles move (1), and UAVs observe the ground (3) and their UGVs."""
     numbers = tables.world[0]
     state.ticks[world] += 1
     if ground is not None:
-        keep_before(ground, state, world)
+        store_positions(ground, state, world)
     _move(numbers, state.vehicles, ground, world)
     if ground is not None:
         drive_on(numbers, ground, state, world)
     for v in range(state.vehicles.shape[1]):
-        _be_at_reference(state.vehicles[world, v])
+        _reset_to_reference(state.vehicles[world, v])
     for u in range(tables.disturbances.shape[0]):
         uav = state.vehicles[world, tables.escorts[u, 0]]
         step_error(tables.disturbances[u].loop, uav.disturbance, numbers.dt)
@@ -303,7 +305,7 @@ def move(tables: BatchTables, state: BatchState, ground: GroundState | None, wor
 
 @compiled
 def deliver_detections(tables: BatchTables, state: BatchState, world: int) -> None:
-    """Send this tick's detections out, and receive those that arrive."""
+    """Send this tick's detections, and receive those that arrive."""
     for u in range(tables.escorts.shape[0]):
         link = state.links[world, u]
         begin_tick(link, state.packets, world, tables.traces, state.ticks[world])
@@ -325,7 +327,7 @@ def deliver_detections(tables: BatchTables, state: BatchState, world: int) -> No
 def begin_world(
     tables: BatchTables, state: BatchState, ground: GroundState | None, world: int
 ) -> None:
-    """Let a world whose arrays are as they are at the start, but for its keys, have the first look."""
+    """Make the first observations of a world that was reset."""
     _perceive(tables, state, ground, world)
     deliver_detections(tables, state, world)
 
@@ -338,10 +340,10 @@ def world_tick(
 
     Args:
         tables: Constants of all worlds.
-        state: Changed.
-        ground: Changed; None: there are no hazards, and nothing is compiled for them.
-        world: The world.
-        linked: Whether commands cross their links; else every vehicle acts on its `command`.
+        state: State of all worlds; changed.
+        ground: Ground of all worlds; changed. None: no hazards, and nothing is compiled for them.
+        world: Index of the world.
+        linked: True if commands cross their links; else every vehicle executes its `command`.
     """
     if linked:
         receive_commands(tables, state, world)

@@ -1,1 +1,1 @@
-"""Parts of the environments: settings, observations, rewards, spaces, standings, pictures."""
+"""Parts of the environments: settings, observations, rewards, spaces, standings, rendering."""

@@ -1,4 +1,4 @@
-"""The observation that an environment gives an agent: the vehicle's row, alone or in a dictionary with a picture."""
+"""Observation of an agent: its vehicle's row, alone or in a dictionary with a picture."""
 
 from typing import Any
 
@@ -17,11 +17,11 @@ _X = names(UGV).index("x")
 
 Array = npt.NDArray[Any]
 AgentObservation = Array | dict[str, Array]
-"""A row, or a dictionary of `row` and `coverage` or `tiles`; in a batch the worlds are leading axes of every array."""
+"""A row, or a dictionary of `row` and `coverage` or `tiles`; in a batch, every array has leading axes for worlds."""
 
 
 def one_of_world(seen: AgentObservation, k: int) -> AgentObservation:
-    """The observation in world k of a batch; views."""
+    """Return the observation in world k of a batch, as views."""
     return {key: array[k] for key, array in seen.items()} if isinstance(seen, dict) else seen[k]
 
 
@@ -33,12 +33,12 @@ def uav_space(
     pixels: int,
     dtype: type[np.floating],
 ) -> spaces.Space[Any]:
-    """The space of a UAV's observation in one world.
+    """Return the space of a UAV's observation in one world.
 
     Args:
-        extent: The values of `bus.observations.SYMBOLS`.
+        extent: Values of `bus.observations.SYMBOLS`.
         estimate, gradient, dtype: As in `sim.env.settings.Settings`.
-        pixels: On each side of the picture of its map; 0: there is none.
+        pixels: Pixels per side of the picture of its map; 0: no picture.
     """
     low, high = bounds(UAV, extent | ({"d_max": extent["D"]} if estimate else {}))
     least, largest = bounds(GRADIENT, {}) if gradient else ([], [])
@@ -54,11 +54,11 @@ def _row_bounds(space: spaces.Space[Any]) -> tuple[Array, Array]:
 
 
 class ObservationFormat:
-    """The form of all vehicles' observations in one environment: type, pictures and spaces.
+    """Form of all vehicles' observations in one environment: type, pictures and spaces.
 
     Args:
-        scenario: The scenario that is flown.
-        settings: The environment's.
+        scenario: Scenario of the environment.
+        settings: Settings of the environment.
 
     Raises:
         ValueError: If `dtype`, `coverage_patch` or `tile_patch` is not allowed.
@@ -67,17 +67,17 @@ class ObservationFormat:
     def __init__(self, scenario: Scenario, settings: Settings) -> None:
         self.dtype = settings.dtype
         self.patch = given_patch(settings.coverage_patch)
-        """Of a UAV's picture of its map; None: there is none."""
+        """Picture of a UAV's map; None: no picture."""
         side = check_tile_patch(settings.tile_patch)
         self.tile_patch = side if scenario.has_ground else 0
-        """Tiles on each side of a UGV's picture of the ground; 0: there is none."""
+        """Tiles per side of a UGV's picture of the ground; 0: no picture."""
         self._tile = float(scenario.ground.tile)
         self._estimate, self._gradient = settings.estimate, settings.gradient
         self.spaces: dict[str, spaces.Space[Any]] = {
             vehicle.name: self._space(vehicle, extent_of(scenario, vehicle))
             for vehicle in scenario.vehicles
         }
-        """By vehicle, of an observation in one world."""
+        """Space of an observation in one world, by vehicle."""
         self._bounds = {name: _row_bounds(space) for name, space in self.spaces.items()}
 
     def _space(self, vehicle: Uav | Ugv, extent: dict[str, float]) -> spaces.Space[Any]:
@@ -92,13 +92,13 @@ class ObservationFormat:
     def shown(
         self, name: str, row: Row, *, coverage: Array | None = None, known: TileArray | None = None
     ) -> AgentObservation:
-        """Return an observation in this form, inside its space: new arrays. Worlds may be leading axes.
+        """Return an observation in this form, clipped to its space: new arrays. Leading axes may be worlds.
 
         Args:
-            name: The vehicle.
-            row: The vehicle's row. Shape (..., entries).
-            coverage: A UAV's picture of its map, if it has one. Shape (..., pixels, pixels).
-            known: The ground as a UGV knows it, if it has a picture of it. Shape (..., rows, columns).
+            name: Name of the vehicle.
+            row: Row of the vehicle. Shape (..., entries).
+            coverage: Picture of a UAV's map; None: no picture. Shape (..., pixels, pixels).
+            known: Ground as known to a UGV; None: no picture. Shape (..., rows, columns).
         """
         own = np.clip(row.astype(self.dtype), *self._bounds[name])
         if coverage is not None:

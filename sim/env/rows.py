@@ -1,6 +1,6 @@
-"""Observation rows, metrics and rewards of the vehicles in arrays: the same compiled functions for one world or many.
+"""Observation rows, metrics and rewards of the vehicles in arrays, for one world or many; compiled.
 
-A tick of the rows, once the world's is done and measured: `advance_rows`, then `observe_rows` where somebody looks.
+In each tick, after the world's own tick and measurement, call `advance_rows`; call `observe_rows` if rows are needed.
 """
 
 from typing import Annotated, NamedTuple
@@ -21,49 +21,49 @@ from sim.scenario.types import Scenario, Uav
 
 
 class Standing:
-    """True standing of a vehicle in its episode, and its reward."""
+    """True state of a vehicle in its episode, and its reward."""
 
     newest: float = -1.0
     """Tick of the newest detection that has reached a UAV; -1: none."""
     was_lost: bool
     lost: bool
-    """True if the distance was and is r_v or more."""
+    """True if the distance was, or is, r_v or more."""
     distance: float
     max_distance: float
-    """Now and at most [m]."""
+    """Present and largest distance [m]."""
     violations: int
     """Ticks out of sight."""
     error: float
-    """e(t) [m²]; 0 where it is not computed."""
+    """Coverage error e(t) [m²]; 0 if it is not computed."""
     error_sum: float
-    """Over the ticks so far, the first included [m²]."""
+    """Sum of e(t) over the ticks so far, including the first [m²]."""
     reached: int
-    """Goals of a UGV."""
+    """Goals reached by a UGV."""
     arrivals: int
     """Goals reached at this tick."""
     nearer: float
-    """The way by which it came nearer to its goal [m]."""
+    """Progress towards its goal [m]."""
     to_go: float
-    """Way to the next goal [m]; 0 where none is left."""
-    told: int
+    """Distance to the next goal [m]; 0 if none is left."""
+    received_tiles: int
     hits: int
     still: int
-    """Tiles that have come by radio, hazards that it has run into, ticks in which it stood still; 0 without hazards."""
-    new_told: int
+    """Tiles received by radio, hazards hit, and ticks at standstill; 0 without hazards."""
+    new_tiles: int
     new_hits: int
     new_still: int
-    """Of them those of this tick."""
+    """Increase of these in this tick."""
     terms: Annotated[FloatArray, (len(UAV_TERMS),)]
-    """Of the last reward: `UAV_TERMS` or `UGV_TERMS`."""
+    """Terms of the last reward: `UAV_TERMS` or `UGV_TERMS`."""
     reward: float
-    """Of the last tick."""
+    """Reward of the last tick."""
 
 
 class EpisodeParameters(NamedTuple):
-    """Time at which an episode ends, and what its rewards are measured against."""
+    """End of an episode, and scale of its rewards."""
 
     ticks: int
-    """Of an episode."""
+    """Ticks of an episode."""
     full: float
     """`full_error` [m²]."""
     end_on_sight_lost: bool
@@ -73,37 +73,37 @@ class EpisodeParameters(NamedTuple):
 
 
 class RowTables(NamedTuple):
-    """The constants of all worlds."""
+    """Constants of all worlds."""
 
     episode: RecordArray
     """`EpisodeParameters`. Shape (1,)."""
     weights: RecordArray
     """`RewardWeights`. Shape (1,)."""
     place: IntArray
-    """For each vehicle its row among the UAVs, or -1 - its row among the UGVs. Shape (vehicles,)."""
+    """Row of each vehicle among the UAVs, or -1 - its row among the UGVs. Shape (vehicles,)."""
 
 
 class RowState(NamedTuple):
-    """The rows of each world. All arrays have an axis for worlds in front."""
+    """Rows of each world. All arrays have a leading axis for worlds."""
 
     standings: RecordArray
     """`Standing`. Shape (worlds, vehicles)."""
     uav_rows: RecordArray
-    """`bus.observations.UAV`, and `GRADIENT`, which is the caller's. Shape (worlds, UAVs)."""
+    """`bus.observations.UAV`, and `GRADIENT`, which the caller fills. Shape (worlds, UAVs)."""
     ugv_rows: RecordArray
     """`bus.observations.UGV`. Shape (worlds, UGVs)."""
     terminated: IntArray
     truncated: IntArray
-    """Shape (worlds,)."""
+    """1 if the episode has ended so. Shape (worlds,)."""
 
 
 def row_tables(scenario: Scenario, settings: Settings, *, error: bool) -> RowTables:
-    """The tables of a scenario.
+    """Return the tables of a scenario.
 
     Args:
         scenario: The scenario.
-        settings: What is paid, and what ends an episode.
-        error: Whether e(t) is computed at every tick; if `uncovered` is paid, it is in any case.
+        settings: Reward weights, and conditions that end an episode.
+        error: True to compute e(t) at every tick; it is also computed if `uncovered` has a weight.
     """
     flies = np.array([isinstance(vehicle, Uav) for vehicle in scenario.vehicles])
     episode = EpisodeParameters(
@@ -123,7 +123,7 @@ def row_tables(scenario: Scenario, settings: Settings, *, error: bool) -> RowTab
 
 
 def row_state(tables: RowTables, worlds: int) -> RowState:
-    """Return the state of so many worlds before the first look."""
+    """Return the state of all worlds before the first sensor update."""
     vehicles, ugvs = len(tables.place), int((tables.place < 0).sum())
     return RowState(
         standings=fresh(Standing, (worlds, vehicles)),
@@ -136,7 +136,7 @@ def row_state(tables: RowTables, worlds: int) -> RowState:
 
 @inlined
 def _measure_uav(bt: BatchTables, bs: BatchState, state: RowState, world: int, uav: int) -> None:
-    """Notes a UAV's true standing at this tick, and the newest detection that has reached it."""
+    """Update a UAV's true state at this tick, and the newest detection that has reached it."""
     v = bt.escorts[uav, 0]
     row, vehicle = state.standings[world, v], bs.vehicles[world, v]
     distance, error = vehicle.distance, vehicle.coverage_error
@@ -156,14 +156,14 @@ def _measure_uav(bt: BatchTables, bs: BatchState, state: RowState, world: int, u
 def _measure_mission(
     bt: BatchTables, ground: GroundState, state: RowState, world: int, ugv: int
 ) -> None:
-    """Earnings of a UGV in this tick on ground with hazards."""
+    """Update the counts of a UGV on ground with hazards."""
     row, mission, hits = state.standings[world, bt.ugvs[ugv]], ground.missions[world, ugv], 0
     for n in range(ground.hits.shape[2]):
         hits += ground.hits[world, ugv, n]
-    row.new_told = mission.told - row.told
+    row.new_tiles = mission.received_tiles - row.received_tiles
     row.new_hits = hits - row.hits
     row.new_still = mission.still - row.still
-    row.told, row.hits = mission.told, hits
+    row.received_tiles, row.hits = mission.received_tiles, hits
     row.still = mission.still
 
 
@@ -171,7 +171,7 @@ def _measure_mission(
 def _measure_ugv(
     bt: BatchTables, bs: BatchState, state: RowState, world: int, ugv: int, beginning: bool
 ) -> None:
-    """A UGV turns to the next goal where it has reached one."""
+    """Update a UGV's progress and goals."""
     row, position = state.standings[world, bt.ugvs[ugv]], bs.vehicles[world, bt.ugvs[ugv]].position
     x, y, reached = position[0], position[1], row.reached
     goals = goals_of(bt.goals, bt.goal_rows, ugv)
@@ -186,7 +186,7 @@ def _measure_ugv(
 
 @inlined
 def _end(bt: BatchTables, tables: RowTables, state: RowState, world: int, left: int) -> int:
-    """Tells if the episode is over, and for how many ticks a UAV out of sight pays."""
+    """Determine whether the episode is over; return the ticks charged to a UAV out of sight."""
     lost, goals = False, bt.goals.shape[0]
     for v in range(state.standings.shape[1]):
         lost = lost or state.standings[world, v].lost
@@ -208,7 +208,7 @@ def _pay(
     world: int,
     ticks_lost: int,
 ) -> None:
-    """Everybody's reward of this tick: the sum of its terms, in their order."""
+    """Compute each vehicle's reward of this tick: the sum of its terms, in order."""
     episode, weights, dt = tables.episode[0], tables.weights[0], bt.world[0].dt
     for v in range(tables.place.shape[0]):
         vehicle = bs.vehicles[world, v]
@@ -216,10 +216,10 @@ def _pay(
         row = state.standings[world, v]
         terms = row.terms
         if tables.place[v] >= 0:
-            told = 0.0
+            area = 0.0
             if ground is not None:
                 tile, ugv = ground.parameters[0].tile, bt.escorts[tables.place[v], 1]
-                told = tile * tile * state.standings[world, ugv].new_told
+                area = tile * tile * state.standings[world, ugv].new_tiles
             terms[0], terms[1], terms[2], terms[3], terms[4], terms[5] = uav_terms(
                 weights,
                 row.error,
@@ -230,7 +230,7 @@ def _pay(
                 ticks_lost,
                 acceleration,
                 dt,
-                told,
+                area,
             )
         else:
             terms[0], terms[1], terms[2], terms[3], terms[4] = ugv_terms(
@@ -251,14 +251,14 @@ def advance_rows(
     world: int,
     beginning: bool,
 ) -> None:
-    """Take in the tick that a world is at, whose measures are there: how everybody stands and is paid.
+    """Update the vehicles' true states and rewards after a tick of a world.
 
     Args:
-        bt, bs, ground: The worlds.
-        tables: What all worlds share.
-        state: Is changed.
-        world: The world.
-        beginning: Whether an episode begins: nobody is paid then.
+        bt, bs, ground: State of the worlds.
+        tables: Constants of all worlds.
+        state: State of the rows; changed.
+        world: Index of the world.
+        beginning: True at the start of an episode, which has no rewards.
     """
     for u in range(state.uav_rows.shape[1]):
         _measure_uav(bt, bs, state, world, u)
@@ -275,7 +275,7 @@ def advance_rows(
 def _observe_uav(
     bt: BatchTables, bs: BatchState, tables: RowTables, state: RowState, world: int, uav: int
 ) -> None:
-    """Write the row of a UAV: of several detections the newest, the pilots over the bus use them all."""
+    """Write the row of a UAV. It holds only the newest of several detections, whereas pilots on the bus receive all."""
     row, dt = state.uav_rows[world, uav], bt.world[0].dt
     vehicle = bs.vehicles[world, bt.escorts[uav, 0]]
     position, velocity = vehicle.reference_position, vehicle.reference_velocity
@@ -314,7 +314,7 @@ def _observe_ugv(bt: BatchTables, bs: BatchState, state: RowState, world: int, u
 def observe_rows(
     bt: BatchTables, bs: BatchState, tables: RowTables, state: RowState, world: int
 ) -> None:
-    """Write what everybody in a world observes; arguments as in `advance_rows`."""
+    """Write all rows of a world; arguments as in `advance_rows`."""
     for u in range(state.uav_rows.shape[1]):
         _observe_uav(bt, bs, tables, state, world, u)
     for g in range(state.ugv_rows.shape[1]):

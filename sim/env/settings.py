@@ -1,4 +1,4 @@
-"""Settings of the environments, each given by keyword."""
+"""Settings of the environments, given by keyword."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
@@ -13,47 +13,50 @@ from sim.env.rewards import RewardWeights
 from sim.env.spaces import check_dtype
 
 BatchPolicy = Callable[[Any], npt.ArrayLike]
-"""The observations of one vehicle in all worlds in, its accelerations [m/s²] out, shape (num_envs, 2)."""
+"""Function from the observations of one vehicle in all worlds to its accelerations [m/s²], shape (num_envs, 2)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Settings of every environment, of one world or of many.
+    """Settings of every environment, with one world or many.
 
     Raises:
         ValueError: If a value is not allowed.
-        TypeError: If a value is of another type.
+        TypeError: If a value has a wrong type.
     """
 
     duration: float | None = None
-    """Length of an episode [s], instead of the scenario's: then the episode is truncated."""
+    """Duration of an episode [s], after which it is truncated; None: the scenario's."""
     rewards: RewardWeights = field(default_factory=RewardWeights)
-    """Weights of what the vehicles are paid for."""
+    """Weights of the reward terms."""
     end_on_sight_lost: bool = True
-    """True: an episode terminates when a UAV is r_v or more from its UGV: the promise is broken."""
+    """True: an episode terminates when the distance between a UAV and its UGV reaches r_v."""
     end_on_goals_reached: bool = False
-    """True: it terminates when every UGV that has goals has reached them all."""
+    """True: an episode terminates when every UGV with goals has reached all of them."""
     coverage_patch: CoveragePatch | tuple[int, float] | None = None
-    """Pixels and meters per pixel of a picture of the UAV's own map, which makes its observation a dictionary with
-    `row` and `coverage`; None: no picture."""
+    """Pixels, and metres per pixel, of a picture of the UAV's own map; its observation is then a dictionary with `row`
+    and `coverage`. None: no picture.
+    """
     tile_patch: int = TILE_PATCH
-    """Tiles on each side of a UGV's picture of the ground, an odd number; nothing without hazards."""
+    """Tiles per side of a UGV's picture of the ground, an odd number; no effect without hazards."""
     dtype: type[np.floating] = np.float64
-    """Of observations and state."""
+    """Type of observations and state."""
     secret: str = ""
-    """Of all random numbers, with each episode's seed: 32 to 128 hexadecimal digits; empty: none, and who
-    sees what is drawn finds the seed."""
+    """Secret of all random numbers, combined with each episode's seed: 32 to 128 hexadecimal digits. Empty: none, and
+    the seed can be found from the random numbers.
+    """
     estimate: bool = False
-    """True: the UAVs' rows have the Kalman filter's estimate in the place of the raw detection."""
+    """True: the UAVs' rows hold the Kalman filter's estimate instead of the raw detection."""
     gradient: bool = False
-    """True: the UAVs' rows end with `bus.observations.GRADIENT`."""
+    """True: the UAVs' rows include `bus.observations.GRADIENT` at the end."""
     safety_filter: bool = False
-    """True: the UAVs' actions go through the safety filter, as those of the law `certified` do."""
+    """True: the UAVs' actions pass the safety filter, as in the law `certified`."""
     others: Mapping[str, str | BatchPolicy] | None = None
-    """Pilots of the vehicles that do not learn: a law or driver by name, or a policy for all worlds at once;
-    None: the scenario's law and drivers."""
+    """Control of the other vehicles: a law or driver by name, or a policy for all worlds; None: the scenario's law and
+    drivers.
+    """
     threads: int | None = None
-    """Processor cores that share the worlds; None: all that this process may use."""
+    """Processor cores for the worlds; None: all that this process may use."""
 
     def __post_init__(self) -> None:
         for name in _SWITCHES:
@@ -73,14 +76,14 @@ _SWITCHES = [one.name for one in fields(Settings) if one.type is bool]
 
 
 def settings_of(given: Mapping[str, Any]) -> Settings:
-    """Return the settings that are given by keyword, and of the rest the defaults.
+    """Return the settings with given values, and defaults for the rest.
 
     Raises:
-        TypeError: If there is no setting of such a name, or a value is of another type.
+        TypeError: If a setting is unknown, or a value has a wrong type.
         ValueError: If a value is not allowed.
     """
     names = [one.name for one in fields(Settings)]
     for name in given:
         if name not in names:
-            raise TypeError(f"{name!r}: no such setting; allowed: {', '.join(sorted(names))}")
+            raise TypeError(f"{name!r}: unknown setting; allowed: {', '.join(sorted(names))}")
     return Settings(**given)

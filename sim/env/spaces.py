@@ -1,4 +1,4 @@
-"""The space of actions, and the numbers that bound the spaces of observations and state."""
+"""Action spaces, and the bounds of the observation and state spaces."""
 
 import math
 from collections.abc import Sequence
@@ -10,11 +10,11 @@ from bus.observations import ROUNDING, largest
 from sim.scenario.types import Scenario, Uav, Ugv
 
 FREE_ACCELERATION = 10.0
-"""Bound of the action space of a vehicle whose acceleration has none [m/s²]: about what gravity gives."""
+"""Bound of the action space for an unbounded acceleration [m/s²]: about gravity."""
 
 
 def extent_of(scenario: Scenario, vehicle: Uav | Ugv) -> dict[str, float]:
-    """The values of `bus.observations.SYMBOLS` for one vehicle."""
+    """Return the values of `bus.observations.SYMBOLS` for one vehicle."""
     area, noise, most = (
         scenario.area,
         scenario.detections.noise,
@@ -34,22 +34,22 @@ def extent_of(scenario: Scenario, vehicle: Uav | Ugv) -> dict[str, float]:
 
 
 def check_dtype(dtype: type[np.floating]) -> None:
-    """Refuse a type of observations that none has.
+    """Check the type of observations.
 
     Raises:
-        ValueError: If it is neither of single nor of double precision.
+        ValueError: If it is neither single nor double precision.
     """
     if dtype not in {np.float32, np.float64}:
         raise ValueError(f"dtype = {dtype!r}; allowed: np.float32, np.float64")
 
 
 def box(low: Sequence[float], high: Sequence[float], dtype: type[np.floating]) -> spaces.Box:
-    """A box between these bounds, which are brought to the type first."""
+    """Return a box with these bounds, which are converted to the type first."""
     return spaces.Box(np.array(low, dtype=dtype), np.array(high, dtype=dtype), dtype=dtype)
 
 
 def action_space(vehicle: Uav | Ugv) -> spaces.Box:
-    """The square [-u_max, u_max]² [m/s²]; the world shortens a vector that is longer than u_max."""
+    """Return the square [-u_max, u_max]² [m/s²]; the world shortens vectors that are longer than u_max."""
     limit = (
         FREE_ACCELERATION
         if math.isinf(vehicle.max_acceleration)

@@ -1,4 +1,4 @@
-"""True standing of each vehicle of one world of many in its episode, as numbers by name."""
+"""True state of each vehicle in its episode, in one of many worlds, as numbers by name."""
 
 from typing import Any
 
@@ -9,12 +9,12 @@ from sim.scenario.types import Scenario, Ugv
 
 
 class Standings:
-    """The standing of each vehicle in an episode: what it observes, and truly does.
+    """True state and observation of each vehicle in an episode.
 
     Args:
-        scenario: What is flown.
-        tables, state: The rows of all worlds; read at any time.
-        world: The number of the world.
+        scenario: Scenario of the environment.
+        tables, state: Rows of all worlds.
+        world: Index of the world.
     """
 
     def __init__(self, scenario: Scenario, tables: RowTables, state: RowState, world: int) -> None:
@@ -28,7 +28,7 @@ class Standings:
             vehicle.name: UGV_STATE if isinstance(vehicle, Ugv) else UAV_STATE
             for vehicle in scenario.vehicles
         }
-        """The entries of the state of each vehicle."""
+        """Entries of the state of each vehicle."""
 
     def _standing(self, name: str) -> dict[str, Any]:
         """Return the `Standing` of a vehicle as plain numbers."""
@@ -36,14 +36,14 @@ class Standings:
         return {field: standing[field].tolist() for field in standing.dtype.names}
 
     def row(self, name: str) -> Row:
-        """The row of a vehicle, with all its columns; a view."""
+        """Return the row of a vehicle with all its columns, as a view."""
         place, state, world = self._places[name], self._state, self._world
         rows, number = (state.uav_rows, place) if place >= 0 else (state.ugv_rows, -1 - place)
         row: Row = as_rows(rows)[world, number]
         return row
 
     def state(self, name: str) -> list[float]:
-        """The truth of a vehicle."""
+        """Return the true state of a vehicle."""
         place, row = self._places[name], self.row(name).tolist()
         if place >= 0:
             time, truly = row[0], self._standing(name)
@@ -54,7 +54,7 @@ class Standings:
         return truth
 
     def metrics(self, name: str) -> dict[str, float]:
-        """A vehicle's true standing, for people."""
+        """Return a vehicle's metrics, for users."""
         truly, found = self._standing(name), dict[str, float]()
         if self._places[name] >= 0:
             found = {

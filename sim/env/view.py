@@ -1,6 +1,6 @@
-"""The environment's pictures, for a caller or for a person at a window; what draws is loaded with the first one.
+"""Rendering of environments, as arrays or in a window; the drawing code is loaded with the first picture.
 
-The window is pygame's, which is the extra [window].
+The window uses pygame (extra [window]).
 """
 
 import importlib
@@ -19,23 +19,23 @@ from bus.messages.ground import Hazard
 from bus.plugins import needs
 from sim.compiling.compile import FloatArray, IntArray
 from sim.engine.batch import Batch
+from sim.scene.ground_map import ground_map
 from sim.scene.known import scene_of
-from sim.scene.told_tiles import ground_map
 from sim.world import World
 
 if TYPE_CHECKING:
     from sim.scene.frames import Frames
 
 _WIDTH = 936
-"""Of a picture [px]."""
+"""Width of a picture [px]."""
 
 
 class Window:
-    """Opens with its first picture. Once a person has closed it, it stays closed.
+    """Window that opens with its first picture, and stays closed after the user has closed it.
 
     Args:
-        title: Of the window.
-        rate: Largest number of pictures per second.
+        title: Title of the window.
+        rate: Maximum number of pictures per second.
 
     Raises:
         OutriderError: If pygame is missing.
@@ -43,20 +43,20 @@ class Window:
 
     def __init__(self, title: str, rate: float) -> None:
         with needs("window", "render_mode 'human', unlike 'rgb_array'"):
-            self._pygame: Any = importlib.import_module("pygame")  # without types
+            self._pygame: Any = importlib.import_module("pygame")  # no type hints available
         self._title, self._rate = title, rate
         self._screen: Any = None
         self._clock = self._pygame.time.Clock()
         self.closed = False
-        """True if it was closed."""
+        """True if the user has closed it."""
 
     def _open(self, size: tuple[int, int]) -> None:
         pygame = self._pygame
         try:
             pygame.display.init()
-            # SDL's last resort is "offscreen": nobody would see it
-            seen = pygame.display.get_driver() != "offscreen"
-            self._screen = pygame.display.set_mode(size) if seen else None
+            # SDL falls back to "offscreen", which is invisible
+            visible = pygame.display.get_driver() != "offscreen"
+            self._screen = pygame.display.set_mode(size) if visible else None
         except pygame.error:
             self._screen = None
         if self._screen is None:
@@ -94,14 +94,14 @@ class Window:
 
 
 class Drawing:
-    """The pictures of one scenario's worlds, all on one canvas."""
+    """Pictures of one scenario's worlds, on a common canvas."""
 
     def __init__(self) -> None:
         self._frames: Frames | None = None
         self._hazards: tuple[Hazard, ...] = ()
 
     def __getstate__(self) -> dict[str, Any]:
-        """A copy draws on a canvas of its own."""
+        """Exclude the canvas: a copy draws on its own."""
         return self.__dict__ | {"_frames": None}
 
     def draw(
@@ -110,14 +110,14 @@ class Drawing:
         ways: FloatArray,
         routes: Mapping[str, tuple[Vector, ...]] = MappingProxyType({}),
     ) -> npt.NDArray[np.uint8]:
-        """The picture of a world at this moment. Shape (rows, columns, 3).
+        """Return the picture of a world at this moment. Shape (rows, columns, 3).
 
         Args:
-            world: Which.
-            ways: The way of each vehicle so far [m]. Shape (ticks, vehicles, 2).
-            routes: The way that each UGV plans, by its corners [m].
+            world: World to draw.
+            ways: Path of each vehicle so far [m]. Shape (ticks, vehicles, 2).
+            routes: Planned route of each UGV: its corners [m].
         """
-        from sim.scene.frames import Frames  # noqa: PLC0415 - matplotlib is loaded when someone looks
+        from sim.scene.frames import Frames  # noqa: PLC0415 - matplotlib is loaded with the first picture
 
         ground = ground_map(world, routes=routes)
         hazards = () if ground is None else ground.hazards
@@ -140,11 +140,11 @@ class Drawing:
 
 
 class Rendering:
-    """One environment's pictures.
+    """Pictures of one environment.
 
     Args:
         mode: "rgb_array" or "human".
-        rate: Pictures per second that a person is shown.
+        rate: Pictures per second in the window.
     """
 
     def __init__(self, mode: str, rate: float) -> None:
@@ -155,11 +155,11 @@ class Rendering:
         self._window: Window | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """A copy of an environment has a window of its own."""
+        """Exclude the window: a copy of an environment opens its own."""
         return self.__dict__ | {"_window": None}
 
     def follow(self, world: World) -> None:
-        """Take in the next tick, and show it where a person looks; tick 0 begins anew."""
+        """Record the next tick, and show it in mode "human"; tick 0 restarts the paths."""
         if world.tick == 0:
             self._tracks, self._routes = [], {}
         self._tracks.append(world.position.tolist())
@@ -167,11 +167,11 @@ class Rendering:
             self.render(world)
 
     def show_route(self, ugv: str, route: tuple[Vector, ...]) -> None:
-        """The way that a UGV plans, by its corners [m], until it plans another."""
+        """Set the planned route of a UGV: its corners [m]."""
         self._routes[ugv] = route
 
     def render(self, world: World) -> npt.NDArray[np.uint8] | None:
-        """The picture of this moment; None where it is shown to a person instead.
+        """Return the picture of this moment; None in mode "human", which shows it.
 
         Raises:
             OutriderError: If there is no display, or no pygame.
@@ -191,37 +191,37 @@ class Rendering:
             self._window.show(self._draw(world))
 
     def close(self) -> None:
-        """Close the window; the next picture opens another."""
+        """Close the window; the next picture opens a new one."""
         if self._window is not None:
             self._window.close()
             self._window = None
 
 
 class BatchRendering:
-    """The pictures of many worlds.
+    """Pictures of many worlds.
 
     Args:
-        batch: Their state.
+        batch: Batch of worlds.
     """
 
     def __init__(self, batch: Batch) -> None:
         self._batch, self._drawing = batch, Drawing()
-        # A world's track ends the list: one position for each tick of its episode.
+        # A world's path is the end of the list: one position for each tick of its episode.
         self._tracks: deque[FloatArray] = deque(maxlen=batch.scenario.ticks + 1)
 
     def begin(self, worlds: IntArray) -> None:
-        """Take in that these worlds are at the start of an episode."""
+        """Record the start of an episode in these worlds."""
         if self._tracks:
             self._tracks[-1][worlds] = self._batch.state.vehicles["position"][worlds]
         else:
             self.follow()
 
     def follow(self) -> None:
-        """Take in the tick that all worlds are at."""
+        """Record the present tick of all worlds."""
         self._tracks.append(self._batch.state.vehicles["position"].copy())
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...]:
-        """The picture of each world at this moment."""
+        """Return the picture of each world at this moment."""
         pictures = []
         for k in range(self._batch.worlds):
             world = World.of_batch(self._batch, k, 0)

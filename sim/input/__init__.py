@@ -1,1 +1,1 @@
-"""From a text to typed values, or to one line that says what is wrong."""
+"""Conversion of text to typed values, with one-line errors."""

@@ -1,4 +1,4 @@
-"""Changes of a scenario's raw tables by dotted keys, as `--set` takes them."""
+"""Changes to a scenario's raw tables by dotted keys, as in `--set`."""
 
 import tomllib
 from typing import Any
@@ -12,7 +12,7 @@ def parse_override(change: str, *, file: str) -> tuple[str, object]:
     """Return key and value of a `--set key=value`; a value that is not TOML is plain text.
 
     Raises:
-        ScenarioError: If it is not of that form.
+        ScenarioError: If it does not have this form.
     """
     key, separator, text = change.partition("=")
     if not separator or not all(key.strip().split(".")):
@@ -26,16 +26,16 @@ def parse_override(change: str, *, file: str) -> tuple[str, object]:
 
 
 def apply_override(raw: dict[str, Any], key: str, value: object, *, file: str) -> None:
-    """Put one value into the raw tables, in place; tables on the way are made where they are missing.
+    """Set one value in the raw tables, in place; missing tables on its path are created.
 
     Args:
-        raw: As TOML gives it.
-        key: A dotted path; entries of a list count from 0, and `uav.*` is all entries of the list `uav`.
-        value: What to put there.
-        file: For the error.
+        raw: Scenario as read from TOML; changed.
+        key: Dotted path; entries of a list count from 0, and `uav.*` means all entries of the list `uav`.
+        value: New value.
+        file: Name of the file for error messages.
 
     Raises:
-        ScenarioError: If the path leads through a value, or beside a list's entries.
+        ScenarioError: If the path leads through a value, or to a missing entry of a list.
     """
     name, star, field = key.partition(".*.")
     entries = raw.get(name)
@@ -47,21 +47,21 @@ def apply_override(raw: dict[str, Any], key: str, value: object, *, file: str) -
     table: Any = raw
     try:
         for depth, part in enumerate(way):
-            place = _place(table, part, here=".".join(way[:depth]))
+            place = _key_or_index(table, part, here=".".join(way[:depth]))
             table = table.setdefault(place, {}) if isinstance(table, dict) else table[place]
-        table[_place(table, last, here=".".join(way))] = value
+        table[_key_or_index(table, last, here=".".join(way))] = value
     except LookupError as found:
         wrong, allowed = found.args
         raise Fault(key, value, wrong, allowed).error(file) from None
 
 
-def _place(table: object, part: str, *, here: str) -> str | int:
-    """Return the key or index that a part of a path means; raise LookupError(wrong, allowed) if it means none."""
+def _key_or_index(table: object, part: str, *, here: str) -> str | int:
+    """Return the key or index for a part of a path; raise LookupError(wrong, allowed) if there is none."""
     if isinstance(table, dict):
         return part
     if not isinstance(table, list):
         raise LookupError(
-            f"{short(here)} = {shown(table)} is no table", f"a value for {short(here)} itself"
+            f"{short(here)} = {shown(table)} is not a table", f"a value for {short(here)} itself"
         )
     entries = [str(index) for index in range(len(table))]
     if not entries:

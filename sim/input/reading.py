@@ -26,7 +26,7 @@ _KINDS = {
     "array": "a list",
     "object": "a table",
 }
-"""Names of msgspec's types, for a user."""
+"""Names of msgspec's types for users."""
 _NEEDED = {
     "uav": "one table [[uav]] or more",
     "ugv": "one table [[ugv]] or more",
@@ -34,8 +34,8 @@ _NEEDED = {
     "count": "a whole number",
     "radius": "[smallest, largest] in m",
 }
-"""Values of required fields that are not points."""
-_NAME_RULE = "lower-case letters, digits and '_', a letter first, 32 at most"
+"""Allowed values of required fields that are not points."""
+_NAME_RULE = "lower-case letters, digits and '_', starting with a letter, at most 32"
 
 
 def parse_toml(text: str, *, file: str) -> dict[str, Any]:
@@ -44,7 +44,7 @@ def parse_toml(text: str, *, file: str) -> dict[str, Any]:
     Raises:
         ScenarioError: If it is not TOML.
     """
-    # tomllib takes hours over a key of a million parts
+    # tomllib takes hours for a key of a million parts
     if any(piece.count(".") >= _MOST_PARTS for piece in _BETWEEN_KEYS.split(text)):
         raise ScenarioError(
             f"{file}: a key of more than {_MOST_PARTS} parts; allowed: the fields of a scenario"
@@ -60,16 +60,16 @@ def _as_python(value: object) -> object:
     """Convert NumPy's numbers and arrays."""
     tolist = getattr(value, "tolist", None)
     if tolist is None:
-        raise TypeError(f"{type(value).__name__} is no number, text, list or table")
+        raise TypeError(f"{type(value).__name__} is not a number, text, list or table")
     plain: object = tolist()
     return plain
 
 
 def as_raw(value: object, *, file: str) -> Any:  # noqa: ANN401 - as TOML would have given it
-    """Convert a value made in Python to what TOML would have given: a copy, without structs and NumPy's types.
+    """Convert a Python value to plain TOML values: a copy, without structs and NumPy types.
 
     Raises:
-        ScenarioError: If there is something in it that TOML does not know.
+        ScenarioError: If it contains a value without a TOML equivalent.
     """
     try:
         return msgspec.to_builtins(value, enc_hook=_as_python, str_keys=True)
@@ -83,7 +83,7 @@ def typed(raw: object, kind: type[Typed], *, file: str) -> Typed:
     """Convert raw values to a struct.
 
     Raises:
-        ScenarioError: At the first key that is unknown, and the first value of a wrong type or out of its bounds.
+        ScenarioError: For the first unknown key, or the first value of a wrong type or out of bounds.
     """
     try:
         return msgspec.convert(raw, kind)
@@ -92,7 +92,7 @@ def typed(raw: object, kind: type[Typed], *, file: str) -> Typed:
 
 
 def type_fault(raw: object, kind: type[msgspec.Struct]) -> Fault | None:
-    """Return the first value that does not fit; None if all do."""
+    """Return the fault of the first invalid value; None if all are valid."""
     try:
         msgspec.convert(raw, kind)
     except msgspec.ValidationError as error:
@@ -101,7 +101,7 @@ def type_fault(raw: object, kind: type[msgspec.Struct]) -> Fault | None:
 
 
 def _fault(message: str, raw: Any, kind: type[msgspec.Struct]) -> Fault:  # noqa: ANN401 - any value
-    """Return what msgspec reports: `Expected X, got Y - at $.uav[0].max_speed`."""
+    """Convert an error of msgspec: `Expected X, got Y - at $.uav[0].max_speed`."""
     text, _, where = message.rpartition(" - at `$.") if message.endswith("`") else ("", "", "")
     path = where.rstrip("`").replace("[", ".").replace("]", "").split(".") if text else []
     path = [part for part in path if part]
@@ -119,15 +119,15 @@ def _fault(message: str, raw: Any, kind: type[msgspec.Struct]) -> Fault:  # noqa
         meant = near(key, fields)
         if not meant and "parameters" in fields:
             meant = f", did you mean '{here}.parameters.{key}'?"
-        return Fault(field, raw[key], f"no such field{meant}", ", ".join(fields))
-    if where.endswith("[...]`"):  # msgspec does not name a table's entry
+        return Fault(field, raw[key], f"unknown field{meant}", ", ".join(fields))
+    if where.endswith("[...]`"):  # msgspec does not name the entry of a table
         entry = next(name for name, value in raw.items() if not _is_number(value))
         here, raw = f"{here}.{entry}", raw[entry]
     return Fault(here, raw, *_wrong_and_allowed(text, here))
 
 
 def _fields(kind: type[msgspec.Struct], path: list[str]) -> list[str]:
-    """Return the names of the fields that the struct at this path has."""
+    """Return the field names of the struct at this path."""
     info = inspect.type_info(kind)
     for part in path:
         if isinstance(info, inspect.VarTupleType):
@@ -142,14 +142,14 @@ def _is_number(value: object) -> bool:
 
 
 def _wrong_and_allowed(text: str, field: str) -> tuple[str, str]:
-    """Translate `Expected X rule, got Y`."""
+    """Convert `Expected X rule, got Y`."""
     if not text.startswith("Expected `"):
         return text.lower(), "a number that a float can hold"
     expected, _, got = text.removeprefix("Expected `").partition(", got ")
     name, _, rule = expected.partition("`")
     kind = _KINDS.get(name.removesuffix(" | null"), name)
     if "matching" in rule:
-        return "no name", _NAME_RULE
+        return "not a name", _NAME_RULE
     if name == "array" and got == "`object`":
         return "a single table", f"a list, in TOML [[{field}]]"
     return f"not {kind}" if got.startswith("`") else "out of bounds", f"{kind}{rule}"

@@ -19,7 +19,7 @@ RENAMED = {
     "uav.own_error_time": "uav.position_error_time",
     "ugv.track": "ugv.trajectory",
 }
-"""Former name: name. Indices of lists are left out."""
+"""Present names of fields, by former name. Indices of lists are omitted."""
 _LINK_FIELDS = {"jitter_cut": "max_jitter"}
 
 
@@ -27,8 +27,8 @@ def new_name(path: list[str], field: str) -> str:
     """Return the present name of a field, or an empty string if it was not renamed.
 
     Args:
-        path: Tables and indices that lead to the field.
-        field: Name that the scenario uses.
+        path: Tables and indices on the path to the field.
+        field: Name in the scenario.
     """
     if path[:1] == ["links"] and field in _LINK_FIELDS:
         return _LINK_FIELDS[field]

@@ -1,1 +1,1 @@
-"""The equations that the world and a vehicle on board share."""
+"""Models shared by the world and the vehicles."""

@@ -1,4 +1,4 @@
-"""Noisy relative detections of the UGV by the UAV: certain inside r_v, falling to nothing at the sensor's range r."""
+"""Noisy relative detections of the UGV by the UAV: certain inside r_v, with a probability falling to 0 at range r."""
 
 import math
 
@@ -16,13 +16,13 @@ from sim.models.vehicles import norm
 
 @compiled
 def detection_chance(distance: float, r_v: float, reach: float, dropout: float) -> float:
-    """The chance that one look finds the UGV.
+    """Return the probability that the UGV is detected.
 
     Args:
-        distance: Between the vehicles [m].
-        r_v: Visibility radius [m]: inside, only dropouts are missed.
-        reach: The sensor's range r [m]: from here on nothing is found; between, the chance falls linearly.
-        dropout: Share of looks that fail for no reason.
+        distance: Distance between the vehicles [m].
+        r_v: Visibility radius [m]: inside, detections fail only by dropout.
+        reach: The sensor's range r [m]: no detections beyond; in between, the probability falls linearly.
+        dropout: Share of detections that fail at random.
     """
     if distance < r_v:
         return 1.0 - dropout
@@ -44,18 +44,18 @@ def detect(
     chance_key: Key,
     tick: int,
 ) -> tuple[bool, float, float]:
-    """One look of the UAV at its UGV.
+    """Attempt one detection of the UGV by the UAV.
 
     Args:
-        p_delta_x, p_delta_y: The true p_a - p_g [m].
+        p_delta_x, p_delta_y: True p_a - p_g [m].
         r_v, reach, dropout: As in `detection_chance`.
         sigma: Standard deviation of the noise per axis [m].
-        cut: The noise vector's norm is at most cut * sigma; infinite: no cut.
-        noise_key, chance_key: Of this UAV: of the noise, and of whether a look fails.
-        tick: Of the draws.
+        cut: The noise vector's norm is at most cut * sigma; infinite: not truncated.
+        noise_key, chance_key: Keys of this UAV for the noise, and for failures.
+        tick: Tick of the random numbers.
 
     Returns:
-        Whether the UGV was found, and the noisy p_a - p_g [m]; NaN where it was not.
+        True if the UGV was detected, and the noisy p_a - p_g [m]; NaN without a detection.
     """
     chance = detection_chance(norm(p_delta_x, p_delta_y), r_v, reach, dropout)
     if uniform(chance_key, DETECTION_CHANCE, tick, FIRST) >= chance:

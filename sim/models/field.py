@@ -1,8 +1,8 @@
-r"""The coverage field: sensor (2), accumulation (3), error (4), density (9) and the integral of (6), on a grid.
+r"""Coverage field on a grid: sensor (2), accumulation (3), error (4), density (9) and the integral of (6).
 
-The grid's cells are squares with their centres at (i + ½)·cell; arrays are [row, column], row 0 at y = 0. The kernels
-walk the rows that a disc meets and, in each, the chord. Sums go through a row buffer and a fixed number of lanes, so
-the bits do not depend on who calls, nor on how the compiler arranges the loop.
+The grid's cells are squares with centers at (i + ½)·cell; arrays are [row, column], row 0 at y = 0. The kernels visit
+the rows that a disc meets and, in each, the chord. Sums use a row buffer and a fixed number of lanes, so that the bits
+depend neither on the caller nor on the compiler's loop order.
 """
 
 import math
@@ -16,28 +16,28 @@ from sim.models.sensor import SensorParameters, sensor_quality, sensor_slope
 
 @compiled
 def penalty(lack: float) -> float:
-    r"""The penalty $h(x) = \max(0, x)^2$ of (4)."""
+    r"""Return the penalty $h(x) = \max(0, x)^2$ of (4)."""
     return lack * lack if lack > 0.0 else 0.0
 
 
 @compiled
 def penalty_slope(lack: float) -> float:
-    r"""$h'(x) = 2 \max(0, x)$ of (6)."""
+    r"""Return $h'(x) = 2 \max(0, x)$ of (6)."""
     return 2.0 * lack if lack > 0.0 else 0.0
 
 
 @compiled
 def density(rho2: float, r_o: float) -> float:
-    r"""Density at squared distance $\rho^2$ from the UGV, Klodt 2015, eq. (9).
+    r"""Return the density at squared distance $\rho^2$ from the UGV, Klodt 2015, eq. (9).
 
     $$ \phi = \cos(\pi \rho / r_o) + 1 \text{ inside } r_o, \quad 0 \text{ outside} $$
 
-    Written as $(1 - s)^2 g(s)$ with $s = (\rho/r_o)^2$ and g a polynomial (Chebyshev interpolation on [0, 1]): no
+    Computed as $(1 - s)^2 g(s)$ with $s = (\rho/r_o)^2$ and g a polynomial (Chebyshev interpolation on [0, 1]): no
     cosine, no root, never negative, and within 2e-13 of the formula.
 
     Args:
         rho2: Squared distance from the UGV [m²].
-        r_o: r_v + r, the farthest that the UAV can see without losing the UGV [m].
+        r_o: Radius r_v + r, the farthest ground that the UAV can observe while the UGV is visible [m].
     """
     s = rho2 / (r_o * r_o)
     rest = 1.0 - s if s < 1.0 else 0.0
@@ -54,7 +54,7 @@ def density(rho2: float, r_o: float) -> float:
 
 @compiled
 def chord(center: float, half: float, cell: float, count: int) -> tuple[int, int]:
-    """First cell and the one after the last whose centres lie within `half` of `center`, on a line of `count` cells."""
+    """Return the range of cells with centers within `half` of `center`: first, and end; at most `count` cells."""
     first = math.ceil((center - half) / cell - 0.5)
     last = math.floor((center + half) / cell - 0.5)
     return max(0, int(first)), min(count, int(last) + 1)
@@ -62,7 +62,7 @@ def chord(center: float, half: float, cell: float, count: int) -> tuple[int, int
 
 @compiled
 def half_chord(radius: float, offset: float) -> float:
-    """Half of the chord [m] that a line at this distance [m] from a circle's centre cuts out of it."""
+    """Return half the length [m] of a circle's chord at this distance [m] from its center."""
     return math.sqrt(max(0.0, radius * radius - offset * offset))
 
 
@@ -70,20 +70,20 @@ def half_chord(radius: float, offset: float) -> float:
 def disc_chords(
     p_x: float, p_y: float, radius: float, cell: float, rows: int, columns: int
 ) -> tuple[int, IntArray]:
-    """The cells whose centres lie in a disc.
+    """Return the cells with centers in a disc.
 
-    All chords at once, several to a vector: worked out row by row, each would make the processor wait for a root
-    and a quotient before it knows how far its loop goes.
+    All chords are computed at once, vectorized: row by row, each would make the processor wait for a root and a
+    quotient before the length of its loop is known.
 
     Args:
-        p_x, p_y: Centre of the disc [m].
-        radius: Of the disc [m].
+        p_x, p_y: Center of the disc [m].
+        radius: Radius of the disc [m].
         cell: Width of a cell [m].
-        rows, columns: Of the grid.
+        rows, columns: Size of the grid.
 
     Returns:
-        The first row that the disc meets; and from there on of each its first column and the one after the last,
-        shape (2, any).
+        The first row that the disc meets; and for each row from there on, its first column and the one after the last,
+        shape (2, rows).
     """
     first_row, end_row = chord(p_y, radius, cell, rows)
     met = max(0, end_row - first_row)
@@ -96,7 +96,7 @@ def disc_chords(
 
 @compiled
 def _in_registers(sensor: SensorParameters) -> SensorParameters:
-    """Return the numbers of a record, which a loop that writes would otherwise read again for each cell."""
+    """Return a copy of the parameters, so that a loop that writes does not reload them for each cell."""
     return SensorParameters(sensor.model, sensor.peak, sensor.reach)
 
 
@@ -109,16 +109,16 @@ def accumulate(
     cell: float,
     duration: float,
 ) -> None:
-    r"""Add what the sensor sees from one place, Klodt 2015, eq. (3).
+    r"""Add the coverage by a sensor at one position, Klodt 2015, eq. (3).
 
     $$ C(q, t) = \int_0^t S_a(p_a(\tau), q)\, d\tau \quad\Rightarrow\quad C \leftarrow C + S_a(p_a, q)\, \Delta t $$
 
     Args:
-        coverage: C on the grid, changed in place.
+        coverage: C on the grid; changed.
         p_x, p_y: Position of the UAV [m].
         sensor: The sensor.
         cell: Width of a cell [m].
-        duration: How long it looks from there [s].
+        duration: Time at this position [s].
     """
     (rows, columns), seeing = coverage.shape, _in_registers(sensor)
     first_row, chords = disc_chords(p_x, p_y, seeing.reach, cell, rows, columns)
@@ -144,22 +144,22 @@ def accumulate_with_gain(
     cell: float,
     duration: float,
 ) -> float:
-    r"""`accumulate`, and how far e(t) of (4) falls by it while the UGV stays where it is.
+    r"""Update as `accumulate`, and return the decrease of e(t) of (4) for a fixed UGV.
 
     $$ \int_{Q_r} \left[ h(C^* - C) - h(C^* - C - S_a \Delta t) \right] \phi(q, p_g)\, dq
        \;\approx\; \Delta t \int_{Q_r} h'(C^* - C)\, S_a\, \phi\, dq $$
 
-    Only the sensor's disc is touched, where `coverage_error` needs the whole support of the density.
+    Only the sensor's disc is visited, whereas `coverage_error` needs the whole support of the density.
 
     Args:
-        coverage: C on the grid, changed in place, to the bit as by `accumulate`.
+        coverage: C on the grid; changed, bit for bit as by `accumulate`.
         p_ax, p_ay: Position of the UAV [m].
         p_gx, p_gy: Position of the UGV [m].
         r_o, desired, sensor, cell: As in `coverage_gradient`.
-        duration: How long it looks from there [s].
+        duration: Time at this position [s].
 
     Returns:
-        The fall of e [m²]; never negative.
+        The decrease of e [m²]; never negative.
     """
     (rows, columns), seeing = coverage.shape, _in_registers(sensor)
     terms = np.empty(columns + LANES)
@@ -189,7 +189,7 @@ def accumulate_with_gain(
 def coverage_error(
     coverage: FloatArray, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float
 ) -> float:
-    r"""The ground around the UGV that is not yet seen, Klodt 2015, eq. (4).
+    r"""Return the coverage error around the UGV, Klodt 2015, eq. (4).
 
     $$ e(t) = \int_Q h(C^* - C(q, t))\, \phi(q, p_g)\, dq $$
 
@@ -201,7 +201,7 @@ def coverage_error(
         cell: Width of a cell [m].
 
     Returns:
-        e [m²].
+        Coverage error e [m²].
     """
     rows, columns = coverage.shape
     terms = np.empty(columns + LANES)
@@ -233,24 +233,23 @@ def coverage_gradient(
     sensor: SensorParameters,
     cell: float,
 ) -> tuple[float, float, float]:
-    r"""The direction in which the UAV sees most that is new, with k = 1, Klodt 2015, eq. (6).
+    r"""Return the direction of the most uncovered ground, with k = 1, Klodt 2015, eq. (6).
 
     $$ u_{cov} = k \int_{Q_r} h'(C^* - C)\; 2 \frac{dS_a}{d\rho^2}\, (p_a - q)\, \phi(q, p_g)\, dq $$
 
-    which is the paper's $k\frac{4M}{r^4}\int h'(\cdot)(\|p_a-q\|^2 - r^2)(p_a-q)\phi\,dq$ for its sensor (2).
+    This equals the paper's $k\frac{4M}{r^4}\int h'(\cdot)(\|p_a-q\|^2 - r^2)(p_a-q)\phi\,dq$ for its sensor (2).
 
     Args:
         coverage: C on the grid.
         p_ax, p_ay: Position of the UAV [m].
-        p_gx, p_gy: Position of the UGV, as far as the caller knows it [m].
+        p_gx, p_gy: Position of the UGV, or its estimate [m].
         r_o: Radius of the density (9) [m].
         desired: C*.
         sensor: The sensor.
         cell: Width of a cell [m].
 
     Returns:
-        u_cov, x and y, and the size of its integrand, r times the sum of the magnitudes, against which "u_cov = 0"
-        is judged.
+        u_cov, x and y, and the size of its integrand (r times the sum of the magnitudes), the scale for "u_cov = 0".
     """
     (rows, columns), seeing = coverage.shape, _in_registers(sensor)
     pulls = np.empty(columns + LANES)
@@ -282,7 +281,7 @@ def coverage_gradient(
 
 @compiled
 def coverage_shares(coverage: FloatArray, desired: float) -> tuple[float, float]:
-    """The share of cells with C >= C*, and the mean of min(C / C*, 1).
+    """Return the share of cells with C >= C*, and the mean of min(C / C*, 1).
 
     Args:
         coverage: C on the grid.
@@ -300,7 +299,7 @@ def coverage_shares(coverage: FloatArray, desired: float) -> tuple[float, float]
 
 
 def empty_coverage(width: float, height: float, cell: float) -> FloatArray:
-    """A grid over [0, width] x [0, height] without coverage, shape (rows, columns)."""
+    """Return a grid over [0, width] x [0, height] without coverage, shape (rows, columns)."""
     return np.zeros((round(height / cell), round(width / cell)))
 
 
@@ -311,7 +310,7 @@ def cover(
     cell: float,
     value: float,
 ) -> None:
-    """Give every cell whose centre lies in the rectangle at least the coverage `value`."""
+    """Raise the coverage of every cell with its center in the rectangle to at least `value`."""
     rows, columns = coverage.shape
     x = (np.arange(columns) + 0.5) * cell
     y = (np.arange(rows) + 0.5) * cell
@@ -329,7 +328,7 @@ def sample(
     scale: float,
     picture: FloatArray,
 ) -> None:
-    """Fill the picture around (p_x, p_y) [m] with min(C / C*, 1) of the cell under each pixel's centre; 1 outside Q."""
+    """Fill a picture centered at (p_x, p_y) [m] with min(C / C*, 1) of the cell at each pixel's center; 1 outside Q."""
     rows, columns = coverage.shape
     count = picture.shape[0]
     middle = 0.5 * (count - 1)

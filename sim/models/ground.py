@@ -1,6 +1,6 @@
-r"""The square tiles in which the ground is seen, told and planned on, and the claims of cautious UGVs.
+r"""Square ground tiles for observation, reports and planning, and the claims of cautious UGVs.
 
-Tile (row i, column j) of the size s is $[j s, (j+1) s] \times [i s, (i+1) s]$, its edges with it: a hazard that touches
+Tile (row i, column j) of size s is $[j s, (j+1) s] \times [i s, (i+1) s]$, including its edges: a hazard that touches
 an edge touches the tiles on both sides.
 """
 
@@ -15,46 +15,47 @@ from sim.compiling.records import RecordArray
 from sim.models.hazards import BLOCK, FOUND, ROUGH, TOUCH
 
 TileArray = npt.NDArray[np.uint8]
-"""A map of tiles. Shape (rows, columns)."""
+"""Map of tiles. Shape (rows, columns)."""
 
 UNSEEN, CLEAR = 0, 1
-"""States of a tile beside ROUGH, BLOCK and FOUND: nobody has seen it yet, which is not clear; and nothing touches it.
+"""States of a tile besides ROUGH, BLOCK and FOUND: unknown, which is not clear, and touched by no hazard.
 
-The truth is never UNSEEN."""
+True states are never UNSEEN."""
 OUTSIDE = 5
-"""In a picture of tiles: beyond the area. No tile has this state."""
+"""State outside the area, in a picture of tiles. No tile has it."""
 
 NO_CLAIM, CERTIFIED, WAY_UNKNOWN, NO_STOP = range(4)
-"""Claims of a cautious UGV at a tick: none; it stays on tiles that it knows to be drivable whatever becomes of its
-commands; its way to a stop is not known to be drivable; its commands carry no stop."""
+"""Claims of a cautious UGV at a tick: none; it stays on tiles known to be drivable, even if commands are lost; its path
+to a stop is not known to be drivable; its commands carry no stop.
+"""
 UNCERTIFIED = {
-    WAY_UNKNOWN: "its way to a stop is not known to be drivable",
+    WAY_UNKNOWN: "its path to a stop is not known to be drivable",
     NO_STOP: "its commands carry no stop",
 }
-"""Why the UGV does not certify, in words."""
+"""Reason why the UGV is not certified, as text."""
 
 
 def tiles_shape(width: float, height: float, tile: float) -> tuple[int, int]:
-    """Rows and columns of the tiles of an area; the last ones may stick out.
+    """Return the rows and columns of the tiles of an area; the last ones may extend beyond it.
 
     Args:
-        width, height: Of the area [m].
+        width, height: Size of the area [m].
         tile: Side of a tile [m].
     """
     return max(1, math.ceil(height / tile - TOUCH)), max(1, math.ceil(width / tile - TOUCH))
 
 
 def tile_states(letters: str) -> TileArray:
-    """The states of tiles from what a message calls them, letter by letter."""
+    """Return the states of tiles from their letters in a message."""
     return np.array([TILE_LETTERS.index(letter) for letter in letters], dtype=np.uint8)
 
 
 def block_letters(tiles: TileArray, row: int, column: int) -> str:
-    """The states of a block of tiles as a message tells them; beyond the area they are not seen.
+    """Return the states of a block of tiles as letters for a message; tiles outside the area are unknown.
 
     Args:
         tiles: The map.
-        row, column: Of the block: those of its first tile divided by `BLOCK_SIDE`.
+        row, column: Index of the block: row and column of its first tile divided by `BLOCK_SIDE`.
     """
     side, block = BLOCK_SIDE, np.full((BLOCK_SIDE, BLOCK_SIDE), UNSEEN, np.uint8)
     cut = tiles[row * side : (row + 1) * side, column * side : (column + 1) * side]
@@ -64,22 +65,22 @@ def block_letters(tiles: TileArray, row: int, column: int) -> str:
 
 @compiled
 def tile_index(p: float, tile: float, count: int) -> int:
-    """The row of a y, or the column of an x; the first or the last where it is outside.
+    """Return the row of a y, or the column of an x; outside, the first or the last.
 
     Args:
         p: Coordinate [m].
         tile: Side of a tile [m].
-        count: How many rows or columns there are.
+        count: Number of rows or columns.
     """
     return int(min(max(math.floor(p / tile), 0), count - 1))
 
 
 @compiled
 def state_at(tiles: TileArray, tile: float, x: float, y: float) -> int:
-    """State of the tile that a point lies in; outside the area that of the nearest.
+    """Return the state of the tile at a point; outside the area, of the nearest tile.
 
-    A point that touches a hazard lies in a tile whose true state is that of the hazard or one that goes before it:
-    where this is CLEAR no hazard needs to be looked at, where it is ROUGH none that blocks.
+    Its true state equals the state of any hazard at the point, or takes precedence over it: at CLEAR there is no hazard
+    to check, at ROUGH no blocking one.
 
     Args:
         tiles: The map.
@@ -92,12 +93,12 @@ def state_at(tiles: TileArray, tile: float, x: float, y: float) -> int:
 
 @compiled
 def span(low: float, high: float, tile: float, count: int) -> tuple[int, int]:
-    """The rows or columns that an interval touches, from the first to behind the last.
+    """Return the rows or columns that an interval touches: the first, and the one after the last.
 
     Args:
         low, high: The interval [m].
         tile: Side of a tile [m].
-        count: How many rows or columns there are.
+        count: Number of rows or columns.
     """
     first = max(math.floor(low / tile), 0.0)
     end = min(math.floor(high / tile) + 1.0, float(count))
@@ -106,13 +107,13 @@ def span(low: float, high: float, tile: float, count: int) -> tuple[int, int]:
 
 @compiled
 def disc_rows(y: float, radius: float, tile: float, rows: int) -> tuple[int, int]:
-    """The rows of tiles that a disc touches, from the first to behind the last.
+    """Return the rows of tiles that a disc touches: the first, and the one after the last.
 
     Args:
-        y: Of its centre [m].
-        radius: Of the disc [m].
+        y: Center of the disc [m].
+        radius: Radius of the disc [m].
         tile: Side of a tile [m].
-        rows: How many there are.
+        rows: Number of rows.
     """
     return span(y - radius - TOUCH, y + radius + TOUCH, tile, rows)
 
@@ -121,14 +122,14 @@ def disc_rows(y: float, radius: float, tile: float, rows: int) -> tuple[int, int
 def disc_columns(
     x: float, y: float, radius: float, tile: float, row: int, columns: int
 ) -> tuple[int, int]:
-    """The columns of tiles that a disc touches in a row, from the first to behind the last.
+    """Return the columns of tiles that a disc touches in a row: the first, and the one after the last.
 
     Args:
-        x, y: Its centre [m].
-        radius: Of the disc [m].
+        x, y: Center of the disc [m].
+        radius: Radius of the disc [m].
         tile: Side of a tile [m].
-        row: Which.
-        columns: How many there are.
+        row: Index of the row.
+        columns: Number of columns.
     """
     reach = radius + TOUCH
     away = max(row * tile - y, y - (row + 1) * tile, 0.0)
@@ -140,14 +141,14 @@ def disc_columns(
 
 @compiled
 def add_disc(x: float, y: float, radius: float, state: int, tile: float, tiles: TileArray) -> None:
-    """Give the tiles that a disc touches a state; those that are BLOCK stay so.
+    """Set the state of the tiles that a disc touches, except for BLOCK tiles.
 
     Args:
-        x, y: Its centre [m].
-        radius: Of the disc [m].
+        x, y: Center of the disc [m].
+        radius: Radius of the disc [m].
         state: ROUGH, BLOCK or FOUND.
         tile: Side of a tile [m].
-        tiles: The map, changed.
+        tiles: The map; changed.
     """
     rows, columns = tiles.shape
     first, end = disc_rows(y, radius, tile, rows)
@@ -162,11 +163,11 @@ def add_disc(x: float, y: float, radius: float, state: int, tile: float, tiles: 
 def edge_within(
     a_x: float, a_y: float, b_x: float, b_y: float, low: float, high: float
 ) -> tuple[float, float]:
-    """The least and the largest x of the part of an edge whose y lies between two; turned round where none does.
+    """Return the smallest and largest x of the part of an edge with y in an interval; inverted if there is none.
 
     Args:
-        a_x, a_y, b_x, b_y: Its ends [m].
-        low, high: The two [m].
+        a_x, a_y, b_x, b_y: Ends of the edge [m].
+        low, high: The interval [m].
     """
     if max(a_y, b_y) < low or min(a_y, b_y) > high:
         return math.inf, -math.inf
@@ -180,7 +181,7 @@ def edge_within(
 
 @compiled
 def _fill_polygon(corners: FloatArray, state: int, tile: float, tiles: TileArray) -> None:
-    """Set the tiles that a polygon touches: those its edges pass, and those whose centre line lies in it."""
+    """Set the tiles that a polygon touches: those crossed by its edges, and those whose center line lies inside."""
     rows, columns = tiles.shape
     count = corners.shape[0]
     crossings = np.empty(count)
@@ -207,12 +208,12 @@ def _fill_polygon(corners: FloatArray, state: int, tile: float, tiles: TileArray
 
 @compiled
 def fill_tiles(hazards: RecordArray, corners: FloatArray, tile: float, tiles: TileArray) -> None:
-    """Give each tile its true state: BLOCK if a blocking hazard touches it, else ROUGH, else FOUND, else CLEAR.
+    """Set the true state of each tile: BLOCK if a blocking hazard touches it, else ROUGH, else FOUND, else CLEAR.
 
     Args:
         hazards, corners: As in `distance_to_hazard`.
         tile: Side of a tile [m].
-        tiles: The map, changed.
+        tiles: The map; changed.
     """
     tiles[:, :] = CLEAR
     for kind in (FOUND, ROUGH, BLOCK):
@@ -229,13 +230,13 @@ def fill_tiles(hazards: RecordArray, corners: FloatArray, tile: float, tiles: Ti
 
 @compiled
 def tile_patches(tiles: TileArray, tile: float, position: FloatArray, pictures: TileArray) -> None:
-    """Fill pictures with the tiles around those that vehicles stand on, which are their middles; rows go north.
+    """Fill pictures with the tiles around vehicles; the vehicle's tile is in the middle, and rows increase northwards.
 
     Args:
         tiles: States, as each vehicle knows them. Shape (vehicles, rows, columns).
         tile: Side of a tile [m].
-        position: Of each [m]. Shape (vehicles, 2).
-        pictures: Are changed; OUTSIDE beyond the area. Shape (vehicles, side, side), an odd number.
+        position: Position of each vehicle [m]. Shape (vehicles, 2).
+        pictures: Pictures; changed. OUTSIDE beyond the area. Shape (vehicles, side, side), side odd.
     """
     rows, columns = tiles.shape[1], tiles.shape[2]
     side = pictures.shape[1]

@@ -1,14 +1,13 @@
-r"""Hazards at random places, which never close the last way from a UGV's start to its goals.
+r"""Random hazards that never block the last route from a UGV's start to its goals.
 
-One disc after the other is drawn, by counter; one that comes too near to a stop, that lies on or under another one, or
-that closes a way, is left out and the next one is drawn. A way is a chain of tiles that nothing blocks, each beside the
-next (4-connected).
+Discs are drawn one after the other, by counter. A disc too close to a stop, overlapping another one, or blocking a
+route is skipped. A route is a chain of adjacent tiles (4-connected) without blocking hazards.
 
-It is closed if and only if blocked tiles, with the ground outside, stand in a ring (8-connected) that has one of its
-ends inside and the other outside: a ring that crosses a line between them an odd number of times. So blocked tiles are
-joined as they come, and each knows which lines are crossed between it and the root of its set (union-find with
-parities, without path compression, so that a disc can be taken back). A join that closes an odd ring is found at once,
-and no search through the free tiles is needed.
+A route is blocked if and only if blocked tiles, together with the outside, form a ring (8-connected) with one of its
+ends inside and the other outside: a ring that crosses a line between them an odd number of times. Blocked tiles are
+therefore joined as they are added, and each stores the lines crossed between it and the root of its set (union-find
+with parities, without path compression, so that a disc can be removed again). A join that closes an odd ring is
+detected at once, without a search through the free tiles.
 """
 
 from typing import NamedTuple
@@ -23,17 +22,18 @@ from sim.models.randomness import HAZARD_PLACE, Key, draw, to_uniform
 from sim.models.vehicles import norm
 
 MOST_MISSES = 500
-"""A field is full after so many places in a row at which no disc of it fits."""
+"""Consecutive skipped discs after which a field is full."""
 
 _FREE, _STOP = -1, -2
-"""In place of a parent: the tile is not blocked; it is not blocked and must not be."""
+"""Special parents: the tile is free; the tile is free and must stay free."""
 _PARENT, _CROSSED, _SIZE, _LOG = range(4)
-"""Rows of the work array: of each tile the parent in its set, the lines crossed on the way to it, and of a root how
-many tiles its set has; then how many roots have been put below others for this disc, and these roots in order."""
+"""Rows of the work array: for each tile, its parent in its set, and the lines crossed up to it; for a root, the size of
+its set; and a log of the roots that this disc has joined to others, with their number first.
+"""
 
 
 class HazardFieldRow(NamedTuple):
-    """The columns of a table of random fields."""
+    """Random field, a row of a table."""
 
     kind: int
     """Code of a row of `bus.registry.HAZARDS`."""
@@ -41,29 +41,29 @@ class HazardFieldRow(NamedTuple):
     """Number of hazards."""
     smallest: float
     largest: float
-    """Radii [m]."""
+    """Smallest and largest radius [m]."""
     share: float
-    """As in `sim.models.hazards.HazardRow`."""
+    """Share of its maximum speed that a vehicle keeps; see `sim.models.hazards.HazardRow`."""
     clear: float
-    """Distance that its discs keep from all stops [m]."""
+    """Smallest distance of its discs from all stops [m]."""
 
 
 def work_array(rows: int, columns: int) -> IntArray:
-    """Room for `place_hazards` on a map of so many tiles and a ring around them."""
+    """Return the work array of `place_hazards` for a map of this size and a ring around it."""
     return np.zeros((4, (rows + 2) * (columns + 2)), dtype=np.int64)
 
 
 @compiled
 def _crossed(ways: IntArray, i: int, j: int, d_i: int, d_j: int) -> int:
-    """The lines that are crossed an odd number of times between the centres of two neighbouring tiles, as bits.
+    """Return the lines crossed an odd number of times between the centers of two adjacent tiles, as bits.
 
-    The line of a way goes from 3/8 of a tile right of the centre of its first tile and 1/4 above along the row, then
-    along the column to the same place in its last tile: it meets no centre, and no step at its corner or its ends.
+    The line of a route starts 3/8 of a tile right of its first tile's center and 1/4 above it, follows the row, then
+    the column to the same position in the last tile. It meets no center, and no step meets its corner or ends.
 
     Args:
         ways: As in `place_hazards`.
         i, j: Row and column of one tile.
-        d_i, d_j: Of the step to the other: (0, 1), (1, -1), (1, 0) or (1, 1).
+        d_i, d_j: Step to the other tile: (0, 1), (1, -1), (1, 0) or (1, 1).
     """
     bits = 0
     for p in range(ways.shape[0]):
@@ -84,7 +84,7 @@ def _crossed(ways: IntArray, i: int, j: int, d_i: int, d_j: int) -> int:
 
 @compiled
 def _joined(work: IntArray, one: int, other: int, crossed: int) -> bool:
-    """Put the sets of two neighbouring tiles together; False: their step closes a ring around one end of a way."""
+    """Join the sets of two adjacent tiles; return False if this closes a ring around one end of a route."""
     while work[_PARENT, one] != one:
         crossed ^= work[_CROSSED, one]
         one = work[_PARENT, one]
@@ -104,12 +104,12 @@ def _joined(work: IntArray, one: int, other: int, crossed: int) -> bool:
 
 @compiled
 def _block(work: IntArray, ways: IntArray, i: int, j: int, columns: int) -> bool:
-    """Block a free tile, and join it to those around it that are blocked; False: that closes a way."""
+    """Block a free tile and join it to the blocked tiles around it; return False if this blocks a route."""
     width = columns + 2
     node = (i + 1) * width + j + 1
     work[_PARENT, node], work[_CROSSED, node], work[_SIZE, node] = node, 0, 1
     for n in range(8):
-        # the four steps forward, then the same ones from the tiles behind
+        # the four steps forward, then the same steps from the previous tiles
         d_i, d_j = (0, 1) if n % 4 == 0 else (1, n % 4 - 2)
         away, back = d_i * width + d_j, n // 4
         other = node + away * (1 - 2 * back)
@@ -122,12 +122,12 @@ def _block(work: IntArray, ways: IntArray, i: int, j: int, columns: int) -> bool
 
 @compiled
 def begin_work(ways: IntArray, tiles: TileArray, work: IntArray) -> None:
-    """Join the tiles that are blocked from the start, and all that is outside.
+    """Join the tiles that are blocked initially, and all outside tiles.
 
     Args:
         ways: As in `place_hazards`.
-        tiles: Their true states.
-        work: A `work_array`, changed.
+        tiles: True states of the tiles.
+        work: A `work_array`; changed.
     """
     rows, columns = tiles.shape
     width = columns + 2
@@ -152,7 +152,7 @@ def begin_work(ways: IntArray, tiles: TileArray, work: IntArray) -> None:
 def _block_disc(
     x: float, y: float, radius: float, tile: float, ways: IntArray, tiles: TileArray, work: IntArray
 ) -> bool:
-    """Block the free tiles that a disc touches, in `work` alone; False, and all is as before: that closes a way."""
+    """Block the free tiles of a disc in `work` only; return False, without a change, if this blocks a route."""
     rows, columns = tiles.shape
     width = columns + 2
     low, high = disc_rows(y, radius, tile, rows)
@@ -191,9 +191,9 @@ def _fits(
     tile: float,
     tiles: TileArray,
 ) -> bool:
-    """True if a disc is far enough from all stops, lies on or under no other, and hides nothing that is to be found.
+    """Return whether a disc is far enough from all stops, overlaps no other disc, and hides no object to find.
 
-    It lies on another one, or under it, if its centre's tile has its state already, or one that goes before it.
+    It overlaps another one if the tile at its center already has its state, or one with precedence.
     """
     x, y, radius = place
     kind, clear = fields[f]["kind"], fields[f]["clear"]
@@ -217,7 +217,7 @@ def _fits(
 def _drawn(
     fields: RecordArray, f: int, attempt: int, area: tuple[float, float], key: Key
 ) -> tuple[float, float, float]:
-    """Centre and radius of a disc of one field [m]."""
+    """Draw the center and radius of a disc of one field [m]."""
     field = fields[f]
     first, second, third, _ = draw(key, HAZARD_PLACE, f, attempt)
     radius = field["smallest"] + to_uniform(third) * (field["largest"] - field["smallest"])
@@ -237,23 +237,23 @@ def place_hazards(
     tiles: TileArray,
     work: IntArray,
 ) -> int:
-    """Draw the hazards of random fields, one field after the other.
+    """Draw the hazards of random fields, field by field.
 
     Args:
-        fields: A table of `HazardFieldRow`.
-        stops: From which discs keep their distance [m]. Shape (stops, 2).
-        ways: That stay open: rows and columns of the tiles at both ends, and the bits of the way, a word that no others
-            add up to. Where there is a start without a goal, both ends are it. Shape (ways, 5).
-        area: Width and height [m].
+        fields: Table of `HazardFieldRow`.
+        stops: Points from which discs keep their clearance [m]. Shape (stops, 2).
+        ways: Routes that stay open: rows and columns of the tiles at both ends, and the route's bits, which no sum of
+            other routes' bits equals. A start without a goal is a route from the start to itself. Shape (routes, 5).
+        area: Width and height of the area [m].
         tile: Side of a tile [m].
-        key: Of the draws.
-        hazards: A table of `HazardRow`, with room for all; changed.
-        first: The first of its rows to be filled. Those that are left over are empty.
-        tiles: The true states with all hazards of the rows before; changed.
-        work: A `work_array`, changed.
+        key: Key of the random numbers.
+        hazards: Table of `HazardRow`, with capacity for all; changed.
+        first: First row to fill. Unused rows are empty.
+        tiles: True states with the hazards of earlier rows; changed.
+        work: A `work_array`; changed.
 
     Returns:
-        The first row behind those that are filled: fewer than the fields want where no more have fitted.
+        The row after the last filled one; fewer rows than the fields request if no more fit.
     """
     begin_work(ways, tiles, work)
     behind = first

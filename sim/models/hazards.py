@@ -1,7 +1,7 @@
 """Geometry of hazards on the ground: discs and polygons.
 
-Hazards are closed: a point on the edge of one touches it. All functions work on tables of `HazardRow`; rows of kind 0
-are empty.
+Hazards are closed sets: a point on the edge touches the hazard. All functions work on tables of `HazardRow`; rows of
+kind 0 are empty.
 """
 
 import math
@@ -13,37 +13,39 @@ from sim.compiling.records import RecordArray
 from sim.models.vehicles import norm
 
 ROUGH, BLOCK, FOUND = HAZARDS["rough"].code, HAZARDS["block"].code, HAZARDS["find"].code
-"""Kinds of hazards, and states of the tiles that they touch. BLOCK goes before ROUGH, and ROUGH before FOUND."""
+"""Kinds of hazards, and states of the tiles that they touch. BLOCK takes precedence over ROUGH, and ROUGH over
+FOUND.
+"""
 
 TOUCH = 1e-9
-"""A hazard or a way that is nearer to a tile than this touches it [m].
+"""Tolerance for contact between a tile and a hazard or path [m].
 
-Rounding moves no point so far, in areas of up to 10 km: it hides no hazard that a vehicle runs into."""
+It exceeds the rounding error in areas of up to 10 km, so that rounding hides no hazard from a vehicle."""
 
 
 class HazardRow(NamedTuple):
-    """The columns of a table of hazards."""
+    """Hazard, a row of a table."""
 
     kind: int
-    """Code of a row of `bus.registry.HAZARDS`; 0: there is no hazard in this row."""
+    """Code of a row of `bus.registry.HAZARDS`; 0: the row is empty."""
     share: float
-    """Of its largest speed that a vehicle keeps on it; 1 unless it is rough."""
+    """Share of its maximum speed that a vehicle keeps on it; 1 unless it is rough."""
     x: float
     y: float
-    """Centre of the disc, or of a circle around the polygon [m]."""
+    """Center of the disc, or of a circle around the polygon [m]."""
     radius: float
-    """Of the disc; 0: it is a polygon [m]."""
+    """Radius of the disc [m]; 0: a polygon."""
     reach: float
-    """Nothing of it is farther from (x, y) than this [m]."""
+    """Radius of a circle around (x, y) that contains the hazard [m]."""
     first: int
     """Row of its first corner in the table of corners."""
     corners: int
-    """Number of its corners; 0: it is a disc."""
+    """Number of its corners; 0: a disc."""
 
 
 @compiled
 def _segment_distance2(a_x: float, a_y: float, b_x: float, b_y: float, x: float, y: float) -> float:
-    """Squared distance of (x, y) to the segment from a to b [m²]."""
+    """Return the squared distance of (x, y) from the segment from a to b [m²]."""
     d_x, d_y, e_x, e_y = b_x - a_x, b_y - a_y, x - a_x, y - a_y
     along, length2 = e_x * d_x + e_y * d_y, d_x * d_x + d_y * d_y
     if along > 0.0:
@@ -56,7 +58,7 @@ def _segment_distance2(a_x: float, a_y: float, b_x: float, b_y: float, x: float,
 def _met(
     p_x: float, p_y: float, d_x: float, d_y: float, a_x: float, a_y: float, b_x: float, b_y: float
 ) -> float:
-    """Share of the way from p by d at which it meets the segment from a to b; infinite: not at all, or along it."""
+    """Return the share of the path from p by d at which it meets the segment a to b; infinite: never, or parallel."""
     e_x, e_y = b_x - a_x, b_y - a_y
     turn = d_x * e_y - d_y * e_x
     if turn == 0.0:
@@ -70,12 +72,12 @@ def _met(
 def distance_to_hazard(
     hazards: RecordArray, corners: FloatArray, k: int, x: float, y: float
 ) -> float:
-    """Distance of a point to a hazard; 0 in it and on its edge.
+    """Return the distance of a point from a hazard; 0 inside and on the edge.
 
     Args:
-        hazards: A table of `HazardRow`.
-        corners: Of all polygons, counted round each [m]. Shape (corners, 2).
-        k: Which hazard.
+        hazards: Table of `HazardRow`.
+        corners: Corners of all polygons, each in order [m]. Shape (corners, 2).
+        k: Index of the hazard.
         x, y: The point [m].
 
     Returns:
@@ -99,9 +101,9 @@ def distance_to_hazard(
 
 @compiled
 def may_be_within(hazards: RecordArray, k: int, x: float, y: float, distance: float) -> bool:
-    """False only if a point is farther from a hazard than this distance [m], by the circle around it.
+    """Return False only if a point is farther than `distance` [m] from a hazard's bounding circle.
 
-    Arguments as `distance_to_hazard`.
+    Other arguments as in `distance_to_hazard`.
     """
     row = hazards[k]
     d_x, d_y, far = x - row["x"], y - row["y"], row["reach"] + distance
@@ -110,18 +112,18 @@ def may_be_within(hazards: RecordArray, k: int, x: float, y: float, distance: fl
 
 @compiled
 def point_in_hazard(hazards: RecordArray, corners: FloatArray, k: int, x: float, y: float) -> bool:
-    """True if a point touches a hazard. Arguments as `distance_to_hazard`."""
+    """Return whether a point touches a hazard. Arguments as in `distance_to_hazard`."""
     near = may_be_within(hazards, k, x, y, TOUCH)
     return near and distance_to_hazard(hazards, corners, k, x, y) == 0.0
 
 
 @compiled
 def hazard_at(hazards: RecordArray, corners: FloatArray, kind: int, x: float, y: float) -> int:
-    """The first hazard of a kind that a point touches; -1: none.
+    """Return the first hazard of a kind that a point touches; -1: none.
 
     Args:
         hazards, corners: As in `distance_to_hazard`.
-        kind: The code of a row of `HAZARDS`.
+        kind: Code of a row of `HAZARDS`.
         x, y: The point [m].
     """
     for k in range(hazards.shape[0]):
@@ -132,7 +134,7 @@ def hazard_at(hazards: RecordArray, corners: FloatArray, kind: int, x: float, y:
 
 @compiled
 def rough_share(hazards: RecordArray, corners: FloatArray, x: float, y: float) -> float:
-    """Share of its largest speed that a vehicle keeps at a point: the least of the rough hazards there, 1 without one.
+    """Return the share of maximum speed that a vehicle keeps at a point: the smallest of the rough hazards there, or 1.
 
     Args:
         hazards, corners: As in `distance_to_hazard`.
@@ -158,14 +160,14 @@ def way_to_hazard(
     start: tuple[float, float],
     end: tuple[float, float],
 ) -> float:
-    """Share of the straight way from start to end at which it first touches a hazard; infinite: it does not.
+    """Return the share of the segment from start to end at which it first touches a hazard; infinite: never.
 
     Args:
         hazards, corners, k: As in `distance_to_hazard`.
         start, end: Points [m].
 
     Returns:
-        From 0, it starts there, to 1, it ends there.
+        0: at its start, to 1: at its end.
     """
     row = hazards[k]
     p_x, p_y = start
@@ -174,7 +176,7 @@ def way_to_hazard(
         return 0.0
     first = 1.0 if point_in_hazard(hazards, corners, k, end[0], end[1]) else math.inf
     if row["corners"] == 0:
-        # |p + t d - c| = r: the smaller root, where the way comes in
+        # |p + t d - c| = r: the smaller root, where the segment enters
         length2, radius = d_x * d_x + d_y * d_y, row["radius"]
         f_x, f_y = p_x - row["x"], p_y - row["y"]
         half = f_x * d_x + f_y * d_y
@@ -200,17 +202,17 @@ def crosses_hazard(
     start: tuple[float, float],
     end: tuple[float, float],
 ) -> tuple[int, float]:
-    """The hazard of a kind that the straight way from start to end touches first, and the share of the way to it.
+    """Return the first hazard of a kind on the segment from start to end, and the share of the segment before it.
 
-    Within a tick a vehicle leaves this straight line by no more than u dt² / 8.
+    Within a tick a vehicle deviates from this segment by at most u dt² / 8.
 
     Args:
         hazards, corners: As in `distance_to_hazard`.
-        kind: The code of a row of `HAZARDS`.
+        kind: Code of a row of `HAZARDS`.
         start, end: Points [m].
 
     Returns:
-        Its row, and the share from 0 to 1; -1 and infinity: the way touches none.
+        Index of the hazard, and the share from 0 to 1; -1 and infinity: none.
     """
     found, first = -1, math.inf
     length = norm(end[0] - start[0], end[1] - start[1])

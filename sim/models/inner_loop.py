@@ -1,11 +1,11 @@
-r"""A UAV's inner loop: keeps it near a reference that moves by (1), against wind and a wrong own position. SI units.
+r"""Inner loop of a UAV: tracks a reference that moves by (1), against wind and position errors. SI units.
 
-The commands step the reference. The error x = p - p_reference has, in each tick,
+The commands move the reference. The tracking error x = p - p_reference satisfies, in each tick,
 
 $$ \ddot x = u + w_a, \qquad u = -k_p (x + b) - k_d \dot x, \qquad \|u\| \le u_r $$
 
-with the wind's acceleration w_a and the error b of the own position, which the loop cannot tell from one of its own.
-The proof is in docs/explanation/proof.md, "Wind and position errors".
+with the wind's acceleration w_a and the position error b, which the loop cannot distinguish from a tracking error. The
+proof is in docs/explanation/proof.md, "Wind, tracking and a wrong own position".
 """
 
 import functools
@@ -20,58 +20,58 @@ from sim.compiling.records import Pair
 from sim.models.vehicles import clip_norm
 
 _ENOUGH = 1e-6
-"""The sum over a response ends where it has fallen to this share; what is left is bounded."""
+"""Share of its initial value at which the sum over a response is truncated; the remainder is bounded."""
 _MOST = 2**20
-"""Ticks after which a response must have died away."""
-_DUST = 1e-9
-"""The share by which a reserve may fall short of what is needed and still be that."""
+"""Maximum number of ticks until a response has decayed."""
+_RESERVE_TOLERANCE = 1e-9
+"""Relative tolerance when the reserve is compared with the required one."""
 
 
 class InnerLoop(Message, frozen=True, kw_only=True):
     """Inner loop of a UAV, which tracks the reference state against wind and position errors."""
 
     position_gain: Positive = 1.0
-    """Gain k_p of the position error [1/s²]."""
+    """Gain k_p from position error to acceleration [1/s²]."""
     velocity_gain: Positive = 2.0
-    """Gain k_d of the velocity error [1/s]."""
+    """Gain k_d from velocity error to acceleration [1/s]."""
     reserve: Positive = 0.5
     """Largest feedback acceleration u_r, in addition to max_acceleration [m/s²]."""
 
 
 class Disturbance:
-    """Record: tracking error of a UAV, and what acts on it in the coming tick."""
+    """Tracking error of a UAV and its causes in the next tick; a record."""
 
     error: Pair
     """True position minus reference position [m]."""
     error_rate: Pair
     """True velocity minus reference velocity [m/s]."""
     wind: Pair
-    """Acceleration by the wind [m/s²]."""
+    """Acceleration of the wind [m/s²]."""
     position_error: Pair
     """Error of the measured own position [m]."""
     gust: Pair
-    """Wind minus its mean, before its limit [m/s²]."""
+    """Wind minus its mean, before the limit [m/s²]."""
     drift: Pair
-    """Position error before its limit [m]."""
+    """Position error before the limit [m]."""
 
 
 class Responses(NamedTuple):
-    """The sums of the error's and the feedback's answers to one tick's acceleration, and the feedback's own at once."""
+    """Sums of the responses of tracking error and feedback to an acceleration in one tick."""
 
     error: float
-    """[s²]"""
+    """Sum for the tracking error [s²]."""
     feedback: float
-    """Without unit."""
+    """Sum for the feedback, dimensionless."""
 
 
 @compiled
 def step_error(loop: InnerLoop, row: Disturbance, dt: float) -> None:
-    """Advance the tracking error over a tick, exactly, as the accelerations are held over it.
+    """Advance the tracking error by one tick, exactly for accelerations that are constant within it.
 
     Args:
         loop: Gains and reserve.
-        row: The error and its causes; changed.
-        dt: Length of the tick [s].
+        row: Tracking error and its causes; changed.
+        dt: Duration of a tick [s].
     """
     off, rate, measured = row.error, row.error_rate, row.position_error
     feedback = clip_norm(
@@ -87,11 +87,11 @@ def step_error(loop: InnerLoop, row: Disturbance, dt: float) -> None:
 
 @functools.lru_cache(maxsize=256)
 def _responses(k_p: float, k_d: float, dt: float) -> Responses:
-    r"""The sums $\sum_k |h_k|$ of the answers to an acceleration of 1 m/s² in one tick, from the tick after it on.
+    r"""Return the sums $\sum_k |h_k|$ of the responses to an acceleration of 1 m/s² in one tick, from the next tick on.
 
-    Never too small: what is left out after n ticks, with $\|A^n\| = q$, is at most q / (1 - q) times the sum so far of
-    the states' largest components, for each row of the answer. Infinite if the loop is unstable, or slower than `_MOST`
-    ticks.
+    Never too small: the remainder after n ticks, with $\|A^n\| = q$, is at most q / (1 - q) times the present sum of
+    the states' largest components, for each row of the response. Infinite if the loop is unstable, or slower than
+    `_MOST` ticks.
     """
     if k_d * dt >= 2.0 or k_p * dt >= 2.0 * k_d:  # Jury's criterion: the loop is unstable
         return Responses(math.inf, math.inf)
@@ -110,9 +110,9 @@ def _responses(k_p: float, k_d: float, dt: float) -> Responses:
 
 
 def needed_reserve(loop: InnerLoop, wind: float, position_error: float, dt: float) -> float:
-    """The largest acceleration that the feedback of an inner loop ever asks for [m/s²]; infinite if it is unstable.
+    """Return the largest acceleration that the feedback of an inner loop can require [m/s²]; infinite if unstable.
 
-    Arguments as in `tracking_error`; the loop's reserve is not looked at.
+    Arguments as in `tracking_error`; the loop's reserve is ignored.
     """
     pushed = wind + loop.position_gain * position_error
     if pushed == 0.0:
@@ -122,27 +122,27 @@ def needed_reserve(loop: InnerLoop, wind: float, position_error: float, dt: floa
 
 
 def tracking_error(loop: InnerLoop, wind: float, position_error: float, dt: float) -> float:
-    r"""A bound on a UAV's distance from its reference [m], whatever wind and own position do within their bounds.
+    r"""Return a bound on a UAV's distance from its reference [m], for bounded wind and position error.
 
     $$ w = (W + k_p \epsilon_a) \sum_k |h_k| + (u + W) \frac{dt^2}{8} $$
 
-    h is the error's answer to an acceleration of 1 m/s² in one tick, u the largest feedback, and the last term what
-    lies between two ticks. Without an oscillation it is $W / k_p + \epsilon_a$ but for that term.
+    h is the response of the tracking error to an acceleration of 1 m/s² in one tick, u the largest feedback, and the
+    last term the deviation between two ticks. Without oscillation the bound is $W / k_p + \epsilon_a$ plus that term.
 
     Args:
         loop: Gains and reserve.
         wind: Largest acceleration of the wind, W [m/s²].
-        position_error: Largest error of the own position, eps_a [m].
-        dt: Length of a tick [s].
+        position_error: Largest position error, eps_a [m].
+        dt: Duration of a tick [s].
 
     Returns:
-        Infinite where the loop is unstable at this tick, or asks for more than its reserve.
+        The bound; infinite if the loop is unstable at this tick duration, or requires more than its reserve.
     """
     pushed = wind + loop.position_gain * position_error
     most = needed_reserve(loop, wind, position_error, dt)
     if pushed == 0.0:
         return position_error
-    if not most <= loop.reserve * (1.0 + _DUST):
+    if not most <= loop.reserve * (1.0 + _RESERVE_TOLERANCE):
         return math.inf
     answer = _responses(loop.position_gain, loop.velocity_gain, dt).error
     return answer * pushed + 0.125 * (most + wind) * dt * dt

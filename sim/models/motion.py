@@ -1,9 +1,9 @@
-"""Motions that commands carry, as the pilot plans them and the vehicle's receiver flies them.
+"""Trajectories in commands, planned by the pilot and executed by the vehicle's receiver.
 
-A motion is the acceleration of its first tick and the plan that follows it: a turn, a cruise and a brake, each of so
-many ticks under one acceleration (none while it cruises). After it the vehicle comes to rest and stays there. Its name
-is the tick in which it begins: one pilot begins no two at once. See docs/explanation/proof.md,
-"Definitions".
+A trajectory is the acceleration of its first tick and the plan that follows: a turn, a cruise and a brake, each of a
+number of ticks under one acceleration (zero for the cruise). Afterwards the vehicle comes to rest and stays there. It
+is identified by its first tick: a pilot starts at most one per tick. See docs/explanation/proof.md, "Commands
+that carry a motion".
 """
 
 import math
@@ -18,31 +18,31 @@ from sim.compiling.records import RecordArray, records
 from sim.models.vehicles import brake
 
 NO_MOTION = -1
-"""In `begins`: none is flown, and the vehicle comes to rest."""
+"""Value of `begins` without a trajectory: the vehicle comes to rest."""
 
 
 class CheckedTrajectory(BackupTrajectory, frozen=True):
-    """A backup trajectory with the notes of its keeper, the pilot or the receiver; the notes never travel."""
+    """Backup trajectory with local state of the pilot or the receiver, which is never sent."""
 
     age: int = 0
-    """Ticks since it began, if it is flown."""
+    """Ticks since its start, if it is active."""
     arrived: int = 0
-    """The receiver sets 1 once a command that carries it has arrived."""
+    """1 (set by the receiver) once a command with this trajectory has arrived."""
     plain: int = 0
-    """The receiver sets 1 where commands without a trajectory act, the pilot where it is not its own."""
+    """1 (set by the receiver) while commands without a trajectory act, or (set by the pilot) if it is not its own."""
     checked: int = 0
-    """The pilot sets 1 if the UGV stays visible on it, as long as the next one begins in time."""
+    """1 (set by the pilot) if the UGV stays visible on it, provided that the next one starts in time."""
     end: Vector = (0.0, 0.0)
     end_radius: float = math.inf
     end_tick: int = 0
-    """Disc around its end that surely held the UGV in that tick [m]; infinite: none is known."""
+    """Disc around its end that certainly contained the UGV in that tick [m]; infinite: none is known."""
 
 
 NO_CHECKED = records(
     CheckedTrajectory,
     [CheckedTrajectory(begins=NO_MOTION, parent=NO_MOTION, acceleration=(0.0, 0.0))],
 )
-"""The empty row of `CheckedTrajectory`. Shape (1,)."""
+"""Empty row of `CheckedTrajectory`. Shape (1,)."""
 _TRAVELS = list(BackupTrajectory.__struct_fields__)
 
 
@@ -64,13 +64,13 @@ def clear_motions(rows: RecordArray) -> None:
 def motion_command(
     motion: CheckedTrajectory, v_x: float, v_y: float, u_max: float, dt: float
 ) -> tuple[float, float]:
-    """The acceleration [m/s²] of a vehicle that flies this motion, at its age.
+    """Return the acceleration [m/s²] of a vehicle that executes this trajectory, at its age.
 
     Args:
-        motion: A row of a table. Where `begins` is NO_MOTION the vehicle comes to rest.
-        v_x, v_y: Velocity of the vehicle [m/s], for the rest at the end.
-        u_max: Its largest acceleration [m/s²].
-        dt: Length of a tick [s].
+        motion: Row of a table. If `begins` is NO_MOTION, the vehicle comes to rest.
+        v_x, v_y: Velocity of the vehicle [m/s], used to come to rest.
+        u_max: Maximum acceleration of the vehicle [m/s²].
+        dt: Duration of a tick [s].
     """
     if motion.begins >= 0:
         if motion.age == 0:
@@ -86,24 +86,25 @@ def motion_command(
 
 @compiled
 def waited(tick: int, begins: int, delay_ticks: int) -> int:
-    """The vehicle's waiting time for its next motion at a tick [ticks].
+    """Return the time since the start of the active trajectory at a tick [ticks].
 
     Args:
-        tick: Which.
-        begins: When the motion began that is flown; NO_MOTION: the vehicle rests since just before the first may begin.
-        delay_ticks: From a command to the tick in which its motion begins.
+        tick: The tick.
+        begins: First tick of the active trajectory; NO_MOTION: the vehicle is at rest, from just before the first may
+            start.
+        delay_ticks: Ticks from a command to the start of its trajectory.
     """
     return tick - (begins if begins >= 0 else delay_ticks - 1)
 
 
 @compiled
 def follow_on(motions: RecordArray, flown: RecordArray, tick: int) -> bool:
-    """True if the motion of this tick goes on from the one that is flown; then it is the one that is flown, at age 0.
+    """Start this tick's trajectory if its parent is active; return whether it did.
 
     Args:
-        motions: The one that begins in tick k is in row k % rows, if there is one.
-        flown: A table of one row, changed.
-        tick: Now.
+        motions: The trajectory that starts in tick k is in row k % rows.
+        flown: Active trajectory, a table of one row; changed.
+        tick: Current tick.
     """
     due = motions[tick % motions.shape[0]]
     if due.begins != tick or due.parent != flown[0].begins:
@@ -115,14 +116,14 @@ def follow_on(motions: RecordArray, flown: RecordArray, tick: int) -> bool:
 
 @compiled
 def keep_motion(motions: RecordArray, motion: CheckedTrajectory, tick: int) -> None:
-    """Keep a motion that sets out at this tick until it begins; one that is there already stays as it is.
+    """Store a sent trajectory until its start; one that is stored already stays unchanged.
 
-    One that begins too late for the room there is, or should have begun already, is left out.
+    A trajectory beyond the buffer, or whose first tick has passed, is ignored.
 
     Args:
-        motions: The one that begins in tick k is in row k % rows.
-        motion: A row of a table.
-        tick: Now.
+        motions: The trajectory that starts in tick k is in row k % rows; changed.
+        motion: Row of a table.
+        tick: Current tick.
     """
     begins, rows = motion.begins, motions.shape[0]
     if tick <= begins < tick + rows and motions[begins % rows].begins != begins:

@@ -1,10 +1,10 @@
-"""Counter-based random numbers: each draw is a pure function of a key, a purpose, tick and index.
+"""Counter-based random numbers: pure functions of key, purpose, tick and index.
 
-So a process that comes back, a batch of worlds and a single world draw the same numbers, and a new purpose leaves the
-others alone. Philox4x64-10 of Salmon, Moraes, Dror, Shaw, *Parallel Random Numbers: As Easy as 1, 2, 3* (SC 2011).
+A reconnected process, a batch of worlds and a single world therefore draw the same numbers, and a new purpose does not
+change the others. Philox4x64-10 of Salmon, Moraes, Dror, Shaw, *Parallel Random Numbers: As Easy as 1, 2, 3* (SC 2011).
 
-Philox is fast and no cipher: what it draws is only as secret as its key. So whatever must not lead to something
-else has a key of its own, of 128 bits; `sim.engine.run_keys` derives them one-way.
+Philox is fast but not a cipher: its output is only as secret as its key. Values that must not reveal others therefore
+have separate keys of 128 bits, derived one-way by `sim.engine.run_keys`.
 """
 
 import math
@@ -15,12 +15,12 @@ import numpy.typing as npt
 from sim.compiling.compile import compiled, constant
 
 Key = tuple[np.uint64, np.uint64]
-"""Of draws. A vehicle's process is told one, its pilot's; the simulator knows the others."""
+"""Key of random numbers. A vehicle's process receives only its pilot's key; the others stay in the simulator."""
 
 WordArray = npt.NDArray[np.uint64]
 """Keys in arrays: the last axis has two words."""
 
-# Purposes of the run: each has a key of its own for each vehicle. A number, once given, stays.
+# Purposes of the run: each has a separate key for each vehicle. Numbers must never change.
 DETECTION_NOISE = constant(0)
 DETECTION_CHANCE = constant(1)
 PILOT = constant(2)
@@ -32,10 +32,10 @@ DISTURBANCE = constant(7)
 HAZARD_FIELDS = constant(8)
 GROUND_LOOK = constant(9)
 RUN_PURPOSES = 10
-"""Their number."""
+"""Number of these purposes."""
 
-# Purposes of draws that share a key: a pilot's, a link's, that of wind and own position, or that of the hazards. A
-# number, once given, stays.
+# Purposes that share a key: of a pilot, of a link, of wind and position error, or of the hazards. Numbers must never
+# change.
 NEAREST_POINT = constant(16)
 START_DIRECTION = constant(17)
 WANDER = constant(18)
@@ -50,7 +50,7 @@ TILE_CHANCE = constant(26)
 HAZARD_PLACE = constant(27)
 
 FIRST, SECOND = constant(0), constant(1)
-"""Indices of draws."""
+"""Indices of random numbers."""
 
 _MASK = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)
@@ -62,7 +62,7 @@ _W1 = np.uint64(0xBB67AE8584CAA73B)
 
 @compiled
 def _high_product(a: np.uint64, b: np.uint64) -> np.uint64:
-    """The upper 64 bits of a 64 x 64 bit product."""
+    """Return the upper 64 bits of a 64 x 64 bit product."""
     a_low, a_high = a & _MASK, a >> _HALF
     b_low, b_high = b & _MASK, b >> _HALF
     low = a_low * b_low
@@ -80,7 +80,7 @@ def philox(
     c_2: np.uint64,
     c_3: np.uint64,
 ) -> tuple[np.uint64, np.uint64, np.uint64, np.uint64]:
-    """One block of Philox4x64-10: four 64-bit words from a key of two and a counter of four."""
+    """Return one block of Philox4x64-10: four 64-bit words from a key of two and a counter of four."""
     for _ in range(10):
         high_0, low_0 = _high_product(_M0, c_0), _M0 * c_0
         high_1, low_1 = _high_product(_M1, c_2), _M1 * c_2
@@ -92,18 +92,18 @@ def philox(
 
 @compiled
 def key_of(keys: WordArray, purpose: int) -> Key:
-    """Return one key of a vehicle. Shape of all: (RUN_PURPOSES, 2)."""
+    """Return one key of a vehicle. Shape of `keys`: (RUN_PURPOSES, 2)."""
     return keys[purpose, 0], keys[purpose, 1]
 
 
 def words_of(key: str) -> Key:
-    """The key that a message carries as 32 hexadecimal digits.
+    """Return the key that a message holds as 32 hexadecimal digits.
 
     Raises:
-        ValueError: If it is none.
+        ValueError: If it is not one.
     """
     if len(key) != 32:
-        raise ValueError(f"key = {key!r}: must be 32 hexadecimal digits")
+        raise ValueError(f"key = {key!r}: not a key; allowed: 32 hexadecimal digits")
     first, second = np.frombuffer(bytes.fromhex(key), dtype="<u8")
     return np.uint64(first), np.uint64(second)
 
@@ -112,7 +112,7 @@ def words_of(key: str) -> Key:
 def draw(
     key: Key, purpose: int, tick: int, index: int
 ) -> tuple[np.uint64, np.uint64, np.uint64, np.uint64]:
-    """Four random words for one key, purpose, tick and index."""
+    """Return four random words for one key, purpose, tick and index."""
     return philox(
         key[0], key[1], np.uint64(index), np.uint64(tick), np.uint64(purpose), np.uint64(0)
     )
@@ -120,13 +120,13 @@ def draw(
 
 @compiled
 def to_uniform(word: np.uint64) -> float:
-    """A word as a number in [0, 1), with 53 bits."""
+    """Return a word as a number in [0, 1), with 53 bits."""
     return float(word >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
 @compiled
 def uniform(key: Key, purpose: int, tick: int, index: int) -> float:
-    """A number in [0, 1)."""
+    """Return a uniform random number in [0, 1)."""
     return to_uniform(draw(key, purpose, tick, index)[0])
 
 
@@ -134,10 +134,10 @@ def uniform(key: Key, purpose: int, tick: int, index: int) -> float:
 def cut_normal_vector(
     sigma: float, cut: float, key: Key, purpose: int, tick: int, index: int
 ) -> tuple[float, float]:
-    r"""A Gaussian vector of standard deviation sigma per axis, given that its norm is at most cut * sigma.
+    r"""Return a Gaussian vector with standard deviation sigma per axis, conditioned on a norm of at most cut * sigma.
 
-    Drawn by inversion of the Rayleigh distribution, $\|n\| = \sigma\sqrt{-2\ln(1 - u(1 - e^{-k^2/2}))}$, which is what
-    drawing again until the norm fits gives, in one draw. `cut = inf` is the plain Gaussian.
+    Computed by inversion of the Rayleigh distribution, $\|n\| = \sigma\sqrt{-2\ln(1 - u(1 - e^{-k^2/2}))}$, which is
+    equivalent to rejection sampling. `cut = inf` is the plain Gaussian.
     """
     word_0, word_1, _, _ = draw(key, purpose, tick, index)
     share = to_uniform(word_0) * -math.expm1(-0.5 * cut * cut)

@@ -1,6 +1,7 @@
-"""Bounds of one UAV's safety filter in compiled code: what is declared, in metres and ticks, and what follows from it.
+"""Safety parameters of one UAV for compiled code: declared bounds in metres and ticks, and derived values.
 
-The simulator counts with the same record (`sim.engine.monitor`). The proof is in docs/explanation/proof.md.
+The simulator uses the same record for its checks (`sim.engine.monitor`). The proof is in
+docs/explanation/proof.md.
 """
 
 import math
@@ -13,26 +14,28 @@ from sim.compiling.compile import compiled
 
 
 class SafetyBounds(NamedTuple):
-    """The numbers that the checks of one UAV read."""
+    """Bounds used by the checks of one UAV."""
 
     dt: float
-    """Length of a tick [s]."""
+    """Duration of a tick [s]."""
     v_a: float
     u_a: float
-    """Largest speed [m/s] and acceleration [m/s²] of the UAV."""
+    """Maximum speed [m/s] and acceleration [m/s²] of the UAV."""
     v_g: float
-    """Largest speed of the UGV [m/s]."""
+    """Maximum speed of the UGV [m/s]."""
     width: float
     height: float
     """Size of the walled area from 0 [m]; infinite: no walls on this axis."""
     max_measurement_error: float
-    """eps: largest error of a detection, as a vector's norm [m]."""
+    """eps: largest error of a detection, as a vector norm [m]."""
     placed_error: float
-    """Largest error of a measurement, eps + w [m]: a detection is placed from the reference position."""
+    """Largest error of a measurement, eps + w [m]: it is computed from the reference position."""
     max_tracking_error: float
     """w: largest distance of the UAV from its reference position [m]."""
     radius: float
-    """r_v [m], less margin, w and the sagitta of a tick; `agents.safety.handover.certificate` takes 10 µm off."""
+    """r_v [m] minus margin, w and the sagitta of a tick; `agents.safety.handover.certificate` subtracts another 10
+    µm.
+    """
     max_measurement_age: float
     """A: largest age of the newest measurement [s]."""
     max_age_ticks: int
@@ -41,19 +44,19 @@ class SafetyBounds(NamedTuple):
     interval_ticks: int
     """B: longest time from the start of one plan to the start of the next; at least 1."""
     handover_radius: float
-    """R_h: a plan may end where the UGV is surely within this [m]; NaN if there is none."""
+    """R_h: a plan may end where the UGV is certainly within this distance [m]; NaN: none."""
     handover_bound: float
-    """E: and where the newest measurement's own bound is at most this [m]; NaN if there is none."""
+    """E: a plan may end only if the newest measurement's own bound is at most this [m]; NaN: none."""
     valid: bool
-    """True if no assumption is known to fail: `agents.safety.handover.check_assumptions` has the texts."""
+    """True if no assumption is known to be violated; `agents.safety.handover.check_assumptions` gives the texts."""
 
 
 @compiled
 def tick_sagitta(v_a: float, u_a: float, dt: float) -> float:
-    r"""Return the largest distance of a vehicle from the chord of its way within a tick [m], $a\,dt^2/8$.
+    r"""Return the largest distance of a vehicle from the chord of its path within a tick [m], $a\,dt^2/8$.
 
-    The acceleration that acts is at most u_a [m/s²], and within the speed v_a [m/s] at most 2 v_a / dt. So between
-    two ticks the distance exceeds neither end's bound by more than this.
+    The acceleration is at most u_a [m/s²], and within the speed limit v_a [m/s] at most 2 v_a / dt. Between two ticks a
+    distance exceeds the larger bound of both ends by at most this value.
     """
     return min(0.125 * u_a * dt * dt, 0.25 * v_a * dt)
 
@@ -69,15 +72,15 @@ def safety_bounds(
     width: float = math.inf,
     height: float = math.inf,
 ) -> SafetyBounds:
-    """Convert declared parameters, without the hand-over: R_h and E are NaN, and nothing is `valid`.
+    """Convert declared parameters, without the hand-over: R_h and E are NaN, and `valid` is False.
 
     Args:
         safety: The declared parameters.
-        visibility_radius: r_v [m].
+        visibility_radius: Visibility radius r_v [m].
         v_a, u_a: Bounds of the UAV [m/s], [m/s²].
         v_g: Bound of the UGV [m/s].
-        dt: Length of a tick [s].
-        width, height: Of the area [m].
+        dt: Duration of a tick [s].
+        width, height: Size of the area [m].
     """
     declared = safety.max_tracking_error, safety.max_measurement_error
     tracking, error = map(or_infinite, declared)

@@ -1,7 +1,7 @@
-r"""The sensor (2) of a UAV, as a record, and its quality and slope.
+r"""UAV sensor (2) as a record, and its quality and slope.
 
-A sensor is a pair, the quality $S(\rho^2)$ and its slope $dS/d\rho^2$, with a range: a file in `sim.models.sensors`,
-and a row of `bus.registry.SENSORS`.
+A sensor consists of the quality $S(\rho^2)$, its slope $dS/d\rho^2$ and a range: a file in `sim.models.sensors`, and a
+row of `bus.registry.SENSORS`.
 """
 
 from importlib import import_module
@@ -18,18 +18,18 @@ _slope = choice([sensor.slope for sensor in _SENSORS])
 
 
 class SensorParameters(NamedTuple):
-    """Numbers of a sensor; compiled code takes a record with these fields as well."""
+    """Parameters of a sensor; compiled code also accepts a record with these fields."""
 
     model: int
-    """Place of its row in `SENSORS`."""
+    """Index of its row in `SENSORS`."""
     peak: float
-    """M_a, the quality right below the UAV [1/s]."""
+    """M_a, the quality directly below the UAV [1/s]."""
     reach: float
-    """r, its range [m]."""
+    """Range r [m]."""
 
 
 def sensor_parameters(sensor: Sensor) -> SensorParameters:
-    """Return the numbers of a sensor that is known."""
+    """Return the parameters of a registered sensor."""
     return SensorParameters(
         tuple(SENSORS).index(sensor.model), float(sensor.peak), float(sensor.range)
     )
@@ -44,6 +44,6 @@ def sensor_quality(sensor: SensorParameters, rho2: float) -> float:
 
 @compiled
 def sensor_slope(sensor: SensorParameters, rho2: float) -> float:
-    r"""Return the slope $dS_a/d\rho^2$ [1/(s m²)] of the sensor quality, which makes (6) of any sensor."""
+    r"""Return the slope $dS_a/d\rho^2$ [1/(s m²)] of the sensor quality, used in (6)."""
     slope: float = _slope(sensor.model, (rho2, sensor.peak, sensor.reach))
     return slope

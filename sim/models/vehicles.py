@@ -1,4 +1,4 @@
-"""The vehicles: double integrators with bounds (1), and what every driver of one needs."""
+"""Vehicle model: double integrators with bounds (1), and functions shared by all controllers."""
 
 import math
 from typing import NamedTuple
@@ -7,7 +7,7 @@ from sim.compiling.compile import FloatArray, compiled
 
 
 class Motion(NamedTuple):
-    """A vehicle's position and velocity."""
+    """Position and velocity of a vehicle."""
 
     p_x: float
     p_y: float
@@ -19,13 +19,13 @@ class Motion(NamedTuple):
 
 @compiled
 def norm(x: float, y: float) -> float:
-    """Length of a vector. Not `hypot`, whose bits differ between Python and compiled code."""
+    """Return the length of a vector. Not `hypot`, whose bits differ between Python and compiled code."""
     return math.sqrt(x * x + y * y)
 
 
 @compiled
 def clip_norm(x: float, y: float, limit: float) -> tuple[float, float]:
-    """The vector, shortened to `limit` where it is longer; its direction stays. `limit` may be infinite."""
+    """Return the vector, shortened to `limit` if longer; its direction stays. `limit` may be infinite."""
     length = norm(x, y)
     if length > limit:
         scale = limit / length
@@ -45,23 +45,23 @@ def step_vehicle(
     u_max: float,
     dt: float,
 ) -> tuple[float, float, float, float, float, float]:
-    r"""Move one vehicle over one tick, Klodt 2015, eq. (1).
+    r"""Move one vehicle by one tick, Klodt 2015, eq. (1).
 
     $$ \ddot p = u, \quad \|u\| \le u_{max}, \quad \|\dot p\| \le v_{max} $$
 
-    With the command held over the tick the motion is exact: $u \leftarrow clip(u)$, $v^+ = clip(v + u\,dt)$,
-    $p^+ = p + \tfrac12 (v + v^+)\,dt$. The bounds are on the norms, not per axis.
+    With a constant command within the tick the motion is exact: $u \leftarrow clip(u)$, $v^+ = clip(v + u\,dt)$, $p^+ =
+    p + \tfrac12 (v + v^+)\,dt$. The bounds apply to the norms, not per axis.
 
     Args:
         p_x, p_y: Position [m].
         v_x, v_y: Velocity [m/s].
         u_x, u_y: Acceleration command [m/s²].
-        v_max: Largest speed [m/s], may be infinite.
-        u_max: Largest acceleration [m/s²], may be infinite.
-        dt: Length of the tick [s].
+        v_max: Maximum speed [m/s], may be infinite.
+        u_max: Maximum acceleration [m/s²], may be infinite.
+        dt: Duration of a tick [s].
 
     Returns:
-        Position, velocity and the acceleration that was applied after its bound, x before y.
+        Position, velocity and applied acceleration after the bounds, x before y.
     """
     u_x, u_y = clip_norm(u_x, u_y, u_max)
     w_x, w_y = clip_norm(v_x + u_x * dt, v_y + u_y * dt, v_max)
@@ -70,11 +70,11 @@ def step_vehicle(
 
 @compiled
 def within_walls(p: float, v: float, size: float) -> tuple[float, float]:
-    """Position [m] and velocity [m/s] on one axis of an area.
+    """Return position [m] and velocity [m/s] on one axis after a check for walls.
 
-    A vehicle that runs into a wall, at 0 or `size` [m], stops there.
+    A vehicle that reaches a wall, at 0 or `size` [m], stops there.
 
-    An infinite size means that there are no walls on this axis, at 0 neither.
+    An infinite size means that there are no walls on this axis, not even at 0.
     """
     if math.isinf(size):
         return p, v
@@ -87,22 +87,22 @@ def within_walls(p: float, v: float, size: float) -> tuple[float, float]:
 
 @compiled
 def brake(v_x: float, v_y: float, u_max: float, dt: float) -> tuple[float, float]:
-    """The acceleration [m/s²] that stops a vehicle as soon as its bound allows, without turning back."""
+    """Return the acceleration [m/s²] that stops a vehicle as soon as possible, without reversing."""
     return clip_norm(-v_x / dt, -v_y / dt, u_max)
 
 
 @compiled
 def raw_switching_radius(r_v: float, v_a: float, v_g: float, u_a: float) -> float:
-    r"""The right side of (18) in one phase, $r_v - (v_a + v_g)^2 / (2 u_a)$ [m], whatever its sign."""
+    r"""Return the right side of (18), $r_v - (v_a + v_g)^2 / (2 u_a)$ [m], of either sign."""
     return r_v - stopping_distance(v_a + v_g, u_a)
 
 
 @compiled
 def speed_to_stop_within(distance: float, u_max: float, dt: float) -> float:
-    r"""The largest speed [m/s] from which a sampled vehicle still stops within `distance` [m].
+    r"""Return the largest speed [m/s] from which a sampled vehicle can stop within `distance` [m].
 
-    It may fly one more tick before it brakes: $v\,dt + v^2/(2u) = d$. A caller whose speed changes within the
-    coming tick takes off what that tick still goes at the old one.
+    The vehicle may move for one more tick before it brakes: $v\,dt + v^2/(2u) = d$. A caller whose speed changes within
+    the next tick must subtract the distance driven at the old speed.
     """
     if math.isinf(u_max):
         return max(distance, 0.0) / dt
@@ -112,7 +112,7 @@ def speed_to_stop_within(distance: float, u_max: float, dt: float) -> float:
 
 @compiled
 def goal_reached(p_x: float, p_y: float, goal_x: float, goal_y: float, tolerance: float) -> bool:
-    r"""True if a goal counts as reached: $\|p_g - \bar p\| < \epsilon$ (section II of the paper)."""
+    r"""Return whether a goal is reached: $\|p_g - \bar p\| < \epsilon$ (section II of the paper)."""
     return norm(p_x - goal_x, p_y - goal_y) < tolerance
 
 
@@ -120,7 +120,7 @@ def goal_reached(p_x: float, p_y: float, goal_x: float, goal_y: float, tolerance
 def next_goal(
     goals: FloatArray, reached: int, tolerance: float, x: float, y: float
 ) -> tuple[int, float]:
-    """The number of goals reached from (x, y) [m] on, and the way to the next one [m]; 0 where none is left."""
+    """Return the number of goals reached at (x, y) [m], and the distance to the next one [m]; 0 if none is left."""
     while reached < goals.shape[0] and goal_reached(
         x, y, goals[reached, 0], goals[reached, 1], tolerance
     ):
@@ -132,9 +132,9 @@ def next_goal(
 
 @compiled
 def stopping_distance(speed: float, u_max: float) -> float:
-    r"""Way to a stop [m] from `speed` [m/s] at the deceleration `u_max` [m/s²]: $v^2 / (2u)$.
+    r"""Return the stopping distance [m] from `speed` [m/s] at the deceleration `u_max` [m/s²]: $v^2 / (2u)$.
 
-    0 where it has no bound.
+    It is 0 for an infinite deceleration.
     """
     if math.isinf(u_max):
         return 0.0

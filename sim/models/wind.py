@@ -1,4 +1,4 @@
-r"""Wind as an acceleration, and the drift of an own position: filtered noise around a mean, cut at a bound. SI units.
+r"""Wind acceleration and position error: filtered noise around a mean, limited by a bound. SI units.
 
 $$ g_{k+1} = \varphi g_k + \sigma \sqrt{1 - \varphi^2}\, n_k, \quad \varphi = e^{-dt/\tau},
    \qquad w_a = clip(\bar w + g) $$
@@ -17,7 +17,7 @@ from sim.models.vehicles import clip_norm
 
 
 class DisturbanceParameters(NamedTuple):
-    """What acts on a UAV beside its commands, and its inner loop."""
+    """Parameters of a UAV's disturbances, and its inner loop."""
 
     loop: InnerLoop
     mean: Vector
@@ -25,20 +25,20 @@ class DisturbanceParameters(NamedTuple):
     gust: float
     """Standard deviation of the wind per axis [m/s²]."""
     gust_kept: float
-    """Share of a gust that is left after a tick."""
+    """Share of a gust that remains after a tick."""
     limit: float
     """Largest acceleration of the wind [m/s²]."""
     position_error: float
-    """Largest error of the own position [m]."""
+    """Largest position error [m]."""
     own_kept: float
-    """Share of it that is left after a tick."""
+    """Share of it that remains after a tick."""
 
 
 @compiled
 def _drifted(
     x: float, y: float, sigma: float, kept: float, key: Key, purpose: int, tick: int
 ) -> tuple[float, float]:
-    """Filtered noise of standard deviation `sigma` one tick on; at tick 0 it begins as it goes on."""
+    """Advance filtered noise with standard deviation `sigma` by one tick; tick 0 has the stationary distribution."""
     if sigma == 0.0:
         return 0.0, 0.0
     if tick == 0:
@@ -50,13 +50,13 @@ def _drifted(
 
 @compiled
 def draw_disturbance(row: DisturbanceParameters, state: Disturbance, key: Key, tick: int) -> None:
-    """Draw the wind of the coming tick, and the error of the own position in it.
+    """Draw the wind and the position error of the next tick.
 
     Args:
         row: Parameters.
-        state: Changed.
-        key: Of the draws.
-        tick: The coming one.
+        state: Disturbance of the UAV; changed.
+        key: Key of the random numbers.
+        tick: The next tick.
     """
     gust, wind, drift, error = state.gust, state.wind, state.drift, state.position_error
     gust[0], gust[1] = _drifted(gust[0], gust[1], row.gust, row.gust_kept, key, GUST, tick)

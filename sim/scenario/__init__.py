@@ -1,1 +1,1 @@
-"""Scenarios: their types, how they are read, and what is checked."""
+"""Scenarios: types, loading and checks."""

@@ -1,4 +1,4 @@
-"""Refusals of scenarios that cannot be flown, and warnings of those that fly unlike what one may expect."""
+"""Checks of scenarios: errors for impossible ones, and warnings for surprising ones."""
 
 import math
 from collections.abc import Iterator
@@ -27,13 +27,13 @@ _ENTRIES = {
     "script": "steps such as { time = 0.0, velocity = [0.2, 0.0] }",
     "goals": "one [x, y] or more",
 }
-"""Entries of the fields that drivers need."""
+"""Required content of the fields that drivers need."""
 _ROUNDING = 1e-9
 _PARAMETERS = "law.parameters"
 
 
 def names_are_known(scenario: Scenario) -> Iterator[Fault]:
-    """Law, sensor and drivers are rows of their tables."""
+    """Check that law, sensor and drivers are registered."""
     yield from unknown_name("law.name", scenario.law.name, LAWS)
     yield from unknown_name("sensor.model", scenario.sensor.model, SENSORS)
     for k, ugv in enumerate(scenario.ugv):
@@ -51,7 +51,7 @@ def _names_a_policy(text: str, vehicle: Vehicle) -> bool:
 
 
 _POLICIES: dict[str, Vehicle] = {"policy": "ugv", "uav_policy": "uav"}
-"""Fields of `[custom]` that may name a saved policy, with the kind of vehicle that it moves."""
+"""Fields of `[custom]` that may name a saved policy, with the kind of vehicle."""
 
 
 def _forms(field: str) -> str:
@@ -59,50 +59,53 @@ def _forms(field: str) -> str:
 
 
 def own_functions_are_named(scenario: Scenario) -> Iterator[Fault]:
-    """A law with a function of the user's own has one, as `module:function`; it is not loaded here."""
+    """Check that a law with user code names it as `module:function`; it is not loaded here."""
     for field in scenario.custom.__struct_fields__:
         named = getattr(scenario.custom, field)
         if field in _POLICIES:
             if named and not _names_a_policy(named, _POLICIES[field]):
-                yield Fault(f"custom.{field}", named, "names no policy", _forms(field))
+                yield Fault(f"custom.{field}", named, "not a policy", _forms(field))
         elif named and not _names_a_function(named):
-            yield Fault(f"custom.{field}", named, "names no function", "module:function")
+            yield Fault(f"custom.{field}", named, "not a function", "module:function")
     law = LAWS[scenario.law.name]
     needed = {f"the law {law.name!r}": law.own} if scenario.uav else {}
     needed |= {f"the driver {ugv.driver!r}": DRIVERS[ugv.driver].own for ugv in scenario.ugv}
     for who, field in needed.items():
         if field and not getattr(scenario.custom, field):
-            yield Fault(f"custom.{field}", "", f"{who} needs it", _forms(field))
+            yield Fault(f"custom.{field}", "", f"missing, required by {who}", _forms(field))
 
 
 def drivers_have_their_task(scenario: Scenario) -> Iterator[Fault]:
-    """A UGV has what its driver needs, and each step of a script is later than the one before."""
+    """Check that a UGV has the fields that its driver needs, and that script times increase."""
     for k, ugv in enumerate(scenario.ugv):
         times = [step.time for step in ugv.script]
         needed = DRIVERS[ugv.driver].needs
         if needed and not getattr(ugv, needed):
-            wrong = f"the driver {ugv.driver!r} needs it"
+            wrong = f"missing, required by the driver {ugv.driver!r}"
             yield Fault(f"ugv.{k}.{needed}", [], wrong, _ENTRIES.get(needed, "a value"))
         for n, (earlier, later) in enumerate(pairwise(times), 1):
             if not later > earlier:
                 yield Fault(
-                    f"ugv.{k}.script.{n}.time", later, f"not after {earlier:g} s", "times that rise"
+                    f"ugv.{k}.script.{n}.time",
+                    later,
+                    f"not after {earlier:g} s",
+                    "increasing times",
                 )
 
 
 def switching_radius_is_positive(scenario: Scenario) -> Iterator[Fault]:
-    """There is room to cover ground in, Klodt 2015, eq. (18): r_s > 0."""
+    """Check that r_s > 0, so that there is room for coverage, Klodt 2015, eq. (18)."""
     if not LAWS[scenario.law.name].needs_radius:
         return
     for path, uav, ugv in escorts(scenario):
         r_s = switching_radius(scenario, uav, ugv)
         if r_s == -math.inf:
-            wrong = "r_s of (18) does not exist without a bound of the speed"
+            wrong = "r_s of (18) is undefined for an unbounded speed"
             yield Fault(
                 f"{path}.max_speed",
                 uav.max_speed,
                 wrong,
-                "finite speeds, or max_acceleration = inf too",
+                "finite speeds, or also max_acceleration = inf",
             )
         elif not r_s > 0.0:
             least = (uav.max_speed + ugv.max_speed) ** 2 / (2.0 * scenario.visibility.radius)
@@ -113,11 +116,11 @@ def switching_radius_is_positive(scenario: Scenario) -> Iterator[Fault]:
 
 
 def law_parameters_are_possible(scenario: Scenario) -> Iterator[Fault]:
-    """Every parameter is one of a law; those of the law that is flown have their types and keep their bounds."""
+    """Check that each parameter belongs to a law; the active law's parameters must have valid types and values."""
     law = scenario.law
     own = parameter_names(law.name)
     for name in unknown_parameters(law):
-        wrong = f"no law has it{near(name, own)}"
+        wrong = f"unknown parameter{near(name, own)}"
         yield Fault(f"{_PARAMETERS}.{name}", law.parameters[name], wrong, ", ".join(own) or "none")
     parameters = parameters_class(law.name)
     if parameters is not None:
@@ -127,7 +130,7 @@ def law_parameters_are_possible(scenario: Scenario) -> Iterator[Fault]:
 
 
 def reference_speed_is_possible(scenario: Scenario) -> Iterator[Fault]:
-    """There is a v_ref of (10), and every UAV can fly it."""
+    """Check that v_ref of (10) exists, and that every UAV can fly it."""
     v_ref = getattr(law_parameters(scenario.law), "reference_speed", None)
     if v_ref is None:
         return
@@ -136,7 +139,7 @@ def reference_speed_is_possible(scenario: Scenario) -> Iterator[Fault]:
             yield Fault(
                 f"{_PARAMETERS}.reference_speed",
                 None,
-                f"missing, and uav.{k}.max_speed = inf is none",
+                f"missing, and uav.{k}.max_speed = inf gives no default",
                 "a number > 0, in m/s",
             )
         elif math.isfinite(v_ref) and v_ref > uav.max_speed:
@@ -147,7 +150,7 @@ def reference_speed_is_possible(scenario: Scenario) -> Iterator[Fault]:
 
 
 def controller_is_stable(scenario: Scenario) -> Iterator[Fault]:
-    r"""The tracking loop of (15) and (16) is Hurwitz in continuous time.
+    r"""Check that the tracking loop of (15) and (16) is Hurwitz in continuous time.
 
     $$ s^3 - A_c s^2 - D_c s + (D_c A_c - B_c C_c) $$
 
@@ -169,7 +172,7 @@ def controller_is_stable(scenario: Scenario) -> Iterator[Fault]:
 
 
 def circle_is_within_sight(scenario: Scenario) -> Iterator[Fault]:
-    """The virtual point of (25) is always nearer than r_v."""
+    """Check that the virtual point of (25) is always nearer than r_v."""
     if scenario.law.name != "circle":
         return
     r_v, radius = scenario.visibility.radius, law_parameters(scenario.law).circle_radius
@@ -178,7 +181,7 @@ def circle_is_within_sight(scenario: Scenario) -> Iterator[Fault]:
             yield Fault(
                 f"{_PARAMETERS}.circle_radius",
                 radius,
-                "the circle lies out of sight",
+                "the circle is out of sight",
                 f"less than r_v = {r_v:g} m",
             )
         elif math.isinf(radius) and switching_radius(scenario, uav, ugv) >= r_v:
@@ -198,18 +201,18 @@ CHECKS: tuple[Check, ...] = (
     circle_is_within_sight,
     *GROUND_CHECKS,
 )
-"""In the order in which they are made: a later one may rely on those before it."""
+"""Checks in order: later ones may rely on earlier ones."""
 
 
 def check_scenario(scenario: Scenario, *, source: str = "") -> Scenario:
-    """The scenario, if it can be flown.
+    """Check a scenario and return it.
 
     Args:
-        scenario: Read from a file or made in Python; NumPy's numbers and whole numbers in it become floats.
-        source: The file, for the error; the scenario's name by default.
+        scenario: Read from a file or made in Python; NumPy numbers and integers become floats.
+        source: Name of the file for error messages; the scenario's name by default.
 
     Returns:
-        An equal scenario in which every value has its type.
+        Equal scenario with correctly typed values.
 
     Raises:
         ScenarioError: One line with file, field, value, what is wrong and what is allowed.
@@ -223,13 +226,13 @@ def check_scenario(scenario: Scenario, *, source: str = "") -> Scenario:
 
 
 def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
-    """Warns of what can be flown but will not do what one may expect.
+    """Return warnings about valid scenarios with surprising behavior.
 
     Args:
-        scenario: One that `check_scenario` has passed.
+        scenario: Scenario that `check_scenario` has accepted.
 
     Returns:
-        A line for each.
+        One line for each warning.
     """
     return tuple(
         line
@@ -247,11 +250,11 @@ def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
 def _law_warnings(scenario: Scenario) -> Iterator[str]:
     if scenario.uav and not LAWS[scenario.law.name].keeps_sight:
         name = f'law.name = "{scenario.law.name}"'
-        yield f"{name}: visibility is not kept, this law never turns back to the UGV"
+        yield f"{name}: visibility is not maintained: this law never returns to the UGV"
 
 
 def _code_warnings(scenario: Scenario) -> Iterator[str]:
-    """Code of the user's own that neither law nor driver loads."""
+    """Warn of user code that neither law nor driver uses."""
     law = LAWS[scenario.law.name]
     loaded = {law.own, law.inner} if scenario.uav else set[str]()
     loaded |= {DRIVERS[ugv.driver].own for ugv in scenario.ugv}
@@ -263,25 +266,25 @@ def _code_warnings(scenario: Scenario) -> Iterator[str]:
             ]
             drivers = [f"ugv.*.driver = {row.name}" for row in DRIVERS.values() if field == row.own]
             users = " or ".join((*laws, *drivers))
-            yield f"custom.{field} = {value!r}: nothing flies it; for {users}"
+            yield f"custom.{field} = {value!r}: not used; requires {users}"
 
 
 def largest_circle_rate(r_pv: float, v_a: float, v_g: float, u_a: float) -> float:
-    r"""The largest $|\omega|$ [rad/s] at which the circle can be flown around any UGV (Remark 3 of the paper).
+    r"""Return the largest $|\omega|$ [rad/s] at which a UAV can circle around any UGV (Remark 3 of the paper).
 
     The UAV needs the speed $r_{pv}\omega + v_g \le v_a$ and the acceleration $r_{pv}\omega^2 \le u_a$.
 
     Args:
         r_pv: Radius [m].
-        v_a: Largest speed of the UAV [m/s].
-        v_g: Largest speed of the UGV [m/s].
-        u_a: Largest acceleration of the UAV [m/s²].
+        v_a: Maximum speed of the UAV [m/s].
+        v_g: Maximum speed of the UGV [m/s].
+        u_a: Maximum acceleration of the UAV [m/s²].
     """
     return min((v_a - v_g) / r_pv, math.sqrt(u_a / r_pv))
 
 
 def _circle_warnings(scenario: Scenario) -> Iterator[str]:
-    """A circle that cannot be flown, see `largest_circle_rate`."""
+    """Warn of a circle that cannot be flown; see `largest_circle_rate`."""
     if scenario.law.name != "circle":
         return
     parameters = law_parameters(scenario.law)
@@ -297,7 +300,7 @@ def _circle_warnings(scenario: Scenario) -> Iterator[str]:
                 f"needs {radius * rate:.3g} m/s and {radius * rate * rate:.3g} m/s² of {uav.name}"
             )
             has = (
-                f"which beside {ugv.name} has v_a - v_g = {spare:.3g} m/s "
+                f"which relative to {ugv.name} has v_a - v_g = {spare:.3g} m/s "
                 f"and u_a = {uav.max_acceleration:.3g} m/s²"
             )
             reason = f"the smaller of (v_a - v_g)/r_pv and sqrt(u_a/r_pv), r_pv = {radius:.4g} m"

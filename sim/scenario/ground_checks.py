@@ -1,4 +1,4 @@
-"""Refusals of impossible hazards: one small check for each; without hazards most of them have nothing to do."""
+"""Checks of hazards, one function each."""
 
 import itertools
 import math
@@ -26,14 +26,14 @@ from sim.scenario.world_checks import Check
 
 _MOST_TILES = 1_000_000
 _MOST_GROUND = 4.0
-"""So much of the area the discs of a field may have together: with less than half of it no way would be left."""
+"""Largest total area of a field's discs, as a share of the area: half of it already blocks most routes."""
 _LEAST_AREA = 1e-9
-"""Of a polygon [m²]."""
+"""Smallest area of a polygon [m²]."""
 _ROUNDING = 1e-9
 
 
 def hazards_are_known(scenario: Scenario) -> Iterator[Fault]:
-    """The kinds of hazards, what touching one does, and how a UGV drives are words that are known."""
+    """Check that kinds of hazards, effects of contact and cautions are registered."""
     for k, hazard in enumerate(scenario.hazard):
         yield from unknown_name(f"hazard.{k}.kind", hazard.kind, HAZARDS)
     for k, field in enumerate(scenario.hazard_field):
@@ -44,7 +44,7 @@ def hazards_are_known(scenario: Scenario) -> Iterator[Fault]:
 
 
 def tiles_fit_area(scenario: Scenario) -> Iterator[Fault]:
-    """Tiles are smaller than the area, not smaller than the cells of the grid, and not too many."""
+    """Check that tiles are smaller than the area, not smaller than the grid's cells, and not too many."""
     if not scenario.has_ground:
         return
     tile, area = scenario.ground.tile, scenario.area
@@ -58,17 +58,19 @@ def tiles_fit_area(scenario: Scenario) -> Iterator[Fault]:
     else:
         tiles = math.ceil(area.width / tile) * math.ceil(area.height / tile)
         if tiles > _MOST_TILES:
-            wrong = f"makes {tiles:.3g} tiles, {_MOST_TILES:,} are the most"
+            wrong = f"makes {tiles:.3g} tiles, more than {_MOST_TILES:,}"
             yield Fault("ground.tile", tile, wrong, f"{least * 1.01:.3g} to {side:g} m")
 
 
 def hazards_have_a_shape(scenario: Scenario) -> Iterator[Fault]:
-    """Each is a disc or a polygon, and only rough ones have a share."""
+    """Check that each hazard is a disc or a polygon, and that only rough ones have a speed share."""
     for k, hazard in enumerate(scenario.hazard):
         path = f"hazard.{k}"
         yield from _share_fault(path, hazard)
         if hazard.polygon and (hazard.center is not None or hazard.radius is not None):
-            yield Fault(f"{path}.polygon", hazard.polygon, "it is a disc as well", "one of the two")
+            yield Fault(
+                f"{path}.polygon", hazard.polygon, "also a disc", "either a disc or a polygon"
+            )
         elif hazard.polygon:
             yield from _polygon_faults(f"{path}.polygon", hazard)
         elif hazard.center is None:
@@ -82,13 +84,15 @@ def hazards_have_a_shape(scenario: Scenario) -> Iterator[Fault]:
 def _share_fault(path: str, hazard: Hazard | HazardField) -> Iterator[Fault]:
     if hazard.speed_share is not None and not HAZARDS[hazard.kind].slows:
         rough = ", ".join(name for name, row in HAZARDS.items() if row.slows)
-        wrong = f"the kind {hazard.kind!r} slows nobody"
-        yield Fault(f"{path}.speed_share", hazard.speed_share, wrong, f"kind {rough}, or no share")
+        wrong = f"the kind {hazard.kind!r} does not slow vehicles"
+        yield Fault(
+            f"{path}.speed_share", hazard.speed_share, wrong, f"kind {rough}, or no speed_share"
+        )
 
 
 @lru_cache(maxsize=8)
 def _apart(count: int) -> tuple[IntArray, IntArray]:
-    """All pairs of sides of a polygon that have no corner in common."""
+    """Return all pairs of a polygon's sides without a common corner."""
     one, other = np.triu_indices(count, 2)
     apart = other - one < count - 1
     return one[apart], other[apart]
@@ -100,8 +104,8 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _polygon_faults(path: str, hazard: Hazard) -> Iterator[Fault]:
-    """It has three corners or more, an area, and sides that meet nowhere but at corners."""
-    corners = np.array(hazard.corners)
+    """Check that a polygon has three or more corners, an area, and sides that meet only at corners."""
+    corners = np.array(hazard.polygon)
     count = len(corners)
     if count < 3:
         yield Fault(
@@ -113,14 +117,14 @@ def _polygon_faults(path: str, hazard: Hazard) -> Iterator[Fault]:
     from_first = corners - corners[0]
     twice_the_area = float(_cross(from_first, np.roll(from_first, -1, axis=0)).sum())
     if met is not None:
-        wrong = f"it crosses itself: its sides from corners {met[0]} and {met[1]} meet"
-        yield Fault(path, hazard.polygon, wrong, "corners in order round it")
+        wrong = f"crosses itself: the sides from corners {met[0]} and {met[1]} meet"
+        yield Fault(path, hazard.polygon, wrong, "corners in order around the polygon")
     elif abs(twice_the_area) <= 2.0 * _LEAST_AREA:
-        yield Fault(path, hazard.polygon, "it has no area", "corners that are not in one line")
+        yield Fault(path, hazard.polygon, "has no area", "corners that are not collinear")
 
 
 def _sides_that_meet(corners: FloatArray, sides: FloatArray) -> tuple[int, int] | None:
-    """Two sides of a polygon that meet where they should not, if there are any."""
+    """Return two sides of a polygon that meet outside a common corner; None: there are none."""
     one, other = _apart(len(corners))
     a, d, b, e = corners[one], sides[one], corners[other], sides[other]
     # each side's ends lie on both sides of the other one, or on it
@@ -138,15 +142,15 @@ def _sides_that_meet(corners: FloatArray, sides: FloatArray) -> tuple[int, int] 
     return None
 
 
-def _place(k: int, hazard: Hazard) -> tuple[str, object]:
-    """The field that says where a hazard is, and its value."""
+def _position_field(k: int, hazard: Hazard) -> tuple[str, object]:
+    """Return the field with a hazard's position, and its value."""
     if hazard.polygon:
         return f"hazard.{k}.polygon", hazard.polygon
     return f"hazard.{k}.center", hazard.center
 
 
 def hazards_lie_in_area(scenario: Scenario) -> Iterator[Fault]:
-    """Each has some ground in Q; what is to be found lies in it."""
+    """Check that each hazard overlaps Q, and that objects to find lie inside."""
     width, height = scenario.area.width, scenario.area.height
     allowed = f"[0, {width:g}] x [0, {height:g}] m"
     for k, hazard in enumerate(scenario.hazard):
@@ -154,54 +158,58 @@ def hazards_lie_in_area(scenario: Scenario) -> Iterator[Fault]:
         reach = hazard.radius or 0.0
         if hazard.kind == "find":
             if not (low[0] >= 0.0 and low[1] >= 0.0 and high[0] <= width and high[1] <= height):
-                yield Fault(*_place(k, hazard), "to be found outside Q", allowed)
+                yield Fault(*_position_field(k, hazard), "object to find outside Q", allowed)
         elif (
             max(-high[0], low[0] - width, 0.0) > reach
             or max(-high[1], low[1] - height, 0.0) > reach
         ):
-            yield Fault(*_place(k, hazard), "outside Q", allowed)
+            yield Fault(*_position_field(k, hazard), "outside Q", allowed)
 
 
 def starts_and_goals_are_free(scenario: Scenario) -> Iterator[Fault]:
-    """No hazard that blocks lies over one."""
+    """Check that no blocking hazard covers a start or a goal."""
     if not any(not HAZARDS[hazard.kind].drivable for hazard in scenario.hazard):
         return
     tables = ground_tables(scenario)
     for path, (x, y) in _stops(scenario):
         k = hazard_at(tables.hazards, tables.corners, BLOCK, x, y)
         if k >= 0:
-            wrong = f"it lies over {path} = [{x:g}, {y:g}]"
-            yield Fault(*_place(k, scenario.hazard[k]), wrong, "a place off all starts and goals")
+            wrong = f"covers {path} = [{x:g}, {y:g}]"
+            yield Fault(
+                *_position_field(k, scenario.hazard[k]),
+                wrong,
+                "a position away from all starts and goals",
+            )
 
 
 def _stops(scenario: Scenario) -> Iterator[tuple[str, tuple[float, float]]]:
-    """All starts and goals of UGVs with their paths, in the order of the tables."""
+    """Yield all starts and goals of UGVs with their paths, in the order of the tables."""
     for k, ugv in enumerate(scenario.ugv):
         for n, point in enumerate(stops(ugv)):
             yield f"ugv.{k}.goals.{n - 1}" if n else f"ugv.{k}.position", point
 
 
-def ways_are_open(scenario: Scenario) -> Iterator[Fault]:
-    """From each UGV's start a way of free tiles leads to all its goals."""
+def routes_are_open(scenario: Scenario) -> Iterator[Fault]:
+    """Check that a route over free tiles leads from each UGV's start to all its goals."""
     if not any(not HAZARDS[hazard.kind].drivable for hazard in scenario.hazard):
         return
     from scipy.ndimage import label  # noqa: PLC0415 - it takes long to load, and few need it
 
     tile, tiles = scenario.ground.tile, ground_tables(scenario).tiles
     regions, _ = label(tiles != BLOCK)
-    allowed = f"a way of tiles of {tile:g} m, side by side, that no hazard touches"
+    allowed = f"a route of adjacent {tile:g} m tiles without hazards"
     start = 0
     for path, (x, y) in _stops(scenario):
         region = regions[tile_index(y, tile, tiles.shape[0]), tile_index(x, tile, tiles.shape[1])]
         start = region if path.endswith("position") else start
         if region == 0:
-            yield Fault(path, [x, y], "a hazard that blocks touches its tile", allowed)
+            yield Fault(path, [x, y], "a blocking hazard touches its tile", allowed)
         elif region != start:
-            yield Fault(path, [x, y], "hazards close every way there from the start", allowed)
+            yield Fault(path, [x, y], "hazards block every route from the start", allowed)
 
 
 def fields_are_possible(scenario: Scenario) -> Iterator[Fault]:
-    """Their radii are in order, only rough ones have a share, and they are not too many."""
+    """Check that radii are in order, that only rough fields have a speed share, and the number of hazards."""
     count, area = len(scenario.hazard), scenario.area.width * scenario.area.height
     for k, field in enumerate(scenario.hazard_field):
         path, (smallest, largest) = f"hazard_field.{k}", field.radius
@@ -210,8 +218,8 @@ def fields_are_possible(scenario: Scenario) -> Iterator[Fault]:
             yield Fault(f"{path}.radius", field.radius, "out of order", "[smallest, largest] in m")
         count += field.count
         if count > MOST_HAZARDS:
-            wrong = f"makes {count:,} hazards in all"
-            yield Fault(f"{path}.count", field.count, wrong, f"up to {MOST_HAZARDS:,} in all")
+            wrong = f"makes {count:,} hazards in total"
+            yield Fault(f"{path}.count", field.count, wrong, f"up to {MOST_HAZARDS:,} in total")
         one = math.pi * (smallest * smallest + smallest * largest + largest * largest) / 3.0
         if one * field.count > _MOST_GROUND * area:
             most = int(_MOST_GROUND * area / one)
@@ -221,22 +229,26 @@ def fields_are_possible(scenario: Scenario) -> Iterator[Fault]:
 
 
 def fields_have_room(scenario: Scenario) -> Iterator[Fault]:
-    """All their hazards have a place, as tried once; in a flight there are as many as fit."""
+    """Check by one trial that all hazards of the fields fit; a run has as many as fit."""
     placed = len(scenario.hazard)
     for k, field in enumerate(scenario.hazard_field):
         fit = _placed(scenario, scenario.hazard_field[: k + 1]) - placed
         if fit < field.count:
-            wrong = f"only {fit} fit" if fit else "none fits"
-            allowed = f"up to {fit}, or smaller ones" if fit else "smaller ones, or less clear"
+            wrong = f"only {fit} fit" if fit else "none fit"
+            allowed = (
+                f"up to {fit}, or smaller ones" if fit else "smaller ones, or a smaller clearance"
+            )
             yield Fault(f"hazard_field.{k}.count", field.count, wrong, allowed)
         placed += fit
 
 
 def _placed(scenario: Scenario, fields: tuple[HazardField, ...]) -> int:
-    """Number of hazards in all, with those of some fields."""
+    """Return the total number of hazards, including the hazards of these fields."""
     tables = ground_tables(msgspec.structs.replace(scenario, hazard_field=fields))
-    key = np.uint64(scenario.seed), np.uint64(0)  # any will do: the flights have others
-    with np.errstate(over="ignore"):  # random words wrap round, of which an interpreter warns
+    key = np.uint64(scenario.seed), np.uint64(0)  # any key: runs use others
+    with np.errstate(
+        over="ignore"
+    ):  # unsigned random numbers wrap around, which the interpreter reports
         return place_fields(scenario, tables, key)
 
 
@@ -256,7 +268,7 @@ def hazard_warnings(scenario: Scenario) -> Iterator[str]:
 
 
 def _crossing_legs(scenario: Scenario, k: int) -> Iterator[str]:
-    """Describe each straight leg from goal to goal of a UGV that crosses a hazard of the scenario."""
+    """Describe each straight leg between goals of a UGV that crosses a hazard of the scenario."""
     rows, corners = hazard_rows(scenario.hazard), corners_of(scenario.hazard)
     places = stops(scenario.ugv[k])
     for n, (start, goal) in enumerate(itertools.pairwise(places)):
@@ -273,8 +285,8 @@ GROUND_CHECKS: tuple[Check, ...] = (
     hazards_have_a_shape,
     hazards_lie_in_area,
     starts_and_goals_are_free,
-    ways_are_open,
+    routes_are_open,
     fields_are_possible,
     fields_have_room,
 )
-"""In the order in which they are made: a later one may rely on those before it."""
+"""Checks in order: later ones may rely on earlier ones."""

@@ -1,4 +1,4 @@
-"""The hazards of a scenario as the tables that compiled code reads."""
+"""Hazards of a scenario as tables for compiled code."""
 
 import math
 from collections.abc import Iterator
@@ -19,35 +19,37 @@ from sim.models.randomness import Key
 from sim.scenario.types import HazardField, Scenario, Ugv
 
 _WAY_BITS = 63
-"""So many ways have a bit of their own; further ones have words that add up to none but with a chance of 2^-63."""
+"""Number of routes with a bit of their own; further routes have hashes that cancel only with probability 2^-63."""
 
 
 class GroundTables(NamedTuple):
-    """The ground as the scenario gives it, the same in each of its flights."""
+    """Ground of a scenario, the same in each of its runs."""
 
     hazards: RecordArray
-    """A table of `HazardRow`, with empty rows behind for those of its fields."""
+    """Table of `HazardRow`, with empty rows at the end for the hazards of fields."""
     corners: FloatArray
-    """Of the polygons [m]. Shape (corners, 2)."""
+    """Corners of the polygons [m]. Shape (corners, 2)."""
     tiles: TileArray
-    """True states with the hazards that are given, without those of fields. Shape (rows, columns)."""
+    """True states with the given hazards, without the hazards of fields. Shape (rows, columns)."""
     fields: RecordArray
-    """A table of `HazardFieldRow`."""
+    """Table of `HazardFieldRow`."""
     stops: FloatArray
     """Starts and goals of the UGVs [m]. Shape (stops, 2)."""
     ways: IntArray
-    """From each start to its goals, as `sim.models.hazard_fields.place_hazards` takes them. Shape (ways, 5)."""
+    """Routes from each start to its goals, in the form of `sim.models.hazard_fields.place_hazards`. Shape (routes,
+    5).
+    """
 
 
 def ground_tables(scenario: Scenario) -> GroundTables:
-    """The tables of a scenario whose hazards are possible."""
+    """Return the tables of a valid scenario."""
     given = hazard_rows(scenario.hazard)
     room = sum(field.count for field in scenario.hazard_field)
     hazards = np.concatenate([given, np.zeros(room, dtype=given.dtype)])
     corners = corners_of(scenario.hazard)
     shape = tiles_shape(scenario.area.width, scenario.area.height, scenario.ground.tile)
     tiles = np.full(shape, CLEAR, dtype=np.uint8)
-    if scenario.hazard:  # else nothing is compiled for them
+    if scenario.hazard:  # without hazards nothing is compiled for them
         fill_tiles(given, corners, scenario.ground.tile, tiles)
     points = [point for ugv in scenario.ugv for point in stops(ugv)]
     return GroundTables(
@@ -65,11 +67,11 @@ def place_fields(scenario: Scenario, tables: GroundTables, key: Key) -> int:
 
     Args:
         scenario: The scenario.
-        tables: Its tables, with no such hazards yet; `hazards` and `tiles` are changed.
-        key: Of the draws.
+        tables: Its tables, without hazards of fields; `hazards` and `tiles` are changed.
+        key: Key of the random numbers.
 
     Returns:
-        How many hazards there are in all.
+        Total number of hazards.
     """
     return place_hazards(
         tables.fields,
@@ -110,13 +112,13 @@ def _way_bits(way: int) -> int:
 
 
 def corners_of(hazards: tuple[Hazard, ...]) -> FloatArray:
-    """The corners of all polygons, one after the other [m]. Shape (corners, 2)."""
-    found = [corner for hazard in hazards for corner in hazard.corners]
+    """Return the corners of all polygons, concatenated [m]. Shape (corners, 2)."""
+    found = [corner for hazard in hazards for corner in hazard.polygon]
     return np.array(found, dtype=np.float64).reshape(-1, 2)
 
 
 def hazard_rows(hazards: tuple[Hazard, ...]) -> RecordArray:
-    """A table of `HazardRow`, with a row for each."""
+    """Return a table of `HazardRow`, one row per hazard."""
     return records(HazardRow, list(_rows(hazards)))
 
 
@@ -130,7 +132,7 @@ def _rows(hazards: tuple[Hazard, ...]) -> Iterator[HazardRow]:
 
 
 def stops(ugv: Ugv) -> tuple[Vector, ...]:
-    """Start of a UGV, and the goals of its driver if it has any [m]."""
+    """Return the start of a UGV, and its goals if its driver uses them [m]."""
     driver = DRIVERS[ugv.driver]
     roams = driver.provided and driver.wants != "goals"
     return (ugv.position, *(() if roams else ugv.goals))

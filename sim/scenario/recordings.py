@@ -1,4 +1,4 @@
-"""The recorded links that a scenario plays: their files, read once and kept in it."""
+"""Traces of a scenario: their files are read once and stored in it."""
 
 import os
 from collections.abc import Collection
@@ -16,7 +16,7 @@ from sim.scenario.types import LinkTable, Scenario
 
 
 def traces_in(raw: dict[str, Any]) -> frozenset[str]:
-    """The recorded links that a raw scenario names, as TOML gives it, whatever else may be wrong with it."""
+    """Return the traces that a raw scenario names; other errors in it are ignored."""
     links = raw.get("links")
     if not isinstance(links, dict):
         return frozenset()
@@ -30,7 +30,7 @@ def traces_in(raw: dict[str, Any]) -> frozenset[str]:
 
 
 def _named(table: LinkTable) -> dict[str, str]:
-    """The recorded links that are named, and the field that names each first."""
+    """Return the traces of a table, each with the first field that names it."""
     fields = {f"links.{kind}": getattr(table, kind) for kind in LinkKind}
     for k, own in enumerate(table.only):
         fields |= {f"links.only.{k}.{kind}": getattr(own, kind) for kind in LinkKind}
@@ -44,17 +44,17 @@ def _named(table: LinkTable) -> dict[str, str]:
 def with_recordings(
     scenario: Scenario, *, file: str, folder: Path, inside: Collection[str] = ()
 ) -> Scenario:
-    """The scenario with the files of all recorded links that its links name.
+    """Return the scenario with the files of all traces that its links name.
 
     Args:
-        scenario: Typed.
-        file: For the error.
-        folder: Where the scenario's file lies.
-        inside: Names that stand in that file: they are looked for there or below, and nowhere else. The others come
-            from whoever reads it, and are paths from the current folder.
+        scenario: Typed scenario.
+        file: Name of the file for error messages.
+        folder: Folder of the scenario's file.
+        inside: Names given in that file: they must lie in its folder or below. Other names come from the user, and are
+            relative to the current folder.
 
     Raises:
-        ScenarioError: If one cannot be read, or is no recorded link.
+        ScenarioError: If a trace cannot be read, or is invalid.
     """
     kept = {one.name for one in scenario.links.traces}
     read = tuple(
@@ -69,7 +69,7 @@ def with_recordings(
 
 
 def read_link(name: str, where: str, folder: Path | None = None) -> RecordedLink:
-    """A recorded link from its file, below `folder` if that is given; or a ScenarioError that begins with `where`."""
+    """Read a trace, below `folder` if given; errors are a ScenarioError that begins with `where`."""
     try:
         path = Path(name) if folder is None else _below(folder, name, where)
         data = read_regular(path, MOST_BYTES)
@@ -81,15 +81,15 @@ def read_link(name: str, where: str, folder: Path | None = None) -> RecordedLink
 
 
 def _below(folder: Path, name: str, where: str) -> Path:
-    """The path of a file in this folder or below.
+    """Return the path of a file in this folder or below.
 
     Raises:
-        ScenarioError: If it leads out.
+        ScenarioError: If it lies outside.
     """
     path = Path(os.path.realpath(folder / name))
     if Path(name).is_absolute() or not path.is_relative_to(os.path.realpath(folder)):
         raise ScenarioError(
-            f"{where}: outside the scenario's folder; allowed: a file beside the scenario or below, "
-            "or any with --set"
+            f"{where}: outside the scenario's folder; allowed: a file in that folder or below, "
+            "or any file with --set"
         )
     return path

@@ -1,4 +1,4 @@
-"""A scenario as the text of one TOML file that loads as the same scenario, to the last bit."""
+"""Resolved scenarios: one TOML file that loads as the same scenario, to the last bit."""
 
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
@@ -18,7 +18,7 @@ def as_toml(scenario: Scenario, comments: Iterable[str] = ()) -> str:
     """Return the text of a file with all fields of a scenario.
 
     Args:
-        scenario: Checked. Recorded links are written with their content, tracks as scripts.
+        scenario: Checked scenario. Traces are written with their content, trajectories as scripts.
         comments: Lines at the head of the file.
     """
     lines = [f"# {' '.join(line.split())}" for line in comments]
@@ -27,7 +27,7 @@ def as_toml(scenario: Scenario, comments: Iterable[str] = ()) -> str:
 
 
 def read_resolved(file: Path) -> Scenario:
-    """Return the scenario of a file that `as_toml` has written; nothing is looked up, as nothing is missing.
+    """Return the scenario of a file written by `as_toml`; it refers to no other files.
 
     Raises:
         ScenarioError: If it is not such a file.
@@ -38,7 +38,7 @@ def read_resolved(file: Path) -> Scenario:
 
 
 def _table(fields: Mapping[str, object], path: tuple[str, ...]) -> Iterator[str]:
-    """Yield the lines of a table: its values first, then the tables in it. None is left out: it is the default."""
+    """Yield the lines of a table: its values first, then its subtables. Fields with None (the default) are omitted."""
     tables: list[tuple[str, str, dict[str, object]]] = []
     for key, value in fields.items():
         if isinstance(value, dict):

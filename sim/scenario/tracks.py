@@ -1,4 +1,4 @@
-"""A recorded trajectory as a script: what a UGV did in an earlier run, to be driven again."""
+"""Recorded trajectories as scripts: a UGV repeats its motion from an earlier run."""
 
 import csv
 from io import TextIOWrapper
@@ -13,15 +13,15 @@ from bus.messages.scenario import ScriptStep
 from sim.scenario.types import Scenario, Ugv
 
 _MOST_BYTES = 32 << 20
-"""Of a track's file: more than an hour of two vehicles."""
+"""Maximum size of a trajectory file [bytes]: more than an hour of two vehicles."""
 _MOST_ROWS = 250_000
 
 
 def with_tracks(scenario: Scenario, *, file: str) -> Scenario:
-    """The scenario with the scripts of those UGVs that have a `track` and no script yet.
+    """Return the scenario with scripts for all UGVs that have a `trajectory` and no script yet.
 
     Raises:
-        ScenarioError: If a track cannot be read, or has nothing of the UGV.
+        ScenarioError: If a trajectory cannot be read, or does not contain the UGV.
     """
     ugvs = tuple(
         _with_track(ugv, k, file) if ugv.trajectory and not ugv.script else ugv
@@ -56,9 +56,9 @@ def _with_track(ugv: Ugv, k: int, file: str) -> Ugv:
             f"{where}: {wrong}; allowed: the trajectory.csv of a run with {ugv.name}"
         ) from error
     if len(rows) > _MOST_ROWS:
-        raise ScenarioError(f"{where}: is too long; allowed: {_MOST_ROWS:,} ticks at most")
+        raise ScenarioError(f"{where}: too long; allowed: {_MOST_ROWS:,} ticks at most")
     if len(rows) < 2:
-        raise ScenarioError(f"{where}: is too short; allowed: two ticks or more")
-    # The velocity of a tick is what was wanted at the one before.
+        raise ScenarioError(f"{where}: too short; allowed: two ticks or more")
+    # The velocity of a tick was the desired one in the previous tick.
     steps = [ScriptStep(time=rows[n][0], velocity=rows[n + 1][1:]) for n in range(len(rows) - 1)]
     return msgspec.structs.replace(ugv, script=tuple(steps))

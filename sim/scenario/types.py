@@ -1,7 +1,7 @@
-"""A run described: the tables of a scenario and their fields, typed.
+"""Typed tables and fields of a scenario.
 
-They stand in `sim`, since world, engine, environment and server are made from them; `loading` reads them from TOML
-and `checks` refuses what is impossible. What these need to know of laws, drivers and sensors is in `bus.registry`.
+They are in `sim` because world, engine, environment and server use them; `loading` reads them from TOML, and `checks`
+rejects invalid ones. `bus.registry` describes laws, drivers and sensors.
 """
 
 import math
@@ -21,11 +21,11 @@ from sim.models.vehicles import raw_switching_radius
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 Bound = Annotated[float, Meta(gt=0.0)]
-"""A bound that may be infinite (TOML: inf)."""
+"""Bound that may be infinite (TOML: inf)."""
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base of the scenario's tables."""
+    """Base class of the scenario's tables."""
 
 
 class Visibility(_Table, frozen=True, kw_only=True):
@@ -48,7 +48,7 @@ class Detections(_Table, frozen=True, kw_only=True):
     """Detector of the UGV: always succeeds within r_v, less often beyond, never beyond the sensor's range."""
 
     noise: NonNegative = 0.0
-    """Standard deviation per axis [m]."""
+    """Standard deviation of the noise per axis [m]."""
     truncation: Bound = 3.0
     """Truncation of the noise vector's norm, in standard deviations [1]; inf: not truncated."""
     rate: Positive = 20.0
@@ -71,7 +71,7 @@ class Wind(_Table, frozen=True, kw_only=True):
 
     @property
     def largest(self) -> float:
-        """The largest acceleration [m/s²]."""
+        """Return the largest acceleration [m/s²]."""
         most = math.hypot(*self.mean) + 3.0 * self.gust
         return most if self.limit is None or most == 0.0 else self.limit
 
@@ -95,7 +95,7 @@ class HazardField(_Table, frozen=True, kw_only=True):
 
     @property
     def kept_share(self) -> float:
-        """Of its largest speed that a vehicle keeps on one."""
+        """Return the share of its maximum speed that a vehicle keeps on these hazards."""
         return kept_share(self.kind, self.speed_share)
 
 
@@ -171,7 +171,7 @@ class Ugv(_Table, frozen=True, kw_only=True):
 
 
 DEFAULT_AGE = 1.0
-"""Largest age of the newest detection where none is given [s]."""
+"""Default of `max_measurement_age` [s]."""
 
 
 class Certificate(_Table, frozen=True, kw_only=True):
@@ -210,14 +210,14 @@ class Custom(_Table, frozen=True, kw_only=True):
 
 
 class _Links(_Table, frozen=True, kw_only=True):
-    """A field for each `LinkKind`, under its name."""
+    """Settings of each kind of link."""
 
     detections: LinkSettings = LinkSettings()
     """From a UAV's detector to its computer."""
     commands: LinkSettings = LinkSettings()
     """From a vehicle's computer to its actuators."""
     operator: LinkSettings = LinkSettings()
-    """From an operator to a UGV."""
+    """From the operator to a UGV."""
     radio: LinkSettings = LinkSettings()
     """From a UAV to its UGV."""
 
@@ -238,18 +238,18 @@ class LinkTable(_Links, frozen=True, kw_only=True):
     """Files named by any `trace`, with their content; filled in by the loader, not by the user."""
 
     def of(self, vehicle: str, kind: LinkKind) -> LinkSettings:
-        """The settings of this vehicle's link of this kind."""
+        """Return the settings of this vehicle's link of this kind."""
         own = next((row for row in self.only if row.vehicle == vehicle), self)
         settings: LinkSettings = getattr(own, kind)
         return settings
 
     def path_of(self, vehicle: str, kind: LinkKind) -> str:
-        """The field of the scenario that holds these settings, such as `links.commands` or `links.only.0.commands`."""
+        """Return the field with these settings, such as `links.commands` or `links.only.0.commands`."""
         own = next((f"only.{k}." for k, row in enumerate(self.only) if row.vehicle == vehicle), "")
         return f"links.{own}{kind}"
 
     def changed(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> "LinkTable":
-        """The table with other settings for one vehicle's link of this kind, or for everybody's (None)."""
+        """Return the table with new settings for the link of one vehicle, or of all vehicles (None)."""
         if vehicle is None:
             rows = tuple(msgspec.structs.replace(row, **{kind: settings}) for row in self.only)
             return msgspec.structs.replace(self, only=rows, **{kind: settings})
@@ -274,7 +274,7 @@ class Run(_Table, frozen=True, kw_only=True):
 
 DEFAULT_AREA = Area(width=40.0, height=40.0, cell=0.25)
 NO_UAV = "no UAV"
-"""Instead of a law, for a person, where there is nobody to fly one."""
+"""Title of a scenario without UAVs, in place of a law."""
 
 
 class Scenario(_Table, frozen=True, kw_only=True):
@@ -289,7 +289,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     duration: Positive = 160.0
     """Duration [s], a whole number of ticks."""
     dt: Positive = 0.05
-    """Length of a tick [s]."""
+    """Duration of a tick [s]."""
     command_timeout: NonNegative = 0.5
     """Time for which the last command stays in effect when no new one arrives [s]; then the vehicle brakes."""
     area: Area = DEFAULT_AREA
@@ -331,43 +331,43 @@ class Scenario(_Table, frozen=True, kw_only=True):
 
     @property
     def ticks(self) -> int:
-        """Number of ticks of the whole run."""
+        """Return the number of ticks of the whole run."""
         return round(self.duration / self.dt)
 
     @property
     def vehicles(self) -> tuple[Uav | Ugv, ...]:
-        """All vehicles in name order, which is the order of every array."""
+        """Return all vehicles in name order, the order of every array."""
         return tuple(sorted((*self.uav, *self.ugv), key=lambda vehicle: vehicle.name))
 
     @property
     def disturbed(self) -> bool:
-        """True if wind or a wrong own position takes a UAV from where it is told that it is."""
+        """True if wind or a position error disturbs a UAV."""
         return any(self.wind.largest > 0.0 or uav.position_error > 0.0 for uav in self.uav)
 
     @property
     def detection_period(self) -> int:
-        """Ticks between two looks of the detector."""
+        """Return the number of ticks between two detections."""
         return max(1, round(1.0 / (self.detections.rate * self.dt)))
 
     @property
     def rough_share(self) -> float:
-        """Of its largest speed that a vehicle keeps at least on rough ground."""
+        """Return the smallest share of its maximum speed that a vehicle keeps on rough ground."""
         rough: tuple[Hazard | HazardField, ...] = (*self.hazard, *self.hazard_field)
         slow = (one.kept_share for one in rough if HAZARDS[one.kind].slows)
         return min(slow, default=DEFAULT_SHARE)
 
     @property
     def has_ground(self) -> bool:
-        """True if there are hazards on the ground, or there may be."""
+        """True if the scenario has hazards, or fields of hazards."""
         return bool(self.hazard or self.hazard_field)
 
     @property
     def ground_period(self) -> int:
-        """Ticks between two looks of a UAV at the ground."""
+        """Return the number of ticks between two updates of a UAV's ground sensor."""
         return max(1, round(1.0 / (self.ground.rate * self.dt)))
 
 
 def switching_radius(scenario: Scenario, uav: Uav, ugv: Ugv) -> float:
-    """r_s of (18) [m], whatever its sign."""
+    """Return the switching radius r_s of (18) [m], of either sign."""
     bounds = uav.max_speed, ugv.max_speed, uav.max_acceleration
     return float(raw_switching_radius(scenario.visibility.radius, *bounds))

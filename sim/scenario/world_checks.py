@@ -1,4 +1,4 @@
-"""Refusals of impossible ground, time, vehicles and detections: one small check for each."""
+"""Checks of area, time, vehicles and detections, one function each."""
 
 import math
 import re
@@ -18,23 +18,23 @@ Check = Callable[[Scenario], Iterator[Fault]]
 _MOST_CELLS = 4_000_000
 _MOST_TICKS = 10_000_000
 _TICK = (1e-6, 1.0)
-"""Shortest and longest dt [s]."""
+"""Shortest and longest duration of a tick dt [s]."""
 _WIDEST = 1e6
-"""Largest side of Q [m]: the messages carry no larger coordinates."""
+"""Largest side of Q [m], limited by the coordinates in messages."""
 _LARGEST_BOUND = 1e12
-"""Largest finite bound that the messages carry."""
+"""Largest finite bound in messages."""
 _BOUND = re.compile(r"(uav|ugv)\.\d+\.(max_speed|max_acceleration)|detections\.truncation")
 _ROUNDING = 1e-12
 
 
 def vehicles(scenario: Scenario) -> Iterator[tuple[str, Uav | Ugv]]:
-    """Every vehicle with its path."""
+    """Yield every vehicle with its path."""
     yield from ((f"uav.{k}", uav) for k, uav in enumerate(scenario.uav))
     yield from ((f"ugv.{k}", ugv) for k, ugv in enumerate(scenario.ugv))
 
 
 def escorts(scenario: Scenario) -> Iterator[tuple[str, Uav, Ugv]]:
-    """Every UAV with its path and the UGV it escorts."""
+    """Yield every UAV with its path and the UGV that it escorts."""
     ugvs = {ugv.name: ugv for ugv in scenario.ugv}
     for k, uav in enumerate(scenario.uav):
         if uav.escorts in ugvs:
@@ -56,7 +56,7 @@ def _floats(value: object, path: str) -> Iterator[tuple[str, float]]:
 
 
 def numbers_are_finite(scenario: Scenario) -> Iterator[Fault]:
-    """NaN nowhere, infinity only where a bound is missing: the types' own bounds let both pass."""
+    """Reject NaN, and infinity except for bounds: the types accept both."""
     for path, value in _floats(scenario, ""):
         bound = _BOUND.fullmatch(path) is not None
         allowed = f"numbers up to {_LARGEST_BOUND:g}, or inf" if bound else "finite numbers"
@@ -69,7 +69,7 @@ def numbers_are_finite(scenario: Scenario) -> Iterator[Fault]:
 
 
 def names_are_different(scenario: Scenario) -> Iterator[Fault]:
-    """Each vehicle has a name of its own, which is not the simulator's."""
+    """Check that vehicle names are unique and not reserved."""
     taken = [*STAFF]
     for path, vehicle in vehicles(scenario):
         if vehicle.name in taken:
@@ -79,7 +79,7 @@ def names_are_different(scenario: Scenario) -> Iterator[Fault]:
 
 
 def escorts_are_there(scenario: Scenario) -> Iterator[Fault]:
-    """Each UAV escorts a UGV of the scenario."""
+    """Check that each UAV escorts a UGV of the scenario."""
     names = [ugv.name for ugv in scenario.ugv]
     for k, uav in enumerate(scenario.uav):
         if uav.escorts not in names:
@@ -87,7 +87,7 @@ def escorts_are_there(scenario: Scenario) -> Iterator[Fault]:
 
 
 def grid_divides_area(scenario: Scenario) -> Iterator[Fault]:
-    """A whole number of cells, and not too many."""
+    """Check that the cells divide the area, and are not too many."""
     cell = scenario.area.cell
     for side, size in (("width", scenario.area.width), ("height", scenario.area.height)):
         if size > _WIDEST:
@@ -97,7 +97,7 @@ def grid_divides_area(scenario: Scenario) -> Iterator[Fault]:
                 "area.cell",
                 cell,
                 f"does not divide area.{side} = {size:g} m",
-                "a whole part of both sides, in m",
+                "a divisor of both sides, in m",
             )
     cells = (scenario.area.width / cell) * (scenario.area.height / cell)
     if cells > _MOST_CELLS:
@@ -105,17 +105,15 @@ def grid_divides_area(scenario: Scenario) -> Iterator[Fault]:
         yield Fault(
             "area.cell",
             cell,
-            f"makes {cells:.3g} cells, {_MOST_CELLS:,} are the most",
+            f"makes {cells:.3g} cells, more than {_MOST_CELLS:,}",
             f"{least:.3g} m or more",
         )
 
 
 def time_is_whole(scenario: Scenario) -> Iterator[Fault]:
-    """A whole number of ticks, none of them too long, and not too many."""
+    """Check that the duration is a whole number of ticks, that dt is in range, and that ticks are not too many."""
     if not _TICK[0] <= scenario.dt <= _TICK[1]:
-        yield Fault(
-            "dt", scenario.dt, "no sensible length of a tick", f"{_TICK[0]:g} to {_TICK[1]:g} s"
-        )
+        yield Fault("dt", scenario.dt, "out of range", f"{_TICK[0]:g} to {_TICK[1]:g} s")
         return
     ticks = scenario.duration / scenario.dt
     if ticks > _MOST_TICKS:
@@ -130,27 +128,27 @@ def time_is_whole(scenario: Scenario) -> Iterator[Fault]:
         yield Fault(
             "duration",
             scenario.duration,
-            "no whole number of ticks",
+            "not a whole number of ticks",
             f"multiples of dt = {scenario.dt:g} s, such as {near:.6g}",
         )
 
 
-def looks_fit_ticks(scenario: Scenario) -> Iterator[Fault]:
-    """A whole number of ticks between two looks, at the UGV and at the ground."""
+def rates_fit_ticks(scenario: Scenario) -> Iterator[Fault]:
+    """Check that the periods of detector and ground sensor are whole numbers of ticks."""
     rates = {"detections.rate": scenario.detections.rate}
     if scenario.has_ground:
         rates["ground.rate"] = scenario.ground.rate
     for field, rate in rates.items():
-        looks = rate * scenario.dt
-        period = 1.0 / looks if looks > 0.0 else math.inf
+        per_tick = rate * scenario.dt
+        period = 1.0 / per_tick if per_tick > 0.0 else math.inf
         if period > _MOST_TICKS or not is_whole(period, 1e-6):
             some = ", ".join(f"{1.0 / (n * scenario.dt):.4g}" for n in (1, 2, 3))
-            wrong = "no whole number of ticks fits between two looks"
+            wrong = "the period is not a whole number of ticks"
             yield Fault(field, rate, wrong, f"{some}, ... 1/s")
 
 
 def sight_is_within_range(scenario: Scenario) -> Iterator[Fault]:
-    """The UAV sees farther than r_v, Klodt 2015, eq. (5): r_v < r."""
+    """Check that the sensor's range exceeds r_v, Klodt 2015, eq. (5): r_v < r."""
     if scenario.visibility.radius >= scenario.sensor.range:
         allowed = f"less than sensor.range = {scenario.sensor.range:g} m"
         yield Fault(
@@ -159,7 +157,7 @@ def sight_is_within_range(scenario: Scenario) -> Iterator[Fault]:
 
 
 def points_are_inside(scenario: Scenario) -> Iterator[Fault]:
-    """Vehicles and goals lie in Q."""
+    """Check that vehicles and goals lie in Q."""
     points = [(f"{path}.position", vehicle.position) for path, vehicle in vehicles(scenario)]
     points += [
         (f"ugv.{k}.goals.{i}", goal)
@@ -177,7 +175,7 @@ def points_are_inside(scenario: Scenario) -> Iterator[Fault]:
 
 
 def covered_is_inside(scenario: Scenario) -> Iterator[Fault]:
-    """Covered rectangles have an inside, and it lies in Q."""
+    """Check that covered rectangles are not empty, and lie in Q."""
     for k, region in enumerate(scenario.coverage.covered):
         for axis, letter, size in ((0, "x", scenario.area.width), (1, "y", scenario.area.height)):
             low, high = region.lower[axis], region.upper[axis]
@@ -196,7 +194,7 @@ def covered_is_inside(scenario: Scenario) -> Iterator[Fault]:
 
 
 def starts_are_within_bounds(scenario: Scenario) -> Iterator[Fault]:
-    """Nobody starts faster than it may move."""
+    """Check that initial speeds are within the bounds."""
     for path, vehicle in vehicles(scenario):
         speed = math.hypot(*vehicle.velocity)
         if speed > vehicle.max_speed * (1.0 + _ROUNDING):
@@ -207,7 +205,7 @@ def starts_are_within_bounds(scenario: Scenario) -> Iterator[Fault]:
 
 
 def uav_is_stronger(scenario: Scenario) -> Iterator[Fault]:
-    """The UAV outruns and outaccelerates the UGV (section II of the paper)."""
+    """Check that the UAV is faster and accelerates more than the UGV (section II of the paper)."""
     for path, uav, ugv in escorts(scenario):
         for field, unit in (("max_speed", "m/s"), ("max_acceleration", "m/s²")):
             mine, its = getattr(uav, field), getattr(ugv, field)
@@ -215,13 +213,13 @@ def uav_is_stronger(scenario: Scenario) -> Iterator[Fault]:
                 yield Fault(
                     f"{path}.{field}",
                     mine,
-                    f"the UAV must have more than the UGV {ugv.name}",
+                    f"not above the UGV {ugv.name}",
                     f"above {its:g} {unit}",
                 )
 
 
 def ugv_is_seen_at_start(scenario: Scenario) -> Iterator[Fault]:
-    """The constraint holds at the start (Proposition 2 of the paper)."""
+    """Check the visibility constraint at the start (Proposition 2 of the paper)."""
     for path, uav, ugv in escorts(scenario):
         distance = math.dist(uav.position, ugv.position)
         if distance >= scenario.visibility.radius:
@@ -229,13 +227,13 @@ def ugv_is_seen_at_start(scenario: Scenario) -> Iterator[Fault]:
             yield Fault(
                 f"{path}.position",
                 uav.position,
-                f"{distance:.4g} m away from {ugv.name} at the start",
+                f"{distance:.4g} m from {ugv.name} at the start",
                 allowed,
             )
 
 
 def wind_is_possible(scenario: Scenario) -> Iterator[Fault]:
-    """The wind's mean is within its limit."""
+    """Check that the wind's mean is within its limit."""
     mean, limit = math.hypot(*scenario.wind.mean), scenario.wind.limit
     if limit is not None and mean > limit * (1.0 + _ROUNDING):
         allowed = f"up to wind.limit = {limit:g} m/s²"
@@ -243,10 +241,10 @@ def wind_is_possible(scenario: Scenario) -> Iterator[Fault]:
 
 
 def inner_loops_hold(scenario: Scenario) -> Iterator[Fault]:
-    r"""Checks that the inner loop of a UAV on which something acts is stable at dt and has the acceleration it needs.
+    r"""Check that the inner loop of a disturbed UAV is stable at dt and has enough acceleration.
 
-    $z^2 - (2 - k_d dt - k_p dt^2 / 2) z + 1 - k_d dt + k_p dt^2 / 2$ has its roots within the unit circle if
-    $k_d dt < 2$ and $k_p dt < 2 k_d$, by Jury's criterion.
+    $z^2 - (2 - k_d dt - k_p dt^2 / 2) z + 1 - k_d dt + k_p dt^2 / 2$ has its roots within the unit circle if $k_d dt <
+    2$ and $k_p dt < 2 k_d$, by Jury's criterion.
     """
     for k, uav in enumerate(scenario.uav):
         path, loop, wind = f"uav.{k}.tracking", uav.tracking, scenario.wind.largest
@@ -265,13 +263,13 @@ def inner_loops_hold(scenario: Scenario) -> Iterator[Fault]:
         elif math.isinf(needed):
             yield Fault(f"{path}.position_gain", k_p, "the inner loop is too slow", "larger ones")
         elif math.isinf(tracking_error(loop, wind, uav.position_error, scenario.dt)):
-            wrong = f"cannot hold a wind of {wind:g} m/s² and an position_error of {uav.position_error:g} m"
+            wrong = f"cannot hold a wind of {wind:g} m/s² and a position_error of {uav.position_error:g} m"
             allowed = f"{needed + 5e-4:.3f} m/s² or more"
             yield Fault(f"{path}.reserve", loop.reserve, wrong, allowed)
 
 
 def links_are_possible(scenario: Scenario) -> Iterator[Fault]:
-    """Each link can be what it says, and belongs to a vehicle."""
+    """Check that each link is valid and belongs to a vehicle."""
     names, traces = [vehicle.name for _, vehicle in vehicles(scenario)], scenario.links.traces
     for kind in LinkKind:
         yield from link_faults(getattr(scenario.links, kind), f"links.{kind}.", traces)
@@ -285,7 +283,7 @@ def links_are_possible(scenario: Scenario) -> Iterator[Fault]:
 
 
 def commands_act(scenario: Scenario) -> Iterator[Fault]:
-    """A command that arrives is not yet too old to act: else the vehicle brakes for ever, whoever flies it."""
+    """Check that commands do not arrive after the command timeout: else the vehicle would always brake."""
     for _, vehicle in vehicles(scenario):
         commands = scenario.links.of(vehicle.name, LinkKind.COMMANDS)
         least = least_ticks(link_parameters(commands, scenario.dt, traces=scenario.links.traces))
@@ -293,8 +291,8 @@ def commands_act(scenario: Scenario) -> Iterator[Fault]:
             path = f"{scenario.links.path_of(vehicle.name, LinkKind.COMMANDS)} of {vehicle.name}"
             age = f"{least * scenario.dt:g} s"
             wrong = (
-                f"commands are {age} old or more when they arrive ({path}), "
-                "so that it would only brake"
+                f"commands are {age} old or more on arrival ({path}), "
+                "so that the vehicle would always brake"
             )
             yield Fault("command_timeout", scenario.command_timeout, wrong, f"{age} or more")
 
@@ -305,7 +303,7 @@ WORLD_CHECKS: tuple[Check, ...] = (
     escorts_are_there,
     grid_divides_area,
     time_is_whole,
-    looks_fit_ticks,
+    rates_fit_ticks,
     sight_is_within_range,
     points_are_inside,
     covered_is_inside,
@@ -317,4 +315,4 @@ WORLD_CHECKS: tuple[Check, ...] = (
     links_are_possible,
     commands_act,
 )
-"""In the order in which they are made: a later one may rely on those before it."""
+"""Checks in order: later ones may rely on earlier ones."""

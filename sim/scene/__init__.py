@@ -1,1 +1,1 @@
-"""The scene of a run: what every picture shows, from the notebook's to the browser's."""
+"""Scene of a run: the content of every picture, from notebooks to the browser."""

@@ -1,7 +1,6 @@
-"""The scene as matplotlib's artists: the map that stands in figures and moves in films.
+"""Scene as matplotlib artists: the map of figures and films.
 
-Loaded only when something is drawn. Drawn with matplotlib's objects on Agg; nothing here touches pyplot or leaves a
-setting behind.
+Loaded only for drawing. It uses matplotlib objects on Agg, never pyplot, and leaves no setting changed.
 """
 
 import math
@@ -25,7 +24,7 @@ from sim.scene.hazards import DrawnGround, legend_of_ground
 from sim.scene.model import Point, Ring, Scene
 
 COVERAGE = LinearSegmentedColormap.from_list("covered", list(COVERED))
-"""From unseen ground to covered ground."""
+"""Colormap from uncovered to covered ground."""
 DASHED = (0, (4, 2.5))
 _ROUTE: dict[str, Any] = {
     "linewidth": 1.3,
@@ -33,7 +32,7 @@ _ROUTE: dict[str, Any] = {
     "dash_capstyle": "butt",
     "zorder": 3.4,
 }
-"""A way that is planned."""
+"""Style of a planned route."""
 DPI = 140
 _LOOK: dict[str, Any] = {
     "font.family": "DejaVu Sans",
@@ -66,14 +65,14 @@ _LOOK: dict[str, Any] = {
 }
 
 Estimate = tuple[Point, tuple[float, float, float]]
-"""A UAV's estimate of its UGV's position [m], and the covariance xx, xy, yy of that [m²]."""
+"""UAV's estimate of its UGV's position [m], and its covariance xx, xy, yy [m²]."""
 
 
 @contextmanager
 def look() -> Iterator[None]:
-    """While it is open, new artists look like ours, whatever the user's own settings are.
+    """Apply Outrider's style to new artists within the context, independent of the user's settings.
 
-    Afterwards all is as before.
+    The settings are restored on exit.
     """
     with mpl.rc_context():
         mpl.rcdefaults()
@@ -82,7 +81,7 @@ def look() -> Iterator[None]:
 
 
 def ground(axes: Axes, width: float, height: float) -> None:
-    """Dress axes that show the ground [m]."""
+    """Format axes that show the ground [m]."""
     axes.set_aspect("equal")
     axes.set_xlim(0.0, width)
     axes.set_ylim(0.0, height)
@@ -94,7 +93,7 @@ def ground(axes: Axes, width: float, height: float) -> None:
 
 
 def draw_ring(axes: Axes, ring: Ring, center: Point = (0.0, 0.0)) -> Circle:
-    """A circle on the ground."""
+    """Draw a circle on the ground."""
     circle = Circle(
         center,
         ring.radius,
@@ -109,14 +108,14 @@ def draw_ring(axes: Axes, ring: Ring, center: Point = (0.0, 0.0)) -> Circle:
 
 
 class Track:
-    """One vehicle: its way, with a hollow mark where it started and a full one where it is.
+    """Path of one vehicle, with a hollow marker at its start and a filled one at its position.
 
     Args:
-        axes: To draw on.
-        color: Of the vehicle.
-        flies: A UAV is a disc, a UGV a square with a broader track.
-        line: Style of the track.
-        label: In the legend; empty: none.
+        axes: Axes to draw on.
+        color: Color of the vehicle.
+        flies: True for a UAV (a disc); False for a UGV (a square with a wider path).
+        line: Style of the path.
+        label: Label in the legend; empty: none.
     """
 
     def __init__(
@@ -132,20 +131,20 @@ class Track:
         )
 
     def move(self, way: FloatArray) -> "Track":
-        """Show this way [m], shape (points, 2), to its last point."""
+        """Show the path up to its last point [m]. Shape (points, 2)."""
         for artist, part in zip(self.artists, (way, way[:1], way[-1:]), strict=True):
             artist.set_data(part[:, 0], part[:, 1])
         return self
 
 
 class Map:
-    """A scene on axes: what stands still is drawn at once, what moves with `show`.
+    """Scene on axes: constant parts are drawn once, moving parts by `show`.
 
     Args:
-        axes: To draw on.
-        scene: What there is to see.
-        estimates: Whether the UAVs' estimates are shown, with an ellipse of two standard deviations.
-        hazards: The ground with its hazards; None: it has none.
+        axes: Axes to draw on.
+        scene: Scene to draw.
+        estimates: True to show the UAVs' estimates, with an ellipse of two standard deviations.
+        hazards: Ground with its hazards; None: no hazards.
     """
 
     def __init__(
@@ -196,7 +195,7 @@ class Map:
 
     @property
     def artists(self) -> list[Artist]:
-        """All that lies on the axes, from the ground up."""
+        """Return all artists on the axes, from the ground up."""
         found: list[Artist] = [self.image, *self._still, *self._sights.values()]
         found += self._routes.values()
         found += [] if self._hazards is None else self._hazards.artists
@@ -212,13 +211,13 @@ class Map:
         estimates: Mapping[str, Estimate] | None = None,
         hazards: GroundMap | None = None,
     ) -> None:
-        """Show a moment.
+        """Show a moment of the run.
 
         Args:
-            tracks: The way of each vehicle so far [m], shape (points, 2).
-            coverage: Share of the coverage wanted, from 0 to 1, shape (rows, columns); None: as before.
-            estimates: Of each UAV, where it has one.
-            hazards: The ground with its hazards; None: as before.
+            tracks: Path of each vehicle so far [m]. Shape (points, 2).
+            coverage: Share of the desired coverage, from 0 to 1, shape (rows, columns); None: unchanged.
+            estimates: Estimate of each UAV that has one.
+            hazards: Ground with its hazards; None: unchanged.
         """
         if hazards is not None and self._hazards is not None:
             self._hazards.show(hazards)
@@ -237,7 +236,7 @@ class Map:
 
 
 class _Estimate:
-    """A cross where a UAV believes its UGV to be, in an ellipse of two standard deviations."""
+    """Cross at a UAV's estimate of its UGV, with an ellipse of two standard deviations."""
 
     def __init__(self, axes: Axes) -> None:
         self._ellipse = Ellipse((0, 0), 0, 0, fill=False, ec=ESTIMATE, lw=1.0, zorder=8)
@@ -260,14 +259,14 @@ class _Estimate:
 
 
 def key(color: str, label: str, **line: Any) -> Line2D:  # noqa: ANN401 - matplotlib's own keywords
-    """An entry of a legend."""
+    """Return an entry of a legend."""
     return Line2D([], [], color=color, label=label, **line)
 
 
 def legend_of(
     scene: Scene, *, estimates: bool = False, hazards: GroundMap | None = None
 ) -> list[Artist]:
-    """The entries of a scene's legend: each kind of thing on it once."""
+    """Return the entries of a scene's legend, one for each kind of object."""
     mark = {"markeredgecolor": "white", "markersize": 7}
     uavs = sum(one.flies for one in scene.vehicles)
     ugvs = len(scene.vehicles) - uavs

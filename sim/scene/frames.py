@@ -1,4 +1,4 @@
-"""A scene that moves: what stands still is drawn once, the artists that move stay and are moved."""
+"""Animated scene: constant parts are drawn once, moving artists are updated."""
 
 import textwrap
 from collections.abc import Mapping
@@ -17,24 +17,24 @@ from sim.scene.drawing import DPI, Estimate, Map, key, legend_of, look
 from sim.scene.model import Scene
 
 _HEADER, _FOOTER, _SIDE = 92, 116, 68
-"""Room above, below and beside the ground [px]."""
+"""Margins above, below and beside the ground [px]."""
 _LEGEND_OF_GROUND = 48
-"""So much more room below it takes to tell what hazards look like [px]."""
+"""Extra margin below, for the legend of hazards [px]."""
 _LABELS = 10
-"""So much further right the ground lies, for labels of three digits and the axis' name [px]."""
+"""Extra offset of the ground to the right, for labels of three digits and the axis label [px]."""
 _TALLEST = 1000
-"""Of the ground [px]."""
+"""Maximum height of the ground [px]."""
 
 
 class Frames:
-    """Pictures of a scene from above, one after the other.
+    """Pictures of a scene from above, in sequence.
 
     Args:
-        scene: What there is to see.
-        width: Of a picture [px]; its height follows from the ground's, and is even.
-        facts: A line below the title.
-        estimates: Whether the UAVs' estimates are shown.
-        hazards: The ground with its hazards; None: it has none.
+        scene: Scene to draw.
+        width: Width of a picture [px]; its height follows from the ground's, and is even.
+        facts: Line below the title.
+        estimates: True to show the UAVs' estimates.
+        hazards: Ground with its hazards; None: no hazards.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Frames:
         scale = min((width - 2 * _SIDE) / scene.width, _TALLEST / scene.height)
         across, tall = scene.width * scale, scene.height * scale
         footer = _FOOTER if hazards is None else _FOOTER + _LEGEND_OF_GROUND
-        total = round(tall + _HEADER + footer) // 2 * 2  # video wants even numbers
+        total = round(tall + _HEADER + footer) // 2 * 2  # video requires even numbers
         self._left, self._rows = _SIDE / 2 / width, (1.0 - 20 / total, 1.0 - 58 / total)
         with look():
             self._figure = Figure(figsize=(width / DPI, total / DPI), dpi=DPI, facecolor="white")
@@ -111,27 +111,27 @@ class Frames:
         facts: str | None = None,
         hazards: GroundMap | None = None,
     ) -> npt.NDArray[np.uint8]:
-        """The picture of a moment; the first three arguments and `hazards` as those of `Map.show`.
+        """Return the picture of a moment; the first three arguments and `hazards` as in `Map.show`.
 
         Args:
-            tracks: The way of each vehicle so far.
-            coverage: Of the ground.
-            estimates: Of each UAV, where it has one.
-            time: Simulated [s].
-            distance: The largest between a UAV and its UGV [m]; None: there is no UAV.
-            r_v: Visibility radius [m]; None where it is not known.
-            facts: The line below the title; None: as before.
-            hazards: Of the ground.
+            tracks: Path of each vehicle so far [m].
+            coverage: Coverage of the ground.
+            estimates: Estimate of each UAV that has one.
+            time: Simulated time [s].
+            distance: Largest distance between a UAV and its UGV [m]; None: no UAV.
+            r_v: Visibility radius [m]; None: unknown.
+            facts: Line below the title; None: unchanged.
+            hazards: Ground with its hazards; None: unchanged.
 
         Returns:
-            Red, green, blue and opacity; shape (rows, columns, 4). The next picture is another array.
+            Red, green, blue and opacity; shape (rows, columns, 4). Each call returns a new array.
         """
         self._map.show(tracks, coverage, estimates, hazards)
         lost = distance is not None and r_v is not None and distance >= r_v
         limit = "" if r_v is None else f" of {r_v:g} m"
-        told = "" if distance is None else f"distance {distance:5.2f} m{limit}"
+        text = "" if distance is None else f"distance {distance:5.2f} m{limit}"
         self._clock.set_text(f"{time:7.1f} s")
-        self._distance.set_text(f"{told}{'  OUT OF SIGHT' if lost else ''}")
+        self._distance.set_text(f"{text}{'  OUT OF SIGHT' if lost else ''}")
         self._distance.set_color(LIMIT if lost else MUTED)
         if facts is not None:
             self._facts.set_text(facts)

@@ -1,4 +1,4 @@
-"""The ground with hazards as matplotlib's artists: a veil over what the UGVs do not know, and the hazards on it."""
+"""Ground with hazards as matplotlib artists: a shade over unknown tiles, and the hazards on it."""
 
 from itertools import product
 from typing import Any
@@ -14,7 +14,7 @@ from matplotlib.path import Path
 
 from bus.messages.ground import GroundMap, Hazard
 from sim.scene.colors import FAINT, HAZARDS, INK, LIMIT, TILES, rgb
-from sim.scene.told_tiles import HIT, KNOWN, UNKNOWN
+from sim.scene.ground_map import HIT, KNOWN, UNKNOWN
 
 _SHADES = np.array([(*rgb(color), opacity) for color, opacity in TILES])
 _SOLID: dict[str, Any] = {"facecolor": HAZARDS["block"], "edgecolor": HAZARDS["block"]}
@@ -31,11 +31,11 @@ def _outline(hazard: Hazard) -> Path:
 
 
 class DrawnGround:
-    """Draws what is known of the ground over its coverage.
+    """Known ground and hazards, drawn over the coverage.
 
     Args:
-        axes: To draw on.
-        ground: The first that there is to show, with the hazards.
+        axes: Axes to draw on.
+        ground: First map to show, with the hazards.
     """
 
     def __init__(self, axes: Axes, ground: GroundMap) -> None:
@@ -72,7 +72,7 @@ class DrawnGround:
 
     @property
     def artists(self) -> list[Artist]:
-        """All of it."""
+        """Return all artists."""
         return [self._veil, *self._areas.values(), *self._stars.values()]
 
     def show(self, ground: GroundMap) -> None:
@@ -91,7 +91,7 @@ class DrawnGround:
 
 
 def legend_of_ground(ground: GroundMap) -> list[Artist]:
-    """The entries of its legend: each kind of hazard that is there once, and what the veil is."""
+    """Return the entries of its legend: each kind of hazard present, and the shade."""
     kinds = {hazard.kind for hazard in ground.hazards}
     keys: list[Artist] = []
     if "block" in kinds:

@@ -1,4 +1,4 @@
-"""The scene of a scenario that is known, and the radii that belong to it."""
+"""Scene of a known scenario, and its radii."""
 
 import math
 
@@ -12,7 +12,7 @@ from sim.scene.model import Scene, assembled
 
 
 def inner_radius(scenario: Scenario, ugv: str) -> float | None:
-    """r_s of (18) around a UGV [m], the smallest of its UAVs; None where it is no circle of its own."""
+    """Return r_s of (18) around a UGV [m], the smallest of its UAVs; None if it is not within (0, r_v)."""
     radii = [
         switching_radius(scenario, uav, its) for _, uav, its in escorts(scenario) if its.name == ugv
     ]
@@ -20,11 +20,11 @@ def inner_radius(scenario: Scenario, ugv: str) -> float | None:
 
 
 _GOALS = 100
-"""Goals of a UGV that observers are told."""
+"""Number of a UGV's goals sent to observers."""
 
 
 def geometry_of(scenario: Scenario) -> Geometry:
-    """The part of a scenario that observers are told."""
+    """Return the part of a scenario that is sent to observers."""
     radii = (switching_radius(scenario, uav, ugv) for _, uav, ugv in escorts(scenario))
     radius = next(radii, math.inf)
     return Geometry(
@@ -41,13 +41,13 @@ def geometry_of(scenario: Scenario) -> Geometry:
 
 
 def _goals(ugv: Ugv) -> tuple[Vector, ...]:
-    """The goals that a UGV may drive to [m]: none where its driver goes elsewhere by itself."""
+    """Return the goals of a UGV [m]; none if its driver does not use them."""
     driver = DRIVERS[ugv.driver]
     return ugv.goals if driver.wants == "goals" or not driver.module else ()
 
 
 def scene_of(scenario: Scenario) -> Scene:
-    """The scene of a scenario that is known."""
+    """Return the scene of a scenario."""
     ugvs = sorted(ugv.name for ugv in scenario.ugv)
     return assembled(
         scenario.title or scenario.name,

@@ -1,8 +1,8 @@
-"""The scene as plain data: ground, vehicles with their colours, circles around them, and who escorts whom.
+"""Scene as plain data: ground, vehicles with their colors, circles around them, and escorts.
 
-Every picture of ours draws from it: the flight's picture and film, the environment's `render`, the paper's figures, the
-recording's view for Foxglove, the terminal and the page. What changes from tick to tick (places, tracks, coverage,
-estimates) is handed to whatever draws.
+All pictures are drawn from it: the picture and film of a run, the environment's `render`, the paper's figures, the
+Foxglove view, the terminal and the page. Values that change with time (positions, paths, coverage, estimates) are
+passed to the drawing code.
 """
 
 from collections.abc import Iterable, Mapping
@@ -12,9 +12,9 @@ from bus.messages.telemetry import Geometry
 from sim.scene.colors import LIMIT, UAV, UGV, color
 
 LABELS = {"r_v": "limit of sight", "r_s": "only tracking", "r": "range of the sensor"}
-"""The meaning of the circles, by the symbol of their radius."""
+"""Meaning of the circles, by the symbol of their radius."""
 _LOOKS = {"r_v": (1.6, False), "r_s": (1.2, True), "r": (0.8, False)}
-"""Width of their lines [pt], and whether they are dashed."""
+"""Width of their lines [pt], and True if dashed."""
 Point = tuple[float, float]
 """x and y [m]."""
 
@@ -25,49 +25,49 @@ class SceneVehicle:
 
     name: str
     flies: bool
-    """A UAV; otherwise a UGV."""
+    """True for a UAV, False for a UGV."""
     color: str
     goals: tuple[Point, ...] = ()
-    """Of a UGV."""
+    """Goals of a UGV [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ring:
-    """A circle that moves with a vehicle."""
+    """Circle that moves with a vehicle."""
 
     around: str
     """Name of the vehicle."""
     symbol: str
-    """Of the radius: r_v, r_s or r."""
+    """Symbol of the radius: r_v, r_s or r."""
     label: str
     radius: float
-    """[m]"""
+    """Radius [m]."""
     color: str
     width: float
-    """[pt]"""
+    """Line width [pt]."""
     dashed: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """All that stays as it is while a run is flown."""
+    """Constant content of a run's pictures."""
 
     title: str
     width: float
-    """Of the ground [m]."""
+    """Width of the ground [m]."""
     height: float
     vehicles: tuple[SceneVehicle, ...]
-    """UGVs, then UAVs, each in name order: what flies is drawn on top."""
+    """UGVs, then UAVs, each in name order: UAVs are drawn on top."""
     escorts: tuple[tuple[str, str], ...]
-    """Each UAV, and the UGV it escorts."""
+    """Pairs (UAV, escorted UGV)."""
     rings: tuple[Ring, ...] = ()
 
     def with_rings(self, *symbols: str) -> "Scene":
-        """The scene with the circles of these symbols alone."""
+        """Return the scene with only the circles of these symbols."""
         return replace(self, rings=tuple(ring for ring in self.rings if ring.symbol in symbols))
 
     def color_of(self, name: str) -> str:
-        """The colour of a vehicle.
+        """Return the color of a vehicle.
 
         Raises:
             KeyError: If there is none of this name.
@@ -83,14 +83,14 @@ def observed_scene(
     vehicles: Iterable[str],
     ground: Point = (40.0, 40.0),
 ) -> Scene:
-    """The scene as an observer has it, who is told no scenario.
+    """Return the scene for an observer, who does not know the scenario.
 
     Args:
         title: Name of the scenario.
-        geometry: What the simulator tells of it; without it there are no circles.
-        escorts: Each UAV, and the UGV it escorts.
+        geometry: Geometry from the simulator; None: draw no circles.
+        escorts: Escorted UGV of each UAV.
         vehicles: Names of all vehicles.
-        ground: Width and height of the ground [m] where no geometry tells it.
+        ground: Width and height of the ground without a geometry [m].
     """
     ugvs = sorted(set(vehicles) - set(escorts))
     if geometry is None:
@@ -117,16 +117,16 @@ def assembled(
     radii: Point | None = None,
     inner: Mapping[str, float | None] | None = None,
 ) -> Scene:
-    """A scene from its parts.
+    """Return a scene from its parts.
 
     Args:
         title: Name of the scenario.
         size: Width and height of the ground [m].
-        escorts: Each UAV, and the UGV it escorts.
+        escorts: Escorted UGV of each UAV.
         ugvs: Names of all UGVs, in order.
-        goals: Of each UGV [m].
+        goals: Goals of each UGV [m].
         radii: r_v and the sensor's range [m]; None: no circles.
-        inner: r_s around each UGV [m]; None where it is no circle of its own.
+        inner: r_s around each UGV [m]; None: no circle.
     """
     uavs, ugvs = sorted(escorts), list(ugvs)
     vehicles = [
@@ -157,7 +157,7 @@ def assembled(
 
 
 def _ring(around: str, symbol: str, radius: float, color: str = LIMIT) -> Ring:
-    """A circle [m] around a vehicle, as those of its symbol look."""
+    """Return a circle [m] around a vehicle, in the style of its symbol."""
     width, dashed = _LOOKS[symbol]
     return Ring(
         around=around,

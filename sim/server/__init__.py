@@ -1,1 +1,1 @@
-"""The world behind the bus."""
+"""Simulator process: the world behind the bus."""

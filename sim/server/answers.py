@@ -1,4 +1,4 @@
-"""The vehicles' answers: counted, held against their bounds, and their reports against the truth."""
+"""Evaluation of the vehicles' commands: counts, bounds, and comparison of their reports with the true state."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -14,29 +14,29 @@ from sim.server.recorder import Recorder
 from sim.world import World
 
 _ROUNDING = 1e-9
-"""So much longer, as a share, a command may be by rounding alone."""
+"""Relative tolerance for rounding when a command is compared with its bound."""
 
 
 def _largest(motions: Iterable[BackupTrajectory]) -> float:
-    """The square of the longest acceleration of these motions [m²/s⁴]."""
-    asked = ((one.acceleration, one.turning, one.braking) for one in motions)
-    return max(x * x + y * y for three in asked for x, y in three)
+    """Return the square of the largest acceleration of these trajectories [m²/s⁴]."""
+    accelerations = ((one.acceleration, one.turning, one.braking) for one in motions)
+    return max(x * x + y * y for three in accelerations for x, y in three)
 
 
 _Tick = tuple[int, Mapping[str, Command], str]
-"""The answers of a tick: which it is, the new commands, and the UAVs' law."""
+"""Commands of one tick: the tick, the new commands, and the UAVs' control law."""
 
 
 class Answers:
-    """All that is known of a flight's answers, up to the last one that was settled.
+    """Evaluation of the commands of a run, up to the last tick.
 
-    Nobody needs any of it to fly the next tick, so an answer is noted when it comes, and settled once the vehicles
-    have the next observation to think about; at the latest before the world moves on.
+    The next tick does not need the results. A command is therefore recorded on arrival, and evaluated while the
+    vehicles compute their next one; at the latest before the world advances.
 
     Args:
-        scenario: What is flown.
-        world, recorder: Of the flight.
-        on_notice: Called with one line for a person.
+        scenario: Scenario of the run.
+        world, recorder: World and recorder of the run.
+        on_notice: Called with one line for the user.
     """
 
     def __init__(
@@ -49,32 +49,34 @@ class Answers:
         self._world, self._recorder, self._on_notice = world, recorder, on_notice
         self._disturbed = scenario.disturbed
         self.missing: dict[str, int] = dict.fromkeys(world.names, 0)
-        """Ticks for which a vehicle had no new command."""
+        """Ticks without a new command, by vehicle."""
         self.stale: dict[str, int] = dict.fromkeys(world.names, 0)
-        """Commands of a vehicle that were used after the tick they answer."""
+        """Commands used after the tick that they answer, by vehicle."""
         self.shortened: dict[str, int] = dict.fromkeys(world.names, 0)
-        """Commands of a vehicle that were longer than its bound."""
+        """Commands that exceeded the vehicle's bound, by vehicle."""
         self.external: set[str] = set()
-        """UAVs that a program of the user's own flies: it has seen its UGV and never reported an estimate.
+        """UAVs flown by the user's own program: they have received detections and never reported an estimate.
 
-        The scenario's law, and its certificate, tell nothing of them.
+        The scenario's control law and its certificate do not apply to them.
         """
         self.first_missing: int | None = None
-        """The first tick at which a vehicle's command was missing or stale."""
+        """First tick at which a command was missing or stale; None: none so far."""
         self.reports: list[UavReport | None] = [None] * len(world.uavs)
-        """The last report of each UAV."""
+        """Latest report of each UAV."""
         self.assurance = Assurance(scenario)
-        """Checks the reports of the safety filters."""
+        """Checks of the safety filters' reports."""
         self._reporting = [False] * len(world.uavs)
         limits = np.square(world.vehicles["max_acceleration"] * (1.0 + _ROUNDING)).tolist()
-        self._limits = dict(zip(world.names, limits, strict=True))  # of a command's square [m²/s⁴]
+        self._limits = dict(
+            zip(world.names, limits, strict=True)
+        )  # bound on the squared acceleration [m²/s⁴]
         self._uavs = [uav.name for uav in world.uavs]
         flown = world.arrays[1].flown[0, :, 0]
         self._evidence = recorder.arrivals, world.vehicles, flown
-        self._unsettled: _Tick | None = None
+        self._recorded: _Tick | None = None
 
     def counted(self, name: str) -> VehicleStatus:
-        """The counts of a vehicle that has joined."""
+        """Return the command counters of a vehicle that has joined."""
         return VehicleStatus(
             present=True,
             missing_commands=self.missing[name],
@@ -82,36 +84,36 @@ class Answers:
             shortened_commands=self.shortened[name],
         )
 
-    def note(self, tick: int, commands: Mapping[str, Command], law: str) -> None:
-        """Keep the answers of a tick that has just been flown, to be settled before the next one is.
+    def record(self, tick: int, commands: Mapping[str, Command], law: str) -> None:
+        """Record the commands of the tick just simulated; `evaluate` counts them.
 
         Args:
-            tick: Which.
-            commands: The new command of each vehicle that has one.
-            law: The UAVs' law.
+            tick: The tick.
+            commands: New command of each vehicle that sent one.
+            law: Control law of the UAVs.
         """
-        self._unsettled = tick, commands, law
+        self._recorded = tick, commands, law
 
-    def settle(self) -> None:
-        """Count what was noted last, and hold what the UAVs have said against the truth."""
-        last = self._unsettled
+    def evaluate(self) -> None:
+        """Count the recorded commands, and compare the UAVs' reports with the true state."""
+        last = self._recorded
         if last is None:
             return
-        self._unsettled = None
+        self._recorded = None
         tick, commands, law = last
         self._count(tick, commands)
         for uav, name in enumerate(self._uavs):
             command = commands.get(name)
-            self._judge(uav, command if isinstance(command, UavCommand) else None, tick, law)
+            self._check_report(uav, command if isinstance(command, UavCommand) else None, tick, law)
 
     def end(self) -> None:
-        """The flight is over, and its last state has been taken down: no vehicle is asked there any more."""
-        self.settle()
+        """Finish the run, after its last state was recorded: no vehicle sends a command for it."""
+        self.evaluate()
         for uav in range(len(self._uavs)):
             self.assurance.end(uav, self._recorder.distance(self._world.tick, uav))
 
     def _count(self, tick: int, commands: Mapping[str, Command]) -> None:
-        """Note whether each vehicle's process was in time, and whether it asked for more than its bound."""
+        """Count late commands, and commands above the vehicle's bound."""
         for name, limit in self._limits.items():
             command = commands.get(name)
             if command is None or command.tick < tick:
@@ -124,40 +126,40 @@ class Answers:
             if command.backup_trajectories:
                 size = max(size, _largest(command.backup_trajectories))
             if size > limit:
-                self._tell_shortened(name, command.tick, math.sqrt(size))
+                self._count_shortened(name, command.tick, math.sqrt(size))
 
-    def _tell_shortened(self, name: str, tick: int, size: float) -> None:
-        """Count a command of which the bound of (1) shortens anything, and tell of the first; units may be wrong."""
+    def _count_shortened(self, name: str, tick: int, size: float) -> None:
+        """Count a command that the bound of (1) shortens, and report the first; it may be an error of units."""
         self.shortened[name] += 1
         if self.shortened[name] == 1:
             bound = float(self._world.vehicles[self._world.names.index(name)]["max_acceleration"])
             self._on_notice(
-                f"{name}: its command for tick {tick}, {size:.4g} m/s², is longer than its "
-                f"bound {bound:.4g} m/s² and is shortened to it; more of these are only counted"
+                f"{name}: its command for tick {tick}, {size:.4g} m/s², exceeds its "
+                f"bound {bound:.4g} m/s² and is shortened; further ones are only counted"
             )
 
-    def _judge(self, uav: int, command: UavCommand | None, tick: int, law: str) -> None:
-        """Hold what a UAV has said of a tick against the truth."""
+    def _check_report(self, uav: int, command: UavCommand | None, tick: int, law: str) -> None:
+        """Compare a UAV's report of a tick with the true state."""
         watched = LAWS[law].watched
         report = self.reports[uav] = None if command is None else command.report
         if report is not None and not (watched and report.decision is None):
             self._reporting[uav] = True
         elif command is not None and not self._reporting[uav]:
-            self._judge_pilot(uav, command, tick, law)
+            self._check_pilot(uav, command, tick, law)
         if self._disturbed and (watched or (report and report.decision is not None)):
             self.assurance.track(uav, self._recorder.tracking_error_at(tick, uav))
         said = tick if command is None else command.tick
         distance = self._recorder.distance(said, uav)
-        self.assurance.take(uav, tick, command, self._evidence, distance, watched=watched)
+        self.assurance.record(uav, tick, command, self._evidence, distance, watched=watched)
 
-    def _judge_pilot(self, uav: int, command: UavCommand, tick: int, law: str) -> None:
-        """A pilot of ours that has seen its UGV cannot lack a report, so it tells whose pilot it is."""
+    def _check_pilot(self, uav: int, command: UavCommand, tick: int, law: str) -> None:
+        """Detect a UAV flown by the user's program: Outrider's pilot always reports once it has a detection."""
         name = self._uavs[uav]
         if command.tick != tick or not self._recorder.has_seen(uav) or name in self.external:
             return
         self.external.add(name)
         self.assurance.disregard(uav)
         self._on_notice(
-            f"{name} sees its UGV and reports no estimate: a program of your own flies it, of which the law "
-            f"{law} tells nothing"
+            f"{name} receives detections but reports no estimate: your own program flies it, and the law "
+            f"{law} does not apply to it"
         )

@@ -1,4 +1,4 @@
-"""Tests that the safety filters tell the truth: what each UAV reports, held against what the simulator knows."""
+"""Checks of the safety filters: each UAV's report, compared with the true state."""
 
 import math
 from collections import Counter
@@ -18,28 +18,28 @@ from sim.engine.monitor import (
 from sim.models.safety import SafetyBounds
 from sim.scenario.types import Scenario, Uav
 
-_NOBODY = -2
-"""The last tick that was watched, before the first: the one before tick 0 is -1."""
+_NEVER_SUPERVISED = -2
+"""Initial value for the last supervised tick: the tick before tick 0 is -1."""
 
 
 Evidence = tuple[RecordArray, RecordArray, RecordArray]
-"""The truth of a tick, as `record_tick` takes it; arrays that change with the flight."""
+"""True state of a tick, the input of `record_tick`; the arrays change during the run."""
 
 
 class Assurance:
-    """Collects the reports of all UAVs' safety filters.
+    """Evaluation of the reports of all UAVs' safety filters.
 
     Args:
-        scenario: What is flown.
+        scenario: Scenario of the run.
     """
 
     def __init__(self, scenario: Scenario) -> None:
         self.reasons: Counter[NotCertified] = Counter()
-        """Ticks that were not certified, by reason."""
+        """Ticks not certified, by reason."""
         self.tracking_error = 0.0
-        """The farthest that a UAV was from where it was told that it is [m]."""
+        """Largest distance so far of a UAV from its reference position [m]."""
         rows = [k for k, one in enumerate(scenario.vehicles) if isinstance(one, Uav)]
-        uavs, self._rows = [scenario.vehicles[k].name for k in rows], rows  # as the world's
+        uavs, self._rows = [scenario.vehicles[k].name for k in rows], rows  # in the world's order
         self._radius, self._dt = scenario.visibility.radius, scenario.dt
         self._disturbed = scenario.disturbed
         bounds = [monitored_bounds(scenario, uav) for uav in uavs]
@@ -48,8 +48,8 @@ class Assurance:
         self._bounds = records(SafetyBounds, bounds)
         self._counts = certificate_counters(len(uavs))
         self._tables = self._bounds, self._counts
-        self._last = [_NOBODY] * len(uavs)
-        self._silent = [0] * len(uavs)  # ticks of which nothing was said
+        self._last = [_NEVER_SUPERVISED] * len(uavs)
+        self._silent = [0] * len(uavs)  # ticks without a report
         self._disregarded = [False] * len(uavs)
 
     def _sum(self, name: str) -> int:
@@ -57,45 +57,45 @@ class Assurance:
 
     @property
     def ticks(self) -> int:
-        """Ticks of a UAV that flies a law that a filter watches over."""
+        """Supervised ticks, summed over all UAVs."""
         return self._sum("ticks")
 
     @property
     def certified(self) -> int:
-        """Those that were certified."""
+        """Certified ticks."""
         return self._sum("certified")
 
     @property
     def certified_while_lost(self) -> int:
-        """Ticks that were certified although the UGV was out of sight then.
+        """Certified ticks in which the UGV was out of sight.
 
-        The certificate is wrong if there is one.
+        Any value above 0 shows an error in the certificate.
         """
         return self._sum("certified_while_lost")
 
     @property
     def certificate_broken(self) -> int:
-        """Ticks that were not certified although the one before was and all assumptions hold; likewise."""
+        """Ticks not certified although the previous tick was and all assumptions hold: an error in the certificate."""
         return self._sum("broken")
 
     def track(self, uav: int, off: float) -> None:
-        """A UAV truly is so far from where it is told that it is at the tick that is taken next [m]."""
+        """Record the tracking error of a UAV [m] at the tick that `record` receives next."""
         self.tracking_error = max(self.tracking_error, off)
         record_tracking_error(self._bounds, self._counts, uav, off)
 
     def excuse(self, uav: int) -> None:
-        """This UAV's certificate may end at the coming tick: its law has changed, or its process has joined again."""
+        """Allow this UAV's certificate to end at the next tick, after a new control law or a reconnection."""
         self._counts["certified_before"][uav] = False
 
     def disregard(self, uav: int) -> None:
-        """A program that knows no certificate flies this UAV: what it does not say is no fault of a filter."""
+        """Exclude a UAV that is flown by a program without certificates: its missing reports are not faults."""
         self._counts["ticks"][uav] -= self._silent[uav]
         self.reasons[NotCertified.NO_REPORT] -= self._silent[uav]
-        self.reasons += Counter()  # drops what is zero
+        self.reasons += Counter()  # drops zero counts
         self._silent[uav] = 0
         self._disregarded[uav] = True
 
-    def take(
+    def record(
         self,
         uav: int,
         tick: int,
@@ -105,23 +105,24 @@ class Assurance:
         *,
         watched: bool = True,
     ) -> None:
-        """Count a tick of a UAV that a safety filter watches over: by the law, or around whatever flies it.
+        """Record a tick of a UAV with a safety filter, whether the filter belongs to the control law or to a pilot.
 
         Args:
             uav: Row of the UAV.
-            tick: Which.
-            command: Its new command, with what it says; with a clock that waits for nobody it may be of an earlier
-                tick. None: it has none.
-            evidence: What is true of this tick.
-            distance: The true one at the tick that is reported of [m].
-            watched: Whether a filter watches over its law.
+            tick: The tick.
+            command: New command with its report; in real time it may answer an earlier tick. None: no command.
+            evidence: True state of the tick.
+            distance: True distance at the reported tick [m].
+            watched: True if its control law has a safety filter.
         """
         report = None if command is None else command.report
         decision = None if report is None else report.decision
         if decision is None and (not watched or self._disregarded[uav]):
-            self.excuse(uav)  # nothing vouches for this tick
+            self.excuse(uav)  # no filter certifies this tick
             return
-        if self._last[uav] != tick - 1:  # not watched just before: a new filter, without a memory
+        if (
+            self._last[uav] != tick - 1
+        ):  # not supervised in the previous tick: a new filter, without memory
             reset_filter(self._counts[uav])
         self._last[uav] = tick
         certified = overridden = current = False
@@ -134,15 +135,15 @@ class Assurance:
         if reason is not None:
             self.reasons[reason] += 1
         claim = certified, overridden, distance >= self._radius, current
-        place = uav, self._rows[uav], tick
-        record_tick(self._tables, evidence, place, command is not None, claim)
+        rows = uav, self._rows[uav], tick
+        record_tick(self._tables, evidence, rows, command is not None, claim)
 
     def end(self, uav: int, distance: float) -> None:
-        """The flight is over with this UAV so far from its UGV [m]: the last tick's certificate is held against it."""
+        """Finish the run: check the last tick's certificate against the final distance from the UGV [m]."""
         record_end(self._counts[uav], distance >= self._radius)
 
     def shares(self, uav: int) -> tuple[float | None, float | None]:
-        """Return the shares of a UAV's watched ticks that were certified, and in which its filter acted."""
+        """Return the shares of a UAV's supervised ticks that were certified, and that were overridden."""
         count = self._counts[uav]
         ticks = int(count["ticks"])
         if not ticks:
@@ -150,7 +151,7 @@ class Assurance:
         return int(count["certified"]) / ticks, int(count["overridden"]) / ticks
 
     def status(self) -> CertificateStatus | None:
-        """All of it as a message; None where no filter has watched over anything."""
+        """Return all counts as a message; None if no filter has been active."""
         if not self.ticks:
             return None
         longest = int(self._counts["longest_interval"].max())

@@ -1,6 +1,6 @@
-"""A flight: the world and the vehicles' answers, tick by tick, however the answers travel.
+"""Run of a scenario: the world and the vehicles' commands, tick by tick, independent of their transport.
 
-The same loop serves the pilots in this process and the three processes over the bus, so both fly the same bits.
+The same loop serves pilots in this process and vehicles on the bus: both produce identical bits.
 """
 
 import logging
@@ -33,29 +33,29 @@ from sim.world import World
 
 
 class Exchange(Protocol):
-    """Takes observations to the vehicles and brings commands back."""
+    """Transport of observations to the vehicles, and of commands back."""
 
     def begin(self, tick: int) -> None:
-        """A tick begins; what operators want is done before its observations are made."""
+        """Start a tick: apply operators' requests before its observations are made."""
 
     def publish(self, observations: Mapping[str, Observation]) -> None:
-        """Give each vehicle its observation of this tick."""
+        """Send each vehicle its observation of this tick."""
 
     def collect(self, tick: int) -> Mapping[str, Command]:
-        """The newest command of each vehicle that has a new one; none answers a later tick than this."""
+        """Return the newest command of each vehicle with a new one; none answers a later tick."""
 
 
 _LOG = logging.getLogger("outrider.sim")
 EXTERNAL = "external"
-"""The law of a UAV, and the driver of a UGV, that is a program of the user's own."""
+"""Name of the control law, or of the driver, of a vehicle controlled by the user's own program."""
 
 
 def law_title(scenario: Scenario, external: Collection[str]) -> str:
-    """The scenario's law for a person: `external` where programs of the user's own fly instead, `no UAV` without any.
+    """Return the title of the scenario's law: `external` if the user's programs fly, `no UAV` if there are none.
 
     Args:
-        scenario: What is flown.
-        external: The UAVs that such programs fly.
+        scenario: Scenario of the run.
+        external: UAVs flown by the user's own programs.
     """
     if not scenario.uav:
         return NO_UAV
@@ -66,14 +66,14 @@ def law_title(scenario: Scenario, external: Collection[str]) -> str:
 
 
 class Flight:
-    """One run from its first tick to its last.
+    """One run, from its first tick to its last.
 
     Args:
-        scenario: What is flown.
-        seed: Of all random numbers, with the secret.
-        secret: Of the run; empty: none. No vehicle, operator or observer is told.
-        episode: Which flight of the run it is.
-        on_notice: Called with one line for a person.
+        scenario: Scenario to run.
+        seed: Seed of all random numbers, together with the secret.
+        secret: Secret of the run; empty: none. It is sent to no vehicle, operator or observer.
+        episode: Number of the episode.
+        on_notice: Called with one line for the user.
     """
 
     def __init__(
@@ -90,9 +90,9 @@ class Flight:
         self.secret = secret
         self.episode = episode
         self.law = scenario.law
-        """The law that the UAVs fly now."""
+        """Current control law of the UAVs."""
         self.drivers = {ugv.name: ugv.driver for ugv in scenario.ugv}
-        """The driver of each UGV now."""
+        """Current driver of each UGV."""
         self.world = World(scenario, seed, secret=secret)
         self.recorder = Recorder(self.world)
         self.perceptions: dict[str, Perception] = {
@@ -101,86 +101,86 @@ class Flight:
             )
             for vehicle in scenario.vehicles
         }
-        """The perception of each vehicle, in name order."""
+        """Perception of each vehicle, in name order."""
         self.on_notice = on_notice
         self._answers = Answers(scenario, self.world, self.recorder, on_notice)
         self.routes: dict[str, tuple[Vector, ...]] = {}
-        """The way that each UGV has told that it plans, by its corners [m]; for observers."""
+        """Planned route of each UGV, as last reported: its corners [m]; for observers."""
         self.degradations: list[Change] = []
-        """Changes of links in flight, with their ticks."""
+        """Changes of links during the run, with their ticks."""
         self._stopped = self._abandoned = False
         self._ticks = scenario.ticks
         self._uav_row = {uav.name: k for k, uav in enumerate(self.world.uavs)}
         self.radio = Radio(self.world)
-        """Sends what the UAVs radio."""
-        self._listened = -1
+        """Sender of the UAVs' radio messages."""
+        self._received_tick = -1
 
     @property
     def commands(self) -> FloatArray:
-        """The command of each vehicle in the last tick, before the bounds [m/s²]; shape (vehicles, 2)."""
+        """Return the command of each vehicle in the last tick, before the bounds [m/s²]; shape (vehicles, 2)."""
         return self.world.commands
 
     @property
     def answers(self) -> Answers:
-        """All that is known of the vehicles' answers, up to the last tick."""
-        self._answers.settle()
+        """Return the evaluation of the vehicles' commands, up to the last tick."""
+        self._answers.evaluate()
         return self._answers
 
     @property
     def flown(self) -> Scenario:
-        """The scenario with the law that the UAVs fly now."""
+        """Return the scenario with the current control law."""
         return msgspec.structs.replace(self.scenario, law=self.law)
 
     @property
     def law_name(self) -> str:
-        """The law for a person, as `law_title` gives it."""
+        """Return the title of the control law; see `law_title`."""
         return law_title(self.scenario, self.answers.external)
 
     @property
     def complete(self) -> bool:
-        """True once the scenario's last tick has been flown."""
+        """True if the scenario's last tick has been simulated."""
         return self.world.tick >= self._ticks
 
     @property
     def over(self) -> bool:
-        """True once nothing more is flown: complete, or stopped."""
+        """True if the run has ended: complete, or stopped."""
         return self._stopped or self.complete
 
     def stop(self) -> None:
-        """End the flight before the next command acts."""
+        """End the run before the next command takes effect."""
         self._stopped = True
 
     def abandon(self) -> None:
-        """End the flight at once, and tell the vehicles nothing: another begins."""
+        """End the run at once, without a last observation: another run starts."""
         self._stopped = self._abandoned = True
 
-    def say(self, ugv: str, words: Teleoperation) -> None:
-        """An operator says something to a UGV; its link brings it there, at once or later."""
+    def teleoperate(self, ugv: str, message: Teleoperation) -> None:
+        """Send an operator's message over the link to a UGV; it arrives now or later."""
         tick, links = self.world.tick, self.world.links
-        links.send_object(links.row(LinkKind.OPERATOR, ugv), tick, words, tick)
+        links.send_object(links.row(LinkKind.OPERATOR, ugv), tick, message, tick)
 
     def assign_driver(self, ugv: str, driver: str) -> None:
-        """Another driver takes a UGV's wheel with the coming observation."""
+        """Change the driver of a UGV from the next observation on."""
         self.perceptions[ugv].news_now().driver = self.drivers[ugv] = driver
 
     def order(self, law: Law) -> None:
-        """The UAVs fly another law from the coming observation on."""
+        """Change the control law of the UAVs from the next observation on."""
         self.law = law
         for uav in self.world.uavs:
             self.perceptions[uav.name].news_now().law = law
             self.answers.assurance.excuse(self._uav_row[uav.name])
 
     def rejoin(self, name: str) -> None:
-        """A vehicle's process has joined again: a new pilot, which knows what it is told of its past."""
+        """Handle a vehicle's process that has rejoined: its new pilot knows only the past that it receives."""
         if name in self._uav_row:
             self.answers.assurance.excuse(self._uav_row[name])
 
     def status(self) -> Status:
-        """The status of the flight; the server adds its pace and the state of the vehicles' processes."""
-        told = zip(self.world.uavs, self.answers.reports, strict=True)
+        """Return the status of the run; the server adds its pace and the state of the vehicles' processes."""
+        reports = zip(self.world.uavs, self.answers.reports, strict=True)
         decisions = {
             uav.name: report.decision
-            for uav, report in told
+            for uav, report in reports
             if report is not None and report.decision is not None
         }
         return Status(
@@ -204,31 +204,31 @@ class Flight:
         )
 
     def news(self, tick: int) -> dict[str, News]:
-        """The news of a tick, by vehicle; only those that were told something."""
+        """Return the news of a tick by vehicle; only vehicles with news."""
         return {name: one.news[tick] for name, one in self.perceptions.items() if tick in one.news}
 
     def degrade(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> None:
-        """Links have other settings from now on.
+        """Change the settings of links from now on.
 
         Raises:
-            ScenarioError: If the settings are impossible, or this vehicle has no such link.
+            ScenarioError: If the settings are invalid, or this vehicle has no such link.
         """
         self.world.change_links(kind, vehicle, settings)
         control = Control(action=Action.LINK, link=kind, vehicle=vehicle, settings=settings)
         self.degradations.append(Change(tick=self.world.tick, control=control))
 
-    def _listen(self) -> None:
-        """Take in what has crossed the links for this tick, once."""
+    def _receive(self) -> None:
+        """Receive what has arrived over the links at this tick; repeated calls have no effect."""
         tick = self.world.tick
-        if self._listened == tick:
+        if self._received_tick == tick:
             return
-        self._listened = tick
+        self._received_tick = tick
         for perception in self.perceptions.values():
             perception.receive(tick)
 
     def observations(self) -> dict[str, Observation]:
-        """The observation of each vehicle at this tick."""
-        self._listen()
+        """Return the observation of each vehicle at this tick."""
+        self._receive()
         over, observations = self.over, {}
         for name, perception in self.perceptions.items():
             observations[name] = perception.observe(over=over)
@@ -237,31 +237,31 @@ class Flight:
     def past(
         self, name: str, begin: int, end: int, missed: Collection[int]
     ) -> tuple[Observation, ...]:
-        """The observations of a vehicle from tick `begin` up to `end`, for a process that joins again.
+        """Return the observations of a vehicle from tick `begin` up to `end`, for a process that rejoins.
 
         Args:
             name: The vehicle.
             begin: First tick.
-            end: The tick after the last one; all must have been recorded.
-            missed: Ticks whose observation it was not sent.
+            end: Tick after the last one; all must have been recorded.
+            missed: Ticks whose observation was not sent.
         """
         perception = self.perceptions[name]
-        told = self.recorder.told[begin:end, perception.row]
-        return perception.past(begin, end, told, missed)
+        reference = self.recorder.reference[begin:end, perception.row]
+        return perception.past(begin, end, reference, missed)
 
     def apply(self, commands: Mapping[str, Command]) -> None:
-        """Let these commands set out, and what has arrived act for one tick.
+        """Send these commands, and advance by one tick under the commands that have arrived.
 
-        What the UAVs radio arrives at the next one.
+        Radio messages of the UAVs arrive at the next tick at the earliest.
         """
-        self._listen()
-        self.take_down()  # what is said of this tick is held against it
+        self._receive()
+        self.take_down()  # reports of this tick are compared with its record
         world = self.world
         for k, name in enumerate(world.names):
             command = commands.get(name)
             if world.ground is not None and name not in self._uav_row:
                 report = command.report if isinstance(command, UgvCommand) else None
-                world.note_claim(k, report if command and command.tick == world.tick else None)
+                world.record_claim(k, report if command and command.tick == world.tick else None)
             if command is None:
                 continue
             world.send(k, command.tick, command.acceleration, command.backup_trajectories)
@@ -271,29 +271,29 @@ class Flight:
                 self.routes[name] = command.route
         tick = world.tick
         world.advance()
-        self._answers.note(tick, commands, self.law.name)
+        self._answers.record(tick, commands, self.law.name)
 
     def take_down(self) -> None:
-        """Settle the answers to the tick before and record this one; again at the same tick it changes nothing.
+        """Evaluate the commands of the previous tick and record this one; repeated calls at a tick have no effect.
 
-        Nobody needs it before the world moves on, so it is best done while the vehicles think.
+        The result is needed only before the world advances: call it while the vehicles compute.
         """
-        self._answers.settle()
+        self._answers.evaluate()
         self.recorder.record(self._answers.reports)
 
-    def _goes_on(self) -> bool:
-        """True if nobody has stopped it meanwhile."""
+    def _is_running(self) -> bool:
+        """True unless the run has been stopped."""
         return not self._stopped
 
     def fly_tick(self, exchange: Exchange) -> bool:
-        """Fly one tick; False if it was stopped meanwhile, and nothing was flown."""
+        """Simulate one tick; return False, without simulating it, if the run was stopped meanwhile."""
         tick = self.world.tick
         exchange.begin(tick)
-        if not self._goes_on():
+        if not self._is_running():
             return False
         exchange.publish(self.observations())
         commands = exchange.collect(tick)
-        if not self._goes_on():
+        if not self._is_running():
             return False
         self.apply(commands)
         if self.complete:
@@ -301,15 +301,15 @@ class Flight:
         return True
 
     def _close(self) -> None:
-        """Settle what is known of the last state, at which no vehicle is asked any more."""
+        """Evaluate and record the last state, for which no vehicle sends a command."""
         self.take_down()
         self._answers.end()
 
     def fly(self, exchange: Exchange, *, on_tick: Callable[[], None] | None = None) -> None:
-        """Fly to the end.
+        """Simulate to the end.
 
         Args:
-            exchange: How observations and commands travel.
+            exchange: Transport of observations and commands.
             on_tick: Called after each tick.
         """
         while not self.over and self.fly_tick(exchange):
@@ -320,7 +320,7 @@ class Flight:
             exchange.publish(self.observations())
 
     def truth(self) -> Truth:
-        """Everything but the grid, for observers."""
+        """Return the true state without the coverage grid, for observers."""
         world = self.world
         arrays = (world.position, world.velocity, world.acceleration, self.commands)
         rows = zip(*(rows.tolist() for rows in arrays), strict=True)
@@ -356,9 +356,9 @@ _BUSY = LinkSettings(delay=0.4, jitter=0.3, bandwidth=5.0, queue=1)
 
 
 def warm_up(scenario: Scenario) -> None:
-    """Let all that a flight compiles be compiled or loaded, with a world that nobody sees.
+    """Compile or load all that a run compiles, using a temporary world.
 
-    Operators may change links in flight, with messages in their queues and under way.
+    Covers link changes during the run, with messages in queues and in transit.
     """
     flight = Flight(scenario, scenario.seed)
     world, links = flight.world, flight.world.links

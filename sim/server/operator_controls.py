@@ -1,4 +1,4 @@
-"""The operator controls of a run: each takes effect at the boundary of a tick."""
+"""Operator controls of a run; each takes effect between two ticks."""
 
 from collections import deque
 from collections.abc import Callable
@@ -17,23 +17,23 @@ from sim.server.flight import Flight
 from sim.server.pace import Pace
 
 _REFUSALS = 5
-"""So many of them are kept."""
+"""Number of rejected requests kept for the status."""
 
 MakePace = Callable[[float | None], Pace]
-"""The course of time at a factor; None is lockstep."""
+"""Function that makes the pace for a factor; None: lockstep."""
 
 
 class OperatorControls:
-    """Takes what operators say, refuses what cannot be done, and keeps what has taken effect.
+    """Execution of operators' requests: rejects invalid ones, and keeps those that took effect.
 
-    Pause, step and speed change how fast simulated time goes, and nothing of the trajectory.
+    Pause, step and speed change the pace of simulated time, never the trajectory.
 
     Args:
         session: The simulator's session.
-        flight: What is flown.
+        flight: The run.
         make_pace: Makes the pace for a factor.
-        factor: The first one.
-        on_event: Called with one line for a person.
+        factor: Initial factor; None: lockstep.
+        on_event: Called with one line for the user.
     """
 
     def __init__(
@@ -47,27 +47,27 @@ class OperatorControls:
         self.pace = make_pace(factor)
         self.paused = False
         self.steps = 0
-        """Ticks that are still to be stepped through before the clock stands still again."""
+        """Remaining ticks to step through before the clock stops again."""
         self.changes: list[Change] = []
-        """Controls that have taken effect, the oldest first."""
+        """Controls that have taken effect, oldest first."""
         self.refusals = deque[str](maxlen=_REFUSALS)
-        """The last wishes that were refused, and why."""
+        """Most recent rejected requests, with the reason."""
         self.operators: dict[str, str] = {}
-        """The operator at the wheel of each UGV, where it has told its name."""
+        """Current operator of each UGV, if the operator gave a name."""
         self._late_before = 0
         self._flight, self._make_pace, self._on_event = flight, make_pace, on_event
         self._ugvs = {ugv.name: OPERATOR for ugv in flight.scenario.ugv}
-        self._wheels = session.inbox_of_all(self._ugvs)
+        self._teleoperation = session.inbox_of_all(self._ugvs)
         self._controls = session.inbox(CONTROL)
         self._next_seed: int | None = None
 
     @property
     def late_ticks(self) -> int:
-        """Ticks that the clock could not keep, at whatever factor."""
+        """Ticks that ran late, at all factors."""
         return self._late_before + self.pace.late_ticks
 
     def next_flight(self) -> Flight | None:
-        """The flight that an operator has asked for in the place of this one, if any."""
+        """Return the run that replaces this one after a reset; None: no reset was requested."""
         if self._next_seed is None:
             return None
         old = self._flight
@@ -82,14 +82,14 @@ class OperatorControls:
         self.operators.clear()
         return self._flight
 
-    def apply(self, *, patience: float | None = None) -> None:
-        """Do what operators have asked for since the last call.
+    def apply(self, *, timeout: float | None = None) -> None:
+        """Execute the requests received since the last call.
 
         Args:
-            patience: How long to wait for something [s]; None: not at all.
+            timeout: Time to wait for a request [s]; None: do not wait.
         """
         envelope = (
-            self._controls.next_waiting() if patience is None else self._controls.receive(patience)
+            self._controls.next_waiting() if timeout is None else self._controls.receive(timeout)
         )
         while envelope is not None:
             if isinstance(envelope.message, Control):
@@ -97,22 +97,22 @@ class OperatorControls:
             envelope = self._controls.next_waiting()
 
     def listen(self) -> None:
-        """Pass on what has been said at the wheels: it is received at this tick."""
-        while (envelope := self._wheels.next_waiting()) is not None:
+        """Forward the operators' teleoperation messages: they are received at this tick."""
+        while (envelope := self._teleoperation.next_waiting()) is not None:
             if isinstance(envelope.message, Teleoperation):
-                self._flight.say(envelope.sender, envelope.message)
+                self._flight.teleoperate(envelope.sender, envelope.message)
 
     def _do(self, control: Control) -> None:
         try:
             self._carry_out(control)
         except ScenarioError as error:
-            refusal = f"an operator's {control.action} is refused: {error}"
+            refusal = f"an operator's {control.action} is rejected: {error}"
             self.refusals.append(f"tick {self._flight.world.tick}: {refusal}"[:LONGEST_TEXT])
             self._on_event(refusal)
             return
         self.changes.append(Change(tick=self._flight.world.tick, control=control))
         if control.action is not Action.STEP:
-            self._on_event(f"an operator: {control.in_words()} at tick {self._flight.world.tick}")
+            self._on_event(f"operator: {control.in_words()} at tick {self._flight.world.tick}")
 
     def _carry_out(self, control: Control) -> None:
         match control.action:
@@ -134,14 +134,16 @@ class OperatorControls:
                 self._driver(control)
             case Action.LINK:
                 if control.link is None or control.settings is None:
-                    raise ScenarioError("link and settings: one is missing")
+                    raise ScenarioError("link, settings: missing; both are required")
                 self._flight.degrade(control.link, control.vehicle, control.settings)
 
     def _law(self, control: Control) -> None:
         if control.law is None:
-            raise ScenarioError("law is missing")
+            raise ScenarioError("law: missing; a law is required")
         if not self._flight.world.uavs:
-            raise ScenarioError(f"law = {control.law.name!r}: there is no UAV that could fly it")
+            raise ScenarioError(
+                f"law = {control.law.name!r}: the scenario has no UAV; allowed: scenarios with a UAV"
+            )
         check_scenario(
             msgspec.structs.replace(self._flight.scenario, law=control.law), source="law"
         )
@@ -156,7 +158,7 @@ class OperatorControls:
         allowed = [row.name for row in DRIVERS.values() if not row.outside]
         if control.driver not in allowed:
             raise ScenarioError(
-                f"driver = {control.driver!r}: cannot take a wheel; allowed: {', '.join(allowed)}"
+                f"driver = {control.driver!r}: cannot be assigned; allowed: {', '.join(allowed)}"
             )
         scenario = self._flight.scenario
         assigned = [

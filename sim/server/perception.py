@@ -1,6 +1,6 @@
-"""The perception of each vehicle: the messages that reach its process at a tick, its own row and nothing else.
+"""Perception of each vehicle: the messages that reach its process at a tick, and its own state only.
 
-It is kept, so that a process that joins again is told the same once more.
+Messages are stored, so that a process that rejoins receives them again.
 """
 
 from abc import ABC, abstractmethod
@@ -26,7 +26,7 @@ from sim.world import World
 
 @dataclass(slots=True)
 class News:
-    """News for a vehicle at one tick, besides its perception."""
+    """News for a vehicle at one tick, in addition to its perception."""
 
     operator: tuple[Teleoperation, ...] = ()
     driver: str | None = None
@@ -37,31 +37,31 @@ _NO_NEWS = News()
 
 
 class Perception(ABC):
-    """The perception of one vehicle, tick by tick: its own motion, the ground that it sees, and news.
+    """Perception of one vehicle, tick by tick: its own state, ground reports, and news.
 
     Args:
-        world: Of the flight.
-        name: The vehicle.
-        episode: Which flight of the run it is.
+        world: World of the run.
+        name: Name of the vehicle.
+        episode: Number of the episode.
     """
 
     def __init__(self, world: World, name: str, episode: int) -> None:
         self.name, self.row = name, world.names.index(name)
         self.news: dict[int, News] = {}
-        """By tick; only where there are any."""
+        """News by tick; only ticks with news."""
         self._world, self._episode = world, episode
         self._dt, self._grounded = world.parameters.dt, world.scenario.has_ground
         self._ground: dict[int, tuple[TileReport, ...]] = {}
-        self._now: tuple[Any, ...] = ()  # the messages that have arrived at the world's tick
+        self._now: tuple[Any, ...] = ()  # messages that have arrived at the world's tick
         self._arrived: dict[int, tuple[Any, ...]] = {}  # messages by tick of arrival
 
     def news_now(self) -> News:
-        """The news of the world's tick, to be added to."""
+        """Return the news of the world's tick, to be extended."""
         return self.news.setdefault(self._world.tick, News())
 
     @abstractmethod
     def receive(self, tick: int) -> None:
-        """Take in what has crossed the links for this tick, and what the sensors say; once for every tick."""
+        """Receive this tick's messages and sensor reports; call once per tick."""
 
     def _see_ground(self, tick: int) -> None:
         seen = self._world.seen_ground(self.row)
@@ -69,35 +69,35 @@ class Perception(ABC):
             self._ground[tick] = seen
 
     def observe(self, *, over: bool) -> Observation:
-        """The observation of the world's tick; `over`: no command is awaited."""
+        """Return the observation of the world's tick; `over`: no command is expected."""
         vehicle = self._world.vehicles[self.row]
         x, y = vehicle["reference_position"].tolist()
         v_x, v_y = vehicle["reference_velocity"].tolist()
         return self._observation(self._world.tick, ((x, y), (v_x, v_y)), self._now, over=over)
 
     def past(
-        self, begin: int, end: int, told: FloatArray, missed: Collection[int]
+        self, begin: int, end: int, reference: FloatArray, missed: Collection[int]
     ) -> tuple[Observation, ...]:
-        """The observations from tick `begin` up to `end`, for a process that joins again.
+        """Return the observations from tick `begin` up to `end`, for a process that rejoins.
 
         Args:
             begin: First tick.
-            end: The tick after the last one.
-            told: Position [m] and velocity [m/s] as it was told them in between. Shape (ticks, 4).
-            missed: Ticks whose observation it was not sent: of those it is told its own motion, law and driver and
-                nothing else.
+            end: Tick after the last one.
+            reference: Reference position [m] and velocity [m/s] in between. Shape (ticks, 4).
+            missed: Ticks whose observation was not sent: the vehicle receives only its own state, law and driver for
+                them.
         """
         return tuple(
             self._observation(tick, ((x, y), (v_x, v_y)), known=False)
             if tick in missed
             else self._observation(tick, ((x, y), (v_x, v_y)), self._arrived.get(tick, ()))
-            for tick, (x, y, v_x, v_y) in enumerate(told.tolist(), begin)
+            for tick, (x, y, v_x, v_y) in enumerate(reference.tolist(), begin)
         )
 
     def _common(
         self, tick: int, motion: tuple[Vector, Vector], *, known: bool, over: bool
     ) -> dict[str, Any]:
-        """Return the fields of `VehicleObservation`; arguments as of `_observation`."""
+        """Return the fields of `VehicleObservation`; arguments as in `_observation`."""
         return {
             "tick": tick,
             "time": tick * self._dt,
@@ -121,26 +121,26 @@ class Perception(ABC):
         known: bool = True,
         over: bool = False,
     ) -> Observation:
-        """An observation.
+        """Return an observation.
 
         Args:
-            tick: When.
-            motion: Position [m] and velocity [m/s], as the vehicle is told them.
-            arrived: The messages that have.
-            known: Whether its process was there to receive it.
-            over: Whether no command is awaited.
+            tick: The tick.
+            motion: Reference position [m] and velocity [m/s].
+            arrived: Messages that have arrived.
+            known: True if the vehicle's process received them.
+            over: True if no command is expected.
         """
 
 
 class UavPerception(Perception):
-    """The perception of a UAV: the detections of the UGV that it escorts."""
+    """Perception of a UAV: detections of the UGV that it escorts."""
 
     def __init__(self, world: World, name: str, episode: int) -> None:
         super().__init__(world, name, episode)
         self._uav = [uav.name for uav in world.uavs].index(name)
 
     def receive(self, tick: int) -> None:
-        """Take in what has crossed the links for this tick, and what the sensors say; once for every tick."""
+        """Receive this tick's messages and sensor reports; call once per tick."""
         if self._grounded:
             self._see_ground(tick)
         self._now = self._world.received(self._uav)
@@ -162,7 +162,7 @@ class UavPerception(Perception):
 
 
 class UgvPerception(Perception):
-    """The perception of a UGV: its operators' commands, and what the UAVs that escort it have radioed."""
+    """Perception of a UGV: operators' messages, and radio messages of the UAVs that escort it."""
 
     def __init__(self, world: World, name: str, episode: int) -> None:
         super().__init__(world, name, episode)
@@ -170,10 +170,10 @@ class UgvPerception(Perception):
         escorts = [uav.name for uav in world.uavs if uav.escorts == name]
         self._radios = [world.links.row(LinkKind.RADIO, uav) for uav in escorts]
         self.blocks: dict[int, tuple[MapUpdate, ...]] = {}
-        """Blocks of tiles that have come by radio, by tick."""
+        """Map updates received by radio, by tick."""
 
     def receive(self, tick: int) -> None:
-        """Take in what has crossed the links for this tick, and what the sensors say; once for every tick."""
+        """Receive this tick's messages and sensor reports; call once per tick."""
         if self._grounded:
             self._see_ground(tick)
         links = self._world.links

@@ -1,4 +1,4 @@
-"""Radio messages of UAVs: the simulator sends only those that it can verify."""
+"""Radio messages of UAVs: the simulator sends only messages that it can verify."""
 
 import msgspec
 
@@ -11,13 +11,13 @@ from sim.world import World
 
 
 class Radio:
-    """Sends the radio messages of the UAVs over their links.
+    """Sender of the UAVs' radio messages over their links.
 
-    A radio message must carry no more than its fields say: neither hidden words in a time stamp or in the states of
-    tiles, nor more messages than one for each period.
+    A radio message must carry no more information than its fields define: nothing hidden in a time stamp or in tile
+    states, and at most one message per period.
 
     Args:
-        world: The world whose links carry them.
+        world: World whose links carry the messages.
     """
 
     def __init__(self, world: World) -> None:
@@ -26,8 +26,9 @@ class Radio:
         self._period = radio_ticks(world.parameters.dt)
         self._last: dict[str, int | None] = dict.fromkeys(names)
         self.refused: dict[str, int] = dict.fromkeys(names, 0)
-        """Messages of each UAV that were not sent: of another time, too soon after the last one, or with states of
-        tiles that its sensor has not reported."""
+        """Messages of each UAV that were not sent: wrong tick, too early after the last one, or tile states that its
+        sensor has not reported.
+        """
 
     def send(self, vehicle: int, command: UavCommand) -> None:
         """Send the radio messages of a UAV's command; they arrive at the next tick at the earliest.
@@ -52,13 +53,13 @@ class Radio:
     def _stamped(
         self, uav: str, tick: int, message: RelativeInformation
     ) -> RelativeInformation | None:
-        """Return a message with the time of the tick that its command answers, exactly.
+        """Return a message with the exact time of the tick that its command answers.
 
-        None: it is of another tick, or too soon after the last one.
+        None: it belongs to another tick, or is too early after the last one.
         """
         dt, last = self._world.parameters.dt, self._last[uav]
         time = tick * dt
-        if message.time != time or not tick:  # where the sign of a zero would do
+        if message.time != time or not tick:  # the sign of a zero could carry information
             if tick_of(message.time, dt) != tick:
                 return None
             message = msgspec.structs.replace(message, time=time)
@@ -68,13 +69,15 @@ class Radio:
         return message
 
     def _reported(self, vehicle: int, block: MapUpdate) -> MapUpdate | None:
-        """Return a block with all that the UAV's own sensor has reported of its tiles.
+        """Return a map update with all that the UAV's own sensor has reported of its tiles.
 
-        None: it says something else, or nothing of it is known.
+        None: it contradicts the reports, or none of its tiles is known.
         """
         if self._world.ground is None:
             return None
         unseen = TILE_LETTERS[UNSEEN]
         known = self._world.known_block(vehicle, block.row, block.column)
-        told = all(said in (unseen, true) for said, true in zip(block.tiles, known, strict=True))
-        return msgspec.structs.replace(block, tiles=known) if told and known.strip(unseen) else None
+        matches = all(sent in (unseen, true) for sent, true in zip(block.tiles, known, strict=True))
+        return (
+            msgspec.structs.replace(block, tiles=known) if matches and known.strip(unseen) else None
+        )

@@ -1,4 +1,4 @@
-"""Recording of a flight: the record of every tick, its hash, and the numbers that sum it up."""
+"""Recording of a run: the state of every tick, its hash, and summary values."""
 
 import csv
 import hashlib
@@ -21,11 +21,11 @@ from sim.server.row_store import RowStore
 from sim.world import World
 
 _ROOM = 16_384
-"""Rows that there is room for at first, where the flight has so many; more are kept in a file."""
+"""Initial capacity [rows], at most the length of the run; further rows are stored in a file."""
 _HASHED = 4096
-"""Rows that are hashed at once."""
+"""Rows hashed at a time."""
 _VEHICLE = ("x [m]", "y [m]", "vx [m/s]", "vy [m/s]", "ux [m/s2]", "uy [m/s2]")
-"""Columns of `Recorder.states`; the last two are of the command that is applied during the tick."""
+"""Columns of `Recorder.states`; the last two hold the command applied during the tick."""
 _ESCORT = (
     "distance [m]",
     "coverage_error [m2]",
@@ -43,7 +43,7 @@ _REPORTED = 4
 
 
 @compiled
-def _take_down(
+def _record_tick(
     tables: BatchTables,
     state: BatchState,
     arrivals: RecordArray,
@@ -51,12 +51,12 @@ def _take_down(
     escorts: FloatArray,
     k: int,
 ) -> None:
-    """Measure the world at tick k, and write its row, and into the row before what was applied.
+    """Measure the world at tick k, write its row, and add the applied accelerations to the previous row.
 
     Args:
-        tables, state: The world, a batch of one.
-        arrivals: Of each UAV, see `Recorder.arrivals`.
-        states, escorts: The record.
+        tables, state: World, as a batch of one.
+        arrivals: Arrivals of each UAV, see `Recorder.arrivals`.
+        states, escorts: Arrays of the record.
         k: The tick.
     """
     measure(tables.world, state.vehicles, tables.escorts, state.coverage, 0, True)
@@ -82,41 +82,41 @@ def _take_down(
 
 
 class Recorder:
-    """Arrays that grow with the flight; row k is tick k.
+    """Arrays that grow with the run; row k is tick k.
 
     Args:
-        world: The world that is recorded.
+        world: World to record.
     """
 
     def __init__(self, world: World) -> None:
         self._world = world
         self.ticks = 0
-        """Number of complete ticks: those whose commands were applied."""
+        """Number of complete ticks, whose commands were applied."""
         self.rows = 0
-        """Number of states taken down: one more than complete ticks, once the flight is over."""
+        """Number of recorded states: one more than complete ticks after the end of the run."""
         vehicles, uavs = len(world.names), len(world.uavs)
         room = min(world.scenario.ticks + 1, _ROOM)
-        self._tells = world.scenario.disturbed
-        told = vehicles if self._tells else 0
+        self._disturbed = world.scenario.disturbed
+        reference_rows = vehicles if self._disturbed else 0
         self._stores = (
             RowStore(room, (vehicles, len(_VEHICLE))),
             RowStore(room, (uavs, len(_ESCORT))),
-            RowStore(room, (told, 4)),
+            RowStore(room, (reference_rows, 4)),
         )
         self._bind()
         self.arrivals: RecordArray = np.zeros(uavs, record_type(ArrivalRecord))
-        """`ArrivalRecord` of each UAV, of the tick that was taken down last. Shape (UAVs,)."""
+        """`ArrivalRecord` of each UAV at the latest recorded tick. Shape (UAVs,)."""
 
     def _bind(self) -> None:
-        self._states, self._escorts, self._told = (store.array for store in self._stores)
+        self._states, self._escorts, self._reference = (store.array for store in self._stores)
 
     def record(self, reports: list[UavReport | None]) -> None:
-        """Take down the state at this tick and, with it, what was applied and reported during the one before.
+        """Record the state at this tick, and the commands and reports of the previous tick.
 
-        Called once at each tick, best while the vehicles think; again at the same tick it changes nothing.
+        Called once per tick, best while the vehicles compute; repeated calls at a tick have no effect.
 
         Args:
-            reports: What each UAV reported at the tick before; None where it did not.
+            reports: Report of each UAV at the previous tick; None: no report.
         """
         k = self._world.tick
         if k < self.rows:
@@ -125,10 +125,10 @@ class Recorder:
             for store in self._stores:
                 store.grow()
             self._bind()
-        _take_down(*self._world.arrays, self.arrivals, self._states, self._escorts, k)
-        if self._tells:
-            self._told[k, :, 0:2] = self._world.reference_position
-            self._told[k, :, 2:4] = self._world.reference_velocity
+        _record_tick(*self._world.arrays, self.arrivals, self._states, self._escorts, k)
+        if self._disturbed:
+            self._reference[k, :, 0:2] = self._world.reference_position
+            self._reference[k, :, 2:4] = self._world.reference_velocity
         for uav, report in enumerate(reports if k else ()):
             if report is not None:
                 certified = distance = math.nan
@@ -140,52 +140,52 @@ class Recorder:
 
     @property
     def states(self) -> FloatArray:
-        """Position [m], velocity [m/s] and applied acceleration [m/s²] of each vehicle, shape (rows, vehicles, 6).
+        """Return position [m], velocity [m/s] and applied acceleration [m/s²]. Shape (rows, vehicles, 6).
 
-        The last row of a flight that is over has no acceleration: NaN.
+        The last row of a complete run has no acceleration: NaN.
         """
         return self._states[: self.rows]
 
     @property
-    def told(self) -> FloatArray:
-        """Position [m] and velocity [m/s] as each vehicle is told them, shape (rows, vehicles, 4): mostly the truth."""
-        return self._told[: self.rows] if self._tells else self.states[:, :, :4]
+    def reference(self) -> FloatArray:
+        """Return the reference position [m] and velocity [m/s] of each vehicle, shape (rows, vehicles, 4)."""
+        return self._reference[: self.rows] if self._disturbed else self.states[:, :, :4]
 
     @property
     def tracking_error(self) -> float | None:
-        """The farthest that a UAV was from where it was told that it is [m]; None where nothing takes it from there."""
-        if not self._tells:
+        """Return the largest distance of a UAV from its reference position [m]; None without disturbances."""
+        if not self._disturbed:
             return None
-        off = self.states[:, :, :2] - self.told[:, :, :2]
+        off = self.states[:, :, :2] - self.reference[:, :, :2]
         return float(np.hypot(off[..., 0], off[..., 1]).max())
 
     def tracking_error_at(self, tick: int, uav: int) -> float:
-        """The distance of a UAV from where it was told that it is at a tick that has been taken down [m]."""
+        """Return the distance of a UAV from its reference position at a recorded tick [m]."""
         row = self._world.escorts.item(uav, 0)
-        off = self.states[tick, row, :2] - self.told[tick, row, :2]
+        off = self.states[tick, row, :2] - self.reference[tick, row, :2]
         return math.hypot(*off.tolist())
 
     @property
     def escorts(self) -> FloatArray:
-        """Quantities of each UAV and its UGV, shape (rows, UAVs, 8); NaN where there is none.
+        """Return values of each UAV and its UGV, shape (rows, UAVs, 8); missing values are NaN.
 
-        Distance [m], e(t) [m²], detected p_delta [m], estimated p_g [m], whether certified (1 or 0), certified
+        Columns: distance [m], e(t) [m²], detected p_delta [m], estimated p_g [m], certified (1 or 0), certified
         distance [m].
         """
         return self._escorts[: self.rows]
 
     def has_seen(self, uav: int) -> bool:
-        """True if a detection had reached a UAV at the tick that was taken down last."""
+        """True if a detection had reached a UAV at the latest recorded tick."""
         return bool(self.arrivals[uav]["newest"] != NEVER)
 
     def distance(self, tick: int, uav: int) -> float:
-        """Distance of a UAV from its UGV at a tick that has been taken down [m]."""
+        """Return the distance of a UAV from its UGV at a recorded tick [m]."""
         return self._escorts.item(tick, uav, 0)
 
     def sha256(self, ticks: int | None = None) -> str:
-        """The trajectory's hash over the first `ticks` complete ticks (all of them by default).
+        """Return the hash of the trajectory over the first `ticks` complete ticks (all by default).
 
-        For each tick in order and each vehicle in name order: p and v, then the command applied; little-endian float64,
+        For each tick in order and each vehicle in name order: p and v, then the applied command; little-endian float64,
         -0.0 written as 0.0.
         """
         complete = self._states[: self.ticks if ticks is None else min(ticks, self.ticks)]
@@ -202,21 +202,21 @@ class Recorder:
                 numbers += escort
                 if not math.isnan(escort[_CERTIFIED]):
                     numbers[_CERTIFIED - len(escort)] = int(escort[_CERTIFIED])
-            if self._tells:
-                numbers += self._told[k, self._world.escorts[:, 0], :2].ravel().tolist()
+            if self._disturbed:
+                numbers += self._reference[k, self._world.escorts[:, 0], :2].ravel().tolist()
             yield [k, k * dt, *("" if math.isnan(number) else number for number in numbers)]
 
     def write(self, path: Path) -> None:
-        """Write the trajectory as CSV with a header that carries the units.
+        """Write the trajectory as CSV; the header holds the units.
 
-        Numbers survive exactly, none is an empty field. Only where wind or a wrong own position may take a UAV from
-        where it is told that it is, the last columns tell that.
+        Numbers are exact, and missing values are empty fields. If disturbances act, the last columns hold the reference
+        positions of the UAVs.
         """
         uavs = [uav.name for uav in self._world.uavs]
         header = ["tick", "time [s]"]
         header += [f"{name}.{field}" for name in self._world.names for field in _VEHICLE]
         header += [f"{name}.{field}" for name in uavs for field in _ESCORT]
-        if self._tells:
+        if self._disturbed:
             header += [f"{name}.told_{axis} [m]" for name in uavs for axis in "xy"]
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
@@ -225,7 +225,7 @@ class Recorder:
 
 
 def platform_row() -> dict[str, str]:
-    """Versions and machine on which the bits of a trajectory depend, besides scenario and seed."""
+    """Return the versions and the machine on which a trajectory's bits depend, apart from scenario and seed."""
     return {
         "python": platform.python_version(),
         "numpy": version("numpy"),

@@ -1,4 +1,4 @@
-"""Rows that grow in an unnamed file, so that the old ones of a long flight need not stay in memory."""
+"""Growing array of rows in an unnamed file, so that old rows of a long run need no memory."""
 
 import mmap
 import os
@@ -12,28 +12,28 @@ from sim.compiling.compile import FloatArray
 
 
 class RowStore:
-    """An array of rows that grows; from the first growth on it lies in a file, if the disk has room.
+    """Array of rows that grows; after the first growth it is stored in a file if the disk has space.
 
     Args:
-        rows: Room at first, and so much more each time.
-        shape: Of one row.
+        rows: Initial capacity, and increment of each growth.
+        shape: Shape of one row.
     """
 
     def __init__(self, rows: int, shape: tuple[int, ...]) -> None:
         self.array: FloatArray = np.empty((rows, *shape))
-        """Shape (rows, *shape). Another one after each growth; older ones keep what they have."""
+        """Shape (rows, *shape). Each growth replaces the array; older arrays keep their content."""
         self._more = rows
         self._file: IO[bytes] | None = None
         self._disk = True
-        """Whether the disk had room so far; once it was full, all rows stay in memory."""
+        """False once the disk was full: all rows then stay in memory."""
 
     def grow(self) -> None:
-        """Make room for more rows."""
+        """Increase the capacity."""
         old, rows = self.array, len(self.array) + self._more
         if self._disk and old[:1].nbytes:
             try:
                 self._grow_in_file(rows)
-            except OSError:  # a full disk: the flight goes on in memory
+            except OSError:  # a full disk: continue in memory
                 self._disk = False
             else:
                 return

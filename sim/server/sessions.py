@@ -1,4 +1,4 @@
-"""The vehicles' places in a run: who holds each, what it was told, and what has gone wrong with it."""
+"""Sessions of the vehicles in a run: the active one, the data still to be sent to it, and its faults."""
 
 import math
 import threading
@@ -28,53 +28,52 @@ SECOND_SESSION = "comes from a second session"
 
 
 _QUIET = 10.0
-"""Time between two lines about one vehicle that is late [s]."""
+"""Time between two log lines about one late vehicle [s]."""
 
 
 @dataclass(slots=True, kw_only=True)
-class VehicleSlot:
-    """One vehicle's place. The first session that comes holds it until it goes; then the next one does."""
+class VehicleSessions:
+    """Sessions of one vehicle. The first to join is active until it leaves; then the next one becomes active."""
 
     name: str
     role: Role
     briefings: Outbox
     observations: Outbox
     sessions: dict[int, int] = field(default_factory=dict)
-    """Places of those that are there, in the order in which they came, and how often each place had been taken by then.
-    """
+    """Numbers of the present sessions in order of arrival, each with the count of arrivals under this number."""
     owed: int | None = None
-    """First tick of the past that the holder has yet to be told; None once it is briefed."""
+    """First tick of the past still to be sent to the active session; None: fully briefed."""
     newest: int = -1
-    """The tick that its newest command answers."""
+    """Tick that its newest command answers."""
     missed: set[int] = field(default_factory=set)
-    """Ticks whose observation nobody was there to receive."""
+    """Ticks whose observation could not be sent."""
     lost: int = 0
     rejoined: int = 0
     refused: Counter[str] = field(default_factory=Counter)
     fault: str = ""
     late: int = 0
-    """Deadlines that it has not kept."""
-    late_told: float = -math.inf
-    """Time at which that was told last [s]."""
+    """Deadlines missed."""
+    late_reported: float = -math.inf
+    """Time of the latest log line about it [s]."""
 
     @property
     def present(self) -> bool:
-        """True while a session is there."""
+        """True if a session is present."""
         return bool(self.sessions)
 
     @property
     def holder(self) -> int | None:
-        """The session that came first of those that are there; None: nobody is there."""
+        """Return the number of the active session, the earliest present; None: no session."""
         return next(iter(self.sessions), None)
 
 
-class Slots:
-    """All vehicles' places, and the inbox that their commands come to.
+class Sessions:
+    """Sessions of all vehicles, and the inbox of their commands.
 
     Args:
         session: The simulator's session.
-        flight: What is flown.
-        on_event: Called with one line for a person.
+        flight: The run.
+        on_event: Called with one line for the user.
     """
 
     def __init__(self, session: Session, flight: Flight, on_event: Callable[[str], None]) -> None:
@@ -82,38 +81,37 @@ class Slots:
         self._on_event = on_event
         self._gate = threading.Lock()
         self._arrivals: Counter[tuple[str, int]] = Counter()
-        """Number of arrivals at each place of each vehicle."""
+        """Number of arrivals of each session number, by vehicle."""
         self._changes: dict[tuple[str, int], bool] = {}
-        """Arrivals (True) and departures (False) by place, since they were last taken in."""
-        self._slots: dict[str, VehicleSlot] = {}
+        """Arrivals (True) and departures (False) since the last `follow`, by vehicle and session number."""
+        self._sessions: dict[str, VehicleSessions] = {}
         for vehicle in flight.scenario.vehicles:
             role = Role.UAV if isinstance(vehicle, Uav) else Role.UGV
             session.offer(vehicle.name, role)
-            self._slots[vehicle.name] = VehicleSlot(
+            self._sessions[vehicle.name] = VehicleSessions(
                 name=vehicle.name,
                 role=role,
                 briefings=session.outbox(BRIEFING[role], vehicle.name),
                 observations=session.outbox(OBSERVATION[role], vehicle.name),
             )
-        keys: dict[str, Key] = {name: COMMAND[slot.role] for name, slot in self._slots.items()}
+        keys: dict[str, Key] = {name: COMMAND[entry.role] for name, entry in self._sessions.items()}
         self.commands = session.inbox_of_all(keys)
-        session.watch("*", self._note)
+        session.watch("*", self._record)
 
     def fly(self, flight: Flight) -> None:
-        """Another flight begins: everybody is briefed anew."""
+        """Start another run: every vehicle receives a new briefing."""
         self._flight = flight
-        for slot in self._slots.values():
-            slot.newest = -1
-            slot.missed.clear()
-            slot.owed = 0 if slot.sessions else None
+        for entry in self._sessions.values():
+            entry.newest = -1
+            entry.missed.clear()
+            entry.owed = 0 if entry.sessions else None
 
-    def _note(self, name: str, place: int, present: bool) -> None:
-        """A session comes or goes; called from a thread of Zenoh's.
+    def _record(self, name: str, place: int, present: bool) -> None:
+        """Record that a session joined or left; called from a thread of Zenoh.
 
-        However often that happens, it is kept once for each place: a flood of it must neither fill the memory nor
-        stop the clock.
+        Only the latest event of each session number is kept: a flood must neither fill the memory nor stop the clock.
         """
-        if name not in self._slots:
+        if name not in self._sessions:
             return
         with self._gate:
             self._arrivals[name, place] += present
@@ -123,7 +121,7 @@ class Slots:
             self.commands.poke()
 
     def follow(self) -> None:
-        """Take in who has come and gone since the last call, and name what did not decode."""
+        """Process sessions that joined or left since the last call, and count messages that did not decode."""
         with self._gate:
             changes = [
                 (name, place, self._arrivals[name, place], there)
@@ -131,114 +129,118 @@ class Slots:
             ]
             self._changes.clear()
         for name, place, arrivals, present in changes:
-            slot = self._slots[name]
-            if place in slot.sessions and not (present and slot.sessions[place] == arrivals):
-                self._leave(slot, place)
-            if present and place not in slot.sessions:
-                self._arrive(slot, place, arrivals)
-        for name, slot in self._slots.items():
-            unreadable = self.commands.refused[name] - slot.refused[UNREADABLE]
+            entry = self._sessions[name]
+            if place in entry.sessions and not (present and entry.sessions[place] == arrivals):
+                self._leave(entry, place)
+            if present and place not in entry.sessions:
+                self._arrive(entry, place, arrivals)
+        for name, entry in self._sessions.items():
+            unreadable = self.commands.refused[name] - entry.refused[UNREADABLE]
             if unreadable > 0:
-                self._refuse(slot, UNREADABLE, self.commands.fault[name], unreadable)
+                self._refuse(entry, UNREADABLE, self.commands.fault[name], unreadable)
 
-    def _arrive(self, slot: VehicleSlot, place: int, arrivals: int) -> None:
-        slot.sessions[place] = arrivals
-        if len(slot.sessions) > 1:
+    def _arrive(self, entry: VehicleSessions, place: int, arrivals: int) -> None:
+        entry.sessions[place] = arrivals
+        if len(entry.sessions) > 1:
             self._refuse(
-                slot,
+                entry,
                 SECOND_SESSION,
-                f"a second session (number {place}) has come; "
-                f"the first (number {slot.holder}) keeps the slot",
+                f"a second session (number {place}) joined; "
+                f"the first (number {entry.holder}) stays active",
             )
             return
-        self._begin(slot)
+        self._begin(entry)
 
-    def _begin(self, slot: VehicleSlot) -> None:
-        """A session takes the slot."""
-        slot.owed = 0
-        if slot.lost:
-            slot.rejoined += 1
-            self._flight.rejoin(slot.name)
-            self._on_event(f"{slot.name} has joined again at tick {self._flight.world.tick}")
+    def _begin(self, entry: VehicleSessions) -> None:
+        """Make a session active."""
+        entry.owed = 0
+        if entry.lost:
+            entry.rejoined += 1
+            self._flight.rejoin(entry.name)
+            self._on_event(f"{entry.name} rejoined at tick {self._flight.world.tick}")
 
-    def _leave(self, slot: VehicleSlot, place: int) -> None:
-        held = slot.holder == place
-        del slot.sessions[place]
+    def _leave(self, entry: VehicleSessions, place: int) -> None:
+        held = entry.holder == place
+        del entry.sessions[place]
         if not held:
             return
         if not self._flight.over:
-            slot.lost += 1
-            self._on_event(f"{slot.name} is lost at tick {self._flight.world.tick}")
-        if slot.sessions:
-            self._begin(slot)
+            entry.lost += 1
+            self._on_event(f"{entry.name} disconnected at tick {self._flight.world.tick}")
+        if entry.sessions:
+            self._begin(entry)
 
-    def _refuse(self, slot: VehicleSlot, cause: str, fault: str, count: int = 1) -> None:
-        if not slot.refused[cause]:
-            self._on_event(f"{slot.name}: {cause}: {fault}; refused, and from now on only counted")
-        slot.refused[cause] += count
-        slot.fault = fault[:LONGEST_TEXT]
+    def _refuse(self, entry: VehicleSessions, cause: str, fault: str, count: int = 1) -> None:
+        if not entry.refused[cause]:
+            self._on_event(
+                f"{entry.name}: {cause}: {fault}; rejected, further ones are only counted"
+            )
+        entry.refused[cause] += count
+        entry.fault = fault[:LONGEST_TEXT]
 
     @property
     def absent(self) -> list[str]:
-        """Vehicles that nobody sits in, in name order."""
-        return [name for name, slot in self._slots.items() if not slot.present]
+        """Return the vehicles without a session, in name order."""
+        return [name for name, entry in self._sessions.items() if not entry.present]
 
     @property
     def unbriefed(self) -> list[str]:
-        """Vehicles that somebody sits in who does not know all yet."""
+        """Return the vehicles whose active session is not fully briefed."""
         return [
-            name for name, slot in self._slots.items() if slot.present and slot.owed is not None
+            name
+            for name, entry in self._sessions.items()
+            if entry.present and entry.owed is not None
         ]
 
     def brief(self, name: str, *, parts: int | None = None) -> bool:
-        """Send a vehicle what it is owed.
+        """Send a vehicle the remaining parts of its briefing.
 
         Args:
-            name: The vehicle.
-            parts: At most so many messages; None: all.
+            name: Name of the vehicle.
+            parts: Maximum number of messages; None: all.
 
         Returns:
-            Whether it knows all now.
+            True if the vehicle is fully briefed now.
         """
-        slot, now = self._slots[name], self._flight.world.tick
+        entry, now = self._sessions[name], self._flight.world.tick
         sent = 0
-        while slot.owed is not None and (parts is None or sent < parts):
-            end = min(slot.owed + PART, now)
-            told = briefing(self._flight.scenario, name, self._flight.seed, self._flight.secret)
-            past = self._flight.past(name, slot.owed, end, slot.missed)
-            slot.briefings.send(
+        while entry.owed is not None and (parts is None or sent < parts):
+            end = min(entry.owed + PART, now)
+            first = briefing(self._flight.scenario, name, self._flight.seed, self._flight.secret)
+            past = self._flight.past(name, entry.owed, end, entry.missed)
+            entry.briefings.send(
                 msgspec.structs.replace(
-                    told, past=past, more=end < now, episode=self._flight.episode
+                    first, past=past, more=end < now, episode=self._flight.episode
                 )
             )
             sent += 1
-            slot.owed = end if end < now else None
-        return slot.owed is None
+            entry.owed = end if end < now else None
+        return entry.owed is None
 
     def send(
         self, observations: Mapping[str, Observation], *, parts: int | None = None
     ) -> set[str]:
-        """Give each vehicle that is there and briefed its observation of this tick.
+        """Send each connected and briefed vehicle its observation of this tick.
 
         Args:
-            observations: Of every vehicle.
-            parts: How many messages of a briefing may go out before it; None: all.
+            observations: Observation of every vehicle.
+            parts: Maximum number of briefing messages sent first; None: all.
 
         Returns:
-            Who was given one.
+            Names of the vehicles that received their observation.
         """
         given = set()
         for name, observation in observations.items():
-            slot = self._slots[name]
-            if slot.sessions and (slot.owed is None or self.brief(name, parts=parts)):
-                slot.observations.send(observation)
-                slot.missed.discard(observation.tick)
+            entry = self._sessions[name]
+            if entry.sessions and (entry.owed is None or self.brief(name, parts=parts)):
+                entry.observations.send(observation)
+                entry.missed.discard(observation.tick)
                 given.add(name)
             else:
-                slot.missed.add(observation.tick)
+                entry.missed.add(observation.tick)
         return given
 
-    def take(
+    def accept(
         self,
         envelope: Envelope,
         tick: int,
@@ -246,61 +248,61 @@ class Slots:
         *,
         oldest: int | None = None,
     ) -> bool:
-        """Put a command among those of this tick, or refuse it.
+        """Add a command to the commands of this tick, or reject it.
 
         Args:
-            envelope: What has come.
-            tick: Now.
-            commands: Those of this tick.
-            oldest: The earliest tick that may be answered; None: any that the vehicle has not answered yet.
+            envelope: Received message.
+            tick: Current tick.
+            commands: Commands of this tick; changed.
+            oldest: Earliest tick that may be answered; None: any later than the last answered one.
 
         Returns:
-            Whether it was taken.
+            True if the command was accepted.
         """
-        slot, command = self._slots[envelope.sender], envelope.message
+        entry, command = self._sessions[envelope.sender], envelope.message
         if not isinstance(command, UavCommand | UgvCommand):
             return False
         answered = command.tick
-        if envelope.place is not None and slot.present and envelope.place != slot.holder:
+        if envelope.place is not None and entry.present and envelope.place != entry.holder:
             self._refuse(
-                slot,
+                entry,
                 SECOND_SESSION,
                 f"a command for tick {answered} from a second session (number {envelope.place}); "
-                f"the first (number {slot.holder}) keeps the slot",
+                f"the first (number {entry.holder}) stays active",
             )
-        elif answered == slot.newest:
-            self._refuse(slot, TWICE, f"tick {answered} once more at tick {tick}")
+        elif answered == entry.newest:
+            self._refuse(entry, TWICE, f"tick {answered} again at tick {tick}")
         elif (
-            answered > tick or answered < slot.newest or (oldest is not None and answered < oldest)
+            answered > tick or answered < entry.newest or (oldest is not None and answered < oldest)
         ):
-            self._refuse(slot, ANOTHER_TICK, f"tick {answered} at tick {tick}")
+            self._refuse(entry, ANOTHER_TICK, f"tick {answered} at tick {tick}")
         else:
-            slot.newest = answered
+            entry.newest = answered
             commands[envelope.sender] = command
             return True
         return False
 
-    def name_late(self, name: str, tick: int, late: float) -> None:
-        """Say that a vehicle has not answered by the deadline."""
-        slot, now = self._slots[name], time.monotonic()
-        slot.fault = f"no command for tick {tick} after {late:.1f} s"
-        slot.late += 1
-        if now - slot.late_told >= _QUIET:
-            slot.late_told = now
-            often = f", for the {slot.late}th time" if slot.late > 1 else ""
-            self._on_event(f"{name} is late{often}: {slot.fault}")
+    def report_late(self, name: str, tick: int, late: float) -> None:
+        """Report that a vehicle has missed its deadline."""
+        entry, now = self._sessions[name], time.monotonic()
+        entry.fault = f"no command for tick {tick} after {late:.1f} s"
+        entry.late += 1
+        if now - entry.late_reported >= _QUIET:
+            entry.late_reported = now
+            often = f", for the {entry.late}th time" if entry.late > 1 else ""
+            self._on_event(f"{name} is late{often}: {entry.fault}")
 
     def statuses(self) -> dict[str, VehicleStatus]:
-        """The status of each vehicle."""
+        """Return the status of each vehicle."""
         answers = self._flight.answers
         return {
             name: msgspec.structs.replace(
                 answers.counted(name),
-                present=slot.present,
-                lost=slot.lost,
-                rejoined=slot.rejoined,
-                rejected=dict(slot.refused),
-                last_fault=slot.fault,
+                present=entry.present,
+                lost=entry.lost,
+                rejoined=entry.rejoined,
+                rejected=dict(entry.refused),
+                last_fault=entry.fault,
             )
-            for name, slot in self._slots.items()
+            for name, entry in self._sessions.items()
         }

@@ -1,6 +1,6 @@
-"""The telemetry of a run, for observers.
+"""Telemetry of a run, for observers.
 
-The truth, the map and the status, to whoever listens, and never in the tick's way.
+Truth, maps and status are sent only while observers subscribe, and never delay a tick.
 """
 
 import time
@@ -12,49 +12,49 @@ from bus.keys import COVERAGE, GROUND, SAMPLED_TRUTH, STATUS, TRUTH
 from bus.messages.telemetry import Status
 from bus.session import Session
 from sim.scenario.types import LinkTable, Scenario
+from sim.scene.ground_map import ground_map, hazards_of
 from sim.scene.known import geometry_of
-from sim.scene.told_tiles import ground_map, hazards_of
 from sim.server.flight import Flight
 from sim.server.operator_controls import OperatorControls
-from sim.server.sessions import Slots
+from sim.server.sessions import Sessions
 
 _PERIOD = 0.2
-"""Wall time between two status messages, and between two maps [s]."""
+"""Wall time between two status messages, and between two coverage maps [s]."""
 _GROUND_PERIOD = 0.5
-"""Wall time between two maps of the ground with its hazards [s]."""
+"""Wall time between two ground maps with hazards [s]."""
 _TRUTH_PERIOD = 0.025
-"""Wall time between two ticks of the sampled truth [s]: twice as often as pages draw."""
+"""Wall time between two samples of the truth [s]: twice the drawing rate of pages."""
 
 
 _SHOWN = 20
-"""Changes that a status shows."""
+"""Number of changes in a status."""
 
 
 Warn = Callable[[Scenario, LinkTable], tuple[str, ...]]
-"""Tells what cannot be promised of a scenario whose links are now these, a line each."""
+"""Function that returns one line for each assumption of the certificate that the present links violate."""
 
 
 class Telemetry:
-    """Sends what is wanted.
+    """Sender of telemetry that has subscribers.
 
     Args:
         session: The simulator's session.
-        flight: What is flown.
-        slots: The vehicles' places.
-        operators: The operator controls: how time goes on, and what they have changed.
-        warn: What cannot be promised of a scenario whose links are now these, a line each.
+        flight: The run.
+        sessions: The vehicles' sessions.
+        operators: Operator controls, for the pace and their changes.
+        warn: Returns one line for each assumption of the certificate that the present links violate.
     """
 
     def __init__(
         self,
         session: Session,
         flight: Flight,
-        slots: Slots,
+        sessions: Sessions,
         operators: OperatorControls,
         warn: Warn,
     ) -> None:
         self._warn = warn
-        self._flight, self._slots, self._operators = flight, slots, operators
+        self._flight, self._sessions, self._operators = flight, sessions, operators
         self._geometry = geometry_of(flight.scenario)
         self._truth, self._sampled = session.outbox(TRUTH), session.outbox(SAMPLED_TRUTH)
         self._map, self._status = session.outbox(COVERAGE), session.outbox(STATUS)
@@ -64,21 +64,21 @@ class Telemetry:
         self._last = (0.0, 0)
 
     def fly(self, flight: Flight) -> None:
-        """Another flight begins."""
+        """Switch to another run."""
         self._flight, self._last = flight, (0.0, 0)
         self._hazards = hazards_of(flight.world)
 
-    def tell(self) -> None:
-        """Send the truth of this tick, and the rest if it is time."""
+    def send_tick(self) -> None:
+        """Send the truth of this tick, and other telemetry that is due."""
         if self._truth.wanted:
             self._truth.send(self._flight.truth())
         self.refresh()
 
     def refresh(self, *, at_once: bool = False) -> None:
-        """Send the downsampled truth, status and map some times a second each.
+        """Send the sampled truth, status and maps, each a few times per second.
 
         Args:
-            at_once: Send them whenever the last ones were.
+            at_once: Send them even if they are not due.
         """
         now = time.monotonic()
         if now >= self._truth_due or at_once:
@@ -88,7 +88,7 @@ class Telemetry:
         if now < self._due and not at_once:
             return
         self._due = now + _PERIOD
-        self._slots.follow()
+        self._sessions.follow()
         if self._status.wanted:
             self._status.send(self.status(now))
         if self._map.wanted:
@@ -100,7 +100,7 @@ class Telemetry:
                 self._ground.send(ground)
 
     def status(self, now: float) -> Status:
-        """The status of the run at `now` on the monotonic clock [s]."""
+        """Return the status of the run at `now` on the monotonic clock [s]."""
         flight, world = self._flight, self._flight.world
         before, tick = self._last
         self._last = (now, world.tick)
@@ -118,5 +118,5 @@ class Telemetry:
             refusals=tuple(self._operators.refusals),
             geometry=self._geometry,
             warnings=self._warn(flight.flown, world.link_table),
-            vehicles=self._slots.statuses(),
+            vehicles=self._sessions.statuses(),
         )

@@ -84,7 +84,7 @@ def main() -> int:
             span = min(span, seconds)  # it was over before
             continue
         struck += 1
-        lost = told.partition("is lost at tick ")[2].split()[:1]
+        lost = told.partition("disconnected at tick ")[2].split()[:1]
         before = not lost or lost == ["0"]
         early += before
         fine = (

@@ -146,7 +146,7 @@ def test_an_operator_of_the_worlds_unit_is_one_of_the_run() -> None:
     unit = WorldUnit(flown, 3)
     assert [one.name for one in unit.inputs if not one.unit] == ["ugv_0.operator.new"]
     for tick in range(flown.ticks):
-        flight.say("ugv_0", Teleoperation(operator="anybody", velocity=wish))
+        flight.teleoperate("ugv_0", Teleoperation(operator="anybody", velocity=wish))
         flight.fly_tick(exchange)
         words = {"ugv_0.operator.new": True, "ugv_0.operator.velocity.x": wish[0]}
         told = unit.step(tick * DT, DT, words | {"ugv_0.operator.velocity.y": wish[1]})
@@ -308,7 +308,7 @@ def test_one_unit_drives_a_run_and_a_files_own_is_not_loaded_unasked(units: Path
     flown = load_scenario("escort", overrides={"ugv.0.driver": named})
     assert foreign_code(flown) == foreign_code(flown, ["seed=3"]) != ()
     assert foreign_code(flown, [f'ugv.0.driver="{named}"']) == ()
-    with pytest.raises(ScenarioError, match=r"ugv\.0\.driver = .*another.*one policy a run"):
+    with pytest.raises(ScenarioError, match=r"ugv\.0\.driver = .*another.*one policy per run"):
         load_scenario("escort", overrides={"ugv.0.driver": named, "custom.policy": "mine:drive"})
 
 

@@ -84,7 +84,7 @@ def test_a_world_of_the_vector_environment_is_the_parallel_one_bit_for_bit() -> 
     assert math.isnan(told["mission_time"])
     tiles = seen["ugv_0"]["tiles"]
     assert equal(tiles, all_infos["ugv_0"]["final_obs"][0]["tiles"])
-    received = env.world.ground.missions["told"].item()
+    received = env.world.ground.missions["received_tiles"].item()
     assert received > 100
     metrics = env.metrics()["ugv_0"]
     assert metrics["reward_hit"] == 0.0  # it was paid for once, some ticks ago
@@ -133,7 +133,7 @@ def test_nothing_changes_without_hazards() -> None:
 
 @pytest.mark.parametrize("side", [0, 4, 257, 2.5, True, math.nan, math.inf])
 def test_a_picture_of_tiles_has_a_middle(side: Any) -> None:
-    with refused(ValueError, "tile_patch = .*must be an odd whole number from 1 to 255"):
+    with refused(ValueError, "tile_patch = .*allowed: an odd whole number from 1 to 255"):
         outrider.parallel_env(grounded(), tile_patch=side)
     with refused(ValueError, "tile_patch = "):
         outrider.vector_env(grounded(), num_envs=1, tile_patch=side)

@@ -181,7 +181,7 @@ def test_diagnostics_name_why_nothing_is_certified():
         vehicles={"uav_0": VehicleStatus(present=True)},
     )
     parts = {one.name: one for one in _by_topic(status)["/diagnostics"].status}
-    assert "older than declared" in parts["outrider: certificate uav_0"].message
+    assert "older than max_measurement_age" in parts["outrider: certificate uav_0"].message
     assert parts["outrider: certificate uav_0"].level == 1
     lossy = parts["outrider: link uav_0/detections"]
     assert lossy.message == "loses messages"

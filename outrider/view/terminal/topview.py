@@ -22,8 +22,8 @@ from outrider.view.terminal.palette import (
     UNKNOWN,
 )
 from outrider.view.terminal.teleoperation import DriveView
+from sim.scene.ground_map import HIT
 from sim.scene.model import Scene
-from sim.scene.told_tiles import HIT
 
 _SHOWN = 1.35
 """Half the size of the map around the UGV [r_v]."""

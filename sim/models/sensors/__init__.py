@@ -1,1 +1,1 @@
-"""Sensors of the ground: one file for each, and a row of `bus.registry.SENSORS` that names it."""
+"""Ground sensors: one file each, named by a row of `bus.registry.SENSORS`."""

@@ -1,4 +1,4 @@
-"""Sensor `hill`, that of the paper."""
+"""Sensor `hill` of the paper."""
 
 from sim.compiling.compile import compiled
 
@@ -11,8 +11,8 @@ def quality(rho2: float, peak: float, reach: float) -> float:
 
     Args:
         rho2: Squared distance from the UAV [m²].
-        peak: M_a, the quality right below the UAV [1/s].
-        reach: r, the sensor's range [m].
+        peak: M_a, the quality directly below the UAV [1/s].
+        reach: Range r of the sensor [m].
     """
     s = rho2 / (reach * reach)
     rest = 1.0 - s if s < 1.0 else 0.0

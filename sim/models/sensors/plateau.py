@@ -1,4 +1,4 @@
-r"""Sensor `plateau`, which sees well over most of its disc: $S_a = M_a (1 - \rho^4/r^4)^2$ inside r, 0 outside."""
+r"""Sensor `plateau` with nearly constant quality: $S_a = M_a (1 - \rho^4/r^4)^2$ inside r, 0 outside."""
 
 from sim.compiling.compile import compiled
 

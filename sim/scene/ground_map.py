@@ -1,4 +1,4 @@
-"""Ground with hazards for observers: as it truly is, and what the UGVs know of it."""
+"""Ground with hazards for observers: its true state, and the UGVs' knowledge."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -13,7 +13,7 @@ from sim.models.hazards import FOUND
 from sim.world import World
 
 SEEN = 5
-"""Code of a tile that a UAV has seen and has not told yet; the others are the states of a tile."""
+"""Code of a tile that a UAV has observed but not yet sent; the other codes are the states of a tile."""
 UNKNOWN, KNOWN, HIT = range(3)
 """States of a hazard."""
 _NO_ROUTES: Mapping[str, tuple[Vector, ...]] = MappingProxyType({})
@@ -21,7 +21,7 @@ _KINDS = {row.code: name for name, row in HAZARDS.items()}
 
 
 def hazards_of(world: World) -> tuple[Hazard, ...]:
-    """The hazards of a world, those of the scenario and those that were drawn for this flight."""
+    """Return the hazards of a world: the scenario's, and the random ones of this run."""
     ground = world.ground
     if ground is None:
         return ()
@@ -39,7 +39,7 @@ def hazards_of(world: World) -> tuple[Hazard, ...]:
 
 
 def _ahead(route: tuple[Vector, ...], place: Vector) -> tuple[Vector, ...]:
-    """The part of a way, by its corners [m], that is still to be driven from a place that is on it or near it."""
+    """Return the rest of a route from a position on or near it; routes are given by their corners [m]."""
     corners = np.array(route)
     way = np.diff(corners, axis=0)
     length2 = np.maximum((way**2).sum(axis=1), 1e-12)
@@ -53,12 +53,12 @@ def ground_map(
     hazards: tuple[Hazard, ...] | None = None,
     routes: Mapping[str, tuple[Vector, ...]] = _NO_ROUTES,
 ) -> GroundMap | None:
-    """The ground of a world as it is shown now; None where it has no hazards.
+    """Return the current ground of a world; None: no hazards.
 
     Args:
-        world: Which.
-        hazards: Its hazards, where they have been asked for before: they stay.
-        routes: The way that each UGV has told that it plans, by its corners [m].
+        world: World to show.
+        hazards: Its hazards from an earlier call; they are constant.
+        routes: Planned route of each UGV, as last reported: its corners [m].
     """
     ground = world.ground
     if ground is None:
@@ -66,8 +66,8 @@ def ground_map(
     rows, columns = ground.tiles.shape[1:]
     tiles = np.zeros((rows, columns), np.uint8)
     for n, v in enumerate(ground.ugvs.tolist()):
-        felt = ground.known[0, v]
-        own = np.where(felt == UNSEEN, ground.radioed[0, n], felt)
+        sensed = ground.known[0, v]
+        own = np.where(sensed == UNSEEN, ground.radioed[0, n], sensed)
         tiles = np.where(tiles == UNSEEN, own, tiles)
     for v in world.escorts[:, 0].tolist():
         tiles[(tiles == UNSEEN) & (ground.known[0, v] != UNSEEN)] = SEEN
