@@ -35,7 +35,7 @@ Secret = Annotated[
     typer.Option(
         "--secret",
         metavar="@FILE|new|HEX",
-        help="Set the run's secret: from @FILE, `new`, or 32 to 128 hexadecimal digits.",
+        help="Set the run's secret: @FILE, `new`, or 32 to 128 hexadecimal digits.",
         envvar="OUTRIDER_SECRET",
     ),
 ]
