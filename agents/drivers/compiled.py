@@ -1,6 +1,6 @@
-"""The drivers that are compiled: their files, called for one vehicle.
+"""Adapter of the compiled drivers for a single vehicle.
 
-A driver that listens to a person or to a policy has no compiled form.
+Drivers that depend on an operator or on a policy have no compiled form.
 """
 
 from importlib import import_module
@@ -38,11 +38,11 @@ from sim.models.randomness import words_of
 from sim.models.vehicles import Motion
 
 MOST_TILES = 1_000_000
-"""More than that no UGV keeps."""
+"""Largest number of tiles in a UGV's occupancy grid."""
 
 
 def driver_parameters(briefing: UgvBriefing, driver: str) -> Any:  # noqa: ANN401 - the driver's class
-    """Return the parameters of a driver of one UGV, as its file declares them.
+    """Return the parameters of a UGV's driver, as its file declares them.
 
     Raises:
         ScenarioError: If the driver has no compiled form.
@@ -68,7 +68,7 @@ class Route(NamedTuple):
 
 
 def told_route(briefing: UgvBriefing) -> Route:
-    """The goals and the script of a briefing; of two steps at one time the later in the list counts."""
+    """Return the goals and the script of a briefing; of two steps at the same time, the later in the list wins."""
     steps = sorted(briefing.script, key=lambda step: step.time)
     script = [(first_tick_from(step.time, briefing.dt), *step.velocity) for step in steps]
     return Route(
@@ -78,10 +78,10 @@ def told_route(briefing: UgvBriefing) -> Route:
 
 
 def told_ground(briefing: UgvBriefing) -> GroundMemory:
-    """The ground as a UGV knows it before it has been told any tile; without tiles where there are no hazards.
+    """Return the empty occupancy grid of a UGV; without tiles if there are no hazards.
 
     Raises:
-        ScenarioError: If there are too many tiles.
+        ScenarioError: If the area has too many tiles.
     """
     ground, area = briefing.ground, briefing.area
     if ground is None:
@@ -89,14 +89,14 @@ def told_ground(briefing: UgvBriefing) -> GroundMemory:
     shape = tiles_shape(area.width, area.height, ground.tile)
     if shape[0] * shape[1] > MOST_TILES:
         raise ScenarioError(
-            f"ground.tile = {ground.tile:g}: makes {shape[0] * shape[1]:.3g} tiles of the area; "
-            f"at most {MOST_TILES:,}"
+            f"ground.tile = {ground.tile:g}: divides the area into {shape[0] * shape[1]:.3g} tiles; "
+            f"allowed: at most {MOST_TILES:,}"
         )
     return ground_memory(*shape, first_tick_from(ground.delay, briefing.dt))
 
 
 def take_ground(memory: GroundMemory, observation: UgvObservation) -> None:
-    """Take in what an observation tells of the ground."""
+    """Update the occupancy grid from the map updates and tile reports of an observation."""
     for block in observation.map_updates:
         note_block(memory, block.row, block.column, tile_states(block.tiles))
     if observation.tile_reports:
@@ -109,36 +109,36 @@ def take_ground(memory: GroundMemory, observation: UgvObservation) -> None:
 
 
 class CompiledDriver:
-    """Drives by the command of a driver's file.
+    """Driver that runs a compiled driver file.
 
     Args:
-        briefing: What the UGV is told when it joins.
-        name: Of the driver, a row of the registry with a file.
+        briefing: Briefing of the UGV.
+        name: Name of the driver, a row of the registry with a file.
 
     Raises:
-        ScenarioError: If the driver has no compiled form, or the ground has too many tiles.
+        ScenarioError: If the driver has no compiled form, or the area has too many tiles.
     """
 
     def __init__(self, briefing: UgvBriefing, name: str) -> None:
         self.parameters = driver_parameters(briefing, name)
-        """As its file declares them."""
+        """Parameters of the driver, as its file declares them."""
         row = DRIVERS[name]
         module = import_module(row.module)
         memory: Any = fresh(module.Memory)
         if "key_0" in memory.dtype.names:
             memory["key_0"], memory["key_1"] = words_of(briefing.key)
         self.ground = told_ground(briefing)
-        """Memory of the ground; without tiles if there are no hazards."""
+        """Occupancy grid; without tiles if there are no hazards."""
         ugv = records(UgvParameters, [ugv_parameters(briefing, unbounded=row.unbounded)])
         parameters = records(type(self.parameters), [self.parameters])
-        # Arrays of one row: a row by itself is read-only once it has been pickled.
+        # Arrays of one row: a single row becomes read-only when pickled.
         self._command, self._fixed = module.command, (ugv, parameters, memory)
         self._route, self._dt = told_route(briefing), float(briefing.dt)
         self._carries = briefing.ground is not None and briefing.ground.executes_trajectories
 
     @property
     def memory(self) -> Any:  # noqa: ANN401 - the driver's own record
-        """Record of its memory."""
+        """Memory record of the driver."""
         return self._fixed[2][0]
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
@@ -165,7 +165,7 @@ class CompiledDriver:
 
 
 class NavigateDriver(CompiledDriver):
-    """From goal to goal over the ground as it knows it, see `agents.drivers.navigate`."""
+    """Driver that navigates between goals over the known ground, see `agents.drivers.navigate`."""
 
     def __init__(self, briefing: UgvBriefing, name: str = "navigate") -> None:
         super().__init__(briefing, name)
@@ -174,7 +174,7 @@ class NavigateDriver(CompiledDriver):
         self._corners: PlaceArray = np.zeros(MOST_CORNERS, dtype=np.int32)
 
     def motions(self, tick: int) -> tuple[BackupTrajectory, ...]:
-        """Return the motions that the command of this tick carries: its own, and those before it that may begin yet."""
+        """Return the backup trajectories of this tick's command: its own, and earlier ones that may still begin."""
         if not self._carries:
             return ()
         sent = self.ground.sent
@@ -188,24 +188,24 @@ class NavigateDriver(CompiledDriver):
         )
 
     def report(self) -> UgvReport | None:
-        """Return the certificate of this tick's command; None: the UGV promises nothing."""
+        """Return the certificate of this tick's command; None if the UGV is never certified."""
         claim = int(self.ground.flags[0]["claim"])
         if claim == NO_CLAIM:
             return None
         return UgvReport(certified=claim == CERTIFIED, uncertified=UNCERTIFIED.get(claim, ""))
 
     def forget_commands(self) -> None:
-        """Forget the commands so far: they were not sent, or another process has sent them."""
+        """Forget the commands so far: they were not sent, or another process sent them."""
         self.ground.sent["begins"] = NO_MOTION
 
     def new_route(self, position: Vector) -> tuple[Vector, ...] | None:
-        """The way that it plans, by its corners [m] from a place to the goal, for observers; none where there is none.
+        """Return the corners of the planned path from a position to the goal [m], for observers; empty without a path.
 
         Args:
-            position: Where the UGV is [m].
+            position: Position of the UGV [m].
 
         Returns:
-            None if it has not changed since it was asked last, but for what has been driven of it.
+            None if the path has not changed since the last call, except for the part already driven.
         """
         memory, tile = self.ground, self.parameters.tile
         flags = memory.flags[0]
