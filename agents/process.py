@@ -288,7 +288,7 @@ def _call_if_there(pilot: Pilot, method: str, *arguments: Any) -> None:  # noqa:
 def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> bool:
     """Send the answer to the newest observation; only process the earlier ones.
 
-    A single missed observation is acted on without sending the answer, so the pilot's state stays the same: in lockstep,
+    The pilot acts on a single missed observation without sending the answer, so its state stays the same: in lockstep,
     a process that rejoins may find the next tick already waiting. A pilot that missed more is slower than the clock
     and only perceives them.
 

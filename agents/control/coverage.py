@@ -114,7 +114,6 @@ def border_distance(v_max: float, u_max: float, dt: float) -> float:
 @compiled
 def _outward(p: float, size: float, margin: float) -> float:
     """Return the outward direction on one axis: -1 or 1 within the margin of the border, else 0."""
-    """
     if p < margin and p <= 0.5 * size:
         return -1.0
     if size - p < margin:

@@ -21,7 +21,7 @@ def is_uncovered(
     desired: float,
     cell: float,
 ) -> bool:
-    """Return whether the cell around q lacks coverage and supports the density: conditions 1 and 2 of (7)."""
+    """Return whether the cell around q lacks coverage, within the support of the density: conditions 1, 2 of (7)."""
     rows, columns = coverage.shape
     i = min(max(int(q_x / cell), 0), columns - 1)
     j = min(max(int(q_y / cell), 0), rows - 1)
@@ -69,7 +69,7 @@ def nearest_uncovered(
             if d2 < nearest - NEAREST_TIE * nearest or ties == 0:
                 nearest, ties, q_x, q_y = d2, 1, x, y
             elif d2 <= nearest + NEAREST_TIE * nearest:
-                ticks += 1  # keeps each of n equally near points with probability 1/n
+                ties += 1  # keeps each of n equally near points with probability 1/n
                 if uniform(key, NEAREST_POINT, tick, ties) * ties < 1.0:
                     q_x, q_y = x, y
     return ties > 0, q_x, q_y

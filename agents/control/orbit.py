@@ -60,7 +60,10 @@ def orbit_error_acceleration(
 
 @compiled
 def orbit_control(u_tr_x: float, u_tr_y: float, a_vx: float, a_vy: float) -> tuple[float, float]:
-    r"""Return the virtual point tracking law [m/s²], Klodt 2015, eq. (24): $u_a = \ddot p_v + u_{a,tr}(p_\Delta - p_v)$."""
+    r"""Return the tracking law of the virtual point [m/s²], Klodt 2015, eq. (24).
+
+    $$ u_a = \ddot p_v + u_{a,tr}(p_\Delta - p_v) $$
+    """
     return a_vx + u_tr_x, a_vy + u_tr_y
 
 
@@ -126,7 +129,7 @@ def check_path(
         )
         if found > 1e-2 * (1.0 + math.hypot(a_x, a_y)):
             raise ScenarioError(
-                f"path at t = {t:.6g} s: the second derivative is wrong by {found:.3g} m/s²; allowed: that of the position"
+                f"path at t = {t:.6g} s: the second derivative is off by {found:.3g} m/s²; allowed: that of the position"
             )
         fastest = max(fastest, (math.hypot(c_x - b_x, c_y - b_y) / (2.0 * step), t))
         hardest = max(hardest, (math.hypot(a_x, a_y), t))

@@ -36,7 +36,10 @@ def linear_weights(distance: float, r_s: float) -> tuple[float, float]:
 
 @compiled
 def switching_weights(distance: float, r_s: float) -> tuple[float, float]:
-    r"""Return the switching weights $\alpha_2, \beta_2$: $\alpha_2 = 0$ inside r_s, 1 outside; $\beta_2 = 1 - \alpha_2$."""
+    r"""Return the switching weights $\alpha_2, \beta_2$: $\alpha_2 = 0$ inside r_s, 1 outside.
+
+    $\beta_2 = 1 - \alpha_2$.
+    """
     alpha = 0.0 if distance < r_s else 1.0
     return alpha, 1.0 - alpha
 
