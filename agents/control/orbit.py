@@ -129,7 +129,7 @@ def check_path(
         )
         if found > 1e-2 * (1.0 + math.hypot(a_x, a_y)):
             raise ScenarioError(
-                f"path at t = {t:.6g} s: the second derivative is off by {found:.3g} m/s²; allowed: that of the position"
+                f"path at t = {t:.6g} s: the second derivative is off by {found:.3g} m/s²; it must match the position"
             )
         fastest = max(fastest, (math.hypot(c_x - b_x, c_y - b_y) / (2.0 * step), t))
         hardest = max(hardest, (math.hypot(a_x, a_y), t))

@@ -1,4 +1,4 @@
-"""Commands of the driver `navigate` that do not act yet, and what can be claimed of the stops after them."""
+"""Pending commands of the driver `navigate`, and the certificate of the stops that follow them."""
 
 from agents.drivers.cautious import is_safe, known_open
 from agents.drivers.navigate_parameters import NavigateParameters
@@ -11,25 +11,28 @@ from sim.models.motion import NO_MOTION, follow_on, keep_motion, motion_command
 from sim.models.vehicles import Motion, brake, step_vehicle, within_walls
 
 PLAIN = -2
-"""In the place of the motion that is flown: the receiver flies none, and commands act as they come."""
+"""Replaces the committed trajectory if the receiver executes none: commands take effect as they arrive."""
 
 
 @compiled
 def state_ahead(
     parameters: NavigateParameters, memory: GroundMemory, tick: int, here: Motion, flown: int
 ) -> tuple[Motion, int]:
-    """Return the state of the UGV when the command of this tick acts, and the motion that it then goes on from.
+    """Predict the UGV's state when this tick's command takes effect, and the trajectory committed then.
 
-    It notes in `memory.flags` whether the way until then, and the one to a stop wherever commands are lost on it, lies
-    on tiles that are known to be drivable.
+    The function records in `memory.flags` whether the predicted trajectory, and the stop after the loss of any command,
+    stays on tiles known to be drivable.
 
     Args:
-        parameters: Of the driver.
-        memory: With the commands that were sent.
-        tick: Now.
-        here: Where it is now.
-        flown: The motion that it flew in the tick before; NO_MOTION: none; PLAIN: its receiver flies none, and all
-            commands act.
+        parameters: Parameters of the driver.
+        memory: Occupancy grid with the commands sent so far.
+        tick: Current tick.
+        here: Current state of the UGV.
+        flown: First tick of the trajectory executed in the previous tick; NO_MOTION: none; PLAIN: the receiver executes
+            none, and all commands take effect.
+
+    Returns:
+        The state, and the first tick of the committed trajectory.
     """
     sent, ahead, rows = memory.sent, memory.flown, memory.sent.shape[0]
     plain = flown == PLAIN
@@ -78,13 +81,13 @@ def state_ahead(
 def note_claim(
     parameters: NavigateParameters, memory: GroundMemory, ahead: Motion, u_x: float, u_y: float
 ) -> None:
-    """Claim, after `state_ahead`, what the command of this tick [m/s²] leaves to be claimed.
+    """Update the claim of `state_ahead` for the command of this tick [m/s²].
 
     Args:
-        parameters: Of the driver; a bold one claims nothing.
-        memory: Its flags are changed.
-        ahead: Where the UGV is when the command acts.
-        u_x, u_y: The command.
+        parameters: Parameters of the driver; a bold one claims nothing.
+        memory: Changed in place.
+        ahead: State of the UGV when the command takes effect.
+        u_x, u_y: Command [m/s²].
     """
     flags, late = memory.flags[0], memory.sent.shape[0] > 2
     if parameters.bold != 0:
@@ -97,7 +100,7 @@ def note_claim(
 
 @compiled
 def note_sent(memory: GroundMemory, tick: int, parent: int, u_x: float, u_y: float) -> None:
-    """Keep the command of this tick [m/s²], which goes on from the motion `parent`, until it acts."""
+    """Store the command of this tick [m/s²], which continues the trajectory `parent`, until it takes effect."""
     rows = memory.sent.shape[0]
     begins = tick + rows - 2
     row = memory.sent[begins % rows]
@@ -107,10 +110,10 @@ def note_sent(memory: GroundMemory, tick: int, parent: int, u_x: float, u_y: flo
 
 @compiled
 def hand_over_stops(memory: GroundMemory, tick: int, motions: RecordArray) -> tuple[int, int]:
-    """Put the motions that the command of this tick carries among those that set out.
+    """Add the trajectories of this tick's command to the outgoing ones.
 
     Returns:
-        The tick in which the last of them begins (-1: none), and how many they are.
+        First tick of the last of them (-1: none), and their number.
     """
     rows = memory.sent.shape[0]
     last, count = tick + rows - 2, 0

@@ -1,10 +1,10 @@
-"""The cheapest way over tiles to a goal: Dijkstra's search from the goal, with a binary heap, compiled.
+"""Cheapest path over tiles to a goal: Dijkstra's search from the goal, with a binary heap, compiled.
 
-A library would do for one UGV; a batch of worlds needs the same bits from compiled code. Of equal costs the tile
-that comes first goes first, so the same tiles give the same plan to the bit.
+A library would do for one UGV; a batch of worlds needs the same bits from compiled code. Equal costs are ordered by
+tile, so equal tiles give the same plan to the bit.
 
-A search settles no more than so many tiles a tick, and goes on in the next: on the tiles as they were when it began,
-whatever is told meanwhile. The plan before is followed until it ends. The limit is a number of tiles, never a time.
+A search settles a limited number of tiles per tick and resumes in the next, on the tiles as they were when it started.
+The previous plan stays in use until the search ends. The limit is a number of tiles, never a time.
 """
 
 import math
@@ -18,21 +18,22 @@ _DONE, _UNTOUCHED = -2, -1
 DIAGONAL = math.sqrt(2.0)
 
 _STATE, _BESIDE, _STEP = 7, 8, 16
-"""Of a tile's byte in a plan: its state, beside a blocked tile or not, and the step to the next tile, from here on."""
+"""Layout of the byte of a tile in a plan: mask of the state, flag of a blocked neighbour, unit of the step.
+"""
 _HERE = 5
-"""The step of the goal. Others are numbered as a keypad is, row by row; 0: none is known."""
+"""Step of the goal. Steps are numbered like a keypad, row by row; 0: unknown."""
 _BLOCKED_GOAL = 5
-"""The state of a goal in a blocked tile."""
+"""State of a goal in a blocked tile."""
 
 UNSEEN_PRICE = 1.5
-"""Cost of a metre on ground that nobody has seen, where the way is believed to go on; one on clear ground costs 1."""
+"""Cost of a metre on unseen ground, which is assumed to be passable; a metre on clear ground costs 1."""
 BESIDE_PRICE = 0.5
-"""Additional cost of a tile beside a blocked one."""
+"""Additional cost per metre of a tile beside a blocked one."""
 
 
 @compiled
 def is_beside_block(tiles: TileArray, i: int, j: int) -> bool:
-    """True if a tile is blocked, or one of the eight around it."""
+    """Return whether a tile or one of its eight neighbours is blocked."""
     rows, columns = tiles.shape
     for r in range(max(i - 1, 0), min(i + 2, rows)):
         for c in range(max(j - 1, 0), min(j + 2, columns)):
@@ -43,11 +44,11 @@ def is_beside_block(tiles: TileArray, i: int, j: int) -> bool:
 
 @compiled
 def price_of(rough: float, byte: int) -> float:
-    """Cost of a metre in a tile that a search has touched; infinite where it is blocked.
+    """Return the cost of a metre in a tile that a search has touched; infinite if it is blocked.
 
     Args:
-        rough: Cost of one on rough ground.
-        byte: Of the tile in a plan.
+        rough: Cost of a metre on rough ground.
+        byte: Byte of the tile in a plan.
     """
     state, cost = byte & _STATE, 1.0
     if state == BLOCK:
@@ -98,7 +99,7 @@ def _sink(cost: FloatArray, heap: PlaceArray, place: PlaceArray, count: int) -> 
 
 @compiled
 def _touch(draft: TileArray, rows: int, columns: int, n: int) -> None:
-    """Note of a tile that the search reaches whether it is beside a blocked one."""
+    """Flag a tile that the search has reached if it is beside a blocked one."""
     i, j = n // columns, n % columns
     for r in range(max(i - 1, 0), min(i + 2, rows)):
         for c in range(max(j - 1, 0), min(j + 2, columns)):
@@ -110,11 +111,11 @@ def _touch(draft: TileArray, rows: int, columns: int, n: int) -> None:
 
 @compiled
 def begin_search(memory: GroundMemory, goal: int) -> None:
-    """Begin a search on the tiles as they are known now; a goal in a blocked tile is approached.
+    """Start a search on the tiles as they are known now; a goal in a blocked tile is approached.
 
     Args:
-        memory: Is changed.
-        goal: The goal's tile, row by row.
+        memory: Changed in place.
+        goal: Tile of the goal, row by row.
     """
     draft, place, flags = memory.draft, memory.place, memory.flags[0]
     rows, columns = memory.tiles.shape
@@ -132,7 +133,7 @@ def begin_search(memory: GroundMemory, goal: int) -> None:
 
 @compiled
 def _reach_out(rough: float, tile: float, memory: GroundMemory, count: int, n: int) -> int:
-    """The ways to the neighbours of a tile that has been settled; how many tiles are in the heap then."""
+    """Update the paths of a settled tile's neighbours, and return the number of tiles in the heap."""
     draft, cost, heap, place = memory.draft, memory.cost, memory.heap, memory.place
     rows, columns = memory.tiles.shape
     i, j, price = n // columns, n % columns, price_of(rough, draft[n])
@@ -147,7 +148,7 @@ def _reach_out(rough: float, tile: float, memory: GroundMemory, count: int, n: i
                     draft[n + row_step * columns] & _STATE == BLOCK
                     or draft[n + column_step] & _STATE == BLOCK
                 ):
-                    continue  # it would cut the corner
+                    continue  # the step would cut a corner
                 length = DIAGONAL * tile
             fresh = place[m] == _UNTOUCHED
             if fresh:
@@ -168,17 +169,17 @@ def _reach_out(rough: float, tile: float, memory: GroundMemory, count: int, n: i
 
 @compiled
 def search_on(rough: float, tile: float, memory: GroundMemory, until: int, most: int) -> bool:
-    """Go on with the search that has begun, until the cost of the cheapest way from one tile to the goal is known.
+    """Continue the search until the cheapest cost from a given tile to the goal is known.
 
     Args:
         rough: Cost of a metre on rough ground.
         tile: Side of a tile [m].
-        memory: Is changed: `flags.settled`, too, where the search ends.
-        until: Where the search may end; -1: nowhere.
-        most: So many tiles it settles at most.
+        memory: Changed in place, including `flags.settled` when the search ends.
+        until: Tile at which the search may end; -1: none.
+        most: Largest number of tiles to settle.
 
     Returns:
-        True if it has ended: the plan stands in `draft`.
+        True if the search has ended; the plan is in `draft`.
     """
     heap, place, flags = memory.heap, memory.place, memory.flags[0]
     count, settled = flags.open, 0
@@ -202,7 +203,7 @@ def search_on(rough: float, tile: float, memory: GroundMemory, until: int, most:
 
 @compiled
 def take_plan(memory: GroundMemory) -> None:
-    """From now on the plan of the search that has ended is followed."""
+    """Adopt the plan of the search that has ended."""
     for n in range(memory.way.shape[0]):
         memory.way[n] = memory.draft[n]
     flags = memory.flags[0]
@@ -212,7 +213,7 @@ def take_plan(memory: GroundMemory) -> None:
 
 @compiled
 def is_settled(memory: GroundMemory, n: int) -> bool:
-    """True if the search that has ended says which way is the cheapest from a tile, or that there is none."""
+    """Return whether the last search settled the cheapest path from a tile, or that there is none."""
     settled = memory.flags[0].settled
     return bool(
         math.isinf(settled) or (memory.place[n] != _UNTOUCHED and memory.cost[n] <= settled)
@@ -221,12 +222,12 @@ def is_settled(memory: GroundMemory, n: int) -> bool:
 
 @compiled
 def next_tile(way: TileArray, columns: int, n: int) -> int:
-    """The neighbour through which the way of a plan goes; the tile itself at the goal, and where there is no way.
+    """Return the next tile of a plan; the tile itself at the goal, or without a path.
 
     Args:
-        way: The plan. Shape (rows * columns,).
-        columns: Of the map.
-        n: The tile.
+        way: Plan. Shape (rows * columns,).
+        columns: Number of columns of the map.
+        n: Tile.
     """
     step = way[n] // _STEP
     if step == 0:
@@ -236,16 +237,16 @@ def next_tile(way: TileArray, columns: int, n: int) -> int:
 
 @compiled
 def way_corners(way: TileArray, columns: int, n: int, corners: PlaceArray) -> int:
-    """The tiles in which the way of a plan turns, from one on to the goal, both with them.
+    """Find the tiles in which the path of a plan turns, including the first tile and the goal.
 
     Args:
-        way: The plan. Shape (rows * columns,).
-        columns: Of the map.
-        n: The first tile.
-        corners: Are changed; those that have no room are left out. Shape (room,).
+        way: Plan. Shape (rows * columns,).
+        columns: Number of columns of the map.
+        n: First tile.
+        corners: Changed in place; corners beyond its size are omitted. Shape (room,).
 
     Returns:
-        How many there are; 0: there is no way.
+        The number of corners; 0 without a path.
     """
     count, before = 0, 0
     while count < corners.shape[0]:
@@ -261,5 +262,5 @@ def way_corners(way: TileArray, columns: int, n: int, corners: PlaceArray) -> in
 
 @compiled
 def has_way(way: TileArray, n: int) -> bool:
-    """True if a plan knows a way from a tile to its goal."""
+    """Return whether a plan has a path from a tile to its goal."""
     return bool(way[n] >= _STEP)
