@@ -18,8 +18,7 @@ _DONE, _UNTOUCHED = -2, -1
 DIAGONAL = math.sqrt(2.0)
 
 _STATE, _BESIDE, _STEP = 7, 8, 16
-"""Layout of the byte of a tile in a plan: mask of the state, flag of a blocked neighbour, unit of the step.
-"""
+"""Layout of the byte of a tile in a plan: mask of the state, flag of a blocked neighbour, unit of the step."""
 _HERE = 5
 """Step of the goal. Steps are numbered like a keypad, row by row; 0: unknown."""
 _BLOCKED_GOAL = 5

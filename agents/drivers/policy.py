@@ -142,7 +142,7 @@ class PolicyDriver:
     """Driver that calls the policy at each observation.
 
     The answer of a function is limited to the UGV's bounds: shortened to u_max, and turned so that the speed stays
-    below v_max. The answer of a row policy passes unchanged; the simulator applies the bounds of (1), so it moves the
+    within v_max. The answer of a row policy passes unchanged; the simulator applies the bounds of (1), so it moves the
     UGV to the bit as in the environment. The policy keeps its own state: a process that rejoins calls it with all
     observations from the first.
 

@@ -1,8 +1,8 @@
-"""The radio messages of a UAV to its UGV about the ground: which block of tiles, and when. Beyond Klodt 2015.
+"""Map updates of a UAV to its UGV: which block of tiles to send by radio, and when. Beyond Klodt 2015.
 
-It tells of the blocks around where it believes the UGV to be: the nearest of those with news first, and each several
-times, as the radio loses messages; where there are no news it repeats what it told longest ago. It tells what its own
-sensor has told, and nothing of its own position, velocity or plan.
+The UAV sends the blocks around the UGV's estimated position: of those with new reports, the nearest first. It sends new
+reports several times, since the radio loses messages. Without new reports it repeats the block sent longest ago. A map
+update contains only reports of the UAV's own sensor, never its position, velocity or plan.
 """
 
 import math
@@ -17,32 +17,32 @@ from sim.compiling.compile import IntArray, compiled, inlined
 from sim.models.ground import TileArray, block_letters, tiles_shape
 
 _REPEATS = 3
-"""Number of times that news are told before what is older is repeated."""
+"""Number of transmissions of new reports before older blocks are repeated."""
 _REACH = 12.0
-"""Largest distance from the UGV of a block that it is told of [m]."""
+"""Largest distance of a transmitted block from the UGV [m]."""
 _WORD_TILES = 16
-"""Tiles in a number of a message, three bits each."""
+"""Tiles per number of a message, three bits each."""
 BLOCK_TILES = BLOCK_SIDE * BLOCK_SIDE
 BLOCK_WORDS = BLOCK_TILES // _WORD_TILES
 
 
 class TellingMemory(NamedTuple):
-    """A UAV's memory of the ground and of what it has told; arrays that change in place."""
+    """A UAV's map of the ground and its transmission state; the arrays change in place."""
 
     tiles: TileArray
-    """As its sensor has told them. Shape (rows, columns)."""
+    """States reported by the UAV's own sensor. Shape (rows, columns)."""
     news: IntArray
-    """Number of times that each block is still to be told as news. Shape (block rows, block columns)."""
+    """Remaining transmissions of each block as new. Shape (block rows, block columns)."""
     told: IntArray
-    """The tick in which each was told last; -1: never. Likewise."""
+    """Tick of the last transmission of each block; -1: never. Shape (block rows, block columns)."""
 
 
 def telling_memory(width: float, height: float, tile: float) -> TellingMemory:
-    """Nothing is known yet.
+    """Return an empty map without transmissions.
 
     Args:
-        width, height: Of the area [m].
-        tile: Width of a tile [m]; 0: there is no ground to tell of.
+        width, height: Size of the area [m].
+        tile: Width of a tile [m]; 0 without ground.
     """
     rows, columns = tiles_shape(width, height, tile) if tile > 0.0 else (0, 0)
     blocks = (-(-rows // BLOCK_SIDE), -(-columns // BLOCK_SIDE))
@@ -55,13 +55,13 @@ def telling_memory(width: float, height: float, tile: float) -> TellingMemory:
 
 @inlined
 def telling_of(memory: TellingMemory, world: int, uav: int) -> TellingMemory:
-    """That of one UAV in one world: views, no copies."""
+    """Return the memory of one UAV in one world: views, no copies."""
     return TellingMemory(memory.tiles[world, uav], memory.news[world, uav], memory.told[world, uav])
 
 
 @compiled
 def note_tile(memory: TellingMemory, column: int, row: int, state: int) -> None:
-    """The UAV's own sensor tells of a tile."""
+    """Record a tile reported by the UAV's own sensor."""
     if row < memory.tiles.shape[0] and column < memory.tiles.shape[1]:
         memory.tiles[row, column] = state
         memory.news[row // BLOCK_SIDE, column // BLOCK_SIDE] = _REPEATS
@@ -71,13 +71,13 @@ def note_tile(memory: TellingMemory, column: int, row: int, state: int) -> None:
 def next_block(
     memory: TellingMemory, tile: float, tick: int, g_x: float, g_y: float
 ) -> tuple[int, int]:
-    """The block to tell of at this tick, row and column; -1, -1: there is nothing to tell. It then counts as told.
+    """Select the block to send at this tick and mark it as sent; row and column, or -1, -1 if there is none.
 
     Args:
-        memory: Is changed.
+        memory: Changed in place.
         tile: Width of a tile [m].
-        tick: Now.
-        g_x, g_y: Where the UGV is believed to be [m].
+        tick: Current tick.
+        g_x, g_y: Estimated position of the UGV [m].
     """
     side, best_row, best_column = BLOCK_SIDE * tile, -1, -1
     best_news, best = False, math.inf
@@ -102,7 +102,7 @@ def next_block(
 
 @compiled
 def block_words(tiles: TileArray, row: int, column: int, words: IntArray) -> None:
-    """Write the states of a block of tiles as numbers, three bits a tile, the first lowest. Shape (BLOCK_WORDS,)."""
+    """Encode the states of a block of tiles, three bits per tile, lowest bits first. Shape (BLOCK_WORDS,)."""
     for n in range(BLOCK_WORDS):
         word = 0
         for i in range(_WORD_TILES):
@@ -115,42 +115,42 @@ def block_words(tiles: TileArray, row: int, column: int, words: IntArray) -> Non
 
 @compiled
 def word_state(words: IntArray, place: int) -> int:
-    """The state of a tile of a block, from what `block_words` has written."""
+    """Decode the state of one tile of a block from the numbers of `block_words`."""
     return int(words[place // _WORD_TILES] >> (3 * (place % _WORD_TILES))) & 7
 
 
 def telling_ticks(telling: float, dt: float) -> int:
-    """Every how many ticks of this length [s] a block is told of, at so many a second [1/s]; 0: never."""
+    """Return the period of map updates in ticks of dt [s], at a rate [1/s]; 0: no updates."""
     return max(1, round(1.0 / (telling * dt))) if telling > 0.0 else 0
 
 
 class GroundTeller:
-    """Chooses what a UAV's computer radios of the ground, whoever flies the UAV.
+    """Scheduler of the map updates that a UAV's computer sends, whoever controls the UAV.
 
     Args:
-        briefing: What the UAV is told when it joins.
+        briefing: Briefing of the UAV.
     """
 
     def __init__(self, briefing: UavBriefing) -> None:
         ground, area = briefing.ground, briefing.area
         self._tile = ground.tile if ground is not None else 0.0
         self.memory = telling_memory(area.width, area.height, self._tile)
-        """Its memory."""
+        """Map and transmission state."""
         self._period = (
             telling_ticks(ground.map_update_rate, briefing.dt) if ground is not None else 0
         )
 
     def note(self, tiles: Sequence[TileReport]) -> None:
-        """Its own sensor has told of these tiles."""
+        """Record tiles reported by the UAV's own sensor."""
         for tile in tiles:
             note_tile(self.memory, tile.column, tile.row, TILE_LETTERS.index(tile.state))
 
     def blocks(self, tick: int, target: tuple[float, float] | None) -> tuple[MapUpdate, ...]:
-        """The blocks that it radios at this tick.
+        """Return the map updates of this tick.
 
         Args:
-            tick: Now.
-            target: Where it believes the UGV to be [m]; None: it does not know.
+            tick: Current tick.
+            target: Estimated position of the UGV [m]; None if unknown.
         """
         if not self._period or target is None or tick % self._period:
             return ()

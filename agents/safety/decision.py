@@ -2,9 +2,9 @@
 
 `SafetyFilter` calls `decide` for one UAV, compiled loops call it for many worlds.
 
-Each command carries a plan: the acceleration of one tick, and the backup trajectory that follows it while later
-commands are lost. The vehicle reports which plan it flies, so the filter can predict the states until the plan of this
-tick's command begins.
+Each command carries a plan: the acceleration of one tick, and the backup trajectory that follows if later commands are
+lost. The vehicle reports its committed trajectory, so the filter can predict the states until the plan of this tick's
+command begins.
 
 Positions in the world's frame [m], speeds [m/s], accelerations [m/s²], times in ticks.
 """
@@ -66,15 +66,15 @@ def _may_go_on(
     then: Motion,
     over: float,
 ) -> bool:
-    """Return whether the UGV is surely in sight now, and until the next tick if a wall is touched.
+    """Return whether the UGV is certainly in sight now, and until the next tick if the UAV touches a wall.
 
-    The wall keeps the UAV `over` [m] back. A checked plan implies that the UGV is in sight now.
+    The wall holds the UAV back by `over` [m]. A checked plan implies that the UGV is in sight now.
     """
     within = (
         checked or farthest(bounds, known, tick, here.p_x, here.p_y, bounds.radius) <= bounds.radius
     )
     if within and over > 0.0:
-        # within the tick the bound is at most that of the point beyond the wall
+        # during the tick, the bound is at most that at the point beyond the wall
         room = bounds.radius - over
         within = farthest(bounds, known, tick + 1, then.p_x, then.p_y, room) <= room
     return within
@@ -90,17 +90,17 @@ def choose_control(
     u_x: float,
     u_y: float,
 ) -> tuple[float, float, int]:
-    """Return the acceleration that acts in a tick: the nominal one if a plan exists after it, else the plan's.
+    """Return the acceleration of a tick: the nominal one if a plan exists after it, else the plan's.
 
-    With delayed commands the tick and the state are those in which this command will act. The current plan begins in
-    this state.
+    With delayed commands, tick and state are those at which this command takes effect. The current plan begins in this
+    state.
 
     Args:
         bounds: Bounds of the filter.
-        discs: Of the measurements, as kept by `add_disc`. (KEPT,)
-        plan: `CheckedTrajectory` of the current plan, changed in place. (1,)
-        tick: Tick in which the command acts.
-        here: State of the UAV then.
+        discs: `Disc` of each kept measurement, from `add_disc`. Shape (KEPT,).
+        plan: `CheckedTrajectory` of the current plan, changed in place. Shape (1,).
+        tick: Tick in which the command takes effect.
+        here: State of the UAV at that tick.
         u_x, u_y: Nominal acceleration [m/s²].
 
     Returns:
@@ -133,10 +133,10 @@ def choose_control(
 
 @compiled
 def _begun(bounds: SafetyBounds, memory: FilterMemory, tick: int, here: Motion, flown: int) -> int:
-    """Return the plan that the vehicle flew in the tick before; NO_MOTION: it flew none.
+    """Return the plan executed in the previous tick; NO_MOTION: none.
 
-    A receiver of bare accelerations reports none. Where each command acts in its own tick, the state of the UAV shows
-    that the last plan did begin.
+    A receiver of plain accelerations reports none. If each command takes effect in its own tick, the state of the UAV
+    shows whether the last plan has begun.
     """
     if flown != NO_MOTION or bounds.delay_ticks > 0 or bounds.interval_ticks > 1:
         return flown
@@ -166,7 +166,7 @@ def _reason(
         return _MEASUREMENT_TOO_OLD
     if memory.flags[0].contradicted != 0:
         return _CONTRADICTION
-    late = wait > bounds.interval_ticks  # also if it is yet to come, but nothing can prevent it
+    late = wait > bounds.interval_ticks  # also if it is still in the future but can no longer be prevented
     if source == BEST_EFFORT:
         return _COMMAND_INTERVAL if late else _NO_PLAN
     if not expected:
@@ -186,18 +186,18 @@ def decide(
     u_y: float,
     flown: int = NO_MOTION,
 ) -> None:
-    """Let the nominal acceleration act if the UGV stays in sight after it, else a backup trajectory.
+    """Decide on the nominal acceleration: apply it if the UGV stays in sight after it, else a backup trajectory.
 
-    To be called once a tick, since it advances the plan. The decision is in `memory.decision`, the plan that the
-    command carries in `memory.pending`.
+    Call it once per tick, since it advances the plan. The decision is in `memory.decision`, the plan of the command in
+    `memory.pending`.
 
     Args:
         bounds: Bounds of the filter.
         memory: Memory of the filter, changed in place.
-        tick: Now.
-        here: State of the UAV now.
+        tick: Current tick.
+        here: Current state of the UAV.
         u_x, u_y: Nominal acceleration [m/s²].
-        flown: Tick in which the plan began that the vehicle flew in the tick before; NO_MOTION: it flew none.
+        flown: First tick of the plan executed in the previous tick; NO_MOTION: none.
     """
     flags, pending, plan, discs = memory.flags[0], memory.pending, memory.plan, memory.discs
     decision = memory.decision[0]
