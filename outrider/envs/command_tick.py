@@ -1,4 +1,4 @@
-"""Commands of a tick of the closed loop, of the vehicles' pilots or from outside, and what the UAVs radio."""
+"""Commands of a tick of the closed loop, from pilots or external actions, and the radio messages of the UAVs."""
 
 from agents.drivers.dispatch import driver_command
 from agents.drivers.parameters import DriverInputs
@@ -36,7 +36,7 @@ def _fly(
     uav: int,
     actions: FloatArray,
 ) -> None:
-    """The command of a UAV, and what it radios."""
+    """Write the command of a UAV, and its radio messages."""
     tick, standing = state.batch.ticks[world], state.rows.standings[world, vehicle]
     one = state.batch.vehicles[world, vehicle]
     here = reference_of(one)
@@ -56,7 +56,7 @@ def _fly(
         decision = memory.decision[0]
         u_x, u_y = decision.acceleration[0], decision.acceleration[1]
         certified, overridden = decision.reason == CERTIFIED, decision.source != NOMINAL
-        # a pilot that has seen nothing reports nothing
+        # a pilot without a detection sends no report
         reports = target.known or tables.hand[vehicle] >= 0
         said = Claim(certified, reports and overridden, standing.lost, True)
         record_decision(tables.monitored[uav], state.certificates[world, uav], tick, said)
@@ -82,7 +82,7 @@ def _speak(
     here: Motion,
     target: Target,
 ) -> None:
-    """Radio messages of a UAV at this tick."""
+    """Write the radio messages of a UAV in this tick into its outbox."""
     known, g_x, g_y = target.known, target.p_x, target.p_y
     relative, ground = state.outbox[world, uav, _RELATIVE], state.outbox[world, uav, _GROUND]
     relative.stamp = tick if known and tick % parameters.radio_ticks == 0 else -1.0
@@ -108,7 +108,7 @@ def _drive(
     ugv: int,
     actions: FloatArray,
 ) -> None:
-    """The command of a UGV."""
+    """Write the command of a UGV."""
     tick, one = state.batch.ticks[world], state.batch.vehicles[world, vehicle]
     one.outgoing_tick = tick
     if tables.hand[vehicle] >= 0:
@@ -146,7 +146,7 @@ def command(
     world: int,
     actions: FloatArray,
 ) -> None:
-    """The commands of all vehicles, of their pilots or from outside."""
+    """Write the commands of all vehicles, from pilots or external actions."""
     for v in range(tables.rows.place.shape[0]):
         place = tables.rows.place[v]
         if place >= 0:
@@ -157,7 +157,7 @@ def command(
 
 @compiled
 def obey(vehicles: RecordArray, hand: IntArray, world: int, tick: int, actions: FloatArray) -> None:
-    """The commands of all vehicles, from outside; the backup plans that they carry are there already."""
+    """Write external actions as the commands of all vehicles; their backup trajectories are already stored."""
     for v in range(hand.shape[0]):
         one = vehicles[world, v]
         one.outgoing_tick = tick

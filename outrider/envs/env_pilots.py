@@ -1,4 +1,4 @@
-"""The paper's pilots as policies for the environment: the baseline for whoever trains."""
+"""Paper's pilots as policies for the environment, as a baseline for training."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -24,7 +24,7 @@ from sim.channel.link_records import ARRIVED
 from sim.world import World
 
 AgentPolicy = Callable[[npt.NDArray[Any] | Mapping[str, npt.NDArray[Any]]], UavCommand | UgvCommand]
-"""A vehicle's observation in, its pilot's command out, which the environment takes as an action."""
+"""Function that maps a vehicle's observation to its pilot's command, a valid action of the environment."""
 
 
 def _radioed(
@@ -32,7 +32,7 @@ def _radioed(
     batch: Any,  # noqa: ANN401 - PettingZoo has no types
     uavs: tuple[str, ...],
 ) -> tuple[tuple[RelativeInformation, ...], tuple[MapUpdate, ...]]:
-    """The messages that the radios of these UAVs deliver at this tick."""
+    """Return the messages delivered in this tick by the radios of these UAVs."""
     radio, blocks, dt = list[RelativeInformation](), list[MapUpdate](), world.parameters.dt
     across = 0 if world.ground is None else -(-world.tiles.shape[1] // BLOCK_SIDE)
     for uav in uavs:
@@ -42,7 +42,7 @@ def _radioed(
             if block < 0:
                 place = (float(packet["vector"][0]), float(packet["vector"][1]))
                 time = float(packet["stamp"]) * dt
-                # drivers make nothing of the error
+                # drivers ignore the coverage error
                 said = RelativeInformation(time=time, relative_position=place, coverage_error=0.0)
                 radio.append(said)
             else:
@@ -53,7 +53,7 @@ def _radioed(
 
 
 class _EnvPilots:
-    """The pilots of one environment, new ones for each episode."""
+    """Pilots of one environment, recreated for each episode."""
 
     def __init__(self, env: Any, weighting: Weighting | None, path: VirtualPath | None) -> None:  # noqa: ANN401
         self._env = env.unwrapped
@@ -102,20 +102,20 @@ def pilots(
     weighting: Weighting | None = None,
     path: VirtualPath | None = None,
 ) -> dict[str, AgentPolicy]:
-    """A policy for each agent of the environment: the scenario's law for a UAV, its driver for a UGV.
+    """Return a policy for each agent: the scenario's law for a UAV, its driver for a UGV.
 
-    Each knows what it would know over the bus: its briefing, and then, whatever the observations look like, what its
-    own sensors and links have told it. They have a memory, so call each once a tick; with a new episode they begin
-    anew by themselves. They fly the same bits as `outrider.run` with the same scenario and seed, where no UGV uses the
-    radio of the UAVs' computers; else the same to rounding.
+    Each policy has the information that its pilot would have over the bus: its briefing, and the data of its own
+    sensors and links, whatever the observation contains. Policies have memory, so call each once per tick; they reset
+    with each new episode. They fly the same bits as `outrider.run` with the same scenario and seed if no UGV uses the
+    UAVs' radio; otherwise they agree to rounding.
 
     Args:
-        env: The environment, or a wrapper of it.
-        weighting: For the law `weighted`, instead of the scenario's.
-        path: For the law `path`, instead of the scenario's.
+        env: Environment, or a wrapper of it.
+        weighting: Weighting for the law `weighted`, instead of the scenario's.
+        path: Path for the law `path`, instead of the scenario's.
 
     Raises:
-        ScenarioError: If the scenario asks for a law or a driver that cannot be had.
+        ScenarioError: If a law or a driver of the scenario is not available.
     """
     flown = _EnvPilots(env, weighting, path)
     return {name: partial(flown.act, name) for name in env.possible_agents}

@@ -1,4 +1,4 @@
-"""Perception of a tick of the closed loop: maps, filters, radio, and the tiles that vehicles are told of."""
+"""Perception of a tick of the closed loop: maps, filters, radio, and tile reports."""
 
 from agents.drivers.tile_map import note_block, note_tiles
 from agents.estimation.batch_filter import update as update_estimate
@@ -17,7 +17,7 @@ from sim.engine.mission import receive_block
 def _receive_block(
     tables: LoopTables, state: LoopState, ground: GroundState, world: int, ugv: int, packet: Packet
 ) -> None:
-    """A UGV is told of a block of tiles by radio."""
+    """Update a UGV's occupancy grid from a map update."""
     block, across = packet.block, state.telling.news.shape[3]
     row, column, states = block // across, block % across, state.states[world, :BLOCK_TILES]
     for place in range(BLOCK_TILES):
@@ -30,7 +30,7 @@ def _receive_block(
 def _feel_ground(
     tables: LoopTables, state: LoopState, ground: GroundState, world: int, ugv: int
 ) -> None:
-    """A UGV takes in the tiles that its bumper tells of."""
+    """Update a UGV's occupancy grid from the reports of its own sensor."""
     v = ground.ugvs[ugv]
     columns, count = ground.tiles.shape[2], ground.told[world, v]
     rows = state.places[world, 0, :count]
@@ -45,13 +45,13 @@ def _feel_ground(
 
 @inlined
 def _radio(tables: LoopTables, state: LoopState, ground: GroundState | None, world: int) -> None:
-    """Send out the radio messages of the tick before, and receive those that arrive."""
+    """Send the radio messages of the previous tick, and receive those that arrive."""
     tick, arrived = state.batch.ticks[world], state.arrived[world]
     arrived[:] = 0
     packets, traces = state.batch.packets, tables.batch.traces
     for u in range(tables.receivers.shape[0]):
         g, come = tables.receivers[u], state.inboxes[world, tables.receivers[u]]
-        # behind the links of detections and commands
+        # radio links follow those of detections and commands
         link = state.batch.links[world, tables.receivers.shape[0] + tables.hand.shape[0] + u]
         begin_tick(link, packets, world, traces, tick)
         for k in range(state.outbox.shape[2]):
@@ -77,7 +77,7 @@ def _radio(tables: LoopTables, state: LoopState, ground: GroundState | None, wor
 def _see_ground(
     parameters: LoopParameters, state: LoopState, ground: GroundState, world: int, uav: int, v: int
 ) -> None:
-    """Keep the tiles that a UAV's sensor has reported, to radio them."""
+    """Record the tiles reported by a UAV's sensor, for its map updates."""
     if parameters.telling_ticks > 0:
         columns = ground.tiles.shape[2]
         for n in range(ground.told[world, v]):
@@ -94,10 +94,10 @@ def perceive(
     ground: GroundState | None,
     world: int,
 ) -> None:
-    """Every UAV takes what has reached it at this tick into its map and its filters, every UGV its radio."""
+    """Update the map and filters of each UAV and the inbox of each UGV from the messages of this tick."""
     escorts, tick = tables.batch.escorts, state.batch.ticks[world]
     looks = state.looks[world]
-    looked = 1 if parameters.own_maps and tick > 0 else 0  # else the world has done it
+    looked = 1 if parameters.own_maps and tick > 0 else 0  # otherwise the world updates the map
     for u in range(escorts.shape[0]):
         here = reference_of(state.batch.vehicles[world, escorts[u, 0]])
         if ground is not None:

@@ -1,4 +1,4 @@
-"""The parameters of all pilots of a closed loop, in tables."""
+"""Parameters of all pilots of a closed loop, in tables."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar, cast
@@ -38,11 +38,11 @@ _Memory = TypeVar("_Memory")
 
 
 def repeated(memory: _Memory, worlds: int, of_each: int) -> _Memory:
-    """The memory of one vehicle for each of `of_each` in each world.
+    """Return the memories of many vehicles in many worlds, as copies of one.
 
     Args:
-        memory: An array, or a named tuple of such memories.
-        worlds, of_each: Sizes of the axes that come in front of each array.
+        memory: Array, or a named tuple of such memories.
+        worlds, of_each: Sizes of the axes added in front of each array: worlds, and vehicles per world.
     """
     one: Any = memory
     if hasattr(one, "_make"):
@@ -53,29 +53,29 @@ def repeated(memory: _Memory, worlds: int, of_each: int) -> _Memory:
 
 
 def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:
-    """The laws or drivers that can fly or drive a vehicle in here, by name."""
+    """Return the names of the laws or drivers that can control a vehicle in batches."""
     if any(uav.name == vehicle for uav in scenario.uav):
         return tuple(CODES)
     return tuple(DRIVER_CODES)
 
 
 def uses_radio(scenario: Scenario, drivers: Sequence[str] = ()) -> bool:
-    """True if any UGV uses the radio of the UAVs: whoever drives is told of the ground, some drivers of the UAV.
+    """Return whether any UGV uses the UAVs' radio: for map updates on ground with hazards, or for its driver.
 
     Args:
-        scenario: The scenario.
-        drivers: Who drives beside the scenario's drivers, by name.
+        scenario: Scenario.
+        drivers: Names of further drivers in use.
     """
     own = [ugv.driver for ugv in scenario.ugv]
     return scenario.has_ground or any(DRIVERS[driver].listens for driver in (*own, *drivers))
 
 
 def loop_parameters(scenario: Scenario, settings: Settings, *, radio: bool) -> LoopParameters:
-    """The switches and numbers of the pilots.
+    """Return the switches and parameters of the pilots.
 
     Args:
-        scenario, settings: The flight.
-        radio: Whether any UGV uses the radio.
+        scenario, settings: Scenario and settings of the environment.
+        radio: True if any UGV uses the radio.
     """
     dt, ground, patch = scenario.dt, scenario.ground, given_patch(settings.coverage_patch)
     return LoopParameters(
@@ -91,7 +91,7 @@ def loop_parameters(scenario: Scenario, settings: Settings, *, radio: bool) -> L
 
 
 class PilotNumbers:
-    """The parameters of all pilots, in tables."""
+    """Parameters of all pilots, in tables."""
 
     def __init__(
         self,
@@ -111,8 +111,8 @@ class PilotNumbers:
             named = getattr(scenario.custom, LAWS[law.name].inner, "")
             if named and one.vehicle not in pilots:
                 raise ScenarioError(
-                    f"{one.vehicle}: uav_policy = {named!r}: flies in a run, not in many worlds; allowed: no policy, "
-                    "or the policy itself as one of the `others`"
+                    f"{one.vehicle}: uav_policy = {named!r}: not supported in batches; allowed: no policy, "
+                    "or the policy itself in `others`"
                 )
         safety = [bounds_of(one) for one in told_uavs]
         self.laws = law_tables(told_uavs, laws)
@@ -140,7 +140,7 @@ class PilotNumbers:
         self.scripts = [told_route(one).script for one in told_ugvs]
         grounds = [told_ground(one) for one in told_ugvs]
         self.late = np.array([len(memory.sent) for memory in grounds], dtype=np.int64)
-        self.ground = max(grounds, key=lambda memory: len(memory.sent))  # all have one area
+        self.ground = max(grounds, key=lambda memory: len(memory.sent))  # all share one area
         self.radio = uses_radio(scenario, drivers)
 
     @staticmethod
@@ -148,7 +148,7 @@ class PilotNumbers:
         law = told.law if name is None else msgspec.structs.replace(told.law, name=name)
         if law.name in LAWS and LAWS[law.name].own:
             raise ScenarioError(
-                f"{told.vehicle}: law.name = {law.name!r} is a function of your own and cannot be compiled"
+                f"{told.vehicle}: law.name = {law.name!r}: a user's function cannot compile; allowed: a built-in law"
             )
-        SelectedLaw(told, law, uav_parameters(told))  # which checks it
+        SelectedLaw(told, law, uav_parameters(told))  # raises if the law does not fit
         return law

@@ -1,4 +1,4 @@
-"""Parts of the loop's state that belong to one vehicle, and its truth, as the pilots' functions take them."""
+"""Views of one vehicle's part of the loop's state, in the form that the pilots' functions take."""
 
 from agents.drivers.tile_map import GroundMemory
 from agents.safety.memory import FilterMemory
@@ -11,7 +11,7 @@ from sim.models.vehicles import Motion
 
 @inlined
 def filter_of(tables: LoopTables, filters: FilterMemory, world: int, uav: int) -> FilterMemory:
-    """Memory of the safety filter of a UAV."""
+    """Return the memory of a UAV's safety filter."""
     delay, pending = tables.safety[uav].delay_ticks, filters.pending
     return FilterMemory(
         filters.discs[world, uav],
@@ -29,7 +29,7 @@ def filter_of(tables: LoopTables, filters: FilterMemory, world: int, uav: int) -
 
 @inlined
 def ground_of(tables: LoopTables, state: LoopState, world: int, ugv: int) -> GroundMemory:
-    """Ground as a UGV knows it."""
+    """Return the occupancy grid of a UGV."""
     grounds = state.grounds
     return GroundMemory(
         grounds.tiles[world, ugv],
@@ -47,7 +47,7 @@ def ground_of(tables: LoopTables, state: LoopState, world: int, ugv: int) -> Gro
 
 @inlined
 def coverage_of(parameters: LoopParameters, state: LoopState, world: int, uav: int) -> FloatArray:
-    """Coverage grid of a UAV: its own, or that of its world."""
+    """Return the coverage grid of a UAV: its own, or its world's."""
     coverage: FloatArray = (
         state.maps[world, uav] if parameters.own_maps else state.batch.coverage[world]
     )
@@ -56,6 +56,6 @@ def coverage_of(parameters: LoopParameters, state: LoopState, world: int, uav: i
 
 @compiled
 def reference_of(vehicle: Vehicle) -> Motion:
-    """Reference state of a vehicle."""
+    """Return the reference state of a vehicle."""
     place, velocity = vehicle.reference_position, vehicle.reference_velocity
     return Motion(place[0], place[1], velocity[0], velocity[1])
