@@ -247,7 +247,7 @@ def test_a_driver_without_a_compiled_form_is_refused_in_one_line(name: str) -> N
 
 def test_an_area_of_too_many_tiles_is_refused_in_one_line() -> None:
     ground = UgvGround(tile=0.5, sensing_range=0.75, caution="cautious", rough_speed_share=0.4)
-    told = r"^ground.tile = 0.5: makes 3.6e\+07 tiles of the area; at most 1,000,000$"
+    told = r"^ground.tile = 0.5: divides the area into 3.6e\+07 tiles; allowed: at most 1,000,000$"
     with pytest.raises(ScenarioError, match=told):
         NavigateDriver(told_ugv(area=Area(width=1e6, height=9.0, cell=0.5), ground=ground))
 

@@ -380,7 +380,7 @@ def test_a_copy_of_a_filter_goes_on_like_the_original_and_by_itself():
 
 
 def test_time_that_goes_back_is_an_error():
-    with pytest.raises(ValueError, match="tick = 398: is before the last one, 399"):
+    with pytest.raises(ValueError, match="tick = 398: before the last one; allowed: 399"):
         converged().update(tick=398, own_position=(0.0, 0.0), looks=())
     with pytest.raises(ValueError, match="dt"):
         make(dt=math.inf)

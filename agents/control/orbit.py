@@ -113,11 +113,11 @@ def check_path(
             ]
         except (TypeError, ValueError, ArithmeticError) as error:
             raise ScenarioError(
-                f"path at t = {t:.6g} s: {error}; allowed: a function that returns ((x, y), (x'', y''))"
+                f"path at t = {t:.6g} s: {error}; it must return ((x, y), (x'', y''))"
             ) from error
         if len(values) != 8 or not all(math.isfinite(value) for value in values):
             raise ScenarioError(
-                f"path at t = {t:.6g} s: returned {values}; allowed: finite ((x, y), (x'', y''))"
+                f"path at t = {t:.6g} s: returned {values}; it must return ((x, y), (x'', y'')), all finite"
             )
         b_x, b_y, x, y, c_x, c_y, a_x, a_y = values
         if math.hypot(x, y) >= r_v:

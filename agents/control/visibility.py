@@ -32,6 +32,6 @@ def switching_radius(r_v: float, v_a: float, v_g: float, u_a: float) -> float:
     if not r_s > 0.0:
         raise ScenarioError(
             f"r_s = {r_s:.6g} m: the UAV (v_a = {v_a:g} m/s, u_a = {u_a:g} m/s²) is too weak to keep a UGV of "
-            f"{v_g:g} m/s within r_v = {r_v:g} m; allowed: r_s > 0"
+            f"{v_g:g} m/s within r_v = {r_v:g} m; r_s must be positive"
         )
     return r_s

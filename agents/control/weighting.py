@@ -85,7 +85,7 @@ def check_weighting(weighting: Weighting, r_s: float) -> None:
             fine = math.isfinite(alpha) and math.isfinite(beta) and alpha >= 0.0 and beta >= 0.0
         except (TypeError, ValueError, ArithmeticError) as error:
             raise ScenarioError(
-                f"weighting at a distance of {distance:.6g} m: {error}; allowed: a function that returns alpha and beta"
+                f"weighting at a distance of {distance:.6g} m: {error}; it must return alpha and beta"
             ) from error
         if not fine:
             raise ScenarioError(
@@ -95,5 +95,5 @@ def check_weighting(weighting: Weighting, r_s: float) -> None:
         if distance >= r_s and (alpha, beta) != (1.0, 0.0):
             raise ScenarioError(
                 f"weighting at a distance of {distance:.6g} m >= r_s = {r_s:.6g} m: alpha = {alpha:g}, "
-                f"beta = {beta:g}; allowed: alpha = 1, beta = 0 (Proposition 2)"
+                f"beta = {beta:g}; Proposition 2 asks for alpha = 1, beta = 0 there"
             )

@@ -248,9 +248,12 @@ def _error_fault(bounds: SafetyBounds) -> str:
     """Return the fault of the declared tracking and measurement errors; empty if there is none."""
     tracking, placed = bounds.max_tracking_error, bounds.placed_error
     if not math.isfinite(tracking):
-        return f"max_tracking_error w = {tracking:g} m: has no bound; allowed: a finite error"
+        return f"max_tracking_error (w) = {tracking:g} m: unbounded; allowed: a finite error"
     if not math.isfinite(placed):
-        return f"max_measurement_error eps = {placed:g} m: has no bound, since the detector noise is not truncated"
+        return (
+            f"max_measurement_error (eps) = {placed:g} m: unbounded, since the detector noise is not truncated; "
+            "allowed: a finite detections.truncation"
+        )
     return ""
 
 
@@ -258,9 +261,9 @@ def _speed_fault(bounds: SafetyBounds) -> str:
     """Return the fault of the speeds; empty if there is none."""
     v_a, v_g = bounds.v_a, bounds.v_g
     if not math.isfinite(v_a) or not math.isfinite(v_g):
-        return f"v_a = {v_a:g} m/s, v_g = {v_g:g} m/s: both maximum speeds must be finite"
+        return f"max_speed = {v_a:g} m/s (UAV), {v_g:g} m/s (UGV): unbounded; allowed: finite speeds"
     if not v_g < v_a:
-        return f"v_a = {v_a:g} m/s: the UAV must be faster than the UGV, v_g = {v_g:g} m/s"
+        return f"uav.max_speed = {v_a:g} m/s: too slow; allowed: more than the UGV's, {v_g:g} m/s"
     return ""
 
 
@@ -268,10 +271,10 @@ def _acceleration_fault(bounds: SafetyBounds) -> str:
     """Return the fault of the UAV's acceleration; empty if there is none."""
     u_a, change = bounds.u_a, bounds.u_a * bounds.dt
     if not u_a > 0.0:
-        return f"u_a = {u_a:g} m/s²: must be positive"
+        return f"uav.max_acceleration = {u_a:g} m/s²: not positive; allowed: more than 0"
     if change < _LEAST_STEP:
         return (
-            f"u_a = {u_a:g} m/s²: changes the speed by {change:g} m/s in a tick, "
+            f"uav.max_acceleration = {u_a:g} m/s²: changes the speed by {change:g} m/s in a tick, "
             f"too little to detect a lost command; allowed: at least {_LEAST_STEP:g} m/s"
         )
     return ""
@@ -281,15 +284,15 @@ def _age_fault(bounds: SafetyBounds) -> str:
     """Return the fault of the measurement age; empty if there is none."""
     b, age = bounds, bounds.max_measurement_age
     if not math.isfinite(age):
-        return f"max_measurement_age A = {age:g} s: has no bound; allowed: a finite age"
+        return f"max_measurement_age (A) = {age:g} s: unbounded; allowed: a finite age"
     if b.max_age_ticks >= MOST_KEPT:
-        return f"max_measurement_age A = {age:g} s: {b.max_age_ticks:,} ticks; allowed: less than {MOST_KEPT:,} ticks"
+        return f"max_measurement_age (A) = {age:g} s: {b.max_age_ticks:,} ticks; allowed: less than {MOST_KEPT:,} ticks"
     largest = max(size if math.isfinite(size) else 0.0 for size in (b.width, b.height))
     strayed = 0.5 * math.ulp(largest) * (b.max_age_ticks + b.delay_ticks)
     if strayed > 0.5 * MARGIN:
         return (
             f"area = {b.width:g} m x {b.height:g} m: at this size rounding alone moves the UGV by up to "
-            f"{strayed:.2g} m in A = {age:g} s, more than the margin covers"
+            f"{strayed:.2g} m in max_measurement_age = {age:g} s, more than the margin covers"
         )
     return ""
 
@@ -304,18 +307,28 @@ def _handover_fault(bounds: SafetyBounds) -> str:
     """Return the error for bounds without a hand-over, with the limits up to which it holds."""
     b, age, delay = bounds, bounds.max_measurement_age, bounds.delay_ticks * bounds.dt
     rho, most = b.placed_error + b.v_g * (age + delay), largest_age(b)
-    terms, sizes = "eps", f"eps {b.placed_error:g} m"
+    terms, sizes = "eps", f"max_measurement_error eps = {b.placed_error:g} m"
     if b.max_tracking_error > 0.0:
         terms = "eps + w"
-        sizes = f"eps {b.max_measurement_error:g} m, w {b.max_tracking_error:g} m"
-    limit = "for no A" if math.isnan(most) else f"for A up to {most:.2f} s"
+        sizes = (
+            f"max_measurement_error eps = {b.max_measurement_error:g} m, "
+            f"max_tracking_error w = {b.max_tracking_error:g} m"
+        )
+    limit = "for no max_measurement_age"
+    if not math.isnan(most):
+        limit = f"for max_measurement_age up to {most:.2f} s"
     if b.interval_ticks > 1:
         most = largest_interval(b)
-        limit += ", or for no B" if math.isnan(most) else f", or for B up to {most:.2f} s"
+        limit += (
+            ", or for no max_command_interval"
+            if math.isnan(most)
+            else f", or for max_command_interval up to {most:.2f} s"
+        )
         limit += f", not {b.interval_ticks * b.dt:g} s"
     return (
-        f"{terms} + v_g (A + tau_c) = {rho:.4g} m ({sizes}, A {age:g} s, tau_c {delay:g} s): "
-        f"too large for r_v = {b.radius:.4g} m; with the other values unchanged the hand-over holds {limit}"
+        f"{terms} + v_g (A + tau_c) = {rho:.4g} m ({sizes}, max_measurement_age A = {age:g} s, "
+        f"max_command_delay tau_c = {delay:g} s): too large for r_v = {b.radius:.4g} m; "
+        f"with the other values unchanged the hand-over holds {limit}"
     )
 
 

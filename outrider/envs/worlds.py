@@ -85,7 +85,7 @@ class Worlds:
         self.learners = list(names if learners is None else learners)
         for name in self.learners:
             if name not in names:
-                raise ValueError(f"agent = {name!r}: no such vehicle; allowed: {', '.join(names)}")
+                raise ValueError(f"agent = {name!r}; allowed: {', '.join(names)}")
         self._format = ObservationFormat(self.scenario, options)
         given = dict(options.others or {})
         self._policies = {
@@ -260,7 +260,7 @@ class Worlds:
         if not self.begun:
             raise ResetNeeded("step() before reset()")
         if set(actions) != set(self.learners):
-            given = ", ".join(map(str, actions)) or "no vehicle"
+            given = ", ".join(map(str, actions)) or "none"
             raise ValueError(
                 f"actions for: {given}; allowed: one for each of: {', '.join(self.learners)}"
             )
