@@ -51,7 +51,7 @@ class AskedPolicy:
         Raises:
             ScenarioError: If the policy raises; one line with its name and the tick.
         """
-        begun = time.perf_counter()
+        started = time.perf_counter()
         try:
             answer = self._policy(*given)
         except ScenarioError as error:
@@ -60,16 +60,16 @@ class AskedPolicy:
             raise ScenarioError(
                 f"{self.where(tick)}: raised {shortened(told_with_place(error))}"
             ) from error
-        self._mind_time(tick, time.perf_counter() - begun)
+        self._check_duration(tick, time.perf_counter() - started)
         return answer
 
-    def nonsense(self, tick: int, answer: object, allowed: str) -> ScenarioError:
+    def invalid_answer(self, tick: int, answer: object, allowed: str) -> ScenarioError:
         """Return the error for an unusable answer."""
         return ScenarioError(
             f"{self.where(tick)}: returned {shortened(repr(answer), 80)}; allowed: {allowed}"
         )
 
-    def _mind_time(self, tick: int, seconds: float) -> None:
+    def _check_duration(self, tick: int, seconds: float) -> None:
         """Warn once if the policy needs longer than a tick; the first call is exempt, since it may compile."""
         if self._warm and not self._slow and seconds > self._dt:
             self._slow = True

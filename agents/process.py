@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from agents.laws.policy import UavPolicy
     from agents.uav import Inner
 
-_ROOM = 1024
+_QUEUE_LENGTH = 1024
 """Capacity of the observation queue; if a pilot is slower than the clock, the oldest observations are dropped."""
 
 
@@ -94,14 +94,14 @@ def ugv_maker(*, policy: Policy | None = None, policy_name: str = "policy") -> M
     return partial(UgvPilot, policy=policy, policy_name=policy_name)
 
 
-_SOMEBODY = {
-    "vehicle": "nobody",
+_VEHICLE = {
+    "vehicle": "warm_up",
     "dt": 0.05,
     "area": {"width": 10.0, "height": 10.0, "cell": 0.5},
     "limits": {"max_speed": 0.6, "max_acceleration": 0.3},
     "key": "1" * 32,
 }
-_UAV = _SOMEBODY | {
+_UAV = _VEHICLE | {
     "target_limits": {"max_speed": 0.2, "max_acceleration": 0.1},
     "visibility_radius": 4.75,
     "sensor": {},
@@ -110,25 +110,25 @@ _UAV = _SOMEBODY | {
     "detector": {"noise": 0.1, "period": 0.05},
     "estimator": {},
 }
-_WATCHED = {
+_FILTERED = {
     "law": {"name": "certified"},
     "safety": {"max_measurement_error": 0.3, "max_measurement_age": 1.0},
 }
-_UGV = _SOMEBODY | {
+_UGV = _VEHICLE | {
     "driver": "waypoints",
     "goals": [[1.0, 1.0], [9.0, 9.0]],
     "goal_tolerance": 0.05,
 }
 
-_SOMEONE = {"driver": "nobody"}
-_WORDS: tuple[list[dict[str, Any]], ...] = (
+_OPERATOR = {"operator": "warm_up"}
+_MESSAGES: tuple[list[dict[str, Any]], ...] = (
     [],
-    [_SOMEONE | {"velocity": [0.1, 0.0]}],
-    [_SOMEONE | {"goal": [1.0, 1.0]}],
+    [_OPERATOR | {"velocity": [0.1, 0.0]}],
+    [_OPERATOR | {"goal": [1.0, 1.0]}],
 )
 
 
-def _seen(tick: int) -> dict[str, Any]:
+def _observation(tick: int) -> dict[str, Any]:
     return {"tick": tick, "time": tick * 0.05, "position": [5.0, 5.0], "velocity": [0.0, 0.0]}
 
 
@@ -142,27 +142,31 @@ def warm_up(role: Role, *, inner: "Inner | None" = None) -> None:
     if role is Role.UGV:
         for driver in (DEFAULT_DRIVER, TELEOP):  # an operator may take over any UGV
             ugv = ugv_maker()(msgspec.convert(_UGV | {"driver": driver}, UgvBriefing))
-            for tick, words in enumerate(_WORDS):
-                ugv.act(msgspec.convert(_seen(tick) | {"operator": words}, UgvObservation))
+            for tick, messages in enumerate(_MESSAGES):
+                ugv.act(
+                    msgspec.convert(_observation(tick) | {"operator": messages}, UgvObservation)
+                )
         return
-    for own in ({}, _WATCHED):
+    for own in ({}, _FILTERED):
         uav: Any = uav_maker(inner=inner)(msgspec.convert(_UAV | own, UavBriefing))
         for tick in range(3):
-            look = {"time": tick * 0.05, "relative_position": [1.0, 0.0]}
-            uav.act(msgspec.convert(_seen(tick) | {"detections": [look]}, UavObservation))
+            detection = {"time": tick * 0.05, "relative_position": [1.0, 0.0]}
+            uav.act(
+                msgspec.convert(_observation(tick) | {"detections": [detection]}, UavObservation)
+            )
 
 
 _LOG = logging.getLogger("outrider.agents")
-_LONG = 5
+_BRIEFING_WARNING = 5
 """Time after which a vehicle warns that it still waits for a briefing, although a simulator is present [s]."""
-_LOOKS = 2
+_MISSING_CHECKS = 2
 """Consecutive checks, one second apart, that find no slot for the vehicle before it gives up.
 
 A single check may meet a simulator that is shutting down.
 """
 
 
-class _Slot:
+class _Connection:
     """Connection of one vehicle's process to the simulator.
 
     The simulator sends a new briefing whenever it has restarted or lost contact with this process. A briefing contains
@@ -178,20 +182,22 @@ class _Slot:
         party = session.party
         self._session, self._make_pilot, self._limit = session, make_pilot, limit
         self._briefings = session.inbox(BRIEFING[party.role], party.name)
-        self._observations = session.inbox(OBSERVATION[party.role], party.name, newest=_ROOM)
+        self._observations = session.inbox(
+            OBSERVATION[party.role], party.name, newest=_QUEUE_LENGTH
+        )
         self._flight: tuple[object, int] = (None, 0)  # session and episode of the last briefing
         self._first = 0  # first tick not yet received
-        self._without_slot = 0  # consecutive checks with a simulator but no slot
+        self._missing_checks = 0  # consecutive checks with a simulator but no slot
         self._simulator = Presence(session, SIMULATOR_NAME)
         session.announce()
-        self.pilot = self._take_over()
+        self.pilot = self._receive_briefing()
 
     def _check_simulator(self, what: str) -> None:
         """Raise an error if the simulator stays absent, or if its scenario has no such vehicle."""
         party = self._session.party
         missing = self._simulator.there and not self._session.is_offered()
-        self._without_slot = self._without_slot + 1 if missing else 0
-        if self._without_slot >= _LOOKS:
+        self._missing_checks = self._missing_checks + 1 if missing else 0
+        if self._missing_checks >= _MISSING_CHECKS:
             raise ScenarioError(
                 f"--name {party.name}: no such {party.role.upper()} in the scenario of the run "
                 f"{self._session.run}; allowed: the name of one of its {party.role.upper()}s"
@@ -202,7 +208,7 @@ class _Slot:
                 f"the {who} has been absent for {self._limit:g} s while {party.name} waited for {what}"
             )
 
-    def _take_over(self) -> Pilot:
+    def _receive_briefing(self) -> Pilot:
         """Wait for a complete briefing and return a pilot in the state that it implies.
 
         The pilot processes all of its past, and its answers to it are not sent. An interrupted briefing starts over.
@@ -214,29 +220,29 @@ class _Slot:
             if envelope is None:
                 self._check_simulator("its briefing")
                 waited = waited + 1 if self._simulator.there else 0
-                if waited == _LONG:
+                if waited == _BRIEFING_WARNING:
                     _LOG.warning(
                         "no briefing in %d s%s",
-                        _LONG,
+                        _BRIEFING_WARNING,
                         f": another session of {self._session.party.name} joined first and keeps the slot"
                         if self._session.place
                         else "",
                     )
                 continue
-            told: Any = envelope.message
-            begins = not told.past or told.past[0].tick == 0
+            briefing: Any = envelope.message
+            begins = not briefing.past or briefing.past[0].tick == 0
             if begins:
-                pilot, self._first = self._make_pilot(msgspec.structs.replace(told, past=())), 0
+                pilot, self._first = self._make_pilot(msgspec.structs.replace(briefing, past=())), 0
             if pilot is None:
                 continue  # the start of this briefing went to another process
-            for seen in told.past:
-                pilot.act(seen)
-                self._first = seen.tick + 1
-            if not told.more:
+            for observation in briefing.past:
+                pilot.act(observation)
+                self._first = observation.tick + 1
+            if not briefing.more:
                 if self._first > 0:
                     _call_if_there(pilot, "forget_commands")
                 _call_if_there(pilot, "attend", self._awaits)
-                self._flight = (envelope.session, told.episode)
+                self._flight = (envelope.session, briefing.episode)
                 return pilot
 
     def _awaits(self) -> bool:
@@ -244,7 +250,7 @@ class _Slot:
         newer = self._observations.holds_any() or self._briefings.holds_any()
         return not newer and self._simulator.there
 
-    def look(self) -> list[Any]:
+    def receive(self) -> list[Any]:
         """Wait for observations and return all that have arrived, oldest first.
 
         Briefings are processed first; each replaces the pilot.
@@ -255,16 +261,16 @@ class _Slot:
         while True:
             envelope = self._observations.receive(1.0)
             while self._briefings.holds_any():
-                self.pilot = self._take_over()
+                self.pilot = self._receive_briefing()
             if envelope is None:
                 self._check_simulator("an observation")
                 continue
-            seen = []
+            observations = []
             while envelope is not None:
                 if self._is_new(envelope):
-                    seen.append(envelope.message)
+                    observations.append(envelope.message)
                 envelope = self._observations.next_waiting()
-            return seen
+            return observations
 
     def _is_new(self, envelope: Envelope) -> bool:
         """Return whether an observation belongs to the current episode and has not been processed."""
@@ -285,7 +291,7 @@ def _call_if_there(pilot: Pilot, method: str, *arguments: Any) -> None:  # noqa:
         getattr(pilot, method)(*arguments)
 
 
-def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> bool:
+def _answer(pilot: Pilot, observations: list[Any], commands: Outbox, name: str) -> bool:
     """Send the answer to the newest observation; only process the earlier ones.
 
     The pilot acts on a single missed observation without sending the answer, so its state stays the same: in lockstep,
@@ -298,8 +304,8 @@ def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> bool:
     Raises:
         BusError: If the pilot's command is invalid.
     """
-    if len(seen) > 1:
-        missed = seen[:-1]
+    if len(observations) > 1:
+        missed = observations[:-1]
         # A pilot with `attend` waits for another program, whose answer would come too late.
         act = len(missed) == 1 and not hasattr(pilot, "attend")
         take = pilot.act if act else getattr(pilot, "perceive", None)
@@ -307,14 +313,14 @@ def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> bool:
             for observation in missed:
                 take(observation)
         _call_if_there(pilot, "forget_commands")
-    command = pilot.act(seen[-1])
+    command = pilot.act(observations[-1])
     if command is None:
         return False
     try:
         commands.send(command)
     except ValueError as error:
         raise BusError(
-            f"{name}: the pilot's command for tick {seen[-1].tick} cannot be sent: {error}"
+            f"{name}: the pilot's command for tick {observations[-1].tick} cannot be sent: {error}"
         ) from error
     _call_if_there(pilot, "prepare")
     return True
@@ -354,12 +360,12 @@ def fly(
         party, run, connect=connect, credential=credential, join_timeout=join_timeout
     ) as session:
         commands = session.outbox(COMMAND[party.role], party.name)
-        slot = _Slot(session, make_pilot, join_timeout)
+        connection = _Connection(session, make_pilot, join_timeout)
         sent = 0
         while True:
-            seen = slot.look()
-            if not seen:
+            observations = connection.receive()
+            if not observations:
                 continue
-            if seen[-1].over:
+            if observations[-1].over:
                 return sent
-            sent += _answer(slot.pilot, seen, commands, party.name)
+            sent += _answer(connection.pilot, observations, commands, party.name)

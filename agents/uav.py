@@ -5,7 +5,7 @@ from collections.abc import Callable
 from agents.control.orbit import Path, check_path
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimation.estimator import Estimate, estimator_of
-from agents.estimation.map_updates import GroundTeller
+from agents.estimation.map_updates import MapUpdateScheduler
 from agents.laws.policy import PolicyControl, TargetEstimate, UavPolicy
 from agents.laws.selection import SelectedLaw
 from agents.safety.safety_filter import SafetyFilter
@@ -82,7 +82,7 @@ class UavPilot:
         self.estimator = estimator_of(briefing)
         self.filter: SafetyFilter | None = self._make_filter()
         """Safety filter of the law `certified` and of a user's inner control; None for other laws."""
-        self.teller = GroundTeller(briefing)
+        self.map_updates = MapUpdateScheduler(briefing)
         """Scheduler of the map updates."""
         self._tick: int | None = None
         self._radio_ticks = radio_ticks(briefing.dt)
@@ -123,32 +123,32 @@ class UavPilot:
         """Return the command for this observation."""
         tick = observation.tick
         if observation.law is not None:
-            self._fly(observation.law)
+            self._select_law(observation.law)
         wanted = None if self._inner is None else self._inner(observation)
         self.perceive(observation)
         estimate = self._estimate
         if wanted is None:
             wanted = self._nominal(observation)
         acceleration, decision = wanted, None
-        motions: tuple[BackupTrajectory, ...] = ()
+        backups: tuple[BackupTrajectory, ...] = ()
         if self.filter is not None:
             decision = self.filter.filter(observation, wanted)
             acceleration = decision.acceleration
-            motions = self.filter.backup_trajectories(tick)
+            backups = self.filter.backup_trajectories(tick)
         if estimate is None:
-            return UavCommand(tick=tick, acceleration=acceleration, backup_trajectories=motions)
+            return UavCommand(tick=tick, acceleration=acceleration, backup_trajectories=backups)
         target_position = estimate.position
         return UavCommand(
             tick=tick,
             acceleration=acceleration,
-            backup_trajectories=motions,
+            backup_trajectories=backups,
             radio=() if tick % self._radio_ticks else self._radio(observation, *target_position),
-            map_updates=self.teller.blocks(tick, target_position),
+            map_updates=self.map_updates.due(tick, target_position),
             report=UavReport(
                 estimate=target_position,
                 covariance=estimate.covariance,
                 age=estimate.age,
-                rejected=estimate.refused,
+                rejected=estimate.rejected,
                 decision=decision,
             ),
         )
@@ -162,11 +162,13 @@ class UavPilot:
         """Update map, estimator and safety filter, also from an observation that is too late to answer."""
         tick, before, dt = observation.tick, self._tick, self._dt
         if observation.tile_reports:
-            self.teller.note(observation.tile_reports)
+            self.map_updates.record(observation.tile_reports)
         if self._policy is not None:
             self._policy.perceive(observation)
         self._estimate = self.estimator.update(
-            tick=tick, own_position=observation.position, looks=looks_of(observation.detections, dt)
+            tick=tick,
+            own_position=observation.position,
+            detections=looks_of(observation.detections, dt),
         )
         self._tick = tick
         if before is not None and tick > before:
@@ -175,7 +177,7 @@ class UavPilot:
         if self.filter is not None:
             self.filter.see(observation)
 
-    def _fly(self, law: Law) -> None:
+    def _select_law(self, law: Law) -> None:
         """Switch to another law; keep map, filter, and the memory fields that both laws share."""
         self._law = SelectedLaw(self._briefing, law, self._uav, self._law)
         self._check_own_functions()
@@ -191,7 +193,7 @@ class UavPilot:
         if not target.known:
             u_x, u_y = brake(own.v_x, own.v_y, uav.max_acceleration, uav.dt)
             return u_x, u_y
-        self._ask_user(observation)
+        self._call_user_function(observation)
         u_x, u_y = self._law.command(self.coverage, observation.tick, own, target)
         u_x, u_y = clip_norm(u_x, u_y, uav.max_acceleration)
         return u_x, u_y
@@ -200,7 +202,7 @@ class UavPilot:
         s = self.estimator.target
         return TargetEstimate(s.known, s.p_x, s.p_y, self.estimator.age)
 
-    def _ask_user(self, observation: UavObservation) -> None:
+    def _call_user_function(self, observation: UavObservation) -> None:
         """Call the user's function, if the law needs one, and write its answer into the law's memory."""
         own, memory, target = self._law.row.own, self._law.memory, self.estimator.target
         if own == "weighting" and self._weighting is not None:

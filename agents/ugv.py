@@ -74,18 +74,18 @@ class UgvPilot:
         if observation.driver is not None:
             self._driver = self._make(observation.driver)
         acceleration, route = self._driver.drive(observation), None
-        motions: tuple[BackupTrajectory, ...] = ()
+        backups: tuple[BackupTrajectory, ...] = ()
         report: UgvReport | None = None
         if isinstance(self._driver, NavigateDriver):
             route = self._driver.new_route(observation.position)
-            motions = self._driver.motions(observation.tick)
+            backups = self._driver.backup_trajectories(observation.tick)
             report = self._driver.report()
         elif observation.driver is not None:
             route = ()  # the previous driver's route is no longer driven
         return UgvCommand(
             tick=observation.tick,
             acceleration=acceleration,
-            backup_trajectories=motions,
+            backup_trajectories=backups,
             route=route,
             report=report,
         )

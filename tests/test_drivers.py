@@ -16,7 +16,7 @@ from agents.drivers.compiled import (
     CompiledDriver,
     NavigateDriver,
     driver_parameters,
-    told_route,
+    briefed_route,
 )
 from agents.drivers.dispatch import CODES
 from agents.drivers.evade import away, flee, receive_radio
@@ -267,7 +267,7 @@ def test_only_the_papers_driver_knows_no_bound() -> None:
 )
 def test_goals_and_script_are_arrays_that_compiled_code_takes(fields: dict[str, Any]) -> None:
     told = _told(**fields)
-    goals, script = told_route(told)
+    goals, script = briefed_route(told)
     assert (goals.shape, script.shape) == ((len(told.goals), 2), (len(told.script), 3))
     for array in (goals, script):
         assert array.dtype == np.float64

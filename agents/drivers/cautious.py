@@ -97,7 +97,7 @@ def triangle_is_open(
 
 
 @compiled
-def way_is_open(
+def segment_is_open(
     tiles: TileArray, tile: float, ground: Open, a: tuple[float, float], b: tuple[float, float]
 ) -> bool:
     """Return whether all tiles touched by a straight segment are open. Arguments as in `triangle_is_open`."""
@@ -105,17 +105,17 @@ def way_is_open(
 
 
 @compiled
-def open_way(
+def open_share(
     tiles: TileArray, tile: float, ground: Open, a: tuple[float, float], b: tuple[float, float]
 ) -> float:
     """Return the share of a straight segment that is open from its start. Arguments as in `triangle_is_open`."""
-    if way_is_open(tiles, tile, ground, a, b):
+    if segment_is_open(tiles, tile, ground, a, b):
         return 1.0
     low, high = 0.0, 1.0
     for _ in range(24):
         share = 0.5 * (low + high)
         there = a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
-        if way_is_open(tiles, tile, ground, a, there):
+        if segment_is_open(tiles, tile, ground, a, there):
             low = share
         else:
             high = share
@@ -123,7 +123,7 @@ def open_way(
 
 
 @compiled
-def braking_way(speed: float, u_max: float, dt: float) -> float:
+def braking_distance(speed: float, u_max: float, dt: float) -> float:
     """Return the stopping distance of `brake` in ticks [m]: full ticks at u_max, then one that ends at rest."""
     if math.isinf(u_max):
         return 0.5 * speed * dt
@@ -133,7 +133,7 @@ def braking_way(speed: float, u_max: float, dt: float) -> float:
 
 
 @compiled
-def slowing_way(speed: float, slow: float, u_max: float, dt: float) -> float:
+def slowing_distance(speed: float, slow: float, u_max: float, dt: float) -> float:
     """Return the distance [m] until `brake` ends a tick no faster than `slow` [m/s]; 0 if already as slow."""
     if speed <= slow:
         return 0.0
@@ -141,7 +141,7 @@ def slowing_way(speed: float, slow: float, u_max: float, dt: float) -> float:
         return 0.5 * speed * dt
     full = math.ceil((speed - slow) / (u_max * dt))
     if full * (u_max * dt) >= speed:
-        return braking_way(speed, u_max, dt)
+        return braking_distance(speed, u_max, dt)
     return full * dt * (speed - 0.5 * u_max * dt * full)
 
 
@@ -176,8 +176,8 @@ def is_safe(
     turn = a[0] + 0.5 * here.v_x * dt, a[1] + 0.5 * here.v_y * dt
     speed = norm(w_x, w_y)
     e_x, e_y = (w_x / speed, w_y / speed) if speed > 0.0 else (0.0, 0.0)
-    way = braking_way(speed, u_max, dt)
-    end = x + e_x * way, y + e_y * way
+    distance = braking_distance(speed, u_max, dt)
+    end = x + e_x * distance, y + e_y * distance
     slack = TOUCH - ground.touch
     width, height = parameters.width + slack, parameters.height + slack
     if not (-slack <= x <= width and -slack <= y <= height):
@@ -187,13 +187,13 @@ def is_safe(
     # the trajectory of the tick lies within the triangle
     if not triangle_is_open(tiles, tile, ground, a, turn, (x, y)):
         return False
-    if not way_is_open(tiles, tile, ground, (x, y), end):
+    if not segment_is_open(tiles, tile, ground, (x, y), end):
         return False
     slow = parameters.rough_share * v_max + slack  # rough ground never reduces the speed further
     if not late or speed <= slow:
         return True
-    way = slowing_way(speed, slow, u_max, dt)
-    there = x + e_x * way, y + e_y * way
+    distance = slowing_distance(speed, slow, u_max, dt)
+    there = x + e_x * distance, y + e_y * distance
     even = Open(
         ground.unseen,
         0,
@@ -206,7 +206,7 @@ def is_safe(
     )
     if not triangle_is_open(tiles, tile, even, a, turn, (x, y)):
         return False
-    return way_is_open(tiles, tile, even, (x, y), there)
+    return segment_is_open(tiles, tile, even, (x, y), there)
 
 
 @compiled

@@ -13,25 +13,25 @@ from agents.drivers.cautious import (
     is_safe,
     nearest_open,
     open_from,
-    open_way,
-    way_is_open,
+    open_share,
+    segment_is_open,
 )
 from agents.drivers.navigate_parameters import NavigateParameters, navigate_parameters
 from agents.drivers.parameters import DriverInputs, UgvParameters
-from agents.drivers.pending_stops import note_claim, note_sent, state_ahead
+from agents.drivers.pending_stops import update_claim, store_command, state_ahead
 from agents.drivers.planning import (
     BESIDE_PRICE,
     UNSEEN_PRICE,
-    begin_search,
-    has_way,
+    start_search,
+    has_path,
     is_settled,
     next_tile,
     price_of,
-    search_on,
-    take_plan,
+    continue_search,
+    adopt_plan,
 )
 from agents.drivers.steering import goal_control
-from agents.drivers.tile_map import GroundMemory
+from agents.drivers.tile_map import OccupancyGrid
 from agents.drivers.waypoints import Memory, waypoint_command
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.ground import tile_index
@@ -54,7 +54,7 @@ _ROUNDING = 1e-9
 
 
 @compiled
-def _tile_of(parameters: NavigateParameters, memory: GroundMemory, x: float, y: float) -> int:
+def _tile_of(parameters: NavigateParameters, memory: OccupancyGrid, x: float, y: float) -> int:
     rows, columns = memory.tiles.shape
     return int(
         tile_index(y, parameters.tile, rows) * columns + tile_index(x, parameters.tile, columns)
@@ -73,9 +73,9 @@ def _rough_price(parameters: NavigateParameters) -> float:
 
 
 @compiled
-def _way_costs_at_most(
+def _segment_costs_at_most(
     parameters: NavigateParameters,
-    memory: GroundMemory,
+    memory: OccupancyGrid,
     a: tuple[float, float],
     b: tuple[float, float],
     price: float,
@@ -84,7 +84,7 @@ def _way_costs_at_most(
     unseen = 1 if price >= UNSEEN_PRICE else 0
     rough = 1 if price >= _rough_price(parameters) else 0
     beside = 1 if price >= 1.0 + BESIDE_PRICE else 0
-    return way_is_open(
+    return segment_is_open(
         memory.tiles, parameters.tile, Open(unseen, rough, beside, 0, 0, 0, 0, TOUCH), a, b
     )
 
@@ -92,7 +92,7 @@ def _way_costs_at_most(
 @compiled
 def look_ahead(
     parameters: NavigateParameters,
-    memory: GroundMemory,
+    memory: OccupancyGrid,
     x: float,
     y: float,
     goal_x: float,
@@ -119,18 +119,18 @@ def look_ahead(
         + parameters.max_speed * parameters.dt
         + 4.0 * parameters.tile
     )
-    rough, way = _rough_price(parameters), memory.way
-    highest = price_of(rough, way[n])
+    rough, path = _rough_price(parameters), memory.path
+    highest = price_of(rough, path[n])
     for step in range(_STEPS):
-        m = next_tile(way, columns, n)
+        m = next_tile(path, columns, n)
         if m == n:
             break
-        n, highest = m, max(highest, price_of(rough, way[m]))
+        n, highest = m, max(highest, price_of(rough, path[m]))
         to_x, to_y = _centre(n, columns, parameters.tile)
         if n == goal:
             to_x, to_y = goal_x, goal_y
         limit = math.inf if step == 0 else (1.0 + _ROUNDING) * highest
-        if not _way_costs_at_most(parameters, memory, (x, y), (to_x, to_y), limit):
+        if not _segment_costs_at_most(parameters, memory, (x, y), (to_x, to_y), limit):
             break
         best_x, best_y = to_x, to_y
         if n == goal or norm(to_x - x, to_y - y) > reach:
@@ -146,18 +146,18 @@ def _slow(parameters: NavigateParameters) -> float:
 
 @compiled
 def _rough_speed(
-    parameters: NavigateParameters, memory: GroundMemory, here: Motion, to_x: float, to_y: float
+    parameters: NavigateParameters, memory: OccupancyGrid, here: Motion, to_x: float, to_y: float
 ) -> float:
     """Return the largest speed [m/s] that still allows the UGV to slow down before the first rough ground ahead."""
     slow = _slow(parameters)
     even = Open(1, 0, 1, 0, 0, 0, 0, TOUCH)
     a, b = (here.p_x, here.p_y), (to_x, to_y)
-    share = open_way(memory.tiles, parameters.tile, even, a, b)
+    share = open_share(memory.tiles, parameters.tile, even, a, b)
     if share == 1.0:
         return parameters.max_speed
-    way = share * norm(b[0] - a[0], b[1] - a[1])
+    path = share * norm(b[0] - a[0], b[1] - a[1])
     room = (
-        way
+        path
         - 0.5 * parameters.dt * norm(here.v_x, here.v_y)
         + stopping_distance(slow, parameters.max_acceleration)
     )
@@ -170,7 +170,7 @@ def _rough_speed(
 @compiled
 def drive_towards(
     parameters: NavigateParameters,
-    memory: GroundMemory,
+    memory: OccupancyGrid,
     here: Motion,
     to_x: float,
     to_y: float,
@@ -191,7 +191,7 @@ def drive_towards(
     if is_safe(parameters, late, memory.tiles, ground, here, u_x, u_y):
         return u_x, u_y
     a = here.p_x, here.p_y
-    free = open_way(memory.tiles, parameters.tile, ground, a, (to_x, to_y))
+    free = open_share(memory.tiles, parameters.tile, ground, a, (to_x, to_y))
     if free > 0.0:
         for limit in (speed, min(speed, _slow(parameters))):
             for share in _SHARES:
@@ -206,7 +206,7 @@ def drive_towards(
 
 @compiled
 def _plan_if_due(
-    parameters: NavigateParameters, memory: GroundMemory, tick: int, target: int, own: int
+    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, target: int, own: int
 ) -> None:
     """Start a search if one is due, continue it for a tick, and adopt its plan when it ends.
 
@@ -221,20 +221,22 @@ def _plan_if_due(
         if flags.stale == 0 and flags.aim == target:
             flags.searching = 1  # the tiles have not changed: resume the last search
         else:
-            begin_search(memory, target)
+            start_search(memory, target)
         flags.planned, flags.stale = tick, 0
-    if search_on(_rough_price(parameters), parameters.tile, memory, own, parameters.plan_tiles):
-        take_plan(memory)
+    if continue_search(
+        _rough_price(parameters), parameters.tile, memory, own, parameters.plan_tiles
+    ):
+        adopt_plan(memory)
 
 
 @compiled
 def navigate_control(
     parameters: NavigateParameters,
-    memory: GroundMemory,
+    memory: OccupancyGrid,
     goals: FloatArray,
     tick: int,
     here: Motion,
-    flown: int,
+    committed: int,
 ) -> tuple[float, float]:
     """Return the command [m/s²] to one goal after the other over the known ground; stop at the last one.
 
@@ -247,10 +249,10 @@ def navigate_control(
         goals: Goals [m]. Shape (goals, 2).
         tick: Current tick.
         here: State of the UGV.
-        flown: As in `state_ahead`.
+        committed: As in `state_ahead`.
     """
     flags, count, now = memory.flags[0], goals.shape[0], here
-    here, parent = state_ahead(parameters, memory, tick, here, flown)
+    here, parent = state_ahead(parameters, memory, tick, here, committed)
     u_x, u_y = brake(here.v_x, here.v_y, parameters.max_acceleration, parameters.dt)
     if count > 0 and memory.tiles.size > 0:
         reached, _ = next_goal(goals, flags.goal, parameters.goal_tolerance, now.p_x, now.p_y)
@@ -265,11 +267,11 @@ def navigate_control(
         else:
             target = _tile_of(parameters, memory, goal_x, goal_y)
             _plan_if_due(parameters, memory, tick, target, own)
-            if has_way(memory.way, own):
+            if has_path(memory.path, own):
                 to_x, to_y = look_ahead(parameters, memory, here.p_x, here.p_y, goal_x, goal_y)
                 u_x, u_y = drive_towards(parameters, memory, here, to_x, to_y)
-    note_sent(memory, tick, parent, u_x, u_y)
-    note_claim(parameters, memory, here, u_x, u_y)
+    store_command(memory, tick, parent, u_x, u_y)
+    update_claim(parameters, memory, here, u_x, u_y)
     return u_x, u_y
 
 
@@ -282,14 +284,14 @@ def _command(
     driver: Parameters,
     memory: Memory,
     inputs: DriverInputs,
-    ground: GroundMemory | None,
+    ground: OccupancyGrid | None,
     tick: int,
     own: Motion,
 ) -> tuple[float, float]:
     """Return the command [m/s²]; without ground, no code to avoid hazards is compiled."""
     if ground is None:
         return waypoint_command(driver, memory, inputs.goals, own)
-    return navigate_control(driver, ground, inputs.goals, tick, own, inputs.flown)
+    return navigate_control(driver, ground, inputs.goals, tick, own, inputs.committed)
 
 
 @compiled

@@ -37,17 +37,17 @@ class DriverInputs(NamedTuple):
     received: int
     """Number of valid rows of `radio`."""
     ground: Any
-    """`GroundMemory` of the UGV, changed in place. None without hazards."""
-    flown: int
+    """`OccupancyGrid` of the UGV, changed in place. None without hazards."""
+    committed: int
     """First tick of the committed trajectory; see `agents.drivers.pending_stops.state_ahead`."""
 
 
 def ugv_parameters(briefing: UgvBriefing, *, unbounded: bool) -> UgvParameters:
     """Return the constants of a UGV from its briefing; `unbounded` keeps infinite bounds."""
-    wheel = Steering(briefing)
-    v_max, u_max = briefing.limits.numbers if unbounded else (wheel.v_max, wheel.u_max)
+    steering = Steering(briefing)
+    v_max, u_max = briefing.limits.numbers if unbounded else (steering.v_max, steering.u_max)
     return UgvParameters(
-        dt=wheel.dt,
+        dt=steering.dt,
         width=float(briefing.area.width),
         height=float(briefing.area.height),
         max_speed=v_max,

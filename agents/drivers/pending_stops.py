@@ -2,7 +2,7 @@
 
 from agents.drivers.cautious import is_safe, known_open
 from agents.drivers.navigate_parameters import NavigateParameters
-from agents.drivers.tile_map import GroundMemory
+from agents.drivers.tile_map import OccupancyGrid
 from bus.messages.vehicle import MOST_CARRIED
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray
@@ -16,7 +16,7 @@ PLAIN = -2
 
 @compiled
 def state_ahead(
-    parameters: NavigateParameters, memory: GroundMemory, tick: int, here: Motion, flown: int
+    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, here: Motion, committed: int
 ) -> tuple[Motion, int]:
     """Predict the UGV's state when this tick's command takes effect, and the trajectory committed then.
 
@@ -28,23 +28,23 @@ def state_ahead(
         memory: Occupancy grid with the commands sent so far.
         tick: Current tick.
         here: Current state of the UGV.
-        flown: First tick of the trajectory executed in the previous tick; NO_MOTION: none; PLAIN: the receiver executes
-            none, and all commands take effect.
+        committed: First tick of the trajectory executed in the previous tick; NO_MOTION: none; PLAIN: the receiver
+            executes none, and all commands take effect.
 
     Returns:
         The state, and the first tick of the committed trajectory.
     """
-    sent, ahead, rows = memory.sent, memory.flown, memory.sent.shape[0]
-    plain = flown == PLAIN
+    sent, ahead, rows = memory.sent, memory.committed, memory.sent.shape[0]
+    plain = committed == PLAIN
     known, late = known_open(), rows > 2
     stop_x, stop_y = brake(here.v_x, here.v_y, parameters.max_acceleration, parameters.dt)
     safe = is_safe(parameters, late, memory.tiles, known, here, stop_x, stop_y)
-    own = flown % rows
-    if flown >= 0 and sent[own].begins == flown:
+    own = committed % rows
+    if committed >= 0 and sent[own].begins == committed:
         ahead[0] = sent[own]
-        ahead[0].age = tick - flown
+        ahead[0].age = tick - committed
     else:
-        ahead[0].begins, ahead[0].age = (NO_MOTION if plain else flown), 1
+        ahead[0].begins, ahead[0].age = (NO_MOTION if plain else committed), 1
         ahead[0].turn, ahead[0].cruise, ahead[0].brake = 0, 0, 0
     for k in range(rows - 2):
         due = sent[(tick + k) % rows]
@@ -78,8 +78,8 @@ def state_ahead(
 
 
 @compiled
-def note_claim(
-    parameters: NavigateParameters, memory: GroundMemory, ahead: Motion, u_x: float, u_y: float
+def update_claim(
+    parameters: NavigateParameters, memory: OccupancyGrid, ahead: Motion, u_x: float, u_y: float
 ) -> None:
     """Update the claim of `state_ahead` for the command of this tick [m/s²].
 
@@ -99,7 +99,7 @@ def note_claim(
 
 
 @compiled
-def note_sent(memory: GroundMemory, tick: int, parent: int, u_x: float, u_y: float) -> None:
+def store_command(memory: OccupancyGrid, tick: int, parent: int, u_x: float, u_y: float) -> None:
     """Store the command of this tick [m/s²], which continues the trajectory `parent`, until it takes effect."""
     rows = memory.sent.shape[0]
     begins = tick + rows - 2
@@ -109,7 +109,7 @@ def note_sent(memory: GroundMemory, tick: int, parent: int, u_x: float, u_y: flo
 
 
 @compiled
-def hand_over_stops(memory: GroundMemory, tick: int, motions: RecordArray) -> tuple[int, int]:
+def add_stops(memory: OccupancyGrid, tick: int, outgoing: RecordArray) -> tuple[int, int]:
     """Add the trajectories of this tick's command to the outgoing ones.
 
     Returns:
@@ -119,6 +119,6 @@ def hand_over_stops(memory: GroundMemory, tick: int, motions: RecordArray) -> tu
     last, count = tick + rows - 2, 0
     for begins in range(max(tick, last - MOST_CARRIED + 1), last + 1):
         if memory.sent[begins % rows].begins == begins:
-            keep_motion(motions, memory.sent[begins % rows], tick)
+            keep_motion(outgoing, memory.sent[begins % rows], tick)
             count += 1
     return (last if count else -1), count

@@ -9,7 +9,7 @@ The previous plan stays in use until the search ends. The limit is a number of t
 
 import math
 
-from agents.drivers.tile_map import GroundMemory, PlaceArray
+from agents.drivers.tile_map import OccupancyGrid, PlaceArray
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.ground import UNSEEN, TileArray
 from sim.models.hazards import BLOCK, ROUGH
@@ -97,77 +97,79 @@ def _sink(cost: FloatArray, heap: PlaceArray, place: PlaceArray, count: int) -> 
 
 
 @compiled
-def _touch(draft: TileArray, rows: int, columns: int, n: int) -> None:
+def _touch(snapshot: TileArray, rows: int, columns: int, n: int) -> None:
     """Flag a tile that the search has reached if it is beside a blocked one."""
     i, j = n // columns, n % columns
     for r in range(max(i - 1, 0), min(i + 2, rows)):
         for c in range(max(j - 1, 0), min(j + 2, columns)):
-            state = draft[r * columns + c] & _STATE
+            state = snapshot[r * columns + c] & _STATE
             if state in (BLOCK, _BLOCKED_GOAL):
-                draft[n] |= _BESIDE
+                snapshot[n] |= _BESIDE
                 return
 
 
 @compiled
-def begin_search(memory: GroundMemory, goal: int) -> None:
+def start_search(memory: OccupancyGrid, goal: int) -> None:
     """Start a search on the tiles as they are known now; a goal in a blocked tile is approached.
 
     Args:
         memory: Changed in place.
         goal: Tile of the goal, row by row.
     """
-    draft, place, flags = memory.draft, memory.place, memory.flags[0]
+    snapshot, place, flags = memory.snapshot, memory.place, memory.flags[0]
     rows, columns = memory.tiles.shape
     for i in range(rows):
         for j in range(columns):
-            draft[i * columns + j] = memory.tiles[i, j]
+            snapshot[i * columns + j] = memory.tiles[i, j]
             place[i * columns + j] = _UNTOUCHED
-    if draft[goal] == BLOCK:
-        draft[goal] = _BLOCKED_GOAL
-    _touch(draft, rows, columns, goal)
-    draft[goal] |= _HERE * _STEP
+    if snapshot[goal] == BLOCK:
+        snapshot[goal] = _BLOCKED_GOAL
+    _touch(snapshot, rows, columns, goal)
+    snapshot[goal] |= _HERE * _STEP
     memory.cost[goal], memory.heap[0], place[goal] = 0.0, goal, 0
     flags.aim, flags.open, flags.searching = goal, 1, 1
 
 
 @compiled
-def _reach_out(rough: float, tile: float, memory: GroundMemory, count: int, n: int) -> int:
+def _reach_out(rough: float, tile: float, memory: OccupancyGrid, count: int, n: int) -> int:
     """Update the paths of a settled tile's neighbours, and return the number of tiles in the heap."""
-    draft, cost, heap, place = memory.draft, memory.cost, memory.heap, memory.place
+    snapshot, cost, heap, place = memory.snapshot, memory.cost, memory.heap, memory.place
     rows, columns = memory.tiles.shape
-    i, j, price = n // columns, n % columns, price_of(rough, draft[n])
+    i, j, price = n // columns, n % columns, price_of(rough, snapshot[n])
     for row_step in range(-1 if i > 0 else 0, 2 if i + 1 < rows else 1):
         for column_step in range(-1 if j > 0 else 0, 2 if j + 1 < columns else 1):
             m = n + row_step * columns + column_step
-            if place[m] == _DONE or (draft[m] & _STATE) == BLOCK:
+            if place[m] == _DONE or (snapshot[m] & _STATE) == BLOCK:
                 continue
             length = tile
             if row_step != 0 and column_step != 0:
                 if (
-                    draft[n + row_step * columns] & _STATE == BLOCK
-                    or draft[n + column_step] & _STATE == BLOCK
+                    snapshot[n + row_step * columns] & _STATE == BLOCK
+                    or snapshot[n + column_step] & _STATE == BLOCK
                 ):
                     continue  # the step would cut a corner
                 length = DIAGONAL * tile
             fresh = place[m] == _UNTOUCHED
             if fresh:
-                _touch(draft, rows, columns, m)
-            new = cost[n] + 0.5 * (price + price_of(rough, draft[m])) * length
+                _touch(snapshot, rows, columns, m)
+            new = cost[n] + 0.5 * (price + price_of(rough, snapshot[m])) * length
             back = (_HERE - 3 * row_step - column_step) * _STEP
             if fresh or new < cost[m]:
                 cost[m] = new
-                draft[m] = (draft[m] & (_STEP - 1)) | back
+                snapshot[m] = (snapshot[m] & (_STEP - 1)) | back
                 if fresh:
                     heap[count], place[m] = m, count
                     count += 1
                 _rise(cost, heap, place, place[m])
-            elif new == cost[m] and back < draft[m] & ~(_STEP - 1):
-                draft[m] = (draft[m] & (_STEP - 1)) | back
+            elif new == cost[m] and back < snapshot[m] & ~(_STEP - 1):
+                snapshot[m] = (snapshot[m] & (_STEP - 1)) | back
     return count
 
 
 @compiled
-def search_on(rough: float, tile: float, memory: GroundMemory, until: int, most: int) -> bool:
+def continue_search(
+    rough: float, tile: float, memory: OccupancyGrid, until: int, most: int
+) -> bool:
     """Continue the search until the cheapest cost from a given tile to the goal is known.
 
     Args:
@@ -178,7 +180,7 @@ def search_on(rough: float, tile: float, memory: GroundMemory, until: int, most:
         most: Largest number of tiles to settle.
 
     Returns:
-        True if the search has ended; the plan is in `draft`.
+        True if the search has ended; the plan is in `snapshot`.
     """
     heap, place, flags = memory.heap, memory.place, memory.flags[0]
     count, settled = flags.open, 0
@@ -201,17 +203,17 @@ def search_on(rough: float, tile: float, memory: GroundMemory, until: int, most:
 
 
 @compiled
-def take_plan(memory: GroundMemory) -> None:
+def adopt_plan(memory: OccupancyGrid) -> None:
     """Adopt the plan of the search that has ended."""
-    for n in range(memory.way.shape[0]):
-        memory.way[n] = memory.draft[n]
+    for n in range(memory.path.shape[0]):
+        memory.path[n] = memory.snapshot[n]
     flags = memory.flags[0]
     flags.target = flags.aim
     flags.plans += 1
 
 
 @compiled
-def is_settled(memory: GroundMemory, n: int) -> bool:
+def is_settled(memory: OccupancyGrid, n: int) -> bool:
     """Return whether the last search settled the cheapest path from a tile, or that there is none."""
     settled = memory.flags[0].settled
     return bool(
@@ -220,26 +222,26 @@ def is_settled(memory: GroundMemory, n: int) -> bool:
 
 
 @compiled
-def next_tile(way: TileArray, columns: int, n: int) -> int:
+def next_tile(path: TileArray, columns: int, n: int) -> int:
     """Return the next tile of a plan; the tile itself at the goal, or without a path.
 
     Args:
-        way: Plan. Shape (rows * columns,).
+        path: Plan. Shape (rows * columns,).
         columns: Number of columns of the map.
         n: Tile.
     """
-    step = way[n] // _STEP
+    step = path[n] // _STEP
     if step == 0:
         return n
     return int(n + ((step - 1) // 3 - 1) * columns + (step - 1) % 3 - 1)
 
 
 @compiled
-def way_corners(way: TileArray, columns: int, n: int, corners: PlaceArray) -> int:
+def path_corners(path: TileArray, columns: int, n: int, corners: PlaceArray) -> int:
     """Find the tiles in which the path of a plan turns, including the first tile and the goal.
 
     Args:
-        way: Plan. Shape (rows * columns,).
+        path: Plan. Shape (rows * columns,).
         columns: Number of columns of the map.
         n: First tile.
         corners: Changed in place; corners beyond its size are omitted. Shape (room,).
@@ -249,17 +251,17 @@ def way_corners(way: TileArray, columns: int, n: int, corners: PlaceArray) -> in
     """
     count, before = 0, 0
     while count < corners.shape[0]:
-        step = way[n] // _STEP
+        step = path[n] // _STEP
         if step != before:
             corners[count] = n
             count += 1
         if step in (0, _HERE):
             break
-        n, before = next_tile(way, columns, n), step
+        n, before = next_tile(path, columns, n), step
     return count
 
 
 @compiled
-def has_way(way: TileArray, n: int) -> bool:
+def has_path(path: TileArray, n: int) -> bool:
     """Return whether a plan has a path from a tile to its goal."""
-    return bool(way[n] >= _STEP)
+    return bool(path[n] >= _STEP)

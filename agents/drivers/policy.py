@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from agents.asking import LARGEST, AskedPolicy, pair
-from agents.drivers.compiled import take_ground, told_ground
+from agents.drivers.compiled import update_grid, briefed_grid
 from agents.drivers.steering import Steering
 from bus.errors import ScenarioError
 from bus.messages.vehicle import UgvBriefing, UgvObservation
@@ -78,13 +78,13 @@ class UgvTiles:
     """
 
     def __init__(self, briefing: UgvBriefing, side: int) -> None:
-        self._known = told_ground(briefing)
+        self._known = briefed_grid(briefing)
         self._tile = 0.0 if briefing.ground is None else float(briefing.ground.tile)
         self._picture: TileArray = np.empty((1, side, side), np.uint8)
 
     def tiles(self, observation: UgvObservation) -> TileArray:
         """Return the picture of this tick. Shape (side, side)."""
-        take_ground(self._known, observation)
+        update_grid(self._known, observation)
         position = np.array([observation.position], dtype=np.float64)
         tile_patches(self._known.tiles[None], self._tile, position, self._picture)
         around: TileArray = self._picture[0].copy()
@@ -117,7 +117,7 @@ class _Predictor:
     def __call__(self, observation: UgvObservation, _briefing: UgvBriefing) -> object:
         row = self._rows.row(observation).astype(self._dtype, copy=False)
         seen = row if self._tiles is None else {"row": row, "tiles": self._tiles.tiles(observation)}
-        told: dict[str, Any] = {
+        arguments: dict[str, Any] = {
             "deterministic": True,
             "state": self._state,
             "episode_start": np.array([self._start]),
@@ -125,7 +125,9 @@ class _Predictor:
             "perceived": observation,
         }
         self._start = False
-        answer = self._predict(seen, **{name: told[name] for name in told.keys() & self._known})
+        answer = self._predict(
+            seen, **{name: arguments[name] for name in arguments.keys() & self._known}
+        )
         if isinstance(answer, tuple) and len(answer) == 2 and pair(answer) is None:
             answer, self._state = answer
         return answer
@@ -176,7 +178,7 @@ class PolicyDriver:
         found = pair(answer)
         if found is None or (self._sees_rows and max(map(abs, found)) > LARGEST):
             allowed = "two finite numbers, the acceleration x and y [m/s²]"
-            raise self._asked.nonsense(tick, answer, allowed)
+            raise self._asked.invalid_answer(tick, answer, allowed)
         if self._sees_rows:
             return found
         self._check_bound(tick, math.hypot(*found))

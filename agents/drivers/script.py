@@ -42,8 +42,8 @@ def command(
         own: State of the UGV.
     """
     script = inputs.script
-    begun = np.searchsorted(script[:, 0], float(tick), side="right")
-    if begun == 0:
+    started = np.searchsorted(script[:, 0], float(tick), side="right")
+    if started == 0:
         return brake(own.v_x, own.v_y, ugv.max_acceleration, ugv.dt)
-    w_x, w_y = script[begun - 1, 1], script[begun - 1, 2]
+    w_x, w_y = script[started - 1, 1], script[started - 1, 2]
     return velocity_control(own.v_x, own.v_y, w_x, w_y, ugv.max_speed, ugv.max_acceleration, ugv.dt)

@@ -17,19 +17,19 @@ class TeleopDriver:
 
     def __init__(self, briefing: UgvBriefing) -> None:
         self._steering = Steering(briefing)
-        self._hold = ticks_within(briefing.command_timeout, briefing.dt)
-        self._word: Teleoperation | None = None
+        self._timeout = ticks_within(briefing.command_timeout, briefing.dt)
+        self._message: Teleoperation | None = None
         self._received = 0  # tick at which the message arrived
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """Return the acceleration [m/s²] for this observation."""
         if observation.operator:
-            self._word, self._received = observation.operator[-1], observation.tick
-        word = self._word
-        if word is None or observation.tick - self._received > self._hold:
+            self._message, self._received = observation.operator[-1], observation.tick
+        message = self._message
+        if message is None or observation.tick - self._received > self._timeout:
             return self._steering.to_rest(observation)
-        if word.velocity is not None:
-            return self._steering.to_velocity(observation, word.velocity)
-        if word.goal is not None:
-            return self._steering.to_goal(observation, word.goal)
+        if message.velocity is not None:
+            return self._steering.to_velocity(observation, message.velocity)
+        if message.goal is not None:
+            return self._steering.to_goal(observation, message.goal)
         return self._steering.to_rest(observation)

@@ -21,7 +21,7 @@ PlaceArray = npt.NDArray[np.int32]
 """Tiles, row by row, or positions of tiles."""
 
 
-class GroundFlags(NamedTuple):
+class GridFlags(NamedTuple):
     """Scalars of an occupancy grid: flags, counters and the reach of its plan."""
 
     goal: int = 0
@@ -46,20 +46,20 @@ class GroundFlags(NamedTuple):
     """Cost up to which the costs of a completed search are final; infinite: all are."""
 
 
-class GroundMemory(NamedTuple):
-    """Occupancy grid of a UGV, from `ground_memory`. All arrays are changed in place."""
+class OccupancyGrid(NamedTuple):
+    """Occupancy grid of a UGV, from `occupancy_grid`. All arrays are changed in place."""
 
     tiles: TileArray
     """States of the tiles. Shape (rows, columns)."""
-    sure: TileArray
+    measured: TileArray
     """1 if the UGV's own sensor, which is free of errors, has reported the state. Shape (rows, columns)."""
-    draft: TileArray
+    snapshot: TileArray
     """Snapshot for the search: tiles at its start, with the step to the next tile, see `agents.drivers.planning`.
 
     Shape (rows * columns,).
     """
-    way: TileArray
-    """Plan in use: a copy of `draft` from the end of the search. Shape (rows * columns,)."""
+    path: TileArray
+    """Plan in use: a copy of `snapshot` from the end of the search. Shape (rows * columns,)."""
     cost: FloatArray
     """Cost of the cheapest known path from the centre of a touched tile to the centre of the goal's tile.
 
@@ -70,13 +70,13 @@ class GroundMemory(NamedTuple):
     """Binary heap of tiles in the search, and the index of each tile in it. Shape (rows * columns,)."""
     sent: RecordArray
     """`CheckedTrajectory` of each sent command: the one of tick k in row k % rows. Shape (delay + 2,)."""
-    flown: RecordArray
+    committed: RecordArray
     """`CheckedTrajectory` that the UGV executes, during a prediction. Shape (1,)."""
     flags: RecordArray
-    """`GroundFlags`. Shape (1,)."""
+    """`GridFlags`. Shape (1,)."""
 
 
-def ground_memory(rows: int, columns: int, delay: int = 0) -> GroundMemory:
+def occupancy_grid(rows: int, columns: int, delay: int = 0) -> OccupancyGrid:
     """Return an empty occupancy grid: no tile is known.
 
     Args:
@@ -84,29 +84,31 @@ def ground_memory(rows: int, columns: int, delay: int = 0) -> GroundMemory:
         delay: Delay after which a sent command takes effect [ticks].
     """
     size = rows * columns
-    return GroundMemory(
+    return OccupancyGrid(
         tiles=np.full((rows, columns), UNSEEN, dtype=np.uint8),
-        sure=np.zeros((rows, columns), dtype=np.uint8),
-        draft=np.full(size, UNSEEN, dtype=np.uint8),
-        way=np.full(size, UNSEEN, dtype=np.uint8),
+        measured=np.zeros((rows, columns), dtype=np.uint8),
+        snapshot=np.full(size, UNSEEN, dtype=np.uint8),
+        path=np.full(size, UNSEEN, dtype=np.uint8),
         cost=np.full(size, np.inf),
         heap=np.zeros(size, dtype=np.int32),
         place=np.full(size, _NEVER, dtype=np.int32),
         sent=no_motions(delay + 2),
-        flown=no_motions(1),
-        flags=records(GroundFlags, [GroundFlags()]),
+        committed=no_motions(1),
+        flags=records(GridFlags, [GridFlags()]),
     )
 
 
 @compiled
-def _set_tile(memory: GroundMemory, row: int, column: int, state: int) -> None:
+def _set_tile(memory: OccupancyGrid, row: int, column: int, state: int) -> None:
     if memory.tiles[row, column] != state:
         memory.tiles[row, column] = state
         memory.flags[0].stale = 1
 
 
 @compiled
-def note_tiles(memory: GroundMemory, rows: IntArray, columns: IntArray, states: TileArray) -> None:
+def record_tiles(
+    memory: OccupancyGrid, rows: IntArray, columns: IntArray, states: TileArray
+) -> None:
     """Record tiles measured by the UGV's own sensor; they override all radio reports, earlier and later ones.
 
     Args:
@@ -119,11 +121,13 @@ def note_tiles(memory: GroundMemory, rows: IntArray, columns: IntArray, states: 
         i, j = rows[k], columns[k]
         if 0 <= i < height and 0 <= j < width and states[k] != UNSEEN:
             _set_tile(memory, i, j, states[k])
-            memory.sure[i, j] = 1
+            memory.measured[i, j] = 1
 
 
 @compiled
-def note_block(memory: GroundMemory, block_row: int, block_column: int, states: TileArray) -> None:
+def record_block(
+    memory: OccupancyGrid, block_row: int, block_column: int, states: TileArray
+) -> None:
     """Record a block of tiles received by radio.
 
     Tiles measured by the UGV's own sensor keep their state. A tile reported as BLOCK by radio also keeps it; other
@@ -140,5 +144,5 @@ def note_block(memory: GroundMemory, block_row: int, block_column: int, states: 
         j = block_column * BLOCK_SIDE + k % BLOCK_SIDE
         if i < 0 or i >= height or j < 0 or j >= width or states[k] == UNSEEN:
             continue
-        if memory.sure[i, j] == 0 and memory.tiles[i, j] != BLOCK:
+        if memory.measured[i, j] == 0 and memory.tiles[i, j] != BLOCK:
             _set_tile(memory, i, j, states[k])

@@ -2,8 +2,8 @@
 
 It drives to a random goal inside Q until the goal is nearer than the tolerance, then draws the next. A goal is drawn
 from the UGV's key and the current tick, uniformly over Q without a margin along the border. Turning to the next goal, a
-UGV drifts outward by at most v²/u, twice its stopping distance, so the margin is this distance plus that of two ticks.
-The margin is limited to a quarter of Q's shorter side; a UGV that needs more drives slower than its maximum speed.
+UGV drifts outward by at most v²/u, twice its stopping distance. The margin is this distance plus two ticks of driving.
+It is limited to a quarter of Q's shorter side; a UGV that needs more drives slower than its maximum speed.
 """
 
 from typing import Any

@@ -10,7 +10,7 @@ other rows are a ring of recent ticks, tick k in row 1 + k % depth, as they were
 import numpy as np
 
 from agents.estimation.motion_model import KalmanParameters, bounded_scales
-from agents.estimation.perception import LOOK
+from agents.estimation.perception import DETECTION
 from agents.uav_parameters import Target
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray, record_type
@@ -106,7 +106,7 @@ def correct(parameters: KalmanParameters, now: EstimatorRow) -> None:
             return
         now.rejected += 1
         now.rejected_in_a_row += 1
-        if now.rejected_in_a_row < c.patience:
+        if now.rejected_in_a_row < c.max_rejections:
             return
     now.known = True
     now.x, now.y, now.v_x, now.v_y = now.z_x, now.z_y, 0.0, 0.0
@@ -115,24 +115,24 @@ def correct(parameters: KalmanParameters, now: EstimatorRow) -> None:
 
 
 @compiled
-def insert(rows: RecordArray, place: tuple[int, int], tick: int, look: FloatArray) -> int:
+def insert(rows: RecordArray, place: tuple[int, int], tick: int, detection: FloatArray) -> int:
     """Store a detection at its tick and return that tick, or the next tick if the detection is unusable.
 
     Args:
         rows: Memory of all UAVs.
         place: World and UAV.
         tick: Current tick.
-        look: Detection, in the columns `LOOK`. Shape (3,).
+        detection: Detection, in the columns `DETECTION`. Shape (3,).
     """
     world, uav = place
-    depth, taken = rows.shape[2] - 1, int(look[LOOK.taken])
+    depth, taken = rows.shape[2] - 1, int(detection[DETECTION.taken])
     if taken < 0 or taken > tick or tick - taken >= depth:
         return tick + 1
     row = rows[world, uav, 1 + taken % depth]
     if row.tick != taken or row.measured:
         return tick + 1
     row.measured = True
-    row.z_x, row.z_y = row.own_x - look[LOOK.x], row.own_y - look[LOOK.y]
+    row.z_x, row.z_y = row.own_x - detection[DETECTION.x], row.own_y - detection[DETECTION.y]
     return taken
 
 
@@ -143,7 +143,7 @@ def update(
     place: tuple[int, int],
     tick: int,
     here: Motion,
-    looks: FloatArray,
+    detections: FloatArray,
     count: int,
 ) -> None:
     """Advance to the next tick and use the detections that have arrived, each at its own tick.
@@ -154,8 +154,8 @@ def update(
         place: World and UAV.
         tick: Current tick; the function must be called for every tick from 0 on.
         here: Current state of the UAV.
-        looks: Detections, in the columns `LOOK`. Shape (rows, 3).
-        count: Number of valid rows of `looks`.
+        detections: Detections, in the columns `DETECTION`. Shape (rows, 3).
+        count: Number of valid rows of `detections`.
     """
     world, uav = place
     depth, now = rows.shape[2] - 1, rows[world, uav, 0]
@@ -164,7 +164,7 @@ def update(
     rows[world, uav, 1 + tick % depth] = now
     first = tick + 1
     for k in range(count):
-        first = min(first, insert(rows, place, tick, looks[k]))
+        first = min(first, insert(rows, place, tick, detections[k]))
     for k in range(first, tick + 1):
         row = rows[world, uav, 1 + k % depth]
         if k == first:

@@ -39,7 +39,7 @@ class Estimate(msgspec.Struct, frozen=True, kw_only=True):
     velocity: tuple[float, float]  # [m/s], at most v_g,max
     covariance: tuple[float, float, float]  # xx, xy, yy of the position [m²]
     age: float  # since the newest accepted measurement [s]
-    refused: int  # detections rejected by the gate (as if all had arrived in order) or with an invalid time
+    rejected: int  # detections rejected by the gate (as if all had arrived in order) or with an invalid time
 
 
 class EstimatorState(NamedTuple):
@@ -161,14 +161,14 @@ class RelativeEstimator:
         return Target(s.known, x, y, v_x, v_y, s.P.item(0, 0), s.P.item(2, 2))
 
     def update(
-        self, *, tick: int, own_position: tuple[float, float], looks: Iterable[Look]
+        self, *, tick: int, own_position: tuple[float, float], detections: Iterable[Look]
     ) -> Estimate | None:
         """Advance to a tick and use the detections that have arrived, each at its own tick.
 
         Args:
-            tick: Current tick, not before that of the last call.
+            tick: Current tick, not before the last call.
             own_position: Current p_a [m].
-            looks: Detections received since the last call, in any order. Of several detections of one tick, only the
+            detections: Detections received since the last call, in any order. Of several detections of one tick, only the
                 first is used.
 
         Returns:
@@ -184,7 +184,7 @@ class RelativeEstimator:
             self._tick, self._history[tick] = tick, _Row(own_position, self._state)
             while (oldest := next(iter(self._history))) <= tick - self._depth:
                 del self._history[oldest]
-        new = [look.taken for look in looks if self._insert(look)]
+        new = [detection.taken for detection in detections if self._insert(detection)]
         if new:
             self._repeat(min(new))
         return self._estimate()
@@ -199,22 +199,22 @@ class RelativeEstimator:
             velocity=(v_x, v_y),
             covariance=(s.P.item(0, 0), s.P.item(0, 1), s.P.item(1, 1)),
             age=s.age * self._parameters.dt,
-            refused=s.rejected + self.misdated,
+            rejected=s.rejected + self.misdated,
         )
 
-    def _insert(self, look: Look) -> bool:
+    def _insert(self, detection: Look) -> bool:
         """Store a measurement at its tick; return False if it is unusable."""
-        row = self._history.get(look.taken)
+        row = self._history.get(detection.taken)
         if row is None:
-            too_old = look.taken != NO_TICK and look.taken <= self._tick - self._depth
+            too_old = detection.taken != NO_TICK and detection.taken <= self._tick - self._depth
             self.too_old, self.misdated = self.too_old + too_old, self.misdated + (not too_old)
             return False
-        z = row.own_position[0] - look.x, row.own_position[1] - look.y
+        z = row.own_position[0] - detection.x, row.own_position[1] - detection.y
         if row.z is not None:
-            same = look.taken == self._tick or row.z == z
+            same = detection.taken == self._tick or row.z == z
             self.duplicates, self.misdated = self.duplicates + same, self.misdated + (not same)
             return False
-        self._history[look.taken] = row._replace(z=z)
+        self._history[detection.taken] = row._replace(z=z)
         return True
 
     def _repeat(self, first: int) -> None:
@@ -250,7 +250,7 @@ class RelativeEstimator:
                 return
             in_a_row = s.rejected_in_a_row + 1
             s = s._replace(rejected=s.rejected + 1, rejected_in_a_row=in_a_row)
-        if not s.known or not p.enabled or s.rejected_in_a_row >= p.patience:
+        if not s.known or not p.enabled or s.rejected_in_a_row >= p.max_rejections:
             P = np.diag([p.variance, p.variance, p.first_variance, p.first_variance])
             x = np.array([*z, 0.0, 0.0])
             s = s._replace(x=x, P=P, known=True, age=0, rejected_in_a_row=0)

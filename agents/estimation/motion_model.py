@@ -11,12 +11,12 @@ from sim.compiling.compile import FloatArray, compiled
 
 SPAN = 60.0
 """Default of the greatest delay of a usable detection [s]."""
-SURE = 1.0 / math.sqrt(8.0)
+LEAST_DEVIATION = 1.0 / math.sqrt(8.0)
 """Least standard deviation of the position per metre that the UGV may have strayed while it was not detected."""
 _MOST_TICKS = 100_000  # about 60 MB; a longer span is cut, where ticks are that short
 _TIRE_LIMIT = 9.81
 """Acceleration that tires on the ground can reach [m/s²]; used if neither of the UGV's bounds is known."""
-_HOLD = 1.0
+_ACCELERATION_TIME = 1.0
 """Duration of an acceleration if the maximum speed is unknown [s]."""
 _VARIANCE_FLOOR = 1e-12
 """(1 µm)² [m²]: keeps S regular for a detector without noise."""
@@ -47,13 +47,13 @@ class KalmanParameters(NamedTuple):
     """Standard deviation of the UGV's random acceleration in one tick, per axis [m/s²]."""
     gate: float
     """Largest normalized innovation squared of an accepted measurement."""
-    patience: int
+    max_rejections: int
     """Number of consecutive rejections after which the filter reinitializes."""
     enabled: bool
     """False: the newest measurement is used unfiltered and held."""
 
 
-def cut_variance(*, sigma: float, cut: float | None) -> float:
+def truncated_variance(*, sigma: float, truncation: float | None) -> float:
     r"""Return the variance per axis of a Gaussian vector in the plane whose norm is truncated at $k$ deviations.
 
     $$ \sigma^2 \left[ 1 - \frac{(k^2/2)\, e^{-k^2/2}}{1 - e^{-k^2/2}} \right]
@@ -64,12 +64,12 @@ def cut_variance(*, sigma: float, cut: float | None) -> float:
 
     Args:
         sigma: Standard deviation per axis before the truncation [m].
-        cut: Truncation k; None without truncation.
+        truncation: Truncation k; None without truncation.
 
     Returns:
         The variance per axis [m²].
     """
-    h = math.inf if cut is None else 0.5 * cut * cut
+    h = math.inf if truncation is None else 0.5 * truncation * truncation
     if h > 700.0:  # e^h would overflow, and no draw exceeds such a truncation
         return sigma * sigma
     if h < 1e-4:  # series expansion, since the difference would lose its digits
@@ -77,7 +77,7 @@ def cut_variance(*, sigma: float, cut: float | None) -> float:
     return sigma * sigma * (1.0 - h / math.expm1(h))
 
 
-def acceleration_deviation(*, target: Limits, manoeuvre: float, dt: float) -> float:
+def acceleration_deviation(*, target: Limits, acceleration_share: float, dt: float) -> float:
     r"""Return the standard deviation per axis of the UGV's random acceleration, redrawn at each tick.
 
     $$ \sigma_u = m\, u_{g,max} \sqrt{T/dt}, \qquad T = \max(dt,\ \tfrac12 v_{g,max}/u_{g,max}) $$
@@ -95,7 +95,7 @@ def acceleration_deviation(*, target: Limits, manoeuvre: float, dt: float) -> fl
 
     Args:
         target: Limits of the UGV.
-        manoeuvre: Acceleration share m.
+        acceleration_share: Acceleration share m.
         dt: Length of a tick [s].
 
     Returns:
@@ -103,8 +103,8 @@ def acceleration_deviation(*, target: Limits, manoeuvre: float, dt: float) -> fl
         The standard deviation [m/s²].
     """
     acceleration = _largest_acceleration(target, dt)
-    hold = _HOLD if target.max_speed is None else 0.5 * target.max_speed / acceleration
-    return manoeuvre * acceleration * math.sqrt(max(dt, hold) / dt)
+    hold = _ACCELERATION_TIME if target.max_speed is None else 0.5 * target.max_speed / acceleration
+    return acceleration_share * acceleration * math.sqrt(max(dt, hold) / dt)
 
 
 def _largest_acceleration(target: Limits, dt: float) -> float:
@@ -113,9 +113,9 @@ def _largest_acceleration(target: Limits, dt: float) -> float:
     return _TIRE_LIMIT if target.max_speed is None else target.max_speed / dt
 
 
-def supposed_acceleration(*, target: Limits, manoeuvre: float, dt: float) -> float:
+def assumed_acceleration(*, target: Limits, acceleration_share: float, dt: float) -> float:
     r"""Return the assumed acceleration of the UGV [m/s²]: $m\,u_{g,max}$, see `acceleration_deviation`."""
-    return manoeuvre * _largest_acceleration(target, dt)
+    return acceleration_share * _largest_acceleration(target, dt)
 
 
 @compiled
@@ -169,7 +169,7 @@ def bounded_scales(
     if not max_speed < math.inf:
         return 1.0, 1.0
     position, velocity = math.sqrt(position_variance), math.sqrt(velocity_variance)
-    least = SURE * strayed_distance(elapsed, max_speed, acceleration)
+    least = LEAST_DEVIATION * strayed_distance(elapsed, max_speed, acceleration)
     most = math.sqrt(variance_before) + max_speed * dt
     return min(max(least, position), most) / position, min(1.0, max_speed / velocity)
 
@@ -218,21 +218,26 @@ def kalman_parameters(
     """
     if not 0.0 < dt < math.inf:
         raise ValueError(f"dt = {dt}: not a tick length; allowed: positive and finite")
-    (speed, _), manoeuvre = target.numbers, settings.acceleration_share
-    deviation = acceleration_deviation(target=target, manoeuvre=manoeuvre, dt=dt)
+    (speed, _), acceleration_share = target.numbers, settings.acceleration_share
+    deviation = acceleration_deviation(target=target, acceleration_share=acceleration_share, dt=dt)
     Q = process_noise(dt=dt, deviation=deviation)
     return KalmanParameters(
         dt=float(dt),
-        variance=max(cut_variance(sigma=detector.noise, cut=detector.truncation), _VARIANCE_FLOOR),
+        variance=max(
+            truncated_variance(sigma=detector.noise, truncation=detector.truncation),
+            _VARIANCE_FLOOR,
+        ),
         # A vehicle at full speed in an unknown direction: v²/2 per axis.
         first_variance=_FREE_SPEED**2 if target.max_speed is None else 0.5 * speed**2,
         q_pp=Q.item(0, 0),
         q_pv=Q.item(0, 1),
         q_vv=Q.item(1, 1),
         speed=speed,
-        acceleration=float(supposed_acceleration(target=target, manoeuvre=manoeuvre, dt=dt)),
+        acceleration=float(
+            assumed_acceleration(target=target, acceleration_share=acceleration_share, dt=dt)
+        ),
         deviation=deviation,
         gate=float(settings.gate),
-        patience=settings.max_rejections,
+        max_rejections=settings.max_rejections,
         enabled=settings.enabled,
     )

@@ -10,7 +10,7 @@ from sim.models.field import accumulate
 from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion
 
-LOOK: Any = Look._make(range(3))
+DETECTION: Any = Look._make(range(3))
 """Columns of an array of detections."""
 
 
@@ -24,7 +24,7 @@ def uav_perceive(
     looked: int,
     tick: int,
     here: Motion,
-    looks: FloatArray,
+    detections: FloatArray,
     arrived: int,
 ) -> None:
     """Update the coverage grid, and the safety filter's memory of own positions and detections.
@@ -37,8 +37,8 @@ def uav_perceive(
         looked: Ticks of sensing since the last update of the grid; 0: no update.
         tick: Current tick.
         here: Current state of the UAV.
-        looks: Detections. Shape (rows, 3).
-        arrived: Number of valid rows of `looks`.
+        detections: Detections. Shape (rows, 3).
+        arrived: Number of valid rows of `detections`.
     """
     if looked > 0:
         accumulate(
@@ -52,5 +52,9 @@ def uav_perceive(
     if filtered:
         add_position(memory, tick, here.p_x, here.p_y)
         for n in range(arrived):
-            taken, x, y = int(looks[n, LOOK.taken]), looks[n, LOOK.x], looks[n, LOOK.y]
+            taken, x, y = (
+                int(detections[n, DETECTION.taken]),
+                detections[n, DETECTION.x],
+                detections[n, DETECTION.y],
+            )
             add_measurement(bounds, memory, taken, (x, y), tick, here)

@@ -93,7 +93,7 @@ def tracking_term(
 
 
 @compiled
-def way_to_uncovered(
+def direction_to_uncovered(
     uav: UavParameters,
     memory: CoverageMemory,
     coverage: FloatArray,
@@ -151,7 +151,9 @@ def coverage_velocity_error(
     )
     uncovered, other_x, other_y = True, 0.0, 0.0
     if is_zero_gradient(u_cov_x, u_cov_y, size):
-        uncovered, other_x, other_y = way_to_uncovered(uav, memory, coverage, tick, own, target)
+        uncovered, other_x, other_y = direction_to_uncovered(
+            uav, memory, coverage, tick, own, target
+        )
     u_si_x, u_si_y = single_integrator_command(u_cov_x, u_cov_y, size, other_x, other_y)
     v_ref = min(law.reference_speed, uav.max_speed)
     return velocity_error(u_si_x, u_si_y, v_ref, own.v_x, own.v_y, uncovered)

@@ -290,7 +290,10 @@ def worth(
         gains: Work array. Shape (8,).
     """
     step, cell = ahead.step, ahead.cell
-    size, width = lack.shape[0], gains.size  # not constants, or numba would not vectorize the loop over cells
+    size, width = (
+        lack.shape[0],
+        gains.size,
+    )  # not constants, or numba would not vectorize the loop over cells
     for j in range(size):
         row, now = lack[j], ahead.lack[j]
         for i in range(size):

@@ -101,12 +101,12 @@ class PolicyControl:
 
     def perceive(self, observation: UavObservation) -> None:
         """Record the detections of a tick, whether or not it is answered."""
-        for look in self._looks(observation):
-            self._newest = max(self._newest, look.taken)
+        for detection in self._detections(observation):
+            self._newest = max(self._newest, detection.taken)
 
-    def _looks(self, observation: UavObservation) -> Iterator[Look]:
-        looks = looks_of(observation.detections, self._dt)
-        return (look for look in looks if 0 <= look.taken <= observation.tick)
+    def _detections(self, observation: UavObservation) -> Iterator[Look]:
+        detections = looks_of(observation.detections, self._dt)
+        return (detection for detection in detections if 0 <= detection.taken <= observation.tick)
 
     def acceleration(
         self, observation: UavObservation, target: TargetEstimate, coverage: FloatArray
@@ -127,14 +127,16 @@ class PolicyControl:
         answer = self._asked.answer(tick, seen)
         found = pair(answer, (1, 2))
         if found is None or max(map(abs, found)) > LARGEST:
-            raise self._asked.nonsense(tick, answer, _ALLOWED)
+            raise self._asked.invalid_answer(tick, answer, _ALLOWED)
         return found
 
     def _row(
         self, observation: UavObservation, target: TargetEstimate, coverage: FloatArray
     ) -> Row:
         time, (x, y) = observation.tick * self._dt, observation.position
-        best = max(self._looks(observation), key=lambda look: look.taken, default=None)
+        best = max(
+            self._detections(observation), key=lambda detection: detection.taken, default=None
+        )
         newest = self._newest if best is None else best.taken
         age = self._never if newest < 0 else time - newest * self._dt
         seen = (0.0, 0.0, 0.0, age) if best is None else (1.0, best.x, best.y, age)

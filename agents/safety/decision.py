@@ -57,7 +57,7 @@ _UNCHECKED_PLAN = code(NotCertified.UNCHECKED_PLAN)
 
 
 @compiled
-def _may_go_on(
+def _stays_in_sight(
     bounds: SafetyBounds,
     known: KnownDiscs,
     checked: bool,
@@ -115,7 +115,7 @@ def choose_control(
     known = known_discs(bounds, discs, end_disc(plan), new, tick, here)
     w_x, w_y = clip_norm(u_x, u_y, bounds.u_a)
     then, over = step_in_area(bounds, here, w_x, w_y)
-    if _may_go_on(bounds, known, held.checked != 0, tick, here, then, over):
+    if _stays_in_sight(bounds, known, held.checked != 0, tick, here, then, over):
         found = stop_from(bounds, known, plan, tick + 1, then)
         if found or return_from(bounds, known, plan, tick + 1, then):
             return w_x, w_y, NOMINAL
@@ -132,18 +132,20 @@ def choose_control(
 
 
 @compiled
-def _begun(bounds: SafetyBounds, memory: FilterMemory, tick: int, here: Motion, flown: int) -> int:
+def _executed_plan(
+    bounds: SafetyBounds, memory: FilterMemory, tick: int, here: Motion, committed: int
+) -> int:
     """Return the plan executed in the previous tick; NO_MOTION: none.
 
     A receiver of plain accelerations reports none. If each command takes effect in its own tick, the state of the UAV
-    shows whether the last plan has begun.
+    shows whether the last plan has started.
     """
-    if flown != NO_MOTION or bounds.delay_ticks > 0 or bounds.interval_ticks > 1:
-        return flown
+    if committed != NO_MOTION or bounds.delay_ticks > 0 or bounds.interval_ticks > 1:
+        return committed
     pending, last = memory.pending, tick - 1
     begins = pending.sent[last % pending.sent.shape[0]].begins
     answered = last >= 0 and memory.flags[0].tick == last and begins == last
-    return last if answered and is_expected(pending, tick, here, last) else flown
+    return last if answered and is_expected(pending, tick, here, last) else committed
 
 
 @compiled
@@ -166,7 +168,9 @@ def _reason(
         return _MEASUREMENT_TOO_OLD
     if memory.flags[0].contradicted != 0:
         return _CONTRADICTION
-    late = wait > bounds.interval_ticks  # also if it is still in the future but can no longer be prevented
+    late = (
+        wait > bounds.interval_ticks
+    )  # also if it is still in the future but can no longer be prevented
     if source == BEST_EFFORT:
         return _COMMAND_INTERVAL if late else _NO_PLAN
     if not expected:
@@ -184,7 +188,7 @@ def decide(
     here: Motion,
     u_x: float,
     u_y: float,
-    flown: int = NO_MOTION,
+    committed: int = NO_MOTION,
 ) -> None:
     """Decide on the nominal acceleration: apply it if the UGV stays in sight after it, else a backup trajectory.
 
@@ -197,13 +201,13 @@ def decide(
         tick: Current tick.
         here: Current state of the UAV.
         u_x, u_y: Nominal acceleration [m/s²].
-        flown: First tick of the plan executed in the previous tick; NO_MOTION: none.
+        committed: First tick of the plan executed in the previous tick; NO_MOTION: none.
     """
     flags, pending, plan, discs = memory.flags[0], memory.pending, memory.plan, memory.discs
     decision = memory.decision[0]
     decision.certified_distance = certified_distance(bounds, discs, tick, here.p_x, here.p_y)
-    flown = _begun(bounds, memory, tick, here, flown)
-    expected = receive_observation(pending, tick, here, flown, flags.tick)
+    committed = _executed_plan(bounds, memory, tick, here, committed)
+    expected = receive_observation(pending, tick, here, committed, flags.tick)
     flags.from_start = 1 if tick == 0 else flags.from_start
     if flags.from_start == 1:
         check_rest(bounds, pending, discs, plan, tick, here)

@@ -29,29 +29,29 @@ The number is limited, or a large radius would take minutes.
 
 
 @compiled
-def rest_to_rest(way: float, v_a: float, u_a: float, dt: float) -> tuple[int, int, float]:
-    r"""Return the fastest trajectory of whole ticks over `way` [m] along a line, from rest to rest.
+def rest_to_rest(distance: float, v_a: float, u_a: float, dt: float) -> tuple[int, int, float]:
+    r"""Return the fastest trajectory of whole ticks over `distance` [m] along a line, from rest to rest.
 
-    It takes at most $way / v_a + v_a / u_a + 2 dt$, up to terms of the order of REST. The acceleration bound leaves
+    It takes at most $distance / v_a + v_a / u_a + 2 dt$, up to terms of the order of REST. The acceleration bound leaves
     room to remove an initial velocity of up to REST while the vehicle accelerates.
 
     Returns:
         Ticks of acceleration (and of braking), ticks at constant speed, and this speed [m/s].
     """
-    if way <= 0.0:
+    if distance <= 0.0:
         return 0, 0, 0.0
     full = max(1, math.ceil(v_a / (u_a * dt) - ROUNDING))
-    moving = math.ceil(way / (max(v_a - REST, 0.5 * v_a) * dt) - ROUNDING)
+    moving = math.ceil(distance / (max(v_a - REST, 0.5 * v_a) * dt) - ROUNDING)
     if moving >= full:
-        return full, moving - full, way / (moving * dt)
-    fastest = 0.5 * (REST / u_a + math.sqrt(REST * REST / (u_a * u_a) + 4.0 * way / u_a))
+        return full, moving - full, distance / (moving * dt)
+    fastest = 0.5 * (REST / u_a + math.sqrt(REST * REST / (u_a * u_a) + 4.0 * distance / u_a))
     half = max(1, math.ceil(fastest / dt - ROUNDING))
-    return half, 0, way / (half * dt)
+    return half, 0, distance / (half * dt)
 
 
 @compiled
-def motion_stays_within(
-    limit: float, radius: float, rho: float, way: float, turn: int, cruise: int, drift: float
+def trajectory_stays_within(
+    limit: float, radius: float, rho: float, distance: float, turn: int, cruise: int, drift: float
 ) -> bool:
     """Return whether the UGV stays within a distance while the UAV flies from rest to a new detection.
 
@@ -61,17 +61,17 @@ def motion_stays_within(
         limit: Distance [m].
         radius: Radius of the disc around the resting UAV [m].
         rho: Radius of the disc around the new detection [m].
-        way: Distance to the new detection [m].
+        distance: Distance to the new detection [m].
         turn, cruise: Ticks of the trajectory, from `rest_to_rest`.
         drift: Largest distance of the UGV in a tick, v_g dt [m].
     """
     if radius > limit:
         return False
     ticks = 2 * turn + cruise
-    if 0.5 * (radius + way + rho) <= limit - drift * ticks:
+    if 0.5 * (radius + distance + rho) <= limit - drift * ticks:
         # The smaller of two bounds is at most their mean, which is constant along the way.
         return True
-    speed = way / max(1, turn + cruise)  # metres in a tick
+    speed = distance / max(1, turn + cruise)  # metres in a tick
     x, v = 0.0, 0.0
     for k in range(1, ticks + 1):
         w = speed * min(1.0, k / turn, (ticks - k) / turn)
@@ -79,8 +79,8 @@ def motion_stays_within(
         room = limit - drift * k
         if (  # one disc alone usually suffices, and the lens is expensive
             x + radius > room
-            and abs(way - x) + rho > room
-            and lens_distance(x, 0.0, 0.0, 0.0, radius, way, 0.0, rho) > room
+            and abs(distance - x) + rho > room
+            and lens_distance(x, 0.0, 0.0, 0.0, radius, distance, 0.0, rho) > room
         ):
             return False
     return True
@@ -112,31 +112,31 @@ def handover_bound(bounds: SafetyBounds, radius: float) -> float:
 
 
 @compiled
-def _way_fits(bounds: SafetyBounds, k: int, radius: float) -> bool:
-    """Return whether all trajectories over k steps stay within r_v, or no detection is as far; see `unfit_way`."""
+def _distance_fits(bounds: SafetyBounds, k: int, radius: float) -> bool:
+    """Return whether all trajectories over k steps stay within r_v, or no detection is as far; see `unfit_distance`."""
     b, step = bounds, max(_GRID, bounds.radius / _STEPS)
-    way, reach = k * step, handover_bound(bounds, radius)
-    rest = min(largest_disc(b), reach + 2.0 * b.placed_error - way + step)
-    if rest < 0.0 or radius + rest < way - step:
+    distance, reach = k * step, handover_bound(bounds, radius)
+    rest = min(largest_disc(b), reach + 2.0 * b.placed_error - distance + step)
+    if rest < 0.0 or radius + rest < distance - step:
         return True
     last_turn, last_cruise, _ = rest_to_rest((k - 1) * step, b.v_a, b.u_a, b.dt)
-    turn, cruise, _ = rest_to_rest(way, b.v_a, b.u_a, b.dt)
+    turn, cruise, _ = rest_to_rest(distance, b.v_a, b.u_a, b.dt)
     for i in range(max(1, last_turn), turn + 1):
         for j in range(last_cruise, cruise + 1):
-            if not motion_stays_within(
-                b.radius - step, radius, rest + step, way, i, j, b.v_g * b.dt
+            if not trajectory_stays_within(
+                b.radius - step, radius, rest + step, distance, i, j, b.v_g * b.dt
             ):
                 return False
     return True
 
 
 @compiled
-def unfit_way(bounds: SafetyBounds, likely: int, radius: float) -> int:
+def unfit_distance(bounds: SafetyBounds, likely: int, radius: float) -> int:
     """Return a distance to a newer measurement, in steps, over which a trajectory from rest leaves r_v.
 
     The UGV is within `radius` at the start. All distances are checked in steps of half a centimetre, or more if r_v is
     large. Between two of them, the trajectory with the same ticks scales with the distance, so no point of it and no
-    disc moves by more than a step. The farther a detection, the newer it is: way + rho <= E + 2 eps.
+    disc moves by more than a step. The farther a detection, the newer it is: distance + rho <= E + 2 eps.
 
     Args:
         bounds: Bounds of the hand-over.
@@ -146,12 +146,12 @@ def unfit_way(bounds: SafetyBounds, likely: int, radius: float) -> int:
     Returns:
         The distance in steps; 0 if there is none.
     """
-    if likely > 0 and not _way_fits(bounds, likely, radius):
+    if likely > 0 and not _distance_fits(bounds, likely, radius):
         return likely
     for k in range(
         1, int((radius + largest_disc(bounds)) / max(_GRID, bounds.radius / _STEPS)) + 2
     ):
-        if not _way_fits(bounds, k, radius):
+        if not _distance_fits(bounds, k, radius):
             return k
     return 0
 
@@ -170,7 +170,7 @@ def handover_radius(bounds: SafetyBounds) -> float:
         radius -= step
         if not handover_bound(bounds, radius) >= radius:
             return math.nan
-        unfit = unfit_way(bounds, unfit, radius)
+        unfit = unfit_distance(bounds, unfit, radius)
         if unfit == 0:
             return radius
     return math.nan
@@ -261,7 +261,9 @@ def _speed_fault(bounds: SafetyBounds) -> str:
     """Return the fault of the speeds; empty if there is none."""
     v_a, v_g = bounds.v_a, bounds.v_g
     if not math.isfinite(v_a) or not math.isfinite(v_g):
-        return f"max_speed = {v_a:g} m/s (UAV), {v_g:g} m/s (UGV): unbounded; allowed: finite speeds"
+        return (
+            f"max_speed = {v_a:g} m/s (UAV), {v_g:g} m/s (UGV): unbounded; allowed: finite speeds"
+        )
     if not v_g < v_a:
         return f"uav.max_speed = {v_a:g} m/s: too slow; allowed: more than the UGV's, {v_g:g} m/s"
     return ""

@@ -33,9 +33,9 @@ from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion
 
 _NOW, _END = 0, 1
-"""Rows of `PendingCommands.flown`: committed now, and at the end of the predicted trajectory."""
+"""Rows of `PendingCommands.committed`: committed now, and at the end of the predicted trajectory."""
 
-_BEGUN, _LOST = 0, 1
+_STARTED, _LOST = 0, 1
 """Rows of `PendingCommands.expected`: the next state if the plan of this tick begins, and if it does not."""
 
 
@@ -44,7 +44,7 @@ class PendingCommands(NamedTuple):
 
     sent: RecordArray
     """`CheckedTrajectory` of each sent plan: the one of tick k in row k % rows. Shape (tau_c + 2,)."""
-    flown: RecordArray
+    committed: RecordArray
     """`CheckedTrajectory`: committed now, and at the end of the predicted trajectory. Shape (2,)."""
     expected: RecordArray
     """Expected `Motion` of the UAV at the next tick. Shape (2,)."""
@@ -58,7 +58,7 @@ def pending_commands(delay_ticks: int) -> PendingCommands:
     """
     return PendingCommands(
         sent=no_motions(delay_ticks + 2),
-        flown=no_motions(2),
+        committed=no_motions(2),
         expected=np.zeros(2, dtype=record_type(Motion)),
     )
 
@@ -81,7 +81,7 @@ def set_motion(rows: RecordArray, k: int, here: Motion) -> None:
 def reset_pending(pending: PendingCommands) -> None:
     """Reset the memory in place, at the start of an episode."""
     clear_motions(pending.sent)
-    clear_motions(pending.flown)
+    clear_motions(pending.committed)
     for k in range(pending.expected.shape[0]):
         set_motion(pending.expected, k, Motion(0.0, 0.0, 0.0, 0.0))
 
@@ -91,21 +91,21 @@ def mark_unchecked(pending: PendingCommands) -> None:
     """Mark all plans unchecked: the UAV is not in the expected state, from which they were checked."""
     for k in range(pending.sent.shape[0]):
         pending.sent[k].checked = 0
-    pending.flown[_NOW].checked = 0
+    pending.committed[_NOW].checked = 0
 
 
 @compiled
-def _receive_flown(pending: PendingCommands, tick: int, flown: int) -> None:
+def _receive_flown(pending: PendingCommands, tick: int, committed: int) -> None:
     """Record the trajectory executed in the previous tick; another pilot's trajectory counts as unchecked."""
-    if pending.flown[_NOW].begins != flown:
-        row = flown % pending.sent.shape[0]
-        if flown >= 0 and pending.sent[row].begins == flown:
-            pending.flown[_NOW] = pending.sent[row]
+    if pending.committed[_NOW].begins != committed:
+        row = committed % pending.sent.shape[0]
+        if committed >= 0 and pending.sent[row].begins == committed:
+            pending.committed[_NOW] = pending.sent[row]
         else:
-            pending.flown[_NOW] = NO_CHECKED[0]
-            pending.flown[_NOW].begins, pending.flown[_NOW].plain = flown, 1
-    if flown >= 0:
-        pending.flown[_NOW].age = tick - flown
+            pending.committed[_NOW] = NO_CHECKED[0]
+            pending.committed[_NOW].begins, pending.committed[_NOW].plain = committed, 1
+    if committed >= 0:
+        pending.committed[_NOW].age = tick - committed
 
 
 @compiled
@@ -116,15 +116,15 @@ def off_by(here: Motion, due: Motion) -> float:
 
 
 @compiled
-def is_expected(pending: PendingCommands, tick: int, here: Motion, flown: int) -> bool:
+def is_expected(pending: PendingCommands, tick: int, here: Motion, committed: int) -> bool:
     """Return whether the UAV is in the state that the reported trajectory implies."""
-    due = motion_in(pending.expected, _BEGUN if flown == tick - 1 else _LOST)
+    due = motion_in(pending.expected, _STARTED if committed == tick - 1 else _LOST)
     return bool(off_by(here, due) <= AS_EXPECTED)
 
 
 @compiled
 def receive_observation(
-    pending: PendingCommands, tick: int, here: Motion, flown: int, last_tick: int
+    pending: PendingCommands, tick: int, here: Motion, committed: int, last_tick: int
 ) -> bool:
     """Record the committed trajectory and return whether the UAV is in the expected state.
 
@@ -132,14 +132,14 @@ def receive_observation(
         pending: Changed in place.
         tick: Current tick.
         here: Current state of the UAV.
-        flown: First tick of the plan executed in the previous tick; NO_MOTION: none.
+        committed: First tick of the plan executed in the previous tick; NO_MOTION: none.
         last_tick: Last tick that this pilot answered; negative: none yet.
     """
     first = last_tick < 0
-    expected = first or (last_tick == tick - 1 and is_expected(pending, tick, here, flown))
+    expected = first or (last_tick == tick - 1 and is_expected(pending, tick, here, committed))
     if not expected:
         mark_unchecked(pending)
-    _receive_flown(pending, tick, flown)
+    _receive_flown(pending, tick, committed)
     return expected
 
 
@@ -149,15 +149,19 @@ def predict(
 ) -> tuple[Motion, bool, int]:
     """Predict the UAV's state when the plan of this tick's command begins.
 
-    `pending.flown` then contains the trajectory committed at that time. Pending plans continue the committed one in a
+    `pending.committed` then contains the trajectory committed at that time. Pending plans continue the committed one in a
     chain, or are void.
 
     Returns:
         The state; whether every plan until then is checked; and the least time without a new plan at that tick [ticks].
     """
-    c, checked, next_begins = bounds, pending.flown[_NOW].checked == 1, tick + bounds.delay_ticks
-    ahead = pending.flown[_END : _END + 1]
-    ahead[0] = pending.flown[_NOW]
+    c, checked, next_begins = (
+        bounds,
+        pending.committed[_NOW].checked == 1,
+        tick + bounds.delay_ticks,
+    )
+    ahead = pending.committed[_END : _END + 1]
+    ahead[0] = pending.committed[_NOW]
     for k in range(c.delay_ticks):
         if follow_on(pending.sent, ahead, tick + k):
             next_begins = min(next_begins, tick + k)
@@ -165,7 +169,7 @@ def predict(
         u_x, u_y = motion_command(ahead[0], here.v_x, here.v_y, c.u_a, c.dt)
         here, _ = step_in_area(c, here, u_x, u_y)
         ahead[0].age += 1
-    return here, checked, waited(next_begins, pending.flown[_NOW].begins, c.delay_ticks)
+    return here, checked, waited(next_begins, pending.committed[_NOW].begins, c.delay_ticks)
 
 
 @compiled
@@ -175,7 +179,7 @@ def update_plan(pending: PendingCommands, plan: RecordArray) -> None:
     The hand-over needs the disc around the end of this trajectory, not the disc of a lost plan.
     """
     last = end_disc(plan)
-    plan[0] = pending.flown[_END]
+    plan[0] = pending.committed[_END]
     held = plan[0]
     behind = max(0, held.age - 1)
     turn, cruise = held.turn, held.cruise
@@ -221,12 +225,12 @@ def check_rest(
         tick: Current tick.
         here: Current state of the UAV.
     """
-    if pending.flown[_NOW].checked == 1 or not _rests(pending.flown, _NOW):
+    if pending.committed[_NOW].checked == 1 or not _rests(pending.committed, _NOW):
         return
     radius = rest_radius(bounds, discs, plan, tick, here, bounds.delay_ticks)
     if radius == math.inf:
         return
-    _check_rest(pending.flown, _NOW, tick, here, radius)
+    _check_rest(pending.committed, _NOW, tick, here, radius)
     for begins in range(tick, tick + bounds.delay_ticks):
         place = begins % pending.sent.shape[0]
         if pending.sent[place].begins == begins:
@@ -260,13 +264,13 @@ def send_plan(
     place = begins % pending.sent.shape[0]
     pending.sent[place] = plan[0] if checked else NO_CHECKED[0]
     row = pending.sent[place]
-    row.begins, row.parent = begins, pending.flown[_END].begins
+    row.begins, row.parent = begins, pending.committed[_END].begins
     row.acceleration[0], row.acceleration[1] = first
     row.age, row.arrived, row.plain = 0, 0, 0
-    ahead = pending.flown[_END : _END + 1]
-    for k in (_LOST, _BEGUN):
-        ahead[0] = pending.flown[_NOW]
-        if k == _BEGUN:
+    ahead = pending.committed[_END : _END + 1]
+    for k in (_LOST, _STARTED):
+        ahead[0] = pending.committed[_NOW]
+        if k == _STARTED:
             follow_on(pending.sent, ahead, tick)
         w_x, w_y = motion_command(ahead[0], here.v_x, here.v_y, bounds.u_a, bounds.dt)
         there, _ = step_in_area(bounds, here, w_x, w_y)
@@ -275,7 +279,7 @@ def send_plan(
 
 @compiled
 def carried(bounds: SafetyBounds, pending: PendingCommands, tick: int) -> int:
-    """Return the number of plans in this tick's command: its own, and earlier ones that have not begun."""
+    """Return the number of plans in this tick's command: its own, and earlier ones that have not started."""
     last, n = tick + bounds.delay_ticks, 0
     while n < MOST_CARRIED and last - n >= tick:
         if pending.sent[(last - n) % pending.sent.shape[0]].begins != last - n:
@@ -285,8 +289,8 @@ def carried(bounds: SafetyBounds, pending: PendingCommands, tick: int) -> int:
 
 
 @compiled
-def hand_over(
-    bounds: SafetyBounds, pending: PendingCommands, tick: int, motions: RecordArray
+def add_plans(
+    bounds: SafetyBounds, pending: PendingCommands, tick: int, outgoing: RecordArray
 ) -> tuple[int, int]:
     """Add the plans of this tick's command to the outgoing ones.
 
@@ -295,5 +299,5 @@ def hand_over(
     """
     last, n = tick + bounds.delay_ticks, carried(bounds, pending, tick)
     for begins in range(last - n + 1, last + 1):
-        keep_motion(motions, pending.sent[begins % pending.sent.shape[0]], tick)
+        keep_motion(outgoing, pending.sent[begins % pending.sent.shape[0]], tick)
     return last, n

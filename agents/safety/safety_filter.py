@@ -99,12 +99,12 @@ class SafetyFilter:
         """
         here, tick = Motion(*observation.position, *observation.velocity), observation.tick
         u_x, u_y = float(acceleration[0]), float(acceleration[1])
-        flown = (
+        committed = (
             NO_MOTION
             if observation.committed_trajectory is None
             else observation.committed_trajectory
         )
-        decide(self.bounds, self.memory, tick, here, u_x, u_y, flown)
+        decide(self.bounds, self.memory, tick, here, u_x, u_y, committed)
         decision = decision_of(self.memory.decision[0])
         self.ticks += 1
         self.overridden += decision.overridden

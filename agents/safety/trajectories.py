@@ -46,8 +46,12 @@ def servo(
     s is the speed from which the UAV stops at z, at most v_a. This is the best effort if nothing is certified.
     """
     x, y = z_x - here.p_x, z_y - here.p_y
-    way = norm(x, y)
-    speed = min(v_a, speed_to_stop_within(way, u_a, dt)) / way if way > _ON_THE_SPOT else 0.0
+    distance = norm(x, y)
+    speed = (
+        min(v_a, speed_to_stop_within(distance, u_a, dt)) / distance
+        if distance > _ON_THE_SPOT
+        else 0.0
+    )
     return clip_norm((speed * x - here.v_x) / dt, (speed * y - here.v_y) / dt, u_a)
 
 
@@ -183,9 +187,9 @@ def _return_from_rest(
 ) -> _Return:
     """Return the trajectory to z [m] from rest, at most at this speed [m/s]."""
     x, y = z_x - here.p_x, z_y - here.p_y
-    way = norm(x, y)
-    turn, cruise, speed = rest_to_rest(way, speed, bounds.u_a, bounds.dt)
-    w_x, w_y = (speed * x / way, speed * y / way) if turn else (0.0, 0.0)
+    distance = norm(x, y)
+    turn, cruise, speed = rest_to_rest(distance, speed, bounds.u_a, bounds.dt)
+    w_x, w_y = (speed * x / distance, speed * y / distance) if turn else (0.0, 0.0)
     return _Return(turn, cruise, turn, w_x, w_y, here.p_x, here.p_y)
 
 
@@ -197,10 +201,10 @@ def _return_in_motion(
     stop = max(1, math.ceil(speed / (bounds.u_a * bounds.dt) - ROUNDING))
     q_x, q_y, w_x, w_y, turn = here.p_x, here.p_y, 0.0, 0.0, 0
     for _ in range(4):
-        way = norm(z_x - q_x, z_y - q_y)
-        if way <= _ON_THE_SPOT:
+        distance = norm(z_x - q_x, z_y - q_y)
+        if distance <= _ON_THE_SPOT:
             return _Return(turn, -1, stop, w_x, w_y, q_x, q_y)
-        w_x, w_y = speed * (z_x - q_x) / way, speed * (z_y - q_y) / way
+        w_x, w_y = speed * (z_x - q_x) / distance, speed * (z_y - q_y) / distance
         change = norm(w_x - here.v_x, w_y - here.v_y)
         turn = max(1, math.ceil(change / (bounds.u_a * bounds.dt) - ROUNDING))
         q_x = here.p_x + 0.5 * (here.v_x + w_x) * turn * bounds.dt
@@ -226,10 +230,10 @@ def _return_at(
     z_y = off_walls(known.newest.y, bounds.height)
     at_rest = norm(here.v_x, here.v_y) <= REST
     if at_rest:
-        way = _return_from_rest(bounds, here, z_x, z_y, speed)
+        trajectory = _return_from_rest(bounds, here, z_x, z_y, speed)
     else:
-        way = _return_in_motion(bounds, here, z_x, z_y, speed)
-    turn, cruise, stop, w_x, w_y, q_x, q_y = way
+        trajectory = _return_in_motion(bounds, here, z_x, z_y, speed)
+    turn, cruise, stop, w_x, w_y, q_x, q_y = trajectory
     if cruise < 0:
         return False
     level = (0.5 * turn + cruise + 0.5 * stop) * bounds.dt

@@ -45,7 +45,7 @@ class AutoresetWorlds(Worlds):
 
     def __init__(
         self,
-        *arguments: Any,  # noqa: ANN401 - those of `Worlds`
+        *arguments: Any,  # noqa: ANN401 - as for `Worlds`
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **settings: Any,  # noqa: ANN401 - fields of `Settings`
     ) -> None:
@@ -113,11 +113,11 @@ class AutoresetWorlds(Worlds):
 
     def _final(self, name: str, ended: BoolArray) -> dict[str, Any]:
         """Return the last observations and infos of ended episodes, as in Gymnasium's vector environments."""
-        last, told = self.observe(name), self.infos(name)
+        last, infos = self.observe(name), self.infos(name)
         observations = np.full(self.num_envs, None, dtype=object)
         for k in np.flatnonzero(ended).tolist():
             observations[k] = one_of_world(last, k)
-        info = {key: value for key, value in told.items() if not key.startswith("_")}
+        info = {key: value for key, value in infos.items() if not key.startswith("_")}
         info |= self._mission(name, ended)
         info["episode"] = {
             "r": np.where(ended, self._returns[:, self.loop.names.index(name)], 0.0),

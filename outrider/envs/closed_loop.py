@@ -10,7 +10,7 @@ import numpy as np
 
 from agents.drivers.dispatch import driver_memories
 from agents.estimation.batch_filter import estimator_rows
-from agents.estimation.map_updates import BLOCK_TILES, telling_memory
+from agents.estimation.map_updates import BLOCK_TILES, map_update_memory
 from agents.estimation.motion_model import (
     SPAN,
     history_depth,
@@ -53,7 +53,7 @@ class ClosedLoop:
         scenario: Scenario of all worlds.
         worlds: Number of worlds.
         external: Vehicles with external actions, in the order of the actions.
-        pilots: Laws and drivers of the other vehicles, by vehicle, instead of those of the scenario.
+        pilots: Laws and drivers of the other vehicles, by vehicle, instead of the scenario's.
         error: True to compute e(t) at every tick; it is always computed if `uncovered` is rewarded.
         settings: Keywords, see `sim.env.settings.Settings`.
 
@@ -104,7 +104,7 @@ class ClosedLoop:
         self.tables: LoopTables | CommandedTables = CommandedTables(
             batch=self.batch.tables,
             rows=rows,
-            hand=np.array(
+            action_row=np.array(
                 [self.external.index(n) if n in self.external else -1 for n in self.names],
                 dtype=np.int64,
             ),
@@ -145,7 +145,7 @@ class ClosedLoop:
             **self.tables._asdict(),
             laws=numbers.laws,
             drivers=numbers.drivers,
-            thinking=(numbers.thinking | needed).astype(np.int64),
+            estimating=(numbers.estimating | needed).astype(np.int64),
             filtered=numbers.filtered.astype(np.int64),
             receivers=np.array(
                 [self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]],
@@ -168,10 +168,10 @@ class ClosedLoop:
         fresh = filter_memory(numbers.longest, min(late + 1, numbers.track))
         uavs, ugvs = len(self.uavs), len(self.ugvs)
         room = batch.links.packets.shape[3]
-        told_room = 0
+        tile_room = 0
         if batch.ground is not None:
-            told_room = max(BLOCK_TILES, batch.ground.seen.shape[2])
-        telling = telling_memory(area.width, area.height, parameters.tile)
+            tile_room = max(BLOCK_TILES, batch.ground.seen.shape[2])
+        map_updates = map_update_memory(area.width, area.height, parameters.tile)
         pixels = patch.pixels if patch else 1
         state = LoopState(
             **self.state._asdict(),
@@ -180,15 +180,15 @@ class ClosedLoop:
             drivers=driver_memories(numbers.drivers, worlds),
             kalman=repeated(estimator_rows(depth), worlds, uavs),
             filters=repeated(fresh, worlds, uavs),
-            grounds=repeated(numbers.ground, worlds, ugvs),
+            grids=repeated(numbers.ground, worlds, ugvs),
             outbox=no_packets(worlds, uavs, 2),
-            looks=np.zeros((worlds, room, 3)),
+            detections=np.zeros((worlds, room, 3)),
             inboxes=np.zeros((worlds, ugvs, room * uavs if parameters.radio else 1, 3)),
             arrived=np.zeros((worlds, ugvs), dtype=np.int64),
             patches=np.zeros((worlds, uavs if patch else 0, pixels, pixels)),
-            telling=repeated(telling, worlds, uavs),
-            places=np.zeros((worlds, 2, told_room), dtype=np.int64),
-            states=np.zeros((worlds, told_room), dtype=np.uint8),
+            map_updates=repeated(map_updates, worlds, uavs),
+            places=np.zeros((worlds, 2, tile_room), dtype=np.int64),
+            states=np.zeros((worlds, tile_room), dtype=np.uint8),
         )
         state.outbox["stamp"] = -1.0
         return state
@@ -302,7 +302,7 @@ class ClosedLoop:
 
     def known_tiles(self, ugv: str) -> TileArray:
         """Return a UGV's occupancy grid, from its sensor and by radio, in each world. Shape (worlds, rows, columns)."""
-        tiles: TileArray = self._pilots.grounds.tiles[:, self.ugvs.index(ugv)]
+        tiles: TileArray = self._pilots.grids.tiles[:, self.ugvs.index(ugv)]
         return tiles
 
     @property

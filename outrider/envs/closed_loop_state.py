@@ -3,8 +3,8 @@
 from typing import Any, NamedTuple
 
 from agents.drivers.dispatch import DriverTables
-from agents.drivers.tile_map import GroundMemory
-from agents.estimation.map_updates import TellingMemory
+from agents.drivers.tile_map import OccupancyGrid
+from agents.estimation.map_updates import MapUpdateMemory
 from agents.laws.dispatch import LawTables
 from agents.safety.memory import FilterMemory
 from sim.compiling.compile import FloatArray, IntArray
@@ -26,7 +26,7 @@ class LoopParameters(NamedTuple):
     radio: bool
     """True if any UGV uses the radio."""
     radio_ticks: int
-    telling_ticks: int
+    map_update_ticks: int
     """Period of the map updates [ticks]; 0: never, without ground."""
     tile: float
     """Width of a tile [m]; 0 without ground."""
@@ -38,7 +38,7 @@ class CommandedTables(NamedTuple):
 
     batch: BatchTables
     rows: RowTables
-    hand: IntArray
+    action_row: IntArray
     """Row of each vehicle in the external actions; -1: it has a pilot. Shape (vehicles,)."""
 
 
@@ -57,10 +57,10 @@ class LoopTables(NamedTuple):
 
     batch: BatchTables
     rows: RowTables
-    hand: IntArray
+    action_row: IntArray
     laws: LawTables
     drivers: DriverTables
-    thinking: IntArray
+    estimating: IntArray
     """1 for each UAV whose estimate is needed. Shape (UAVs,)."""
     filtered: IntArray
     """1 for each UAV with an active safety filter. Shape (UAVs,)."""
@@ -94,14 +94,14 @@ class LoopState(NamedTuple):
     """`EstimatorRow` of each UAV. Shape (worlds, UAVs, 1 + depth): see `agents.estimation.batch_filter`."""
     filters: FilterMemory
     """Memory of each UAV's safety filter. Shape (worlds, UAVs, ...)."""
-    grounds: GroundMemory
+    grids: OccupancyGrid
     """Occupancy grid of each UGV; without tiles if there are no hazards. Shape (worlds, UGVs, ...)."""
     outbox: RecordArray
     """`Packet`: radio messages just sent by each UAV, with its relative position and with a map update.
 
     Shape (worlds, UAVs, 2).
     """
-    looks: FloatArray
+    detections: FloatArray
     """Work array for the detections received by one UAV: tick, p_delta [m]. Shape (worlds, room, 3)."""
     inboxes: FloatArray
     """Radio messages with the relative position received by each UGV in this tick: tick, p_delta [m].
@@ -112,7 +112,7 @@ class LoopState(NamedTuple):
     """Number of valid rows of `inboxes`. Shape (worlds, UGVs)."""
     patches: FloatArray
     """Coverage patches of the UAVs. Shape (worlds, UAVs or 0, pixels, pixels)."""
-    telling: TellingMemory
+    map_updates: MapUpdateMemory
     """Map and transmission state of each UAV. Shape (worlds, UAVs, ...)."""
     places: IntArray
     states: TileArray

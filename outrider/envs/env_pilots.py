@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from agents.control.orbit import Path as VirtualPath
 from agents.control.weighting import Weighting
-from agents.estimation.map_updates import BLOCK_TILES, word_state
+from agents.estimation.map_updates import BLOCK_TILES, decode_tile
 from agents.uav import UavPilot
 from bus.messages.ground import BLOCK_SIDE, TILE_LETTERS, MapUpdate
 from bus.messages.links import LinkKind
@@ -43,10 +43,12 @@ def _radioed(
                 place = (float(packet["vector"][0]), float(packet["vector"][1]))
                 time = float(packet["stamp"]) * dt
                 # drivers ignore the coverage error
-                said = RelativeInformation(time=time, relative_position=place, coverage_error=0.0)
-                radio.append(said)
+                message = RelativeInformation(
+                    time=time, relative_position=place, coverage_error=0.0
+                )
+                radio.append(message)
             else:
-                states = (word_state(packet["tiles"], n) for n in range(BLOCK_TILES))
+                states = (decode_tile(packet["tiles"], n) for n in range(BLOCK_TILES))
                 tiles = "".join(TILE_LETTERS[state] for state in states)
                 blocks.append(MapUpdate(row=block // across, column=block % across, tiles=tiles))
     return tuple(radio), tuple(blocks)
@@ -86,14 +88,14 @@ class _EnvPilots:
         row, tick = world.names.index(name), world.tick
         position = tuple(world.reference_position[row].tolist())
         velocity = tuple(world.reference_velocity[row].tolist())
-        told: dict[str, Any] = {"tick": tick, "time": world.time}
-        told |= {"position": position, "velocity": velocity}
-        told |= {"tile_reports": world.seen_ground(row), "committed_trajectory": world.flown(row)}
+        fields: dict[str, Any] = {"tick": tick, "time": world.time}
+        fields |= {"position": position, "velocity": velocity}
+        fields |= {"tile_reports": world.seen_ground(row), "committed_trajectory": world.flown(row)}
         if isinstance(pilot, UavPilot):
             uav = [uav.name for uav in world.uavs].index(name)
-            return pilot.act(UavObservation(**told, detections=world.received(uav)))
+            return pilot.act(UavObservation(**fields, detections=world.received(uav)))
         radio, blocks = _radioed(world, self._env.worlds.loop.batch, self._escorts[name])
-        return pilot.act(UgvObservation(**told, radio=radio, map_updates=blocks))
+        return pilot.act(UgvObservation(**fields, radio=radio, map_updates=blocks))
 
 
 def pilots(
@@ -117,5 +119,5 @@ def pilots(
     Raises:
         ScenarioError: If a law or a driver of the scenario is not available.
     """
-    flown = _EnvPilots(env, weighting, path)
-    return {name: partial(flown.act, name) for name in env.possible_agents}
+    committed = _EnvPilots(env, weighting, path)
+    return {name: partial(committed.act, name) for name in env.possible_agents}

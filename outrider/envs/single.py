@@ -92,7 +92,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         if self._over:
             when = (
                 "after the end of the episode: call reset() first"
-                if self.worlds.begun
+                if self.worlds.has_episode
                 else "before reset()"
             )
             raise ResetNeeded(f"step() {when}")
@@ -114,8 +114,8 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         """Return the vehicle's own facts that are not in its row, as plain numbers."""
         info = self.worlds.info(self.agent)
         mission = self.worlds.mission(0) if self._over else None
-        at_wheel = self.agent in self.worlds.loop.ugvs
-        return info | (numbers(MISSION, mission) if mission is not None and at_wheel else {})
+        is_ugv = self.agent in self.worlds.loop.ugvs
+        return info | (numbers(MISSION, mission) if mission is not None and is_ugv else {})
 
     @property
     def episode_seed(self) -> int:
@@ -125,8 +125,8 @@ class SingleEnv(gymnasium.Env[Any, Any]):
     def metrics(self) -> dict[str, dict[str, float]]:
         """Return each UAV's true metrics in this episode: for people and logs, not for policies."""
         return {
-            uav: {key: float(array[0]) for key, array in told.items()}
-            for uav, told in self.worlds.metrics().items()
+            uav: {key: float(array[0]) for key, array in metrics.items()}
+            for uav, metrics in self.worlds.metrics().items()
         }
 
     def render(self) -> npt.NDArray[np.uint8] | None:

@@ -1,6 +1,6 @@
 """Views of one vehicle's part of the loop's state, in the form that the pilots' functions take."""
 
-from agents.drivers.tile_map import GroundMemory
+from agents.drivers.tile_map import OccupancyGrid
 from agents.safety.memory import FilterMemory
 from agents.safety.pending import PendingCommands
 from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
@@ -20,7 +20,7 @@ def filter_of(tables: LoopTables, filters: FilterMemory, world: int, uav: int) -
         filters.flags[world, uav],
         PendingCommands(
             pending.sent[world, uav, : delay + 2],
-            pending.flown[world, uav],
+            pending.committed[world, uav],
             pending.expected[world, uav],
         ),
         filters.decision[world, uav],
@@ -28,20 +28,20 @@ def filter_of(tables: LoopTables, filters: FilterMemory, world: int, uav: int) -
 
 
 @inlined
-def ground_of(tables: LoopTables, state: LoopState, world: int, ugv: int) -> GroundMemory:
+def grid_of(tables: LoopTables, state: LoopState, world: int, ugv: int) -> OccupancyGrid:
     """Return the occupancy grid of a UGV."""
-    grounds = state.grounds
-    return GroundMemory(
-        grounds.tiles[world, ugv],
-        grounds.sure[world, ugv],
-        grounds.draft[world, ugv],
-        grounds.way[world, ugv],
-        grounds.cost[world, ugv],
-        grounds.heap[world, ugv],
-        grounds.place[world, ugv],
-        grounds.sent[world, ugv, : tables.late[ugv]],
-        grounds.flown[world, ugv],
-        grounds.flags[world, ugv],
+    grids = state.grids
+    return OccupancyGrid(
+        grids.tiles[world, ugv],
+        grids.measured[world, ugv],
+        grids.snapshot[world, ugv],
+        grids.path[world, ugv],
+        grids.cost[world, ugv],
+        grids.heap[world, ugv],
+        grids.place[world, ugv],
+        grids.sent[world, ugv, : tables.late[ugv]],
+        grids.committed[world, ugv],
+        grids.flags[world, ugv],
     )
 
 

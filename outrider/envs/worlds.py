@@ -44,7 +44,9 @@ def _checked_count(num_envs: int) -> int:
     except TypeError:
         count = 0
     if count < 1:
-        raise ValueError(f"num_envs = {num_envs!r}: not a count; allowed: a whole number, 1 or more")
+        raise ValueError(
+            f"num_envs = {num_envs!r}: not a count; allowed: a whole number, 1 or more"
+        )
     return count
 
 
@@ -93,11 +95,11 @@ class Worlds:
         }
         named = {name: pilot for name, pilot in given.items() if isinstance(pilot, str)}
         self._check_others(given, named, names)
-        self._hands = [*self.learners, *self._policies]
+        self._external = [*self.learners, *self._policies]
         self.loop = ClosedLoop(
             self.scenario,
             self.num_envs,
-            external=self._hands,
+            external=self._external,
             pilots=named,
             error=error,
             **settings,
@@ -106,8 +108,8 @@ class Worlds:
         self.action_spaces = {v.name: action_space(v) for v in self.scenario.vehicles}
         self.observation_spaces = self._format.spaces
         self._seeds = [Seeds(self.scenario.seed + k) for k in range(self.num_envs)]
-        self._actions: FloatArray = np.zeros((self.num_envs, len(self._hands), 2))
-        self.begun = False
+        self._actions: FloatArray = np.zeros((self.num_envs, len(self._external), 2))
+        self.has_episode = False
         """True after the first reset."""
         self._view = None if render_mode is None else BatchRendering(self.loop.batch)
 
@@ -118,7 +120,9 @@ class Worlds:
             if name not in names:
                 raise ValueError(f"others: {name!r}: no such vehicle; allowed: {', '.join(names)}")
             if name in self.learners:
-                raise ValueError(f"others: {name!r}: its actions are external; allowed: other vehicles")
+                raise ValueError(
+                    f"others: {name!r}: its actions are external; allowed: other vehicles"
+                )
             if name in named and named[name] not in pilot_names(self.scenario, name):
                 allowed = ", ".join(pilot_names(self.scenario, name))
                 raise ValueError(
@@ -155,7 +159,7 @@ class Worlds:
 
     def is_filtered(self, name: str) -> bool:
         """Return whether a vehicle has external actions that pass through the safety filter."""
-        return self.settings.safety_filter and name in self._hands and name in self.loop.uavs
+        return self.settings.safety_filter and name in self._external and name in self.loop.uavs
 
     def infos(self, name: str) -> dict[str, Any]:
         """Return a vehicle's own facts that are not in its row, in all worlds, with Gymnasium's masks."""
@@ -186,14 +190,14 @@ class Worlds:
     def reset(
         self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None
     ) -> IntArray:
-        """Begin episodes in all worlds, or in those of the boolean array `options["reset_mask"]`.
+        """Begin episodes in all worlds, or in the worlds selected by `options["reset_mask"]`.
 
         Args:
             seed: Seed of world 0, with seed + k for world k; or one seed per world; None: the next ones.
             options: None, or a `reset_mask`. Shape (num_envs,).
 
         Returns:
-            The worlds in which an episode has begun.
+            The worlds in which an episode has started.
 
         Raises:
             ResetNeeded: If the first reset has a mask that does not select all worlds.
@@ -206,7 +210,7 @@ class Worlds:
                 raise ValueError(
                     f"options['reset_mask']: not a mask; allowed: {self.num_envs} booleans, at least one of them true"
                 )
-            if not self.begun and not mask.all():
+            if not self.has_episode and not mask.all():
                 raise ResetNeeded("reset() all worlds before resetting some of them")
         seeds = self._given(seed)
         which = np.flatnonzero(mask)
@@ -215,7 +219,7 @@ class Worlds:
         for k in which.tolist():
             self._seeds[k].begin(seeds[k])
         self.loop.begin([self._seeds[k].current for k in which.tolist()], which)
-        self.begun = True
+        self.has_episode = True
         if self._view is not None:
             self._view.begin(which)
         return which
@@ -225,7 +229,9 @@ class Worlds:
             return [None] * self.num_envs
         if isinstance(seed, Sequence | np.ndarray):
             if len(seed) != self.num_envs:
-                raise ValueError(f"seed: {len(seed)} seeds; allowed: num_envs = {self.num_envs} seeds")
+                raise ValueError(
+                    f"seed: {len(seed)} seeds; allowed: num_envs = {self.num_envs} seeds"
+                )
             return list(seed)
         try:
             first = operator.index(seed)
@@ -257,7 +263,7 @@ class Worlds:
             ValueError: If an action is missing, belongs to no learner, or is not two finite numbers for each world; the
                 state is unchanged then.
         """
-        if not self.begun:
+        if not self.has_episode:
             raise ResetNeeded("step() before reset()")
         if set(actions) != set(self.learners):
             given = ", ".join(map(str, actions)) or "none"
@@ -293,7 +299,7 @@ class Worlds:
         Raises:
             ResetNeeded: Before the first reset.
         """
-        if not self.begun:
+        if not self.has_episode:
             raise ResetNeeded("metrics() before reset()")
         return {uav: self.loop.metrics(uav) for uav in self.loop.uavs}
 
@@ -310,6 +316,6 @@ class Worlds:
         if self._view is None:
             logger.warn("render() draws nothing: make the environment with render_mode='rgb_array'")
             return None
-        if not self.begun:
+        if not self.has_episode:
             raise ResetNeeded("render() before reset()")
         return self._view.render()
