@@ -1,1 +1,1 @@
-"""The vehicles' pilots: each decides, and knows only what it may."""
+"""On-board software of the vehicles: each pilot decides from its own observations only."""

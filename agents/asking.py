@@ -1,4 +1,4 @@
-"""A policy of the user's own, asked once a tick: its errors become one line."""
+"""Calls of a user's policy, once per tick, with errors reported on one line."""
 
 import logging
 import math
@@ -11,29 +11,29 @@ from bus.errors import ScenarioError, error_with_place, shortened
 
 _LOG = logging.getLogger("outrider.policy")
 LARGEST = 1e6
-"""No message carries a larger component [m/s], [m/s²]: the bound of a vehicle that has none."""
+"""Largest component that a message may carry [m/s], [m/s²]; replaces an infinite bound."""
 
 
 def pair(answer: object, shape: tuple[int, ...] = (2,)) -> tuple[float, float] | None:
-    """Two finite numbers, in an array of this shape; None where the answer is anything else."""
+    """Return two finite numbers from an array of the given shape; None if the answer is anything else."""
     try:
         array = np.asarray(answer)
         if array.shape != shape or array.dtype.kind not in "fiu":
             return None
-        # A long double may be too large: it is infinite then, and refused.
+        # A long double may exceed float64: it becomes infinite and is rejected below.
         with np.errstate(over="ignore"):
             x, y = array.astype(np.float64).ravel().tolist()
-    except Exception:  # noqa: BLE001 - what turns an answer into an array is the policy's own code, as a tensor's
+    except Exception:  # noqa: BLE001 - the conversion may run the policy's own code, for example of a tensor
         return None
     return (x, y) if math.isfinite(x) and math.isfinite(y) else None
 
 
 class AskedPolicy:
-    """A policy with its name for errors.
+    """User's policy, with a name for error messages.
 
     Args:
         policy: The function.
-        name: The field and the name, as `policy = 'module:function'`.
+        name: Field and name, for example `policy = 'module:function'`.
         dt: Length of a tick [s].
     """
 
@@ -42,16 +42,16 @@ class AskedPolicy:
         self._warm = self._slow = False
 
     def where(self, tick: int) -> str:
-        """The policy at a tick, for errors."""
+        """Return the policy's name and the tick, for error messages."""
         return f"{self._name}: tick {tick}"
 
     def answer(self, tick: int, *given: object) -> object:
-        """Return what the policy answers at a tick.
+        """Call the policy and return its answer.
 
         Raises:
-            ScenarioError: If it raises; one line with its name and the tick.
+            ScenarioError: If the policy raises; one line with its name and the tick.
         """
-        begun = time.perf_counter()
+        started = time.perf_counter()
         try:
             answer = self._policy(*given)
         except ScenarioError as error:
@@ -60,22 +60,22 @@ class AskedPolicy:
             raise ScenarioError(
                 f"{self.where(tick)}: raised {shortened(error_with_place(error))}"
             ) from error
-        self._mind_time(tick, time.perf_counter() - begun)
+        self._check_duration(tick, time.perf_counter() - started)
         return answer
 
-    def nonsense(self, tick: int, answer: object, allowed: str) -> ScenarioError:
-        """Return the error for an answer that cannot be flown."""
+    def invalid_answer(self, tick: int, answer: object, allowed: str) -> ScenarioError:
+        """Return the error for an unusable answer."""
         return ScenarioError(
             f"{self.where(tick)}: returned {shortened(repr(answer), 80)}; allowed: {allowed}"
         )
 
-    def _mind_time(self, tick: int, seconds: float) -> None:
-        """Say once that the policy is too slow for a clock; its first answer may take as long as it likes."""
+    def _check_duration(self, tick: int, seconds: float) -> None:
+        """Warn once if the policy needs longer than a tick; the first call is exempt, since it may compile."""
         if self._warm and not self._slow and seconds > self._dt:
             self._slow = True
             _LOG.warning(
-                "%s: took %.2f s to answer, longer than a tick of %g s: lockstep waits for it, in real time it "
-                "comes too late",
+                "%s: took %.2f s to answer, longer than the tick of %g s; lockstep waits, in real time the "
+                "answer is late",
                 self.where(tick),
                 seconds,
                 self._dt,

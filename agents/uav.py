@@ -1,11 +1,11 @@
-"""The UAV's pilot: observation in, command out."""
+"""Pilot of the UAV: maps observations to commands."""
 
 from collections.abc import Callable
 
 from agents.control.orbit import Path, check_path
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimation.estimator import Estimate, estimator_of
-from agents.estimation.map_updates import GroundTeller
+from agents.estimation.map_updates import MapUpdateScheduler
 from agents.laws.policy import PolicyControl, TargetEstimate, UavPolicy
 from agents.laws.selection import SelectedLaw
 from agents.safety.safety_filter import SafetyFilter
@@ -27,26 +27,26 @@ from sim.models.field import accumulate, cover, coverage_error, empty_coverage
 from sim.models.vehicles import Motion, brake, clip_norm, norm
 
 Inner = Callable[[UavObservation], Vector | None]
-"""An inner control of one's own: the acceleration [m/s²] that it wants at this tick; None: the law flies."""
+"""User's inner control: returns the acceleration of this tick [m/s²], or None to fly the law."""
 
 _PATH_HORIZON = 600.0
-"""The time that a path of one's own is checked ahead [s]: a pilot does not know how long the run will be."""
+"""Time over which a user's path is checked [s]; a pilot does not know the duration of the run."""
 
 
 class UavPilot:
-    """Any of the laws, on the filter's estimate and the UAV's own map. Pure: no input or output of its own.
+    """Pilot of a UAV: runs any law on the filter's estimate and the UAV's own map. It performs no input or output.
 
     Args:
-        briefing: What the UAV is told when it joins.
-        weighting: A weighting of one's own, for the law `weighted`.
-        path: A path of one's own, for the law `path`.
-        policy: A policy of one's own, for the laws `policy` and `certified`; it remembers this flight alone.
-        policy_name: Of it, in errors.
-        inner: A control of one's own, asked once a tick before the law; the safety filter watches over both, whatever
-            the law. While it acts the law's own state stands still.
+        briefing: Briefing of the UAV.
+        weighting: User's weighting for the law `weighted`.
+        path: User's path for the law `path`.
+        policy: User's policy for the laws `policy` and `certified`; it must not be shared with another pilot.
+        policy_name: Name of the policy in errors.
+        inner: User's control, called once per tick before the law. The safety filter covers both, whatever the law.
+            While the inner control acts, the law's state does not advance.
 
     Raises:
-        ScenarioError: If the briefing asks for what cannot be flown, or the user's function is missing or does not fit.
+        ScenarioError: If the briefing cannot be flown, or a user's function is missing or does not fit.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class UavPilot:
         self.coverage: FloatArray = empty_coverage(
             briefing.area.width, briefing.area.height, briefing.area.cell
         )
-        """The UAV's own map, built from its own track. Shape (rows, columns)."""
+        """The UAV's own coverage map, built from its own trajectory. Shape (rows, columns)."""
         for region in briefing.covered:
             cover(
                 self.coverage,
@@ -81,9 +81,9 @@ class UavPilot:
             )
         self.estimator = estimator_of(briefing)
         self.filter: SafetyFilter | None = self._make_filter()
-        """The safety filter of the law `certified`, and of an inner control of one's own."""
-        self.teller = GroundTeller(briefing)
-        """The sender of the ground's blocks."""
+        """Safety filter of the law `certified` and of a user's inner control; None for other laws."""
+        self.map_updates = MapUpdateScheduler(briefing)
+        """Scheduler of the map updates."""
         self._tick: int | None = None
         self._radio_ticks = radio_ticks(briefing.dt)
         self._dt = briefing.dt
@@ -120,53 +120,55 @@ class UavPilot:
             check_path(self._path, _PATH_HORIZON, self._briefing.visibility_radius, v_a, v_g, u_a)
 
     def act(self, observation: UavObservation) -> UavCommand:
-        """The command for this observation."""
+        """Return the command for this observation."""
         tick = observation.tick
         if observation.law is not None:
-            self._fly(observation.law)
+            self._select_law(observation.law)
         wanted = None if self._inner is None else self._inner(observation)
         self.perceive(observation)
         estimate = self._estimate
         if wanted is None:
             wanted = self._nominal(observation)
         acceleration, decision = wanted, None
-        motions: tuple[BackupTrajectory, ...] = ()
+        backups: tuple[BackupTrajectory, ...] = ()
         if self.filter is not None:
             decision = self.filter.filter(observation, wanted)
             acceleration = decision.acceleration
-            motions = self.filter.backup_trajectories(tick)
+            backups = self.filter.backup_trajectories(tick)
         if estimate is None:
-            return UavCommand(tick=tick, acceleration=acceleration, backup_trajectories=motions)
+            return UavCommand(tick=tick, acceleration=acceleration, backup_trajectories=backups)
         target_position = estimate.position
         return UavCommand(
             tick=tick,
             acceleration=acceleration,
-            backup_trajectories=motions,
+            backup_trajectories=backups,
             radio=() if tick % self._radio_ticks else self._radio(observation, *target_position),
-            map_updates=self.teller.blocks(tick, target_position),
+            map_updates=self.map_updates.due(tick, target_position),
             report=UavReport(
                 estimate=target_position,
                 covariance=estimate.covariance,
                 age=estimate.age,
-                rejected=estimate.refused,
+                rejected=estimate.rejected,
                 decision=decision,
             ),
         )
 
     def forget_commands(self) -> None:
-        """The last answers may not have been sent."""
+        """Mark the plans sent so far as unchecked: the last commands may not have been sent."""
         if self.filter is not None:
             self.filter.invalidate_plans()
 
     def perceive(self, observation: UavObservation) -> None:
-        """Update map, estimator and safety filter, also by an observation that comes too late to be answered."""
+        """Update map, estimator and safety filter, also from an observation that is too late to answer."""
         tick, before, dt = observation.tick, self._tick, self._dt
         if observation.tile_reports:
-            self.teller.note(observation.tile_reports)
+            self.map_updates.record(observation.tile_reports)
         if self._policy is not None:
             self._policy.perceive(observation)
         self._estimate = self.estimator.update(
-            tick=tick, own_position=observation.position, looks=looks_of(observation.detections, dt)
+            tick=tick,
+            own_position=observation.position,
+            detections=looks_of(observation.detections, dt),
         )
         self._tick = tick
         if before is not None and tick > before:
@@ -175,15 +177,15 @@ class UavPilot:
         if self.filter is not None:
             self.filter.see(observation)
 
-    def _fly(self, law: Law) -> None:
-        """Select another law; map and filter stay, and of the memory what both laws have."""
+    def _select_law(self, law: Law) -> None:
+        """Switch to another law; keep map, filter, and the memory fields that both laws share."""
         self._law = SelectedLaw(self._briefing, law, self._uav, self._law)
         self._check_own_functions()
         if self.filter is None or not self._watched:
             self.filter = self._make_filter()
 
     def _nominal(self, observation: UavObservation) -> Vector:
-        """Return the acceleration [m/s²] of the law or of the policy in its place, within the bound of (1)."""
+        """Return the acceleration of the law, or of the policy that replaces it, within the bound of (1) [m/s²]."""
         row, uav, target = self._law.row, self._uav, self.estimator.target
         if self._policy is not None and "uav_policy" in (row.own, row.inner):
             return self._policy.acceleration(observation, self._policy_estimate(), self.coverage)
@@ -191,7 +193,7 @@ class UavPilot:
         if not target.known:
             u_x, u_y = brake(own.v_x, own.v_y, uav.max_acceleration, uav.dt)
             return u_x, u_y
-        self._ask_user(observation)
+        self._call_user_function(observation)
         u_x, u_y = self._law.command(self.coverage, observation.tick, own, target)
         u_x, u_y = clip_norm(u_x, u_y, uav.max_acceleration)
         return u_x, u_y
@@ -200,8 +202,8 @@ class UavPilot:
         s = self.estimator.target
         return TargetEstimate(s.known, s.p_x, s.p_y, self.estimator.age)
 
-    def _ask_user(self, observation: UavObservation) -> None:
-        """Write the answer of the user's own function at this tick into the law's memory, if the law needs one."""
+    def _call_user_function(self, observation: UavObservation) -> None:
+        """Call the user's function, if the law needs one, and write its answer into the law's memory."""
         own, memory, target = self._law.row.own, self._law.memory, self.estimator.target
         if own == "weighting" and self._weighting is not None:
             p_x, p_y = observation.position

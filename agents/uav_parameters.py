@@ -12,7 +12,7 @@ from sim.models.vehicles import raw_switching_radius
 
 
 class UavParameters(NamedTuple):
-    """Constants of one UAV that any law may need, infinite where there is no bound."""
+    """Constants of one UAV that any law may need; a missing bound is infinite."""
 
     dt: float
     """[s]"""
@@ -28,7 +28,7 @@ class UavParameters(NamedTuple):
     target_max_speed: float
     """v_g [m/s]."""
     switching_radius: float
-    """r_s of (18) [m]; not positive where the UAV is too weak."""
+    """r_s of (18) [m]; not positive if the UAV is too weak."""
     density_radius: float
     """r_o of (9) [m]."""
     sensor: SensorParameters
@@ -36,7 +36,7 @@ class UavParameters(NamedTuple):
     desired_coverage: float
     """C* of (4)."""
     max_distance: float
-    """Distance that the UGV may have where a detection has the largest declared error [m]."""
+    """Largest distance to the UGV that keeps it visible despite the largest measurement error [m]."""
 
 
 class Target(NamedTuple):
@@ -57,17 +57,17 @@ class Target(NamedTuple):
 
 
 def _max_distance(briefing: UavBriefing) -> float:
-    """Return r_v of the safety filter less the largest declared error of a detection [m]."""
+    """Return r_v of the safety filter minus the largest measurement error [m]."""
     bounds = bounds_of(briefing)
     distance = bounds.radius - bounds.placed_error
     return float(distance if math.isfinite(distance) else briefing.visibility_radius)
 
 
 def uav_parameters(briefing: UavBriefing) -> UavParameters:
-    """Return the constants of the UAV that is briefed.
+    """Return the constants of a UAV from its briefing.
 
     Raises:
-        ScenarioError: If its sensor is unknown.
+        ScenarioError: If the sensor model is unknown.
     """
     if briefing.sensor.model not in SENSORS:
         raise ScenarioError(

@@ -1,4 +1,4 @@
-"""The UGV's pilot: observation in, command out."""
+"""Pilot of the UGV: maps observations to commands."""
 
 from collections.abc import Callable
 from functools import partial
@@ -18,10 +18,10 @@ from bus.registry import DRIVERS, resolve
 
 
 class Driver(Protocol):
-    """Drives the UGV: an observation in, an acceleration [m/s²] out."""
+    """Controller of a UGV: maps an observation to an acceleration [m/s²]."""
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
-        """The acceleration [m/s²] for this observation."""
+        """Return the acceleration [m/s²] for this observation."""
 
 
 _MAKERS: dict[str, Callable[[UgvBriefing], Driver]] = {
@@ -32,18 +32,18 @@ _MAKERS: dict[str, Callable[[UgvBriefing], Driver]] = {
 
 
 class UgvPilot:
-    """Answers each observation with the driver's acceleration. Pure: no input or output of its own.
+    """Pilot of a UGV: answers each observation with its driver's acceleration. It performs no input or output.
 
-    Another driver may take the wheel in the middle of a flight; it begins with what it perceives then.
+    The driver may change during the flight; the new driver starts from the current observation.
 
     Args:
-        briefing: What the UGV is told when it joins.
-        driver: Who drives instead of the briefing's driver.
-        policy: A function of the user's own, for the driver `policy`.
-        policy_name: What it is called in errors.
+        briefing: Briefing of the UGV.
+        driver: Driver to use instead of the briefing's.
+        policy: User's function for the driver `policy`.
+        policy_name: Name of the policy in errors.
 
     Raises:
-        ScenarioError: If the briefing names an unknown driver, or one that needs a policy where there is none.
+        ScenarioError: If the briefing names an unknown driver, or a driver that needs a policy and none is given.
     """
 
     def __init__(
@@ -70,27 +70,27 @@ class UgvPilot:
         return _MAKERS[name](self._briefing)
 
     def act(self, observation: UgvObservation) -> UgvCommand:
-        """The command for this observation."""
+        """Return the command for this observation."""
         if observation.driver is not None:
             self._driver = self._make(observation.driver)
         acceleration, route = self._driver.drive(observation), None
-        motions: tuple[BackupTrajectory, ...] = ()
+        backups: tuple[BackupTrajectory, ...] = ()
         report: UgvReport | None = None
         if isinstance(self._driver, NavigateDriver):
             route = self._driver.new_route(observation.position)
-            motions = self._driver.motions(observation.tick)
+            backups = self._driver.backup_trajectories(observation.tick)
             report = self._driver.report()
         elif observation.driver is not None:
-            route = ()  # that of the driver before is not driven any more
+            route = ()  # the previous driver's route is no longer driven
         return UgvCommand(
             tick=observation.tick,
             acceleration=acceleration,
-            backup_trajectories=motions,
+            backup_trajectories=backups,
             route=route,
             report=report,
         )
 
     def forget_commands(self) -> None:
-        """Forget the commands so far: they were not sent, or another process has sent them."""
+        """Forget the commands so far: they were not sent, or another process sent them."""
         if isinstance(self._driver, NavigateDriver):
             self._driver.forget_commands()

@@ -23,17 +23,17 @@ from markdown_tables import head, print_chosen
 
 from agents.drivers.cautious import (
     Open,
-    braking_way,
+    braking_distance,
     is_safe,
     open_from,
     open_to,
-    way_is_open,
+    segment_is_open,
 )
 from agents.drivers.navigate import navigate_control
 from agents.drivers.navigate_parameters import PLAN_TILES, NavigateParameters
-from agents.drivers.pending_stops import PLAIN, note_claim, note_sent, state_ahead
-from agents.drivers.planning import begin_search, search_on
-from agents.drivers.tile_map import GroundMemory, ground_memory, note_block, note_tiles
+from agents.drivers.pending_stops import PLAIN, note_claim, state_ahead, store_command
+from agents.drivers.planning import continue_search, start_search
+from agents.drivers.tile_map import OccupancyGrid, occupancy_grid, record_block, record_tiles
 from sim.compiling.compile import FloatArray
 from sim.models.ground import CERTIFIED, CLEAR, NO_CLAIM, UNSEEN, WAY_UNKNOWN, TileArray
 from sim.models.hazards import BLOCK, FOUND, ROUGH
@@ -187,7 +187,7 @@ def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Tr
 class Teller:
     """Tells the truth of tiles, in an order of its own."""
 
-    def __init__(self, trial: Trial, memory: GroundMemory, rng: np.random.Generator) -> None:
+    def __init__(self, trial: Trial, memory: OccupancyGrid, rng: np.random.Generator) -> None:
         self.trial, self.memory, self.rng = trial, memory, rng
         rows, columns = trial.truth.shape
         s = trial.parameters.tile
@@ -198,7 +198,7 @@ class Teller:
     def _tell(self, chosen: npt.NDArray[np.bool_]) -> None:
         rows, columns = np.nonzero(chosen & (self.memory.tiles == UNSEEN))
         if len(rows):
-            note_tiles(self.memory, rows, columns, self.trial.truth[rows, columns])
+            record_tiles(self.memory, rows, columns, self.trial.truth[rows, columns])
 
     def _near(self, x: float, y: float, reach: float) -> npt.NDArray[np.bool_]:
         s = self.trial.parameters.tile
@@ -227,7 +227,7 @@ class Teller:
             part = self.trial.truth[8 * i : 8 * i + 8, 8 * j : 8 * j + 8]
             block[: part.shape[0], : part.shape[1]] = part
             block[rng.random((8, 8)) < 0.9] = UNSEEN
-            note_block(self.memory, i, j, block.reshape(-1))
+            record_block(self.memory, i, j, block.reshape(-1))
         else:
             self._tell(self._near(x, y, reach))
 
@@ -255,7 +255,7 @@ class Receiver:
         rng: Of the adversary's draws.
     """
 
-    def __init__(self, memory: GroundMemory, rng: np.random.Generator) -> None:
+    def __init__(self, memory: OccupancyGrid, rng: np.random.Generator) -> None:
         self._memory, self._rng = memory, rng
         self._delay = len(memory.sent) - 2
         self._coming: dict[int, list[tuple[int, int, float, float]]] = {}
@@ -292,7 +292,7 @@ class Receiver:
 
 
 def _filtered_by(
-    check: Check | None, trial: Trial, memory: GroundMemory, tick: int, here: Motion,
+    check: Check | None, trial: Trial, memory: OccupancyGrid, tick: int, here: Motion,
     wanted: tuple[float, float], flown: int,
 ) -> tuple[float, float]:  # fmt: skip
     """The wanted command if it is safe, else the one that brakes: the filter alone, or one with another check."""
@@ -303,7 +303,7 @@ def _filtered_by(
         ground = open_from(memory.tiles, parameters.tile, parameters.bold, ahead.p_x, ahead.p_y)
     if not (check or is_safe)(parameters, trial.delay > 0, memory.tiles, ground, ahead, *wanted):
         wanted = brake(ahead.v_x, ahead.v_y, parameters.max_acceleration, parameters.dt)
-    note_sent(memory, tick, parent, *wanted)
+    store_command(memory, tick, parent, *wanted)
     note_claim(parameters, memory, ahead, *wanted)
     return wanted
 
@@ -367,7 +367,7 @@ def fly(
         lossy: Whether commands are lost, late and scattered; then they carry the stop that follows them.
     """
     parameters, rng = trial.parameters, np.random.default_rng([seed, 1])
-    memory = ground_memory(*trial.truth.shape, trial.delay if believed is None else believed)
+    memory = occupancy_grid(*trial.truth.shape, trial.delay if believed is None else believed)
     teller = Teller(trial, memory, rng)
     known = np.full(trial.truth.shape, LATER)
     here, way, tick = Motion(*trial.start, 0.0, 0.0), 0.0, 0
@@ -415,7 +415,7 @@ def fly(
 
 def is_reachable(trial: Trial) -> bool:
     """True if the true tiles have a way from the start to each goal."""
-    parameters, memory = trial.parameters, ground_memory(*trial.truth.shape)
+    parameters, memory = trial.parameters, occupancy_grid(*trial.truth.shape)
     memory.tiles[:] = trial.truth
     columns = trial.truth.shape[1]
     places = [trial.start, *trial.goals]
@@ -426,8 +426,8 @@ def is_reachable(trial: Trial) -> bool:
     tiles = [min(n, trial.truth.size - 1) for n in tiles]
     if any(trial.truth.reshape(-1)[n] == BLOCK for n in tiles):
         return False
-    begin_search(memory, tiles[0])
-    search_on(1.0, parameters.tile, memory, -1, trial.truth.size)
+    start_search(memory, tiles[0])
+    continue_search(1.0, parameters.tile, memory, -1, trial.truth.size)
     return bool(np.isfinite(memory.cost[tiles]).all())
 
 
@@ -446,7 +446,7 @@ def _after(ugv: Ugv, here: Motion, u_x: float, u_y: float) -> tuple[tuple[float,
         *here, u_x, u_y, ugv.max_speed, ugv.max_acceleration, ugv.dt
     )
     speed = norm(w_x, w_y)
-    share = braking_way(speed, ugv.max_acceleration, ugv.dt) / speed if speed else 0.0
+    share = braking_distance(speed, ugv.max_acceleration, ugv.dt) / speed if speed else 0.0
     return (x, y), (x + share * w_x, y + share * w_y)
 
 
@@ -476,8 +476,8 @@ def _takes_the_chord(
     inside = all(0.0 <= x <= ugv.width and 0.0 <= y <= ugv.height for x, y in (there, end))
     return (
         inside
-        and way_is_open(t, ugv.tile, ground, (here.p_x, here.p_y), there)
-        and way_is_open(t, ugv.tile, ground, there, end)
+        and segment_is_open(t, ugv.tile, ground, (here.p_x, here.p_y), there)
+        and segment_is_open(t, ugv.tile, ground, there, end)
     )
 
 
@@ -555,9 +555,9 @@ def arrivals(runs: int = 500) -> Iterator[str]:
             yield f"seed {k} does not arrive"
 
 
-def _scattered(side: int) -> GroundMemory:
+def _scattered(side: int) -> OccupancyGrid:
     """A map of tiles of all kinds, clear where a UGV starts and in the corner across."""
-    memory = ground_memory(side, side)
+    memory = occupancy_grid(side, side)
     memory.tiles[:] = np.random.default_rng(0).choice(
         5, size=(side, side), p=[0.3, 0.4, 0.1, 0.15, 0.05]
     )
@@ -575,7 +575,7 @@ def _slowest_tick(most: int, ticks: int = 600) -> str:
     here = Motion(1.0, 1.0, 0.0, 0.0)
     for tick in range(ticks):
         state = np.array([(CLEAR, FOUND)[tick % 2]], np.uint8)
-        note_tiles(memory, np.array([399]), np.array([399]), state)
+        record_tiles(memory, np.array([399]), np.array([399]), state)
         began = time.perf_counter()
         u = navigate_control(parameters, memory, goals, tick, here, PLAIN)
         took.append(1e3 * (time.perf_counter() - began))
@@ -595,14 +595,14 @@ def speed() -> Iterator[str]:
         memory, took = _scattered(side), []
         for _ in range(30):
             began = time.perf_counter()
-            begin_search(memory, 0)
-            search_on(2.5, 0.5, memory, -1, side * side)
+            start_search(memory, 0)
+            continue_search(2.5, 0.5, memory, -1, side * side)
             took.append(time.perf_counter() - began)
         yield f"plan over {side} x {side} tiles: {1e3 * np.median(took[1:]):.2f} ms"
     for most in (400 * 400, PLAN_TILES):
         yield f"{most:,} tiles a tick: {_slowest_tick(most)}"
     trial = draw_trial(3, wheel="plan", calm=True)
-    parameters, memory = trial.parameters, ground_memory(*trial.truth.shape)
+    parameters, memory = trial.parameters, occupancy_grid(*trial.truth.shape)
     memory.tiles[:] = trial.truth
     here, began, ticks = Motion(*trial.start, 0.0, 0.0), time.perf_counter(), 5000
     for tick in range(ticks):

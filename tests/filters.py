@@ -13,11 +13,11 @@ from agents.estimation.motion_model import (
     SPAN,
     KalmanParameters,
     acceleration_deviation,
-    cut_variance,
+    assumed_acceleration,
     history_depth,
     kalman_parameters,
     strayed_distance,
-    supposed_acceleration,
+    truncated_variance,
 )
 from bus.messages.scenario import Detector, Estimator, Limits
 from bus.messages.vehicle import Detection
@@ -40,7 +40,7 @@ UGV = Limits(max_speed=0.2, max_acceleration=0.1)
 FREE = Limits(max_speed=None, max_acceleration=0.1)  # no caps: the plain Kalman filter
 
 
-VARIANCE = cut_variance(sigma=SIGMA, cut=3.0)  # of the detections, per axis
+VARIANCE = truncated_variance(sigma=SIGMA, truncation=3.0)  # of the detections, per axis
 
 
 # a tick's acceleration to the state
@@ -49,7 +49,7 @@ PUSH = np.array([[DT * DT / 2, 0], [0, DT * DT / 2], [DT, 0], [0, DT]])
 
 def straying(*, elapsed: float, target: Limits, manoeuvre: float, dt: float) -> float:
     """The largest way of a UGV of these bounds off its course in `elapsed` [s], [m]; see `strayed_distance`."""
-    acceleration = supposed_acceleration(target=target, manoeuvre=manoeuvre, dt=dt)
+    acceleration = assumed_acceleration(target=target, acceleration_share=manoeuvre, dt=dt)
     return strayed_distance(
         elapsed=float(elapsed), speed=float(target.max_speed), acceleration=float(acceleration)
     )
@@ -121,7 +121,7 @@ def pilots_filtered(own, at, **chosen) -> Filtered:
         looks = tuple(Look(int(taken), x, y) for taken, x, y in at.get(k, ()))
         estimate = estimator.update(tick=k, own_position=tuple(place), looks=looks)
         if estimate:
-            rejected = estimate.refused - estimator.misdated
+            rejected = estimate.rejected - estimator.misdated
             newest = estimator.innovation_squared if any(one.taken == k for one in looks) else None
             innovation = math.nan if newest is None else newest
             rows[k] = (estimator.state, estimator.covariance, innovation)
@@ -170,7 +170,7 @@ def cut_noise(seed, count, sigma=SIGMA, cut=3.0):
 def model(target=FREE, ticks=1):
     """F and Q, added up tick by tick."""
     deviation = acceleration_deviation(
-        target=target, manoeuvre=Estimator().acceleration_share, dt=DT
+        target=target, acceleration_share=Estimator().acceleration_share, dt=DT
     )
     F, Q, step = np.eye(4), np.zeros((4, 4)), np.eye(4)
     step[0, 2] = step[1, 3] = DT
@@ -183,7 +183,9 @@ def model(target=FREE, ticks=1):
 def drawn_from_the_model(rng, count):
     """A UGV that moves as the filter supposes: its states. Shape (count, 4)."""
     F, _ = model()
-    deviation = acceleration_deviation(target=FREE, manoeuvre=Estimator().acceleration_share, dt=DT)
+    deviation = acceleration_deviation(
+        target=FREE, acceleration_share=Estimator().acceleration_share, dt=DT
+    )
     truth = [np.array([20.0, 20.0, *(10.0 * rng.normal(size=2))])]
     for _ in range(count - 1):
         truth.append(F @ truth[-1] + deviation * PUSH @ rng.normal(size=2))

@@ -9,7 +9,7 @@ import pytest
 
 from agents.estimation.batch_filter import estimate, estimator_rows, update
 from agents.estimation.estimator import RelativeEstimator
-from agents.estimation.motion_model import KalmanParameters, cut_variance, kalman_parameters
+from agents.estimation.motion_model import KalmanParameters, kalman_parameters, truncated_variance
 from bus.messages.scenario import Detector, Estimator, Limits
 from bus.ticks import Look
 from filters import FREE, UGV, straying
@@ -138,7 +138,7 @@ def _fly_beside(name, case):
         assert target.known == (estimated is not None), (name, k)
         if estimated is not None:
             assert now["age"] == pilots.age, (name, k)
-            assert now["rejected"] == estimated.refused - pilots.misdated, (name, k)
+            assert now["rejected"] == estimated.rejected - pilots.misdated, (name, k)
             worst = max(worst, _difference(target, pilots))
             assert worst < 1e-9, (name, k)
     if case.settings.enabled and case.noise:
@@ -170,7 +170,7 @@ def test_a_ugv_not_seen_for_long_may_have_turned_round():
 
 def test_parameters_follow_from_detector_and_limits():
     parameters = kalman_parameters(**CASES["in time"].told)
-    assert parameters.variance == cut_variance(sigma=0.1, cut=3.0)
+    assert parameters.variance == truncated_variance(sigma=0.1, truncation=3.0)
     assert (parameters.first_variance, parameters.speed) == (0.5 * 0.2**2, 0.2)
     unknown = kalman_parameters(**CASES["unknown speed"].told)
     assert (unknown.first_variance, unknown.speed) == (100.0, math.inf)

@@ -383,16 +383,16 @@ def test_beyond_the_certified_radius_the_filter_acts(detections, here, wanted, a
 @pytest.mark.parametrize(
     ("numbers", "text"),
     [
-        ({"eps": math.inf}, r"eps = inf m: the noise .* not cut"),
-        ({"age": math.inf}, r"A = inf s"),
-        ({"v_g": 0.6}, r"v_a = 0.6 m/s: .* faster than the UGV, v_g = 0.6 m/s"),
-        ({"v_a": math.inf}, r"v_a = inf m/s.*must be bounded"),
-        ({"u_a": 0.0}, r"u_a = 0 m/s²"),
+        ({"eps": math.inf}, r"max_measurement_error \(eps\) = inf m: unbounded"),
+        ({"age": math.inf}, r"max_measurement_age \(A\) = inf s"),
+        ({"v_g": 0.6}, r"uav.max_speed = 0.6 m/s: too slow; .* 0.6 m/s"),
+        ({"v_a": math.inf}, r"max_speed = inf m/s.*unbounded"),
+        ({"u_a": 0.0}, r"uav.max_acceleration = 0 m/s²"),
         (
             {"age": 19.0},
-            r"= 4.1 m \(eps 0.3 m, A 19 s, tau_c 0 s\): too much for r_v = 4.75 m; .* for A up to 17\.\d\d s",
+            r"= 4.1 m \(.*A = 19 s.*\): too large for r_v = 4.75 m; .* for max_measurement_age up to 17\.\d\d s",
         ),
-        ({"eps": 4.0}, r"= 5 m .* for no A"),
+        ({"eps": 4.0}, r"= 5 m .* for no max_measurement_age"),
     ],
 )
 def test_an_assumption_that_fails_names_itself_with_its_numbers(numbers, text):
@@ -405,9 +405,9 @@ def test_an_assumption_that_fails_names_itself_with_its_numbers(numbers, text):
 @pytest.mark.parametrize(
     ("numbers", "text"),
     [
-        ({"u_a": 1.9e-6, "v_a": 1e-3, "v_g": 0.0}, "too little for a lost command to be noticed"),
-        ({"dt": 1e-3, "age": 1001.0, "v_g": 0.0}, "no detection is used that is older than"),
-        ({"width": 1e6, "age": 9000.0, "v_g": 1e-5}, "which no margin covers"),
+        ({"u_a": 1.9e-6, "v_a": 1e-3, "v_g": 0.0}, "too little to detect a lost command"),
+        ({"dt": 1e-3, "age": 1001.0, "v_g": 0.0}, "allowed: less than 1,000,000 ticks"),
+        ({"width": 1e6, "age": 9000.0, "v_g": 1e-5}, "more than the margin covers"),
     ],
 )
 def test_numbers_beyond_what_can_be_computed_with_are_not_certified(

@@ -220,7 +220,7 @@ ANY = "(uav_0, ugv_0|ugv_0, uav_0)"
     ("settings", "error", "message"),
     [
         ({"external": ["uav_9"]}, ValueError, f"vehicle = 'uav_9'; allowed: {ANY}"),
-        ({"pilots": {"uav_0": "weighted"}}, ScenarioError, "function of your own"),
+        ({"pilots": {"uav_0": "weighted"}}, ScenarioError, "user's function"),
         ({"pilots": {"ugv_0": "teleop"}}, ScenarioError, "no compiled form"),
         ({"pilots": {"uav_0": "nonsense"}}, ScenarioError, "unknown; allowed"),
     ],
@@ -231,7 +231,7 @@ def test_who_cannot_fly_in_here_is_refused(settings, error, message):
 
 
 def test_worlds_that_wait_for_actions_do_not_fly_by_themselves() -> None:
-    with pytest.raises(ValueError, match="come from outside"):
+    with pytest.raises(ValueError, match="need actions"):
         ClosedLoop(small("tracking"), 1, external=["uav_0"]).fly()
 
 

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from agents.drivers.compiled import (
     CompiledDriver,
     NavigateDriver,
+    briefed_route,
     driver_parameters,
-    told_route,
 )
 from agents.drivers.dispatch import CODES
 from agents.drivers.evade import away, flee, receive_radio
@@ -247,7 +247,7 @@ def test_a_driver_without_a_compiled_form_is_refused_in_one_line(name: str) -> N
 
 def test_an_area_of_too_many_tiles_is_refused_in_one_line() -> None:
     ground = UgvGround(tile=0.5, sensing_range=0.75, caution="cautious", rough_speed_share=0.4)
-    told = r"^ground.tile = 0.5: makes 3.6e\+07 tiles of the area; at most 1,000,000$"
+    told = r"^ground.tile = 0.5: divides the area into 3.6e\+07 tiles; allowed: at most 1,000,000$"
     with pytest.raises(ScenarioError, match=told):
         NavigateDriver(told_ugv(area=Area(width=1e6, height=9.0, cell=0.5), ground=ground))
 
@@ -267,7 +267,7 @@ def test_only_the_papers_driver_knows_no_bound() -> None:
 )
 def test_goals_and_script_are_arrays_that_compiled_code_takes(fields: dict[str, Any]) -> None:
     told = _told(**fields)
-    goals, script = told_route(told)
+    goals, script = briefed_route(told)
     assert (goals.shape, script.shape) == ((len(told.goals), 2), (len(told.script), 3))
     for array in (goals, script):
         assert array.dtype == np.float64

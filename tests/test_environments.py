@@ -106,7 +106,7 @@ def test_of_many_worlds_the_one_whose_action_is_bad_is_named(actions, words):
     ("acting", "told"),
     [
         (["uav_0"], "uav_0"),
-        ([], "nobody"),
+        ([], "(none|nobody)"),
         (["uav_0", "ugv_0", "uav_7"], "uav_0, ugv_0, uav_7"),
         (["uav_0", "uav_7"], "uav_0, uav_7"),
     ],
@@ -114,7 +114,7 @@ def test_of_many_worlds_the_one_whose_action_is_bad_is_named(actions, words):
 def test_there_must_be_an_action_for_each_agent_and_for_no_other(name, shape, acting, told):
     env = (MAKERS | ACTING)[name](SCENARIO)
     env.reset(seed=1)
-    with refused(ValueError, f"^actions for: {told}; needed is one for each of: uav_0, ugv_0$"):
+    with refused(ValueError, f"^actions for: {told}; .*one for each of: uav_0, ugv_0$"):
         env.step(dict.fromkeys(acting, np.zeros(shape)))
     env.step(dict.fromkeys(env.agents, np.zeros(shape)))
 
@@ -166,7 +166,7 @@ def test_a_bad_seed_is_refused_and_the_episode_goes_on(names: tuple[str, ...], s
             "render_mode = 'human'; allowed: None, 'rgb_array'",
         ),
         (OF_ONE_AGENT, {"agent": "uav_7"}, "agent = 'uav_7'; allowed: uav_0, ugv_0"),
-        (OF_ONE_AGENT, {"others": {"uav_0": "linear"}}, "comes? from outside"),
+        (OF_ONE_AGENT, {"others": {"uav_0": "linear"}}, "external"),
         (
             OF_ONE_AGENT,
             {"others": {"ugv_0": "nobody"}},

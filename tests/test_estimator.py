@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from agents.estimation.motion_model import acceleration_deviation as deviation_of
-from agents.estimation.motion_model import cut_variance, process_noise
+from agents.estimation.motion_model import process_noise, truncated_variance
 from bus.messages.scenario import Estimator, Limits
 from bus.ticks import Look
 from filters import (
@@ -81,7 +81,7 @@ def test_equals_batch_least_squares_over_the_whole_trajectory():
     rng = np.random.default_rng(2)
     estimator = make(target=FREE, gate=1e12)
     F, _ = model()
-    deviation = deviation_of(target=FREE, manoeuvre=Estimator().acceleration_share, dt=DT)
+    deviation = deviation_of(target=FREE, acceleration_share=Estimator().acceleration_share, dt=DT)
     count = 60
     size = 4 + 2 * count
     to_state = np.eye(4, size)
@@ -118,7 +118,7 @@ def test_process_noise_is_filterpys_discrete_white_noise():
 def test_process_noise_does_not_depend_on_how_finely_time_is_cut():
     def after_a_second(dt):
         F, total = np.array([[1.0, dt], [0.0, 1.0]]), np.zeros((2, 2))
-        Q = process_noise(dt=dt, deviation=deviation_of(manoeuvre=0.7, target=UGV, dt=dt))
+        Q = process_noise(dt=dt, deviation=deviation_of(acceleration_share=0.7, target=UGV, dt=dt))
         for _ in range(round(1.0 / dt)):
             total = F @ total @ F.T + Q
         return total
@@ -128,15 +128,15 @@ def test_process_noise_does_not_depend_on_how_finely_time_is_cut():
 
 def test_process_noise_of_the_default_ugv():
     # 0.7 u held for half of v / u = 1 s instead of for one tick of 0.05 s.
-    found = deviation_of(target=UGV, manoeuvre=0.7, dt=DT)
+    found = deviation_of(target=UGV, acceleration_share=0.7, dt=DT)
     assert found == pytest.approx(0.07 * math.sqrt(20.0))
 
 
 def test_a_vehicle_without_bound_on_acceleration_may_change_its_velocity_within_a_tick():
     boundless = Limits(max_speed=0.2, max_acceleration=None)
-    assert deviation_of(target=boundless, manoeuvre=1.0, dt=DT) * DT == pytest.approx(0.2)
+    assert deviation_of(target=boundless, acceleration_share=1.0, dt=DT) * DT == pytest.approx(0.2)
     unknown = Limits(max_speed=None, max_acceleration=None)
-    assert deviation_of(target=unknown, manoeuvre=1.0, dt=DT) > 9.0
+    assert deviation_of(target=unknown, acceleration_share=1.0, dt=DT) > 9.0
 
 
 @pytest.mark.parametrize("cut", [0.3, 1.0, 2.0, 3.0])
@@ -144,18 +144,27 @@ def test_variance_of_cut_noise_against_monte_carlo(cut):
     draws = np.random.default_rng(3).normal(size=(1_500_000, 2))
     kept = draws[np.einsum("ij,ij->i", draws, draws) <= cut * cut]
     error = np.std(kept**2) / math.sqrt(kept.size)
-    assert cut_variance(sigma=1.0, cut=cut) == pytest.approx(np.mean(kept**2), abs=4.5 * error)
+    assert truncated_variance(sigma=1.0, truncation=cut) == pytest.approx(
+        np.mean(kept**2), abs=4.5 * error
+    )
     shipped = cut_noise(4, 20_000, sigma=0.3, cut=cut)
-    assert cut_variance(sigma=0.3, cut=cut) == pytest.approx(np.mean(shipped**2), rel=0.03)
+    assert truncated_variance(sigma=0.3, truncation=cut) == pytest.approx(
+        np.mean(shipped**2), rel=0.03
+    )
 
 
 def test_variance_of_cut_noise_at_its_limits():
-    assert cut_variance(sigma=0.3, cut=None) == 0.3**2
-    assert cut_variance(sigma=0.3, cut=math.inf) == 0.3**2
-    assert cut_variance(sigma=0.3, cut=40.0) == 0.3**2
-    assert cut_variance(sigma=0.3, cut=1e-3) == pytest.approx((1e-3 * 0.3) ** 2 / 4.0, rel=1e-6)
-    assert cut_variance(sigma=0.0, cut=3.0) == 0.0
-    around = [cut_variance(sigma=1.0, cut=math.sqrt(2e-4) * (1.0 + step)) for step in (-1e-9, 1e-9)]
+    assert truncated_variance(sigma=0.3, truncation=None) == 0.3**2
+    assert truncated_variance(sigma=0.3, truncation=math.inf) == 0.3**2
+    assert truncated_variance(sigma=0.3, truncation=40.0) == 0.3**2
+    assert truncated_variance(sigma=0.3, truncation=1e-3) == pytest.approx(
+        (1e-3 * 0.3) ** 2 / 4.0, rel=1e-6
+    )
+    assert truncated_variance(sigma=0.0, truncation=3.0) == 0.0
+    around = [
+        truncated_variance(sigma=1.0, truncation=math.sqrt(2e-4) * (1.0 + step))
+        for step in (-1e-9, 1e-9)
+    ]
     assert around[0] == pytest.approx(around[1], rel=1e-8)
 
 
@@ -237,14 +246,14 @@ def test_nothing_is_believed_before_the_first_detection():
     assert first.position == (3.0, 4.0)
     assert first.velocity == (0.0, 0.0)
     assert first.covariance == (VARIANCE, 0.0, VARIANCE)
-    assert (first.age, first.refused) == (0.0, 0)
+    assert (first.age, first.rejected) == (0.0, 0)
 
 
 def test_outlier_is_refused_and_moves_nothing():
     hit, alone = converged(), converged()
     outlier = look(hit, 400, (25.0, 20.0))
     nothing = look(alone, 400)
-    assert (outlier.refused, nothing.refused) == (1, 0)
+    assert (outlier.rejected, nothing.rejected) == (1, 0)
     assert outlier.position == nothing.position
     assert outlier.age == nothing.age == DT
     np.testing.assert_array_equal(hit.state, alone.state)
@@ -259,9 +268,9 @@ def test_starts_anew_after_as_many_refusals_in_a_row_as_it_has_patience():
     anew = look(estimator, 404, (30.0, 25.0))
     assert anew.position == (30.0, 25.0)
     assert anew.velocity == (0.0, 0.0)
-    assert (anew.age, anew.refused) == (0.0, 5)
+    assert (anew.age, anew.rejected) == (0.0, 5)
     after = look(estimator, 405, (30.0, 25.05))
-    assert after.refused == 5
+    assert after.rejected == 5
 
 
 def test_a_believed_detection_between_outliers_restores_patience():
@@ -269,7 +278,7 @@ def test_a_believed_detection_between_outliers_restores_patience():
     for k in range(400, 440):
         estimate = look(estimator, k, (20.0, 20.0) if k % 3 == 0 else (30.0, 20.0))
     assert estimate.position == pytest.approx((20.0, 20.0), abs=0.1)
-    assert estimate.refused == 27
+    assert estimate.rejected == 27
 
 
 def test_coasting_goes_straight_on_while_age_and_covariance_grow():
@@ -334,11 +343,11 @@ def test_one_long_gap_and_many_ticks_end_in_the_same_place():
 def test_a_detection_after_a_long_gap_is_let_in_again():
     soon, late = converged(speed=0.2), converged(speed=0.2)
     moved = (20.0 + 0.2 * 400 * DT - 1.5, 20.0)  # 1.5 m from where the UGV was going
-    assert look(soon, 401, moved).refused == 1
+    assert look(soon, 401, moved).rejected == 1
     for k in range(400, 600):
         look(late, k)
     back = look(late, 600, moved)  # 10 s later: it may have turned
-    assert (back.refused, back.age) == (0, 0.0)
+    assert (back.rejected, back.age) == (0, 0.0)
     assert back.position == pytest.approx(moved, abs=0.2)
 
 
@@ -346,7 +355,7 @@ def test_detections_of_another_time_are_refused():
     used, unused = converged(), converged()
     late = Look(390, -22.0, -20.0)
     estimate = used.update(tick=400, own_position=(0.0, 0.0), looks=(late, late))
-    assert estimate.refused == 2
+    assert estimate.rejected == 2
     assert estimate.position == look(unused, 400).position
     assert make().update(tick=20, own_position=(0.0, 0.0), looks=(late,)) is None
 
@@ -380,7 +389,7 @@ def test_a_copy_of_a_filter_goes_on_like_the_original_and_by_itself():
 
 
 def test_time_that_goes_back_is_an_error():
-    with pytest.raises(ValueError, match="tick = 398: is before the last one, 399"):
+    with pytest.raises(ValueError, match="tick = 398: before the last one; allowed: 399"):
         converged().update(tick=398, own_position=(0.0, 0.0), looks=())
     with pytest.raises(ValueError, match="dt"):
         make(dt=math.inf)
@@ -398,7 +407,7 @@ def test_switched_off_it_holds_the_newest_detection_as_it_is():
     assert held.velocity == (0.0, 0.0)
     assert held.covariance == (VARIANCE, 0.0, VARIANCE)
     assert held.age == pytest.approx(47 * DT)
-    assert held.refused == 0
+    assert held.rejected == 0
 
 
 @pytest.mark.parametrize("acceleration", [0.1, None])
@@ -408,14 +417,14 @@ def test_without_noise_it_follows_exactly_and_refuses_nothing(acceleration):
         estimate = look(estimator, k, truth[:2])
         assert estimate.position == pytest.approx(tuple(truth[:2]), abs=1e-6)
         assert 0.0 < estimate.covariance[0] < 1e-11
-    assert estimate.refused == 0
+    assert estimate.rejected == 0
 
 
 def test_a_ugv_first_seen_at_full_speed_is_believed():
     estimator = make(noise=0.0)
     for k in range(20):
         estimate = look(estimator, k, (20.0 + 0.2 * k * DT, 20.0))
-    assert estimate.refused == 0
+    assert estimate.rejected == 0
     assert estimate.velocity == pytest.approx((0.2, 0.0), abs=1e-3)
 
 
@@ -426,5 +435,5 @@ def test_a_ugv_that_turns_within_a_tick_is_followed_where_its_acceleration_has_n
         x += (0.2 if k // 100 % 2 else -0.2) * DT
         estimate = look(estimator, k, (x + noise[k, 0], 20.0 + noise[k, 1]))
         errors.append((estimate.position[0] - x, estimate.position[1] - 20.0))
-    assert estimate.refused == 0
+    assert estimate.rejected == 0
     assert np.std(errors) < 0.6 * SIGMA

@@ -158,9 +158,9 @@ def test_the_gate_judges_anew_when_something_earlier_arrives():
     call(estimator, 1, detection(1, (30.0, 25.0)))  # an outlier, and the first that it receives of
     for k in (2, 3):
         deceived = call(estimator, k, detection(k, (20.0, 20.0)))
-    assert (deceived.refused, deceived.age) == (2, 2 * DT)
+    assert (deceived.rejected, deceived.age) == (2, 2 * DT)
     mended = call(estimator, 4, detection(0, (20.0, 20.0)))
-    assert (mended.refused, mended.age) == (1, DT)
+    assert (mended.rejected, mended.age) == (1, DT)
     assert mended.position == pytest.approx((20.0, 20.0), abs=1e-9)
 
 
@@ -177,14 +177,14 @@ def test_duplicates_are_ignored_and_counted_whenever_they_come():
     refused = detection(201, (30.0, 30.0))
     first = call(often, 201, refused)
     # a copy of a refused one is a copy
-    assert call(often, 202, refused).refused == first.refused == 1
+    assert call(often, 202, refused).rejected == first.rejected == 1
     assert often.duplicates == 4
 
 
 def test_another_late_detection_of_a_time_that_has_one_is_refused():
     estimator, alone = followed(), followed()
     estimate = call(estimator, 200, detection(150, (20.8, 20.1)))
-    assert (estimate.refused, estimator.duplicates) == (1, 0)
+    assert (estimate.rejected, estimator.duplicates) == (1, 0)
     assert estimate.position == call(alone, 200).position
     assert bits(estimator) == bits(alone)
 
@@ -201,7 +201,7 @@ def test_what_is_older_than_the_span_is_dropped_and_counted():
     assert (same, bits(dropped)) == (nothing, bits(plain))
     assert (dropped.too_old, used.too_old) == (1, 0)
     assert bits(used) != bits(plain)
-    assert other.refused == nothing.refused == same.refused == 0
+    assert other.rejected == nothing.rejected == same.rejected == 0
 
 
 def test_a_minute_is_kept_by_default():
@@ -221,7 +221,7 @@ def test_where_the_filter_was_not_called_it_does_not_know_its_place_and_refuses(
     between = Detection(time=198.5 * DT, relative_position=(0.0, 0.0))
     before = Detection(time=209 * DT, relative_position=(0.0, 0.0))
     ahead = Detection(time=211 * DT, relative_position=(0.0, 0.0))
-    assert call(estimator, 210, between, before, ahead).refused == 3
+    assert call(estimator, 210, between, before, ahead).rejected == 3
     begun_late = make()
     call(begun_late, 50)
     assert call(begun_late, 51, detection(20, (20.0, 20.0))) is None
@@ -371,7 +371,7 @@ def test_a_ugv_that_turned_round_in_a_gap_is_let_in_again_however_long_the_gap(g
     look(estimator, 399 + ticks - 1)
     P = estimator.covariance[:2, :2]
     back = look(estimator, 399 + ticks, (x, 20.0))
-    assert (back.refused, back.age) == (0, 0.0)
+    assert (back.rejected, back.age) == (0, 0.0)
     assert estimator.innovation_squared < 9.0
     assert math.sqrt(P[0, 0]) < math.sqrt(VARIANCE) + 0.2 * gap
 

@@ -189,7 +189,7 @@ def test_without_its_router_every_process_ends_and_says_who_is_missing(tmp_path:
         assert "Traceback" not in err
         assert json.loads(out)["ticks"] > 100  # what was flown is kept
         for vehicle in vehicles:
-            ended(vehicle, "the router has been away for 2 s")
+            ended(vehicle, "the router has been absent for 2 s")
 
 
 def test_vehicles_wait_for_a_simulator_that_dies_and_fly_with_the_next_one(tmp_path: Path) -> None:
@@ -214,7 +214,7 @@ def test_without_their_simulator_vehicles_end_and_say_who_is_missing(tmp_path: P
         run.fly_to(100)
         simulator.kill()
         for vehicle in vehicles:
-            ended(vehicle, "the simulator has been away for 2 s")
+            ended(vehicle, "the simulator has been absent for 2 s")
 
 
 @pytest.mark.parametrize("command", ["router", "simulator"])

@@ -16,11 +16,11 @@ from scipy.sparse.csgraph import dijkstra
 
 from agents.drivers.cautious import (
     Open,
-    braking_way,
+    braking_distance,
     is_safe,
     open_from,
     open_to,
-    slowing_way,
+    slowing_distance,
     triangle_is_open,
 )
 from agents.drivers.compiled import driver_parameters
@@ -28,14 +28,14 @@ from agents.drivers.navigate import navigate_control
 from agents.drivers.navigate_parameters import NavigateParameters
 from agents.drivers.pending_stops import PLAIN, state_ahead
 from agents.drivers.planning import (
-    begin_search,
-    has_way,
+    adopt_plan,
+    continue_search,
+    has_path,
     next_tile,
     price_of,
-    search_on,
-    take_plan,
+    start_search,
 )
-from agents.drivers.tile_map import ground_memory, note_block, note_tiles
+from agents.drivers.tile_map import occupancy_grid, record_block, record_tiles
 from bus.messages.ground import UgvGround
 from bus.messages.scenario import Area, Limits
 from flights import told_ugv
@@ -58,17 +58,17 @@ def cautious(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 
 def _random_map(rng: np.random.Generator, rows: int, columns: int) -> Any:
-    memory = ground_memory(rows, columns)
+    memory = occupancy_grid(rows, columns)
     memory.tiles[:] = rng.choice(5, size=(rows, columns), p=[0.25, 0.35, 0.1, 0.25, 0.05])
     return memory
 
 
 def _plan(memory: Any, tile: float, goal: int, until: int = -1, most: int = 1 << 40) -> float:
     """Plan in steps of so many tiles; up to which cost all is settled."""
-    begin_search(memory, goal)
-    while not search_on(ROUGH_PRICE, tile, memory, until, most):
+    start_search(memory, goal)
+    while not continue_search(ROUGH_PRICE, tile, memory, until, most):
         assert memory.flags[0]["searching"]
-    take_plan(memory)
+    adopt_plan(memory)
     return float(memory.flags[0]["settled"])
 
 
@@ -122,9 +122,9 @@ def test_a_plan_costs_what_a_library_finds_however_few_tiles_a_tick(seed: int) -
 
 def test_a_search_settles_no_more_tiles_in_a_tick_than_it_may() -> None:
     memory = _random_map(np.random.default_rng(2), 30, 40)
-    begin_search(memory, 615)
+    start_search(memory, 615)
     for tick in range(1, 20):
-        assert not search_on(ROUGH_PRICE, 0.5, memory, -1, 17)
+        assert not continue_search(ROUGH_PRICE, 0.5, memory, -1, 17)
         assert (memory.place == -2).sum() == 17 * tick
 
 
@@ -143,7 +143,7 @@ def test_a_search_that_ends_early_knows_all_costs_up_to_where_it_ended() -> None
 
 
 def test_the_cheapest_way_goes_down_to_the_goal_and_cuts_no_blocked_corner() -> None:
-    memory = ground_memory(3, 3)
+    memory = occupancy_grid(3, 3)
     memory.tiles[:] = CLEAR
     memory.tiles[0, 1] = memory.tiles[1, 1] = BLOCK
     _plan(memory, 1.0, 2)
@@ -154,12 +154,12 @@ def test_the_cheapest_way_goes_down_to_the_goal_and_cuts_no_blocked_corner() -> 
     assert next_tile(memory.way, 3, 2) == 2
     memory.tiles[2, 1] = BLOCK
     _plan(memory, 1.0, 2)
-    assert not has_way(memory.way, 0)
+    assert not has_path(memory.way, 0)
     assert next_tile(memory.way, 3, 0) == 0
 
 
 def test_each_ground_has_its_price() -> None:
-    memory = ground_memory(1, 7)
+    memory = occupancy_grid(1, 7)
     memory.tiles[0] = [CLEAR, UNSEEN, ROUGH, FOUND, CLEAR, CLEAR, BLOCK]
     _plan(memory, 1.0, 0)
     prices = [price_of(ROUGH_PRICE, int(byte)) for byte in memory.way]
@@ -168,14 +168,14 @@ def test_each_ground_has_its_price() -> None:
 
 
 def test_a_goal_in_a_blocked_tile_is_approached() -> None:
-    memory = ground_memory(1, 3)
+    memory = occupancy_grid(1, 3)
     memory.tiles[0] = [BLOCK, CLEAR, CLEAR]
     _plan(memory, 1.0, 0)
     assert _costs(memory).tolist() == [0.0, 1.5, 2.75]
 
 
 def test_of_ways_that_cost_the_same_the_one_over_the_first_tile_is_planned() -> None:
-    memory = ground_memory(9, 9)
+    memory = occupancy_grid(9, 9)
     memory.tiles[:] = CLEAR
     memory.tiles[2, 3:7] = ROUGH
     _plan(memory, 1.0, 40)
@@ -192,25 +192,25 @@ def test_of_ways_that_cost_the_same_the_one_over_the_first_tile_is_planned() -> 
 
 
 def test_the_bumper_outweighs_the_radio_and_the_radios_block_its_clear() -> None:
-    memory = ground_memory(9, 10)
+    memory = occupancy_grid(9, 10)
     words = np.full(64, UNSEEN, np.uint8)
     words[:3] = CLEAR, BLOCK, ROUGH
-    note_block(memory, 0, 0, words)
+    record_block(memory, 0, 0, words)
     words[:3] = BLOCK, CLEAR, UNSEEN
-    note_block(memory, 0, 0, words)
+    record_block(memory, 0, 0, words)
     assert memory.tiles[0, :3].tolist() == [BLOCK, BLOCK, ROUGH]
     told = np.array([[0, 0], [0, 1], [-1, 3], [4, 10]])
-    note_tiles(memory, told[:, 0], told[:, 1], np.array([CLEAR, FOUND, CLEAR, CLEAR], np.uint8))
-    note_block(memory, 0, 0, np.full(64, BLOCK, np.uint8))
+    record_tiles(memory, told[:, 0], told[:, 1], np.array([CLEAR, FOUND, CLEAR, CLEAR], np.uint8))
+    record_block(memory, 0, 0, np.full(64, BLOCK, np.uint8))
     assert memory.tiles[0, :3].tolist() == [CLEAR, FOUND, BLOCK]
-    note_block(memory, 1, 1, np.full(64, CLEAR, np.uint8))  # most of it is outside
+    record_block(memory, 1, 1, np.full(64, CLEAR, np.uint8))  # most of it is outside
     assert (memory.tiles[8, 8:] == CLEAR).all()
     assert (memory.tiles == UNSEEN).sum() == 90 - 64 - 2
 
 
 def test_a_map_of_negative_size_is_refused() -> None:
     with pytest.raises(ValueError, match="negative"):
-        ground_memory(3, -1)
+        occupancy_grid(3, -1)
 
 
 # the geometry
@@ -264,8 +264,8 @@ def test_the_braking_way_is_what_braking_takes() -> None:
             way = norm(x, y)
             if math.isnan(slowed) and norm(v_x, v_y) <= slow:
                 slowed = way
-        assert braking_way(speed, u, dt) == pytest.approx(way, abs=1e-11)
-        assert slowing_way(speed, slow, u, dt) == pytest.approx(slowed, abs=1e-11)
+        assert braking_distance(speed, u, dt) == pytest.approx(way, abs=1e-11)
+        assert slowing_distance(speed, slow, u, dt) == pytest.approx(slowed, abs=1e-11)
 
 
 # the filter
@@ -294,7 +294,7 @@ def test_the_fastest_safe_speed_is_the_one_from_which_it_just_stops() -> None:
         at = here._replace(p_x=5.0 - room, v_x=float(speed))
         if is_safe(p, False, tiles, open_to(0), at, 0.0, 0.0):
             fastest = float(speed)
-    assert fastest * 0.1 + braking_way(fastest, 1.0, 0.1) == pytest.approx(room, abs=3e-3)
+    assert fastest * 0.1 + braking_distance(fastest, 1.0, 0.1) == pytest.approx(room, abs=3e-3)
 
 
 def test_braking_is_safe_after_each_safe_command_even_where_the_ground_slows() -> None:
@@ -402,7 +402,7 @@ def _drive(parameters: Any, memory: Any, goals: Any, ticks: int, start: Any) -> 
 
 @pytest.mark.parametrize(("bold", "passes"), [(0, False), (1, True)])
 def test_unseen_ground_stops_the_cautious_and_not_the_bold(bold: int, passes: bool) -> None:
-    memory = ground_memory(10, 40)
+    memory = occupancy_grid(10, 40)
     memory.tiles[:, :20] = CLEAR
     track = _drive(_parameters(bold=bold), memory, [[18.0, 2.5]], 600, (1.0, 2.5))
     assert (track[:, 0].max() > 10.0) == passes
@@ -411,25 +411,25 @@ def test_unseen_ground_stops_the_cautious_and_not_the_bold(bold: int, passes: bo
 
 
 def test_the_bold_brakes_for_a_tile_that_it_learns_to_be_blocked() -> None:
-    p, memory = _parameters(bold=1), ground_memory(10, 40)
+    p, memory = _parameters(bold=1), occupancy_grid(10, 40)
     _drive(p, memory, [[18.0, 2.5]], 40, (1.0, 2.5))
     column = np.full(10, 20)
-    note_tiles(memory, np.arange(10), column, np.full(10, BLOCK, np.uint8))
+    record_tiles(memory, np.arange(10), column, np.full(10, BLOCK, np.uint8))
     track = _drive(p, memory, [[18.0, 2.5]], 400, (4.0, 2.5))
     assert track[:, 0].max() < 10.0
 
 
 def test_it_stands_still_until_it_knows_the_tile_that_it_stands_in() -> None:
-    p, memory = _parameters(), ground_memory(10, 40)
+    p, memory = _parameters(), occupancy_grid(10, 40)
     memory.tiles[:] = CLEAR
     memory.tiles[5, 2] = UNSEEN
     assert not _drive(p, memory, [[18.0, 2.5]], 20, (1.2, 2.7))[:, 2:].any()
-    note_tiles(memory, np.array([5]), np.array([2]), np.array([CLEAR], np.uint8))
+    record_tiles(memory, np.array([5]), np.array([2]), np.array([CLEAR], np.uint8))
     assert _drive(p, memory, [[18.0, 2.5]], 20, (1.2, 2.7))[-1, 2] > 0.3
 
 
 def test_in_the_middle_of_blocked_tiles_it_finds_the_nearest_way_out() -> None:
-    p, memory = _parameters(), ground_memory(10, 40)
+    p, memory = _parameters(), occupancy_grid(10, 40)
     memory.tiles[:] = CLEAR
     memory.tiles[2:8, 2:8] = BLOCK
     track = _drive(p, memory, [[18.0, 2.5]], 600, (3.3, 2.6))
@@ -438,7 +438,7 @@ def test_in_the_middle_of_blocked_tiles_it_finds_the_nearest_way_out() -> None:
 
 
 def test_it_goes_round_a_wall_from_goal_to_goal_and_stops_at_the_last() -> None:
-    p, memory = _parameters(), ground_memory(10, 40)
+    p, memory = _parameters(), occupancy_grid(10, 40)
     memory.tiles[:] = CLEAR
     memory.tiles[0:8, 20] = BLOCK
     goals = [[15.0, 1.0], [5.0, 1.0]]
@@ -451,7 +451,7 @@ def test_it_goes_round_a_wall_from_goal_to_goal_and_stops_at_the_last() -> None:
 
 
 def test_it_comes_to_rough_ground_as_slow_as_that_lets_it() -> None:
-    p, memory = _parameters(), ground_memory(10, 40)
+    p, memory = _parameters(), occupancy_grid(10, 40)
     memory.tiles[:] = CLEAR
     memory.tiles[:, 20:24] = ROUGH
     track = _drive(p, memory, [[18.0, 2.5]], 600, (1.0, 2.5))
@@ -463,14 +463,14 @@ def test_it_comes_to_rough_ground_as_slow_as_that_lets_it() -> None:
 
 
 def test_news_in_every_tick_keeps_no_search_from_its_end() -> None:
-    p, memory = _parameters(plan_tiles=15), ground_memory(10, 40)
+    p, memory = _parameters(plan_tiles=15), occupancy_grid(10, 40)
     memory.tiles[:] = CLEAR
     goals, here, plans, speeds = np.array([[18.0, 2.5]]), Motion(1.0, 2.5, 0.0, 0.0), set(), []
     far = np.array([9]), np.array([0])
     for tick in range(400):
-        note_tiles(memory, *far, np.array([(CLEAR, FOUND)[tick % 2]], np.uint8))
+        record_tiles(memory, *far, np.array([(CLEAR, FOUND)[tick % 2]], np.uint8))
         if tick == 100:  # a wall with a gap
-            note_tiles(memory, np.arange(8), np.full(8, 30), np.full(8, BLOCK, np.uint8))
+            record_tiles(memory, np.arange(8), np.full(8, 30), np.full(8, BLOCK, np.uint8))
         u = navigate_control(p, memory, goals, tick, here, PLAIN)
         here = Motion(*step_vehicle(*here, *u, p.max_speed, p.max_acceleration, p.dt)[:4])
         plans.add(int(memory.flags[0]["plans"]))
@@ -481,7 +481,7 @@ def test_news_in_every_tick_keeps_no_search_from_its_end() -> None:
 
 
 def test_while_it_searches_for_a_way_to_the_next_goal_it_goes_to_the_one_before() -> None:
-    p, memory = _parameters(plan_tiles=40), ground_memory(10, 40)
+    p, memory = _parameters(plan_tiles=40), occupancy_grid(10, 40)
     memory.tiles[:] = CLEAR
     goals = np.array([[6.0, 2.5], [18.0, 2.5]])
     track = _drive(p, memory, goals, 700, (1.0, 2.5))
@@ -493,7 +493,7 @@ def test_while_it_searches_for_a_way_to_the_next_goal_it_goes_to_the_one_before(
 
 
 def test_without_goals_or_without_a_way_it_stands_still() -> None:
-    p, memory = _parameters(), ground_memory(10, 40)
+    p, memory = _parameters(), occupancy_grid(10, 40)
     memory.tiles[:] = CLEAR
     assert not _drive(p, memory, np.zeros((0, 2)), 5, (1.0, 2.5)).T[2:].any()
     memory.tiles[:, 20] = BLOCK
@@ -501,7 +501,7 @@ def test_without_goals_or_without_a_way_it_stands_still() -> None:
 
 
 def test_the_state_ahead_is_where_the_commands_under_way_lead() -> None:
-    p, memory = _parameters(), ground_memory(10, 40, delay=3)
+    p, memory = _parameters(), occupancy_grid(10, 40, delay=3)
     memory.tiles[:] = CLEAR
     goals, queue, here = np.array([[18.0, 2.5]]), [(0.0, 0.0)] * 3, Motion(1.0, 2.5, 0.0, 0.0)
     foreseen: dict[int, Motion] = {}

@@ -9,7 +9,7 @@ from scipy import stats
 import reference_field as reference
 from agents.control.coverage import symmetry_breaker
 from agents.control.nearest_point import is_uncovered, nearest_uncovered
-from agents.laws.common import way_to_uncovered
+from agents.laws.common import direction_to_uncovered
 from flights import DESIRED, HERE, R_O, escort, flown_law, target_at
 from properties import PROPERTY
 from seeded import a_key
@@ -72,7 +72,7 @@ def test_the_symmetry_breaker_points_from_the_uav_to_the_point() -> None:
 
 
 class _Search:
-    """`way_to_uncovered` with a map and a state of its own; the UAV stands at (20, 20)."""
+    """`direction_to_uncovered` with a map and a state of its own; the UAV stands at (20, 20)."""
 
     def __init__(self) -> None:
         self.c = flown_law(escort("coverage"))
@@ -85,7 +85,9 @@ class _Search:
     def way(self, ugv: tuple[float, float] = HERE) -> Answer:
         self.tick += 1
         own, target = Motion(*HERE, 0.0, 0.0), target_at(*ugv)
-        return way_to_uncovered(self.c.uav, self.c.memory, self.coverage, self.tick, own, target)
+        return direction_to_uncovered(
+            self.c.uav, self.c.memory, self.coverage, self.tick, own, target
+        )
 
 
 def test_the_point_is_held_until_it_is_covered() -> None:
@@ -136,7 +138,7 @@ def test_right_over_the_point_any_direction_is_drawn_with_the_key() -> None:
         c = flown_law(escort("coverage"))
         c.memory["key_0"], c.memory["key_1"] = a_key(key)
         own = Motion(*place, 0.0, 0.0)
-        found, x, y = way_to_uncovered(c.uav, c.memory, coverage, 0, own, target_at(*place))
+        found, x, y = direction_to_uncovered(c.uav, c.memory, coverage, 0, own, target_at(*place))
         assert found
         assert np.hypot(x, y) == pytest.approx(1.0, rel=1e-12)
         angles.append(np.arctan2(y, x))

@@ -201,7 +201,7 @@ def test_check_tries_a_function_of_ones_own_as_run_does_and_says_where_it_does_n
     flown = command("run", *own, "--in-process", "--no-files")
     assert checked.returncode == flown.returncode == 0
     warned = [line for line in flown.stderr.splitlines() if "warning" in line]
-    for part in ("cannot be flown: 4 m/s", "v_a - v_g = 0.4 m/s", "u_a = 0.3 m/s²"):
+    for part in ("cannot be flown: needs 4 m/s", "v_a - v_g = 0.4 m/s", "u_a = 0.3 m/s²"):
         assert part in " ".join(warned)
     assert [line for line in checked.stderr.splitlines() if "warning" in line] == warned
 
@@ -371,7 +371,7 @@ def test_answers_in_wrong_units_are_counted_or_told_once(tmp_path, monkeypatch, 
         "ugv_0: its command for tick 0, 5 m/s², exceeds its bound 0.1 m/s² and is shortened; "
         "further ones are only counted"
     )
-    assert second.startswith("policy = 'units:wheel': tick 0: returned 5 m/s², longer than the")
+    assert second.startswith("policy = 'units:wheel': tick 0: returned 5 m/s², above the")
 
 
 @pytest.mark.parametrize("law", [law.name for law in LAWS.values() if not law.own])

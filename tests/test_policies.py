@@ -238,7 +238,7 @@ def test_a_policy_that_is_slower_than_a_tick_is_named_once_and_not_for_its_first
             driver.drive(_seen(tick))
     (line,) = [record.getMessage() for record in caplog.records]
     assert line.startswith(
-        "policy = 'mine:slow': tick 2: took 0.30 s to answer, longer than a tick of 0.05 s"
+        "policy = 'mine:slow': tick 2: took 0.30 s to answer, longer than the tick of 0.05 s"
     )
 
 

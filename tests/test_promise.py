@@ -33,7 +33,7 @@ A1 | SOMETIMES | detections.noise=0.5 & certificate.max_measurement_error=1.2
 | certificate.max_measurement_error = 1.2 m
 A1 | THROUGHOUT | detections.noise=0.5 & certificate.max_measurement_error=0.2 | 92.2 % of the detections
 A1 | SOMETIMES | detections.truncation=inf & certificate.max_measurement_error=0.4 | detections.truncation = inf
-none | THROUGHOUT | detections.truncation=inf | the noise of the detections is not cut
+none | THROUGHOUT | detections.truncation=inf | the detector noise is not truncated
 A2 | CERTAIN | detections.rate=1.0 & certificate.max_measurement_age=0.5 | detections.rate = 1 /s
 A2 | THROUGHOUT | links.detections.delay=1.05 | links.detections.delay = 1.05
 A2 | SOMETIMES | links.detections.delay=0.95 & links.detections.jitter=0.3 | links.detections.jitter = 0.3

@@ -90,9 +90,9 @@ def test_a_broken_assumption_is_told_with_its_name(changes: str, reason: str) ->
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        (["detections.truncation=inf"], "eps = inf m: the noise of the detections is not cut"),
-        (["certificate.max_measurement_age=60.0"], "too much for r_v"),
-        (["certificate.max_command_delay=30.0"], "too much for r_v"),
+        (["detections.truncation=inf"], "the detector noise is not truncated"),
+        (["certificate.max_measurement_age=60.0"], "too large for r_v"),
+        (["certificate.max_command_delay=30.0"], "too large for r_v"),
     ],
 )
 def test_what_cannot_be_certified_is_told_before_it_is_flown_and_at_every_tick(changes, reason):

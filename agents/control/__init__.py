@@ -1,1 +1,1 @@
-"""The control laws of the paper, one file a section."""
+"""Control laws of the paper, one file per section."""

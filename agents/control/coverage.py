@@ -1,17 +1,17 @@
-"""Dynamic coverage for a double integrator, section III of the paper: (7), (8), (10) to (12), and the border of Q."""
+"""Dynamic coverage for a double integrator, section III of the paper: (7), (8), (10) to (12); border of Q."""
 
 from sim.compiling.compile import compiled
 from sim.models.vehicles import Motion, norm, stopping_distance
 
 ZERO_GRADIENT = 1e-9
-"""u_cov counts as zero below this share of its integrand's size: on a grid a symmetric sum is never exactly zero."""
+"""Share of its integrand's size below which u_cov counts as zero: on a grid, a symmetric sum is never exactly zero."""
 
 
 @compiled
 def symmetry_breaker(
     q_x: float, q_y: float, p_ax: float, p_ay: float, k: float
 ) -> tuple[float, float]:
-    r"""The way out of symmetry, to the nearest uncovered point, Klodt 2015, eq. (7).
+    r"""Return the symmetry-breaking direction to the nearest uncovered point, Klodt 2015, eq. (7).
 
     $$ \tilde u_{cov} = k(\tilde q - p_a) $$
     """
@@ -20,7 +20,7 @@ def symmetry_breaker(
 
 @compiled
 def is_zero_gradient(u_cov_x: float, u_cov_y: float, size: float) -> bool:
-    """True if u_cov = 0 in the sense of (8), relative to the size of its integrand."""
+    """Return whether u_cov = 0 in the sense of (8), relative to the size of its integrand."""
     return norm(u_cov_x, u_cov_y) <= ZERO_GRADIENT * size
 
 
@@ -28,13 +28,13 @@ def is_zero_gradient(u_cov_x: float, u_cov_y: float, size: float) -> bool:
 def single_integrator_command(
     u_cov_x: float, u_cov_y: float, size: float, other_x: float, other_y: float
 ) -> tuple[float, float]:
-    r"""The command of a single integrator, Klodt 2015, eq. (8).
+    r"""Return the command of a single integrator, Klodt 2015, eq. (8).
 
     $$ u_{si} = u_{cov}, \quad \tilde u_{cov} \text{ where } u_{cov} = 0 $$
 
     Args:
         u_cov_x, u_cov_y: u_cov of (6).
-        size: The size of its integrand, from the same sum.
+        size: Size of its integrand, from the same sum.
         other_x, other_y: The symmetry breaker of (7).
     """
     if is_zero_gradient(u_cov_x, u_cov_y, size):
@@ -44,7 +44,7 @@ def single_integrator_command(
 
 @compiled
 def desired_velocity(u_si_x: float, u_si_y: float, v_ref: float) -> tuple[float, float]:
-    """The first term of (10): v_ref [m/s] along u_si; zero where u_si is, since then there is no direction."""
+    """Return the first term of (10): v_ref along u_si [m/s]; zero if u_si is zero and has no direction."""
     length = norm(u_si_x, u_si_y)
     if length == 0.0:
         return 0.0, 0.0
@@ -55,7 +55,7 @@ def desired_velocity(u_si_x: float, u_si_y: float, v_ref: float) -> tuple[float,
 def velocity_error(
     u_si_x: float, u_si_y: float, v_ref: float, v_ax: float, v_ay: float, uncovered: bool
 ) -> tuple[float, float]:
-    r"""Error of the velocity [m/s], Klodt 2015, eq. (10).
+    r"""Return the velocity error [m/s], Klodt 2015, eq. (10).
 
     $$ e_{vel} = \frac{u_{si}}{\|u_{si}\|} v_{ref} - \dot p_a \text{ where } e(t) \ne 0,
     \quad -\dot p_a \text{ where } e(t) = 0 $$
@@ -64,7 +64,7 @@ def velocity_error(
         u_si_x, u_si_y: u_si of (8).
         v_ref: Nominal speed [m/s].
         v_ax, v_ay: Velocity of the UAV [m/s].
-        uncovered: Whether e(t) is not 0.
+        uncovered: True if e(t) is not 0.
     """
     if not uncovered:
         return -v_ax, -v_ay
@@ -74,7 +74,7 @@ def velocity_error(
 
 @compiled
 def coverage_control(e_vel_x: float, e_vel_y: float, k_v: float) -> tuple[float, float]:
-    r"""The coverage law [m/s²], Klodt 2015, eq. (11): $u_{a,cov} = k_v e_{vel}$."""
+    r"""Return the coverage law [m/s²], Klodt 2015, eq. (11): $u_{a,cov} = k_v e_{vel}$."""
     return k_v * e_vel_x, k_v * e_vel_y
 
 
@@ -89,11 +89,11 @@ def approach_control(
     k_v: float,
     v_ref: float,
 ) -> tuple[float, float]:
-    r"""The coverage law on the way to an uncovered point [m/s²], Klodt 2015, eq. (12).
+    r"""Return the coverage law towards an uncovered point [m/s²], Klodt 2015, eq. (12).
 
     $$ u_{a,cov} = \frac{k_v v_{ref}}{\|\tilde q - p_a\|}(\tilde q - p_a) - k_v \dot p_a $$
 
-    It is (11) with (7), (8) and (10) put in, and written by them.
+    The function evaluates (11) with (7), (8) and (10) inserted.
     """
     u_x, u_y = symmetry_breaker(q_x, q_y, p_ax, p_ay, 1.0)
     e_x, e_y = velocity_error(u_x, u_y, v_ref, v_ax, v_ay, True)
@@ -102,21 +102,18 @@ def approach_control(
 
 @compiled
 def border_distance(v_max: float, u_max: float, dt: float) -> float:
-    r"""The safety distance to the border of Q [m].
+    r"""Return the safety distance to the border of Q [m].
 
-    $v_a^2/(2u_a)$ (after Proposition 1 of the paper), and a tick and a half.
+    $v_a^2/(2u_a)$ (after Proposition 1 of the paper), plus the distance of 1.5 ticks.
 
-    One tick passes before the border is seen, and a sampled stop takes up to half a tick's way more than the formula.
+    The UAV detects the border one tick late, and a sampled stop travels up to half a tick farther than the formula.
     """
     return stopping_distance(v_max, u_max) + 1.5 * v_max * dt
 
 
 @compiled
 def _outward(p: float, size: float, margin: float) -> float:
-    """The way out on one axis, for a vehicle nearer to the border than the margin.
-
-    -1, 1, or 0 if it is not near.
-    """
+    """Return the outward direction on one axis: -1 or 1 within the margin of the border, else 0."""
     if p < margin and p <= 0.5 * size:
         return -1.0
     if size - p < margin:
@@ -135,16 +132,16 @@ def keep_off_border(
     margin: float,
     dt: float,
 ) -> tuple[float, float]:
-    """The coverage law, held inside Q: within the margin of a side nothing of it points outward.
+    """Limit the coverage law so that it stays inside Q: within the margin, nothing points outward.
 
-    There an outward velocity is braked first, with all that the vehicle has, and only then it may turn along the
-    border. It limits the coverage term alone: tracking wins, and since Q is convex it points inward.
+    An outward velocity is first braked at full acceleration; only then may the UAV turn along the border. The limit
+    applies to the coverage term alone. The tracking term points inward, since Q is convex.
 
     Args:
         u_x, u_y: u_a,cov of (11) [m/s²].
-        here: Where the UAV is.
+        here: State of the UAV.
         k_v: Gain of (11) [1/s]; u + k_v v is k_v times the desired velocity, whose outward part is dropped.
-        width, height: Q [m].
+        width, height: Size of Q [m].
         margin: `border_distance` [m].
         dt: Length of a tick [s].
     """

@@ -1,4 +1,4 @@
-"""The nearest point that lacks coverage, to which the symmetry breaker (7) points."""
+"""Nearest point that lacks coverage, the goal of the symmetry breaker (7)."""
 
 import math
 
@@ -7,7 +7,7 @@ from sim.models.field import disc_chords
 from sim.models.randomness import NEAREST_POINT, Key, uniform
 
 NEAREST_TIE = 1e-9
-"""Uncovered points whose squared distances differ by less than this share are equally near."""
+"""Relative difference of squared distances below which uncovered points count as equally near."""
 
 
 @compiled
@@ -21,7 +21,7 @@ def is_uncovered(
     desired: float,
     cell: float,
 ) -> bool:
-    """True if the cell around q lacks coverage and lies in the support of the density: conditions 1 and 2 of (7)."""
+    """Return whether the cell around q lacks coverage, within the support of the density: conditions 1, 2 of (7)."""
     rows, columns = coverage.shape
     i = min(max(int(q_x / cell), 0), columns - 1)
     j = min(max(int(q_y / cell), 0), rows - 1)
@@ -42,16 +42,16 @@ def nearest_uncovered(
     key: Key,
     tick: int,
 ) -> tuple[bool, float, float]:
-    r"""The nearest point that lacks coverage within the support of the density, $\tilde q$ of (7).
+    r"""Find the nearest point that lacks coverage within the support of the density, $\tilde q$ of (7).
 
-    Among equally near ones one is drawn at random.
+    Of several equally near points, one is drawn at random.
 
     Args:
         coverage, p_ax, p_ay, p_gx, p_gy, r_o, desired, cell: As in `coverage_gradient`.
-        key, tick: Of the draw.
+        key, tick: Random key and tick of the draw.
 
     Returns:
-        Whether there is one, and its x and y [m].
+        True if there is such a point, and its x and y [m].
     """
     rows, columns = coverage.shape
     nearest, ties, q_x, q_y = math.inf, 0, 0.0, 0.0
@@ -69,7 +69,7 @@ def nearest_uncovered(
             if d2 < nearest - NEAREST_TIE * nearest or ties == 0:
                 nearest, ties, q_x, q_y = d2, 1, x, y
             elif d2 <= nearest + NEAREST_TIE * nearest:
-                ties += 1  # each of n equals is kept with chance 1/n
+                ties += 1  # keeps each of n equally near points with probability 1/n
                 if uniform(key, NEAREST_POINT, tick, ties) * ties < 1.0:
                     q_x, q_y = x, y
     return ties > 0, q_x, q_y

@@ -1,6 +1,6 @@
 """Virtual point tracking, section V.B of the paper: (20) to (25).
 
-The circle is shipped; any path with two derivatives does.
+The circle is built in; a user may supply any path with two derivatives.
 """
 
 import math
@@ -10,15 +10,15 @@ from bus.errors import ScenarioError
 from sim.compiling.compile import compiled
 
 _SAMPLES = 2000
-"""Moments at which a path of one's own is looked at."""
+"""Number of times at which a user's path is checked."""
 
 Path = Callable[[float], tuple[tuple[float, float], tuple[float, float]]]
-"""A path of one's own: time [s] to p_v [m], relative to the UGV, and its second derivative [m/s²]."""
+"""User's path: maps time [s] to p_v relative to the UGV [m] and its second derivative [m/s²]."""
 
 
 @compiled
 def desired_position(p_gx: float, p_gy: float, p_vx: float, p_vy: float) -> tuple[float, float]:
-    r"""The UAV's place on the virtual path [m], Klodt 2015, eq. (20): $p_d(t) = p_g(t) + p_v(t)$."""
+    r"""Return the desired position of the UAV [m], Klodt 2015, eq. (20): $p_d(t) = p_g(t) + p_v(t)$."""
     return p_gx + p_vx, p_gy + p_vy
 
 
@@ -26,7 +26,7 @@ def desired_position(p_gx: float, p_gy: float, p_vx: float, p_vy: float) -> tupl
 def path_error_acceleration(
     u_ax: float, u_ay: float, a_dx: float, a_dy: float
 ) -> tuple[float, float]:
-    r"""Acceleration of the path error $p_{\Delta,d} = p_a - p_d$ [m/s²], Klodt 2015, eq. (21).
+    r"""Return the acceleration of the path error $p_{\Delta,d} = p_a - p_d$ [m/s²], Klodt 2015, eq. (21).
 
     $$ \ddot p_{\Delta,d} = u_a - \ddot p_d $$
     """
@@ -37,7 +37,7 @@ def path_error_acceleration(
 def virtual_error_acceleration(
     u_ax: float, u_ay: float, a_vx: float, a_vy: float
 ) -> tuple[float, float]:
-    r"""The same while the UGV keeps its velocity, so that $\ddot p_d = \ddot p_v$, Klodt 2015, eq. (22).
+    r"""Return the same for a UGV at constant velocity, so that $\ddot p_d = \ddot p_v$, Klodt 2015, eq. (22).
 
     $$ \ddot p_{\Delta,d} = u_a - \ddot p_v $$
     """
@@ -48,9 +48,9 @@ def virtual_error_acceleration(
 def orbit_error_acceleration(
     u_tr_x: float, u_tr_y: float, a_vx: float, a_vy: float
 ) -> tuple[float, float]:
-    r"""Acceleration of the path error under the law (24) [m/s²], Klodt 2015, eq. (23).
+    r"""Return the acceleration of the path error under the law (24) [m/s²], Klodt 2015, eq. (23).
 
-    It is a double integrator that the tracking law alone drives.
+    The path error is a double integrator that only the tracking law drives.
 
     $$ \ddot p_{\Delta,d} = u_{a,tr} $$
     """
@@ -60,18 +60,21 @@ def orbit_error_acceleration(
 
 @compiled
 def orbit_control(u_tr_x: float, u_tr_y: float, a_vx: float, a_vy: float) -> tuple[float, float]:
-    r"""Tracking of the virtual point [m/s²], Klodt 2015, eq. (24): $u_a = \ddot p_v + u_{a,tr}(p_\Delta - p_v)$."""
+    r"""Return the tracking law of the virtual point [m/s²], Klodt 2015, eq. (24).
+
+    $$ u_a = \ddot p_v + u_{a,tr}(p_\Delta - p_v) $$
+    """
     return a_vx + u_tr_x, a_vy + u_tr_y
 
 
 @compiled
 def circle(t: float, r_pv: float, omega: float) -> tuple[float, float, float, float]:
-    r"""A virtual point on a circle, Klodt 2015, eq. (25): $p_v = r_{pv}(\cos\omega t, \sin\omega t)$.
+    r"""Return a virtual point on a circle, Klodt 2015, eq. (25): $p_v = r_{pv}(\cos\omega t, \sin\omega t)$.
 
     Args:
         t: Time [s].
         r_pv: Radius [m].
-        omega: Rate [rad/s].
+        omega: Angular rate [rad/s].
 
     Returns:
         p_v [m] and its second derivative [m/s²], x before y.
@@ -83,13 +86,21 @@ def circle(t: float, r_pv: float, omega: float) -> tuple[float, float, float, fl
 def check_path(
     path: Path, duration: float, r_v: float, v_a: float, v_g: float, u_a: float
 ) -> tuple[str, ...]:
-    """Hold a path of one's own against what (5), (20) to (24) and the vehicle ask of it.
+    """Check a user's path against (5), (20) to (24) and the limits of the vehicles.
+
+    Args:
+        path: Path to check.
+        duration: Time over which it is sampled [s].
+        r_v: Visibility radius [m].
+        v_a, v_g: Maximum speeds of UAV and UGV [m/s].
+        u_a: Maximum acceleration of the UAV [m/s²].
 
     Returns:
-        Warnings, one a line, where the vehicle cannot follow it; each names the time and the bound.
+        Warnings, one line each, if the UAV cannot follow the path; each names the time and the bound.
 
     Raises:
-        ScenarioError: If it is no path: not two finite vectors, not inside r_v, or the second derivative is not one.
+        ScenarioError: If the function does not return two finite vectors, leaves r_v, or returns a wrong second
+            derivative.
     """
     step = min(1e-3, duration / _SAMPLES)
     fastest, hardest = (0.0, 0.0), (0.0, 0.0)
@@ -106,31 +117,31 @@ def check_path(
             ) from error
         if len(values) != 8 or not all(math.isfinite(value) for value in values):
             raise ScenarioError(
-                f"path at t = {t:.6g} s: {values}; it must return ((x, y), (x'', y'')), all finite"
+                f"path at t = {t:.6g} s: returned {values}; it must return ((x, y), (x'', y'')), all finite"
             )
         b_x, b_y, x, y, c_x, c_y, a_x, a_y = values
         if math.hypot(x, y) >= r_v:
             raise ScenarioError(
-                f"path at t = {t:.6g} s lies {math.hypot(x, y):.6g} m from the UGV; allowed: less than r_v = {r_v:g} m"
+                f"path at t = {t:.6g} s: lies {math.hypot(x, y):.6g} m from the UGV; allowed: less than r_v = {r_v:g} m"
             )
         found = math.hypot(
             (c_x - 2.0 * x + b_x) / step**2 - a_x, (c_y - 2.0 * y + b_y) / step**2 - a_y
         )
         if found > 1e-2 * (1.0 + math.hypot(a_x, a_y)):
             raise ScenarioError(
-                f"path at t = {t:.6g} s: its second derivative is off by {found:.3g} m/s²"
+                f"path at t = {t:.6g} s: the second derivative is off by {found:.3g} m/s²; it must match the position"
             )
         fastest = max(fastest, (math.hypot(c_x - b_x, c_y - b_y) / (2.0 * step), t))
         hardest = max(hardest, (math.hypot(a_x, a_y), t))
     warnings = []
     if fastest[0] + v_g > v_a * (1.0 + 1e-6):
         warnings.append(
-            f"path: cannot be flown: {fastest[0]:.4g} m/s at t = {fastest[1]:.4g} s; "
-            f"allowed up to v_a - v_g = {v_a - v_g:.4g} m/s"
+            f"path: cannot be flown: needs {fastest[0]:.4g} m/s at t = {fastest[1]:.4g} s; "
+            f"allowed: up to v_a - v_g = {v_a - v_g:.4g} m/s"
         )
     if hardest[0] > u_a * (1.0 + 1e-6):
         warnings.append(
-            f"path: cannot be flown: {hardest[0]:.4g} m/s² at t = {hardest[1]:.4g} s; allowed up to u_a = "
+            f"path: cannot be flown: needs {hardest[0]:.4g} m/s² at t = {hardest[1]:.4g} s; allowed: up to u_a = "
             f"{u_a:.4g} m/s²"
         )
     return tuple(warnings)

@@ -1,4 +1,4 @@
-"""Tracking control, section IV of the paper: (13) to (16). Vectors are two plain floats, x before y."""
+"""Tracking control, section IV of the paper: (13) to (16). A vector is two floats, x before y."""
 
 import math
 
@@ -9,7 +9,7 @@ from sim.compiling.compile import compiled
 def relative_acceleration(
     u_ax: float, u_ay: float, u_gx: float, u_gy: float
 ) -> tuple[float, float]:
-    r"""Acceleration of the position error [m/s²], Klodt 2015, eq. (13).
+    r"""Return the acceleration of the position error [m/s²], Klodt 2015, eq. (13).
 
     $$ \ddot p_\Delta = \ddot p_a - \ddot p_g = u_a - u_g $$
     """
@@ -20,15 +20,15 @@ def relative_acceleration(
 def state_feedback(
     p_delta_x: float, p_delta_y: float, v_delta_x: float, v_delta_y: float, k_0: float, k_1: float
 ) -> tuple[float, float]:
-    r"""The tracking law that would need the UGV's velocity [m/s²], Klodt 2015, eq. (14).
+    r"""Return the ideal tracking law, which needs the UGV's velocity [m/s²], Klodt 2015, eq. (14).
 
     $$ u_{a,tr} = -k_0 p_\Delta - k_1 \dot p_\Delta $$
 
-    No pilot uses it: the relative velocity is not to be had. It is here to compare (15) with.
+    No pilot uses it, because the relative velocity is not available. It serves as a reference for (15).
 
     Args:
         p_delta_x, p_delta_y: p_a - p_g [m].
-        v_delta_x, v_delta_y: Its rate of change [m/s].
+        v_delta_x, v_delta_y: Relative velocity [m/s].
         k_0: Gain [1/s²].
         k_1: Gain [1/s].
     """
@@ -39,12 +39,12 @@ def state_feedback(
 def tracking_output(
     x_c_x: float, x_c_y: float, p_delta_x: float, p_delta_y: float, c_c: float, d_c: float
 ) -> tuple[float, float]:
-    r"""Output of the dynamic tracking controller [m/s²], Klodt 2015, eq. (15b).
+    r"""Return the output of the dynamic tracking controller [m/s²], Klodt 2015, eq. (15b).
 
     $$ u_{a,tr} = C_c x_c + D_c p_\Delta $$
 
     Args:
-        x_c_x, x_c_y: Its state, one per axis [m].
+        x_c_x, x_c_y: State of the controller, one per axis [m].
         p_delta_x, p_delta_y: p_a - p_g [m].
         c_c, d_c: Gains, the same for both axes [1/s²].
     """
@@ -61,18 +61,18 @@ def tracking_step(
     b_c: float,
     dt: float,
 ) -> tuple[float, float]:
-    r"""State of the dynamic tracking controller one tick later, Klodt 2015, eq. (15a).
+    r"""Return the state of the dynamic tracking controller one tick later, Klodt 2015, eq. (15a).
 
     $$ \dot x_c = A_c x_c + B_c p_\Delta \quad\Rightarrow\quad x_c^+ = e^{A_c dt} x_c + \frac{e^{A_c dt} - 1}{A_c}
     B_c p_\Delta $$
 
-    exact for an input that is held over the tick. To be called at every tick, also where the tracking term has no
-    weight: a stale state makes the distance overshoot.
+    This is exact for an input that is constant over the tick. Call it at every tick, even if the tracking term has
+    zero weight: a stale state makes the distance overshoot.
 
     Args:
-        x_c_x, x_c_y: Its state, one per axis [m].
+        x_c_x, x_c_y: State of the controller, one per axis [m].
         p_delta_x, p_delta_y: p_a - p_g [m].
-        a_c, b_c: The same for both axes [1/s].
+        a_c, b_c: Gains, the same for both axes [1/s].
         dt: Length of the tick [s].
     """
     grown = math.expm1(a_c * dt)
@@ -90,12 +90,12 @@ def relative_motion(
     u_ay: float,
     t: float,
 ) -> tuple[float, float, float, float]:
-    r"""The position error after the time t while the UGV keeps its velocity, Klodt 2015, eq. (16).
+    r"""Return the relative state after the time t, for a UGV at constant velocity, Klodt 2015, eq. (16).
 
     $$ \ddot p_\Delta = u_a \quad\Rightarrow\quad p_\Delta(t) = p_\Delta + \dot p_\Delta t + \tfrac12 u_a t^2 $$
 
     Returns:
-        p_delta [m] and its rate of change [m/s] for a command u_a [m/s²] held over t [s].
+        p_delta [m] and its rate of change [m/s] for a constant command u_a [m/s²] over t [s].
     """
     return (
         p_delta_x + v_delta_x * t + 0.5 * u_ax * t * t,

@@ -1,4 +1,4 @@
-"""Tracking weighed against coverage: (17), the three weightings of section V, and one's own."""
+"""Weighting of tracking against coverage: (17), the three weightings of section V, and a user's weighting."""
 
 import math
 from collections.abc import Callable
@@ -7,17 +7,17 @@ from bus.errors import ScenarioError
 from sim.compiling.compile import compiled
 
 _SAMPLES = 2000
-"""Distances up to r_s at which a weighting of one's own is asked."""
+"""Number of distances up to r_s at which a user's weighting is checked."""
 
 Weighting = Callable[[float, float], tuple[float, float]]
-"""A weighting of one's own: distance [m] and r_s [m] to alpha and beta."""
+"""User's weighting: maps the distance [m] and r_s [m] to alpha and beta."""
 
 
 @compiled
 def combine(
     alpha: float, beta: float, u_tr_x: float, u_tr_y: float, u_cov_x: float, u_cov_y: float
 ) -> tuple[float, float]:
-    r"""The combined control law [m/s²], Klodt 2015, eq. (17).
+    r"""Return the combined control law [m/s²], Klodt 2015, eq. (17).
 
     $$ u_a = \alpha(\|p_\Delta\|)\, u_{a,tr} + \beta(\|p_\Delta\|)\, u_{a,cov} $$
     """
@@ -26,7 +26,7 @@ def combine(
 
 @compiled
 def linear_weights(distance: float, r_s: float) -> tuple[float, float]:
-    r"""Linear weighting $\alpha_1, \beta_1$: $\alpha_1 = \|p_\Delta\|/r_s$ inside r_s, 1 outside.
+    r"""Return the linear weights $\alpha_1, \beta_1$: $\alpha_1 = \|p_\Delta\|/r_s$ inside r_s, 1 outside.
 
     $\beta_1 = 1 - \alpha_1$.
     """
@@ -36,7 +36,10 @@ def linear_weights(distance: float, r_s: float) -> tuple[float, float]:
 
 @compiled
 def switching_weights(distance: float, r_s: float) -> tuple[float, float]:
-    r"""Switching weighting $\alpha_2, \beta_2$: $\alpha_2 = 0$ inside r_s, 1 outside; $\beta_2 = 1 - \alpha_2$."""
+    r"""Return the switching weights $\alpha_2, \beta_2$: $\alpha_2 = 0$ inside r_s, 1 outside.
+
+    $\beta_2 = 1 - \alpha_2$.
+    """
     alpha = 0.0 if distance < r_s else 1.0
     return alpha, 1.0 - alpha
 
@@ -45,7 +48,7 @@ def switching_weights(distance: float, r_s: float) -> tuple[float, float]:
 def logarithmic_weights(
     distance: float, r_s: float, k_beta: float, limit: float
 ) -> tuple[float, float]:
-    r"""Logarithmic weighting $\alpha_3, \beta_3$, Klodt 2015, eq. (19).
+    r"""Return the logarithmic weights $\alpha_3, \beta_3$, Klodt 2015, eq. (19).
 
     $$ \alpha_3 = 1, \quad \beta_3 = -k_\beta \log(\|p_\Delta\|/r_s) \text{ inside } r_s, \quad 0 \text{ outside} $$
 
@@ -53,7 +56,7 @@ def logarithmic_weights(
         distance: Distance between the vehicles [m].
         r_s: Switching radius (18) [m].
         k_beta: Gain.
-        limit: Largest beta (footnote 2 of the paper: near 0 the logarithm has no bound).
+        limit: Largest beta (footnote 2 of the paper: near 0 the logarithm is unbounded).
     """
     if distance >= r_s:
         return 1.0, 0.0
@@ -63,11 +66,17 @@ def logarithmic_weights(
 
 
 def check_weighting(weighting: Weighting, r_s: float) -> None:
-    """Hold a weighting of one's own against the conditions of the paper's Proposition 2, at many distances up to 3 r_s.
+    """Check a user's weighting against Proposition 2 of the paper, at many distances up to 3 r_s.
+
+    Sampling proves nothing between the samples.
+
+    Args:
+        weighting: Weighting to check.
+        r_s: Switching radius (18) [m].
 
     Raises:
-        ScenarioError: Where alpha or beta is no finite number >= 0, or where alpha = 1, beta = 0 fails for a
-            distance >= r_s. It names the distance. Samples are no proof.
+        ScenarioError: If alpha or beta is not a finite number >= 0, or alpha = 1, beta = 0 fails at a distance
+            >= r_s. The message names the distance.
     """
     for index in range(3 * _SAMPLES + 1):
         distance = r_s * (index / _SAMPLES)
@@ -80,11 +89,11 @@ def check_weighting(weighting: Weighting, r_s: float) -> None:
             ) from error
         if not fine:
             raise ScenarioError(
-                f"weighting at a distance of {distance:.6g} m gives alpha = {alpha:g}, beta = {beta:g}; "
-                "both must be finite and not negative (Proposition 2)"
+                f"weighting at a distance of {distance:.6g} m: alpha = {alpha:g}, beta = {beta:g}; "
+                "allowed: finite numbers, not negative (Proposition 2)"
             )
         if distance >= r_s and (alpha, beta) != (1.0, 0.0):
             raise ScenarioError(
-                f"weighting at a distance of {distance:.6g} m >= r_s = {r_s:.6g} m gives alpha = {alpha:g}, "
+                f"weighting at a distance of {distance:.6g} m >= r_s = {r_s:.6g} m: alpha = {alpha:g}, "
                 f"beta = {beta:g}; Proposition 2 asks for alpha = 1, beta = 0 there"
             )

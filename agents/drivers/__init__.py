@@ -1,1 +1,1 @@
-"""The drivers of the UGVs."""
+"""Drivers of the UGVs."""

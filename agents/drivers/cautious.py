@@ -1,8 +1,8 @@
-"""The filter of the driver `navigate`: a command acts only if the way after it, to a stop, lies on open tiles.
+"""Safety filter of the driver `navigate`: a command acts only if the UGV can afterwards stop on open tiles.
 
-Proved in docs/explanation/ground.md. Open are, to a cautious UGV, the tiles that it knows to be drivable; to a bold
-one all that it does not know to be blocked, which promises nothing. Positions in m, speeds in m/s, accelerations in
-m/s².
+The proof is in docs/explanation/ground.md. A cautious UGV treats only tiles known to be drivable as open. A bold UGV
+treats all tiles as open that it does not know to be blocked, and is never certified. Positions in m, speeds in m/s,
+accelerations in m/s².
 """
 
 import math
@@ -17,32 +17,32 @@ from sim.models.vehicles import Motion, norm, step_vehicle
 
 
 class Open(NamedTuple):
-    """The kinds of tiles that are open."""
+    """Kinds of tiles that count as open."""
 
     unseen: int
-    """1 if those are that nobody has seen."""
+    """1 if unseen tiles are open."""
     rough: int
-    """1 if rough ones are."""
+    """1 if rough tiles are open."""
     beside: int
-    """1 if those beside blocked ones are."""
+    """1 if tiles beside blocked ones are open."""
     row: int
     column: int
     end_row: int
     end_column: int
-    """So are blocked ones from this row and column to before that: a UGV that stands on such tiles leaves them."""
+    """Range of blocked tiles that count as open, end exclusive, so that a UGV standing on such tiles can leave them."""
     touch: float
-    """A tile counts as touched if it is nearer than this [m]: `TOUCH`, or less to judge what was checked before."""
+    """Distance below which a tile counts as touched [m]: `TOUCH`, or less to recheck an earlier decision."""
 
 
 @compiled
 def open_to(bold: int) -> Open:
-    """The tiles that are open to a UGV that stands on open ones, bold (1) or cautious (0)."""
+    """Return the open tiles for a UGV on open ground, bold (1) or cautious (0)."""
     return Open(bold, 1, 1, 0, 0, 0, 0, TOUCH)
 
 
 @compiled
 def known_open() -> Open:
-    """The tiles that are known to be drivable, for a way that was checked before, but for rounding."""
+    """Return the tiles known to be drivable, with a tolerance for rounding, to recheck an earlier decision."""
     return Open(0, 1, 1, 0, 0, 0, 0, 0.5 * TOUCH)
 
 
@@ -69,13 +69,13 @@ def triangle_is_open(
     b: tuple[float, float],
     c: tuple[float, float],
 ) -> bool:
-    """True if all tiles that a triangle touches are open; outside the map there are none.
+    """Return whether all tiles touched by a triangle are open; there are none outside the map.
 
     Args:
-        tiles: The map.
+        tiles: Occupancy grid. Shape (rows, columns).
         tile: Side of a tile [m].
-        ground: Which tiles are open.
-        a, b, c: Its corners [m]; some may be the same.
+        ground: Kinds of tiles that are open.
+        a, b, c: Corners of the triangle [m]; some may coincide.
     """
     rows, columns = tiles.shape
     touch = ground.touch
@@ -97,25 +97,25 @@ def triangle_is_open(
 
 
 @compiled
-def way_is_open(
+def segment_is_open(
     tiles: TileArray, tile: float, ground: Open, a: tuple[float, float], b: tuple[float, float]
 ) -> bool:
-    """True if all tiles that a straight way touches are open. Arguments as `triangle_is_open`."""
+    """Return whether all tiles touched by a straight segment are open. Arguments as in `triangle_is_open`."""
     return triangle_is_open(tiles, tile, ground, a, b, b)
 
 
 @compiled
-def open_way(
+def open_share(
     tiles: TileArray, tile: float, ground: Open, a: tuple[float, float], b: tuple[float, float]
 ) -> float:
-    """Share of a straight way that is open from its start on. Arguments as `triangle_is_open`."""
-    if way_is_open(tiles, tile, ground, a, b):
+    """Return the share of a straight segment that is open from its start. Arguments as in `triangle_is_open`."""
+    if segment_is_open(tiles, tile, ground, a, b):
         return 1.0
     low, high = 0.0, 1.0
     for _ in range(24):
         share = 0.5 * (low + high)
         there = a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
-        if way_is_open(tiles, tile, ground, a, there):
+        if segment_is_open(tiles, tile, ground, a, there):
             low = share
         else:
             high = share
@@ -123,8 +123,8 @@ def open_way(
 
 
 @compiled
-def braking_way(speed: float, u_max: float, dt: float) -> float:
-    """The way [m] that `brake` takes to rest, tick by tick: full ticks at u_max, then one that ends at rest."""
+def braking_distance(speed: float, u_max: float, dt: float) -> float:
+    """Return the stopping distance of `brake` in ticks [m]: full ticks at u_max, then one that ends at rest."""
     if math.isinf(u_max):
         return 0.5 * speed * dt
     full = math.floor(speed / (u_max * dt))
@@ -133,15 +133,15 @@ def braking_way(speed: float, u_max: float, dt: float) -> float:
 
 
 @compiled
-def slowing_way(speed: float, slow: float, u_max: float, dt: float) -> float:
-    """The way [m] that `brake` takes until a tick ends no faster than `slow` [m/s]; 0 where that is so already."""
+def slowing_distance(speed: float, slow: float, u_max: float, dt: float) -> float:
+    """Return the distance [m] until `brake` ends a tick no faster than `slow` [m/s]; 0 if already as slow."""
     if speed <= slow:
         return 0.0
     if math.isinf(u_max):
         return 0.5 * speed * dt
     full = math.ceil((speed - slow) / (u_max * dt))
     if full * (u_max * dt) >= speed:
-        return braking_way(speed, u_max, dt)
+        return braking_distance(speed, u_max, dt)
     return full * dt * (speed - 0.5 * u_max * dt * full)
 
 
@@ -155,15 +155,15 @@ def is_safe(
     u_x: float,
     u_y: float,
 ) -> bool:
-    """True if a command keeps the UGV on open tiles in its tick, and the UGV can still brake to rest on such after it.
+    """Return whether a command keeps the UGV on open tiles in its tick, and while it brakes to rest afterwards.
 
     Args:
-        parameters: Of the driver.
-        late: Whether commands act late: where they will must be foreseen on rough ground, too.
-        tiles: What the UGV knows.
-        ground: Which tiles are open.
-        here: Where it is when the command acts.
-        u_x, u_y: The command.
+        parameters: Parameters of the driver.
+        late: True if commands are delayed: the prediction must then also hold on rough ground.
+        tiles: Occupancy grid of the UGV. Shape (rows, columns).
+        ground: Kinds of tiles that are open.
+        here: State of the UGV when the command takes effect.
+        u_x, u_y: Command [m/s²].
     """
     tile, v_max, u_max, dt = (
         parameters.tile,
@@ -176,24 +176,24 @@ def is_safe(
     turn = a[0] + 0.5 * here.v_x * dt, a[1] + 0.5 * here.v_y * dt
     speed = norm(w_x, w_y)
     e_x, e_y = (w_x / speed, w_y / speed) if speed > 0.0 else (0.0, 0.0)
-    way = braking_way(speed, u_max, dt)
-    end = x + e_x * way, y + e_y * way
+    distance = braking_distance(speed, u_max, dt)
+    end = x + e_x * distance, y + e_y * distance
     slack = TOUCH - ground.touch
     width, height = parameters.width + slack, parameters.height + slack
     if not (-slack <= x <= width and -slack <= y <= height):
         return False
     if not (-slack <= end[0] <= width and -slack <= end[1] <= height):
         return False
-    # the tick itself lies within the triangle
+    # the trajectory of the tick lies within the triangle
     if not triangle_is_open(tiles, tile, ground, a, turn, (x, y)):
         return False
-    if not way_is_open(tiles, tile, ground, (x, y), end):
+    if not segment_is_open(tiles, tile, ground, (x, y), end):
         return False
-    slow = parameters.rough_share * v_max + slack  # no rough ground makes it slower
+    slow = parameters.rough_share * v_max + slack  # rough ground never reduces the speed further
     if not late or speed <= slow:
         return True
-    way = slowing_way(speed, slow, u_max, dt)
-    there = x + e_x * way, y + e_y * way
+    distance = slowing_distance(speed, slow, u_max, dt)
+    there = x + e_x * distance, y + e_y * distance
     even = Open(
         ground.unseen,
         0,
@@ -206,21 +206,21 @@ def is_safe(
     )
     if not triangle_is_open(tiles, tile, even, a, turn, (x, y)):
         return False
-    return way_is_open(tiles, tile, even, (x, y), there)
+    return segment_is_open(tiles, tile, even, (x, y), there)
 
 
 @compiled
 def nearest_open(tiles: TileArray, tile: float, bold: int, x: float, y: float) -> tuple[int, int]:
-    """The row and column of the open tile nearest to a point, on the first square ring around its own that has any.
+    """Return row and column of the open tile nearest to a point, on the first square ring that has one.
 
     Args:
-        tiles: The map.
+        tiles: Occupancy grid. Shape (rows, columns).
         tile: Side of a tile [m].
-        bold: 1: tiles that nobody has seen are open.
-        x, y: The point [m].
+        bold: 1 if unseen tiles are open.
+        x, y: Point [m].
 
     Returns:
-        Its own tile if no other is open.
+        The tile of the point itself if no other is open.
     """
     rows, columns = tiles.shape
     i, j = tile_index(y, tile, rows), tile_index(x, tile, columns)
@@ -239,9 +239,9 @@ def nearest_open(tiles: TileArray, tile: float, bold: int, x: float, y: float) -
 
 @compiled
 def open_from(tiles: TileArray, tile: float, bold: int, x: float, y: float) -> Open:
-    """The tiles that are open to a UGV at a point: if it stands on blocked ones, so are these and its way out of them.
+    """Return the open tiles for a UGV at a point; on blocked tiles, these and its exit count as open.
 
-    It comes to stand there only if the tile was told wrongly before, if it is bold, or if it started there.
+    The UGV stands on blocked tiles only if a report was wrong, if it is bold, or if it started there.
     """
     rows, columns = tiles.shape
     row, end_row = span(y - TOUCH, y + TOUCH, tile, rows)

@@ -1,6 +1,6 @@
-"""The drivers that are compiled: their files, called for one vehicle.
+"""Adapter of the compiled drivers for a single vehicle.
 
-A driver that listens to a person or to a policy has no compiled form.
+Drivers that depend on an operator or on a policy have no compiled form.
 """
 
 from importlib import import_module
@@ -10,13 +10,13 @@ import numpy as np
 
 from agents.drivers.parameters import DriverInputs, UgvParameters, ugv_parameters
 from agents.drivers.pending_stops import PLAIN
-from agents.drivers.planning import way_corners
+from agents.drivers.planning import path_corners
 from agents.drivers.tile_map import (
-    GroundMemory,
+    OccupancyGrid,
     PlaceArray,
-    ground_memory,
-    note_block,
-    note_tiles,
+    occupancy_grid,
+    record_block,
+    record_tiles,
 )
 from bus.errors import ScenarioError
 from bus.messages.base import Vector
@@ -38,11 +38,11 @@ from sim.models.randomness import words_of
 from sim.models.vehicles import Motion
 
 MOST_TILES = 1_000_000
-"""More than that no UGV keeps."""
+"""Largest number of tiles in a UGV's occupancy grid."""
 
 
 def driver_parameters(briefing: UgvBriefing, driver: str) -> Any:  # noqa: ANN401 - the driver's class
-    """Return the parameters of a driver of one UGV, as its file declares them.
+    """Return the parameters of a UGV's driver, as its file declares them.
 
     Raises:
         ScenarioError: If the driver has no compiled form.
@@ -67,8 +67,8 @@ class Route(NamedTuple):
     """First tick, v_x and v_y [m/s] of each step, in the order of time. Shape (steps, 3)."""
 
 
-def told_route(briefing: UgvBriefing) -> Route:
-    """The goals and the script of a briefing; of two steps at one time the later in the list counts."""
+def briefed_route(briefing: UgvBriefing) -> Route:
+    """Return the goals and the script of a briefing; of two steps at the same time, the later in the list wins."""
     steps = sorted(briefing.script, key=lambda step: step.time)
     script = [(first_tick_from(step.time, briefing.dt), *step.velocity) for step in steps]
     return Route(
@@ -77,75 +77,77 @@ def told_route(briefing: UgvBriefing) -> Route:
     )
 
 
-def told_ground(briefing: UgvBriefing) -> GroundMemory:
-    """The ground as a UGV knows it before it has been told any tile; without tiles where there are no hazards.
+def briefed_grid(briefing: UgvBriefing) -> OccupancyGrid:
+    """Return the empty occupancy grid of a UGV; without tiles if there are no hazards.
 
     Raises:
-        ScenarioError: If there are too many tiles.
+        ScenarioError: If the area has too many tiles.
     """
     ground, area = briefing.ground, briefing.area
     if ground is None:
-        return ground_memory(0, 0)
+        return occupancy_grid(0, 0)
     shape = tiles_shape(area.width, area.height, ground.tile)
     if shape[0] * shape[1] > MOST_TILES:
         raise ScenarioError(
-            f"ground.tile = {ground.tile:g}: makes {shape[0] * shape[1]:.3g} tiles of the area; "
-            f"at most {MOST_TILES:,}"
+            f"ground.tile = {ground.tile:g}: divides the area into {shape[0] * shape[1]:.3g} tiles; "
+            f"allowed: at most {MOST_TILES:,}"
         )
-    return ground_memory(*shape, first_tick_from(ground.delay, briefing.dt))
+    return occupancy_grid(*shape, first_tick_from(ground.delay, briefing.dt))
 
 
-def take_ground(memory: GroundMemory, observation: UgvObservation) -> None:
-    """Take in what an observation tells of the ground."""
+def update_grid(memory: OccupancyGrid, observation: UgvObservation) -> None:
+    """Update the occupancy grid from the map updates and tile reports of an observation."""
     for block in observation.map_updates:
-        note_block(memory, block.row, block.column, tile_states(block.tiles))
+        record_block(memory, block.row, block.column, tile_states(block.tiles))
     if observation.tile_reports:
         places = np.array(
             [(one.row, one.column) for one in observation.tile_reports], dtype=np.int64
         )
         states = tile_states("".join(one.state for one in observation.tile_reports))
         rows, columns = np.ascontiguousarray(places.T)
-        note_tiles(memory, rows, columns, states)
+        record_tiles(memory, rows, columns, states)
 
 
 class CompiledDriver:
-    """Drives by the command of a driver's file.
+    """Driver that runs a compiled driver file.
 
     Args:
-        briefing: What the UGV is told when it joins.
-        name: Of the driver, a row of the registry with a file.
+        briefing: Briefing of the UGV.
+        name: Name of the driver, a row of the registry with a file.
 
     Raises:
-        ScenarioError: If the driver has no compiled form, or the ground has too many tiles.
+        ScenarioError: If the driver has no compiled form, or the area has too many tiles.
     """
 
     def __init__(self, briefing: UgvBriefing, name: str) -> None:
         self.parameters = driver_parameters(briefing, name)
-        """As its file declares them."""
+        """Parameters of the driver, as its file declares them."""
         row = DRIVERS[name]
         module = import_module(row.module)
         memory: Any = fresh(module.Memory)
         if "key_0" in memory.dtype.names:
             memory["key_0"], memory["key_1"] = words_of(briefing.key)
-        self.ground = told_ground(briefing)
-        """Memory of the ground; without tiles if there are no hazards."""
+        self.ground = briefed_grid(briefing)
+        """Occupancy grid; without tiles if there are no hazards."""
         ugv = records(UgvParameters, [ugv_parameters(briefing, unbounded=row.unbounded)])
         parameters = records(type(self.parameters), [self.parameters])
-        # Arrays of one row: a row by itself is read-only once it has been pickled.
+        # Arrays of one row: a single row becomes read-only when pickled.
         self._command, self._fixed = module.command, (ugv, parameters, memory)
-        self._route, self._dt = told_route(briefing), float(briefing.dt)
-        self._carries = briefing.ground is not None and briefing.ground.executes_trajectories
+        self._route, self._dt = briefed_route(briefing), float(briefing.dt)
+        self._executes_trajectories = (
+            briefing.ground is not None and briefing.ground.executes_trajectories
+        )
 
     @property
     def memory(self) -> Any:  # noqa: ANN401 - the driver's own record
-        """Record of its memory."""
+        """Memory record of the driver."""
         return self._fixed[2][0]
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """Return the acceleration [m/s²] for this observation."""
         if observation.tile_reports or observation.map_updates:
-            take_ground(self.ground, observation)
-        flown = (
+            update_grid(self.ground, observation)
+        committed = (
             NO_MOTION
             if observation.committed_trajectory is None
             else observation.committed_trajectory
@@ -156,7 +158,7 @@ class CompiledDriver:
             radio=radio,
             received=len(radio),
             ground=self.ground if self.ground.tiles.size else None,
-            flown=flown if self._carries else PLAIN,
+            committed=committed if self._executes_trajectories else PLAIN,
         )
         own = Motion(*observation.position, *observation.velocity)
         ugv, parameters, _ = (rows[0] for rows in self._fixed)
@@ -165,17 +167,17 @@ class CompiledDriver:
 
 
 class NavigateDriver(CompiledDriver):
-    """From goal to goal over the ground as it knows it, see `agents.drivers.navigate`."""
+    """Driver that navigates between goals over the known ground, see `agents.drivers.navigate`."""
 
     def __init__(self, briefing: UgvBriefing, name: str = "navigate") -> None:
         super().__init__(briefing, name)
         self._plans = 0
-        self._told: tuple[Vector, ...] = ()
+        self._reported: tuple[Vector, ...] = ()
         self._corners: PlaceArray = np.zeros(MOST_CORNERS, dtype=np.int32)
 
-    def motions(self, tick: int) -> tuple[BackupTrajectory, ...]:
-        """Return the motions that the command of this tick carries: its own, and those before it that may begin yet."""
-        if not self._carries:
+    def backup_trajectories(self, tick: int) -> tuple[BackupTrajectory, ...]:
+        """Return the backup trajectories of this tick's command: its own, and earlier ones that may still begin."""
+        if not self._executes_trajectories:
             return ()
         sent = self.ground.sent
         last = tick + len(sent) - 2
@@ -188,24 +190,24 @@ class NavigateDriver(CompiledDriver):
         )
 
     def report(self) -> UgvReport | None:
-        """Return the certificate of this tick's command; None: the UGV promises nothing."""
+        """Return the certificate of this tick's command; None if the UGV is never certified."""
         claim = int(self.ground.flags[0]["claim"])
         if claim == NO_CLAIM:
             return None
         return UgvReport(certified=claim == CERTIFIED, uncertified=UNCERTIFIED.get(claim, ""))
 
     def forget_commands(self) -> None:
-        """Forget the commands so far: they were not sent, or another process has sent them."""
+        """Forget the commands so far: they were not sent, or another process sent them."""
         self.ground.sent["begins"] = NO_MOTION
 
     def new_route(self, position: Vector) -> tuple[Vector, ...] | None:
-        """The way that it plans, by its corners [m] from a place to the goal, for observers; none where there is none.
+        """Return the corners of the planned path from a position to the goal [m], for observers; empty without a path.
 
         Args:
-            position: Where the UGV is [m].
+            position: Position of the UGV [m].
 
         Returns:
-            None if it has not changed since it was asked last, but for what has been driven of it.
+            None if the path has not changed since the last call, except for the part already driven.
         """
         memory, tile = self.ground, self.parameters.tile
         flags = memory.flags[0]
@@ -218,12 +220,14 @@ class NavigateDriver(CompiledDriver):
             tile_index(y, tile, rows) * columns + tile_index(x, tile, columns)
             for x, y in (position, (goal_x, goal_y))
         )
-        count = way_corners(memory.way, columns, own, self._corners)
+        count = path_corners(memory.path, columns, own, self._corners)
         turns = self._corners[:count].tolist()
         ahead = [((n % columns + 0.5) * tile, (n // columns + 0.5) * tile) for n in turns[1:]]
         if turns and turns[-1] == goal:
             ahead[-1:] = [(goal_x, goal_y)]
-        if tuple(ahead) == self._told[len(self._told) - len(ahead) :] and (ahead or not self._told):
+        if tuple(ahead) == self._reported[len(self._reported) - len(ahead) :] and (
+            ahead or not self._reported
+        ):
             return None
-        self._told = tuple(ahead)
+        self._reported = tuple(ahead)
         return (position, *ahead) if ahead else ()

@@ -1,6 +1,6 @@
 """Driver of each UGV in a batch: chosen by its row, compiled with the batch.
 
-As `agents.laws.dispatch`: a batch contains all drivers that compile quickly, and of the others those that drive.
+As in `agents.laws.dispatch`, a batch contains all drivers that compile quickly, and only those slow ones that drive.
 """
 
 from collections import namedtuple
@@ -21,26 +21,26 @@ from sim.models.vehicles import Motion
 
 _ROWS = {row.name: row for row in DRIVERS.values() if row.module}
 CODES = {name: code for code, name in enumerate(_ROWS)}
-"""For each driver that drives in batches, the place of its file."""
+"""Index of each compiled driver's file."""
 _MODULES = tuple(import_module(row.module) for row in _ROWS.values())
 PerDriver: Any = namedtuple("PerDriver", tuple(_ROWS))  # type: ignore[misc] # of the table
-"""A structured array for each driver, or None where the batch does not contain it."""
+"""Structured array of each driver; None if the batch does not contain it."""
 _driver_command = commands([module.command for module in _MODULES])
 
 
 class DriverTables(NamedTuple):
-    """Drivers of a batch's UGVs, and their constants."""
+    """Drivers of a batch's UGVs, with their constants."""
 
     codes: IntArray
     """A value of `CODES`. Shape (UGVs,)."""
     ugvs: RecordArray
     """`UgvParameters`. Shape (UGVs,)."""
     parameters: Any
-    """`PerDriver`: the drivers' `Parameters`. Shape (UGVs,)."""
+    """`PerDriver`: `Parameters` of the drivers. Shape (UGVs,)."""
 
 
 def driver_tables(briefings: Sequence[UgvBriefing], drivers: Sequence[str]) -> DriverTables:
-    """Return the tables of the UGVs that are briefed, each with its driver.
+    """Return the tables of the UGVs with these briefings, each with its driver.
 
     Raises:
         ScenarioError: If a driver has no compiled form.
@@ -48,7 +48,7 @@ def driver_tables(briefings: Sequence[UgvBriefing], drivers: Sequence[str]) -> D
     chosen = list(zip(briefings, drivers, strict=True))
     given = [driver_parameters(one, name) for one, name in chosen]
     ugvs = [ugv_parameters(one, unbounded=DRIVERS[name].unbounded) for one, name in chosen]
-    # Without ground the driver that navigates is the default one, which needs no other code.
+    # Without ground, the navigating driver equals the default one, which needs no other code.
     codes = [
         CODES[DEFAULT_DRIVER if DRIVERS[name].separate and one.ground is None else name]
         for one, name in chosen
@@ -65,7 +65,7 @@ def driver_tables(briefings: Sequence[UgvBriefing], drivers: Sequence[str]) -> D
 
 
 def driver_memories(tables: DriverTables, worlds: int) -> Any:  # noqa: ANN401 - `PerDriver`
-    """Return the drivers' memories in all worlds. Shape (worlds, UGVs) each."""
+    """Return the memories of the drivers in all worlds. Shape (worlds, UGVs) each."""
     shape = worlds, len(tables.codes)
     return PerDriver(
         *(
@@ -84,14 +84,14 @@ def driver_command(
     tick: int,
     own: Motion,
 ) -> tuple[float, float]:
-    """Return a UGV's command by its driver [m/s²].
+    """Return the command of a UGV from its driver [m/s²].
 
     Args:
-        tables: Of the batch.
-        memories: Changed in place.
+        tables: Tables of the batch.
+        memories: Memories of the drivers, changed in place.
         place: World and UGV.
-        inputs: Goals, script, and what reaches the UGV at this tick.
-        tick: Now.
+        inputs: Goals, script, and messages received in this tick.
+        tick: Current tick.
         own: State of the UGV.
     """
     row = place[1]

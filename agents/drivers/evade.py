@@ -1,17 +1,17 @@
-"""The adversary at the wheel: tries to shake the UAV off, within the UGV's limits and by what a UGV may know.
+"""Evasive driver: tries to shake off the UAV, within the UGV's limits and with the information of a UGV.
 
-It drives at full speed away from where the UAV will be by the time the UGV has turned round. A UAV that flies off is
-left behind; one that comes up fast will have flown past by then, so the UGV reverses and drives at it: either way the
-two velocities point apart when the UAV has most to brake. The lead is 2 v/u, the UGV's own time to reverse: it knows
-no bound of the UAV. In each slot of five leads it turns off sharply once, for one lead, by 60° to 120° to one side;
-when and where to is drawn from its key. It knows its own state and what the UAV radios, p_a - p_g up to 0.2 s and a
-tick ago, and neither the visibility radius nor the law.
+It drives at full speed away from the UAV's position predicted for the time that the UGV needs to reverse. A UAV that
+flies away is left behind. A UAV that approaches fast will have flown past by then, so the UGV reverses and drives at
+it. In both cases the velocities point apart when the UAV has to brake most. The lead is 2 v/u, the UGV's own time to
+reverse; it knows no limits of the UAV. In each slot of five leads it turns sharply once, for one lead, by 60° to 120°
+to one side; time and direction are drawn from its key. It knows its own state and the UAV's radio messages, p_a - p_g
+up to 0.2 s and a tick ago, but neither the visibility radius nor the law.
 
-Within the wanderer's margin of the border it drops what points outward and slides along at full speed, braking first
-where a wall is too near; in a corner it picks one of the two walls at random and drives out along it for four leads.
-Before the first message, and five seconds after the last one, it wanders.
+Within the margin of `wander` from the border it drops the outward component and slides along at full speed, braking
+first if a wall is too near. In a corner it picks one of the two walls at random and drives along it for four leads.
+Before the first message, and five seconds after the last, it wanders.
 
-It is a heuristic, not the worst case: it looks one manoeuvre ahead and solves no game.
+This is a heuristic, not the worst case: it looks one manoeuvre ahead and solves no game.
 """
 
 import math
@@ -27,12 +27,12 @@ from sim.compiling.compile import FloatArray, compiled, constant
 from sim.models.randomness import WANDER, uniform
 from sim.models.vehicles import Motion, norm
 
-_SMOOTHING = 1.0  # time constant of the UAV's estimated velocity [s]: a difference of two estimates is mostly noise
-_FORGOTTEN = 5.0  # after so long without a message [s] the last one says nothing any more
+_SMOOTHING = 1.0  # time constant of the UAV's estimated velocity [s]: differences of estimates are mostly noise
+_FORGOTTEN = 5.0  # age at which the last message is discarded [s]
 _LEAD = 1.0, 10.0  # least and largest lead [s], for a UGV that turns at once or hardly at all
-_SLOT = 5.0  # one sharp turn in so many leads
-_DASH = 4.0  # out of a corner it drives along a wall for so many leads
-# Indices of the draws of a slot; 0 and 1 are the wanderer's.
+_SLOT = 5.0  # leads per sharp turn
+_DASH = 4.0  # leads for which it drives along a wall, out of a corner
+# Indices of the draws of a slot; 0 and 1 belong to `wander`.
 _BEGIN, _SIDE, _ANGLE, _WALL, _SPOT = (constant(k) for k in range(2, 7))
 
 
@@ -40,32 +40,32 @@ class Parameters(wander.Parameters, frozen=True, kw_only=True):
     """Parameters of the driver."""
 
     lead: float
-    """Time that it looks ahead [s]."""
+    """Prediction time [s]."""
     memory_ticks: int
-    """Age at which the last message loses its meaning [ticks]."""
+    """Age at which the last message is discarded [ticks]."""
     corner_ticks: int
-    """Time for which it leaves a corner along a wall [ticks]."""
+    """Time for which the UGV follows a wall out of a corner [ticks]."""
 
 
 class Memory(wander.Memory):
     """Memory of the driver."""
 
     received: float = -math.inf
-    """Tick at which the newest message came."""
+    """Tick at which the newest message arrived."""
     sent: float
-    """Tick of its content."""
+    """Tick to which its content refers."""
     uav: Vector
-    """Position of the UAV then [m]."""
+    """Position of the UAV at that tick [m]."""
     uav_velocity: Vector
-    """Its smoothed velocity [m/s]."""
+    """Smoothed velocity of the UAV [m/s]."""
     exit: Vector
-    """Direction out of a corner."""
+    """Direction out of a corner, a unit vector."""
     exit_end: float = -math.inf
-    """First tick for which that does not count."""
+    """First tick after the exit from the corner."""
 
 
 def parameters(ugv: UgvParameters, briefing: UgvBriefing) -> Parameters:
-    """Return the parameters of the driver of a UGV."""
+    """Return the parameters of a UGV's driver."""
     plain = wander.parameters(ugv, briefing)
     lead = float(evade_lead(plain.speed, ugv.max_acceleration))
     memory_ticks, corner_ticks = evade_ticks(lead, ugv.dt)
@@ -79,18 +79,18 @@ def parameters(ugv: UgvParameters, briefing: UgvBriefing) -> Parameters:
 
 
 def evade_lead(speed: float, u_max: float) -> float:
-    """Time that it looks ahead [s]: its own to reverse from its speed [m/s] at its bound [m/s²], within limits."""
+    """Return the prediction time [s]: the time to reverse from a speed [m/s] at u_max [m/s²], within limits."""
     return min(max(2.0 * speed / u_max, _LEAD[0]), _LEAD[1])
 
 
 def evade_ticks(lead: float, dt: float) -> tuple[int, int]:
-    """Ticks after which the last message says nothing any more, and for which it leaves a corner along a wall."""
+    """Return the age at which the last message is discarded, and the time along a wall out of a corner [ticks]."""
     return ticks_within(_FORGOTTEN, dt), first_tick_from(_DASH * lead, dt)
 
 
 @compiled
 def is_known(driver: Parameters, memory: Memory, tick: int) -> bool:
-    """True if there has been a message of the UAV, and not too long ago."""
+    """Return whether a recent message of the UAV is known."""
     return bool(tick - memory.received <= driver.memory_ticks)
 
 
@@ -104,10 +104,9 @@ def receive_radio(
     tick: int,
     here: Motion,
 ) -> None:
-    """Take in what has come at this tick: place and smoothed velocity of the UAV.
+    """Update the UAV's position and smoothed velocity from the messages of this tick.
 
-    Of several, that which came last; one whose time is none of a tick is used for nothing. Arguments as in
-    `command`.
+    The last of several messages wins; a message without a valid tick is ignored. Arguments as in `command`.
     """
     m: Any = memory
     for row in range(received):
@@ -116,11 +115,11 @@ def receive_radio(
         at = min(max(radio[row, 0], tick - driver.memory_ticks), tick)
         age = tick * ugv.dt - at * ugv.dt
         gap = at * ugv.dt - m.sent * ugv.dt
-        x = here.p_x - age * here.v_x + radio[row, 1]  # the UGV has driven on since
+        x = here.p_x - age * here.v_x + radio[row, 1]  # the UGV has moved since
         y = here.p_y - age * here.v_y + radio[row, 2]
         if not is_known(driver, memory, tick):
             m.uav_velocity[0], m.uav_velocity[1] = 0.0, 0.0
-        elif at > m.sent:  # of two messages of one tick the difference says nothing
+        elif at > m.sent:  # two messages of the same tick give no velocity
             share = gap / (_SMOOTHING + gap)
             w_x, w_y = m.uav_velocity[0], m.uav_velocity[1]
             m.uav_velocity[0] = w_x + share * ((x - m.uav[0]) / gap - w_x)
@@ -132,7 +131,7 @@ def receive_radio(
 def slot_draw(
     ugv: UgvParameters, driver: Parameters, memory: Memory, tick: int, index: int
 ) -> float:
-    """A number in [0, 1) for the slot of this tick; a slot is five leads long."""
+    """Draw a number in [0, 1) for the slot of this tick; a slot is five leads long."""
     slot = int(tick * ugv.dt / (_SLOT * driver.lead))
     return uniform((memory.key_0, memory.key_1), WANDER, slot, index)
 
@@ -141,7 +140,7 @@ def slot_draw(
 def away(
     ugv: UgvParameters, driver: Parameters, memory: Memory, tick: int, here: Motion
 ) -> tuple[float, float]:
-    """Away from where the UAV will be after the lead if it flies on as it does; a unit vector."""
+    """Return the unit vector away from the UAV's predicted position after the lead."""
     m: Any = memory
     gap = tick * ugv.dt + driver.lead - m.sent * ugv.dt
     x = here.p_x - (m.uav[0] + gap * m.uav_velocity[0])
@@ -149,7 +148,7 @@ def away(
     length = norm(x, y)
     if length > 0.0:
         return x / length, y / length
-    # right below it: any direction is as good
+    # directly below the UAV, any direction will do
     angle = math.tau * slot_draw(ugv, driver, memory, tick, _SPOT)
     return math.cos(angle), math.sin(angle)
 
@@ -158,7 +157,7 @@ def away(
 def turned(
     ugv: UgvParameters, driver: Parameters, memory: Memory, x: float, y: float, tick: int
 ) -> tuple[float, float]:
-    """The direction (x, y), turned off sharply for one lead of each slot."""
+    """Return the direction (x, y), turned sharply for one lead of each slot."""
     lead = driver.lead
     begin = (_SLOT - 1.0) * lead * slot_draw(ugv, driver, memory, tick, _BEGIN)
     if not begin <= tick * ugv.dt % (_SLOT * lead) < begin + lead:
@@ -172,7 +171,7 @@ def turned(
 
 @compiled
 def border_side(at: float, size: float, margin: float) -> float:
-    """The sign of the side of one axis that is nearer than the margin, or 0; all in [m]."""
+    """Return the sign of the side of one axis that is nearer than the margin, or 0; all in [m]."""
     if at > size - margin:
         return 1.0
     return -1.0 if at < margin else 0.0
@@ -182,13 +181,13 @@ def border_side(at: float, size: float, margin: float) -> float:
 def leave_wall(
     ugv: UgvParameters, driver: Parameters, memory: Memory, out_x: float, out_y: float, tick: int
 ) -> tuple[float, float]:
-    """Off a wall that it stands square to, or out of a corner: along a wall, and it stays with that for a while.
+    """Return the direction along a wall, for a UGV in a corner or facing a wall, and keep it for a while.
 
     Args:
         ugv, driver: Constants of the UGV, and parameters of the driver.
         memory: Changed in place.
-        out_x, out_y: The sides it is near to, of `border_side`.
-        tick: Now.
+        out_x, out_y: Nearby sides, from `border_side`.
+        tick: Current tick.
     """
     side = 1.0 if slot_draw(ugv, driver, memory, tick, _WALL) < 0.5 else -1.0
     if out_x == 0.0 or out_y == 0.0:
@@ -204,15 +203,15 @@ def leave_wall(
 
 @compiled
 def off_walls(ugv: UgvParameters, w_x: float, w_y: float, here: Motion) -> tuple[float, float]:
-    """The wanted velocity [m/s], but where a wall would be hit else: to brake towards it first, and turn only then.
+    """Return the desired velocity [m/s], or one that first brakes towards a wall that would otherwise be hit.
 
     Args:
         ugv: Constants of the UGV.
-        w_x, w_y: The wanted velocity [m/s].
-        here: Where the UGV is.
+        w_x, w_y: Desired velocity [m/s].
+        here: State of the UGV.
     """
     v_x, v_y = here.v_x, here.v_y
-    # way to a stop over speed [s]
+    # stopping distance over speed [s]
     halting = 0.5 * norm(v_x, v_y) / ugv.max_acceleration + 2.0 * ugv.dt
     stop_x = abs(v_x) * halting > (ugv.width - here.p_x if v_x > 0.0 else here.p_x)
     stop_y = abs(v_y) * halting > (ugv.height - here.p_y if v_y > 0.0 else here.p_y)
@@ -231,9 +230,9 @@ def flee(
     tick: int,
     here: Motion,
 ) -> tuple[float, float]:
-    """The acceleration [m/s²] to full speed in the direction (x, y), but along walls and out of corners.
+    """Return the acceleration [m/s²] to full speed in the direction (x, y), along walls and out of corners.
 
-    The other arguments are those of `command`.
+    The other arguments are as in `command`.
     """
     m: Any = memory
     if tick < m.exit_end:
@@ -267,8 +266,8 @@ def command(
         ugv: Constants of the UGV.
         driver: Parameters of this driver.
         memory: Changed in place.
-        inputs: Goals, script, and what reaches the UGV at this tick.
-        tick: Now.
+        inputs: Goals, script, and messages received in this tick.
+        tick: Current tick.
         own: State of the UGV.
     """
     receive_radio(ugv, driver, memory, inputs.radio, inputs.received, tick, own)

@@ -1,9 +1,9 @@
-"""The driver that plans: from goal to goal over the ground as it knows it, cautious or bold.
+"""Planning driver: from goal to goal over the known ground, cautious or bold.
 
-In a tick it plans anew if it must, or goes on with that; it looks along the cheapest way for the farthest point to
-which the straight way costs no more a metre, and drives there as `goal_control` does, slower before rough ground. Last
-comes the filter: a command that could not be followed by a stop on open tiles gives way to a slower one, and that to
-braking.
+In each tick it starts or continues a search if needed. Along the cheapest path it selects the farthest point that a
+straight segment reaches at no higher cost per metre, and drives there with `goal_control`, slower before rough
+ground. Finally the safety filter replaces a command that cannot be followed by a stop on open tiles, first by a slower
+one, then by braking.
 """
 
 import math
@@ -13,25 +13,25 @@ from agents.drivers.cautious import (
     is_safe,
     nearest_open,
     open_from,
-    open_way,
-    way_is_open,
+    open_share,
+    segment_is_open,
 )
 from agents.drivers.navigate_parameters import NavigateParameters, navigate_parameters
 from agents.drivers.parameters import DriverInputs, UgvParameters
-from agents.drivers.pending_stops import note_claim, note_sent, state_ahead
+from agents.drivers.pending_stops import state_ahead, store_command, update_claim
 from agents.drivers.planning import (
     BESIDE_PRICE,
     UNSEEN_PRICE,
-    begin_search,
-    has_way,
+    adopt_plan,
+    continue_search,
+    has_path,
     is_settled,
     next_tile,
     price_of,
-    search_on,
-    take_plan,
+    start_search,
 )
 from agents.drivers.steering import goal_control
-from agents.drivers.tile_map import GroundMemory
+from agents.drivers.tile_map import OccupancyGrid
 from agents.drivers.waypoints import Memory, waypoint_command
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.ground import tile_index
@@ -46,15 +46,15 @@ from sim.models.vehicles import (
 )
 
 _STEPS = 64
-"""So many tiles of the cheapest way it looks along."""
+"""Number of tiles considered along the cheapest path."""
 _SHARES = (1.0, 0.5, 0.2, 0.05)
-"""Shares of the free path ahead within which it tries to stop."""
+"""Shares of the free path ahead within which the UGV tries to stop."""
 _ROUNDING = 1e-9
-"""By this share a straight way may cost more a metre than the cheapest, and rough ground is driven on slower."""
+"""Relative tolerance of the cost per metre of a straight segment, and of the speed on rough ground."""
 
 
 @compiled
-def _tile_of(parameters: NavigateParameters, memory: GroundMemory, x: float, y: float) -> int:
+def _tile_of(parameters: NavigateParameters, memory: OccupancyGrid, x: float, y: float) -> int:
     rows, columns = memory.tiles.shape
     return int(
         tile_index(y, parameters.tile, rows) * columns + tile_index(x, parameters.tile, columns)
@@ -68,23 +68,23 @@ def _centre(n: int, columns: int, tile: float) -> tuple[float, float]:
 
 @compiled
 def _rough_price(parameters: NavigateParameters) -> float:
-    """Cost of a metre on rough ground: so much longer it takes there."""
+    """Return the cost of a metre on rough ground, in proportion to the time it takes."""
     return 1.0 / parameters.rough_share
 
 
 @compiled
-def _way_costs_at_most(
+def _segment_costs_at_most(
     parameters: NavigateParameters,
-    memory: GroundMemory,
+    memory: OccupancyGrid,
     a: tuple[float, float],
     b: tuple[float, float],
     price: float,
 ) -> bool:
-    """True if the straight way touches neither a blocked tile nor ground that costs more a metre."""
+    """Return whether a straight segment avoids blocked tiles and ground with a higher cost per metre."""
     unseen = 1 if price >= UNSEEN_PRICE else 0
     rough = 1 if price >= _rough_price(parameters) else 0
     beside = 1 if price >= 1.0 + BESIDE_PRICE else 0
-    return way_is_open(
+    return segment_is_open(
         memory.tiles, parameters.tile, Open(unseen, rough, beside, 0, 0, 0, 0, TOUCH), a, b
     )
 
@@ -92,19 +92,19 @@ def _way_costs_at_most(
 @compiled
 def look_ahead(
     parameters: NavigateParameters,
-    memory: GroundMemory,
+    memory: OccupancyGrid,
     x: float,
     y: float,
     goal_x: float,
     goal_y: float,
 ) -> tuple[float, float]:
-    """The farthest point along the cheapest way to which a straight way is as good; the goal, if it is one.
+    """Return the farthest point of the cheapest path that a straight segment reaches as cheaply; the goal if possible.
 
     Args:
-        parameters: Of the driver.
-        memory: With a plan to this goal, that knows a way from here.
-        x, y: Where the UGV is [m].
-        goal_x, goal_y: The goal [m].
+        parameters: Parameters of the driver.
+        memory: Occupancy grid whose plan leads from here to this goal.
+        x, y: Position of the UGV [m].
+        goal_x, goal_y: Goal [m].
 
     Returns:
         The point [m].
@@ -119,18 +119,18 @@ def look_ahead(
         + parameters.max_speed * parameters.dt
         + 4.0 * parameters.tile
     )
-    rough, way = _rough_price(parameters), memory.way
-    highest = price_of(rough, way[n])
+    rough, path = _rough_price(parameters), memory.path
+    highest = price_of(rough, path[n])
     for step in range(_STEPS):
-        m = next_tile(way, columns, n)
+        m = next_tile(path, columns, n)
         if m == n:
             break
-        n, highest = m, max(highest, price_of(rough, way[m]))
+        n, highest = m, max(highest, price_of(rough, path[m]))
         to_x, to_y = _centre(n, columns, parameters.tile)
         if n == goal:
             to_x, to_y = goal_x, goal_y
         limit = math.inf if step == 0 else (1.0 + _ROUNDING) * highest
-        if not _way_costs_at_most(parameters, memory, (x, y), (to_x, to_y), limit):
+        if not _segment_costs_at_most(parameters, memory, (x, y), (to_x, to_y), limit):
             break
         best_x, best_y = to_x, to_y
         if n == goal or norm(to_x - x, to_y - y) > reach:
@@ -140,24 +140,24 @@ def look_ahead(
 
 @compiled
 def _slow(parameters: NavigateParameters) -> float:
-    """As fast as it drives on rough ground [m/s]."""
+    """Return the speed on rough ground [m/s]."""
     return (1.0 - _ROUNDING) * parameters.rough_share * parameters.max_speed
 
 
 @compiled
 def _rough_speed(
-    parameters: NavigateParameters, memory: GroundMemory, here: Motion, to_x: float, to_y: float
+    parameters: NavigateParameters, memory: OccupancyGrid, here: Motion, to_x: float, to_y: float
 ) -> float:
-    """Largest speed with which it is, at the first rough ground on its way, as slow as that makes it [m/s]."""
+    """Return the largest speed [m/s] that still allows the UGV to slow down before the first rough ground ahead."""
     slow = _slow(parameters)
     even = Open(1, 0, 1, 0, 0, 0, 0, TOUCH)
     a, b = (here.p_x, here.p_y), (to_x, to_y)
-    share = open_way(memory.tiles, parameters.tile, even, a, b)
+    share = open_share(memory.tiles, parameters.tile, even, a, b)
     if share == 1.0:
         return parameters.max_speed
-    way = share * norm(b[0] - a[0], b[1] - a[1])
+    path = share * norm(b[0] - a[0], b[1] - a[1])
     room = (
-        way
+        path
         - 0.5 * parameters.dt * norm(here.v_x, here.v_y)
         + stopping_distance(slow, parameters.max_acceleration)
     )
@@ -170,18 +170,18 @@ def _rough_speed(
 @compiled
 def drive_towards(
     parameters: NavigateParameters,
-    memory: GroundMemory,
+    memory: OccupancyGrid,
     here: Motion,
     to_x: float,
     to_y: float,
 ) -> tuple[float, float]:
-    """The command [m/s²] to a point, or the fastest found that is safe on this heading; none is: the one that brakes.
+    """Return the command to a point [m/s²], or else the fastest safe one found on this heading, or else braking.
 
     Args:
-        parameters: Of the driver.
-        memory: What the UGV knows.
-        here: Where it is when the command acts.
-        to_x, to_y: The point [m].
+        parameters: Parameters of the driver.
+        memory: Occupancy grid of the UGV.
+        here: State of the UGV when the command takes effect.
+        to_x, to_y: Point [m].
     """
     late = memory.sent.shape[0] > 2
     ground = open_from(memory.tiles, parameters.tile, parameters.bold, here.p_x, here.p_y)
@@ -191,7 +191,7 @@ def drive_towards(
     if is_safe(parameters, late, memory.tiles, ground, here, u_x, u_y):
         return u_x, u_y
     a = here.p_x, here.p_y
-    free = open_way(memory.tiles, parameters.tile, ground, a, (to_x, to_y))
+    free = open_share(memory.tiles, parameters.tile, ground, a, (to_x, to_y))
     if free > 0.0:
         for limit in (speed, min(speed, _slow(parameters))):
             for share in _SHARES:
@@ -206,11 +206,11 @@ def drive_towards(
 
 @compiled
 def _plan_if_due(
-    parameters: NavigateParameters, memory: GroundMemory, tick: int, target: int, own: int
+    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, target: int, own: int
 ) -> None:
-    """Begin a search if one is due, and go on with it for a tick; the plan that is followed changes where it ends.
+    """Start a search if one is due, continue it for a tick, and adopt its plan when it ends.
 
-    News does not stop a search: it ends on the tiles as they were, and the next one begins then. Another goal does.
+    New tiles do not stop a search: it ends on the tiles as they were, then the next one starts. A new goal stops it.
     """
     flags = memory.flags[0]
     if flags.searching == 0 or flags.aim != target:
@@ -219,38 +219,40 @@ def _plan_if_due(
         if flags.searching == 0 and kept and is_settled(memory, own):
             return
         if flags.stale == 0 and flags.aim == target:
-            flags.searching = 1  # the tiles are the same: the last one goes on
+            flags.searching = 1  # the tiles have not changed: resume the last search
         else:
-            begin_search(memory, target)
+            start_search(memory, target)
         flags.planned, flags.stale = tick, 0
-    if search_on(_rough_price(parameters), parameters.tile, memory, own, parameters.plan_tiles):
-        take_plan(memory)
+    if continue_search(
+        _rough_price(parameters), parameters.tile, memory, own, parameters.plan_tiles
+    ):
+        adopt_plan(memory)
 
 
 @compiled
 def navigate_control(
     parameters: NavigateParameters,
-    memory: GroundMemory,
+    memory: OccupancyGrid,
     goals: FloatArray,
     tick: int,
     here: Motion,
-    flown: int,
+    committed: int,
 ) -> tuple[float, float]:
-    """The command [m/s²] to one goal after the other over the ground as it is known; at the last one the UGV stops.
+    """Return the command [m/s²] to one goal after the other over the known ground; stop at the last one.
 
-    A goal is kept until it is nearer than the tolerance. Where there is no way, or no goal, the UGV brakes. While it
-    searches for a way to the next goal it goes on to the one before.
+    A goal is reached when it is nearer than the tolerance. Without a path or a goal the UGV brakes. While it searches
+    for a path to the next goal, it continues to the previous one.
 
     Args:
-        parameters: Of the driver.
-        memory: With the tiles that have been told until now; changed in place.
-        goals: [m], shape (goals, 2).
-        tick: Now.
-        here: Where the UGV is.
-        flown: As in `state_ahead`.
+        parameters: Parameters of the driver.
+        memory: Occupancy grid with all reports so far; changed in place.
+        goals: Goals [m]. Shape (goals, 2).
+        tick: Current tick.
+        here: State of the UGV.
+        committed: As in `state_ahead`.
     """
     flags, count, now = memory.flags[0], goals.shape[0], here
-    here, parent = state_ahead(parameters, memory, tick, here, flown)
+    here, parent = state_ahead(parameters, memory, tick, here, committed)
     u_x, u_y = brake(here.v_x, here.v_y, parameters.max_acceleration, parameters.dt)
     if count > 0 and memory.tiles.size > 0:
         reached, _ = next_goal(goals, flags.goal, parameters.goal_tolerance, now.p_x, now.p_y)
@@ -265,11 +267,11 @@ def navigate_control(
         else:
             target = _tile_of(parameters, memory, goal_x, goal_y)
             _plan_if_due(parameters, memory, tick, target, own)
-            if has_way(memory.way, own):
+            if has_path(memory.path, own):
                 to_x, to_y = look_ahead(parameters, memory, here.p_x, here.p_y, goal_x, goal_y)
                 u_x, u_y = drive_towards(parameters, memory, here, to_x, to_y)
-    note_sent(memory, tick, parent, u_x, u_y)
-    note_claim(parameters, memory, here, u_x, u_y)
+    store_command(memory, tick, parent, u_x, u_y)
+    update_claim(parameters, memory, here, u_x, u_y)
     return u_x, u_y
 
 
@@ -282,14 +284,14 @@ def _command(
     driver: Parameters,
     memory: Memory,
     inputs: DriverInputs,
-    ground: GroundMemory | None,
+    ground: OccupancyGrid | None,
     tick: int,
     own: Motion,
 ) -> tuple[float, float]:
-    """Return the command [m/s²]; without ground nothing is compiled to avoid hazards."""
+    """Return the command [m/s²]; without ground, no code to avoid hazards is compiled."""
     if ground is None:
         return waypoint_command(driver, memory, inputs.goals, own)
-    return navigate_control(driver, ground, inputs.goals, tick, own, inputs.flown)
+    return navigate_control(driver, ground, inputs.goals, tick, own, inputs.committed)
 
 
 @compiled
@@ -307,8 +309,8 @@ def command(
         ugv: Constants of the UGV.
         driver: Parameters of this driver.
         memory: Changed in place.
-        inputs: Goals, script, and what reaches the UGV at this tick.
-        tick: Now.
+        inputs: Goals, script, and messages received in this tick.
+        tick: Current tick.
         own: State of the UGV.
     """
     return _command(driver, memory, inputs, inputs.ground, tick, own)

@@ -9,7 +9,7 @@ from bus.registry import BOLD
 _PLAN_PERIOD = 0.2
 """Shortest time between two plans [s]."""
 PLAN_TILES = 8192
-"""Greatest number of tiles that it settles in a tick when it plans: no tick takes much longer."""
+"""Largest number of tiles that planning settles in a tick, to bound the duration of a tick."""
 
 
 class NavigateParameters(UgvParameters, frozen=True, kw_only=True):
@@ -18,17 +18,17 @@ class NavigateParameters(UgvParameters, frozen=True, kw_only=True):
     tile: float
     """Side of a tile of the ground [m]."""
     bold: int
-    """1: it trusts its bumper on ground that nobody has seen; 0: it is cautious."""
+    """1 if the UGV trusts its own sensor on unseen ground; 0 if it is cautious."""
     rough_share: float
-    """Least share of its maximum speed on rough ground."""
+    """Least share of the maximum speed on rough ground."""
     plan_ticks: int
-    """Least time between two plans, if the goal is the same and the UGV has not left the old one [ticks]."""
+    """Least time between two plans, for the same goal and a UGV that is still on its path [ticks]."""
     plan_tiles: int
-    """Greatest number of tiles that planning settles in a tick."""
+    """Largest number of tiles that planning settles in a tick."""
 
 
 def navigate_parameters(ugv: UgvParameters, briefing: UgvBriefing) -> NavigateParameters:
-    """Return the parameters of the driver of the UGV that is briefed."""
+    """Return the parameters of the driver from a UGV's briefing."""
     ground = briefing.ground
     return NavigateParameters(
         **msgspec.structs.asdict(ugv),

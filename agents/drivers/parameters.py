@@ -1,4 +1,4 @@
-"""Inputs of every driver: the constants of one UGV, and what reaches it at a tick."""
+"""Inputs of every driver: the constants of one UGV, and the messages of a tick."""
 
 from typing import Any, NamedTuple
 
@@ -10,7 +10,7 @@ from sim.compiling.compile import FloatArray
 
 
 class UgvParameters(msgspec.Struct, frozen=True, kw_only=True):
-    """Constants of one UGV that any driver may need, infinite where there is no bound."""
+    """Constants of one UGV that any driver may need; a missing bound is infinite."""
 
     dt: float
     """[s]"""
@@ -22,32 +22,32 @@ class UgvParameters(msgspec.Struct, frozen=True, kw_only=True):
     max_acceleration: float
     """u_g [m/s²]."""
     goal_tolerance: float
-    """Nearer than this a goal is reached [m]."""
+    """Distance below which a goal counts as reached [m]."""
 
 
 class DriverInputs(NamedTuple):
-    """Goals and script of a UGV, and what reaches it at a tick."""
+    """Goals and script of a UGV, and the messages received in a tick."""
 
     goals: FloatArray
     """Waypoints [m], in order. Shape (goals, 2)."""
     script: FloatArray
-    """First tick, v_x and v_y [m/s] of each step, in the order of time. Shape (steps, 3)."""
+    """First tick, v_x and v_y [m/s] of each step, in chronological order. Shape (steps, 3)."""
     radio: FloatArray
-    """The tick and p_a - p_g [m] of the messages that have come at this tick. Shape (rows, 3)."""
+    """Tick and p_a - p_g [m] of each message received in this tick. Shape (rows, 3)."""
     received: int
-    """Number of rows of `radio` that count."""
+    """Number of valid rows of `radio`."""
     ground: Any
-    """`GroundMemory` of the UGV, changed in place. None: there are no hazards."""
-    flown: int
-    """Motion that the vehicle flies, by its first tick; see `agents.drivers.pending_stops.state_ahead`."""
+    """`OccupancyGrid` of the UGV, changed in place. None without hazards."""
+    committed: int
+    """First tick of the committed trajectory; see `agents.drivers.pending_stops.state_ahead`."""
 
 
 def ugv_parameters(briefing: UgvBriefing, *, unbounded: bool) -> UgvParameters:
-    """Return the constants of the UGV that is briefed; `unbounded` keeps infinite bounds."""
-    wheel = Steering(briefing)
-    v_max, u_max = briefing.limits.numbers if unbounded else (wheel.v_max, wheel.u_max)
+    """Return the constants of a UGV from its briefing; `unbounded` keeps infinite bounds."""
+    steering = Steering(briefing)
+    v_max, u_max = briefing.limits.numbers if unbounded else (steering.v_max, steering.u_max)
     return UgvParameters(
-        dt=wheel.dt,
+        dt=steering.dt,
         width=float(briefing.area.width),
         height=float(briefing.area.height),
         max_speed=v_max,

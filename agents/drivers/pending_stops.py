@@ -1,8 +1,8 @@
-"""Commands of the driver `navigate` that do not act yet, and what can be claimed of the stops after them."""
+"""Pending commands of the driver `navigate`, and the certificate of the stops that follow them."""
 
 from agents.drivers.cautious import is_safe, known_open
 from agents.drivers.navigate_parameters import NavigateParameters
-from agents.drivers.tile_map import GroundMemory
+from agents.drivers.tile_map import OccupancyGrid
 from bus.messages.vehicle import MOST_CARRIED
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray
@@ -11,37 +11,40 @@ from sim.models.motion import NO_MOTION, follow_on, keep_motion, motion_command
 from sim.models.vehicles import Motion, brake, step_vehicle, within_walls
 
 PLAIN = -2
-"""In the place of the motion that is flown: the receiver flies none, and commands act as they come."""
+"""Replaces the committed trajectory if the receiver executes none: commands take effect as they arrive."""
 
 
 @compiled
 def state_ahead(
-    parameters: NavigateParameters, memory: GroundMemory, tick: int, here: Motion, flown: int
+    parameters: NavigateParameters, memory: OccupancyGrid, tick: int, here: Motion, committed: int
 ) -> tuple[Motion, int]:
-    """Return the state of the UGV when the command of this tick acts, and the motion that it then goes on from.
+    """Predict the UGV's state when this tick's command takes effect, and the trajectory committed then.
 
-    It notes in `memory.flags` whether the way until then, and the one to a stop wherever commands are lost on it, lies
-    on tiles that are known to be drivable.
+    The function records in `memory.flags` whether the predicted trajectory, and the stop after the loss of any command,
+    stays on tiles known to be drivable.
 
     Args:
-        parameters: Of the driver.
-        memory: With the commands that were sent.
-        tick: Now.
-        here: Where it is now.
-        flown: The motion that it flew in the tick before; NO_MOTION: none; PLAIN: its receiver flies none, and all
-            commands act.
+        parameters: Parameters of the driver.
+        memory: Occupancy grid with the commands sent so far.
+        tick: Current tick.
+        here: Current state of the UGV.
+        committed: First tick of the trajectory executed in the previous tick; NO_MOTION: none; PLAIN: the receiver
+            executes none, and all commands take effect.
+
+    Returns:
+        The state, and the first tick of the committed trajectory.
     """
-    sent, ahead, rows = memory.sent, memory.flown, memory.sent.shape[0]
-    plain = flown == PLAIN
+    sent, ahead, rows = memory.sent, memory.committed, memory.sent.shape[0]
+    plain = committed == PLAIN
     known, late = known_open(), rows > 2
     stop_x, stop_y = brake(here.v_x, here.v_y, parameters.max_acceleration, parameters.dt)
     safe = is_safe(parameters, late, memory.tiles, known, here, stop_x, stop_y)
-    own = flown % rows
-    if flown >= 0 and sent[own].begins == flown:
+    own = committed % rows
+    if committed >= 0 and sent[own].begins == committed:
         ahead[0] = sent[own]
-        ahead[0].age = tick - flown
+        ahead[0].age = tick - committed
     else:
-        ahead[0].begins, ahead[0].age = (NO_MOTION if plain else flown), 1
+        ahead[0].begins, ahead[0].age = (NO_MOTION if plain else committed), 1
         ahead[0].turn, ahead[0].cruise, ahead[0].brake = 0, 0, 0
     for k in range(rows - 2):
         due = sent[(tick + k) % rows]
@@ -75,16 +78,16 @@ def state_ahead(
 
 
 @compiled
-def note_claim(
-    parameters: NavigateParameters, memory: GroundMemory, ahead: Motion, u_x: float, u_y: float
+def update_claim(
+    parameters: NavigateParameters, memory: OccupancyGrid, ahead: Motion, u_x: float, u_y: float
 ) -> None:
-    """Claim, after `state_ahead`, what the command of this tick [m/s²] leaves to be claimed.
+    """Update the claim of `state_ahead` for the command of this tick [m/s²].
 
     Args:
-        parameters: Of the driver; a bold one claims nothing.
-        memory: Its flags are changed.
-        ahead: Where the UGV is when the command acts.
-        u_x, u_y: The command.
+        parameters: Parameters of the driver; a bold one claims nothing.
+        memory: Changed in place.
+        ahead: State of the UGV when the command takes effect.
+        u_x, u_y: Command [m/s²].
     """
     flags, late = memory.flags[0], memory.sent.shape[0] > 2
     if parameters.bold != 0:
@@ -96,8 +99,8 @@ def note_claim(
 
 
 @compiled
-def note_sent(memory: GroundMemory, tick: int, parent: int, u_x: float, u_y: float) -> None:
-    """Keep the command of this tick [m/s²], which goes on from the motion `parent`, until it acts."""
+def store_command(memory: OccupancyGrid, tick: int, parent: int, u_x: float, u_y: float) -> None:
+    """Store the command of this tick [m/s²], which continues the trajectory `parent`, until it takes effect."""
     rows = memory.sent.shape[0]
     begins = tick + rows - 2
     row = memory.sent[begins % rows]
@@ -106,16 +109,16 @@ def note_sent(memory: GroundMemory, tick: int, parent: int, u_x: float, u_y: flo
 
 
 @compiled
-def hand_over_stops(memory: GroundMemory, tick: int, motions: RecordArray) -> tuple[int, int]:
-    """Put the motions that the command of this tick carries among those that set out.
+def add_stops(memory: OccupancyGrid, tick: int, outgoing: RecordArray) -> tuple[int, int]:
+    """Add the trajectories of this tick's command to the outgoing ones.
 
     Returns:
-        The tick in which the last of them begins (-1: none), and how many they are.
+        First tick of the last of them (-1: none), and their number.
     """
     rows = memory.sent.shape[0]
     last, count = tick + rows - 2, 0
     for begins in range(max(tick, last - MOST_CARRIED + 1), last + 1):
         if memory.sent[begins % rows].begins == begins:
-            keep_motion(motions, memory.sent[begins % rows], tick)
+            keep_motion(outgoing, memory.sent[begins % rows], tick)
             count += 1
     return (last if count else -1), count

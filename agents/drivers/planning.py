@@ -1,15 +1,15 @@
-"""The cheapest way over tiles to a goal: Dijkstra's search from the goal, with a binary heap, compiled.
+"""Cheapest path over tiles to a goal: Dijkstra's search from the goal, with a binary heap, compiled.
 
-A library would do for one UGV; a batch of worlds needs the same bits from compiled code. Of equal costs the tile
-that comes first goes first, so the same tiles give the same plan to the bit.
+A library would do for one UGV; a batch of worlds needs the same bits from compiled code. Equal costs are ordered by
+tile, so equal tiles give the same plan to the bit.
 
-A search settles no more than so many tiles a tick, and goes on in the next: on the tiles as they were when it began,
-whatever is told meanwhile. The plan before is followed until it ends. The limit is a number of tiles, never a time.
+A search settles a limited number of tiles per tick and resumes in the next, on the tiles as they were when it started.
+The previous plan stays in use until the search ends. The limit is a number of tiles, never a time.
 """
 
 import math
 
-from agents.drivers.tile_map import GroundMemory, PlaceArray
+from agents.drivers.tile_map import OccupancyGrid, PlaceArray
 from sim.compiling.compile import FloatArray, compiled
 from sim.models.ground import UNSEEN, TileArray
 from sim.models.hazards import BLOCK, ROUGH
@@ -18,21 +18,21 @@ _DONE, _UNTOUCHED = -2, -1
 DIAGONAL = math.sqrt(2.0)
 
 _STATE, _BESIDE, _STEP = 7, 8, 16
-"""Of a tile's byte in a plan: its state, beside a blocked tile or not, and the step to the next tile, from here on."""
+"""Layout of the byte of a tile in a plan: mask of the state, flag of a blocked neighbour, unit of the step."""
 _HERE = 5
-"""The step of the goal. Others are numbered as a keypad is, row by row; 0: none is known."""
+"""Step of the goal. Steps are numbered like a keypad, row by row; 0: unknown."""
 _BLOCKED_GOAL = 5
-"""The state of a goal in a blocked tile."""
+"""State of a goal in a blocked tile."""
 
 UNSEEN_PRICE = 1.5
-"""Cost of a metre on ground that nobody has seen, where the way is believed to go on; one on clear ground costs 1."""
+"""Cost of a metre on unseen ground, which is assumed to be passable; a metre on clear ground costs 1."""
 BESIDE_PRICE = 0.5
-"""Additional cost of a tile beside a blocked one."""
+"""Additional cost per metre of a tile beside a blocked one."""
 
 
 @compiled
 def is_beside_block(tiles: TileArray, i: int, j: int) -> bool:
-    """True if a tile is blocked, or one of the eight around it."""
+    """Return whether a tile or one of its eight neighbours is blocked."""
     rows, columns = tiles.shape
     for r in range(max(i - 1, 0), min(i + 2, rows)):
         for c in range(max(j - 1, 0), min(j + 2, columns)):
@@ -43,11 +43,11 @@ def is_beside_block(tiles: TileArray, i: int, j: int) -> bool:
 
 @compiled
 def price_of(rough: float, byte: int) -> float:
-    """Cost of a metre in a tile that a search has touched; infinite where it is blocked.
+    """Return the cost of a metre in a tile that a search has touched; infinite if it is blocked.
 
     Args:
-        rough: Cost of one on rough ground.
-        byte: Of the tile in a plan.
+        rough: Cost of a metre on rough ground.
+        byte: Byte of the tile in a plan.
     """
     state, cost = byte & _STATE, 1.0
     if state == BLOCK:
@@ -97,88 +97,90 @@ def _sink(cost: FloatArray, heap: PlaceArray, place: PlaceArray, count: int) -> 
 
 
 @compiled
-def _touch(draft: TileArray, rows: int, columns: int, n: int) -> None:
-    """Note of a tile that the search reaches whether it is beside a blocked one."""
+def _touch(snapshot: TileArray, rows: int, columns: int, n: int) -> None:
+    """Flag a tile that the search has reached if it is beside a blocked one."""
     i, j = n // columns, n % columns
     for r in range(max(i - 1, 0), min(i + 2, rows)):
         for c in range(max(j - 1, 0), min(j + 2, columns)):
-            state = draft[r * columns + c] & _STATE
+            state = snapshot[r * columns + c] & _STATE
             if state in (BLOCK, _BLOCKED_GOAL):
-                draft[n] |= _BESIDE
+                snapshot[n] |= _BESIDE
                 return
 
 
 @compiled
-def begin_search(memory: GroundMemory, goal: int) -> None:
-    """Begin a search on the tiles as they are known now; a goal in a blocked tile is approached.
+def start_search(memory: OccupancyGrid, goal: int) -> None:
+    """Start a search on the tiles as they are known now; a goal in a blocked tile is approached.
 
     Args:
-        memory: Is changed.
-        goal: The goal's tile, row by row.
+        memory: Changed in place.
+        goal: Tile of the goal, row by row.
     """
-    draft, place, flags = memory.draft, memory.place, memory.flags[0]
+    snapshot, place, flags = memory.snapshot, memory.place, memory.flags[0]
     rows, columns = memory.tiles.shape
     for i in range(rows):
         for j in range(columns):
-            draft[i * columns + j] = memory.tiles[i, j]
+            snapshot[i * columns + j] = memory.tiles[i, j]
             place[i * columns + j] = _UNTOUCHED
-    if draft[goal] == BLOCK:
-        draft[goal] = _BLOCKED_GOAL
-    _touch(draft, rows, columns, goal)
-    draft[goal] |= _HERE * _STEP
+    if snapshot[goal] == BLOCK:
+        snapshot[goal] = _BLOCKED_GOAL
+    _touch(snapshot, rows, columns, goal)
+    snapshot[goal] |= _HERE * _STEP
     memory.cost[goal], memory.heap[0], place[goal] = 0.0, goal, 0
     flags.aim, flags.open, flags.searching = goal, 1, 1
 
 
 @compiled
-def _reach_out(rough: float, tile: float, memory: GroundMemory, count: int, n: int) -> int:
-    """The ways to the neighbours of a tile that has been settled; how many tiles are in the heap then."""
-    draft, cost, heap, place = memory.draft, memory.cost, memory.heap, memory.place
+def _reach_out(rough: float, tile: float, memory: OccupancyGrid, count: int, n: int) -> int:
+    """Update the paths of a settled tile's neighbours, and return the number of tiles in the heap."""
+    snapshot, cost, heap, place = memory.snapshot, memory.cost, memory.heap, memory.place
     rows, columns = memory.tiles.shape
-    i, j, price = n // columns, n % columns, price_of(rough, draft[n])
+    i, j, price = n // columns, n % columns, price_of(rough, snapshot[n])
     for row_step in range(-1 if i > 0 else 0, 2 if i + 1 < rows else 1):
         for column_step in range(-1 if j > 0 else 0, 2 if j + 1 < columns else 1):
             m = n + row_step * columns + column_step
-            if place[m] == _DONE or (draft[m] & _STATE) == BLOCK:
+            if place[m] == _DONE or (snapshot[m] & _STATE) == BLOCK:
                 continue
             length = tile
             if row_step != 0 and column_step != 0:
                 if (
-                    draft[n + row_step * columns] & _STATE == BLOCK
-                    or draft[n + column_step] & _STATE == BLOCK
+                    snapshot[n + row_step * columns] & _STATE == BLOCK
+                    or snapshot[n + column_step] & _STATE == BLOCK
                 ):
-                    continue  # it would cut the corner
+                    continue  # the step would cut a corner
                 length = DIAGONAL * tile
             fresh = place[m] == _UNTOUCHED
             if fresh:
-                _touch(draft, rows, columns, m)
-            new = cost[n] + 0.5 * (price + price_of(rough, draft[m])) * length
+                _touch(snapshot, rows, columns, m)
+            new = cost[n] + 0.5 * (price + price_of(rough, snapshot[m])) * length
             back = (_HERE - 3 * row_step - column_step) * _STEP
             if fresh or new < cost[m]:
                 cost[m] = new
-                draft[m] = (draft[m] & (_STEP - 1)) | back
+                snapshot[m] = (snapshot[m] & (_STEP - 1)) | back
                 if fresh:
                     heap[count], place[m] = m, count
                     count += 1
                 _rise(cost, heap, place, place[m])
-            elif new == cost[m] and back < draft[m] & ~(_STEP - 1):
-                draft[m] = (draft[m] & (_STEP - 1)) | back
+            elif new == cost[m] and back < snapshot[m] & ~(_STEP - 1):
+                snapshot[m] = (snapshot[m] & (_STEP - 1)) | back
     return count
 
 
 @compiled
-def search_on(rough: float, tile: float, memory: GroundMemory, until: int, most: int) -> bool:
-    """Go on with the search that has begun, until the cost of the cheapest way from one tile to the goal is known.
+def continue_search(
+    rough: float, tile: float, memory: OccupancyGrid, until: int, most: int
+) -> bool:
+    """Continue the search until the cheapest cost from a given tile to the goal is known.
 
     Args:
         rough: Cost of a metre on rough ground.
         tile: Side of a tile [m].
-        memory: Is changed: `flags.settled`, too, where the search ends.
-        until: Where the search may end; -1: nowhere.
-        most: So many tiles it settles at most.
+        memory: Changed in place, including `flags.settled` when the search ends.
+        until: Tile at which the search may end; -1: none.
+        most: Largest number of tiles to settle.
 
     Returns:
-        True if it has ended: the plan stands in `draft`.
+        True if the search has ended; the plan is in `snapshot`.
     """
     heap, place, flags = memory.heap, memory.place, memory.flags[0]
     count, settled = flags.open, 0
@@ -201,18 +203,18 @@ def search_on(rough: float, tile: float, memory: GroundMemory, until: int, most:
 
 
 @compiled
-def take_plan(memory: GroundMemory) -> None:
-    """From now on the plan of the search that has ended is followed."""
-    for n in range(memory.way.shape[0]):
-        memory.way[n] = memory.draft[n]
+def adopt_plan(memory: OccupancyGrid) -> None:
+    """Adopt the plan of the search that has ended."""
+    for n in range(memory.path.shape[0]):
+        memory.path[n] = memory.snapshot[n]
     flags = memory.flags[0]
     flags.target = flags.aim
     flags.plans += 1
 
 
 @compiled
-def is_settled(memory: GroundMemory, n: int) -> bool:
-    """True if the search that has ended says which way is the cheapest from a tile, or that there is none."""
+def is_settled(memory: OccupancyGrid, n: int) -> bool:
+    """Return whether the last search settled the cheapest path from a tile, or that there is none."""
     settled = memory.flags[0].settled
     return bool(
         math.isinf(settled) or (memory.place[n] != _UNTOUCHED and memory.cost[n] <= settled)
@@ -220,46 +222,46 @@ def is_settled(memory: GroundMemory, n: int) -> bool:
 
 
 @compiled
-def next_tile(way: TileArray, columns: int, n: int) -> int:
-    """The neighbour through which the way of a plan goes; the tile itself at the goal, and where there is no way.
+def next_tile(path: TileArray, columns: int, n: int) -> int:
+    """Return the next tile of a plan; the tile itself at the goal, or without a path.
 
     Args:
-        way: The plan. Shape (rows * columns,).
-        columns: Of the map.
-        n: The tile.
+        path: Plan. Shape (rows * columns,).
+        columns: Number of columns of the map.
+        n: Tile.
     """
-    step = way[n] // _STEP
+    step = path[n] // _STEP
     if step == 0:
         return n
     return int(n + ((step - 1) // 3 - 1) * columns + (step - 1) % 3 - 1)
 
 
 @compiled
-def way_corners(way: TileArray, columns: int, n: int, corners: PlaceArray) -> int:
-    """The tiles in which the way of a plan turns, from one on to the goal, both with them.
+def path_corners(path: TileArray, columns: int, n: int, corners: PlaceArray) -> int:
+    """Find the tiles in which the path of a plan turns, including the first tile and the goal.
 
     Args:
-        way: The plan. Shape (rows * columns,).
-        columns: Of the map.
-        n: The first tile.
-        corners: Are changed; those that have no room are left out. Shape (room,).
+        path: Plan. Shape (rows * columns,).
+        columns: Number of columns of the map.
+        n: First tile.
+        corners: Changed in place; corners beyond its size are omitted. Shape (room,).
 
     Returns:
-        How many there are; 0: there is no way.
+        The number of corners; 0 without a path.
     """
     count, before = 0, 0
     while count < corners.shape[0]:
-        step = way[n] // _STEP
+        step = path[n] // _STEP
         if step != before:
             corners[count] = n
             count += 1
         if step in (0, _HERE):
             break
-        n, before = next_tile(way, columns, n), step
+        n, before = next_tile(path, columns, n), step
     return count
 
 
 @compiled
-def has_way(way: TileArray, n: int) -> bool:
-    """True if a plan knows a way from a tile to its goal."""
-    return bool(way[n] >= _STEP)
+def has_path(path: TileArray, n: int) -> bool:
+    """Return whether a plan has a path from a tile to its goal."""
+    return bool(path[n] >= _STEP)

@@ -1,8 +1,8 @@
-"""A driver without eyes: a timed list of velocities, held one after the other.
+"""Scripted driver: a list of velocities with start times.
 
-It holds the velocity of the last step whose time has come; brakes before the first, keeps the last. A velocity longer
-than v_max is shortened to it. It does not look where it goes: at the border of Q it meets the wall. It remembers
-nothing, so it may take the wheel at any time.
+It holds the velocity of the last step that has started, brakes before the first, and keeps the last. A velocity above
+v_max is shortened. The driver ignores obstacles: at the border of Q it hits the wall. It has no memory, so it may take
+over at any time.
 """
 
 import msgspec
@@ -37,13 +37,13 @@ def command(
         ugv: Constants of the UGV.
         driver: Parameters of this driver.
         memory: Changed in place.
-        inputs: Goals, script, and what reaches the UGV at this tick.
-        tick: Now.
+        inputs: Goals, script, and messages received in this tick.
+        tick: Current tick.
         own: State of the UGV.
     """
     script = inputs.script
-    begun = np.searchsorted(script[:, 0], float(tick), side="right")
-    if begun == 0:
+    started = np.searchsorted(script[:, 0], float(tick), side="right")
+    if started == 0:
         return brake(own.v_x, own.v_y, ugv.max_acceleration, ugv.dt)
-    w_x, w_y = script[begun - 1, 1], script[begun - 1, 2]
+    w_x, w_y = script[started - 1, 1], script[started - 1, 2]
     return velocity_control(own.v_x, own.v_y, w_x, w_y, ugv.max_speed, ugv.max_acceleration, ugv.dt)

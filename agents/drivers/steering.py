@@ -1,4 +1,4 @@
-"""The wheel that every driver turns: a velocity, a goal or a halt, always within the UGV's bounds."""
+"""Steering shared by the drivers: to a velocity, to a goal or to rest, within the UGV's bounds."""
 
 from agents.asking import LARGEST
 from bus.messages.vehicle import UgvBriefing, UgvObservation
@@ -10,15 +10,15 @@ from sim.models.vehicles import Motion, brake, clip_norm, norm, speed_to_stop_wi
 def velocity_control(
     v_x: float, v_y: float, w_x: float, w_y: float, v_max: float, u_max: float, dt: float
 ) -> tuple[float, float]:
-    r"""The acceleration [m/s²] that takes the velocity straight towards a wanted one.
+    r"""Return the acceleration [m/s²] straight towards a desired velocity.
 
     $$ u = clip_{u_{max}}\left(\frac{clip_{v_{max}}(w) - v}{dt}\right) $$
 
-    The next velocity lies between v and a vector within v_max: where v keeps the bound, so does it.
+    The next velocity lies between v and a vector within v_max: if v keeps the bound, so does the next velocity.
 
     Args:
         v_x, v_y: Velocity [m/s].
-        w_x, w_y: The wanted velocity [m/s], of any finite length.
+        w_x, w_y: Desired velocity [m/s], of any finite length.
         v_max, u_max: Bounds [m/s], [m/s²].
         dt: Length of a tick [s].
     """
@@ -30,11 +30,11 @@ def velocity_control(
 def goal_control(
     here: Motion, goal_x: float, goal_y: float, v_max: float, u_max: float, dt: float
 ) -> tuple[float, float]:
-    """The stabilizing controller f(p_g, goal) [m/s²]: straight, as fast as the bounds allow, braking in time.
+    """Return the stabilizing control f(p_g, goal) [m/s²]: straight, as fast as the bounds allow, braking in time.
 
     Args:
-        here: Where the UGV is.
-        goal_x, goal_y: The goal [m].
+        here: State of the UGV.
+        goal_x, goal_y: Goal [m].
         v_max, u_max: Bounds [m/s], [m/s²].
         dt: Length of a tick [s].
     """
@@ -43,7 +43,7 @@ def goal_control(
     w_x, w_y = 0.0, 0.0
     if distance > 0.0:
         e_x, e_y = d_x / distance, d_y / distance
-        # half of the coming tick goes at the old speed
+        # half of the next tick is driven at the old speed
         rest = distance - 0.5 * dt * max(here.v_x * e_x + here.v_y * e_y, 0.0)
         speed = min(v_max, speed_to_stop_within(rest, u_max, dt))
         w_x, w_y = e_x * speed, e_y * speed
@@ -51,48 +51,48 @@ def goal_control(
 
 
 class Steering:
-    """Turns what a driver wants into an acceleration that keeps both bounds. Remembers nothing.
+    """Stateless conversion of a driver's request into an acceleration within both bounds.
 
     Args:
-        briefing: What the UGV is told when it joins.
+        briefing: Briefing of the UGV.
     """
 
     def __init__(self, briefing: UgvBriefing) -> None:
         v_max, u_max = briefing.limits.numbers
         self.v_max = min(v_max, LARGEST)
-        """[m/s]"""
+        """Maximum speed [m/s]."""
         self.u_max = min(u_max, LARGEST)
-        """[m/s²]"""
+        """Maximum acceleration [m/s²]."""
         self.dt = float(briefing.dt)
         """Length of a tick [s]."""
 
     def to_velocity(
         self, observation: UgvObservation, wanted: tuple[float, float]
     ) -> tuple[float, float]:
-        """The acceleration [m/s²] towards a wanted velocity [m/s], which is shortened to v_max where it is longer."""
+        """Return the acceleration [m/s²] towards a desired velocity [m/s], which is shortened to v_max."""
         (v_x, v_y), (w_x, w_y) = observation.velocity, wanted
         return velocity_control(v_x, v_y, float(w_x), float(w_y), self.v_max, self.u_max, self.dt)
 
     def to_goal(
         self, observation: UgvObservation, goal: tuple[float, float]
     ) -> tuple[float, float]:
-        """The acceleration [m/s²] towards a goal [m], by the paper's driver."""
+        """Return the acceleration [m/s²] towards a goal [m], as in the paper's driver."""
         here = Motion(*observation.position, *observation.velocity)
         x, y = float(goal[0]), float(goal[1])
         return goal_control(here, x, y, self.v_max, self.u_max, self.dt)
 
     def to_rest(self, observation: UgvObservation) -> tuple[float, float]:
-        """The acceleration [m/s²] that stops the UGV as soon as it can."""
+        """Return the acceleration [m/s²] that stops the UGV as soon as possible."""
         v_x, v_y = observation.velocity
         return brake(v_x, v_y, self.u_max, self.dt)
 
     def within(
         self, observation: UgvObservation, wanted: tuple[float, float]
     ) -> tuple[float, float]:
-        """A finite acceleration [m/s²], shortened to u_max and turned off where it would go beyond v_max."""
+        """Return a finite acceleration [m/s²], shortened to u_max and turned where it would exceed v_max."""
         u_x, u_y = wanted
         size = max(abs(u_x), abs(u_y))
-        if size > LARGEST:  # its square may be too large for a number
+        if size > LARGEST:  # its square might overflow
             u_x, u_y = u_x / size * LARGEST, u_y / size * LARGEST
         u_x, u_y = clip_norm(u_x, u_y, self.u_max)
         v_x, v_y = observation.velocity

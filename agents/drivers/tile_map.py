@@ -1,6 +1,6 @@
-"""The ground as a UGV knows it: the tiles that its bumper and the radio have told it, and its plan on them.
+"""Occupancy grid of a UGV: tiles reported by its own sensor and by radio, and its plan on them.
 
-Tile (row i, column j) of the size s is [j s, (j + 1) s] x [i s, (i + 1) s], its edges with it.
+Tile (row i, column j) of the size s is [j s, (j + 1) s] x [i s, (i + 1) s], edges included.
 """
 
 from typing import NamedTuple
@@ -18,120 +18,125 @@ from sim.models.motion import no_motions
 _NEVER = -1
 
 PlaceArray = npt.NDArray[np.int32]
-"""Tiles, row by row, or places of them."""
+"""Tiles, row by row, or positions of tiles."""
 
 
-class GroundFlags(NamedTuple):
-    """The whole numbers of a memory, and how far its plan goes: a row of an array of one."""
+class GridFlags(NamedTuple):
+    """Scalars of an occupancy grid: flags, counters and the reach of its plan."""
 
     goal: int = 0
-    """Number of the goal that it drives to."""
+    """Number of the current goal."""
     planned: int = _NEVER
-    """In which tick its last search began; -1: none has yet."""
+    """Tick in which the last search started; -1: none yet."""
     target: int = _NEVER
-    """The tile of the goal that the plan which it follows leads to, row by row; -1: it has none yet."""
+    """Goal tile of the plan in use, row by row; -1: none yet."""
     stale: int = 1
-    """1 if tiles have changed since the last search began."""
+    """1 if tiles have changed since the last search started."""
     searching: int = 0
-    """1 if that has not ended yet."""
+    """1 if the search has not ended yet."""
     aim: int = _NEVER
-    """The tile of the goal that it searches for a way to, or has last."""
+    """Goal tile of the current or last search, row by row."""
     open: int = 0
-    """Number of tiles in its heap."""
+    """Number of tiles in the heap."""
     plans: int = 0
-    """Number of searches that have ended."""
+    """Number of completed searches."""
     claim: int = NO_CLAIM
-    """Claim of the newest tick: one of `sim.models.ground`'s."""
+    """Claim of the newest tick: a constant of `sim.models.ground`."""
     settled: float = np.inf
-    """Costs up to this one are final, when the search has ended; infinite: all are."""
+    """Cost up to which the costs of a completed search are final; infinite: all are."""
 
 
-class GroundMemory(NamedTuple):
-    """A UGV's memory of the ground; from `ground_memory`. All arrays are changed in place."""
+class OccupancyGrid(NamedTuple):
+    """Occupancy grid of a UGV, from `occupancy_grid`. All arrays are changed in place."""
 
     tiles: TileArray
-    """States. Shape (rows, columns)."""
-    sure: TileArray
-    """1 where the bumper has told the state, which makes no errors. Shape (rows, columns)."""
-    draft: TileArray
-    """Of the search: each tile as it was when that began, and the step to the next, see `agents.drivers.planning`.
+    """States of the tiles. Shape (rows, columns)."""
+    measured: TileArray
+    """1 if the UGV's own sensor, which is free of errors, has reported the state. Shape (rows, columns)."""
+    snapshot: TileArray
+    """Snapshot for the search: tiles at its start, with the step to the next tile, see `agents.drivers.planning`.
 
     Shape (rows * columns,).
     """
-    way: TileArray
-    """The plan that is followed, as `draft` when the search ended. Shape (rows * columns,)."""
+    path: TileArray
+    """Plan in use: a copy of `snapshot` from the end of the search. Shape (rows * columns,)."""
     cost: FloatArray
-    """Of the search: of the cheapest way from the centre of a tile that it has touched to that of the goal's.
+    """Cost of the cheapest known path from the centre of a touched tile to the centre of the goal's tile.
 
     Shape (rows * columns,).
     """
     heap: PlaceArray
     place: PlaceArray
-    """Of the search: a binary heap of tiles, and where in it each is. Shape (rows * columns,)."""
+    """Binary heap of tiles in the search, and the index of each tile in it. Shape (rows * columns,)."""
     sent: RecordArray
-    """`CheckedTrajectory` of the commands that were sent: that of tick k in row k % rows. (delay + 2,)"""
-    flown: RecordArray
-    """`CheckedTrajectory` of what the UGV flies, in a prediction. Shape (1,)."""
+    """`CheckedTrajectory` of each sent command: the one of tick k in row k % rows. Shape (delay + 2,)."""
+    committed: RecordArray
+    """`CheckedTrajectory` that the UGV executes, during a prediction. Shape (1,)."""
     flags: RecordArray
-    """`GroundFlags`. Shape (1,)."""
+    """`GridFlags`. Shape (1,)."""
 
 
-def ground_memory(rows: int, columns: int, delay: int = 0) -> GroundMemory:
-    """A fresh memory: no tile is known.
+def occupancy_grid(rows: int, columns: int, delay: int = 0) -> OccupancyGrid:
+    """Return an empty occupancy grid: no tile is known.
 
     Args:
-        rows, columns: Of the tiles; (0, 0) for a driver that knows no ground.
-        delay: So many ticks after it was sent a command acts.
+        rows, columns: Size of the grid; (0, 0) for a driver that knows no ground.
+        delay: Delay after which a sent command takes effect [ticks].
     """
     size = rows * columns
-    return GroundMemory(
+    return OccupancyGrid(
         tiles=np.full((rows, columns), UNSEEN, dtype=np.uint8),
-        sure=np.zeros((rows, columns), dtype=np.uint8),
-        draft=np.full(size, UNSEEN, dtype=np.uint8),
-        way=np.full(size, UNSEEN, dtype=np.uint8),
+        measured=np.zeros((rows, columns), dtype=np.uint8),
+        snapshot=np.full(size, UNSEEN, dtype=np.uint8),
+        path=np.full(size, UNSEEN, dtype=np.uint8),
         cost=np.full(size, np.inf),
         heap=np.zeros(size, dtype=np.int32),
         place=np.full(size, _NEVER, dtype=np.int32),
         sent=no_motions(delay + 2),
-        flown=no_motions(1),
-        flags=records(GroundFlags, [GroundFlags()]),
+        committed=no_motions(1),
+        flags=records(GridFlags, [GridFlags()]),
     )
 
 
 @compiled
-def _set_tile(memory: GroundMemory, row: int, column: int, state: int) -> None:
+def _set_tile(memory: OccupancyGrid, row: int, column: int, state: int) -> None:
     if memory.tiles[row, column] != state:
         memory.tiles[row, column] = state
         memory.flags[0].stale = 1
 
 
 @compiled
-def note_tiles(memory: GroundMemory, rows: IntArray, columns: IntArray, states: TileArray) -> None:
-    """Take in tiles that the bumper has seen: its word stands against the radio's, before and after.
+def record_tiles(
+    memory: OccupancyGrid, rows: IntArray, columns: IntArray, states: TileArray
+) -> None:
+    """Record tiles measured by the UGV's own sensor; they override all radio reports, earlier and later ones.
 
     Args:
         memory: Changed in place.
-        rows, columns: Of each tile; those outside the map are ignored. Shape (tiles,).
-        states: Of each tile; UNSEEN tells nothing. Shape (tiles,).
+        rows, columns: Tiles; those outside the map are ignored. Shape (tiles,).
+        states: State of each tile; UNSEEN carries no information. Shape (tiles,).
     """
     height, width = memory.tiles.shape
     for k in range(rows.shape[0]):
         i, j = rows[k], columns[k]
         if 0 <= i < height and 0 <= j < width and states[k] != UNSEEN:
             _set_tile(memory, i, j, states[k])
-            memory.sure[i, j] = 1
+            memory.measured[i, j] = 1
 
 
 @compiled
-def note_block(memory: GroundMemory, block_row: int, block_column: int, states: TileArray) -> None:
-    """Take in a block of tiles that the radio tells.
+def record_block(
+    memory: OccupancyGrid, block_row: int, block_column: int, states: TileArray
+) -> None:
+    """Record a block of tiles received by radio.
 
-    What the bumper has said stays; of what the radio says of a tile BLOCK stays, the rest gives way to later words.
+    Tiles measured by the UGV's own sensor keep their state. A tile reported as BLOCK by radio also keeps it; other
+    states are overwritten by later reports.
 
     Args:
         memory: Changed in place.
-        block_row, block_column: Of the block; the first tile is BLOCK_SIDE times that.
-        states: Row by row; those outside the map are ignored, UNSEEN tells nothing. Shape (BLOCK_SIDE²,).
+        block_row, block_column: Index of the block; its first tile is BLOCK_SIDE times the index.
+        states: States row by row; tiles outside the map and UNSEEN are ignored. Shape (BLOCK_SIDE²,).
     """
     height, width = memory.tiles.shape
     for k in range(min(BLOCK_SIDE * BLOCK_SIDE, states.shape[0])):
@@ -139,5 +144,5 @@ def note_block(memory: GroundMemory, block_row: int, block_column: int, states: 
         j = block_column * BLOCK_SIDE + k % BLOCK_SIDE
         if i < 0 or i >= height or j < 0 or j >= width or states[k] == UNSEEN:
             continue
-        if memory.sure[i, j] == 0 and memory.tiles[i, j] != BLOCK:
+        if memory.measured[i, j] == 0 and memory.tiles[i, j] != BLOCK:
             _set_tile(memory, i, j, states[k])

@@ -1,9 +1,9 @@
-"""A driver without a plan: from one random goal to the next.
+"""Wandering driver: from one random goal to the next.
 
-It drives to a random goal inside Q, and when it is nearer than the tolerance, to another one. A goal is drawn from
-the UGV's key and the tick at which it is needed, evenly over Q without a margin along the border. Turning from one
-goal to the next a UGV drifts outward by no more than v²/u, twice its stopping distance, so the margin is that and
-two ticks' way. It is at most a quarter of Q's shorter side: a UGV that needs more drives slower than it could.
+It drives to a random goal inside Q until the goal is nearer than the tolerance, then draws the next. A goal is drawn
+from the UGV's key and the current tick, uniformly over Q without a margin along the border. Turning to the next goal, a
+UGV drifts outward by at most v²/u, twice its stopping distance. The margin is this distance plus two ticks of driving.
+It is limited to a quarter of Q's shorter side; a UGV that needs more drives slower than its maximum speed.
 """
 
 from typing import Any
@@ -23,10 +23,10 @@ from sim.models.vehicles import Motion, goal_reached, speed_to_stop_within, stop
 def wander_pace(
     width: float, height: float, v_max: float, u_max: float, dt: float
 ) -> tuple[float, float]:
-    """The largest speed of a wanderer [m/s], and how near to the border its goals may be [m].
+    """Return the largest speed of a wandering UGV [m/s], and the least distance of its goals from the border [m].
 
     Args:
-        width, height: Of Q [m].
+        width, height: Size of Q [m].
         v_max, u_max: Bounds [m/s], [m/s²].
         dt: Length of a tick [s].
     """
@@ -39,9 +39,9 @@ class Parameters(msgspec.Struct, frozen=True, kw_only=True):
     """Parameters of the driver."""
 
     speed: float
-    """Its maximum speed [m/s]."""
+    """Maximum speed [m/s]."""
     margin: float
-    """Least distance of its goals from the border [m]."""
+    """Least distance of goals from the border [m]."""
 
 
 class Memory:
@@ -49,14 +49,14 @@ class Memory:
 
     has_goal: bool
     goal: Vector
-    """[m]"""
+    """Current goal [m]."""
     key_0: np.uint64
     key_1: np.uint64
     """Random number key of the UGV."""
 
 
 def parameters(ugv: UgvParameters, briefing: UgvBriefing) -> Parameters:
-    """Return the parameters of the driver of a UGV."""
+    """Return the parameters of a UGV's driver."""
     speed, margin = wander_pace(ugv.width, ugv.height, ugv.max_speed, ugv.max_acceleration, ugv.dt)
     return Parameters(speed=float(speed), margin=float(margin))
 
@@ -65,7 +65,7 @@ def parameters(ugv: UgvParameters, briefing: UgvBriefing) -> Parameters:
 def wander_command(
     ugv: UgvParameters, driver: Parameters, memory: Memory, tick: int, own: Motion
 ) -> tuple[float, float]:
-    """Return the command [m/s²] to a random goal, and when that is reached to another one.
+    """Return the command [m/s²] to a random goal; draw the next goal when it is reached.
 
     Arguments as in `command`.
     """
@@ -93,8 +93,8 @@ def command(
         ugv: Constants of the UGV.
         driver: Parameters of this driver.
         memory: Changed in place.
-        inputs: Goals, script, and what reaches the UGV at this tick.
-        tick: Now.
+        inputs: Goals, script, and messages received in this tick.
+        tick: Current tick.
         own: State of the UGV.
     """
     return wander_command(ugv, driver, memory, tick, own)

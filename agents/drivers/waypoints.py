@@ -1,4 +1,4 @@
-"""The paper's driver: straight to one goal after the other (section II)."""
+"""Paper's driver: straight to one goal after the other (section II)."""
 
 import msgspec
 
@@ -16,21 +16,21 @@ class Memory:
     """Memory of the driver."""
 
     goal: int
-    """Number of the goal that it drives to."""
+    """Number of the current goal."""
 
 
 @compiled
 def waypoint_command(
     ugv: UgvParameters, memory: Memory, goals: FloatArray, own: Motion
 ) -> tuple[float, float]:
-    """Return the command [m/s²] to one goal after the other; without goals, to the UGV's own place.
+    """Return the command [m/s²] to one goal after the other; without goals, to the UGV's own position.
 
-    A goal is kept until it is nearer than the tolerance; the last one stays.
+    A goal is reached when it is nearer than the tolerance; the last one stays.
 
     Args:
-        ugv: Its bounds may be infinite.
+        ugv: Constants of the UGV; bounds may be infinite.
         memory: Changed in place.
-        goals: [m]. Shape (goals, 2).
+        goals: Goals [m]. Shape (goals, 2).
         own: State of the UGV.
     """
     goal_x, goal_y = own.p_x, own.p_y
@@ -56,8 +56,8 @@ def command(
         ugv: Constants of the UGV.
         driver: Parameters of this driver.
         memory: Changed in place.
-        inputs: Goals, script, and what reaches the UGV at this tick.
-        tick: Now.
+        inputs: Goals, script, and messages received in this tick.
+        tick: Current tick.
         own: State of the UGV.
     """
     return waypoint_command(ugv, memory, inputs.goals, own)

@@ -1,1 +1,1 @@
-"""The relative position of the UGV from noisy and late detections."""
+"""Estimation of the UGV's position from noisy and delayed detections."""

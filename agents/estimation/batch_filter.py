@@ -1,16 +1,16 @@
 r"""Compiled estimator of batches: the equations of `agents.estimation.estimator`, for one axis.
 
-F, Q, R and P are $M \otimes I_2$ with M 2 x 2: x and y are alike and independent, so the covariance of one axis stands
-for both. A test holds the two filters together step by step, to 1e-9 relative; they differ by rounding.
+F, Q, R and P are $M \otimes I_2$ with M 2 x 2: x and y are independent and have equal statistics, so one covariance
+serves both axes. A test compares the two filters step by step, to 1e-9 relative; they differ by rounding.
 
-The memory of all UAVs is one array of `EstimatorRow`, shape (worlds, UAVs, 1 + depth): row 0 is the state now, the
-others are the ring of the last ticks, tick k in row 1 + k % depth, as they were before the measurement of that tick.
+The memory of all UAVs is one array of `EstimatorRow`, shape (worlds, UAVs, 1 + depth). Row 0 is the current state. The
+other rows are a ring of recent ticks, tick k in row 1 + k % depth, as they were before the measurement of that tick.
 """
 
 import numpy as np
 
 from agents.estimation.motion_model import KalmanParameters, bounded_scales
-from agents.estimation.perception import LOOK
+from agents.estimation.perception import DETECTION
 from agents.uav_parameters import Target
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray, record_type
@@ -21,7 +21,7 @@ class EstimatorRow:
     """State of one UAV's estimator at one tick, and the measurement of that tick."""
 
     tick: int
-    """Its number; -1: none yet."""
+    """Tick of the row; -1: empty."""
     own_x: float
     own_y: float
     """p_a [m]."""
@@ -30,7 +30,7 @@ class EstimatorRow:
     z_y: float
     """Measured position of the UGV [m]."""
     known: bool
-    """False before the first measurement: what follows means nothing then."""
+    """False before the first measurement; the fields below are meaningless then."""
     x: float
     y: float
     """Position of the UGV [m]."""
@@ -48,16 +48,16 @@ class EstimatorRow:
 
 
 def estimator_rows(depth: int) -> RecordArray:
-    """Return the memory of one UAV that knows nothing. Shape (1 + depth,).
+    """Return the empty memory of one UAV. Shape (1 + depth,).
 
     Args:
-        depth: Ticks in the ring: 1 where no detection comes late.
+        depth: Number of ticks in the ring; 1 if no detection is delayed.
 
     Raises:
         ValueError: If the depth is not positive.
     """
     if depth < 1:
-        raise ValueError(f"depth must be at least 1, not {depth}")
+        raise ValueError(f"depth = {depth}: too small; allowed: at least 1")
     rows = np.zeros(1 + depth, dtype=record_type(EstimatorRow))
     rows["tick"] = -1
     return rows
@@ -106,7 +106,7 @@ def correct(parameters: KalmanParameters, now: EstimatorRow) -> None:
             return
         now.rejected += 1
         now.rejected_in_a_row += 1
-        if now.rejected_in_a_row < c.patience:
+        if now.rejected_in_a_row < c.max_rejections:
             return
     now.known = True
     now.x, now.y, now.v_x, now.v_y = now.z_x, now.z_y, 0.0, 0.0
@@ -115,24 +115,24 @@ def correct(parameters: KalmanParameters, now: EstimatorRow) -> None:
 
 
 @compiled
-def insert(rows: RecordArray, place: tuple[int, int], tick: int, look: FloatArray) -> int:
-    """Store a detection at its tick and return that tick, or the next tick if it cannot be used.
+def insert(rows: RecordArray, place: tuple[int, int], tick: int, detection: FloatArray) -> int:
+    """Store a detection at its tick and return that tick, or the next tick if the detection is unusable.
 
     Args:
         rows: Memory of all UAVs.
         place: World and UAV.
-        tick: Now.
-        look: Detection, in the columns `LOOK`.
+        tick: Current tick.
+        detection: Detection, in the columns `DETECTION`. Shape (3,).
     """
     world, uav = place
-    depth, taken = rows.shape[2] - 1, int(look[LOOK.taken])
+    depth, taken = rows.shape[2] - 1, int(detection[DETECTION.taken])
     if taken < 0 or taken > tick or tick - taken >= depth:
         return tick + 1
     row = rows[world, uav, 1 + taken % depth]
     if row.tick != taken or row.measured:
         return tick + 1
     row.measured = True
-    row.z_x, row.z_y = row.own_x - look[LOOK.x], row.own_y - look[LOOK.y]
+    row.z_x, row.z_y = row.own_x - detection[DETECTION.x], row.own_y - detection[DETECTION.y]
     return taken
 
 
@@ -143,7 +143,7 @@ def update(
     place: tuple[int, int],
     tick: int,
     here: Motion,
-    looks: FloatArray,
+    detections: FloatArray,
     count: int,
 ) -> None:
     """Advance to the next tick and use the detections that have arrived, each at its own tick.
@@ -152,10 +152,10 @@ def update(
         parameters: Parameters of the filter.
         rows: Memory of all UAVs, changed in place.
         place: World and UAV.
-        tick: Now: called for every tick from 0 on.
-        here: Motion of the UAV now.
-        looks: Detections, in the columns `LOOK`. Shape (rows, 3).
-        count: Number of rows that have arrived.
+        tick: Current tick; the function must be called for every tick from 0 on.
+        here: Current state of the UAV.
+        detections: Detections, in the columns `DETECTION`. Shape (rows, 3).
+        count: Number of valid rows of `detections`.
     """
     world, uav = place
     depth, now = rows.shape[2] - 1, rows[world, uav, 0]
@@ -164,12 +164,12 @@ def update(
     rows[world, uav, 1 + tick % depth] = now
     first = tick + 1
     for k in range(count):
-        first = min(first, insert(rows, place, tick, looks[k]))
+        first = min(first, insert(rows, place, tick, detections[k]))
     for k in range(first, tick + 1):
         row = rows[world, uav, 1 + k % depth]
         if k == first:
             rows[world, uav, 0] = row
-        else:  # the state comes from the tick before, the measurement from the ring
+        else:  # the state comes from the previous tick, the measurement from the ring
             predict(parameters, now)
             now.tick, now.own_x, now.own_y = k, row.own_x, row.own_y
             now.measured, now.z_x, now.z_y = row.measured, row.z_x, row.z_y

@@ -1,11 +1,11 @@
-r"""Pilot's estimator: position and velocity of the UGV from relative detections, by filterpy's `KalmanFilter`.
+r"""Estimator of a pilot: position and velocity of the UGV from relative detections, by filterpy's `KalmanFilter`.
 
-The state is $(x, y, v_x, v_y)$ of the UGV in the world frame, at constant velocity but for random accelerations.
+The state is $(x, y, v_x, v_y)$ of the UGV in the world frame, at constant velocity except for random accelerations.
 A detection $\tilde p_\Delta$ of $p_\Delta = p_a - p_g$ measures the position, $z = p_a - \tilde p_\Delta$, since the
-UAV knows $p_a$ at every tick for which it was called.
+UAV knows $p_a$ at every tick for which the filter was called.
 
-For a late measurement the estimator restores the state saved before it, and repeats predict and update over everything
-that followed. So the estimate depends on which detections have arrived, and not on when.
+For a late measurement the estimator restores the state saved before it, and repeats predict and update for all later
+ticks. So the estimate depends on which detections have arrived, but not on when.
 
 Deviation: the paper's laws use the true $p_\Delta$. Ours use this estimate.
 """
@@ -39,11 +39,11 @@ class Estimate(msgspec.Struct, frozen=True, kw_only=True):
     velocity: tuple[float, float]  # [m/s], at most v_g,max
     covariance: tuple[float, float, float]  # xx, xy, yy of the position [m²]
     age: float  # since the newest accepted measurement [s]
-    refused: int  # detections rejected by the gate (as if all had come in order) or of an impossible time
+    rejected: int  # detections rejected by the gate (as if all had arrived in order) or with an invalid time
 
 
 class EstimatorState(NamedTuple):
-    """State before the measurement of a tick: the state that a late measurement restores."""
+    """State before the measurement of a tick, restored for a late measurement."""
 
     x: FloatArray  # position [m] and velocity [m/s]. Shape (4,)
     P: FloatArray  # Shape (4, 4)
@@ -91,12 +91,12 @@ def bound_velocity(x: FloatArray, max_speed: float) -> FloatArray:
 
 
 class RelativeEstimator:
-    """Kalman filter of one UAV on the UGV that it escorts.
+    """Kalman filter of one UAV for the UGV that it escorts.
 
-    A measurement whose normalized innovation squared exceeds the gate is rejected. After `settings.patience` rejections
-    in a row the filter reinitializes from the last of them.
+    A measurement whose normalized innovation squared exceeds the gate is rejected. After `settings.max_rejections`
+    consecutive rejections the filter reinitializes from the last of them.
 
-    Deviation from the plain filter, where the UGV's maximum speed is known: see `bound_velocity` and
+    Deviation from the plain filter, if the UGV's maximum speed is known: see `bound_velocity` and
     `agents.estimation.motion_model.bounded_scales`.
     """
 
@@ -109,14 +109,14 @@ class RelativeEstimator:
         settings: Estimator,
         span: float = SPAN,
     ) -> None:
-        """Set up the filter; nothing is known before the first detection.
+        """Set up the filter; the state is unknown before the first detection.
 
         Args:
-            detector: The UAV's detector; its noise and cut give R.
+            detector: Detector of the UAV; its noise and truncation determine R.
             target: Limits of the UGV.
             dt: Length of a tick [s].
-            settings: Gate, patience, manoeuvre, and whether to filter at all.
-            span: Greatest delay of a detection that is still used [s].
+            settings: Gate, maximum rejections, acceleration share, and whether to filter at all.
+            span: Greatest delay of a usable detection [s].
 
         Raises:
             ValueError: If dt is not positive and finite, or the span is negative.
@@ -130,13 +130,13 @@ class RelativeEstimator:
         self._state = EstimatorState(np.zeros(4), np.zeros((4, 4)))
         self._depth, self._tick, self._history = history_depth(span, dt), -1, dict[int, _Row]()
         self.innovation_squared: float | None = None
-        """Normalized innovation squared (NIS) of the newest measurement that met the gate; None before."""
+        """Normalized innovation squared (NIS) of the newest measurement compared with the gate; None before."""
         self.duplicates = 0
-        """Detections ignored because their tick had the same one."""
+        """Detections ignored because the same detection was stored before."""
         self.too_old = 0
-        """Detections dropped because they came later than the span allows."""
+        """Detections dropped because they arrived later than the span allows."""
         self.misdated = 0
-        """Detections of an impossible time, or contradicting an earlier one."""
+        """Detections with an invalid time, or in contradiction to an earlier detection of the same tick."""
 
     @property
     def state(self) -> FloatArray:
@@ -155,36 +155,36 @@ class RelativeEstimator:
 
     @property
     def target(self) -> Target:
-        """The estimate as the laws read it."""
+        """Estimate in the form that the laws read."""
         s = self._state
         x, y, v_x, v_y = s.x.tolist()
         return Target(s.known, x, y, v_x, v_y, s.P.item(0, 0), s.P.item(2, 2))
 
     def update(
-        self, *, tick: int, own_position: tuple[float, float], looks: Iterable[Look]
+        self, *, tick: int, own_position: tuple[float, float], detections: Iterable[Look]
     ) -> Estimate | None:
         """Advance to a tick and use the detections that have arrived, each at its own tick.
 
         Args:
-            tick: Now, the same as in the last call or later.
-            own_position: p_a now [m].
-            looks: Detections that have arrived since the last call, in any order. Of several of one tick only the
+            tick: Current tick, not before the last call.
+            own_position: Current p_a [m].
+            detections: Detections received since the last call, in any order. Of several detections of one tick, only the
                 first is used.
 
         Returns:
             The estimate, or None before the first detection.
 
         Raises:
-            ValueError: If the tick is before that of the last call.
+            ValueError: If the tick is before the one of the last call.
         """
         if tick < self._tick:
-            raise ValueError(f"tick = {tick}: is before the last one, {self._tick}")
+            raise ValueError(f"tick = {tick}: before the last one; allowed: {self._tick} or later")
         if tick > self._tick:
             self._predict(tick - self._tick if self._history else 0)
             self._tick, self._history[tick] = tick, _Row(own_position, self._state)
             while (oldest := next(iter(self._history))) <= tick - self._depth:
                 del self._history[oldest]
-        new = [look.taken for look in looks if self._insert(look)]
+        new = [detection.taken for detection in detections if self._insert(detection)]
         if new:
             self._repeat(min(new))
         return self._estimate()
@@ -199,26 +199,26 @@ class RelativeEstimator:
             velocity=(v_x, v_y),
             covariance=(s.P.item(0, 0), s.P.item(0, 1), s.P.item(1, 1)),
             age=s.age * self._parameters.dt,
-            refused=s.rejected + self.misdated,
+            rejected=s.rejected + self.misdated,
         )
 
-    def _insert(self, look: Look) -> bool:
-        """Store a measurement at its tick; False if it cannot be used."""
-        row = self._history.get(look.taken)
+    def _insert(self, detection: Look) -> bool:
+        """Store a measurement at its tick; return False if it is unusable."""
+        row = self._history.get(detection.taken)
         if row is None:
-            too_old = look.taken != NO_TICK and look.taken <= self._tick - self._depth
+            too_old = detection.taken != NO_TICK and detection.taken <= self._tick - self._depth
             self.too_old, self.misdated = self.too_old + too_old, self.misdated + (not too_old)
             return False
-        z = row.own_position[0] - look.x, row.own_position[1] - look.y
+        z = row.own_position[0] - detection.x, row.own_position[1] - detection.y
         if row.z is not None:
-            same = look.taken == self._tick or row.z == z
+            same = detection.taken == self._tick or row.z == z
             self.duplicates, self.misdated = self.duplicates + same, self.misdated + (not same)
             return False
-        self._history[look.taken] = row._replace(z=z)
+        self._history[detection.taken] = row._replace(z=z)
         return True
 
     def _repeat(self, first: int) -> None:
-        """Restore the state before a tick, and repeat predict and update over everything that followed."""
+        """Restore the state before a tick, and repeat predict and update for all later ticks."""
         self._state, at = self._history[first].prior, first
         for tick in (tick for tick in range(first, self._tick + 1) if tick in self._history):
             self._predict(tick - at)
@@ -250,7 +250,7 @@ class RelativeEstimator:
                 return
             in_a_row = s.rejected_in_a_row + 1
             s = s._replace(rejected=s.rejected + 1, rejected_in_a_row=in_a_row)
-        if not s.known or not p.enabled or s.rejected_in_a_row >= p.patience:
+        if not s.known or not p.enabled or s.rejected_in_a_row >= p.max_rejections:
             P = np.diag([p.variance, p.variance, p.first_variance, p.first_variance])
             x = np.array([*z, 0.0, 0.0])
             s = s._replace(x=x, P=P, known=True, age=0, rejected_in_a_row=0)

@@ -1,8 +1,8 @@
-"""The radio messages of a UAV to its UGV about the ground: which block of tiles, and when. Beyond Klodt 2015.
+"""Map updates of a UAV to its UGV: which block of tiles to send by radio, and when. Beyond Klodt 2015.
 
-It tells of the blocks around where it believes the UGV to be: the nearest of those with news first, and each several
-times, as the radio loses messages; where there are no news it repeats what it told longest ago. It tells what its own
-sensor has told, and nothing of its own position, velocity or plan.
+The UAV sends the blocks around the UGV's estimated position: of those with new reports, the nearest first. It sends new
+reports several times, since the radio loses messages. Without new reports it repeats the block sent longest ago. A map
+update contains only reports of the UAV's own sensor, never its position, velocity or plan.
 """
 
 import math
@@ -17,96 +17,98 @@ from sim.compiling.compile import IntArray, compiled, inlined
 from sim.models.ground import TileArray, block_letters, tiles_shape
 
 _REPEATS = 3
-"""Number of times that news are told before what is older is repeated."""
+"""Number of transmissions of new reports before older blocks are repeated."""
 _REACH = 12.0
-"""Largest distance from the UGV of a block that it is told of [m]."""
-_WORD_TILES = 16
-"""Tiles in a number of a message, three bits each."""
+"""Largest distance of a transmitted block from the UGV [m]."""
+_TILES_PER_NUMBER = 16
+"""Tiles per number of a message, three bits each."""
 BLOCK_TILES = BLOCK_SIDE * BLOCK_SIDE
-BLOCK_WORDS = BLOCK_TILES // _WORD_TILES
+BLOCK_NUMBERS = BLOCK_TILES // _TILES_PER_NUMBER
 
 
-class TellingMemory(NamedTuple):
-    """A UAV's memory of the ground and of what it has told; arrays that change in place."""
+class MapUpdateMemory(NamedTuple):
+    """A UAV's map of the ground and its transmission state; the arrays change in place."""
 
     tiles: TileArray
-    """As its sensor has told them. Shape (rows, columns)."""
-    news: IntArray
-    """Number of times that each block is still to be told as news. Shape (block rows, block columns)."""
-    told: IntArray
-    """The tick in which each was told last; -1: never. Likewise."""
+    """States reported by the UAV's own sensor. Shape (rows, columns)."""
+    repeats: IntArray
+    """Remaining transmissions of each block as new. Shape (block rows, block columns)."""
+    sent_tick: IntArray
+    """Tick of the last transmission of each block; -1: never. Shape (block rows, block columns)."""
 
 
-def telling_memory(width: float, height: float, tile: float) -> TellingMemory:
-    """Nothing is known yet.
+def map_update_memory(width: float, height: float, tile: float) -> MapUpdateMemory:
+    """Return an empty map without transmissions.
 
     Args:
-        width, height: Of the area [m].
-        tile: Width of a tile [m]; 0: there is no ground to tell of.
+        width, height: Size of the area [m].
+        tile: Width of a tile [m]; 0 without ground.
     """
     rows, columns = tiles_shape(width, height, tile) if tile > 0.0 else (0, 0)
     blocks = (-(-rows // BLOCK_SIDE), -(-columns // BLOCK_SIDE))
-    return TellingMemory(
+    return MapUpdateMemory(
         tiles=np.zeros((rows, columns), np.uint8),
-        news=np.zeros(blocks, np.int64),
-        told=np.full(blocks, -1, np.int64),
+        repeats=np.zeros(blocks, np.int64),
+        sent_tick=np.full(blocks, -1, np.int64),
     )
 
 
 @inlined
-def telling_of(memory: TellingMemory, world: int, uav: int) -> TellingMemory:
-    """That of one UAV in one world: views, no copies."""
-    return TellingMemory(memory.tiles[world, uav], memory.news[world, uav], memory.told[world, uav])
+def map_updates_of(memory: MapUpdateMemory, world: int, uav: int) -> MapUpdateMemory:
+    """Return the memory of one UAV in one world: views, no copies."""
+    return MapUpdateMemory(
+        memory.tiles[world, uav], memory.repeats[world, uav], memory.sent_tick[world, uav]
+    )
 
 
 @compiled
-def note_tile(memory: TellingMemory, column: int, row: int, state: int) -> None:
-    """The UAV's own sensor tells of a tile."""
+def record_tile(memory: MapUpdateMemory, column: int, row: int, state: int) -> None:
+    """Record a tile reported by the UAV's own sensor."""
     if row < memory.tiles.shape[0] and column < memory.tiles.shape[1]:
         memory.tiles[row, column] = state
-        memory.news[row // BLOCK_SIDE, column // BLOCK_SIDE] = _REPEATS
+        memory.repeats[row // BLOCK_SIDE, column // BLOCK_SIDE] = _REPEATS
 
 
 @compiled
 def next_block(
-    memory: TellingMemory, tile: float, tick: int, g_x: float, g_y: float
+    memory: MapUpdateMemory, tile: float, tick: int, g_x: float, g_y: float
 ) -> tuple[int, int]:
-    """The block to tell of at this tick, row and column; -1, -1: there is nothing to tell. It then counts as told.
+    """Select the block to send at this tick and mark it as sent; row and column, or -1, -1 if there is none.
 
     Args:
-        memory: Is changed.
+        memory: Changed in place.
         tile: Width of a tile [m].
-        tick: Now.
-        g_x, g_y: Where the UGV is believed to be [m].
+        tick: Current tick.
+        g_x, g_y: Estimated position of the UGV [m].
     """
     side, best_row, best_column = BLOCK_SIDE * tile, -1, -1
-    best_news, best = False, math.inf
-    for row in range(memory.news.shape[0]):
+    best_is_new, best = False, math.inf
+    for row in range(memory.repeats.shape[0]):
         d_y = (row + 0.5) * side - g_y
-        for column in range(memory.news.shape[1]):
-            news, told = memory.news[row, column] > 0, memory.told[row, column]
-            if told < 0 and not news:
+        for column in range(memory.repeats.shape[1]):
+            is_new, sent_tick = memory.repeats[row, column] > 0, memory.sent_tick[row, column]
+            if sent_tick < 0 and not is_new:
                 continue
             d_x = (column + 0.5) * side - g_x
             far = d_x * d_x + d_y * d_y
-            if far > _REACH * _REACH or (best_news and not news):
+            if far > _REACH * _REACH or (best_is_new and not is_new):
                 continue
-            value = far if news else float(told)
-            if value < best or (news and not best_news):
-                best_row, best_column, best_news, best = row, column, news, value
+            value = far if is_new else float(sent_tick)
+            if value < best or (is_new and not best_is_new):
+                best_row, best_column, best_is_new, best = row, column, is_new, value
     if best_row >= 0:
-        memory.told[best_row, best_column] = tick
-        memory.news[best_row, best_column] = max(0, memory.news[best_row, best_column] - 1)
+        memory.sent_tick[best_row, best_column] = tick
+        memory.repeats[best_row, best_column] = max(0, memory.repeats[best_row, best_column] - 1)
     return best_row, best_column
 
 
 @compiled
-def block_words(tiles: TileArray, row: int, column: int, words: IntArray) -> None:
-    """Write the states of a block of tiles as numbers, three bits a tile, the first lowest. Shape (BLOCK_WORDS,)."""
-    for n in range(BLOCK_WORDS):
+def encode_block(tiles: TileArray, row: int, column: int, words: IntArray) -> None:
+    """Encode the states of a block of tiles, three bits per tile, lowest bits first. Shape (BLOCK_WORDS,)."""
+    for n in range(BLOCK_NUMBERS):
         word = 0
-        for i in range(_WORD_TILES):
-            place = n * _WORD_TILES + i
+        for i in range(_TILES_PER_NUMBER):
+            place = n * _TILES_PER_NUMBER + i
             r, c = row * BLOCK_SIDE + place // BLOCK_SIDE, column * BLOCK_SIDE + place % BLOCK_SIDE
             if r < tiles.shape[0] and c < tiles.shape[1]:
                 word |= int(tiles[r, c]) << (3 * i)
@@ -114,43 +116,43 @@ def block_words(tiles: TileArray, row: int, column: int, words: IntArray) -> Non
 
 
 @compiled
-def word_state(words: IntArray, place: int) -> int:
-    """The state of a tile of a block, from what `block_words` has written."""
-    return int(words[place // _WORD_TILES] >> (3 * (place % _WORD_TILES))) & 7
+def decode_tile(words: IntArray, place: int) -> int:
+    """Decode the state of one tile of a block from the numbers of `encode_block`."""
+    return int(words[place // _TILES_PER_NUMBER] >> (3 * (place % _TILES_PER_NUMBER))) & 7
 
 
-def telling_ticks(telling: float, dt: float) -> int:
-    """Every how many ticks of this length [s] a block is told of, at so many a second [1/s]; 0: never."""
-    return max(1, round(1.0 / (telling * dt))) if telling > 0.0 else 0
+def map_update_ticks(rate: float, dt: float) -> int:
+    """Return the period of map updates in ticks of dt [s], at a rate [1/s]; 0: no updates."""
+    return max(1, round(1.0 / (rate * dt))) if rate > 0.0 else 0
 
 
-class GroundTeller:
-    """Chooses what a UAV's computer radios of the ground, whoever flies the UAV.
+class MapUpdateScheduler:
+    """Scheduler of the map updates that a UAV's computer sends, whatever controls the UAV.
 
     Args:
-        briefing: What the UAV is told when it joins.
+        briefing: Briefing of the UAV.
     """
 
     def __init__(self, briefing: UavBriefing) -> None:
         ground, area = briefing.ground, briefing.area
         self._tile = ground.tile if ground is not None else 0.0
-        self.memory = telling_memory(area.width, area.height, self._tile)
-        """Its memory."""
+        self.memory = map_update_memory(area.width, area.height, self._tile)
+        """Map and transmission state."""
         self._period = (
-            telling_ticks(ground.map_update_rate, briefing.dt) if ground is not None else 0
+            map_update_ticks(ground.map_update_rate, briefing.dt) if ground is not None else 0
         )
 
-    def note(self, tiles: Sequence[TileReport]) -> None:
-        """Its own sensor has told of these tiles."""
+    def record(self, tiles: Sequence[TileReport]) -> None:
+        """Record tiles reported by the UAV's own sensor."""
         for tile in tiles:
-            note_tile(self.memory, tile.column, tile.row, TILE_LETTERS.index(tile.state))
+            record_tile(self.memory, tile.column, tile.row, TILE_LETTERS.index(tile.state))
 
-    def blocks(self, tick: int, target: tuple[float, float] | None) -> tuple[MapUpdate, ...]:
-        """The blocks that it radios at this tick.
+    def due(self, tick: int, target: tuple[float, float] | None) -> tuple[MapUpdate, ...]:
+        """Return the map updates of this tick.
 
         Args:
-            tick: Now.
-            target: Where it believes the UGV to be [m]; None: it does not know.
+            tick: Current tick.
+            target: Estimated position of the UGV [m]; None if unknown.
         """
         if not self._period or target is None or tick % self._period:
             return ()

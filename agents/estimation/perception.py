@@ -10,8 +10,8 @@ from sim.models.field import accumulate
 from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion
 
-LOOK: Any = Look._make(range(3))
-"""Columns of an array of looks."""
+DETECTION: Any = Look._make(range(3))
+"""Columns of an array of detections."""
 
 
 @compiled
@@ -24,21 +24,21 @@ def uav_perceive(
     looked: int,
     tick: int,
     here: Motion,
-    looks: FloatArray,
+    detections: FloatArray,
     arrived: int,
 ) -> None:
-    """Take in what is seen of the ground, and for the safety filter where the UAV is and what has arrived.
+    """Update the coverage grid, and the safety filter's memory of own positions and detections.
 
     Args:
         uav, bounds: Constants of the UAV, and bounds of the safety filter.
-        filtered: Whether the safety filter watches over the UAV.
-        coverage: The UAV's coverage grid C, changed in place. Shape (rows, columns).
+        filtered: True if the safety filter is active.
+        coverage: Coverage grid C of the UAV, changed in place. Shape (rows, columns).
         memory: Memory of the safety filter, changed in place.
-        looked: Ticks for which it has looked at the ground below since it perceived last; 0: not at all.
-        tick: Now.
-        here: Where it is.
-        looks: Detections. Shape (rows, 3).
-        arrived: How many rows count.
+        looked: Ticks of sensing since the last update of the grid; 0: no update.
+        tick: Current tick.
+        here: Current state of the UAV.
+        detections: Detections. Shape (rows, 3).
+        arrived: Number of valid rows of `detections`.
     """
     if looked > 0:
         accumulate(
@@ -52,5 +52,9 @@ def uav_perceive(
     if filtered:
         add_position(memory, tick, here.p_x, here.p_y)
         for n in range(arrived):
-            taken, x, y = int(looks[n, LOOK.taken]), looks[n, LOOK.x], looks[n, LOOK.y]
+            taken, x, y = (
+                int(detections[n, DETECTION.taken]),
+                detections[n, DETECTION.x],
+                detections[n, DETECTION.y],
+            )
             add_measurement(bounds, memory, taken, (x, y), tick, here)

@@ -1,1 +1,1 @@
-"""Control laws of a UAV: one file for each, and a row of `bus.registry.LAWS` that names it."""
+"""Control laws of a UAV: one file per law, named by its row of `bus.registry.LAWS`."""

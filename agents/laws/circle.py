@@ -1,4 +1,4 @@
-r"""Law `circle`: circles round the UGV, Klodt 2015, eq. (22) to (25)."""
+r"""Law `circle`: circle around the UGV, Klodt 2015, eq. (22) to (25)."""
 
 import math
 
@@ -14,9 +14,9 @@ class Parameters(TrackingParameters, frozen=True, kw_only=True):
     """`[law.parameters]` of this law."""
 
     circle_radius: Positive = math.inf
-    """r_pv of (25) [m]; by default the switching radius."""
+    """r_pv of (25) [m]; defaults to the switching radius."""
     circle_rate: Coordinate = 0.1
-    """omega_pv of (25) [rad/s]; negative is clockwise."""
+    """omega_pv of (25) [rad/s]; negative: clockwise."""
 
 
 Memory = TrackingMemory
@@ -39,9 +39,9 @@ def command(
         law: Parameters of this law.
         memory: Changed in place.
         coverage: The UAV's coverage grid C. Shape (rows, columns).
-        tick: Now.
+        tick: Current tick.
         own: Position [m] and velocity [m/s] of the UAV.
-        target: Estimate of the UGV, which is known.
+        target: Known estimate of the UGV.
     """
     r_pv = law.circle_radius if law.circle_radius < math.inf else uav.switching_radius
     p_vx, p_vy, a_vx, a_vy = circle(tick * uav.dt, r_pv, law.circle_rate)

@@ -26,7 +26,7 @@ from sim.models.randomness import FIRST, START_DIRECTION, uniform
 from sim.models.vehicles import Motion, norm
 
 _ON_THE_SPOT = 1e-9
-"""Nearer than this [m] a point gives no direction."""
+"""Distance below which a point gives no direction [m]."""
 
 
 class LawParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -52,7 +52,7 @@ class CoverageParameters(TrackingParameters, frozen=True, kw_only=True):
     speed_gain: Positive = 10.0
     """k_v of (11) [1/s]."""
     reference_speed: Positive = math.inf
-    """v_ref of (10) [m/s]; by default the UAV's maximum speed."""
+    """v_ref of (10) [m/s]; defaults to the UAV's maximum speed."""
 
 
 class TrackingMemory:
@@ -63,25 +63,25 @@ class TrackingMemory:
 
 
 class CoverageMemory(TrackingMemory):
-    """Memory of a law that covers ground."""
+    """Memory of a law with a coverage term."""
 
     key_0: np.uint64
     key_1: np.uint64
     """Random number key of the UAV."""
     has_goal: bool
-    """True while it keeps a point of (7)."""
+    """True while a point of (7) is kept."""
     goal: Vector
-    """Goal point [m], while `has_goal` is true."""
+    """Kept point of (7) [m], if `has_goal` is true."""
 
 
 @compiled
 def tracking_term(
     law: TrackingParameters, memory: TrackingMemory, dt: float, x: float, y: float
 ) -> tuple[float, float]:
-    """Return u_a,tr of (15) [m/s²] and advance its state by one tick.
+    """Return u_a,tr of (15) [m/s²] and advance the controller's state by one tick.
 
     Args:
-        law: Its gains.
+        law: Gains.
         memory: Changed in place.
         dt: Length of the tick [s].
         x, y: Position error to be controlled [m].
@@ -93,7 +93,7 @@ def tracking_term(
 
 
 @compiled
-def way_to_uncovered(
+def direction_to_uncovered(
     uav: UavParameters,
     memory: CoverageMemory,
     coverage: FloatArray,
@@ -101,10 +101,10 @@ def way_to_uncovered(
     own: Motion,
     target: Target,
 ) -> tuple[bool, float, float]:
-    """Apply the symmetry breaker (7); its point is kept until it is covered or leaves the density's support.
+    """Return the direction of the symmetry breaker (7); keep its point until it is covered or out of the support.
 
     Returns:
-        True if anything is uncovered at all, and the direction.
+        True if there is an uncovered point, and the direction to it.
     """
     goal: Any = memory.goal
     r_o, desired, cell = uav.density_radius, uav.desired_coverage, uav.cell
@@ -121,7 +121,7 @@ def way_to_uncovered(
         return False, 0.0, 0.0
     u_x, u_y = symmetry_breaker(goal[0], goal[1], own.p_x, own.p_y, 1.0)
     if norm(u_x, u_y) < _ON_THE_SPOT:
-        # Deviation: (10) would divide by zero right over the point. Any direction is as good: draw one.
+        # Deviation: (10) would divide by zero directly above the point. Draw a random direction instead.
         angle = 2.0 * math.pi * uniform(key, START_DIRECTION, tick, FIRST)
         u_x, u_y = math.cos(angle), math.sin(angle)
     return True, u_x, u_y
@@ -137,7 +137,7 @@ def coverage_velocity_error(
     own: Motion,
     target: Target,
 ) -> tuple[float, float]:
-    """Return e_vel of (10) [m/s]: along (6), or along (7) where that is zero."""
+    """Return e_vel of (10) [m/s]: along (6), or along (7) if (6) is zero."""
     u_cov_x, u_cov_y, size = coverage_gradient(
         coverage,
         own.p_x,
@@ -151,7 +151,9 @@ def coverage_velocity_error(
     )
     uncovered, other_x, other_y = True, 0.0, 0.0
     if is_zero_gradient(u_cov_x, u_cov_y, size):
-        uncovered, other_x, other_y = way_to_uncovered(uav, memory, coverage, tick, own, target)
+        uncovered, other_x, other_y = direction_to_uncovered(
+            uav, memory, coverage, tick, own, target
+        )
     u_si_x, u_si_y = single_integrator_command(u_cov_x, u_cov_y, size, other_x, other_y)
     v_ref = min(law.reference_speed, uav.max_speed)
     return velocity_error(u_si_x, u_si_y, v_ref, own.v_x, own.v_y, uncovered)
@@ -159,7 +161,7 @@ def coverage_velocity_error(
 
 @compiled
 def border_margin(uav: UavParameters, v_ref: float) -> float:
-    """Return the safety distance to the border of Q [m]; v_ref [m/s] bounds a UAV without a bound of its own."""
+    """Return the safety distance to the border of Q [m]; v_ref [m/s] replaces a missing maximum speed."""
     fastest = uav.max_speed if uav.max_speed < math.inf else v_ref
     return border_distance(fastest, uav.max_acceleration, uav.dt)
 
@@ -192,7 +194,7 @@ def weighted_command(
     target: Target,
     weights: tuple[float, float],
 ) -> tuple[float, float]:
-    """Return the combined command (17) [m/s²]. Arguments as in a law's `command`, and alpha and beta."""
+    """Return the combined command (17) [m/s²]. Arguments as in a law's `command`, and the weights alpha, beta."""
     x, y = own.p_x - target.p_x, own.p_y - target.p_y
     u_tr_x, u_tr_y = tracking_term(law, memory, uav.dt, x, y)
     u_cov_x, u_cov_y = coverage_term(uav, law, memory, coverage, tick, own, target)
@@ -201,5 +203,5 @@ def weighted_command(
 
 @compiled
 def distance_to(target: Target, own: Motion) -> float:
-    """Return the distance to the estimated position of the UGV [m]."""
+    """Return the distance from the UAV to the UGV's estimated position [m]."""
     return norm(own.p_x - target.p_x, own.p_y - target.p_y)

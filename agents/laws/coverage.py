@@ -1,4 +1,4 @@
-r"""Law `coverage`: sees ground by (6) to (11), and never turns back to the UGV."""
+r"""Law `coverage`: covers ground by (6) to (11), without tracking the UGV."""
 
 from agents.laws.common import CoverageMemory, CoverageParameters, weighted_command
 from agents.uav_parameters import Target, UavParameters
@@ -7,7 +7,7 @@ from sim.models.vehicles import Motion
 
 
 class Parameters(CoverageParameters, frozen=True, kw_only=True):
-    """`[law.parameters]` of this law; it integrates the tracking law for the law that may follow it."""
+    """`[law.parameters]` of this law; the tracking gains keep the state of (15) ready for a later law."""
 
 
 Memory = CoverageMemory
@@ -36,8 +36,8 @@ def command(
         law: Parameters of this law.
         memory: Changed in place.
         coverage: The UAV's coverage grid C. Shape (rows, columns).
-        tick: Now.
+        tick: Current tick.
         own: Position [m] and velocity [m/s] of the UAV.
-        target: Estimate of the UGV, which is known.
+        target: Known estimate of the UGV.
     """
     return weighted_command(uav, law, memory, coverage, tick, own, target, (0.0, 1.0))

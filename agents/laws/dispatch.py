@@ -1,7 +1,7 @@
 """Law of each UAV in a batch: chosen by its row, compiled with the batch.
 
-A batch is compiled again for each set of laws, which takes 15 s. So it contains all laws that compile quickly, and of
-the others those that are flown.
+Compiling a batch for a new set of laws takes 15 s. So a batch contains all laws that compile quickly, and only those
+slow ones that are flown.
 """
 
 from collections import namedtuple
@@ -24,28 +24,28 @@ from sim.models.vehicles import Motion, brake, clip_norm
 _ROWS = {row.name: row for row in LAWS.values() if row.module and not row.own}
 _FILES = tuple(dict.fromkeys(row.module for row in _ROWS.values()))
 CODES = {name: _FILES.index(row.module) for name, row in _ROWS.items()}
-"""For each law that flies in batches, the place of its file."""
+"""Index of the file of each law that flies in batches."""
 _FIELDS = tuple(file.replace(".", "_") for file in _FILES)
 _MODULES = tuple(map(import_module, _FILES))
 _SEPARATE = {CODES[name] for name, row in _ROWS.items() if row.separate}
 PerLaw: Any = namedtuple("PerLaw", _FIELDS)  # type: ignore[misc] # of the table
-"""A structured array for each file, or None where the batch does not contain the law."""
+"""Structured array of each file; None if the batch does not contain the law."""
 _law_command = commands([module.command for module in _MODULES])
 
 
 class LawTables(NamedTuple):
-    """Laws of a batch's UAVs, and their constants."""
+    """Laws of a batch's UAVs, with their constants."""
 
     codes: IntArray
     """A value of `CODES`. Shape (UAVs,)."""
     uavs: RecordArray
     """`UavParameters`. Shape (UAVs,)."""
     parameters: Any
-    """`PerLaw`: the laws' `Parameters`. Shape (UAVs,)."""
+    """`PerLaw`: `Parameters` of the laws. Shape (UAVs,)."""
 
 
 def law_tables(briefings: Sequence[UavBriefing], laws: Sequence[Law]) -> LawTables:
-    """Return the tables of the UAVs that are briefed, each with its law, a key of `CODES`."""
+    """Return the tables of the UAVs with these briefings, each with its law, a key of `CODES`."""
     codes = np.array([CODES[law.name] for law in laws], dtype=np.int64)
     tables = []
     for code, module in enumerate(_MODULES):
@@ -59,7 +59,7 @@ def law_tables(briefings: Sequence[UavBriefing], laws: Sequence[Law]) -> LawTabl
 
 
 def law_memories(tables: LawTables, worlds: int) -> Any:  # noqa: ANN401 - `PerLaw`
-    """Return the laws' memories in all worlds. Shape (worlds, UAVs) each."""
+    """Return the memories of the laws in all worlds. Shape (worlds, UAVs) each."""
     shape = worlds, len(tables.codes)
     return PerLaw(
         *(
@@ -79,14 +79,14 @@ def nominal_command(
     own: Motion,
     target: Target,
 ) -> tuple[float, float]:
-    """Return a UAV's command by its law, within the bound of (1) [m/s²]; without a detection it brakes.
+    """Return the command of a UAV from its law, within the bound of (1) [m/s²]; without an estimate, brake.
 
     Args:
-        tables: Of the batch.
-        memories: Changed in place.
+        tables: Tables of the batch.
+        memories: Memories of the laws, changed in place.
         place: World and UAV.
         coverage: The UAV's coverage grid C. Shape (rows, columns).
-        tick: Now.
+        tick: Current tick.
         own: State of the UAV.
         target: Estimate of the UGV.
     """

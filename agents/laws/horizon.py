@@ -1,6 +1,6 @@
-"""Motions of the next seconds, and their worth, for the law `lookahead`: docs/explanation/lookahead.md.
+"""Candidate trajectories of the law `lookahead` and their value: docs/explanation/lookahead.md.
 
-Positions in the world's frame [m], velocities [m/s], times [s] but for ticks.
+Positions in the world's frame [m], velocities [m/s], times [s] except for ticks.
 """
 
 import math
@@ -18,35 +18,35 @@ from sim.models.vehicles import Motion, clip_norm, norm, stopping_distance
 PERIOD = 0.5
 """Time between two decisions [s]."""
 STEPS = 15
-"""A motion is looked at in so many steps at most, none shorter than `PERIOD`."""
+"""Largest number of steps of a candidate, none shorter than `PERIOD`."""
 LEGS = 8
-"""A motion is so many velocities one after the other, each kept for a leg of at least `PERIOD`."""
+"""Largest number of legs of a candidate; each has a constant desired velocity and lasts at least `PERIOD`."""
 
 _TAIL = 5.0
-"""For so long after the horizon what was seen still counts [s]; not for a single step."""
+"""Time after the horizon for which coverage still counts [s]; ignored for a single step."""
 _RATE = 0.06
-"""Rate at which what is expected later counts less [1/s]."""
+"""Rate at which later gains are discounted [1/s]."""
 _DOUBT = 2.0
-"""Number of variances of the velocity that are held against its square."""
+"""Number of velocity variances that are compared with the squared velocity."""
 _STRAY_COST = 10.0
-"""Cost of a metre beyond what the safety filter lets through, for a second [m²]."""
+"""Cost of a metre beyond the limit of the safety filter, per second [m²]."""
 _SLACK = 0.1
-"""The cost begins so much beyond [m]: the filter, which looks closer, lets a little more through."""
+"""Distance beyond the limit at which the cost starts [m], since the exact filter permits slightly more."""
 
 _CELLS = 3.5
-"""Coarse cells in the sensor's range, at most; and so at most `WINDOW` in a line across its disc."""
+"""Largest number of coarse cells in the sensor's range; so at most `WINDOW` in a line across its disc."""
 WINDOW = 8
 
 
 class Ahead(NamedTuple):
-    """The next seconds as all motions of a decision find them; from `look_ahead`."""
+    """Data shared by all candidates of a decision, from `look_ahead`."""
 
     step: float
-    """[s]"""
+    """Duration of a step [s]."""
     leg: float
-    """Time for which a motion keeps a velocity [s]."""
+    """Duration of a leg [s]."""
     v_ref: float
-    """Largest speed of a motion [m/s]."""
+    """Largest speed of a candidate [m/s]."""
     margin: float
     """Safety distance to the border of Q [m]."""
     cell: float
@@ -55,32 +55,32 @@ class Ahead(NamedTuple):
     y: float
     """Lower left corner of the coarse map [m]."""
     legs: IntArray
-    """In which leg of a motion each step is. Shape (steps,)."""
+    """Leg of each step. Shape (steps,)."""
     track: FloatArray
-    """Expected places of the UGV at the end of each step [m]. Shape (steps, 2)."""
+    """Expected positions of the UGV at the end of each step [m]. Shape (steps, 2)."""
     lack: FloatArray
-    """C* - C now where positive, a mean over each coarse cell. Shape (rows, columns)."""
+    """max(C* - C, 0) now, averaged over each coarse cell. Shape (rows, columns)."""
     weight: FloatArray
-    """The density (9) that is expected from the end of each step on, summed up [s]. Shape (steps, rows, columns)."""
+    """Expected density (9) from the end of each step on, integrated over time [s]. Shape (steps, rows, columns)."""
 
 
 @compiled
 def leg_ticks(horizon: float, dt: float) -> int:
-    """Ticks for which a motion of this horizon keeps a velocity."""
+    """Return the duration of a leg for this horizon [ticks]."""
     return max(1, math.ceil(max(PERIOD, horizon / LEGS) / dt - 1e-9))
 
 
 @compiled
 def kept_time(persistence: float, time: float) -> float:
-    """For how much of a time to come the UGV is expected to keep its velocity [s]."""
+    """Return the part of a future time for which the UGV is expected to keep its velocity [s]."""
     return persistence * (1.0 - math.exp(-time / persistence))
 
 
 @compiled
 def expected_spread(target: Target, persistence: float, time: float) -> float:
-    """Standard deviation per axis of where the UGV will be after this time [m].
+    """Return the standard deviation per axis of the UGV's position after this time [m].
 
-    What is lost of the velocity leads anywhere, half of its square along each axis.
+    The lost part of the velocity points in any direction, so half of its square adds to each axis.
     """
     kept = kept_time(persistence, time)
     lost = norm(target.v_x, target.v_y) * (time - kept)
@@ -89,7 +89,7 @@ def expected_spread(target: Target, persistence: float, time: float) -> float:
 
 @compiled
 def expected_velocity(target: Target) -> tuple[float, float]:
-    """The filter's velocity of the UGV, the shorter the less sure it is."""
+    """Return the estimated velocity of the UGV [m/s], the shorter the more uncertain it is."""
     squared = target.v_x * target.v_x + target.v_y * target.v_y
     if squared == 0.0:
         return 0.0, 0.0
@@ -99,7 +99,7 @@ def expected_velocity(target: Target) -> tuple[float, float]:
 
 @compiled
 def copy(source: FloatArray, to: FloatArray) -> None:
-    """Copy an array of the same shape; by `to[:] = source` numba would compile how its error is put into words."""
+    """Copy an array of the same shape; for `to[:] = source` numba would also compile the error message."""
     for i in range(source.shape[0]):
         for j in range(source.shape[1]):
             to[i, j] = source[i, j]
@@ -109,17 +109,17 @@ def copy(source: FloatArray, to: FloatArray) -> None:
 def add_density(
     weight: FloatArray, x: float, y: float, cell: float, spread: float, r_o: float, share: float
 ) -> None:
-    """Add the density (9) around a UGV of which it is not sure where it is.
+    """Add the density (9) around a UGV at an uncertain position.
 
-    The mean over four places that have the variance: half of them off along each axis.
+    The density is averaged over four positions with the given variance, two offset along each axis.
 
     Args:
         weight: Changed in place. Shape (rows, columns).
-        x, y: Centre of the first cell, from where the UGV is expected [m].
+        x, y: Centre of the first cell relative to the UGV's expected position [m].
         cell: Width of a cell [m].
         spread: Standard deviation per axis [m].
-        r_o: Of the density [m].
-        share: By which it counts.
+        r_o: Radius of the density [m].
+        share: Weight of the added density.
     """
     rows, columns = weight.shape
     off, quarter = math.sqrt(2.0) * spread, 0.25 * share
@@ -140,16 +140,16 @@ def add_density(
 def add_lack(
     lack: FloatArray, coverage: FloatArray, desired: float, column: int, row: int, ratio: int
 ) -> None:
-    """Add C* - C where it is positive, as a mean over squares of `ratio` cells each way.
+    """Add max(C* - C, 0), averaged over squares of `ratio` by `ratio` cells.
 
-    Nothing is lacking outside the area.
+    Outside the area nothing is lacking.
 
     Args:
         lack: Changed in place. Shape (rows, columns).
-        coverage: C on the grid.
+        coverage: C on the grid. Shape (rows, columns).
         desired: C*.
-        column, row: Of the first square, counted from the grid's corner.
-        ratio: Cells to a square each way.
+        column, row: Index of the first square, from the grid's corner.
+        ratio: Cells per square in each direction.
     """
     rows, columns = coverage.shape
     share = 1.0 / (ratio * ratio)
@@ -173,16 +173,16 @@ def look_ahead(
     target: Target,
     persistence: float,
 ) -> Ahead:
-    """All that the motions of a decision have in common.
+    """Compute the data shared by all candidates of a decision.
 
     Args:
         uav: Constants of the UAV.
-        horizon: Time that it looks ahead [s].
-        v_ref: Largest speed of a motion [m/s].
-        coverage: The UAV's own map.
-        tick: Now.
-        target: What is believed of the UGV.
-        persistence: How long it keeps a velocity [s].
+        horizon: Prediction horizon [s].
+        v_ref: Largest speed of a candidate [m/s].
+        coverage: The UAV's own coverage map C. Shape (rows, columns).
+        tick: Current tick.
+        target: Estimate of the UGV.
+        persistence: Time for which the UGV keeps a velocity [s].
     """
     steps = max(1, min(STEPS, math.ceil(horizon / PERIOD - 1e-9)))
     step = horizon / steps
@@ -230,10 +230,10 @@ def look_ahead(
 def fly_step(
     own: Motion, w_x: float, w_y: float, u_max: float, step: float
 ) -> tuple[Motion, float, float]:
-    """A step towards a velocity, at the largest acceleration until it is reached: (1).
+    """Advance the UAV by one step towards a velocity, at maximum acceleration until it is reached: (1).
 
     Returns:
-        Where the UAV is then, and the middle of the way [m].
+        The state at the end of the step, and the midpoint of its path [m].
     """
     d_x, d_y = clip_norm(w_x - own.v_x, w_y - own.v_y, u_max * step)
     turning = norm(d_x, d_y) / u_max
@@ -245,10 +245,10 @@ def fly_step(
 
 @compiled
 def strayed(uav: UavParameters, margin: float, own: Motion, g_x: float, g_y: float) -> float:
-    """Distance of a state beyond what the safety filter lets through, and beyond the border's safety distance [m].
+    """Return the distance of a state beyond the limit of the safety filter and beyond the border margin [m].
 
-    The filter must be able to stop before the UGV, whatever it does, is out of sight: as in (18), with the UAV's own
-    velocity away from the UGV in place of its largest.
+    Whatever the UGV does, the filter must be able to stop the UAV while the UGV is visible: as in (18), with the UAV's
+    current outward velocity instead of its maximum speed.
     """
     x, y = own.p_x - g_x, own.p_y - g_y
     distance = norm(x, y)
@@ -273,24 +273,27 @@ def worth(
     lack: FloatArray,
     gains: FloatArray,
 ) -> float:
-    r"""By how much the expected e(t) adds up to less with a motion than without a look, less its cost [m² s].
+    r"""Return the reduction of the expected integral of e(t) by a candidate, minus its cost [m² s].
 
-    Each look counts at once with all that it saves from then on, so a step touches the sensor's disc only:
+    Each step is credited at once with its gain over all later times, so it changes only the sensor's disc:
 
     $$ \sum_k \int \left[ h(C^* - C_{k-1}) - h(C^* - C_k) \right] \Phi_k\, dq $$
 
-    with $\Phi_k$ the density that is still to come after step k, `Ahead.weight`.
+    with $\Phi_k$ the density that remains after step k, `Ahead.weight`.
 
     Args:
         uav: Constants of the UAV.
-        ahead: From `look_ahead`.
+        ahead: Data from `look_ahead`.
         own: State of the UAV.
-        motion: The velocity of each leg [m/s]. Shape (any, 2).
-        lack: Room for numbers of the shape of `ahead.lack`.
-        gains: Room for numbers. Shape (8,).
+        motion: Velocity of each leg [m/s]. Shape (any, 2).
+        lack: Work array of the shape of `ahead.lack`.
+        gains: Work array. Shape (8,).
     """
     step, cell = ahead.step, ahead.cell
-    size, width = lack.shape[0], gains.size  # not a constant: numba would take the cells one by one
+    size, width = (
+        lack.shape[0],
+        gains.size,
+    )  # not constants, or numba would not vectorize the loop over cells
     for j in range(size):
         row, now = lack[j], ahead.lack[j]
         for i in range(size):

@@ -37,9 +37,9 @@ def command(
         law: Parameters of this law.
         memory: Changed in place.
         coverage: The UAV's coverage grid C. Shape (rows, columns).
-        tick: Now.
+        tick: Current tick.
         own: Position [m] and velocity [m/s] of the UAV.
-        target: Estimate of the UGV, which is known.
+        target: Known estimate of the UGV.
     """
     shares = weights(uav, law, distance_to(target, own))
     return weighted_command(uav, law, memory, coverage, tick, own, target, shares)

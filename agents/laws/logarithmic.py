@@ -1,4 +1,4 @@
-r"""Law `logarithmic`: both terms, tracking without bound towards r_s, Klodt 2015, eq. (17) and (19)."""
+r"""Law `logarithmic`: tracking, and coverage that vanishes logarithmically at r_s, Klodt 2015, eq. (17), (19)."""
 
 from agents.control.weighting import logarithmic_weights
 from agents.laws.common import CoverageMemory, CoverageParameters, distance_to, weighted_command
@@ -43,9 +43,9 @@ def command(
         law: Parameters of this law.
         memory: Changed in place.
         coverage: The UAV's coverage grid C. Shape (rows, columns).
-        tick: Now.
+        tick: Current tick.
         own: Position [m] and velocity [m/s] of the UAV.
-        target: Estimate of the UGV, which is known.
+        target: Known estimate of the UGV.
     """
     shares = weights(uav, law, distance_to(target, own))
     return weighted_command(uav, law, memory, coverage, tick, own, target, shares)

@@ -1,10 +1,10 @@
-r"""A law that looks ahead: it goes on with the motion after which least ground lacks coverage. Beyond Klodt 2015.
+r"""Law `lookahead`: flies the candidate trajectory after which least ground lacks coverage. Beyond Klodt 2015.
 
-Every half second it compares motions of the next seconds on a coarse copy of the UAV's own map, around where its filter
-expects the UGV; the equations are in docs/explanation/lookahead.md. It knows what every law knows: its own position and
-velocity, its own map, and what its filter believes of the UGV. It is flown inside the safety filter.
+Every half second the law compares candidates for the next seconds on a coarse copy of the UAV's own map, around the
+expected positions of the UGV; docs/explanation/lookahead.md has the equations. Like every law, it knows its own
+position and velocity, its own map, and the estimate of the UGV. It is flown inside the safety filter.
 
-Positions in the world's frame [m], velocities [m/s], times [s] but for ticks.
+Positions in the world's frame [m], velocities [m/s], times [s] except for ticks.
 """
 
 import math
@@ -30,24 +30,24 @@ from sim.compiling.compile import FloatArray, compiled
 from sim.models.randomness import LOOKAHEAD_MOTION, Key, draw, to_uniform
 from sim.models.vehicles import Motion, clip_norm, norm
 
-_SLOTS = LEGS + 1  # of a motion in memory: a decision may be taken amid its first leg
+_SLOTS = LEGS + 1  # legs in memory: a decision may be due within the first leg
 
-# What a UGV does is learnt from two velocities so many decisions apart, the older the less.
+# The UGV's persistence is learnt from pairs of velocities this many decisions apart, with exponential forgetting.
 _LAG = 10
 _FORGET = 0.98
-_FIRST_PERSISTENCE, _FIRST_WEIGHT = 20.0, 5.0  # [s], and worth how many pairs
-_LEAST_ALIKE, _MOST_ALIKE = 0.05, 0.92  # 1.7 s and 60 s
+_FIRST_PERSISTENCE, _FIRST_WEIGHT = 20.0, 5.0  # prior [s], and its weight in pairs
+_LEAST_ALIKE, _MOST_ALIKE = 0.05, 0.92  # correlations of 1.7 s and 60 s
 
 
 class Parameters(LawParameters, frozen=True, kw_only=True):
     """`[law.parameters]` of this law."""
 
     reference_speed: Positive = math.inf
-    """v_ref: largest speed that it plans with [m/s]; by default the UAV's maximum speed."""
+    """v_ref: largest planned speed [m/s]; defaults to the UAV's maximum speed."""
     horizon: Annotated[float, Meta(ge=0.5, le=60.0)] = 15.0
-    """Time that it looks ahead [s]; 0.5: one step."""
+    """Prediction horizon [s]; 0.5: one step."""
     candidates: Annotated[int, Meta(ge=1, le=10_000)] = 800
-    """Number of motions it compares every half second; 1: it flies motions drawn at random, one after the other."""
+    """Number of candidates compared every half second; 1: fly randomly drawn trajectories without comparison."""
 
 
 class Memory:
@@ -57,25 +57,25 @@ class Memory:
     key_1: np.uint64
     """Random number key of the UAV."""
     due: int
-    """The tick of the next decision."""
+    """Tick of the next decision."""
     first: int
-    """The leg that the first velocity of the motion is for."""
+    """Leg of the first velocity in `velocities`."""
     noted: int
-    """Number of velocities of the UGV that have been kept."""
+    """Number of UGV velocities recorded."""
     products: float
     squares: float
-    """Sums of their products and squares [m²/s²]."""
+    """Discounted sums of products and squares of paired velocities [m²/s²]."""
     velocities: Annotated[FloatArray, (_SLOTS, 2)]
-    """The motion that is flown, leg by leg [m/s]."""
+    """Chosen trajectory, leg by leg [m/s]."""
     kept: Annotated[FloatArray, (_LAG, 2)]
-    """The last velocities of the UGV [m/s], the n-th in row n % rows."""
+    """Last velocities of the UGV [m/s], the n-th in row n % rows."""
 
 
 @compiled
 def learn_persistence(memory: Memory, target: Target) -> float:
-    """For how long the UGV keeps a velocity, by what the filter has believed of it so far [s].
+    """Return the time for which the UGV keeps a velocity, learnt from its estimated velocities [s].
 
-    From how alike velocities were that lie some seconds apart; called once a decision.
+    The time follows from the correlation of velocities a few seconds apart. Call it once per decision.
     """
     kept_velocities: Any = memory.kept
     v_x, v_y = target.v_x, target.v_y
@@ -103,14 +103,14 @@ def aim(
     first: int,
     places: tuple[float, float, float, float],
 ) -> None:
-    """Let a motion from its leg `first` on lead to a place beside the UGV, and from there to another.
+    """Let a candidate, from leg `first` on, lead to one point beside the UGV and then to another.
 
     Args:
-        ahead: From `look_ahead`.
+        ahead: Data from `look_ahead`.
         own: State of the UAV.
         motion: Changed in place. Shape (any, 2).
-        first: The leg.
-        places: From the UGV [m]: x and y of the one and of the other.
+        first: First leg to change.
+        places: Both points relative to the UGV [m]: x and y of the first, then of the second.
     """
     steps = ahead.legs.size
     leg = ahead.leg
@@ -137,10 +137,10 @@ def draw_motion(
     tick: int,
     n: int,
 ) -> None:
-    """Make another motion of one, the n-th of this tick.
+    """Change a candidate into the n-th variant of this tick.
 
-    By turns: it leads to two places beside the UGV; it keeps another velocity in one leg; its velocities in one or two
-    legs are a little different; from some leg on it leads to two places.
+    The variants alternate: two points beside the UGV; a new velocity in one leg; small changes to the velocities of one
+    or two legs; two points from some leg on.
     """
     words = draw(key, LOOKAHEAD_MOTION, tick, n)
     a, b = to_uniform(words[0]), to_uniform(words[1])
@@ -170,7 +170,7 @@ def draw_motion(
 
 @compiled
 def recall(memory: Memory, now: int, motion: FloatArray) -> None:
-    """The motion that is flown, from the leg of now on; after its last one it keeps the velocity."""
+    """Write the chosen trajectory, from the current leg on, into `motion`; after its last leg it keeps the velocity."""
     velocities: Any = memory.velocities
     passed = max(0, now - memory.first)
     for n in range(motion.shape[0]):
@@ -188,9 +188,9 @@ def decide(
     own: Motion,
     target: Target,
 ) -> None:
-    """Put the motion to go on with into the memory: the one that is flown, or the best of those made of it.
+    """Choose the trajectory to fly, the current one or its best variant, and store it in the memory.
 
-    Where there is but one candidate nothing is compared: it is flown to its end, and then one is drawn.
+    A single candidate is not compared: it is flown to its end, then the next is drawn.
     """
     v_ref, persistence = min(law.reference_speed, uav.max_speed), learn_persistence(memory, target)
     ahead = look_ahead(uav, law.horizon, v_ref, coverage, tick, target, persistence)

@@ -1,4 +1,4 @@
-r"""Law `path`: a path of the user's own beside the UGV, Klodt 2015, eq. (20) to (24)."""
+r"""Law `path`: a user's path beside the UGV, Klodt 2015, eq. (20) to (24)."""
 
 from agents.control.orbit import orbit_control
 from agents.laws.common import TrackingMemory, TrackingParameters, tracking_term
@@ -13,12 +13,12 @@ class Parameters(TrackingParameters, frozen=True, kw_only=True):
 
 
 class Memory(TrackingMemory):
-    """Memory of the law; the pilot writes the function's answer into it before each command."""
+    """Memory of the law; before each command the pilot writes the value of the user's function into it."""
 
     offset: Vector
     """p_v [m]."""
     acceleration: Vector
-    """Its second derivative [m/s²]."""
+    """Second derivative of p_v [m/s²]."""
 
 
 @compiled
@@ -38,9 +38,9 @@ def command(
         law: Parameters of this law.
         memory: Changed in place.
         coverage: The UAV's coverage grid C. Shape (rows, columns).
-        tick: Now.
+        tick: Current tick.
         own: Position [m] and velocity [m/s] of the UAV.
-        target: Estimate of the UGV, which is known.
+        target: Known estimate of the UGV.
     """
     x, y = own.p_x - target.p_x, own.p_y - target.p_y
     p_v, a_v = memory.offset, memory.acceleration

@@ -1,4 +1,4 @@
-"""A policy in the place of a UAV's law, on what the UAV knows: the observation that the environment would give it."""
+"""Learned policy that replaces a UAV's law, with the observation that the environment would give it."""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
@@ -16,10 +16,10 @@ from sim.compiling.compile import FloatArray
 from sim.models.field import coverage_gradient, sample
 
 UavPolicy = Callable[[Any], object]
-"""A UAV's observations in a batch of worlds in, its accelerations [m/s²] out, shape (worlds, 2).
+"""Function that maps a UAV's observations in a batch of worlds to its accelerations [m/s²], shape (worlds, 2).
 
-It may have a `setup`, the settings of the environment whose observations it needs (`SETUP`), and a method `fits`, which
-is given the briefing: it raises a ValueError where it is made for another UAV, and returns warnings.
+It may have a `setup`, the environment settings that define its observations (`SETUP`), and a method `fits`. `fits`
+receives the briefing, raises a ValueError if the policy was made for another UAV, and returns warnings.
 """
 SETUP: Mapping[str, Any] = {
     "estimate": False,
@@ -28,38 +28,40 @@ SETUP: Mapping[str, Any] = {
     "dtype": np.float64,
     "duration": None,
 }
-"""The keys of a policy's setup and their defaults: as of `outrider.vector_env`; `duration` [s] is the length of its
-episodes, which stands for the age of a detection before there is one."""
+"""Keys and defaults of a policy's setup, as in `outrider.vector_env`.
+
+`duration` [s] is the length of its episodes; it replaces the age of a detection before the first one.
+"""
 _ALLOWED = (
     "two finite numbers for each world, here of shape (1, 2), the acceleration x and y [m/s²]"
 )
 
 
 class TargetEstimate(NamedTuple):
-    """The estimate of the UGV."""
+    """Estimate of the UGV's position."""
 
     known: bool
     x: float
     y: float
-    """[m]"""
+    """Position [m]."""
     age: int
-    """Ticks since the newest detection that was not rejected."""
+    """Ticks since the newest accepted measurement."""
 
 
 def check_fit(briefing: UavBriefing, policy: UavPolicy, name: str) -> tuple[str, ...]:
-    """Hold a policy against the UAV that it is to fly.
+    """Check whether a policy fits the UAV that it will fly.
 
     Returns:
-        Warnings, one a line.
+        Warnings, one line each.
 
     Raises:
-        ScenarioError: If its setup is none, or it is made for another UAV.
+        ScenarioError: If its setup has an unknown key, or it was made for another UAV.
     """
     setup, fits = getattr(policy, "setup", {}), getattr(policy, "fits", None)
     unknown = [key for key in setup if key not in SETUP]
     if unknown:
         raise ScenarioError(
-            f"uav_policy = {name!r}: setup: {unknown[0]!r} is unknown; allowed: {', '.join(SETUP)}"
+            f"uav_policy = {name!r}: setup: {unknown[0]!r}: unknown; allowed: {', '.join(SETUP)}"
         )
     try:
         warnings = () if fits is None else fits(briefing)
@@ -69,19 +71,19 @@ def check_fit(briefing: UavBriefing, policy: UavPolicy, name: str) -> tuple[str,
 
 
 class PolicyControl:
-    """Asks the policy at each tick with the observation of its UAV.
+    """Policy control of one UAV: calls the policy at each tick with the UAV's observation.
 
-    Row, estimate, gradient and coverage patch have the bits of the environment's. They are made from the observation,
-    the filter's estimate and the UAV's own map, and from nothing else.
+    Row, estimate, gradient and coverage patch equal the environment's bit for bit. They are computed only from the
+    observation, the filter's estimate and the UAV's own map.
 
     Args:
-        briefing: What the UAV is told when it joins.
+        briefing: Briefing of the UAV.
         uav: Constants of the UAV.
-        policy: The policy; it remembers one UAV's flight.
-        name: Of the policy, in errors.
+        policy: Policy; it may keep state of one UAV's flight.
+        name: Name of the policy in errors.
 
     Raises:
-        ScenarioError: As `check_fit`.
+        ScenarioError: As in `check_fit`.
     """
 
     def __init__(
@@ -98,26 +100,26 @@ class PolicyControl:
         self._pixels, self._scale = (0, 1.0) if patch is None else (int(patch[0]), float(patch[1]))
 
     def perceive(self, observation: UavObservation) -> None:
-        """Take in the detections of a tick, answered or not."""
-        for look in self._looks(observation):
-            self._newest = max(self._newest, look.taken)
+        """Record the detections of a tick, whether or not it is answered."""
+        for detection in self._detections(observation):
+            self._newest = max(self._newest, detection.taken)
 
-    def _looks(self, observation: UavObservation) -> Iterator[Look]:
-        looks = looks_of(observation.detections, self._dt)
-        return (look for look in looks if 0 <= look.taken <= observation.tick)
+    def _detections(self, observation: UavObservation) -> Iterator[Look]:
+        detections = looks_of(observation.detections, self._dt)
+        return (detection for detection in detections if 0 <= detection.taken <= observation.tick)
 
     def acceleration(
         self, observation: UavObservation, target: TargetEstimate, coverage: FloatArray
     ) -> Vector:
-        """The acceleration [m/s²] for this observation, which has been perceived.
+        """Return the acceleration [m/s²] for this observation, after `perceive`.
 
         Args:
-            observation: What the UAV perceives.
-            target: Its estimate of the UGV.
-            coverage: Its own map. Shape (rows, columns).
+            observation: Observation of the UAV.
+            target: Estimate of the UGV.
+            coverage: The UAV's own coverage map. Shape (rows, columns).
 
         Raises:
-            ScenarioError: If the policy raises, or answers anything but two finite numbers.
+            ScenarioError: If the policy raises, or does not return two finite numbers.
         """
         tick = observation.tick
         row = self._row(observation, target, coverage).astype(self._setup["dtype"])[None]
@@ -125,14 +127,16 @@ class PolicyControl:
         answer = self._asked.answer(tick, seen)
         found = pair(answer, (1, 2))
         if found is None or max(map(abs, found)) > LARGEST:
-            raise self._asked.nonsense(tick, answer, _ALLOWED)
+            raise self._asked.invalid_answer(tick, answer, _ALLOWED)
         return found
 
     def _row(
         self, observation: UavObservation, target: TargetEstimate, coverage: FloatArray
     ) -> Row:
         time, (x, y) = observation.tick * self._dt, observation.position
-        best = max(self._looks(observation), key=lambda look: look.taken, default=None)
+        best = max(
+            self._detections(observation), key=lambda detection: detection.taken, default=None
+        )
         newest = self._newest if best is None else best.taken
         age = self._never if newest < 0 else time - newest * self._dt
         seen = (0.0, 0.0, 0.0, age) if best is None else (1.0, best.x, best.y, age)

@@ -1,4 +1,4 @@
-"""The law that a pilot flies, by its name: file, parameters and memory."""
+"""Selection of the law that a pilot flies: file, parameters and memory."""
 
 from importlib import import_module
 from typing import Any
@@ -17,13 +17,13 @@ from sim.models.vehicles import Motion
 
 
 class SelectedLaw:
-    """A law that flies one UAV.
+    """Law of one UAV, with its memory.
 
     Args:
-        briefing: The UAV's.
-        law: Name and parameters.
+        briefing: Briefing of the UAV.
+        law: Name and parameters of the law.
         uav: Constants of the UAV.
-        before: The law that flew it before; what both remember is kept.
+        before: Previous law; memory fields that both have are kept.
 
     Raises:
         ScenarioError: If the law is unknown, its parameters are not allowed, or the UAV is too weak for r_s.
@@ -39,7 +39,7 @@ class SelectedLaw:
         if law.name not in LAWS:
             raise ScenarioError(f"law.name = {law.name!r}: unknown; allowed: {', '.join(LAWS)}")
         self.row = LAWS[law.name]
-        """Its row."""
+        """Row of the law in the registry."""
         if self.row.needs_radius:
             r_v, v_g = briefing.visibility_radius, uav.target_max_speed
             switching_radius(r_v, uav.max_speed, v_g, uav.max_acceleration)
@@ -56,12 +56,12 @@ class SelectedLaw:
                 memory[name] = kept[name]
         own = records(UavParameters, [uav])
         parameters = records(module.Parameters, [law_parameters(law)])
-        # Arrays of one row: a row by itself is read-only once it has been pickled.
+        # Arrays of one row: a single row becomes read-only when pickled.
         self._command, self._fixed = module.command, (own, parameters, memory)
 
     @property
     def memory(self) -> Any:  # noqa: ANN401 - the law's own record
-        """Record of its memory; None before the first law that has one."""
+        """Memory record of the law; None before the first law with a memory."""
         return None if self._memory is None else self._memory[0]
 
     def command(

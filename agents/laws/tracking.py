@@ -1,4 +1,4 @@
-r"""Law `tracking`: follows the UGV, Klodt 2015, eq. (15) and (16)."""
+r"""Law `tracking`: tracks the UGV, Klodt 2015, eq. (15) and (16)."""
 
 from agents.laws.common import TrackingMemory, TrackingParameters, tracking_term
 from agents.uav_parameters import Target, UavParameters
@@ -36,9 +36,9 @@ def command(
         law: Parameters of this law.
         memory: Changed in place.
         coverage: The UAV's coverage grid C. Shape (rows, columns).
-        tick: Now.
+        tick: Current tick.
         own: Position [m] and velocity [m/s] of the UAV.
-        target: Estimate of the UGV, which is known.
+        target: Known estimate of the UGV.
     """
     x, y = own.p_x - target.p_x, own.p_y - target.p_y
     return tracking_term(law, memory, uav.dt, x, y)

@@ -1,4 +1,4 @@
-r"""Law `weighted`: both terms of (17), weighted by a function of the user's own."""
+r"""Law `weighted`: both terms of (17), weighted by a user's function."""
 
 from agents.laws.common import CoverageMemory, CoverageParameters, weighted_command
 from agents.uav_parameters import Target, UavParameters
@@ -11,7 +11,7 @@ class Parameters(CoverageParameters, frozen=True, kw_only=True):
 
 
 class Memory(CoverageMemory):
-    """Memory of the law; the pilot writes the function's answer into it before each command."""
+    """Memory of the law; before each command the pilot writes the value of the user's function into it."""
 
     alpha: float
     beta: float
@@ -34,9 +34,9 @@ def command(
         law: Parameters of this law.
         memory: Changed in place.
         coverage: The UAV's coverage grid C. Shape (rows, columns).
-        tick: Now.
+        tick: Current tick.
         own: Position [m] and velocity [m/s] of the UAV.
-        target: Estimate of the UGV, which is known.
+        target: Known estimate of the UGV.
     """
     shares = memory.alpha, memory.beta
     return weighted_command(uav, law, memory, coverage, tick, own, target, shares)

@@ -1,1 +1,1 @@
-"""The safety filter of a UAV: what is known of the UGV, backup trajectories, and the decision at each tick."""
+"""Safety filter of a UAV: bounds on the UGV's position, backup trajectories, and the decision in each tick."""

@@ -1,4 +1,4 @@
-"""Walls of the area: the motion of a UAV against them, and the distance that plans keep from them.
+"""Walls of the area: UAV motion at the walls, and the distance that plans keep from them.
 
 Positions [m], speeds [m/s], accelerations [m/s²].
 """
@@ -10,23 +10,23 @@ from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion, norm, step_vehicle, within_walls
 
 RESIDUE = 1e-10
-"""Largest component of the velocity [m/s] that rounding leaves towards a wall at the end of a plan."""
+"""Largest velocity component towards a wall that rounding leaves at the end of a plan [m/s]."""
 
 _OFF_WALL = 1e-6
-"""Distance [m] that a plan keeps from the walls. One that starts nearer to a wall leads along it or away from it."""
+"""Distance that a plan keeps from the walls [m]. A plan that starts nearer leads along the wall or away from it."""
 
 _CLEAR = 1e-9
-"""Least distance [m] from a wall at which a plan may approach it: far more than rounding moves a UAV."""
+"""Least distance from a wall at which a plan may approach it [m]; far above the effect of rounding."""
 
 
 @compiled
 def step_in_area(
     bounds: SafetyBounds, here: Motion, u_x: float, u_y: float
 ) -> tuple[Motion, float]:
-    """Return the state of the UAV after a tick, by (1) and the walls.
+    """Return the state of the UAV after one tick, by (1) and the walls.
 
     Returns:
-        The state, and the distance by which a wall has kept the UAV from where (1) alone leads [m].
+        The state, and the distance between it and the state by (1) alone [m].
     """
     q_x, q_y, w_x, w_y, _, _ = step_vehicle(
         here.p_x, here.p_y, here.v_x, here.v_y, u_x, u_y, bounds.v_a, bounds.u_a, bounds.dt
@@ -46,7 +46,7 @@ def is_in_area(bounds: SafetyBounds, x: float, y: float) -> bool:
 
 @compiled
 def off_walls(p: float, size: float) -> float:
-    """Return the point of one axis next to p that a return may end at: 2 `_OFF_WALL` off the walls."""
+    """Return the nearest coordinate to p at which a return may end: at least 2 `_OFF_WALL` from the walls [m]."""
     if math.isinf(size):
         return p
     return min(max(p, 2.0 * _OFF_WALL), size - 2.0 * _OFF_WALL)
@@ -54,16 +54,16 @@ def off_walls(p: float, size: float) -> float:
 
 @compiled
 def _room(distance: float) -> float:
-    """Return how near to a wall a plan may come that starts at this distance from it [m]."""
+    """Return the least distance from a wall for a plan that starts at the given distance [m]."""
     return min(_OFF_WALL, distance, max(0.5 * distance, _CLEAR))
 
 
 @compiled
 def _is_off_wall(p: float, v: float, a: float, duration: float, size: float) -> bool:
-    """Return whether p + v s + a s²/2 keeps off the walls of one axis for the duration.
+    """Return whether p + v s + a s²/2 keeps its distance from the walls of one axis for the duration.
 
-    A motion that starts within `_OFF_WALL` of a wall may lead along it or away from it, and may halve the distance
-    while it brakes or turns. A residual velocity may touch the wall, which removes it.
+    A trajectory that starts within `_OFF_WALL` of a wall may lead along it or away from it. It may halve the distance
+    while it brakes or turns. A residual velocity may touch the wall, which then cancels it.
     """
     if math.isinf(size):
         return True
@@ -85,9 +85,9 @@ def _is_off_wall(p: float, v: float, a: float, duration: float, size: float) -> 
 def stays_in_area(
     bounds: SafetyBounds, here: Motion, a_x: float, a_y: float, duration: float
 ) -> bool:
-    """Return whether a motion with constant acceleration keeps off the walls.
+    """Return whether a trajectory with constant acceleration keeps its distance from the walls.
 
-    A wall that it touched would take the UAV off its plan.
+    Contact with a wall would make the UAV leave its plan.
     """
     return _is_off_wall(here.p_x, here.v_x, a_x, duration, bounds.width) and _is_off_wall(
         here.p_y, here.v_y, a_y, duration, bounds.height

@@ -2,9 +2,9 @@
 
 `SafetyFilter` calls `decide` for one UAV, compiled loops call it for many worlds.
 
-Each command carries a plan: the acceleration of one tick, and the backup trajectory that follows it while later
-commands are lost. The vehicle reports which plan it flies, so the filter can predict the states until the plan of this
-tick's command begins.
+Each command carries a plan: the acceleration of one tick, and the backup trajectory that follows if later commands are
+lost. The vehicle reports its committed trajectory, so the filter can predict the states until the plan of this tick's
+command begins.
 
 Positions in the world's frame [m], speeds [m/s], accelerations [m/s²], times in ticks.
 """
@@ -57,7 +57,7 @@ _UNCHECKED_PLAN = code(NotCertified.UNCHECKED_PLAN)
 
 
 @compiled
-def _may_go_on(
+def _stays_in_sight(
     bounds: SafetyBounds,
     known: KnownDiscs,
     checked: bool,
@@ -66,15 +66,15 @@ def _may_go_on(
     then: Motion,
     over: float,
 ) -> bool:
-    """Return whether the UGV is surely in sight now, and until the next tick if a wall is touched.
+    """Return whether the UGV is certainly in sight now, and until the next tick if the UAV touches a wall.
 
-    The wall keeps the UAV `over` [m] back. A checked plan implies that the UGV is in sight now.
+    The wall holds the UAV back by `over` [m]. A checked plan implies that the UGV is in sight now.
     """
     within = (
         checked or farthest(bounds, known, tick, here.p_x, here.p_y, bounds.radius) <= bounds.radius
     )
     if within and over > 0.0:
-        # within the tick the bound is at most that of the point beyond the wall
+        # during the tick, the bound is at most that at the point beyond the wall
         room = bounds.radius - over
         within = farthest(bounds, known, tick + 1, then.p_x, then.p_y, room) <= room
     return within
@@ -90,17 +90,17 @@ def choose_control(
     u_x: float,
     u_y: float,
 ) -> tuple[float, float, int]:
-    """Return the acceleration that acts in a tick: the nominal one if a plan exists after it, else the plan's.
+    """Return the acceleration of a tick: the nominal one if a plan exists after it, else the plan's.
 
-    With delayed commands the tick and the state are those in which this command will act. The current plan begins in
-    this state.
+    With delayed commands, tick and state are those at which this command takes effect. The current plan begins in this
+    state.
 
     Args:
         bounds: Bounds of the filter.
-        discs: Of the measurements, as kept by `add_disc`. (KEPT,)
-        plan: `CheckedTrajectory` of the current plan, changed in place. (1,)
-        tick: Tick in which the command acts.
-        here: State of the UAV then.
+        discs: `Disc` of each kept measurement, from `add_disc`. Shape (KEPT,).
+        plan: `CheckedTrajectory` of the current plan, changed in place. Shape (1,).
+        tick: Tick in which the command takes effect.
+        here: State of the UAV at that tick.
         u_x, u_y: Nominal acceleration [m/s²].
 
     Returns:
@@ -115,7 +115,7 @@ def choose_control(
     known = known_discs(bounds, discs, end_disc(plan), new, tick, here)
     w_x, w_y = clip_norm(u_x, u_y, bounds.u_a)
     then, over = step_in_area(bounds, here, w_x, w_y)
-    if _may_go_on(bounds, known, held.checked != 0, tick, here, then, over):
+    if _stays_in_sight(bounds, known, held.checked != 0, tick, here, then, over):
         found = stop_from(bounds, known, plan, tick + 1, then)
         if found or return_from(bounds, known, plan, tick + 1, then):
             return w_x, w_y, NOMINAL
@@ -132,18 +132,20 @@ def choose_control(
 
 
 @compiled
-def _begun(bounds: SafetyBounds, memory: FilterMemory, tick: int, here: Motion, flown: int) -> int:
-    """Return the plan that the vehicle flew in the tick before; NO_MOTION: it flew none.
+def _executed_plan(
+    bounds: SafetyBounds, memory: FilterMemory, tick: int, here: Motion, committed: int
+) -> int:
+    """Return the plan executed in the previous tick; NO_MOTION: none.
 
-    A receiver of bare accelerations reports none. Where each command acts in its own tick, the state of the UAV shows
-    that the last plan did begin.
+    A receiver of plain accelerations reports none. If each command takes effect in its own tick, the state of the UAV
+    shows whether the last plan has started.
     """
-    if flown != NO_MOTION or bounds.delay_ticks > 0 or bounds.interval_ticks > 1:
-        return flown
+    if committed != NO_MOTION or bounds.delay_ticks > 0 or bounds.interval_ticks > 1:
+        return committed
     pending, last = memory.pending, tick - 1
     begins = pending.sent[last % pending.sent.shape[0]].begins
     answered = last >= 0 and memory.flags[0].tick == last and begins == last
-    return last if answered and is_expected(pending, tick, here, last) else flown
+    return last if answered and is_expected(pending, tick, here, last) else committed
 
 
 @compiled
@@ -166,7 +168,9 @@ def _reason(
         return _MEASUREMENT_TOO_OLD
     if memory.flags[0].contradicted != 0:
         return _CONTRADICTION
-    late = wait > bounds.interval_ticks  # also if it is yet to come, but nothing can prevent it
+    late = (
+        wait > bounds.interval_ticks
+    )  # also if it is still in the future but can no longer be prevented
     if source == BEST_EFFORT:
         return _COMMAND_INTERVAL if late else _NO_PLAN
     if not expected:
@@ -184,26 +188,26 @@ def decide(
     here: Motion,
     u_x: float,
     u_y: float,
-    flown: int = NO_MOTION,
+    committed: int = NO_MOTION,
 ) -> None:
-    """Let the nominal acceleration act if the UGV stays in sight after it, else a backup trajectory.
+    """Decide on the nominal acceleration: apply it if the UGV stays in sight after it, else a backup trajectory.
 
-    To be called once a tick, since it advances the plan. The decision is in `memory.decision`, the plan that the
-    command carries in `memory.pending`.
+    Call it once per tick, since it advances the plan. The decision is in `memory.decision`, the plan of the command in
+    `memory.pending`.
 
     Args:
         bounds: Bounds of the filter.
         memory: Memory of the filter, changed in place.
-        tick: Now.
-        here: State of the UAV now.
+        tick: Current tick.
+        here: Current state of the UAV.
         u_x, u_y: Nominal acceleration [m/s²].
-        flown: Tick in which the plan began that the vehicle flew in the tick before; NO_MOTION: it flew none.
+        committed: First tick of the plan executed in the previous tick; NO_MOTION: none.
     """
     flags, pending, plan, discs = memory.flags[0], memory.pending, memory.plan, memory.discs
     decision = memory.decision[0]
     decision.certified_distance = certified_distance(bounds, discs, tick, here.p_x, here.p_y)
-    flown = _begun(bounds, memory, tick, here, flown)
-    expected = receive_observation(pending, tick, here, flown, flags.tick)
+    committed = _executed_plan(bounds, memory, tick, here, committed)
+    expected = receive_observation(pending, tick, here, committed, flags.tick)
     flags.from_start = 1 if tick == 0 else flags.from_start
     if flags.from_start == 1:
         check_rest(bounds, pending, discs, plan, tick, here)

@@ -1,4 +1,4 @@
-"""Position of the UGV by its measurements: each puts it into a disc that grows with time.
+"""Bounds on the UGV's position: each measurement confines it to a disc that grows with time.
 
 Positions in the world's frame [m], times in ticks.
 """
@@ -14,55 +14,58 @@ from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion, norm
 
 KEPT = 16
-"""Number of discs that are kept: the newest, and those that bound the distance best."""
+"""Number of kept discs: the newest, and those with the tightest bounds on the distance."""
 
 MOST_KEPT = 1_000_000
-"""Ticks for which own positions are kept at most, and after which no detection is of use."""
+"""Largest number of ticks for which own positions are kept; older detections are unusable."""
 
 NEVER = -1
 """Tick of an empty row."""
 
 MARGIN = 1e-5
-"""Taken off every radius [m], so that rounding changes no answer of the proof: more than all of its errors together."""
+"""Margin subtracted from every radius [m], larger than all rounding errors together."""
 
 AS_EXPECTED = 1e-10
-"""A state nearer than this [m, m/s] to the expected one is that. The prediction starts from the state, so that a lost
-command is seen at once or has no consequence; a thousand ticks of this are less than `MARGIN`."""
+"""Largest deviation from the expected state that counts as none [m, m/s].
+
+The prediction starts from the current state, so a lost command is either detected at once or has no consequence. A
+thousand ticks of this deviation are less than `MARGIN`.
+"""
 
 _NESTED = 1e-6
-"""Discs that hold each other but for this [m] are not intersected: the formula of the corners would divide by it."""
+"""Tolerance for nested discs [m]: they are not intersected, since the formula for the corners would divide by it."""
 
 _TOUCHING = 1e-9
-"""Discs that are no farther apart than this [m] touch: whether they meet would be decided by rounding."""
+"""Gap up to which discs count as touching [m], so that rounding does not decide whether they meet."""
 
 
 class Disc(NamedTuple):
-    """Disc in which the UGV surely was at a tick; from then on, and before, it grows at v_g."""
+    """Disc that certainly contained the UGV at a tick; before and after it, the radius grows at v_g."""
 
     x: float
     y: float
     """Centre [m]."""
     radius: float
-    """At the tick [m]."""
+    """Radius at the tick [m]."""
     tick: int
-    """NEVER: the row is empty."""
+    """Tick of the measurement; NEVER: the row is empty."""
 
 
 class KnownDiscs(NamedTuple):
-    """Discs, each of which surely holds the UGV."""
+    """Discs that certainly contain the UGV."""
 
     newest: Disc
-    """Of the newest measurement."""
+    """Disc of the newest measurement."""
     nearest: Disc
-    """Of the measurement with the least bound."""
+    """Disc of the measurement with the least bound."""
     end: Disc
-    """Around the end of the last plan; its radius is infinite before the first."""
+    """Disc around the end of the last plan; its radius is infinite before the first."""
     single: bool
-    """True if the newest measurement is also the nearest."""
+    """True if the newest measurement also has the least bound."""
 
 
 def no_discs() -> RecordArray:
-    """Return empty rows of `Disc`, for those that are kept. Shape (KEPT,)."""
+    """Return empty rows of `Disc`. Shape (KEPT,)."""
     discs = np.zeros(KEPT, dtype=record_type(Disc))
     discs["tick"] = NEVER
     return discs
@@ -70,7 +73,7 @@ def no_discs() -> RecordArray:
 
 @compiled
 def drift(bounds: SafetyBounds, ticks: int) -> float:
-    """Return the longest way of the UGV in this number of ticks [m]."""
+    """Return the largest distance that the UGV travels in this number of ticks [m]."""
     return bounds.v_g * (ticks * bounds.dt)
 
 
@@ -83,7 +86,7 @@ def disc_in(discs: RecordArray, row: int) -> Disc:
 
 @compiled
 def radius_at(bounds: SafetyBounds, disc: Disc, tick: int) -> float:
-    """Return the radius of a disc that holds the UGV at this tick [m]; also at one before the disc's own."""
+    """Return the radius of a disc at a tick, before or after the disc's own [m]."""
     return disc.radius + drift(bounds, abs(tick - disc.tick))
 
 
@@ -104,12 +107,12 @@ def certified_distance(
 
     $$ d_{cert} = \min_i \|p_a - z_i\| + \epsilon + 2 w + v_g (t - t_i) $$
 
-    One w is the tracking error now, the other that at the detection. Infinite without any measurement.
+    One w is the current tracking error, the other the tracking error at the detection. Infinite without measurements.
 
     Args:
         bounds: Bounds of the filter.
-        discs: As kept. (rows,)
-        tick: Now.
+        discs: Kept discs. Shape (rows,).
+        tick: Current tick.
         x, y: Reference position of the UAV [m].
     """
     k = nearest(bounds, discs, tick, x, y)
@@ -120,7 +123,7 @@ def certified_distance(
 
 @compiled
 def nearest(bounds: SafetyBounds, discs: RecordArray, tick: int, x: float, y: float) -> int:
-    """Return the row whose bound is least; -1 if there is no measurement."""
+    """Return the row with the least bound; -1 without measurements."""
     least, found = math.inf, -1
     for k in range(discs.shape[0]):
         if discs[k].tick != NEVER:
@@ -132,7 +135,7 @@ def nearest(bounds: SafetyBounds, discs: RecordArray, tick: int, x: float, y: fl
 
 @compiled
 def newest_disc(discs: RecordArray) -> int:
-    """Return the row of the newest measurement; -1 if there is none."""
+    """Return the row of the newest measurement; -1 without measurements."""
     last, found = NEVER, -1
     for k in range(discs.shape[0]):
         if discs[k].tick > last:
@@ -144,23 +147,23 @@ def newest_disc(discs: RecordArray) -> int:
 def add_disc(
     bounds: SafetyBounds, discs: RecordArray, new: Disc, tick: int, p_x: float, p_y: float
 ) -> bool:
-    r"""Add the disc of a measurement to those that are kept, in any order of arrival.
+    r"""Add the disc of a measurement to the kept ones, in any order of arrival.
 
-    One that holds another is dropped: it can never again give the least bound. If there is no room, the one with the
-    largest bound at the UAV's position goes, but never the newest. A subset of measurements bounds the distance as
-    well.
+    A disc that contains another is dropped: it can never again give the least bound. If all rows are occupied, the disc
+    with the largest bound at the UAV's position is dropped, but never the newest. A subset of the measurements still
+    gives a valid bound.
 
     Args:
         bounds: Bounds of the filter.
-        discs: Kept so far, changed in place. (rows,)
-        new: The disc around the measured position: own position at the detection less the detected p_a - p_g; where
-            there are walls, clipped to the area, which brings it nearer to every point in it.
-        tick: Now.
-        p_x, p_y: Position of the UAV now [m].
+        discs: Kept discs, changed in place. Shape (rows,).
+        new: Disc around the measured position: own position at the detection minus the detected p_a - p_g. With walls
+            it is clipped to the area, which brings it nearer to every point inside.
+        tick: Current tick.
+        p_x, p_y: Current position of the UAV [m].
 
     Returns:
-        True if it agrees with the others: no two may be farther apart than $2\epsilon + v_g |t_i - t_j|$. If it
-        does not, eps or v_g is not what was declared.
+        True if it is consistent with the others: no two may be farther apart than $2\epsilon + v_g |t_i - t_j|$.
+        Otherwise eps or v_g exceeds its declared value.
     """
     agrees, place, worst, largest = True, -1, -1, -math.inf
     newest = newest_disc(discs)
@@ -173,7 +176,7 @@ def add_disc(
         apart, driven = norm(kept.x - new.x, kept.y - new.y), drift(bounds, new.tick - kept.tick)
         if apart > 2.0 * bounds.placed_error + abs(driven) + MARGIN:
             agrees = False
-        if apart <= driven and new.tick > kept.tick:  # its disc holds the new one
+        if apart <= driven and new.tick > kept.tick:  # the kept disc contains the new one
             discs[k].tick = NEVER
             place = k
         elif apart <= -driven:
@@ -198,15 +201,15 @@ def add_disc(
 def known_discs(
     bounds: SafetyBounds, discs: RecordArray, end: Disc, newest: int, tick: int, here: Motion
 ) -> KnownDiscs:
-    """Return the discs that bound the distance from a state at this tick best.
+    """Return the discs that best bound the distance from a state at a tick.
 
     Args:
         bounds: Bounds of the filter.
-        discs: As kept. (rows,)
-        end: Around the end of the last plan.
+        discs: Kept discs. Shape (rows,).
+        end: Disc around the end of the last plan.
         newest: Row of the newest measurement.
         tick: Tick of the state.
-        here: State of the UAV then.
+        here: State of the UAV at that tick.
     """
     near = nearest(bounds, discs, tick, here.p_x, here.p_y)
     return KnownDiscs(disc_in(discs, newest), disc_in(discs, near), end, near == newest)
@@ -216,14 +219,14 @@ def known_discs(
 def farthest(
     bounds: SafetyBounds, known: KnownDiscs, tick: int, x: float, y: float, enough: float
 ) -> float:
-    """Return an upper bound of the distance from (x, y) to the UGV at a tick [m], from all that is known.
+    """Return an upper bound of the distance from (x, y) to the UGV at a tick [m], from all known discs.
 
     Args:
         bounds: Bounds of the filter.
-        known: The discs that hold the UGV.
+        known: Discs that contain the UGV.
         tick: Tick of the bound.
         x, y: Position from which the distance is bounded [m].
-        enough: A bound that is not more than this need not be made tighter [m].
+        enough: Bound that needs no further tightening [m].
     """
     n, e, b = known.newest, known.end, known.nearest
     n_r = radius_at(bounds, n, tick)
@@ -243,16 +246,16 @@ def farthest(
 def lens_distance(
     p_x: float, p_y: float, a_x: float, a_y: float, r_a: float, b_x: float, b_y: float, r_b: float
 ) -> float:
-    """Return the largest distance from p of a point in two discs' intersection [m].
+    """Return the largest distance from p to a point in the intersection of two discs [m].
 
-    Their farthest common point is the far point of one disc if that lies in the other, else a corner of the lens; of
-    discs that touch, but for rounding, the point where they do. Discs that do not meet (no UGV can be in both: an
-    assumption is broken) give the smaller of the two bounds; an infinite radius is no disc.
+    The farthest common point is the far point of one disc if it lies in the other, else a corner of the lens. For discs
+    that touch within rounding, it is the point of contact. Discs that do not meet give the smaller of the two bounds:
+    no UGV can be in both, so an assumption is violated. An infinite radius means no disc.
 
     Args:
-        p_x, p_y: From where [m].
-        a_x, a_y, r_a: Centre and radius of one disc [m].
-        b_x, b_y, r_b: Of the other.
+        p_x, p_y: Point p [m].
+        a_x, a_y, r_a: Centre and radius of the first disc [m].
+        b_x, b_y, r_b: Centre and radius of the second disc [m].
     """
     d_a, d_b = norm(p_x - a_x, p_y - a_y), norm(p_x - b_x, p_y - b_y)
     x, y = b_x - a_x, b_y - a_y

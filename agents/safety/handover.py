@@ -1,4 +1,4 @@
-"""Hand-over from one plan to the next, and check of the declared numbers; both when a scenario loads.
+"""Hand-over from one plan to the next, and checks of the declared parameters, when a scenario is loaded.
 
 The proof is in docs/explanation/proof.md. SI units.
 """
@@ -13,73 +13,74 @@ from sim.compiling.compile import compiled
 from sim.models.safety import SafetyBounds
 
 ROUNDING = 1e-12
-"""Ticks by which a quotient may exceed a whole number and still be that number."""
+"""Excess of a quotient over a whole number that counts as rounding [ticks]."""
 
 REST = 1e-9
-"""Largest speed [m/s] from which `rest_to_rest` keeps the bound on the acceleration."""
+"""Largest initial speed for which `rest_to_rest` keeps the acceleration bound [m/s]."""
 
 _LEAST_STEP = 1000.0 * AS_EXPECTED
-"""The least change of speed in a tick at u_a [m/s]: a command that does not act must be seen."""
+"""Least change of speed in a tick at u_a [m/s], so that a lost command can be detected."""
 
 _GRID, _STEPS = 0.005, 950
-"""Step of the distances [m] over which the hand-over is checked when a scenario loads, and its margin.
+"""Step of the distances [m] for which the hand-over is checked, which is also its margin; and number of steps to r_v.
 
-But no more steps than these to r_v, or a large radius would take minutes."""
+The number is limited, or a large radius would take minutes.
+"""
 
 
 @compiled
-def rest_to_rest(way: float, v_a: float, u_a: float, dt: float) -> tuple[int, int, float]:
-    r"""Return the fastest motion of whole ticks over `way` [m] along a line, from rest to rest.
+def rest_to_rest(distance: float, v_a: float, u_a: float, dt: float) -> tuple[int, int, float]:
+    r"""Return the fastest trajectory of whole ticks over `distance` [m] along a line, from rest to rest.
 
-    It takes at most $way / v_a + v_a / u_a + 2 dt$, but for terms of the order of REST. The acceleration bound leaves
-    room to remove an initial velocity of up to REST while the vehicle speeds up.
+    It takes at most $distance / v_a + v_a / u_a + 2 dt$, up to terms of the order of REST. The acceleration bound leaves
+    room to remove an initial velocity of up to REST while the vehicle accelerates.
 
     Returns:
-        Ticks in which it speeds up (and in which it brakes), ticks at constant speed, and that speed [m/s].
+        Ticks of acceleration (and of braking), ticks at constant speed, and this speed [m/s].
     """
-    if way <= 0.0:
+    if distance <= 0.0:
         return 0, 0, 0.0
     full = max(1, math.ceil(v_a / (u_a * dt) - ROUNDING))
-    moving = math.ceil(way / (max(v_a - REST, 0.5 * v_a) * dt) - ROUNDING)
+    moving = math.ceil(distance / (max(v_a - REST, 0.5 * v_a) * dt) - ROUNDING)
     if moving >= full:
-        return full, moving - full, way / (moving * dt)
-    fastest = 0.5 * (REST / u_a + math.sqrt(REST * REST / (u_a * u_a) + 4.0 * way / u_a))
+        return full, moving - full, distance / (moving * dt)
+    fastest = 0.5 * (REST / u_a + math.sqrt(REST * REST / (u_a * u_a) + 4.0 * distance / u_a))
     half = max(1, math.ceil(fastest / dt - ROUNDING))
-    return half, 0, way / (half * dt)
+    return half, 0, distance / (half * dt)
 
 
 @compiled
-def motion_stays_within(
-    limit: float, radius: float, rho: float, way: float, turn: int, cruise: int, drift: float
+def trajectory_stays_within(
+    limit: float, radius: float, rho: float, distance: float, turn: int, cruise: int, drift: float
 ) -> bool:
     """Return whether the UGV stays within a distance while the UAV flies from rest to a new detection.
 
-    Two discs hold the UGV at the start.
+    Two discs contain the UGV at the start.
 
     Args:
-        limit: The distance [m].
-        radius: Of the disc around the UAV, at rest [m].
-        rho: Of the disc around the new detection [m].
-        way: To that detection [m].
-        turn, cruise: Ticks of the motion, as from `rest_to_rest`.
-        drift: How far the UGV drives at most in a tick, v_g dt [m].
+        limit: Distance [m].
+        radius: Radius of the disc around the resting UAV [m].
+        rho: Radius of the disc around the new detection [m].
+        distance: Distance to the new detection [m].
+        turn, cruise: Ticks of the trajectory, from `rest_to_rest`.
+        drift: Largest distance of the UGV in a tick, v_g dt [m].
     """
     if radius > limit:
         return False
     ticks = 2 * turn + cruise
-    if 0.5 * (radius + way + rho) <= limit - drift * ticks:
-        # The less of two bounds is no more than their mean, which is the same all the way.
+    if 0.5 * (radius + distance + rho) <= limit - drift * ticks:
+        # The smaller of two bounds is at most their mean, which is constant along the way.
         return True
-    speed = way / max(1, turn + cruise)  # metres in a tick
+    speed = distance / max(1, turn + cruise)  # metres in a tick
     x, v = 0.0, 0.0
     for k in range(1, ticks + 1):
         w = speed * min(1.0, k / turn, (ticks - k) / turn)
         x, v = x + 0.5 * (v + w), w
         room = limit - drift * k
-        if (  # one disc alone is mostly enough, and the lens costs most
+        if (  # one disc alone usually suffices, and the lens is expensive
             x + radius > room
-            and abs(way - x) + rho > room
-            and lens_distance(x, 0.0, 0.0, 0.0, radius, way, 0.0, rho) > room
+            and abs(distance - x) + rho > room
+            and lens_distance(x, 0.0, 0.0, 0.0, radius, distance, 0.0, rho) > room
         ):
             return False
     return True
@@ -94,11 +95,11 @@ def largest_disc(bounds: SafetyBounds) -> float:
 
 @compiled
 def handover_bound(bounds: SafetyBounds, radius: float) -> float:
-    r"""Return E [m]: within this bound of the newest measurement, the plan to any later one ends within `radius`, R_h.
+    r"""Return E [m]: within this bound of the newest measurement, a plan to any later one ends within `radius`, R_h.
 
     $$ E = \frac{v_a}{v_g}\left(R_h - \rho_A (1 - v_g/v_a) - v_g (v_a/u_a + 2 dt + B - dt)\right) - 2 \epsilon $$
 
-    R_h is taken `MARGIN` smaller here: a return ends off the walls, and starts with a residual velocity.
+    R_h is reduced by `MARGIN` here: a return ends off the walls, and starts with a residual velocity.
     """
     b, v_a, v_g = bounds, bounds.v_a, bounds.v_g
     if v_g == 0.0:
@@ -111,65 +112,65 @@ def handover_bound(bounds: SafetyBounds, radius: float) -> float:
 
 
 @compiled
-def _way_fits(bounds: SafetyBounds, k: int, radius: float) -> bool:
-    """Return whether every motion of a way of k steps stays within r_v, or no detection is so far; see `unfit_way`."""
+def _distance_fits(bounds: SafetyBounds, k: int, radius: float) -> bool:
+    """Return whether all trajectories over k steps stay within r_v, or no detection is as far; see `unfit_distance`."""
     b, step = bounds, max(_GRID, bounds.radius / _STEPS)
-    way, reach = k * step, handover_bound(bounds, radius)
-    rest = min(largest_disc(b), reach + 2.0 * b.placed_error - way + step)
-    if rest < 0.0 or radius + rest < way - step:
+    distance, reach = k * step, handover_bound(bounds, radius)
+    rest = min(largest_disc(b), reach + 2.0 * b.placed_error - distance + step)
+    if rest < 0.0 or radius + rest < distance - step:
         return True
     last_turn, last_cruise, _ = rest_to_rest((k - 1) * step, b.v_a, b.u_a, b.dt)
-    turn, cruise, _ = rest_to_rest(way, b.v_a, b.u_a, b.dt)
+    turn, cruise, _ = rest_to_rest(distance, b.v_a, b.u_a, b.dt)
     for i in range(max(1, last_turn), turn + 1):
         for j in range(last_cruise, cruise + 1):
-            if not motion_stays_within(
-                b.radius - step, radius, rest + step, way, i, j, b.v_g * b.dt
+            if not trajectory_stays_within(
+                b.radius - step, radius, rest + step, distance, i, j, b.v_g * b.dt
             ):
                 return False
     return True
 
 
 @compiled
-def unfit_way(bounds: SafetyBounds, likely: int, radius: float) -> int:
-    """Return the steps of a way to a newer measurement on which a motion from rest leaves r_v.
+def unfit_distance(bounds: SafetyBounds, likely: int, radius: float) -> int:
+    """Return a distance to a newer measurement, in steps, over which a trajectory from rest leaves r_v.
 
-    The UGV is within `radius` at its start. Over all ways in steps of half a centimetre, more where r_v is large:
-    between two of them the motion with the same ticks scales with the way, so that no point of it and no disc moves by
-    more than a step. The farther a detection, the younger it is: way + rho <= E + 2 eps.
+    The UGV is within `radius` at the start. All distances are checked in steps of half a centimetre, or more if r_v is
+    large. Between two of them, the trajectory with the same ticks scales with the distance, so no point of it and no
+    disc moves by more than a step. The farther a detection, the newer it is: distance + rho <= E + 2 eps.
 
     Args:
-        bounds: Of the hand-over.
-        likely: A way that is tried first, in steps; 0: none.
+        bounds: Bounds of the hand-over.
+        likely: Distance to try first, in steps; 0: none.
         radius: R_h [m].
 
     Returns:
-        Such a way, in steps; 0 if there is none.
+        The distance in steps; 0 if there is none.
     """
-    if likely > 0 and not _way_fits(bounds, likely, radius):
+    if likely > 0 and not _distance_fits(bounds, likely, radius):
         return likely
     for k in range(
         1, int((radius + largest_disc(bounds)) / max(_GRID, bounds.radius / _STEPS)) + 2
     ):
-        if not _way_fits(bounds, k, radius):
+        if not _distance_fits(bounds, k, radius):
             return k
     return 0
 
 
 @compiled
 def handover_radius(bounds: SafetyBounds) -> float:
-    """Return R_h [m]: from rest, with the UGV surely within it, every plan to a newer detection stays within r_v.
+    """Return R_h [m]: from rest, with the UGV within R_h, every plan to a newer detection stays within r_v.
 
-    NaN if there is none.
+    NaN if there is no such radius.
 
-    Downwards in the same steps, as long as R_h <= E: the plan to a later detection ends where the next may begin. E
-    falls faster than R_h, so where that fails no smaller radius helps.
+    The search descends in the same steps, as long as R_h <= E: the plan to a later detection must end where the next
+    may begin. E falls faster than R_h, so once this fails, no smaller radius helps.
     """
     radius, step, unfit = bounds.radius, max(_GRID, bounds.radius / _STEPS), 0
     while radius > largest_disc(bounds):
         radius -= step
         if not handover_bound(bounds, radius) >= radius:
             return math.nan
-        unfit = unfit_way(bounds, unfit, radius)
+        unfit = unfit_distance(bounds, unfit, radius)
         if unfit == 0:
             return radius
     return math.nan
@@ -177,7 +178,7 @@ def handover_radius(bounds: SafetyBounds) -> float:
 
 @functools.lru_cache(maxsize=1024)
 def certificate(bounds: SafetyBounds) -> SafetyBounds:
-    """Add R_h and E to declared bounds, NaN where there is no hand-over, and `valid`."""
+    """Add R_h, E and `valid` to declared bounds; R_h and E are NaN without a hand-over."""
     b, radius, reach = bounds, math.nan, math.nan
     finite = all(
         math.isfinite(x) for x in (b.radius, b.v_a, b.v_g, b.placed_error, b.max_measurement_age)
@@ -192,13 +193,13 @@ def certificate(bounds: SafetyBounds) -> SafetyBounds:
 
 
 def certified_radius(bounds: SafetyBounds) -> float:
-    r"""Return r_cert [m]: while d_cert is less, every nominal control acts, whatever the velocity.
+    r"""Return r_cert [m]: while d_cert is smaller, every nominal control is applied, at any velocity.
 
     $$ r_{cert} = R_h + w - \frac{v_a^2}{2 u_a} - \frac{v_a v_g}{u_a}
        - (\tfrac32 v_a + 2 v_g) dt - (v_a + v_g) \tau_c - v_g (B - dt) $$
 
-    With $R_h \to r_v - v_g^2 / (2 u_a)$ this is (18) as dt and tau_c go to 0. w is in d_cert, but not in R_h. Beyond
-    r_cert the filter decides by the UAV's velocity: r_cert is for display, for tuning and for tests.
+    With $R_h \to r_v - v_g^2 / (2 u_a)$ this approaches (18) as dt and tau_c go to 0. w is part of d_cert, but not of
+    R_h. Beyond r_cert the filter's decision depends on the UAV's velocity: r_cert serves display, tuning and tests.
     """
     b = bounds
     stop = 0.5 * b.v_a * b.v_a / b.u_a + b.v_a * b.v_g / b.u_a
@@ -209,7 +210,7 @@ def certified_radius(bounds: SafetyBounds) -> float:
 
 
 def _largest(bounds: SafetyBounds, fits: Callable[[float], bool]) -> float:
-    """Return the largest time [s] that fits, to a hundredth; NaN if there is none."""
+    """Return the largest feasible time [s], to a hundredth; NaN if there is none."""
     low, high = 0.0, bounds.radius / max(bounds.v_g, 1e-9)
     if not fits(low):
         return math.nan
@@ -220,7 +221,7 @@ def _largest(bounds: SafetyBounds, fits: Callable[[float], bool]) -> float:
 
 
 def _hands_over(bounds: SafetyBounds, age: float, interval_ticks: int) -> bool:
-    """Return whether the hand-over holds with these A [s] and B, other numbers as they are."""
+    """Return whether the hand-over holds with this A [s] and B, and all other parameters unchanged."""
     tried = bounds._replace(
         radius=bounds.radius + MARGIN, max_measurement_age=age, interval_ticks=interval_ticks
     )
@@ -244,84 +245,99 @@ def largest_interval(bounds: SafetyBounds) -> float:
 
 
 def _error_fault(bounds: SafetyBounds) -> str:
-    """Return the fault of the declared tracking and measurement errors; empty without one."""
+    """Return the fault of the declared tracking and measurement errors; empty if there is none."""
     tracking, placed = bounds.max_tracking_error, bounds.placed_error
     if not math.isfinite(tracking):
-        return f"w = {tracking:g} m: the tracking error has no bound"
+        return f"max_tracking_error (w) = {tracking:g} m: unbounded; allowed: a finite error"
     if not math.isfinite(placed):
-        return f"eps = {placed:g} m: the noise of the detections is not cut, so none of them bounds the distance"
+        return (
+            f"max_measurement_error (eps) = {placed:g} m: unbounded, since the detector noise is not truncated; "
+            "allowed: a finite detections.truncation"
+        )
     return ""
 
 
 def _speed_fault(bounds: SafetyBounds) -> str:
-    """Return the fault of the speeds; empty without one."""
+    """Return the fault of the speeds; empty if there is none."""
     v_a, v_g = bounds.v_a, bounds.v_g
     if not math.isfinite(v_a) or not math.isfinite(v_g):
-        return f"v_a = {v_a:g} m/s, v_g = {v_g:g} m/s: both speeds must be bounded"
+        return (
+            f"max_speed = {v_a:g} m/s (UAV), {v_g:g} m/s (UGV): unbounded; allowed: finite speeds"
+        )
     if not v_g < v_a:
-        return f"v_a = {v_a:g} m/s: the UAV must be faster than the UGV, v_g = {v_g:g} m/s"
+        return f"uav.max_speed = {v_a:g} m/s: too slow; allowed: more than the UGV's, {v_g:g} m/s"
     return ""
 
 
 def _acceleration_fault(bounds: SafetyBounds) -> str:
-    """Return the fault of the UAV's acceleration; empty without one."""
+    """Return the fault of the UAV's acceleration; empty if there is none."""
     u_a, change = bounds.u_a, bounds.u_a * bounds.dt
     if not u_a > 0.0:
-        return f"u_a = {u_a:g} m/s²: must be positive"
+        return f"uav.max_acceleration = {u_a:g} m/s²: not positive; allowed: more than 0"
     if change < _LEAST_STEP:
         return (
-            f"u_a = {u_a:g} m/s²: changes the speed by {change:g} m/s in a tick, "
-            f"too little for a lost command to be noticed; {_LEAST_STEP:g} m/s at least"
+            f"uav.max_acceleration = {u_a:g} m/s²: changes the speed by {change:g} m/s in a tick, "
+            f"too little to detect a lost command; allowed: at least {_LEAST_STEP:g} m/s"
         )
     return ""
 
 
 def _age_fault(bounds: SafetyBounds) -> str:
-    """Return the fault of the age of measurements; empty without one."""
+    """Return the fault of the measurement age; empty if there is none."""
     b, age = bounds, bounds.max_measurement_age
     if not math.isfinite(age):
-        return f"A = {age:g} s: the age of the newest detection has no bound"
+        return f"max_measurement_age (A) = {age:g} s: unbounded; allowed: a finite age"
     if b.max_age_ticks >= MOST_KEPT:
-        return f"A = {age:g} s: {b.max_age_ticks:,} ticks; no detection is used that is older than {MOST_KEPT:,}"
+        return f"max_measurement_age (A) = {age:g} s: {b.max_age_ticks:,} ticks; allowed: less than {MOST_KEPT:,} ticks"
     largest = max(size if math.isfinite(size) else 0.0 for size in (b.width, b.height))
     strayed = 0.5 * math.ulp(largest) * (b.max_age_ticks + b.delay_ticks)
     if strayed > 0.5 * MARGIN:
         return (
-            f"area = {b.width:g} m x {b.height:g} m: far from its corner rounding alone moves the "
-            f"UGV by up to {strayed:.2g} m in A = {age:g} s, which no margin covers"
+            f"area = {b.width:g} m x {b.height:g} m: at this size rounding alone moves the UGV by up to "
+            f"{strayed:.2g} m in max_measurement_age = {age:g} s, more than the margin covers"
         )
     return ""
 
 
 def _declared_faults(bounds: SafetyBounds) -> tuple[str, ...]:
-    """Return the faults of the declared numbers, one line each."""
+    """Return the faults of the declared parameters, one line each."""
     checks = _error_fault, _age_fault, _speed_fault, _acceleration_fault
     return tuple(fault for check in checks if (fault := check(bounds)))
 
 
 def _handover_fault(bounds: SafetyBounds) -> str:
-    """Return the text for bounds without a hand-over, with the limits up to which there is one."""
+    """Return the error for bounds without a hand-over, with the limits up to which it holds."""
     b, age, delay = bounds, bounds.max_measurement_age, bounds.delay_ticks * bounds.dt
     rho, most = b.placed_error + b.v_g * (age + delay), largest_age(b)
-    terms, sizes = "eps", f"eps {b.placed_error:g} m"
+    terms, sizes = "eps", f"max_measurement_error eps = {b.placed_error:g} m"
     if b.max_tracking_error > 0.0:
         terms = "eps + w"
-        sizes = f"eps {b.max_measurement_error:g} m, w {b.max_tracking_error:g} m"
-    limit = "for no A" if math.isnan(most) else f"for A up to {most:.2f} s"
+        sizes = (
+            f"max_measurement_error eps = {b.max_measurement_error:g} m, "
+            f"max_tracking_error w = {b.max_tracking_error:g} m"
+        )
+    limit = "for no max_measurement_age"
+    if not math.isnan(most):
+        limit = f"for max_measurement_age up to {most:.2f} s"
     if b.interval_ticks > 1:
         most = largest_interval(b)
-        limit += ", or for no B" if math.isnan(most) else f", or for B up to {most:.2f} s"
+        limit += (
+            ", or for no max_command_interval"
+            if math.isnan(most)
+            else f", or for max_command_interval up to {most:.2f} s"
+        )
         limit += f", not {b.interval_ticks * b.dt:g} s"
     return (
-        f"{terms} + v_g (A + tau_c) = {rho:.4g} m ({sizes}, A {age:g} s, tau_c {delay:g} s): "
-        f"too much for r_v = {b.radius:.4g} m; with these numbers the hand-over holds {limit}"
+        f"{terms} + v_g (A + tau_c) = {rho:.4g} m ({sizes}, max_measurement_age A = {age:g} s, "
+        f"max_command_delay tau_c = {delay:g} s): too large for r_v = {b.radius:.4g} m; "
+        f"with the other values unchanged the hand-over holds {limit}"
     )
 
 
 def check_assumptions(bounds: SafetyBounds) -> tuple[str, ...]:
-    """Return the assumptions that do not hold, one line each with its numbers.
+    """Return the violated assumptions, one line each with its numbers.
 
-    Empty if all hold that are known when a run is loaded.
+    Empty if all assumptions hold that are known when a run is loaded.
     """
     faults = _declared_faults(bounds)
     if not faults and math.isnan(bounds.handover_radius):

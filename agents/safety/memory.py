@@ -1,6 +1,6 @@
 """Memory of one UAV's safety filter: measurements, own positions, pending commands and the last decision.
 
-In each tick: `add_position`, then `add_measurement` for each detection that has arrived, then
+Call in each tick: `add_position`, then `add_measurement` for each detection that has arrived, then
 `agents.safety.decision.decide` with the nominal acceleration.
 
 Positions in the world's frame [m], times in ticks.
@@ -26,7 +26,7 @@ from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion, within_walls
 
 _TRACK = 120.0
-"""Time for which own positions are kept [s], or the declared age of measurements if that is longer."""
+"""Time for which own positions are kept [s]; the declared measurement age if it is longer."""
 
 _NOMINAL, _NO_MEASUREMENT = code(Source.NOMINAL), code(NotCertified.NO_MEASUREMENT)
 
@@ -36,57 +36,60 @@ class OwnPosition(NamedTuple):
 
     x: float
     y: float
-    """[m]"""
+    """Position [m]."""
     tick: int
-    """NEVER: the row is empty."""
+    """Tick of the position; NEVER: the row is empty."""
 
 
 class FilterFlags(NamedTuple):
-    """Whole numbers of the filter, a row of an array of one."""
+    """Flags of the filter, a row of an array of length one."""
 
     contradicted: int
-    """1 once measurements have contradicted each other."""
+    """1 after measurements have contradicted each other."""
     tick: int
     """Tick of the last decision; NEVER before the first."""
     from_start: int
-    """1 if all commands since tick 0 are this filter's."""
+    """1 if this filter has sent all commands since tick 0."""
 
 
 class FilterMemory(NamedTuple):
     """Memory of one UAV's filter, from `filter_memory`.
 
-    Arrays with further axes in front are the memories of many worlds.
+    For many worlds, the arrays have further axes in front.
     """
 
     discs: RecordArray
-    """`Disc` of each measurement, as `add_disc` keeps them. (KEPT,)"""
+    """`Disc` of each kept measurement, from `add_disc`. Shape (KEPT,)."""
     plan: RecordArray
-    """`CheckedTrajectory` of the current plan. (1,)"""
+    """`CheckedTrajectory` of the current plan. Shape (1,)."""
     track: RecordArray
-    """`OwnPosition` in past ticks: tick k in row k % depth. (depth,)"""
+    """`OwnPosition` in past ticks: tick k in row k % depth. Shape (depth,)."""
     flags: RecordArray
-    """`FilterFlags`. (1,)"""
+    """`FilterFlags`. Shape (1,)."""
     pending: PendingCommands
-    """Plans that were sent, and the one that the vehicle flies."""
+    """Sent plans and the committed trajectory."""
     decision: RecordArray
-    """`FilterDecision` of the last tick. (1,)"""
+    """`FilterDecision` of the last tick. Shape (1,)."""
 
 
 def track_ticks(bounds: SafetyBounds) -> int:
-    """Return the ticks for which own positions are kept; the memory for all, 24 bytes a tick, is reserved at once."""
+    """Return the number of ticks for which own positions are kept; each takes 24 bytes, allocated at once."""
     return max(1, min(MOST_KEPT, max(math.ceil(_TRACK / bounds.dt), bounds.max_age_ticks + 1)))
 
 
 def filter_memory(delay_ticks: int, depth: int) -> FilterMemory:
-    """Return a fresh memory, without measurements and commands.
+    """Return an empty memory, without measurements and commands.
 
     Args:
-        delay_ticks: Declared delay, from the tick that a command answers to the one in which it acts.
-        depth: Ticks for which own positions are kept, at most `track_ticks`; a detection that is older when it
-            arrives is ignored.
+        delay_ticks: Declared command delay, from the tick of a command to the tick in which it takes effect.
+        depth: Number of ticks for which own positions are kept, at most `track_ticks`; detections that are older on
+            arrival are ignored.
+
+    Raises:
+        ValueError: If the depth is not positive.
     """
     if depth < 1:
-        raise ValueError(f"depth must be at least 1, not {depth}")
+        raise ValueError(f"depth = {depth}: too small; allowed: at least 1")
     memory = FilterMemory(
         discs=no_discs(),
         plan=no_motions(1),
@@ -101,7 +104,7 @@ def filter_memory(delay_ticks: int, depth: int) -> FilterMemory:
 
 @compiled
 def reset_memory(memory: FilterMemory) -> None:
-    """Reset a memory in place to the state from `filter_memory`: an episode begins."""
+    """Reset a memory in place to the state from `filter_memory`, at the start of an episode."""
     for k in range(memory.discs.shape[0]):
         disc = memory.discs[k]
         disc.x, disc.y, disc.radius, disc.tick = 0.0, 0.0, 0.0, NEVER
@@ -120,7 +123,7 @@ def reset_memory(memory: FilterMemory) -> None:
 
 @compiled
 def add_position(memory: FilterMemory, tick: int, p_x: float, p_y: float) -> None:
-    """Record the UAV's position at this tick [m]: detections that were made here may arrive later."""
+    """Record the UAV's position at this tick [m], for detections of this tick that arrive later."""
     place = memory.track[tick % memory.track.shape[0]]
     place.x, place.y, place.tick = p_x, p_y, tick
 
@@ -134,15 +137,15 @@ def add_measurement(
     tick: int,
     here: Motion,
 ) -> None:
-    """Add a detection that has arrived, in any order. One of a tick without a recorded position is ignored.
+    """Add a detection, in any order of arrival. Without a recorded own position of its tick it is ignored.
 
     Args:
         bounds: Bounds of the filter.
         memory: Memory of the filter, changed in place.
         taken: Tick of the detection.
-        relative: Detected p_a - p_g then [m].
-        tick: Now.
-        here: State of the UAV now.
+        relative: Detected p_a - p_g at that tick [m].
+        tick: Current tick.
+        here: Current state of the UAV.
     """
     was = memory.track[taken % memory.track.shape[0]]
     if taken < 0 or was.tick != taken:
@@ -156,9 +159,9 @@ def add_measurement(
 
 @compiled
 def invalidate_plans(memory: FilterMemory) -> None:
-    """Mark all plans unchecked: the last commands may not have been sent.
+    """Mark all plans unchecked, since the last commands may not have been sent.
 
-    Nothing is certified until the vehicle flies a plan that is sent after this.
+    Nothing is certified until the vehicle executes a plan that is sent after this call.
     """
     memory.flags[0].from_start = 0
     mark_unchecked(memory.pending)

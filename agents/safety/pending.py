@@ -1,9 +1,9 @@
 """Pending commands, each with a plan, and the trajectory predicted from them.
 
-The vehicle's receiver begins each plan in its own tick, and only if its parent is committed then; else the committed
-trajectory continues (`sim.models.motion`). Each observation reports the trajectory that was flown. So the pilot
-predicts one trajectory up to the tick in which its next plan begins: along the pending plans as long as the vehicle
-flies what was sent, else along the rest of the committed one, since a lost plan voids all pending ones. The
+The vehicle's receiver begins each plan in its own tick, and only if the plan's parent is committed then; otherwise the
+committed trajectory continues (`sim.models.motion`). Each observation reports the committed trajectory. So the pilot
+predicts one trajectory up to the tick in which its next plan begins: along the pending plans if the vehicle executes
+what was sent, otherwise along the rest of the committed one, since a lost plan invalidates all pending ones. The
 proof is in docs/explanation/proof.md.
 
 Positions [m], speeds [m/s], accelerations [m/s²], times in ticks.
@@ -33,32 +33,32 @@ from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion
 
 _NOW, _END = 0, 1
-"""Rows of `PendingCommands.flown`: flown now, and at the end of the predicted trajectory."""
+"""Rows of `PendingCommands.committed`: committed now, and at the end of the predicted trajectory."""
 
-_BEGUN, _LOST = 0, 1
+_STARTED, _LOST = 0, 1
 """Rows of `PendingCommands.expected`: the next state if the plan of this tick begins, and if it does not."""
 
 
 class PendingCommands(NamedTuple):
-    """A pilot's memory of its plans; arrays that change in place."""
+    """A pilot's memory of its plans; the arrays change in place."""
 
     sent: RecordArray
-    """`CheckedTrajectory` of each sent plan: the one of tick k in row k % rows. (tau_c + 2,)"""
-    flown: RecordArray
-    """`CheckedTrajectory`: flown now, and at the end of the predicted trajectory. (2,)"""
+    """`CheckedTrajectory` of each sent plan: the one of tick k in row k % rows. Shape (tau_c + 2,)."""
+    committed: RecordArray
+    """`CheckedTrajectory`: committed now, and at the end of the predicted trajectory. Shape (2,)."""
     expected: RecordArray
-    """`Motion` of the UAV at the next tick. (2,)"""
+    """Expected `Motion` of the UAV at the next tick. Shape (2,)."""
 
 
 def pending_commands(delay_ticks: int) -> PendingCommands:
-    """Return the memory of a pilot that has sent nothing yet.
+    """Return the memory of a pilot that has not sent anything.
 
     Args:
-        delay_ticks: From the tick that a command answers to the one in which it acts.
+        delay_ticks: Command delay, from the tick of a command to the tick in which it takes effect.
     """
     return PendingCommands(
         sent=no_motions(delay_ticks + 2),
-        flown=no_motions(2),
+        committed=no_motions(2),
         expected=np.zeros(2, dtype=record_type(Motion)),
     )
 
@@ -79,67 +79,67 @@ def set_motion(rows: RecordArray, k: int, here: Motion) -> None:
 
 @compiled
 def reset_pending(pending: PendingCommands) -> None:
-    """Reset the memory in place: an episode or a filter begins."""
+    """Reset the memory in place, at the start of an episode."""
     clear_motions(pending.sent)
-    clear_motions(pending.flown)
+    clear_motions(pending.committed)
     for k in range(pending.expected.shape[0]):
         set_motion(pending.expected, k, Motion(0.0, 0.0, 0.0, 0.0))
 
 
 @compiled
 def mark_unchecked(pending: PendingCommands) -> None:
-    """Mark all plans unchecked: the UAV is not in the expected pending, from which they were checked."""
+    """Mark all plans unchecked: the UAV is not in the expected state, from which they were checked."""
     for k in range(pending.sent.shape[0]):
         pending.sent[k].checked = 0
-    pending.flown[_NOW].checked = 0
+    pending.committed[_NOW].checked = 0
 
 
 @compiled
-def _receive_flown(pending: PendingCommands, tick: int, flown: int) -> None:
-    """Record the trajectory that the vehicle flew in the tick before; one of another pilot is not checked."""
-    if pending.flown[_NOW].begins != flown:
-        row = flown % pending.sent.shape[0]
-        if flown >= 0 and pending.sent[row].begins == flown:
-            pending.flown[_NOW] = pending.sent[row]
+def _receive_flown(pending: PendingCommands, tick: int, committed: int) -> None:
+    """Record the trajectory executed in the previous tick; another pilot's trajectory counts as unchecked."""
+    if pending.committed[_NOW].begins != committed:
+        row = committed % pending.sent.shape[0]
+        if committed >= 0 and pending.sent[row].begins == committed:
+            pending.committed[_NOW] = pending.sent[row]
         else:
-            pending.flown[_NOW] = NO_CHECKED[0]
-            pending.flown[_NOW].begins, pending.flown[_NOW].plain = flown, 1
-    if flown >= 0:
-        pending.flown[_NOW].age = tick - flown
+            pending.committed[_NOW] = NO_CHECKED[0]
+            pending.committed[_NOW].begins, pending.committed[_NOW].plain = committed, 1
+    if committed >= 0:
+        pending.committed[_NOW].age = tick - committed
 
 
 @compiled
 def off_by(here: Motion, due: Motion) -> float:
-    """Return the largest difference of a state from the expected one [m, m/s]."""
+    """Return the largest deviation of a state from the expected one [m, m/s]."""
     off = max(abs(here.p_x - due.p_x), abs(here.p_y - due.p_y))
     return max(off, abs(here.v_x - due.v_x), abs(here.v_y - due.v_y))
 
 
 @compiled
-def is_expected(pending: PendingCommands, tick: int, here: Motion, flown: int) -> bool:
-    """Return whether the UAV is in the state to which the reported trajectory leads from the tick before."""
-    due = motion_in(pending.expected, _BEGUN if flown == tick - 1 else _LOST)
+def is_expected(pending: PendingCommands, tick: int, here: Motion, committed: int) -> bool:
+    """Return whether the UAV is in the state that the reported trajectory implies."""
+    due = motion_in(pending.expected, _STARTED if committed == tick - 1 else _LOST)
     return bool(off_by(here, due) <= AS_EXPECTED)
 
 
 @compiled
 def receive_observation(
-    pending: PendingCommands, tick: int, here: Motion, flown: int, last_tick: int
+    pending: PendingCommands, tick: int, here: Motion, committed: int, last_tick: int
 ) -> bool:
-    """Record the trajectory that the vehicle has flown; return whether it is in the expected pending.
+    """Record the committed trajectory and return whether the UAV is in the expected state.
 
     Args:
         pending: Changed in place.
-        tick: Now.
-        here: State of the UAV now.
-        flown: Tick in which the plan began that it flew in the tick before; NO_MOTION: it flew none.
-        last_tick: Tick that this pilot answered last; negative: none yet.
+        tick: Current tick.
+        here: Current state of the UAV.
+        committed: First tick of the plan executed in the previous tick; NO_MOTION: none.
+        last_tick: Last tick that this pilot answered; negative: none yet.
     """
     first = last_tick < 0
-    expected = first or (last_tick == tick - 1 and is_expected(pending, tick, here, flown))
+    expected = first or (last_tick == tick - 1 and is_expected(pending, tick, here, committed))
     if not expected:
         mark_unchecked(pending)
-    _receive_flown(pending, tick, flown)
+    _receive_flown(pending, tick, committed)
     return expected
 
 
@@ -149,15 +149,19 @@ def predict(
 ) -> tuple[Motion, bool, int]:
     """Predict the UAV's state when the plan of this tick's command begins.
 
-    `pending.flown` then has what it flies there. Pending plans are in a chain from the committed one, or void.
+    `pending.committed` then contains the trajectory committed at that time. Pending plans continue the committed one in a
+    chain, or are void.
 
     Returns:
-        The state; whether every plan until then was checked; and the least time that it will have waited for the
-        next plan [ticks].
+        The state; whether every plan until then is checked; and the least time without a new plan at that tick [ticks].
     """
-    c, checked, next_begins = bounds, pending.flown[_NOW].checked == 1, tick + bounds.delay_ticks
-    ahead = pending.flown[_END : _END + 1]
-    ahead[0] = pending.flown[_NOW]
+    c, checked, next_begins = (
+        bounds,
+        pending.committed[_NOW].checked == 1,
+        tick + bounds.delay_ticks,
+    )
+    ahead = pending.committed[_END : _END + 1]
+    ahead[0] = pending.committed[_NOW]
     for k in range(c.delay_ticks):
         if follow_on(pending.sent, ahead, tick + k):
             next_begins = min(next_begins, tick + k)
@@ -165,17 +169,17 @@ def predict(
         u_x, u_y = motion_command(ahead[0], here.v_x, here.v_y, c.u_a, c.dt)
         here, _ = step_in_area(c, here, u_x, u_y)
         ahead[0].age += 1
-    return here, checked, waited(next_begins, pending.flown[_NOW].begins, c.delay_ticks)
+    return here, checked, waited(next_begins, pending.committed[_NOW].begins, c.delay_ticks)
 
 
 @compiled
 def update_plan(pending: PendingCommands, plan: RecordArray) -> None:
-    """Set the current plan to the rest of the trajectory that is flown at the end of the prediction.
+    """Set the current plan to the rest of the trajectory committed at the end of the prediction.
 
-    With the disc around its end: the hand-over needs this one, not that of a lost plan.
+    The hand-over needs the disc around the end of this trajectory, not the disc of a lost plan.
     """
     last = end_disc(plan)
-    plan[0] = pending.flown[_END]
+    plan[0] = pending.committed[_END]
     held = plan[0]
     behind = max(0, held.age - 1)
     turn, cruise = held.turn, held.cruise
@@ -188,7 +192,7 @@ def update_plan(pending: PendingCommands, plan: RecordArray) -> None:
 
 @compiled
 def _rests(rows: RecordArray, k: int) -> bool:
-    """Return whether a plan of this pilot leaves a UAV at rest where it is."""
+    """Return whether a plan of this pilot leaves the UAV at rest."""
     m = rows[k]
     still = (
         m.acceleration[0] == 0.0 and m.acceleration[1] == 0.0 and m.turn + m.cruise + m.brake == 0
@@ -211,22 +215,22 @@ def check_rest(
     tick: int,
     here: Motion,
 ) -> None:
-    """Check the UAV's rest as a plan once there is a measurement, until a plan moves the UAV.
+    """Check a UAV at rest as a plan once there is a measurement, until a plan moves the UAV.
 
     Args:
         bounds: Bounds of the filter.
-        pending: Of a pilot that has sent what the vehicle flies from tick 0 on; changed in place.
-        discs: As kept.
-        plan: The current plan.
-        tick: Now.
-        here: State of the UAV now.
+        pending: Pending commands of a pilot that has sent all commands since tick 0; changed in place.
+        discs: Kept discs. Shape (rows,).
+        plan: Current plan. Shape (1,).
+        tick: Current tick.
+        here: Current state of the UAV.
     """
-    if pending.flown[_NOW].checked == 1 or not _rests(pending.flown, _NOW):
+    if pending.committed[_NOW].checked == 1 or not _rests(pending.committed, _NOW):
         return
     radius = rest_radius(bounds, discs, plan, tick, here, bounds.delay_ticks)
     if radius == math.inf:
         return
-    _check_rest(pending.flown, _NOW, tick, here, radius)
+    _check_rest(pending.committed, _NOW, tick, here, radius)
     for begins in range(tick, tick + bounds.delay_ticks):
         place = begins % pending.sent.shape[0]
         if pending.sent[place].begins == begins:
@@ -245,28 +249,28 @@ def send_plan(
     first: tuple[float, float],
     checked: bool,
 ) -> None:
-    """Add the plan of this command to those that are pending, and predict the state of the UAV at the next tick.
+    """Add the plan of this command to the pending ones, and predict the UAV's state at the next tick.
 
     Args:
         bounds: Bounds of the filter.
         pending: Changed in place.
-        plan: Flown after the first tick.
-        tick: Now.
-        here: State of the UAV now.
+        plan: Trajectory after the first tick. Shape (1,).
+        tick: Current tick.
+        here: Current state of the UAV.
         first: Acceleration of the first tick [m/s²].
-        checked: Whether the plan is checked; without one the vehicle rests after the first tick.
+        checked: True if the plan is checked; otherwise the vehicle brakes to rest after the first tick.
     """
     begins = tick + bounds.delay_ticks
     place = begins % pending.sent.shape[0]
     pending.sent[place] = plan[0] if checked else NO_CHECKED[0]
     row = pending.sent[place]
-    row.begins, row.parent = begins, pending.flown[_END].begins
+    row.begins, row.parent = begins, pending.committed[_END].begins
     row.acceleration[0], row.acceleration[1] = first
     row.age, row.arrived, row.plain = 0, 0, 0
-    ahead = pending.flown[_END : _END + 1]
-    for k in (_LOST, _BEGUN):
-        ahead[0] = pending.flown[_NOW]
-        if k == _BEGUN:
+    ahead = pending.committed[_END : _END + 1]
+    for k in (_LOST, _STARTED):
+        ahead[0] = pending.committed[_NOW]
+        if k == _STARTED:
             follow_on(pending.sent, ahead, tick)
         w_x, w_y = motion_command(ahead[0], here.v_x, here.v_y, bounds.u_a, bounds.dt)
         there, _ = step_in_area(bounds, here, w_x, w_y)
@@ -275,7 +279,7 @@ def send_plan(
 
 @compiled
 def carried(bounds: SafetyBounds, pending: PendingCommands, tick: int) -> int:
-    """Return the number of plans that this tick's command carries: its own, and those before it that have not begun."""
+    """Return the number of plans in this tick's command: its own, and earlier ones that have not started."""
     last, n = tick + bounds.delay_ticks, 0
     while n < MOST_CARRIED and last - n >= tick:
         if pending.sent[(last - n) % pending.sent.shape[0]].begins != last - n:
@@ -285,15 +289,15 @@ def carried(bounds: SafetyBounds, pending: PendingCommands, tick: int) -> int:
 
 
 @compiled
-def hand_over(
-    bounds: SafetyBounds, pending: PendingCommands, tick: int, motions: RecordArray
+def add_plans(
+    bounds: SafetyBounds, pending: PendingCommands, tick: int, outgoing: RecordArray
 ) -> tuple[int, int]:
-    """Add the plans that the command of this tick carries to those that are sent.
+    """Add the plans of this tick's command to the outgoing ones.
 
     Returns:
-        Tick in which the last of them begins, and their number.
+        First tick of the last plan, and the number of plans.
     """
     last, n = tick + bounds.delay_ticks, carried(bounds, pending, tick)
     for begins in range(last - n + 1, last + 1):
-        keep_motion(motions, pending.sent[begins % pending.sent.shape[0]], tick)
+        keep_motion(outgoing, pending.sent[begins % pending.sent.shape[0]], tick)
     return last, n

@@ -52,38 +52,38 @@ def decision_of(row: Any) -> FilterDecision:  # noqa: ANN401 - a record
 
 
 class SafetyFilter:
-    """Filter that keeps the UGV in sight, around any nominal control: a law, an operator, a learned policy.
+    """Filter that keeps the UGV in sight, for any nominal control: a law, an operator, a learned policy.
 
-    See docs/explanation/proof.md. Call `see` with every observation, then `filter` with the acceleration for
-    it; `backup_trajectories` are to be sent with the command.
+    See docs/explanation/proof.md. Call `see` with every observation, then `filter` with the nominal acceleration,
+    and send `backup_trajectories` with the command.
 
     Args:
-        briefing: The UAV's briefing: its bounds, r_v, and the declared safety parameters.
+        briefing: Briefing of the UAV: its limits, r_v, and the declared safety parameters.
     """
 
     def __init__(self, briefing: UavBriefing) -> None:
         self.bounds = bounds_of(briefing)
         """Bounds of the filter."""
         self.faults = check_assumptions(self.bounds)
-        """Assumptions that fail, so that nothing can be certified; a line each."""
+        """Violated assumptions, one line each; if there are any, nothing can be certified."""
         self.ticks = 0
-        """Commands that were filtered."""
+        """Number of filtered commands."""
         self.overridden = 0
-        """Commands that did not act."""
+        """Number of overridden commands."""
         self.not_certified: Counter[NotCertified] = Counter()
-        """Ticks that were not certified, by reason."""
+        """Number of ticks that were not certified, by reason."""
         self.memory = filter_memory(self.bounds.delay_ticks, depth=track_ticks(self.bounds))
-        """Memory of the compiled functions of `agents.safety`."""
+        """Memory for the compiled functions of `agents.safety`."""
 
     def invalidate_plans(self) -> None:
-        """Mark all plans unchecked: the last commands may not have been sent.
+        """Mark all plans unchecked, since the last commands may not have been sent.
 
-        Nothing is certified until the vehicle flies a plan that is sent after this.
+        Nothing is certified until the vehicle executes a plan that is sent after this call.
         """
         invalidate_plans(self.memory)
 
     def see(self, observation: UavObservation) -> None:
-        """Record the UAV's position, and the detections that have arrived, in any order."""
+        """Record the UAV's position, and the detections received, in any order."""
         memory, tick = self.memory, observation.tick
         here = Motion(*observation.position, *observation.velocity)
         add_position(memory, tick, here.p_x, here.p_y)
@@ -91,20 +91,20 @@ class SafetyFilter:
             add_measurement(self.bounds, memory, taken, (x, y), tick, here)
 
     def filter(self, observation: UavObservation, acceleration: Vector) -> FilterDecision:
-        """Let the nominal acceleration act if the UGV stays in sight after it, else a backup trajectory.
+        """Decide on the nominal acceleration: apply it if the UGV stays in sight after it, else a backup trajectory.
 
         Args:
-            observation: The last argument of `see`.
+            observation: Same observation as in the last call of `see`.
             acceleration: Nominal acceleration of the law, the operator or the policy [m/s²].
         """
         here, tick = Motion(*observation.position, *observation.velocity), observation.tick
         u_x, u_y = float(acceleration[0]), float(acceleration[1])
-        flown = (
+        committed = (
             NO_MOTION
             if observation.committed_trajectory is None
             else observation.committed_trajectory
         )
-        decide(self.bounds, self.memory, tick, here, u_x, u_y, flown)
+        decide(self.bounds, self.memory, tick, here, u_x, u_y, committed)
         decision = decision_of(self.memory.decision[0])
         self.ticks += 1
         self.overridden += decision.overridden
@@ -113,7 +113,7 @@ class SafetyFilter:
         return decision
 
     def backup_trajectories(self, tick: int) -> tuple[BackupTrajectory, ...]:
-        """Return the plans that this tick's command carries: its own last, before it those that may be missing."""
+        """Return the plans of this tick's command: earlier ones that may be missing, then its own."""
         sent, last = self.memory.pending.sent, tick + self.bounds.delay_ticks
         count = carried(self.bounds, self.memory.pending, tick)
         places = [begins % len(sent) for begins in range(last - count + 1, last + 1)]

@@ -1,9 +1,9 @@
 r"""Backup trajectories: braking to a stop, returning to the newest measurement, and their checks. Beyond Klodt 2015.
 
 The proof is in docs/explanation/proof.md. The UGV is known to be in a set: each measurement z of tick t_z, with
-an error of at most $\epsilon$, puts it into a disc of radius $\rho(t) = \epsilon + v_g (t - t_z)$ around z. The filter
-always holds a **plan**: a backup trajectory that ends at rest and is checked against those discs to its end. At a
-plan's end the hand-over inequality says that the next plan exists, whatever has been detected meanwhile.
+an error of at most $\epsilon$, confines it to a disc of radius $\rho(t) = \epsilon + v_g (t - t_z)$ around z. The
+filter always holds a **plan**: a backup trajectory that ends at rest and is checked against those discs to its end. At
+the end of a plan, the hand-over inequality guarantees the next plan, whatever has been detected in the meantime.
 
 Positions in the world's frame [m], times in ticks, speeds [m/s], accelerations [m/s²].
 """
@@ -29,10 +29,10 @@ from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion, brake, clip_norm, norm, speed_to_stop_within
 
 _ON_THE_SPOT = 1e-9
-"""Length [m] up to which a way has no direction."""
+"""Length up to which a segment has no direction [m]."""
 
 _SPEEDS = (1.0, 0.6, 0.35, 0.2)
-"""Shares of v_a at which a plan may return; a fast one overshoots where the way is short."""
+"""Shares of v_a at which a plan may return; a fast return overshoots a short distance."""
 
 
 @compiled
@@ -43,25 +43,28 @@ def servo(
 
     $$ u = clip((v^* - v_a)/dt, u_a), \quad v^* = -s (p_a - z)/\|p_a - z\| $$
 
-    s is the speed from which the UAV stops at z, at most v_a. Acts where nothing is certified, as the best that
-    can be done.
+    s is the speed from which the UAV stops at z, at most v_a. This is the best effort if nothing is certified.
     """
     x, y = z_x - here.p_x, z_y - here.p_y
-    way = norm(x, y)
-    speed = min(v_a, speed_to_stop_within(way, u_a, dt)) / way if way > _ON_THE_SPOT else 0.0
+    distance = norm(x, y)
+    speed = (
+        min(v_a, speed_to_stop_within(distance, u_a, dt)) / distance
+        if distance > _ON_THE_SPOT
+        else 0.0
+    )
     return clip_norm((speed * x - here.v_x) / dt, (speed * y - here.v_y) / dt, u_a)
 
 
 @compiled
 def end_disc(plan: RecordArray) -> Disc:
-    """Return the disc around the end of the last plan that surely held the UGV; infinite before the first."""
+    """Return the disc around the end of the last plan that contained the UGV; infinite before the first plan."""
     held = plan[0]
     return Disc(held.end[0], held.end[1], held.end_radius, held.end_tick)
 
 
 @compiled
 def set_end(plan: RecordArray, disc: Disc) -> None:
-    """Set the disc around the end of a plan. `plan`: a table of one row."""
+    """Set the disc around the end of a plan. `plan` has shape (1,)."""
     held = plan[0]
     held.end[0], held.end[1] = disc.x, disc.y
     held.end_radius, held.end_tick = disc.radius, disc.tick
@@ -75,7 +78,7 @@ def _hold(
     braking: tuple[float, float],
     end: Disc,
 ) -> None:
-    """Hold a plan that has been checked: the ticks of its turn, cruise and brake, and its accelerations [m/s²]."""
+    """Hold a checked plan: the ticks of its turn, cruise and brake, and its accelerations [m/s²]."""
     held = plan[0]
     held.checked, held.turn, held.cruise, held.brake = 1, ticks[0], ticks[1], ticks[2]
     held.turning[0], held.turning[1] = turning
@@ -87,9 +90,9 @@ def _hold(
 def _end_radius(
     bounds: SafetyBounds, known: KnownDiscs, tick: int, x: float, y: float, ticks: int
 ) -> float:
-    """Return a bound on the UGV's distance now from a plan's end [m]; infinite if a plan of `ticks` may not end there.
+    """Return a bound on the UGV's current distance from a plan's end [m]; infinite if the plan may not end there.
 
-    The UAV may have to rest there for B - dt longer, until the next plan begins.
+    The plan lasts for `ticks`. The UAV may have to rest at its end for B - dt longer, until the next plan begins.
     """
     n, growth = known.newest, drift(bounds, ticks + bounds.interval_ticks - 1)
     single = norm(x - n.x, y - n.y) + radius_at(bounds, n, tick)
@@ -108,12 +111,12 @@ def stop_from(
     here: Motion,
     least: int = 0,
 ) -> bool:
-    """Hold the plan to brake to a stop from this state at a tick; False, and nothing changes, if the UAV may not.
+    """Hold the plan to brake to a stop from this state; return False, without changes, if it is not safe.
 
-    One that begins in this tick lasts for a tick at `least`: no other plan begins before.
+    A plan that begins in this tick lasts for at least `least` ticks: no other plan begins earlier.
 
-    Along a straight line on which it only slows down, the bound is largest at one of the ends: the distance to a
-    fixed point is convex in the way, and the way concave in time.
+    On a straight line with decreasing speed, the bound is largest at one of the ends: the distance to a fixed point is
+    convex in the distance flown, and the distance flown concave in time.
     """
     speed = norm(here.v_x, here.v_y)
     ticks = 0
@@ -146,9 +149,9 @@ def _turn_is_safe(
     a_y: float,
     ticks: int,
 ) -> bool:
-    """Return whether the bound stays within r_v in a turn with constant acceleration.
+    """Return whether the bound stays within r_v during a turn with constant acceleration.
 
-    Ticks that the bound cannot reach r_v by, as it grows by no more than v_a + v_g, are not looked at.
+    The bound grows by no more than v_a + v_g, so ticks by which it cannot reach r_v are skipped.
     """
     k = 0
     while k <= ticks:
@@ -164,15 +167,15 @@ def _turn_is_safe(
 
 
 class _Return(NamedTuple):
-    """A turn to the newest measurement, a straight way there, and a stop."""
+    """Turn towards the newest measurement, straight flight to it, and a stop."""
 
     turn: int
     cruise: int
-    """Ticks; a negative cruise: there is no such return."""
+    """Ticks of turn and cruise; a negative cruise: there is no such return."""
     stop: int
     w_x: float
     w_y: float
-    """Velocity on the straight way [m/s]."""
+    """Velocity on the straight part [m/s]."""
     q_x: float
     q_y: float
     """End of the turn [m]."""
@@ -182,11 +185,11 @@ class _Return(NamedTuple):
 def _return_from_rest(
     bounds: SafetyBounds, here: Motion, z_x: float, z_y: float, speed: float
 ) -> _Return:
-    """Return the return to z [m] from rest, at most at this speed [m/s]."""
+    """Return the trajectory to z [m] from rest, at most at this speed [m/s]."""
     x, y = z_x - here.p_x, z_y - here.p_y
-    way = norm(x, y)
-    turn, cruise, speed = rest_to_rest(way, speed, bounds.u_a, bounds.dt)
-    w_x, w_y = (speed * x / way, speed * y / way) if turn else (0.0, 0.0)
+    distance = norm(x, y)
+    turn, cruise, speed = rest_to_rest(distance, speed, bounds.u_a, bounds.dt)
+    w_x, w_y = (speed * x / distance, speed * y / distance) if turn else (0.0, 0.0)
     return _Return(turn, cruise, turn, w_x, w_y, here.p_x, here.p_y)
 
 
@@ -194,14 +197,14 @@ def _return_from_rest(
 def _return_in_motion(
     bounds: SafetyBounds, here: Motion, z_x: float, z_y: float, speed: float
 ) -> _Return:
-    """Return the return to z [m] at this speed [m/s]: heading and end of the turn are found by iteration."""
+    """Return the trajectory to z [m] at this speed [m/s]; heading and end of the turn are found by iteration."""
     stop = max(1, math.ceil(speed / (bounds.u_a * bounds.dt) - ROUNDING))
     q_x, q_y, w_x, w_y, turn = here.p_x, here.p_y, 0.0, 0.0, 0
     for _ in range(4):
-        way = norm(z_x - q_x, z_y - q_y)
-        if way <= _ON_THE_SPOT:
+        distance = norm(z_x - q_x, z_y - q_y)
+        if distance <= _ON_THE_SPOT:
             return _Return(turn, -1, stop, w_x, w_y, q_x, q_y)
-        w_x, w_y = speed * (z_x - q_x) / way, speed * (z_y - q_y) / way
+        w_x, w_y = speed * (z_x - q_x) / distance, speed * (z_y - q_y) / distance
         change = norm(w_x - here.v_x, w_y - here.v_y)
         turn = max(1, math.ceil(change / (bounds.u_a * bounds.dt) - ROUNDING))
         q_x = here.p_x + 0.5 * (here.v_x + w_x) * turn * bounds.dt
@@ -227,10 +230,10 @@ def _return_at(
     z_y = off_walls(known.newest.y, bounds.height)
     at_rest = norm(here.v_x, here.v_y) <= REST
     if at_rest:
-        way = _return_from_rest(bounds, here, z_x, z_y, speed)
+        trajectory = _return_from_rest(bounds, here, z_x, z_y, speed)
     else:
-        way = _return_in_motion(bounds, here, z_x, z_y, speed)
-    turn, cruise, stop, w_x, w_y, q_x, q_y = way
+        trajectory = _return_in_motion(bounds, here, z_x, z_y, speed)
+    turn, cruise, stop, w_x, w_y, q_x, q_y = trajectory
     if cruise < 0:
         return False
     level = (0.5 * turn + cruise + 0.5 * stop) * bounds.dt
@@ -244,7 +247,7 @@ def _return_at(
         a_x, a_y = (w_x - here.v_x) / (turn * bounds.dt), (w_y - here.v_y) / (turn * bounds.dt)
     if not stays_in_area(bounds, here, a_x, a_y, turn * bounds.dt):
         return False
-    if not at_rest:  # from rest the way is a chord of the area
+    if not at_rest:  # from rest, the trajectory is a chord of the area
         chord = Motion(q_x, q_y, end_x - q_x, end_y - q_y)
         if not stays_in_area(bounds, chord, 0.0, 0.0, 1.0):
             return False
@@ -262,9 +265,9 @@ def return_from(
 ) -> bool:
     """Hold the plan to turn to the newest measurement, fly there and stop, from this state at a tick.
 
-    Returns False, and nothing changes, if the UAV may not. The turn takes the velocity along a straight line to the
-    one that leads from the turn's end to the measurement; bounds are kept, since both ends keep them. After it the way
-    is straight, and the bound is largest at one of its ends.
+    Return False, without changes, if it is not safe. The turn changes the velocity along a straight line to the one
+    that leads from the end of the turn to the measurement; both ends keep the speed bound, so all of it does. The rest
+    of the trajectory is straight, and the bound is largest at one of its ends.
     """
     for share in _SPEEDS:  # noqa: SIM110 - numba compiles no generator expression
         if _return_at(bounds, known, plan, tick, here, share * bounds.v_a):
@@ -276,7 +279,7 @@ def return_from(
 def follow(bounds: SafetyBounds, plan: RecordArray, v_x: float, v_y: float) -> tuple[float, float]:
     """Return the acceleration of the current plan in this tick [m/s²], and advance the plan.
 
-    At its end the UAV stays where it is.
+    After the end of the plan the UAV rests.
     """
     held = plan[0]
     if held.turn > 0:
@@ -300,9 +303,9 @@ def rest_radius(
     here: Motion,
     ticks: int,
 ) -> float:
-    """Return a bound on the UGV's distance from a UAV at rest [m]; infinite if it may not rest there.
+    """Return a bound on the UGV's distance from a resting UAV [m]; infinite if it may not rest there.
 
-    The rest lasts for a number of ticks, and then until the next plan begins.
+    The rest lasts for `ticks`, and then until the next plan begins.
     """
     newest = newest_disc(discs)
     if newest < 0 or norm(here.v_x, here.v_y) > REST or not is_in_area(bounds, here.p_x, here.p_y):

@@ -1,1 +1,1 @@
-"""Environments for training, many worlds at once."""
+"""Environments for training, in many worlds at once."""

@@ -1,4 +1,4 @@
-"""Worlds whose episodes begin anew by themselves, as Gymnasium's vector environments do it."""
+"""Worlds with automatic resets, as in Gymnasium's vector environments."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -19,7 +19,7 @@ BatchStep = tuple[
     dict[str, BoolArray],
     dict[str, dict[str, Any]],
 ]
-"""Observations, rewards, terminations, truncations and infos of all worlds, by learner."""
+"""Observations, rewards, terminations, truncations and infos of all worlds, by agent."""
 
 
 def _checked_mode(mode: AutoresetMode | str) -> AutoresetMode:
@@ -32,11 +32,11 @@ def _checked_mode(mode: AutoresetMode | str) -> AutoresetMode:
 
 
 class AutoresetWorlds(Worlds):
-    """Many worlds in each of which an episode follows on one that has ended.
+    """Many worlds in which a new episode follows each one that has ended.
 
     Args:
-        autoreset_mode: When it does: SAME_STEP or NEXT_STEP.
-        arguments: Those of `Worlds`.
+        autoreset_mode: Time of the reset: SAME_STEP or NEXT_STEP.
+        arguments: Arguments of `Worlds`.
 
     Raises:
         ScenarioError: If the scenario cannot be flown.
@@ -45,34 +45,34 @@ class AutoresetWorlds(Worlds):
 
     def __init__(
         self,
-        *arguments: Any,  # noqa: ANN401 - those of `Worlds`
+        *arguments: Any,  # noqa: ANN401 - as for `Worlds`
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **settings: Any,  # noqa: ANN401 - fields of `Settings`
     ) -> None:
         self.autoreset_mode = _checked_mode(autoreset_mode)
-        """When an episode follows on one that has ended."""
+        """Time of the reset after an episode has ended."""
         super().__init__(*arguments, **settings)
         self._returns: FloatArray = np.zeros((self.num_envs, len(self.loop.names)))
-        """Of each episode so far, in the mode SAME_STEP."""
+        """Return of each episode so far, in the mode SAME_STEP. Shape (num_envs, vehicles)."""
         self._over: BoolArray = np.zeros(self.num_envs, dtype=np.bool_)
-        """The episodes that have ended and begin anew in the next step, in the mode NEXT_STEP."""
+        """Episodes that have ended and reset in the next step, in the mode NEXT_STEP. Shape (num_envs,)."""
 
     def reset(
         self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None
     ) -> IntArray:
-        """Begin episodes; as in `Worlds`."""
+        """Begin episodes, as in `Worlds.reset`."""
         which = super().reset(seed, options)
         self._returns[which], self._over[which] = 0.0, False
         return which
 
     def step_with_autoreset(self, actions: Mapping[str, npt.ArrayLike]) -> BatchStep:
-        """All worlds advance by one tick; an episode that ends begins anew, with the seed that follows from its last.
+        """Advance all worlds by one tick; an ended episode resets, with the seed that follows its last one.
 
-        In the mode SAME_STEP it does so at once, and its last observation is in the infos; in the mode NEXT_STEP in the
-        next call, which ignores the actions in this world.
+        In the mode SAME_STEP it resets at once, and its last observation is in the infos. In the mode NEXT_STEP it
+        resets in the next call, which ignores the actions in this world.
 
         Args:
-            actions: As for `step`, whose errors it raises.
+            actions: As for `step`, whose errors this method raises.
         """
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
             return self._step_or_begin(actions)
@@ -112,12 +112,12 @@ class AutoresetWorlds(Worlds):
         )
 
     def _final(self, name: str, ended: BoolArray) -> dict[str, Any]:
-        """The last observations and infos of the ended episodes, as Gymnasium's own vector environments give them."""
-        last, told = self.observe(name), self.infos(name)
+        """Return the last observations and infos of ended episodes, as in Gymnasium's vector environments."""
+        last, infos = self.observe(name), self.infos(name)
         observations = np.full(self.num_envs, None, dtype=object)
         for k in np.flatnonzero(ended).tolist():
             observations[k] = one_of_world(last, k)
-        info = {key: value for key, value in told.items() if not key.startswith("_")}
+        info = {key: value for key, value in infos.items() if not key.startswith("_")}
         info |= self._mission(name, ended)
         info["episode"] = {
             "r": np.where(ended, self._returns[:, self.loop.names.index(name)], 0.0),
@@ -139,5 +139,5 @@ class AutoresetWorlds(Worlds):
 
 
 def _masked(info: Mapping[str, Any], ended: BoolArray) -> dict[str, Any]:
-    """The entries, each with Gymnasium's mask of the worlds that have one."""
+    """Return the entries, each with Gymnasium's mask of the worlds that have one."""
     return {**info, **{f"_{key}": ended.copy() for key in info}}

@@ -1,6 +1,6 @@
-"""The closed loop in many worlds at once.
+"""Closed loop in many worlds at once.
 
-World, links, filters, laws, drivers and rewards of a tick in one compiled pass.
+One compiled pass computes a tick: world, links, filters, laws, drivers and rewards.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -10,7 +10,7 @@ import numpy as np
 
 from agents.drivers.dispatch import driver_memories
 from agents.estimation.batch_filter import estimator_rows
-from agents.estimation.map_updates import BLOCK_TILES, telling_memory
+from agents.estimation.map_updates import BLOCK_TILES, map_update_memory
 from agents.estimation.motion_model import (
     SPAN,
     history_depth,
@@ -47,20 +47,20 @@ from sim.scenario.types import Scenario
 
 
 class ClosedLoop:
-    """Many worlds of one scenario with everybody in them.
+    """Many worlds of one scenario, with all vehicles in closed loop.
 
     Args:
-        scenario: What is flown in each.
-        worlds: How many.
-        external: Vehicles whose actions come from outside, in the order of the actions.
-        pilots: Who flies or drives the others, by name, instead of the scenario's law and drivers.
-        error: Whether e(t) is computed at every tick; if `uncovered` is paid, it is in any case.
-        settings: By keyword: `sim.env.settings.Settings` says what each is.
+        scenario: Scenario of all worlds.
+        worlds: Number of worlds.
+        external: Vehicles with external actions, in the order of the actions.
+        pilots: Laws and drivers of the other vehicles, by vehicle, instead of the scenario's.
+        error: True to compute e(t) at every tick; it is always computed if `uncovered` is rewarded.
+        settings: Keywords, see `sim.env.settings.Settings`.
 
     Raises:
-        ScenarioError: If a vehicle has a law or a driver that cannot be flown in here.
+        ScenarioError: If a vehicle has a law or a driver that cannot be compiled.
         ValueError: If another argument is not allowed.
-        TypeError: If there is no setting of that name.
+        TypeError: If a setting is unknown.
     """
 
     def __init__(
@@ -77,13 +77,13 @@ class ClosedLoop:
         self.scenario = scenario
         self.worlds = worlds
         self.names = tuple(vehicle.name for vehicle in scenario.vehicles)
-        """Vehicles in the order of every array."""
+        """All vehicles, in the order of every array."""
         self.uavs = tuple(name for name in self.names if name in {uav.name for uav in scenario.uav})
-        """UAVs in the order of theirs."""
+        """UAVs, in the order of their arrays."""
         self.ugvs = tuple(name for name in self.names if name not in self.uavs)
-        """UGVs in the order of theirs."""
+        """UGVs, in the order of their arrays."""
         self.external = tuple(external)
-        """The vehicles whose actions come from outside."""
+        """Vehicles with external actions."""
         chosen = dict(pilots or {})
         for name in (*self.external, *chosen):
             if name not in self.names:
@@ -100,11 +100,11 @@ class ClosedLoop:
         self.has_error = bool(rows.episode["error"][0])
         """True if e(t) is computed at every tick."""
         self.parameters: LoopParameters | None = None
-        """Of the pilots; None if every action comes from outside and nothing else is asked for."""
+        """Parameters of the pilots; None if all actions are external and no other feature is needed."""
         self.tables: LoopTables | CommandedTables = CommandedTables(
             batch=self.batch.tables,
             rows=rows,
-            hand=np.array(
+            action_row=np.array(
                 [self.external.index(n) if n in self.external else -1 for n in self.names],
                 dtype=np.int64,
             ),
@@ -116,7 +116,7 @@ class ClosedLoop:
         )
         if self._needs_pilots(options):
             self._add_pilots(chosen, options)
-        # all but the batch, which knows its own
+        # the batch restores its own state
         self._fresh = Fresh(self.state[1:])
         self._all = np.arange(worlds)
         self._none = np.zeros((worlds, 0, 2))
@@ -129,7 +129,7 @@ class ClosedLoop:
         return asked or pictured or not commanded or uses_radio(self.scenario)
 
     def _add_pilots(self, chosen: Mapping[str, str], settings: Settings) -> None:
-        """Add the tables and the state of pilots, estimates and pictures."""
+        """Add the tables and the state of pilots, estimates and coverage patches."""
         numbers = PilotNumbers(
             self.scenario, self.uavs, self.ugvs, set(self.external), chosen, settings.safety_filter
         )
@@ -145,7 +145,7 @@ class ClosedLoop:
             **self.tables._asdict(),
             laws=numbers.laws,
             drivers=numbers.drivers,
-            thinking=(numbers.thinking | needed).astype(np.int64),
+            estimating=(numbers.estimating | needed).astype(np.int64),
             filtered=numbers.filtered.astype(np.int64),
             receivers=np.array(
                 [self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]],
@@ -168,10 +168,10 @@ class ClosedLoop:
         fresh = filter_memory(numbers.longest, min(late + 1, numbers.track))
         uavs, ugvs = len(self.uavs), len(self.ugvs)
         room = batch.links.packets.shape[3]
-        told_room = 0
+        tile_room = 0
         if batch.ground is not None:
-            told_room = max(BLOCK_TILES, batch.ground.seen.shape[2])
-        telling = telling_memory(area.width, area.height, parameters.tile)
+            tile_room = max(BLOCK_TILES, batch.ground.seen.shape[2])
+        map_updates = map_update_memory(area.width, area.height, parameters.tile)
         pixels = patch.pixels if patch else 1
         state = LoopState(
             **self.state._asdict(),
@@ -180,32 +180,32 @@ class ClosedLoop:
             drivers=driver_memories(numbers.drivers, worlds),
             kalman=repeated(estimator_rows(depth), worlds, uavs),
             filters=repeated(fresh, worlds, uavs),
-            grounds=repeated(numbers.ground, worlds, ugvs),
+            grids=repeated(numbers.ground, worlds, ugvs),
             outbox=no_packets(worlds, uavs, 2),
-            looks=np.zeros((worlds, room, 3)),
+            detections=np.zeros((worlds, room, 3)),
             inboxes=np.zeros((worlds, ugvs, room * uavs if parameters.radio else 1, 3)),
             arrived=np.zeros((worlds, ugvs), dtype=np.int64),
             patches=np.zeros((worlds, uavs if patch else 0, pixels, pixels)),
-            telling=repeated(telling, worlds, uavs),
-            places=np.zeros((worlds, 2, told_room), dtype=np.int64),
-            states=np.zeros((worlds, told_room), dtype=np.uint8),
+            map_updates=repeated(map_updates, worlds, uavs),
+            places=np.zeros((worlds, 2, tile_room), dtype=np.int64),
+            states=np.zeros((worlds, tile_room), dtype=np.uint8),
         )
         state.outbox["stamp"] = -1.0
         return state
 
     @property
     def degraded(self) -> bool:
-        """True if any link does anything to a message."""
+        """True if any link is imperfect."""
         return self.batch.links.degraded
 
     def begin(
         self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None = None
     ) -> None:
-        """Begin worlds anew.
+        """Begin new episodes.
 
         Args:
-            seeds: One for each of them, from 0 to 2**53 - 1.
-            worlds: Which; all by default.
+            seeds: One seed per world, from 0 to 2**53 - 1.
+            worlds: Worlds to begin; all by default.
         """
         which = self.batch.restore(seeds, worlds)
         self._fresh.restore(which)
@@ -220,23 +220,23 @@ class ClosedLoop:
         self._run(which, self._none, 0)
 
     def step(self, actions: FloatArray, worlds: IntArray | None = None) -> None:
-        """Worlds advance by one tick.
+        """Advance worlds by one tick.
 
         Args:
-            actions: Accelerations [m/s²] of the vehicles in `external`, finite. Shape (worlds, len(external), 2).
-            worlds: Which; all by default.
+            actions: Finite accelerations of the vehicles in `external` [m/s²]. Shape (worlds, len(external), 2).
+            worlds: Worlds to advance; all by default.
         """
         self._run(self._all if worlds is None else worlds, actions, 1)
 
     def fly(self, ticks: int | None = None) -> None:
-        """Fly every world on, each until its episode is over, or so many ticks.
+        """Fly every world to the end of its episode, or for a number of ticks.
 
         Raises:
-            ValueError: If actions are to come from outside.
+            ValueError: If any vehicle has external actions.
         """
         if self.external:
             raise ValueError(
-                f"the actions of {', '.join(self.external)} come from outside: use step"
+                f"external = {', '.join(self.external)}: these vehicles need actions; use step"
             )
         most = self.scenario.ticks if ticks is None else ticks
         if most > 0:
@@ -249,12 +249,12 @@ class ClosedLoop:
         self.batch.workers.share(run_worlds, len(worlds), *loop, which, given, ticks)
 
     def metrics(self, uav: str) -> dict[str, FloatArray]:
-        """A UAV's true standing in this episode, in each world; arrays of shape (worlds,).
+        """Return the true metrics of a UAV's episode so far, in each world; arrays of shape (worlds,).
 
-        `mean_error` is the mean of e(t) [m²] over the ticks so far, the first included; NaN where e(t) is not computed.
-        `certified_while_lost` counts the ticks that the safety filter certified with the UGV out of sight,
-        `certificate_broken` those that it did not certify although the one before was and all assumptions held: any is
-        a fault of the certificate.
+        `mean_error` is the mean of e(t) [m²] over the ticks so far, including the first; NaN if e(t) is not computed.
+        `certified_while_lost` counts the ticks that the safety filter certified with the UGV out of sight.
+        `certificate_broken` counts the ticks that it did not certify although the previous tick was certified and all
+        assumptions held. Any count above zero is a fault of the certificate.
         """
         ticks, counts = self.state.batch.ticks, self.state.certificates[:, self.uavs.index(uav)]
         standings = self.state.rows.standings[:, self.names.index(uav)]
@@ -276,7 +276,7 @@ class ClosedLoop:
     def decisions(self, uav: str) -> RecordArray:
         """Return `FilterDecision` of a UAV's last tick, in each world. Shape (worlds,)."""
         if not isinstance(self.state, LoopState):
-            raise ValueError("there are no safety filters, so there are no decisions")
+            raise ValueError(f"uav = {uav!r}: no safety filter, so there are no decisions")
         rows: RecordArray = self.state.filters.decision[:, self.uavs.index(uav), 0]
         return rows
 
@@ -285,32 +285,36 @@ class ClosedLoop:
         return decision_of(self.decisions(uav)[0])
 
     def mission(self, world: int) -> MissionResult:
-        """The mission of one world so far, where there are hazards."""
+        """Return the mission result of one world so far.
+
+        Raises:
+            ValueError: If there are no hazards.
+        """
         if self.batch.ground is None:
-            raise ValueError("there are no hazards, so there is no mission")
+            raise ValueError("the scenario has no hazards, so there is no mission")
         goal_rows, dt = self.tables.batch.goal_rows, self.scenario.dt
         return mission_of(goal_rows, self.batch.ground, world, dt, self.ugvs)
 
     def patch(self, uav: str) -> FloatArray:
-        """The picture of a UAV's own map, in each world. Shape (worlds, pixels, pixels)."""
+        """Return the coverage patch of a UAV in each world. Shape (worlds, pixels, pixels)."""
         pictures: FloatArray = self._pilots.patches[:, self.uavs.index(uav)]
         return pictures
 
     def known_tiles(self, ugv: str) -> TileArray:
-        """The ground as a UGV knows it, from its bumper and by radio, in each world. Shape (worlds, rows, columns)."""
-        tiles: TileArray = self._pilots.grounds.tiles[:, self.ugvs.index(ugv)]
+        """Return a UGV's occupancy grid, from its sensor and by radio, in each world. Shape (worlds, rows, columns)."""
+        tiles: TileArray = self._pilots.grids.tiles[:, self.ugvs.index(ugv)]
         return tiles
 
     @property
     def _pilots(self) -> LoopState:
         if not isinstance(self.state, LoopState):
-            raise ValueError("there are no hazards and no pictures")
+            raise ValueError("the environment has neither hazards nor coverage patches")
         return self.state
 
     def links(self, world: int) -> dict[str, LinkStatus]:
-        """The counters of each link of one world so far, by `vehicle/kind`."""
+        """Return the counters of each link of one world so far, by `vehicle/kind`."""
         return self.batch.links.status(world)
 
     def close(self) -> None:
-        """End the threads."""
+        """Stop the threads."""
         self.batch.workers.close()

@@ -1,10 +1,10 @@
-"""Parameters, tables and state of `outrider.envs.closed_loop`: the arrays that its compiled tick works on."""
+"""Parameters, tables and state of `outrider.envs.closed_loop`: the arrays of its compiled tick."""
 
 from typing import Any, NamedTuple
 
 from agents.drivers.dispatch import DriverTables
-from agents.drivers.tile_map import GroundMemory
-from agents.estimation.map_updates import TellingMemory
+from agents.drivers.tile_map import OccupancyGrid
+from agents.estimation.map_updates import MapUpdateMemory
 from agents.laws.dispatch import LawTables
 from agents.safety.memory import FilterMemory
 from sim.compiling.compile import FloatArray, IntArray
@@ -15,77 +15,77 @@ from sim.models.ground import TileArray
 
 
 class LoopParameters(NamedTuple):
-    """The switches and numbers of the pilots."""
+    """Switches and parameters of the pilots."""
 
     estimate: bool
-    """True if the rows have the filter's estimate in the place of the raw detection."""
+    """True if the rows contain the estimate instead of the raw detection."""
     gradient: bool
-    """True if the rows have the gradient."""
+    """True if the rows contain the coverage gradient."""
     own_maps: bool
-    """True if each UAV has a map of its own; else all that is truly seen is its own."""
+    """True if each UAV has its own map; otherwise the world's coverage serves as its map."""
     radio: bool
     """True if any UGV uses the radio."""
     radio_ticks: int
-    telling_ticks: int
-    """Every how many ticks a UAV radios a block of tiles; 0: never, there is no ground to tell of."""
+    map_update_ticks: int
+    """Period of the map updates [ticks]; 0: never, without ground."""
     tile: float
-    """Width of a tile [m]; 0 likewise."""
+    """Width of a tile [m]; 0 without ground."""
     meters_per_pixel: float
 
 
 class CommandedTables(NamedTuple):
-    """The constants of all worlds in which every action comes from outside."""
+    """Constants of all worlds, if all actions are external."""
 
     batch: BatchTables
     rows: RowTables
-    hand: IntArray
-    """For each vehicle its row in the actions from outside; -1: it is flown in here. Shape (vehicles,)."""
+    action_row: IntArray
+    """Row of each vehicle in the external actions; -1: it has a pilot. Shape (vehicles,)."""
 
 
 class CommandedState(NamedTuple):
-    """Everything that changes there. All arrays have an axis for worlds in front."""
+    """State of all worlds, if all actions are external. All arrays have an axis for worlds in front."""
 
     batch: BatchState
     rows: RowState
-    """Standings and observation rows."""
+    """Metrics and observation rows."""
     certificates: RecordArray
     """`CertificateCounters` of each UAV. Shape (worlds, UAVs)."""
 
 
 class LoopTables(NamedTuple):
-    """The constants of all worlds with pilots, estimates or pictures: `CommandedTables` and more."""
+    """Constants of all worlds with pilots, estimates or coverage patches: extends `CommandedTables`."""
 
     batch: BatchTables
     rows: RowTables
-    hand: IntArray
+    action_row: IntArray
     laws: LawTables
     drivers: DriverTables
-    thinking: IntArray
-    """For each UAV whether its estimate is needed. Shape (UAVs,)."""
+    estimating: IntArray
+    """1 for each UAV whose estimate is needed. Shape (UAVs,)."""
     filtered: IntArray
-    """For each UAV whether the safety filter watches over it. Shape (UAVs,)."""
+    """1 for each UAV with an active safety filter. Shape (UAVs,)."""
     receivers: IntArray
-    """For each UAV the row among the UGVs of the one that receives its radio. Shape (UAVs,)."""
+    """Index of the UGV that receives each UAV's radio. Shape (UAVs,)."""
     kalman: RecordArray
     """`KalmanParameters` of each UAV. Shape (UAVs,)."""
     safety: RecordArray
     """`SafetyBounds` of each UAV's filter. Shape (UAVs,)."""
     monitored: RecordArray
-    """`SafetyBounds` of each UAV, with which its certificates are counted. Shape (UAVs,)."""
+    """`SafetyBounds` by which each UAV's certificates are counted. Shape (UAVs,)."""
     scripts: FloatArray
     script_rows: IntArray
     late: IntArray
-    """For each UGV after how many ticks its commands act. Shape (UGVs,)."""
+    """Rows of pending commands of each UGV: its command delay in ticks, plus 2. Shape (UGVs,)."""
 
 
 class LoopState(NamedTuple):
-    """Everything that changes there: `CommandedState` and more. All arrays have an axis for worlds in front."""
+    """State of all worlds with pilots: extends `CommandedState`. All arrays have an axis for worlds in front."""
 
     batch: BatchState
     rows: RowState
     certificates: RecordArray
     maps: FloatArray
-    """The UAVs' own maps, where they differ from the world's. Shape (worlds, UAVs or 0, rows, columns)."""
+    """Maps of the UAVs, if they differ from the world's. Shape (worlds, UAVs or 0, rows, columns)."""
     laws: Any
     """`PerLaw`: memories of the laws. Shape (worlds, UAVs) each."""
     drivers: Any
@@ -94,26 +94,26 @@ class LoopState(NamedTuple):
     """`EstimatorRow` of each UAV. Shape (worlds, UAVs, 1 + depth): see `agents.estimation.batch_filter`."""
     filters: FilterMemory
     """Memory of each UAV's safety filter. Shape (worlds, UAVs, ...)."""
-    grounds: GroundMemory
-    """The ground as each UGV knows it; without tiles where there are no hazards. Shape (worlds, UGVs, ...)."""
+    grids: OccupancyGrid
+    """Occupancy grid of each UGV; without tiles if there are no hazards. Shape (worlds, UGVs, ...)."""
     outbox: RecordArray
-    """`Packet`: the radio messages that each UAV has just sent, of its relative position and of the ground.
+    """`Packet`: radio messages just sent by each UAV, with its relative position and with a map update.
 
     Shape (worlds, UAVs, 2).
     """
-    looks: FloatArray
-    """Room for the detections that have reached one UAV: tick, p_delta [m]. Shape (worlds, room, 3)."""
+    detections: FloatArray
+    """Work array for the detections received by one UAV: tick, p_delta [m]. Shape (worlds, room, 3)."""
     inboxes: FloatArray
-    """The radio messages of where it is that have reached each UGV at this tick: the tick, p_delta [m].
+    """Radio messages with the relative position received by each UGV in this tick: tick, p_delta [m].
 
     Shape (worlds, UGVs, room, 3).
     """
     arrived: IntArray
-    """Their number. Shape (worlds, UGVs)."""
+    """Number of valid rows of `inboxes`. Shape (worlds, UGVs)."""
     patches: FloatArray
-    """Pictures of the UAVs' own maps. Shape (worlds, UAVs or 0, pixels, pixels)."""
-    telling: TellingMemory
-    """Of each UAV. Shape (worlds, UAVs, ...)."""
+    """Coverage patches of the UAVs. Shape (worlds, UAVs or 0, pixels, pixels)."""
+    map_updates: MapUpdateMemory
+    """Map and transmission state of each UAV. Shape (worlds, UAVs, ...)."""
     places: IntArray
     states: TileArray
-    """Room for tiles that a UGV is told of: rows and columns, and states. Shapes (worlds, 2, room), (worlds, room)."""
+    """Work arrays for tiles reported to a UGV: indices and states. Shapes (worlds, 2, room), (worlds, room)."""

@@ -1,12 +1,12 @@
 """One tick of the closed loop, compiled: world, links, filters, laws, drivers and rewards in one pass.
 
-The pilots' own functions are called, so a vehicle that is flown in here gets the commands that its pilot would
-give over the bus. One pass a world, so that its grid stays near the core until the tick is done.
+The tick calls the functions of the pilots, so a vehicle gets the same commands as from its pilot over the bus. Each
+world is processed in one pass, so that its grid stays in the cache until the tick is complete.
 """
 
 from agents.estimation.batch_filter import estimate
 from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
-from outrider.envs.command_tick import command, obey
+from outrider.envs.command_tick import apply_actions, command
 from outrider.envs.perception_tick import perceive
 from outrider.envs.vehicle_parts import coverage_of
 from sim.channel.link_records import ARRIVED
@@ -29,7 +29,7 @@ from sim.models.vehicles import norm
 def _add_cues(
     parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int, uav: int
 ) -> None:
-    """Put the estimate and the gradient into the row of a UAV, where they are asked for and known."""
+    """Write the estimate and the gradient into a UAV's row, if they are required and known."""
     world_parameters, row = tables.batch.world[0], state.rows.uav_rows[world, uav]
     row.gradient_x, row.gradient_y = 0.0, 0.0
     target = estimate(state.kalman, world, uav)
@@ -60,7 +60,7 @@ def _add_cues(
 def _add_pictures(
     parameters: LoopParameters, tables: LoopTables, state: LoopState, world: int
 ) -> None:
-    """Put the UAVs' estimates and gradients into their rows, and make their pictures."""
+    """Write the UAVs' estimates and gradients into their rows, and draw their coverage patches."""
     world_parameters = tables.batch.world[0]
     escorts = tables.batch.escorts
     if parameters.estimate or parameters.gradient:
@@ -81,17 +81,17 @@ def _add_pictures(
 
 
 @inlined
-def _note_action(tables: LoopTables, state: LoopState, world: int, uav: int, tick: int) -> None:
-    """Count the action of a UAV in this tick, which has just been flown."""
+def _count_action(tables: LoopTables, state: LoopState, world: int, uav: int, tick: int) -> None:
+    """Count the action of a UAV that has just been executed in this tick."""
     v, bounds = tables.batch.escorts[uav, 0], tables.monitored[uav]
-    flown = state.batch.flown[world, v, 0]
-    bare = state.batch.vehicles[world, v].command_tick if flown.plain == 1 else NEVER
-    record_interval(bounds, state.certificates[world, uav], tick, flown.begins, bare)
+    committed = state.batch.flown[world, v, 0]
+    bare = state.batch.vehicles[world, v].command_tick if committed.plain == 1 else NEVER
+    record_interval(bounds, state.certificates[world, uav], tick, committed.begins, bare)
 
 
 @inlined
-def _note_evidence(tables: LoopTables, state: LoopState, world: int, uav: int) -> None:
-    """Count how wrong the detections are that have reached a UAV at this tick, and how far it is off its reference."""
+def _record_errors(tables: LoopTables, state: LoopState, world: int, uav: int) -> None:
+    """Record the errors of the detections received by a UAV in this tick, and its tracking error."""
     bounds, counts, batch = tables.monitored[uav], state.certificates[world, uav], state.batch
     for n in range(batch.links[world, uav].arrived):
         packet = batch.packets[world, uav, ARRIVED, n]
@@ -105,22 +105,22 @@ def _note_evidence(tables: LoopTables, state: LoopState, world: int, uav: int) -
 
 
 @inlined
-def _note_actions(tables: LoopTables, state: LoopState, world: int, tick: int) -> None:
-    """Count the actions of the UAVs that a safety filter watches over."""
+def _count_actions(tables: LoopTables, state: LoopState, world: int, tick: int) -> None:
+    """Count the actions of the UAVs with an active safety filter."""
     for u in range(tables.batch.escorts.shape[0]):
         if tables.filtered[u]:
-            _note_action(tables, state, world, u, tick)
+            _count_action(tables, state, world, u, tick)
 
 
 @inlined
-def _note_tick(tables: LoopTables, state: LoopState, world: int, over: bool) -> None:
-    """Count what the UAVs' certificates have come to at this tick."""
+def _count_certificates(tables: LoopTables, state: LoopState, world: int, over: bool) -> None:
+    """Update the certificate counters of the UAVs for this tick."""
     for u in range(tables.batch.escorts.shape[0]):
         if over:
             standing = state.rows.standings[world, tables.batch.escorts[u, 0]]
             record_end(state.certificates[world, u], standing.lost)
         elif tables.filtered[u]:
-            _note_evidence(tables, state, world, u)
+            _record_errors(tables, state, world, u)
 
 
 @released
@@ -135,11 +135,11 @@ def run_worlds(
     begin: int,
     end: int,
 ) -> None:
-    """Fly each of these worlds for a number of ticks or to the end of its episode; 0 ticks: begin it.
+    """Fly each of these worlds for a number of ticks or to the end of its episode; 0 ticks: begin the episode.
 
-    World by world, so that a grid stays near its core for a whole flight. Without parameters every action comes from
-    outside, tables and state are `CommandedTables` and `CommandedState`, and nothing of pilots, estimates and pictures
-    is compiled.
+    World by world, so that a grid stays in the cache for the whole flight. Without parameters all actions are external,
+    tables and state are `CommandedTables` and `CommandedState`, and no code for pilots, estimates and patches is
+    compiled.
     """
     batch, beginning = state.batch, ticks == 0
     for n in range(begin, end):
@@ -149,16 +149,16 @@ def run_worlds(
         for tick in range(1 if beginning else ticks):
             if tick > 0 and (state.rows.terminated[k] or state.rows.truncated[k]):
                 break
-            begun = batch.ticks[k]
+            started = batch.ticks[k]
             if not beginning:
                 if parameters is None:
-                    obey(batch.vehicles, tables.hand, k, begun, actions[k])
+                    apply_actions(batch.vehicles, tables.action_row, k, started, actions[k])
                 else:
                     command(parameters, tables, state, ground, k, actions[k])
                 world_tick(tables.batch, batch, ground, k, True)
             if parameters is not None:
                 if not beginning:
-                    _note_actions(tables, state, k, begun)
+                    _count_actions(tables, state, k, started)
                 perceive(parameters, tables, state, ground, k)
             error = tables.rows.episode[0].error
             escorts = tables.batch.escorts
@@ -166,7 +166,7 @@ def run_worlds(
             advance_rows(tables.batch, batch, ground, tables.rows, state.rows, k, beginning)
             over = state.rows.terminated[k] or state.rows.truncated[k]
             if parameters is not None:
-                _note_tick(tables, state, k, over)
+                _count_certificates(tables, state, k, over)
             if tick == ticks - 1 or over or beginning:
                 observe_rows(tables.batch, batch, tables.rows, state.rows, k)
                 if parameters is not None:

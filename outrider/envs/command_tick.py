@@ -1,20 +1,20 @@
-"""Commands of a tick of the closed loop, of the vehicles' pilots or from outside, and what the UAVs radio."""
+"""Commands of a tick of the closed loop, from pilots or external actions, and the radio messages of the UAVs."""
 
 from agents.drivers.dispatch import driver_command
 from agents.drivers.parameters import DriverInputs
-from agents.drivers.pending_stops import PLAIN, hand_over_stops
+from agents.drivers.pending_stops import PLAIN, add_stops
 from agents.estimation.batch_filter import estimate
-from agents.estimation.map_updates import block_words, next_block, telling_of
+from agents.estimation.map_updates import encode_block, map_updates_of, next_block
 from agents.laws.dispatch import nominal_command
 from agents.safety.decision import CERTIFIED, NOMINAL, decide
-from agents.safety.pending import hand_over
+from agents.safety.pending import add_plans
 from agents.uav_parameters import Target
 from outrider.envs.closed_loop_state import (
     LoopParameters,
     LoopState,
     LoopTables,
 )
-from outrider.envs.vehicle_parts import coverage_of, filter_of, ground_of, reference_of
+from outrider.envs.vehicle_parts import coverage_of, filter_of, grid_of, reference_of
 from sim.compiling.compile import FloatArray, IntArray, compiled, inlined
 from sim.compiling.records import RecordArray
 from sim.engine.ground_state import GroundState
@@ -36,44 +36,44 @@ def _fly(
     uav: int,
     actions: FloatArray,
 ) -> None:
-    """The command of a UAV, and what it radios."""
+    """Write the command of a UAV, and its radio messages."""
     tick, standing = state.batch.ticks[world], state.rows.standings[world, vehicle]
     one = state.batch.vehicles[world, vehicle]
     here = reference_of(one)
     filtered = tables.filtered[uav] != 0
     target = estimate(state.kalman, world, uav)
-    flown = state.batch.flown[world, vehicle, 0].begins
-    if tables.hand[vehicle] < 0:
+    committed = state.batch.flown[world, vehicle, 0].begins
+    if tables.action_row[vehicle] < 0:
         coverage = coverage_of(parameters, state, world, uav)
         u_x, u_y = nominal_command(
             tables.laws, state.laws, (world, uav), coverage, tick, here, target
         )
     else:
-        u_x, u_y = actions[tables.hand[vehicle], 0], actions[tables.hand[vehicle], 1]
+        u_x, u_y = actions[tables.action_row[vehicle], 0], actions[tables.action_row[vehicle], 1]
     if filtered:
         memory = filter_of(tables, state.filters, world, uav)
-        decide(tables.safety[uav], memory, tick, here, u_x, u_y, flown)
+        decide(tables.safety[uav], memory, tick, here, u_x, u_y, committed)
         decision = memory.decision[0]
         u_x, u_y = decision.acceleration[0], decision.acceleration[1]
         certified, overridden = decision.reason == CERTIFIED, decision.source != NOMINAL
-        # a pilot that has seen nothing reports nothing
-        reports = target.known or tables.hand[vehicle] >= 0
-        said = Claim(certified, reports and overridden, standing.lost, True)
-        record_decision(tables.monitored[uav], state.certificates[world, uav], tick, said)
+        # a pilot without a detection sends no report
+        reports = target.known or tables.action_row[vehicle] >= 0
+        claim = Claim(certified, reports and overridden, standing.lost, True)
+        record_decision(tables.monitored[uav], state.certificates[world, uav], tick, claim)
     one.outgoing_tick, one.outgoing[0], one.outgoing[1] = tick, u_x, u_y
     if filtered:
-        one.outgoing_motion, one.outgoing_motions = hand_over(
+        one.outgoing_motion, one.outgoing_motions = add_plans(
             tables.safety[uav],
             filter_of(tables, state.filters, world, uav).pending,
             tick,
             state.batch.motions[world, vehicle],
         )
     if parameters.radio:
-        _speak(parameters, state, world, uav, tick, here, target)
+        _write_radio(parameters, state, world, uav, tick, here, target)
 
 
 @inlined
-def _speak(
+def _write_radio(
     parameters: LoopParameters,
     state: LoopState,
     world: int,
@@ -82,20 +82,20 @@ def _speak(
     here: Motion,
     target: Target,
 ) -> None:
-    """Radio messages of a UAV at this tick."""
+    """Write the radio messages of a UAV in this tick into its outbox."""
     known, g_x, g_y = target.known, target.p_x, target.p_y
     relative, ground = state.outbox[world, uav, _RELATIVE], state.outbox[world, uav, _GROUND]
     relative.stamp = tick if known and tick % parameters.radio_ticks == 0 else -1.0
     relative.block = -1
     relative.vector[0], relative.vector[1] = here.p_x - g_x, here.p_y - g_y
     ground.stamp = -1.0
-    if parameters.telling_ticks > 0 and known and tick % parameters.telling_ticks == 0:
-        memory = telling_of(state.telling, world, uav)
+    if parameters.map_update_ticks > 0 and known and tick % parameters.map_update_ticks == 0:
+        memory = map_updates_of(state.map_updates, world, uav)
         row, column = next_block(memory, parameters.tile, tick, g_x, g_y)
         if row >= 0:
             ground.stamp = tick
             ground.block = row * memory.news.shape[1] + column
-            block_words(memory.tiles, row, column, ground.tiles)
+            encode_block(memory.tiles, row, column, ground.tiles)
 
 
 @inlined
@@ -108,12 +108,12 @@ def _drive(
     ugv: int,
     actions: FloatArray,
 ) -> None:
-    """The command of a UGV."""
+    """Write the command of a UGV."""
     tick, one = state.batch.ticks[world], state.batch.vehicles[world, vehicle]
     one.outgoing_tick = tick
-    if tables.hand[vehicle] >= 0:
-        one.outgoing[0] = actions[tables.hand[vehicle], 0]
-        one.outgoing[1] = actions[tables.hand[vehicle], 1]
+    if tables.action_row[vehicle] >= 0:
+        one.outgoing[0] = actions[tables.action_row[vehicle], 0]
+        one.outgoing[1] = actions[tables.action_row[vehicle], 1]
         return
     script = tables.scripts[tables.script_rows[ugv] : tables.script_rows[ugv + 1]]
     goals = goals_of(tables.batch.goals, tables.batch.goal_rows, ugv)
@@ -125,16 +125,16 @@ def _drive(
             tables.drivers, state.drivers, place, inputs, tick, here
         )
     else:
-        memory = ground_of(tables, state, world, ugv)
-        flown = state.batch.flown[world, vehicle, 0].begins if one.follows_motions else PLAIN
-        inputs = DriverInputs(goals, script, radio, arrived, memory, flown)
+        memory = grid_of(tables, state, world, ugv)
+        committed = state.batch.flown[world, vehicle, 0].begins if one.follows_motions else PLAIN
+        inputs = DriverInputs(goals, script, radio, arrived, memory, committed)
         one.outgoing[0], one.outgoing[1] = driver_command(
             tables.drivers, state.drivers, place, inputs, tick, here
         )
         record_claim(ground.missions[world], ugv, memory.flags[0].claim)
         if one.follows_motions:
             motions = state.batch.motions[world, vehicle]
-            one.outgoing_motion, one.outgoing_motions = hand_over_stops(memory, tick, motions)
+            one.outgoing_motion, one.outgoing_motions = add_stops(memory, tick, motions)
 
 
 @inlined
@@ -146,7 +146,7 @@ def command(
     world: int,
     actions: FloatArray,
 ) -> None:
-    """The commands of all vehicles, of their pilots or from outside."""
+    """Write the commands of all vehicles, from pilots or external actions."""
     for v in range(tables.rows.place.shape[0]):
         place = tables.rows.place[v]
         if place >= 0:
@@ -156,9 +156,11 @@ def command(
 
 
 @compiled
-def obey(vehicles: RecordArray, hand: IntArray, world: int, tick: int, actions: FloatArray) -> None:
-    """The commands of all vehicles, from outside; the backup plans that they carry are there already."""
-    for v in range(hand.shape[0]):
+def apply_actions(
+    vehicles: RecordArray, action_row: IntArray, world: int, tick: int, actions: FloatArray
+) -> None:
+    """Write external actions as the commands of all vehicles; their backup trajectories are already stored."""
+    for v in range(action_row.shape[0]):
         one = vehicles[world, v]
         one.outgoing_tick = tick
-        one.outgoing[0], one.outgoing[1] = actions[hand[v], 0], actions[hand[v], 1]
+        one.outgoing[0], one.outgoing[1] = actions[action_row[v], 0], actions[action_row[v], 1]

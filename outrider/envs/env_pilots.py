@@ -1,4 +1,4 @@
-"""The paper's pilots as policies for the environment: the baseline for whoever trains."""
+"""Paper's pilots as policies for the environment, as a baseline for training."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from agents.control.orbit import Path as VirtualPath
 from agents.control.weighting import Weighting
-from agents.estimation.map_updates import BLOCK_TILES, word_state
+from agents.estimation.map_updates import BLOCK_TILES, decode_tile
 from agents.uav import UavPilot
 from bus.messages.ground import BLOCK_SIDE, TILE_LETTERS, MapUpdate
 from bus.messages.links import LinkKind
@@ -24,7 +24,7 @@ from sim.channel.link_records import ARRIVED
 from sim.world import World
 
 AgentPolicy = Callable[[npt.NDArray[Any] | Mapping[str, npt.NDArray[Any]]], UavCommand | UgvCommand]
-"""A vehicle's observation in, its pilot's command out, which the environment takes as an action."""
+"""Function that maps a vehicle's observation to its pilot's command, a valid action of the environment."""
 
 
 def _radioed(
@@ -32,7 +32,7 @@ def _radioed(
     batch: Any,  # noqa: ANN401 - PettingZoo has no types
     uavs: tuple[str, ...],
 ) -> tuple[tuple[RelativeInformation, ...], tuple[MapUpdate, ...]]:
-    """The messages that the radios of these UAVs deliver at this tick."""
+    """Return the messages delivered in this tick by the radios of these UAVs."""
     radio, blocks, dt = list[RelativeInformation](), list[MapUpdate](), world.parameters.dt
     across = 0 if world.ground is None else -(-world.tiles.shape[1] // BLOCK_SIDE)
     for uav in uavs:
@@ -42,18 +42,20 @@ def _radioed(
             if block < 0:
                 place = (float(packet["vector"][0]), float(packet["vector"][1]))
                 time = float(packet["stamp"]) * dt
-                # drivers make nothing of the error
-                said = RelativeInformation(time=time, relative_position=place, coverage_error=0.0)
-                radio.append(said)
+                # drivers ignore the coverage error
+                message = RelativeInformation(
+                    time=time, relative_position=place, coverage_error=0.0
+                )
+                radio.append(message)
             else:
-                states = (word_state(packet["tiles"], n) for n in range(BLOCK_TILES))
+                states = (decode_tile(packet["tiles"], n) for n in range(BLOCK_TILES))
                 tiles = "".join(TILE_LETTERS[state] for state in states)
                 blocks.append(MapUpdate(row=block // across, column=block % across, tiles=tiles))
     return tuple(radio), tuple(blocks)
 
 
 class _EnvPilots:
-    """The pilots of one environment, new ones for each episode."""
+    """Pilots of one environment, recreated for each episode."""
 
     def __init__(self, env: Any, weighting: Weighting | None, path: VirtualPath | None) -> None:  # noqa: ANN401
         self._env = env.unwrapped
@@ -86,14 +88,14 @@ class _EnvPilots:
         row, tick = world.names.index(name), world.tick
         position = tuple(world.reference_position[row].tolist())
         velocity = tuple(world.reference_velocity[row].tolist())
-        told: dict[str, Any] = {"tick": tick, "time": world.time}
-        told |= {"position": position, "velocity": velocity}
-        told |= {"tile_reports": world.seen_ground(row), "committed_trajectory": world.flown(row)}
+        fields: dict[str, Any] = {"tick": tick, "time": world.time}
+        fields |= {"position": position, "velocity": velocity}
+        fields |= {"tile_reports": world.seen_ground(row), "committed_trajectory": world.flown(row)}
         if isinstance(pilot, UavPilot):
             uav = [uav.name for uav in world.uavs].index(name)
-            return pilot.act(UavObservation(**told, detections=world.received(uav)))
+            return pilot.act(UavObservation(**fields, detections=world.received(uav)))
         radio, blocks = _radioed(world, self._env.worlds.loop.batch, self._escorts[name])
-        return pilot.act(UgvObservation(**told, radio=radio, map_updates=blocks))
+        return pilot.act(UgvObservation(**fields, radio=radio, map_updates=blocks))
 
 
 def pilots(
@@ -102,20 +104,20 @@ def pilots(
     weighting: Weighting | None = None,
     path: VirtualPath | None = None,
 ) -> dict[str, AgentPolicy]:
-    """A policy for each agent of the environment: the scenario's law for a UAV, its driver for a UGV.
+    """Return a policy for each agent: the scenario's law for a UAV, its driver for a UGV.
 
-    Each knows what it would know over the bus: its briefing, and then, whatever the observations look like, what its
-    own sensors and links have told it. They have a memory, so call each once a tick; with a new episode they begin
-    anew by themselves. They fly the same bits as `outrider.run` with the same scenario and seed, where no UGV uses the
-    radio of the UAVs' computers; else the same to rounding.
+    Each policy has the information that its pilot would have over the bus: its briefing, and the data of its own
+    sensors and links, whatever the observation contains. Policies have memory, so call each once per tick; they reset
+    with each new episode. They fly the same bits as `outrider.run` with the same scenario and seed if no UGV uses the
+    UAVs' radio; otherwise they agree to rounding.
 
     Args:
-        env: The environment, or a wrapper of it.
-        weighting: For the law `weighted`, instead of the scenario's.
-        path: For the law `path`, instead of the scenario's.
+        env: Environment, or a wrapper of it.
+        weighting: Weighting for the law `weighted`, instead of the scenario's.
+        path: Path for the law `path`, instead of the scenario's.
 
     Raises:
-        ScenarioError: If the scenario asks for a law or a driver that cannot be had.
+        ScenarioError: If a law or a driver of the scenario is not available.
     """
-    flown = _EnvPilots(env, weighting, path)
-    return {name: partial(flown.act, name) for name in env.possible_agents}
+    committed = _EnvPilots(env, weighting, path)
+    return {name: partial(committed.act, name) for name in env.possible_agents}

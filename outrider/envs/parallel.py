@@ -1,7 +1,7 @@
-"""One world as a PettingZoo environment: a thin view of the closed loop, with a batch of one.
+"""PettingZoo environment with one world: a thin view of the closed loop, with a batch of one.
 
-`bus.observations` says what each entry of an observation means, `sim.env.rewards` what is paid, `sim.env.rows` who
-gets what.
+`bus.observations` defines the entries of an observation, `sim.env.rewards` the rewards, `sim.env.rows` the row of each
+vehicle.
 """
 
 from collections.abc import Mapping
@@ -34,16 +34,16 @@ from sim.scenario.types import Scenario
 from sim.world import World
 
 Action = npt.ArrayLike | UavCommand | UgvCommand
-"""An acceleration [m/s²], or the command of a pilot, which may carry backup plans and a route besides."""
+"""Acceleration [m/s²], or the command of a pilot, which may also carry backup trajectories and a route."""
 
 
 @with_tables
 class OutriderEnv(ParallelEnv):  # type: ignore[misc]
-    """A UAV escorts a UGV, sees as much ground around it as it can, and never loses sight of it.
+    """A UAV escorts a UGV, covers as much ground around it as possible, and never loses sight of it.
 
-    Agents are the scenario's vehicles. An action is an acceleration [m/s²], held for one tick; the bound of (1) is on
-    its norm, and a longer one is shortened. A pilot's command is an action, too. An observation is the vehicle's own
-    row and nothing else; the whole truth is in `state()`. A UAV observes
+    Agents are the scenario's vehicles. An action is an acceleration [m/s²], held for one tick; an action whose norm
+    exceeds the bound of (1) is shortened. A pilot's command is also a valid action. An observation is the vehicle's own
+    row and nothing else; the complete true state is in `state()`. A UAV observes
 
     <!-- generated: uav_observation -->
 
@@ -51,21 +51,20 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
 
     <!-- generated: ugv_observation -->
 
-    On ground with hazards a UGV's observation is a dictionary: `row`, and `tiles`, a picture of the ground as it knows
-    it.
+    On ground with hazards a UGV's observation is a dictionary: `row`, and `tiles`, a picture of its occupancy grid.
 
-    The letters of the ranges are explained in `bus.observations.SYMBOLS`; all agents end together.
+    `bus.observations.SYMBOLS` explains the letters of the ranges. All agents end together.
     `docs/reference/environment.md` is the environment's page.
 
     Args:
-        scenario: A shipped name, a file, or a scenario.
+        scenario: Shipped name, file, or scenario.
         render_mode: None, "rgb_array" or "human".
-        settings: By keyword: `sim.env.settings.Settings` says what each is.
+        settings: Keywords, see `sim.env.settings.Settings`.
 
     Raises:
-        ScenarioError: If the scenario cannot be flown, or its duration is no whole number of ticks.
+        ScenarioError: If the scenario cannot be flown, or its duration is not a whole number of ticks.
         ValueError: If another argument is not allowed.
-        TypeError: If there is no setting of that name.
+        TypeError: If a setting is unknown.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as PettingZoo declares it
@@ -85,9 +84,9 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode = {render_mode!r}; allowed: None, 'human', 'rgb_array'")
         self.worlds = Worlds(scenario, 1, None, error=True, **settings)
-        """The one world, and what is true of it."""
+        """World of the environment, as a batch of one, with its true state."""
         self.scenario = self.worlds.scenario
-        """The scenario that is flown."""
+        """Scenario of the environment."""
         self.render_mode = render_mode
         loop = self.worlds.loop
         self.possible_agents: list[str] = list(loop.names)
@@ -97,13 +96,13 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self.observation_spaces = self.worlds.observation_spaces
         self.state_space = self._state_space()
         self.state_names = state_names(self._standings.state_rows.items())
-        """Names of the state's entries."""
+        """Names of the entries of `state()`."""
         self.degraded = loop.degraded
-        """True if any link does anything to a message."""
+        """True if any link is imperfect."""
         self.episode = 0
-        """Number of the episode, from 1 with the first reset."""
+        """Number of the episode; the first reset makes it 1."""
         self.secret = check_secret(self.worlds.settings.secret)
-        """Of all random numbers, with the seed. For whoever made the environment, not for policies."""
+        """Secret that, with the seed, determines all random numbers. For the creator, not for policies."""
         self._np_random: np.random.Generator | None = None
         self._world: World | None = None
         self._actions = np.zeros((1, len(self.possible_agents), 2))
@@ -113,22 +112,22 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
 
     @property
     def np_random(self) -> np.random.Generator:
-        """A generator for wrappers, seeded anew with each episode's seed; nothing in the world is drawn from it."""
+        """Generator for wrappers, reseeded with each episode's seed; the world never draws from it."""
         if self._np_random is None:
             self._np_random, _ = seeding.np_random(self.episode_seed)
         return self._np_random
 
     @property
     def episode_seed(self) -> int:
-        """Of this episode's random numbers; before the first reset, the one that it takes by default."""
+        """Seed of the current episode; before the first reset, the default seed of the first one."""
         return self.worlds.episode_seeds[0]
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """The space of an agent's observations."""
+        """Return the space of an agent's observations."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """The space of an agent's actions; larger ones are shortened to its bound, not refused."""
+        """Return the space of an agent's actions; larger actions are shortened to the bound, not rejected."""
         return self.action_spaces[agent]
 
     def reset(
@@ -137,8 +136,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """Begin an episode.
 
         Args:
-            seed: Of all its random numbers. Without one, the first episode has the scenario's seed, and each later one
-                a seed derived from the last that was given and the number of episodes since.
+            seed: Seed of all random numbers of the episode. Without one, the first episode has the scenario's seed, and
+                each later one a seed derived from the last given seed and the number of episodes since.
             options: Not used.
 
         Returns:
@@ -162,7 +161,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Let all vehicles act for one tick.
+        """Advance all vehicles by one tick.
 
         Args:
             actions: An acceleration [m/s²] for each agent, two finite numbers, or a pilot's command.
@@ -171,8 +170,9 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             Observations, rewards, terminations, truncations and infos by agent.
 
         Raises:
-            ResetNeeded: If no episode is going on.
-            ValueError: If an action is missing, of no agent, or not two finite numbers; nothing has happened then.
+            ResetNeeded: If no episode is running.
+            ValueError: If an action is missing, belongs to no agent, or is not two finite numbers; the state is
+                unchanged then.
         """
         world, loop = self.world, self.worlds.loop
         if not self.agents:
@@ -203,7 +203,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         return list(take_actions(plain, self.possible_agents).values())
 
     def _carry(self, world: World, name: str, command: UavCommand | UgvCommand) -> None:
-        """Take in what a command carries beside its acceleration: backup plans, a claim and a route."""
+        """Apply the other parts of a command: backup trajectories, a claim and a route."""
         vehicle = world.names.index(name)
         world.send(vehicle, world.tick, command.acceleration, command.backup_trajectories)
         if isinstance(command, UgvCommand):
@@ -212,10 +212,10 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
                 self._view.show_route(name, command.route)
 
     def _infos(self) -> dict[str, dict[str, Any]]:
-        """Facts of a vehicle's own that are in no row.
+        """Return each vehicle's own facts that are not in its row.
 
-        At the end of an episode, when nothing is decided any more, also what became of the messages on its links, where
-        the network is not perfect, and how a UGV's mission went, on ground with hazards.
+        The last infos of an episode also contain the counters of a vehicle's links, if the network is not perfect, and
+        the mission result of a UGV, on ground with hazards.
         """
         infos = {name: self.worlds.info(name) for name in self.possible_agents}
         if self.agents:
@@ -231,11 +231,11 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         return infos
 
     def _observations(self) -> dict[str, AgentObservation]:
-        """A new array for each vehicle, which nobody changes later."""
+        """Return a new array for each vehicle, which is never changed later."""
         return {name: one_of_world(self.worlds.observe(name), 0) for name in self.possible_agents}
 
     def known_tiles(self, ugv: str) -> TileArray:
-        """The ground as a UGV knows it, from its bumper and by radio; a copy. Shape (rows, columns)."""
+        """Return a copy of a UGV's occupancy grid, from its sensor and by radio. Shape (rows, columns)."""
         if not self.scenario.has_ground:
             return self.world.tiles
         known: TileArray = self.worlds.loop.known_tiles(ugv)[0].copy()
@@ -243,7 +243,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
 
     @property
     def world(self) -> World:
-        """The true world of this episode.
+        """True world of this episode.
 
         Raises:
             ResetNeeded: Before the first reset.
@@ -253,10 +253,10 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         return self._world
 
     def state(self) -> Array:
-        """The whole truth as a flat array, for centralized critics: time, coverage, then each vehicle in name order.
+        """Return the complete true state as a flat array, for centralized critics.
 
-        `state_names` names the entries. In wind a UAV's position and velocity are those that it is told, its distance
-        and coverage error of where it truly is.
+        The entries are time, coverage, then each vehicle in name order; `state_names` names them. In wind, a UAV's
+        position and velocity are its reference state; its distance and coverage error refer to its true position.
         """
         world = self.world
         covered, seen = coverage_shares(world.coverage, world.parameters.desired)
@@ -267,7 +267,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         return np.clip(np.array(values, dtype=self.worlds.settings.dtype), space.low, space.high)
 
     def _state_space(self) -> spaces.Box:
-        """The space of `state`."""
+        """Return the space of `state`."""
         vehicles = self.scenario.vehicles
         low, high = bounds(STATE, extent_of(self.scenario, vehicles[0]))
         for vehicle in vehicles:
@@ -277,20 +277,28 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         return box(low, high, self.worlds.settings.dtype)
 
     def metrics(self) -> dict[str, dict[str, float]]:
-        """Each vehicle's true standing, and the terms of its last reward: for people and logs, not for policies."""
-        _ = self.world  # there must be one
+        """Return each vehicle's true metrics and the terms of its last reward: for people and logs, not for policies.
+
+        Raises:
+            ResetNeeded: Before the first reset.
+        """
+        _ = self.world  # raises before the first reset
         return {name: self._standings.metrics(name) for name in self.possible_agents}
 
     def links(self) -> dict[str, LinkStatus]:
-        """The counters of each link so far, by `vehicle/kind`: for people and logs, not for policies."""
-        _ = self.world  # there must be one
+        """Return the counters of each link so far, by `vehicle/kind`: for people and logs, not for policies.
+
+        Raises:
+            ResetNeeded: Before the first reset.
+        """
+        _ = self.world  # raises before the first reset
         return self.worlds.links(0)
 
     def briefing(self, agent: str) -> Briefing:
-        """Returns the vehicle's briefing of this episode, as on the bus: its limits, area, law, own goals.
+        """Return the vehicle's briefing of this episode, as on the bus: its limits, area, law, own goals.
 
         Raises:
-            ValueError: If there is no such agent.
+            ValueError: If the agent is unknown.
         """
         if agent not in self.action_spaces:
             raise ValueError(f"agent = {agent!r}; allowed: {', '.join(self.possible_agents)}")
@@ -301,25 +309,25 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             self._view.follow(self.world)
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """A picture of this moment, shape (rows, columns, 3); with the mode "human" it is shown in a window instead.
+        """Return a picture of the current tick, shape (rows, columns, 3); in mode "human", show it in a window instead.
 
         Raises:
             ResetNeeded: Before the first reset.
-            OutriderError: If there is no display, or no pygame.
+            OutriderError: If there is no display, or pygame is not installed.
         """
         if self._view is None:
             logger.warn(
-                "render() draws nothing: the environment was made without render_mode='human' or 'rgb_array'"
+                "render() draws nothing: make the environment with render_mode='human' or 'rgb_array'"
             )
             return None
         return self._view.render(self.world)
 
     def close(self) -> None:
-        """Close the window, if there is one, and end the threads."""
+        """Close the window, if it is open, and stop the threads."""
         self.worlds.loop.close()
         if self._view is not None:
             self._view.close()
 
 
 parallel_env = OutriderEnv
-"""The environment under PettingZoo's usual name."""
+"""Environment under PettingZoo's usual name."""

@@ -1,11 +1,11 @@
-"""Perception of a tick of the closed loop: maps, filters, radio, and the tiles that vehicles are told of."""
+"""Perception of a tick of the closed loop: maps, filters, radio, and tile reports."""
 
-from agents.drivers.tile_map import note_block, note_tiles
+from agents.drivers.tile_map import record_block, record_tiles
 from agents.estimation.batch_filter import update as update_estimate
-from agents.estimation.map_updates import BLOCK_TILES, note_tile, telling_of, word_state
+from agents.estimation.map_updates import BLOCK_TILES, decode_tile, map_updates_of, record_tile
 from agents.estimation.perception import uav_perceive
 from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
-from outrider.envs.vehicle_parts import coverage_of, filter_of, ground_of, reference_of
+from outrider.envs.vehicle_parts import coverage_of, filter_of, grid_of, reference_of
 from sim.channel.link import begin_tick, receive, send
 from sim.channel.link_records import ARRIVED, Packet
 from sim.compiling.compile import inlined
@@ -17,20 +17,20 @@ from sim.engine.mission import receive_block
 def _receive_block(
     tables: LoopTables, state: LoopState, ground: GroundState, world: int, ugv: int, packet: Packet
 ) -> None:
-    """A UGV is told of a block of tiles by radio."""
-    block, across = packet.block, state.telling.news.shape[3]
+    """Update a UGV's occupancy grid from a map update."""
+    block, across = packet.block, state.map_updates.news.shape[3]
     row, column, states = block // across, block % across, state.states[world, :BLOCK_TILES]
     for place in range(BLOCK_TILES):
-        states[place] = word_state(packet.tiles, place)
-    note_block(ground_of(tables, state, world, ugv), row, column, states)
+        states[place] = decode_tile(packet.tiles, place)
+    record_block(grid_of(tables, state, world, ugv), row, column, states)
     receive_block(ground, world, ugv, state.batch.ticks[world], (row, column), states)
 
 
 @inlined
-def _feel_ground(
+def _sense_ground(
     tables: LoopTables, state: LoopState, ground: GroundState, world: int, ugv: int
 ) -> None:
-    """A UGV takes in the tiles that its bumper tells of."""
+    """Update a UGV's occupancy grid from the reports of its own sensor."""
     v = ground.ugvs[ugv]
     columns, count = ground.tiles.shape[2], ground.report_counts[world, v]
     rows = state.places[world, 0, :count]
@@ -40,19 +40,19 @@ def _feel_ground(
         rows[n], across[n] = ground.seen[world, v, n] // columns, ground.seen[world, v, n] % columns
         states[n] = ground.known[world, v, rows[n], across[n]]
     if count > 0:
-        note_tiles(ground_of(tables, state, world, ugv), rows, across, states)
+        record_tiles(grid_of(tables, state, world, ugv), rows, across, states)
 
 
 @inlined
 def _radio(tables: LoopTables, state: LoopState, ground: GroundState | None, world: int) -> None:
-    """Send out the radio messages of the tick before, and receive those that arrive."""
+    """Send the radio messages of the previous tick, and receive those that arrive."""
     tick, arrived = state.batch.ticks[world], state.arrived[world]
     arrived[:] = 0
     packets, traces = state.batch.packets, tables.batch.traces
     for u in range(tables.receivers.shape[0]):
         g, come = tables.receivers[u], state.inboxes[world, tables.receivers[u]]
-        # behind the links of detections and commands
-        link = state.batch.links[world, tables.receivers.shape[0] + tables.hand.shape[0] + u]
+        # radio links follow the links of detections and commands
+        link = state.batch.links[world, tables.receivers.shape[0] + tables.action_row.shape[0] + u]
         begin_tick(link, packets, world, traces, tick)
         for k in range(state.outbox.shape[2]):
             packet = state.outbox[world, u, k]
@@ -74,16 +74,16 @@ def _radio(tables: LoopTables, state: LoopState, ground: GroundState | None, wor
 
 
 @inlined
-def _see_ground(
+def _record_reports(
     parameters: LoopParameters, state: LoopState, ground: GroundState, world: int, uav: int, v: int
 ) -> None:
-    """Keep the tiles that a UAV's sensor has reported, to radio them."""
-    if parameters.telling_ticks > 0:
+    """Record the tiles reported by a UAV's sensor, for its map updates."""
+    if parameters.map_update_ticks > 0:
         columns = ground.tiles.shape[2]
         for n in range(ground.report_counts[world, v]):
             row, column = ground.seen[world, v, n] // columns, ground.seen[world, v, n] % columns
             found = ground.known[world, v, row, column]
-            note_tile(telling_of(state.telling, world, uav), column, row, found)
+            record_tile(map_updates_of(state.map_updates, world, uav), column, row, found)
 
 
 @inlined
@@ -94,18 +94,22 @@ def perceive(
     ground: GroundState | None,
     world: int,
 ) -> None:
-    """Every UAV takes what has reached it at this tick into its map and its filters, every UGV its radio."""
+    """Update the map and filters of each UAV and the inbox of each UGV from the messages of this tick."""
     escorts, tick = tables.batch.escorts, state.batch.ticks[world]
-    looks = state.looks[world]
-    looked = 1 if parameters.own_maps and tick > 0 else 0  # else the world has done it
+    detections = state.detections[world]
+    looked = 1 if parameters.own_maps and tick > 0 else 0  # otherwise the world updates the map
     for u in range(escorts.shape[0]):
         here = reference_of(state.batch.vehicles[world, escorts[u, 0]])
         if ground is not None:
-            _see_ground(parameters, state, ground, world, u, escorts[u, 0])
+            _record_reports(parameters, state, ground, world, u, escorts[u, 0])
         arrived = state.batch.links[world, u].arrived
         for n in range(arrived):
             packet = state.batch.packets[world, u, ARRIVED, n]
-            looks[n, 0], looks[n, 1], looks[n, 2] = packet.stamp, packet.vector[0], packet.vector[1]
+            detections[n, 0], detections[n, 1], detections[n, 2] = (
+                packet.stamp,
+                packet.vector[0],
+                packet.vector[1],
+            )
         if looked > 0 or tables.filtered[u]:
             uav_perceive(
                 tables.laws.uavs[u],
@@ -116,14 +120,14 @@ def perceive(
                 looked,
                 tick,
                 here,
-                looks,
+                detections,
                 arrived,
             )
-        if tables.thinking[u]:
+        if tables.estimating[u]:
             numbers, place = tables.kalman[u], (world, u)
-            update_estimate(numbers, state.kalman, place, tick, here, looks, arrived)
+            update_estimate(numbers, state.kalman, place, tick, here, detections, arrived)
     if parameters.radio:
         _radio(tables, state, ground, world)
-    if ground is not None and state.grounds.tiles.shape[2] > 0:
+    if ground is not None and state.grids.tiles.shape[2] > 0:
         for g in range(ground.ugvs.shape[0]):
-            _feel_ground(tables, state, ground, world, g)
+            _sense_ground(tables, state, ground, world, g)

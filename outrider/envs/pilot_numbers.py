@@ -1,4 +1,4 @@
-"""The parameters of all pilots of a closed loop, in tables."""
+"""Parameters of all pilots of a closed loop, in tables."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar, cast
@@ -6,10 +6,10 @@ from typing import Any, TypeVar, cast
 import msgspec
 import numpy as np
 
-from agents.drivers.compiled import told_ground, told_route
+from agents.drivers.compiled import briefed_grid, briefed_route
 from agents.drivers.dispatch import CODES as DRIVER_CODES
 from agents.drivers.dispatch import driver_tables
-from agents.estimation.map_updates import telling_ticks
+from agents.estimation.map_updates import map_update_ticks
 from agents.estimation.motion_model import (
     KalmanParameters,
     kalman_parameters,
@@ -38,11 +38,11 @@ _Memory = TypeVar("_Memory")
 
 
 def repeated(memory: _Memory, worlds: int, of_each: int) -> _Memory:
-    """The memory of one vehicle for each of `of_each` in each world.
+    """Return the memories of many vehicles in many worlds, as copies of one.
 
     Args:
-        memory: An array, or a named tuple of such memories.
-        worlds, of_each: Sizes of the axes that come in front of each array.
+        memory: Array, or a named tuple of such memories.
+        worlds, of_each: Sizes of the axes added in front of each array: worlds, and vehicles per world.
     """
     one: Any = memory
     if hasattr(one, "_make"):
@@ -53,29 +53,29 @@ def repeated(memory: _Memory, worlds: int, of_each: int) -> _Memory:
 
 
 def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:
-    """The laws or drivers that can fly or drive a vehicle in here, by name."""
+    """Return the names of the laws or drivers that can control a vehicle in batches."""
     if any(uav.name == vehicle for uav in scenario.uav):
         return tuple(CODES)
     return tuple(DRIVER_CODES)
 
 
 def uses_radio(scenario: Scenario, drivers: Sequence[str] = ()) -> bool:
-    """True if any UGV uses the radio of the UAVs: whoever drives is told of the ground, some drivers of the UAV.
+    """Return whether any UGV uses the UAVs' radio: for map updates on ground with hazards, or for its driver.
 
     Args:
-        scenario: The scenario.
-        drivers: Who drives beside the scenario's drivers, by name.
+        scenario: Scenario.
+        drivers: Names of further drivers in use.
     """
     own = [ugv.driver for ugv in scenario.ugv]
     return scenario.has_ground or any(DRIVERS[driver].listens for driver in (*own, *drivers))
 
 
 def loop_parameters(scenario: Scenario, settings: Settings, *, radio: bool) -> LoopParameters:
-    """The switches and numbers of the pilots.
+    """Return the switches and parameters of the pilots.
 
     Args:
-        scenario, settings: The flight.
-        radio: Whether any UGV uses the radio.
+        scenario, settings: Scenario and settings of the environment.
+        radio: True if any UGV uses the radio.
     """
     dt, ground, patch = scenario.dt, scenario.ground, given_patch(settings.coverage_patch)
     return LoopParameters(
@@ -84,14 +84,14 @@ def loop_parameters(scenario: Scenario, settings: Settings, *, radio: bool) -> L
         own_maps=len(scenario.uav) > 1 or scenario.disturbed,
         radio=radio,
         radio_ticks=radio_ticks(dt),
-        telling_ticks=telling_ticks(ground.map_update_rate, dt) if scenario.has_ground else 0,
+        map_update_ticks=map_update_ticks(ground.map_update_rate, dt) if scenario.has_ground else 0,
         tile=float(ground.tile) if scenario.has_ground else 0.0,
         meters_per_pixel=float(patch.meters_per_pixel) if patch else 1.0,
     )
 
 
 class PilotNumbers:
-    """The parameters of all pilots, in tables."""
+    """Parameters of all pilots, in tables."""
 
     def __init__(
         self,
@@ -102,20 +102,20 @@ class PilotNumbers:
         chosen: Mapping[str, str],
         shield: bool,
     ) -> None:
-        told_uavs = [uav_briefing(scenario, name, 0) for name in uavs]
-        told_ugvs = [ugv_briefing(scenario, name, 0) for name in ugvs]
+        uav_briefings = [uav_briefing(scenario, name, 0) for name in uavs]
+        ugv_briefings = [ugv_briefing(scenario, name, 0) for name in ugvs]
         never_asked = dict.fromkeys(uavs, "tracking") | dict.fromkeys(ugvs, DEFAULT_DRIVER)
         pilots = {**chosen, **{name: never_asked[name] for name in external}}
-        laws = [self._law(one, pilots.get(one.vehicle)) for one in told_uavs]
-        for one, law in zip(told_uavs, laws, strict=True):
+        laws = [self._law(one, pilots.get(one.vehicle)) for one in uav_briefings]
+        for one, law in zip(uav_briefings, laws, strict=True):
             named = getattr(scenario.custom, LAWS[law.name].inner, "")
             if named and one.vehicle not in pilots:
                 raise ScenarioError(
-                    f"{one.vehicle}: uav_policy = {named!r}: flies in a run, not in many worlds; allowed: no policy, "
-                    "or the policy itself as one of the `others`"
+                    f"{one.vehicle}: uav_policy = {named!r}: not supported in batches; allowed: no policy, "
+                    "or the policy itself in `others`"
                 )
-        safety = [bounds_of(one) for one in told_uavs]
-        self.laws = law_tables(told_uavs, laws)
+        safety = [bounds_of(one) for one in uav_briefings]
+        self.laws = law_tables(uav_briefings, laws)
         self.longest = max((bounds.delay_ticks for bounds in safety), default=0)
         self.track = max((track_ticks(bounds) for bounds in safety), default=1)
         self.safety = records(SafetyBounds, safety)
@@ -128,27 +128,27 @@ class PilotNumbers:
                     dt=one.dt,
                     settings=one.estimator,
                 )
-                for one in told_uavs
+                for one in uav_briefings
             ],
         )
         outside = np.array([name in external for name in uavs], dtype=np.bool_)
         watched = np.array([LAWS[law.name].watched for law in laws], dtype=np.bool_)
         self.filtered = watched & ~outside | outside & shield
-        self.thinking = ~outside
-        drivers = [pilots.get(one.vehicle) or one.driver for one in told_ugvs]
-        self.drivers = driver_tables(told_ugvs, drivers)
-        self.scripts = [told_route(one).script for one in told_ugvs]
-        grounds = [told_ground(one) for one in told_ugvs]
-        self.late = np.array([len(memory.sent) for memory in grounds], dtype=np.int64)
-        self.ground = max(grounds, key=lambda memory: len(memory.sent))  # all have one area
+        self.estimating = ~outside
+        drivers = [pilots.get(one.vehicle) or one.driver for one in ugv_briefings]
+        self.drivers = driver_tables(ugv_briefings, drivers)
+        self.scripts = [briefed_route(one).script for one in ugv_briefings]
+        grids = [briefed_grid(one) for one in ugv_briefings]
+        self.late = np.array([len(memory.sent) for memory in grids], dtype=np.int64)
+        self.ground = max(grids, key=lambda memory: len(memory.sent))  # all share one area
         self.radio = uses_radio(scenario, drivers)
 
     @staticmethod
-    def _law(told: UavBriefing, name: str | None) -> Law:
-        law = told.law if name is None else msgspec.structs.replace(told.law, name=name)
+    def _law(briefing: UavBriefing, name: str | None) -> Law:
+        law = briefing.law if name is None else msgspec.structs.replace(briefing.law, name=name)
         if law.name in LAWS and LAWS[law.name].own:
             raise ScenarioError(
-                f"{told.vehicle}: law.name = {law.name!r} is a function of your own and cannot be compiled"
+                f"{briefing.vehicle}: law.name = {law.name!r}: a user's function cannot compile; allowed: a built-in law"
             )
-        SelectedLaw(told, law, uav_parameters(told))  # which checks it
+        SelectedLaw(briefing, law, uav_parameters(briefing))  # raises if the law does not fit
         return law

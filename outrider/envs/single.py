@@ -1,6 +1,6 @@
-"""One vehicle, one world: a Gymnasium environment whose other vehicles fly and drive in the compiled loop.
+"""Gymnasium environment with one learning vehicle in one world; the compiled loop controls the other vehicles.
 
-It is world 0 of `outrider.vector_env` bit for bit, but an episode that ends stays ended until `reset`.
+It equals world 0 of `outrider.vector_env` bit for bit, but an ended episode stays ended until `reset`.
 """
 
 from pathlib import Path
@@ -20,18 +20,18 @@ from sim.scenario.types import Scenario
 
 
 class SingleEnv(gymnasium.Env[Any, Any]):
-    """One vehicle learns; the others are flown and driven by the scenario's law and drivers, or by whom `others` names.
+    """One vehicle learns; the others follow the scenario's law and drivers, or the pilots in `others`.
 
     Args:
-        scenario: A shipped name, a file, or a scenario.
-        agent: Who learns.
-        render_mode: None, or "rgb_array"; `outrider.parallel_env` has a window, too.
-        settings: By keyword: `sim.env.settings.Settings` says what each is.
+        scenario: Shipped name, file, or scenario.
+        agent: Learning vehicle.
+        render_mode: None, or "rgb_array"; `outrider.parallel_env` also has a window.
+        settings: Keywords, see `sim.env.settings.Settings`.
 
     Raises:
         ScenarioError: If the scenario cannot be flown.
         ValueError: If another argument is not allowed.
-        TypeError: If there is no setting of that name.
+        TypeError: If a setting is unknown.
     """
 
     metadata: dict[str, Any] = PICTURES
@@ -45,7 +45,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         **settings: Any,  # noqa: ANN401 - fields of `Settings`
     ) -> None:
         self.worlds = Worlds(scenario, 1, [agent], render_mode=render_mode, **settings)
-        """The one world, and what is true of it."""
+        """World of the environment, as a batch of one, with its true state."""
         self.agent = agent
         self.render_mode = render_mode
         self.observation_space = self.worlds.observation_spaces[agent]
@@ -58,18 +58,18 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         """Begin an episode.
 
         Args:
-            seed: Of all its random numbers. Without one, the first episode has the scenario's seed, and each later
-                one a seed derived from the last that was given and the number of episodes since.
+            seed: Seed of all random numbers of the episode. Without one, the first episode has the scenario's seed, and
+                each later one a seed derived from the last given seed and the number of episodes since.
             options: Not used.
 
         Returns:
             Observation and info.
 
         Raises:
-            ValueError: If the seed is not a whole number from 0 to 2**53 - 1; the episode before then goes on.
+            ValueError: If the seed is not a whole number from 0 to 2**53 - 1; the current episode then continues.
         """
         Seeds.check(seed)
-        super().reset(seed=None if seed is None else int(seed))  # Gymnasium takes no NumPy number
+        super().reset(seed=None if seed is None else int(seed))  # Gymnasium rejects NumPy integers
         self.worlds.reset([seed], None)
         self._over = False
         return self._observation(), self._info()
@@ -77,22 +77,22 @@ class SingleEnv(gymnasium.Env[Any, Any]):
     def step(
         self, action: npt.ArrayLike
     ) -> tuple[AgentObservation, float, bool, bool, dict[str, Any]]:
-        """Let the vehicle act for one tick.
+        """Advance the vehicle by one tick.
 
         Args:
             action: Acceleration [m/s²], two finite numbers.
 
         Returns:
-            Observation, reward, whether the episode has terminated, whether it was truncated, and info.
+            Observation, reward, termination, truncation, and info.
 
         Raises:
-            ResetNeeded: If no episode is going on.
-            ValueError: If the action is not two finite numbers; nothing has happened then.
+            ResetNeeded: If no episode is running.
+            ValueError: If the action is not two finite numbers; the state is unchanged then.
         """
         if self._over:
             when = (
                 "after the end of the episode: call reset() first"
-                if self.worlds.begun
+                if self.worlds.has_episode
                 else "before reset()"
             )
             raise ResetNeeded(f"step() {when}")
@@ -111,26 +111,26 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         return one_of_world(self.worlds.observe(self.agent), 0)
 
     def _info(self) -> dict[str, Any]:
-        """Facts of its own that are in no row, as plain numbers."""
+        """Return the vehicle's own facts that are not in its row, as plain numbers."""
         info = self.worlds.info(self.agent)
         mission = self.worlds.mission(0) if self._over else None
-        at_wheel = self.agent in self.worlds.loop.ugvs
-        return info | (numbers(MISSION, mission) if mission is not None and at_wheel else {})
+        is_ugv = self.agent in self.worlds.loop.ugvs
+        return info | (numbers(MISSION, mission) if mission is not None and is_ugv else {})
 
     @property
     def episode_seed(self) -> int:
-        """Of this episode's random numbers: `outrider run --seed` with it flies the same one."""
+        """Seed of the current episode; `outrider run --seed` with it flies the same one."""
         return self.worlds.episode_seeds[0]
 
     def metrics(self) -> dict[str, dict[str, float]]:
-        """Each UAV's true standing in its episode: for people and logs, not for policies."""
+        """Return each UAV's true metrics in this episode: for people and logs, not for policies."""
         return {
-            uav: {key: float(array[0]) for key, array in told.items()}
-            for uav, told in self.worlds.metrics().items()
+            uav: {key: float(array[0]) for key, array in metrics.items()}
+            for uav, metrics in self.worlds.metrics().items()
         }
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """A picture of this moment, shape (rows, columns, 3); None without a mode.
+        """Return a picture of the current tick, shape (rows, columns, 3); None without a render mode.
 
         Raises:
             ResetNeeded: Before the first reset.
@@ -139,9 +139,9 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         return None if pictures is None else pictures[0]
 
     def close(self) -> None:
-        """End the threads."""
+        """Stop the threads."""
         self.worlds.loop.close()
 
 
 single_env = SingleEnv
-"""The environment under its usual name."""
+"""Environment under its usual name."""

@@ -1,9 +1,8 @@
-"""Many worlds at once for whoever trains: a Gymnasium vector environment for one vehicle, and one for all of them.
+"""Many worlds at once for training: a Gymnasium vector environment for one vehicle, and one for all vehicles.
 
-`docs/reference/environment.md` says what a vehicle observes and is paid: it is the same here, bit for bit, as in
-`outrider.parallel_env`. An episode that ends begins anew in the same step (Gymnasium's SAME_STEP): the observation is
-the new episode's first one, and the last one of the old episode is in `infos["final_obs"]`. With
-`autoreset_mode=AutoresetMode.NEXT_STEP`, which Gymnasium's own wrappers ask for, it begins anew in the next step.
+`docs/reference/environment.md` describes observations and rewards; they equal `outrider.parallel_env` bit for bit. An ended episode resets in the same step (Gymnasium's SAME_STEP): the observation is the first one of the new
+episode, and the last one of the old episode is in `infos["final_obs"]`. With
+`autoreset_mode=AutoresetMode.NEXT_STEP`, which Gymnasium's own wrappers require, it resets in the next step.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,23 +24,23 @@ from sim.scenario.types import Scenario
 
 
 class OutriderVectorEnv(VectorEnv):
-    """One vehicle learns in many worlds at once; the others fly and drive in the compiled loop.
+    """One vehicle learns in many worlds at once; the compiled loop controls the others.
 
-    World k, once reset with a seed, is bit for bit `outrider.parallel_env` with that seed, the same actions, and
-    the others' pilots.
+    World k, once reset with a seed, equals `outrider.parallel_env` bit for bit with that seed, the same actions, and
+    the pilots of the other vehicles.
 
     Args:
-        scenario: A shipped name, a file, or a scenario.
-        num_envs: How many worlds.
-        agent: Who learns.
+        scenario: Shipped name, file, or scenario.
+        num_envs: Number of worlds.
+        agent: Learning vehicle.
         render_mode: None, or "rgb_array".
-        autoreset_mode: When an episode follows on one that has ended: SAME_STEP or NEXT_STEP.
-        settings: By keyword: `sim.env.settings.Settings` says what each is.
+        autoreset_mode: Time of the reset after an episode has ended: SAME_STEP or NEXT_STEP.
+        settings: Keywords, see `sim.env.settings.Settings`.
 
     Raises:
         ScenarioError: If the scenario cannot be flown.
         ValueError: If another argument is not allowed.
-        TypeError: If there is no setting of that name.
+        TypeError: If a setting is unknown.
     """
 
     metadata: dict[str, Any] = PICTURES
@@ -64,9 +63,9 @@ class OutriderVectorEnv(VectorEnv):
             autoreset_mode=autoreset_mode,
             **settings,
         )
-        """The worlds, and what is true of them."""
+        """Worlds of the environment, with their true state."""
         self.autoreset_mode = self.worlds.autoreset_mode
-        """The mode: TorchRL reads it here, Gymnasium in the metadata."""
+        """Autoreset mode: TorchRL reads it here, Gymnasium in the metadata."""
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self.agent = agent
         self.render_mode = render_mode
@@ -85,9 +84,9 @@ class OutriderVectorEnv(VectorEnv):
         """Begin an episode in every world.
 
         Args:
-            seed: World k gets seed + k; or one seed for each. Without any, the first episodes have the scenario's
-                seed and those after it, and each later one a seed derived from the last that was given to its world.
-            options: `reset_mask`, booleans: which worlds.
+            seed: World k gets seed + k; or a sequence with one seed per world. Without any, the first episodes have the
+                scenario's seed and its successors, and each later one a seed derived from its world's last given seed.
+            options: `reset_mask`, booleans that select the worlds to reset. Shape (num_envs,).
 
         Returns:
             Observations and infos.
@@ -102,49 +101,49 @@ class OutriderVectorEnv(VectorEnv):
     ) -> tuple[
         AgentObservation, FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]
     ]:
-        """Let the vehicle act for one tick in every world.
+        """Advance the vehicle by one tick in every world.
 
         Args:
             actions: Accelerations [m/s²], finite. Shape (num_envs, 2).
 
         Raises:
             ResetNeeded: Before the first reset.
-            ValueError: If the actions are not two finite numbers for each world; nothing has happened then.
+            ValueError: If the actions are not two finite numbers for each world; the state is unchanged then.
         """
         stepped, one = self.worlds.step_with_autoreset({self.agent: actions}), self.agent
         observations, rewards, terminations, truncations, infos = stepped
         return observations[one], rewards[one], terminations[one], truncations[one], infos[one]
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
-        """A picture of each world, as `Worlds.render` draws it; after an end that of the new episode's start."""
+        """Return a picture of each world, as in `Worlds.render`; after a reset, of the new episode's start."""
         return self.worlds.render()
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
-        """Each UAV's true standing, as `Worlds.metrics` tells it: for people and logs, not for policies."""
+        """Return each UAV's true metrics, as in `Worlds.metrics`: for people and logs, not for policies."""
         return self.worlds.metrics()
 
     def close_extras(self, **_: Any) -> None:  # noqa: ANN401 - Gymnasium's
-        """End the threads."""
+        """Stop the threads."""
         self.worlds.loop.close()
 
 
 class OutriderParallelVectorEnv:
     """All vehicles learn, in many worlds at once.
 
-    PettingZoo's parallel interface with arrays that have an axis for worlds.
+    The interface is PettingZoo's parallel one; the arrays have an axis for worlds.
 
     Args:
-        scenario: A shipped name, a file, or a scenario.
-        num_envs: How many worlds.
-        agents: Who learns; by default everybody.
+        scenario: Shipped name, file, or scenario.
+        num_envs: Number of worlds.
+        agents: Learning vehicles; all by default.
         render_mode: None, or "rgb_array".
-        autoreset_mode: When an episode follows on one that has ended: SAME_STEP or NEXT_STEP.
-        settings: By keyword: `sim.env.settings.Settings` says what each is.
+        autoreset_mode: Time of the reset after an episode has ended: SAME_STEP or NEXT_STEP.
+        settings: Keywords, see `sim.env.settings.Settings`.
 
     Raises:
         ScenarioError: If the scenario cannot be flown.
         ValueError: If another argument is not allowed.
-        TypeError: If there is no setting of that name.
+        TypeError: If a setting is unknown.
     """
 
     metadata: dict[str, Any] = PICTURES | {"name": "outrider_v0"}
@@ -167,7 +166,7 @@ class OutriderParallelVectorEnv:
             autoreset_mode=autoreset_mode,
             **settings,
         )
-        """The worlds, and what is true of them."""
+        """Worlds of the environment, with their true state."""
         self.autoreset_mode = self.worlds.autoreset_mode
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self.num_envs = self.worlds.num_envs
@@ -176,11 +175,11 @@ class OutriderParallelVectorEnv:
         self.agents = list(self.possible_agents)
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """The space of an agent's observation in one world."""
+        """Return the space of an agent's observation in one world."""
         return self.worlds.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """The space of an agent's action in one world."""
+        """Return the space of an agent's action in one world."""
         return self.worlds.action_spaces[agent]
 
     def reset(
@@ -194,35 +193,35 @@ class OutriderParallelVectorEnv:
         return observations, {name: self.worlds.infos(name) for name in self.agents}
 
     def step(self, actions: Mapping[str, npt.ArrayLike]) -> BatchStep:
-        """Let all vehicles act for one tick in every world.
+        """Advance all vehicles by one tick in every world.
 
         Args:
-            actions: An array of accelerations [m/s²] for each agent, shape (num_envs, 2).
+            actions: Accelerations [m/s²] of each agent. Shape (num_envs, 2) each.
 
         Returns:
             Observations, rewards, terminations, truncations and infos by agent; all agents of a world end together.
 
         Raises:
             ResetNeeded: Before the first reset.
-            ValueError: If an agent's actions are missing or not two finite numbers for each world; nothing has
-                happened then.
+            ValueError: If an agent's actions are missing or not two finite numbers for each world; the state is
+                unchanged then.
         """
         return self.worlds.step_with_autoreset(actions)
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
-        """A picture of each world, as `Worlds.render` draws it; after an end that of the new episode's start."""
+        """Return a picture of each world, as in `Worlds.render`; after a reset, of the new episode's start."""
         return self.worlds.render()
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
-        """Each UAV's true standing, as `Worlds.metrics` tells it: for people and logs, not for policies."""
+        """Return each UAV's true metrics, as in `Worlds.metrics`: for people and logs, not for policies."""
         return self.worlds.metrics()
 
     def close(self) -> None:
-        """End the threads."""
+        """Stop the threads."""
         self.worlds.loop.close()
 
 
 vector_env = OutriderVectorEnv
-"""The environment of one learner under its usual name."""
+"""Environment of one learner under its usual name."""
 parallel_vector_env = OutriderParallelVectorEnv
-"""The environment of many learners under its usual name."""
+"""Environment of many learners under its usual name."""

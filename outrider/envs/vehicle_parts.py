@@ -1,6 +1,6 @@
-"""Parts of the loop's state that belong to one vehicle, and its truth, as the pilots' functions take them."""
+"""Views of one vehicle's part of the loop's state, in the form that the pilots' functions take."""
 
-from agents.drivers.tile_map import GroundMemory
+from agents.drivers.tile_map import OccupancyGrid
 from agents.safety.memory import FilterMemory
 from agents.safety.pending import PendingCommands
 from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
@@ -11,7 +11,7 @@ from sim.models.vehicles import Motion
 
 @inlined
 def filter_of(tables: LoopTables, filters: FilterMemory, world: int, uav: int) -> FilterMemory:
-    """Memory of the safety filter of a UAV."""
+    """Return the memory of a UAV's safety filter."""
     delay, pending = tables.safety[uav].delay_ticks, filters.pending
     return FilterMemory(
         filters.discs[world, uav],
@@ -20,7 +20,7 @@ def filter_of(tables: LoopTables, filters: FilterMemory, world: int, uav: int) -
         filters.flags[world, uav],
         PendingCommands(
             pending.sent[world, uav, : delay + 2],
-            pending.flown[world, uav],
+            pending.committed[world, uav],
             pending.expected[world, uav],
         ),
         filters.decision[world, uav],
@@ -28,26 +28,26 @@ def filter_of(tables: LoopTables, filters: FilterMemory, world: int, uav: int) -
 
 
 @inlined
-def ground_of(tables: LoopTables, state: LoopState, world: int, ugv: int) -> GroundMemory:
-    """Ground as a UGV knows it."""
-    grounds = state.grounds
-    return GroundMemory(
-        grounds.tiles[world, ugv],
-        grounds.sure[world, ugv],
-        grounds.draft[world, ugv],
-        grounds.way[world, ugv],
-        grounds.cost[world, ugv],
-        grounds.heap[world, ugv],
-        grounds.place[world, ugv],
-        grounds.sent[world, ugv, : tables.late[ugv]],
-        grounds.flown[world, ugv],
-        grounds.flags[world, ugv],
+def grid_of(tables: LoopTables, state: LoopState, world: int, ugv: int) -> OccupancyGrid:
+    """Return the occupancy grid of a UGV."""
+    grids = state.grids
+    return OccupancyGrid(
+        grids.tiles[world, ugv],
+        grids.measured[world, ugv],
+        grids.snapshot[world, ugv],
+        grids.path[world, ugv],
+        grids.cost[world, ugv],
+        grids.heap[world, ugv],
+        grids.place[world, ugv],
+        grids.sent[world, ugv, : tables.late[ugv]],
+        grids.committed[world, ugv],
+        grids.flags[world, ugv],
     )
 
 
 @inlined
 def coverage_of(parameters: LoopParameters, state: LoopState, world: int, uav: int) -> FloatArray:
-    """Coverage grid of a UAV: its own, or that of its world."""
+    """Return the coverage grid of a UAV: its own, or its world's."""
     coverage: FloatArray = (
         state.maps[world, uav] if parameters.own_maps else state.batch.coverage[world]
     )
@@ -56,6 +56,6 @@ def coverage_of(parameters: LoopParameters, state: LoopState, world: int, uav: i
 
 @compiled
 def reference_of(vehicle: Vehicle) -> Motion:
-    """Reference state of a vehicle."""
+    """Return the reference state of a vehicle."""
     place, velocity = vehicle.reference_position, vehicle.reference_velocity
     return Motion(place[0], place[1], velocity[0], velocity[1])

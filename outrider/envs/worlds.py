@@ -1,6 +1,6 @@
-"""The common part of all environments: the closed loop, its seeds, spaces, and the change between two episodes.
+"""Common part of all environments: the closed loop, its seeds, spaces, and resets.
 
-`docs/reference/environment.md` says what a vehicle observes and is paid.
+`docs/reference/environment.md` describes observations and rewards.
 """
 
 import operator
@@ -35,7 +35,7 @@ from sim.world import World
 BoolArray = npt.NDArray[np.bool_]
 
 PICTURES: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}
-"""Metadata of an environment that draws."""
+"""Metadata of an environment that can render."""
 
 
 def _checked_count(num_envs: int) -> int:
@@ -44,20 +44,22 @@ def _checked_count(num_envs: int) -> int:
     except TypeError:
         count = 0
     if count < 1:
-        raise ValueError(f"num_envs = {num_envs!r}: must be a whole number, 1 or more")
+        raise ValueError(
+            f"num_envs = {num_envs!r}: not a count; allowed: a whole number, 1 or more"
+        )
     return count
 
 
 class Worlds:
-    """Many worlds of one scenario, as every environment sees them.
+    """Many worlds of one scenario, the base of every environment.
 
     Args:
-        scenario: A shipped name, a file, or a scenario.
-        num_envs: How many worlds.
-        learners: Vehicles whose actions come from outside; None: all.
-        error: Whether e(t) is computed at every tick; if `uncovered` is paid, it is in any case.
-        render_mode: None, or "rgb_array": `render` draws.
-        settings: By keyword: `sim.env.settings.Settings` says what each is.
+        scenario: Shipped name, file, or scenario.
+        num_envs: Number of worlds.
+        learners: Vehicles with external actions; None: all.
+        error: True to compute e(t) at every tick; it is always computed if `uncovered` is rewarded.
+        render_mode: None, or "rgb_array" to enable `render`.
+        settings: Keywords, see `sim.env.settings.Settings`.
 
     Raises:
         ScenarioError: If the scenario cannot be flown.
@@ -93,22 +95,22 @@ class Worlds:
         }
         named = {name: pilot for name, pilot in given.items() if isinstance(pilot, str)}
         self._check_others(given, named, names)
-        self._hands = [*self.learners, *self._policies]
+        self._external = [*self.learners, *self._policies]
         self.loop = ClosedLoop(
             self.scenario,
             self.num_envs,
-            external=self._hands,
+            external=self._external,
             pilots=named,
             error=error,
             **settings,
         )
-        """The worlds themselves."""
+        """Closed loop of the worlds."""
         self.action_spaces = {v.name: action_space(v) for v in self.scenario.vehicles}
         self.observation_spaces = self._format.spaces
         self._seeds = [Seeds(self.scenario.seed + k) for k in range(self.num_envs)]
-        self._actions: FloatArray = np.zeros((self.num_envs, len(self._hands), 2))
-        self.begun = False
-        """True if there is an episode to step."""
+        self._actions: FloatArray = np.zeros((self.num_envs, len(self._external), 2))
+        self.has_episode = False
+        """True after the first reset."""
         self._view = None if render_mode is None else BatchRendering(self.loop.batch)
 
     def _check_others(
@@ -118,23 +120,25 @@ class Worlds:
             if name not in names:
                 raise ValueError(f"others: {name!r}: no such vehicle; allowed: {', '.join(names)}")
             if name in self.learners:
-                raise ValueError(f"others: {name!r}: its actions come from outside already")
+                raise ValueError(
+                    f"others: {name!r}: its actions are external; allowed: other vehicles"
+                )
             if name in named and named[name] not in pilot_names(self.scenario, name):
                 allowed = ", ".join(pilot_names(self.scenario, name))
                 raise ValueError(
-                    f"others: {name!r}: {pilot!r} is unknown; allowed: {allowed}, or a policy for all worlds at once"
+                    f"others: {name!r}: {pilot!r}: unknown; allowed: {allowed}, or a policy for all worlds at once"
                 )
             if name not in named and not callable(pilot):
-                raise ValueError(f"others: {name!r}: {pilot!r} is neither a name nor a policy")
-            if hasattr(pilot, "check"):  # as outrider_learning's: it knows what it was made for
+                raise ValueError(f"others: {name!r}: {pilot!r}: neither a name nor a policy")
+            if hasattr(pilot, "check"):  # policies of outrider_learning check the scenario
                 pilot.check(self.scenario)
 
     def world(self, number: int) -> World:
-        """The true state of one world, as it is at any time."""
+        """Return the true state of one world, a live view."""
         return World.of_batch(self.loop.batch, number, self._seeds[number].current)
 
     def observe(self, name: str) -> AgentObservation:
-        """The observations of a vehicle in all worlds: new arrays, which nobody changes later."""
+        """Return the observations of a vehicle in all worlds: new arrays, never changed later."""
         loop, form = self.loop, self._format
         if name in loop.ugvs:
             known = loop.known_tiles(name) if form.tile_patch else None
@@ -150,15 +154,15 @@ class Worlds:
         return self.loop.state.rows.standings[:, self.loop.names.index(name)]
 
     def mission(self, world: int) -> MissionResult | None:
-        """The mission of one world so far; None where there are no hazards."""
+        """Return the mission result of one world so far; None without hazards."""
         return self.loop.mission(world) if self.scenario.has_ground else None
 
     def is_filtered(self, name: str) -> bool:
-        """True if the actions of a vehicle come from outside and go through the safety filter."""
-        return self.settings.safety_filter and name in self._hands and name in self.loop.uavs
+        """Return whether a vehicle has external actions that pass through the safety filter."""
+        return self.settings.safety_filter and name in self._external and name in self.loop.uavs
 
     def infos(self, name: str) -> dict[str, Any]:
-        """Facts of a vehicle's own that are in no row, in all worlds, with Gymnasium's masks."""
+        """Return a vehicle's own facts that are not in its row, in all worlds, with Gymnasium's masks."""
         found: dict[str, Any] = {}
         if name in self.loop.ugvs:
             found["goals_reached"] = self.standings(name)["reached"].copy()
@@ -170,7 +174,7 @@ class Worlds:
         return found | {f"_{key}": np.ones(self.num_envs, dtype=np.bool_) for key in found}
 
     def info(self, name: str) -> dict[str, Any]:
-        """The same in the first world as plain numbers, and why the safety filter has not certified its answer."""
+        """Return the facts of the first world as plain numbers, with the reason if the action was not certified."""
         if name in self.loop.ugvs:
             return {"goals_reached": self.standings(name)["reached"].item(0)}
         if not self.is_filtered(name):
@@ -186,23 +190,28 @@ class Worlds:
     def reset(
         self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None
     ) -> IntArray:
-        """Begin episodes: in all worlds, or in those of the boolean array `options["reset_mask"]`.
+        """Begin episodes in all worlds, or in the worlds selected by `options["reset_mask"]`.
+
+        Args:
+            seed: Seed of world 0, with seed + k for world k; or one seed per world; None: the next ones.
+            options: None, or a `reset_mask`. Shape (num_envs,).
 
         Returns:
-            The worlds in which an episode has begun.
+            The worlds in which an episode has started.
 
         Raises:
-            ValueError: If there are not as many seeds as worlds, or a seed or the mask is not allowed.
+            ResetNeeded: If the first reset has a mask that does not select all worlds.
+            ValueError: If the number of seeds is wrong, or a seed or the mask is not allowed.
         """
         mask = np.ones(self.num_envs, dtype=np.bool_)
         if options is not None and options.get("reset_mask") is not None:
             mask = np.asarray(options["reset_mask"])
             if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
                 raise ValueError(
-                    f"options['reset_mask']: must be {self.num_envs} booleans, at least one of them true"
+                    f"options['reset_mask']: not a mask; allowed: {self.num_envs} booleans, at least one of them true"
                 )
-            if not self.begun and not mask.all():
-                raise ResetNeeded("reset() all worlds before a part of them")
+            if not self.has_episode and not mask.all():
+                raise ResetNeeded("reset() all worlds before resetting some of them")
         seeds = self._given(seed)
         which = np.flatnonzero(mask)
         for k in which.tolist():
@@ -210,7 +219,7 @@ class Worlds:
         for k in which.tolist():
             self._seeds[k].begin(seeds[k])
         self.loop.begin([self._seeds[k].current for k in which.tolist()], which)
-        self.begun = True
+        self.has_episode = True
         if self._view is not None:
             self._view.begin(which)
         return which
@@ -220,44 +229,46 @@ class Worlds:
             return [None] * self.num_envs
         if isinstance(seed, Sequence | np.ndarray):
             if len(seed) != self.num_envs:
-                raise ValueError(f"{len(seed)} seeds for num_envs = {self.num_envs}")
+                raise ValueError(
+                    f"seed: {len(seed)} seeds; allowed: num_envs = {self.num_envs} seeds"
+                )
             return list(seed)
         try:
             first = operator.index(seed)
         except TypeError:
             raise ValueError(
-                f"seed = {seed!r}: must be a whole number, or one for each world"
+                f"seed = {seed!r}: not a seed; allowed: a whole number, or one for each world"
             ) from None
         return [first + k for k in range(self.num_envs)]
 
     @property
     def episode_seeds(self) -> list[int]:
-        """The seed of each world's episode: `outrider run --seed` with it flies the same one."""
+        """Seed of each world's episode; `outrider run --seed` with it flies the same one."""
         return [seeds.current for seeds in self._seeds]
 
     def step(
         self, actions: Mapping[str, npt.ArrayLike], which: IntArray | None = None
     ) -> BoolArray:
-        """Worlds advance by one tick; nothing has begun anew yet.
+        """Advance worlds by one tick, without automatic resets.
 
         Args:
-            actions: Those of each learner, shape (num_envs, 2) [m/s²].
-            which: The worlds that do; all by default. The others stay as they are.
+            actions: Accelerations of each learner [m/s²]. Shape (num_envs, 2) each.
+            which: Worlds to advance; all by default. The others do not change.
 
         Returns:
-            Which episodes have ended.
+            True for each world whose episode has ended. Shape (num_envs,).
 
         Raises:
             ResetNeeded: Before the first reset.
-            ValueError: If an action is missing, of nobody, or not two finite numbers for each world; nothing has
-                happened then.
+            ValueError: If an action is missing, belongs to no learner, or is not two finite numbers for each world; the
+                state is unchanged then.
         """
-        if not self.begun:
+        if not self.has_episode:
             raise ResetNeeded("step() before reset()")
         if set(actions) != set(self.learners):
-            given = ", ".join(map(str, actions)) or "nobody"
+            given = ", ".join(map(str, actions)) or "none"
             raise ValueError(
-                f"actions for: {given}; needed is one for each of: {', '.join(self.learners)}"
+                f"actions for: {given}; allowed: one for each of: {', '.join(self.learners)}"
             )
         taken = [take_batch(name, actions[name], self.num_envs) for name in self.learners]
         taken += [
@@ -278,33 +289,33 @@ class Worlds:
         return self.standings(name)["reward"].copy()
 
     def ends(self) -> tuple[BoolArray, BoolArray]:
-        """The episodes that have terminated, and those that were truncated."""
+        """Return the masks of terminated and of truncated episodes. Shape (num_envs,) each."""
         state = self.loop.state
         return state.rows.terminated != 0, state.rows.truncated != 0
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
-        """Each UAV's true standing in its episode, in all worlds: for people and logs, not for policies.
+        """Return each UAV's true metrics in its episode, in all worlds: for people and logs, not for policies.
 
         Raises:
             ResetNeeded: Before the first reset.
         """
-        if not self.begun:
+        if not self.has_episode:
             raise ResetNeeded("metrics() before reset()")
         return {uav: self.loop.metrics(uav) for uav in self.loop.uavs}
 
     def links(self, world: int) -> dict[str, LinkStatus]:
-        """The counters of each link of one world so far, by `vehicle/kind`."""
+        """Return the counters of each link of one world so far, by `vehicle/kind`."""
         return self.loop.links(world)
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
-        """The picture of each world at this moment, shape (rows, columns, 3); None without a mode.
+        """Return a picture of each world at the current tick, shape (rows, columns, 3); None without a render mode.
 
         Raises:
             ResetNeeded: Before the first reset.
         """
         if self._view is None:
-            logger.warn("render() draws nothing: made without render_mode='rgb_array'")
+            logger.warn("render() draws nothing: make the environment with render_mode='rgb_array'")
             return None
-        if not self.begun:
+        if not self.has_episode:
             raise ResetNeeded("render() before reset()")
         return self._view.render()

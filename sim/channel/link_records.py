@@ -152,7 +152,7 @@ class Packet:
     block: int
     """Number of the block of tiles in a map update; -1: relative position."""
     tiles: Annotated[IntArray, (4,)]
-    """States of its tiles, from `agents.estimation.map_updates.block_words`."""
+    """States of its tiles, from `agents.estimation.map_updates.encode_block`."""
     due: int
     """Tick of arrival; -1: has arrived."""
     sent_at: int

@@ -191,9 +191,7 @@ def test_the_example_of_a_navigation_policy_drives_on_known_ground_towards_its_g
 
 def test_a_policy_that_observes_tiles_needs_hazards() -> None:
     model, told = Tiny(outrider.parallel_env(grounded())), briefing(small("tracking"), "ugv_0", 1)
-    with refused(
-        ScenarioError, "policy = 'tiny:drive': it observes tiles, and the scenario has no"
-    ):
+    with refused(ScenarioError, "policy = 'tiny:drive': observes tiles, but the scenario has no"):
         PolicyDriver(told, policy=model, name="tiny:drive")
 
 

@@ -318,7 +318,7 @@ def test_an_answer_that_cannot_be_flown_is_named(
 def test_an_unknown_setup_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "odd.py").write_text("def act(seen):\n    return seen\nact.setup = {'patch': 3}\n")
     monkeypatch.syspath_prepend(tmp_path)
-    with refused(ScenarioError, "setup: 'patch' is unknown; allowed: estimate, gradient"):
+    with refused(ScenarioError, "setup: 'patch': unknown; allowed: estimate, gradient"):
         check_own_functions(with_policy(ESCORT, "policy", "odd:act"))
 
 
