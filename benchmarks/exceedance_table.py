@@ -21,9 +21,9 @@ from outrider.experiments.intervals import wilson_interval
 from outrider_networks.link_runs import Probability
 from outrider_networks.probabilities import (
     age_exceedance,
-    outage_exceedance,
+    command_interval_exceedance,
     smallest_age,
-    smallest_outage,
+    smallest_command_interval,
 )
 from sim.channel.description import link_parameters
 from sim.channel.link_records import ARRIVED
@@ -147,7 +147,7 @@ def outages_exceeded(
     runs: int,
     traces: Traces = (),
 ) -> int:
-    """Count the runs in which the outage is exceeded; for the arguments see `outage_exceedance`."""
+    """Count the runs in which the outage is exceeded; for the arguments see `command_interval_exceedance`."""
     limit = ticks_within(outage, dt)
     link = new_links([link_parameters(settings, dt, traces=traces)])
     return int(_interrupted(*link, SEED, runs, ticks, delay_ticks, repeats, limit))
@@ -208,10 +208,10 @@ def rows(runs: int) -> Iterator[str]:
             yield _row(f"{name}: age", age, probability, count, runs)
         delay = max(2, link_parameters(settings, DT, traces=traces).longest)
         packets = shared | {"delay_ticks": delay, "repeats": REPEATS}
-        outage = smallest_outage(settings, **packets, risk=RISK).value
+        outage = smallest_command_interval(settings, **packets, risk=RISK).value
         if outage is not None:
             count = outages_exceeded(settings, **packets, outage=outage, runs=runs)
-            probability = outage_exceedance(settings, **packets, outage=outage)
+            probability = command_interval_exceedance(settings, **packets, outage=outage)
             what = f"{name}: outage, τ_c {delay * DT:g} s"
             yield _row(what, outage, probability, count, runs)
 

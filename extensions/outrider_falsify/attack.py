@@ -203,8 +203,8 @@ def _filter(run: Run, view: View, u_x: float, u_y: float) -> Order:
         if trouble.away == 0:
             invalidate_plans(memory)
     elif roles.filtering:
-        begun = run.state.flown[0, UAV, 0].begins
-        decide(run.bounds, memory, view.tick, here, u_x, u_y, begun)
+        begins = run.state.flown[0, UAV, 0].begins
+        decide(run.bounds, memory, view.tick, here, u_x, u_y, begins)
         decision = memory.decision[0]
         u_x, u_y = decision.acceleration[0], decision.acceleration[1]
         certified, acted = decision.reason == CERTIFIED, decision.source != NOMINAL

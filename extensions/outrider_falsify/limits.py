@@ -61,8 +61,8 @@ def needed_command_timeout(limits: SearchLimits, scenario: Scenario) -> float:
 
 def time_to_detection(loss: float, scenario: Scenario) -> float:
     """Return the time [s] within which a detection arrives, except with a probability of 10⁻⁹."""
-    looks = 1.0 if loss == 0.0 else math.ceil(math.log(_NEVER) / math.log(loss))
-    return looks * scenario.detection_period * scenario.dt
+    detections = 1.0 if loss == 0.0 else math.ceil(math.log(_NEVER) / math.log(loss))
+    return detections * scenario.detection_period * scenario.dt
 
 
 def pair(scenario: Scenario) -> tuple[Uav, Ugv]:
