@@ -1,6 +1,6 @@
-"""The tasks of the suites: each is a shipped scenario with a few fields changed, so that what is hard can be read off.
+"""Tasks of the suites: a shipped scenario each, with a few fields changed.
 
-Nothing heavy is loaded until a task is flown: the names are also read where environments are registered.
+Heavy imports wait until a task runs, because the registration of the environments reads the names.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,38 +14,38 @@ if TYPE_CHECKING:
     from sim.scenario.types import Scenario
 
 BASE = "escort"
-"""The shipped scenario that every task starts from, but for the missions."""
+"""Shipped scenario of every task except the missions."""
 
 NO_ESCORT = "none"
-"""The entry of missions without an escort: what a UGV can do with its own sensor."""
+"""Mission entry without an escort: the UGV relies on its own sensor."""
 
 SEEDS = tuple(range(9000, 9020))
-"""The seeds of every evaluation. No default leads a training run to them."""
+"""Seeds of every evaluation. No default setting uses them for training."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """One task of the suite: a scenario, the seeds it is flown with, and a score."""
+    """Task of the suite: a scenario, its seeds and a score."""
 
     name: str
-    """Lower-case letters and '-'."""
+    """Name in lower-case letters and '-'."""
     hard: str
-    """The difficulty, in a line."""
+    """Difficulty, in one line."""
     changes: Mapping[str, object]
-    """Fields of the shipped scenario and their values, as in `load_scenario(overrides=...)`."""
+    """Changed fields of the shipped scenario, as in `load_scenario(overrides=...)`."""
     base: str = BASE
-    """The shipped scenario."""
+    """Name of the shipped scenario."""
     mission: bool = False
-    """True if it is scored by how the UGVs get through, and not by how much of the ground was seen."""
+    """True if the score is a mission's, and not the covered share."""
 
     @property
     def scenario(self) -> "Scenario":
-        """The scenario that is flown.
+        """Return the scenario of the task.
 
         Raises:
-            ScenarioError: If the changes make it impossible.
+            ScenarioError: If the changes contradict the scenario.
         """
-        from sim.scenario.loading import load_scenario  # noqa: PLC0415 - compiled code stands behind it
+        from sim.scenario.loading import load_scenario  # noqa: PLC0415 - it imports compiled code
 
         return load_scenario(
             self.base, overrides={"name": self.name, "title": self.hard, **self.changes}
@@ -53,17 +53,17 @@ class Task:
 
     @property
     def env_id(self) -> str:
-        """The task's name at Gymnasium."""
+        """Return the task's Gymnasium ID."""
         return f"outrider/Suite-{''.join(part.capitalize() for part in self.name.split('-'))}-v0"
 
     def make(self, num_envs: int, **settings: Any) -> "OutriderVectorEnv":  # noqa: ANN401 - those of the environment
-        """The task as `outrider.vector_env`; the settings are its own."""
+        """Return the task as `outrider.vector_env` with these settings."""
         from outrider.envs.vector import OutriderVectorEnv  # noqa: PLC0415
 
         return OutriderVectorEnv(self.scenario, num_envs=num_envs, **settings)
 
     def make_single(self, **settings: Any) -> "SingleEnv":  # noqa: ANN401
-        """The task as `outrider.single_env`; the settings are its own."""
+        """Return the task as `outrider.single_env` with these settings."""
         from outrider.envs.single import SingleEnv  # noqa: PLC0415
 
         return SingleEnv(self.scenario, **settings)
@@ -77,14 +77,14 @@ class Task:
         secret: str | None = None,
         **settings: Any,  # noqa: ANN401 - those of `outrider_learning.suite.scoring.evaluate`
     ) -> "Result":
-        """Fly the task with all seeds at once, and score it: see `outrider_learning.suite.scoring.evaluate`."""
+        """Run the task with all seeds at once, and score it, see `outrider_learning.suite.scoring.evaluate`."""
         from outrider_learning.suite.scoring import evaluate  # noqa: PLC0415
 
         return evaluate(self, entry, name=name, seeds=seeds, secret=secret, **settings)
 
 
 _QUIET: dict[str, object] = {"detections.noise": 0.0, "detections.dropout": 0.0}
-"""Every look succeeds and is exact, as in the paper."""
+"""Exact detections without dropouts, as in the paper."""
 
 _PAIRS: dict[str, object] = {
     "uav": [
@@ -115,17 +115,17 @@ _LONG_ROUTE = [
     [22.0, 34.0],
     [8.0, 30.0],
 ]
-"""Far enough for a UGV that drives 0.4 m/s."""
+"""Route that is long enough for a UGV at 0.4 m/s."""
 
 TASKS: tuple[Task, ...] = (
     Task(
         name="paper",
-        hard="nothing but the task itself: as in the paper, looks always succeed and are exact",
+        hard="the paper's task, with exact detections and no dropouts",
         changes=_QUIET,
     ),
     Task(
         name="covered",
-        hard="a part of the ground is covered from the start, and the gradient leads nowhere there",
+        hard="part of the ground is covered from the start, where the gradient vanishes",
         changes={
             **_QUIET,
             "coverage.covered": [
@@ -136,12 +136,12 @@ TASKS: tuple[Task, ...] = (
     ),
     Task(
         name="noise",
-        hard="looks are 0.5 m off per axis, up to 1.5 m",
+        hard="detection noise of 0.5 m per axis, up to 1.5 m",
         changes={"detections.noise": 0.5, "detections.dropout": 0.0},
     ),
     Task(
         name="late-looks",
-        hard="what the UAV knows of the UGV is two seconds old, give or take half a second",
+        hard="detections arrive 1.5 to 2.5 s late",
         changes={
             "links.detections.delay": 2.0,
             "links.detections.jitter": 0.5,
@@ -150,7 +150,7 @@ TASKS: tuple[Task, ...] = (
     ),
     Task(
         name="long-way",
-        hard="twice the time on nine times the ground, most of it never seen twice",
+        hard="twice the duration on nine times the area, most of it covered only once",
         changes={
             "duration": 400.0,
             "area.width": 120.0,
@@ -162,7 +162,7 @@ TASKS: tuple[Task, ...] = (
     ),
     Task(
         name="two-pairs",
-        hard="two UAVs and two UGVs whose ways cross; one lost sight ends it for both",
+        hard="two UAVs and two UGVs on crossing paths; one loss of sight ends the episode",
         changes=_PAIRS,
     ),
     Task(
@@ -172,20 +172,18 @@ TASKS: tuple[Task, ...] = (
     ),
     Task(
         name="short-sight",
-        hard="r_v is 2 m, half of which the UAV needs to brake and to catch up",
+        hard="a visibility radius of 2 m, half of which the UAV needs for braking and catching up",
         changes={"visibility.radius": 2.0},
     ),
     Task(
         name="wander",
-        hard="the UGV wanders, and nobody could guess where to",
+        hard="the UGV wanders unpredictably",
         changes={"ugv.0.driver": "wander"},
     ),
-    Task(
-        name="evade", hard="the UGV tries to shake the UAV off", changes={"ugv.0.driver": "evade"}
-    ),
+    Task(name="evade", hard="the UGV tries to escape the UAV", changes={"ugv.0.driver": "evade"}),
     Task(
         name="dropouts",
-        hard="two looks a second, and four of five fail",
+        hard="two detections per second, of which four in five drop out",
         changes={
             "detections.rate": 2.0,
             "detections.dropout": 0.8,
@@ -194,7 +192,7 @@ TASKS: tuple[Task, ...] = (
     ),
     Task(
         name="bursts",
-        hard="every link is jammed, and the looks are now and then dark for five seconds",
+        hard="every link is jammed, and the detections have blackouts of five seconds",
         changes={
             "links.profile": "jammed",
             "links.detections.blackout_length": 5.0,
@@ -203,12 +201,12 @@ TASKS: tuple[Task, ...] = (
     ),
     Task(
         name="late-commands",
-        hard="a command acts half a second after it was given",
+        hard="commands take effect half a second late",
         changes={"links.commands.delay": 0.5, "command_timeout": 2.0},
     ),
     Task(
         name="all-at-once",
-        hard="an evading UGV, noise, dropouts, jammed looks and late commands",
+        hard="an evading UGV, noise, dropouts, jammed detections and late commands",
         changes={
             "detections.noise": 0.2,
             "detections.dropout": 0.3,
@@ -220,23 +218,23 @@ TASKS: tuple[Task, ...] = (
         },
     ),
 )
-"""The easier ones first: where no law of the paper loses sight, then where some do."""
+"""Tasks in order of difficulty: first those in which no law of the paper loses sight, then the others."""
 
 
 _BAD: dict[str, object] = {"links.profile": "jammed", "certificate.max_measurement_age": 6.0}
-"""The network of `bursts`: bursts of loss and half a second of delay, on every link."""
+"""Network of `bursts`: bursts of loss and half a second of delay on every link."""
 
 
 def _missions() -> Iterator[Task]:
     for base, hard in (
         (
             "minefield",
-            "sixty mines, a UGV that needs 1.5 m to stop and sees half a metre, and the first hit ends it",
+            "sixty mines, a UGV that needs 1.5 m to stop and senses 0.5 m, and the first hit ends the mission",
         ),
-        ("rubble", "walls with dead ends, and rough ground that is slower than a way around"),
+        ("rubble", "walls with dead ends, and rough ground that is slower than a detour"),
         (
             "rescue",
-            "eight things are to be found beside the way, and what is not seen is not found",
+            "eight finds beside the path, which the UAV has to detect",
         ),
     ):
         yield Task(name=base, hard=hard, changes={}, base=base, mission=True)
@@ -245,11 +243,11 @@ def _missions() -> Iterator[Task]:
 
 
 MISSIONS: tuple[Task, ...] = tuple(_missions())
-"""Ground with hazards, over a perfect network and over a bad one: what the escort is for."""
+"""Ground with hazards, over a perfect and a degraded network."""
 
 
 class Suite(tuple[Task, ...]):
-    """All the tasks, by place or by name."""
+    """Tasks by index or by name."""
 
     __slots__ = ()
 
@@ -258,10 +256,10 @@ class Suite(tuple[Task, ...]):
     @overload
     def __getitem__(self, key: slice) -> "Suite": ...
     def __getitem__(self, key: SupportsIndex | str | slice) -> "Task | Suite":
-        """A task by its place or its name, or a part of the suite.
+        """Return a task by index or name, or a slice of the suite.
 
         Raises:
-            ValueError: If there is none of this name.
+            ValueError: If the name is unknown.
         """
         if isinstance(key, slice):
             return Suite(super().__getitem__(key))
@@ -270,25 +268,25 @@ class Suite(tuple[Task, ...]):
         for task in self:
             if task.name == key:
                 return task
-        raise ValueError(f"task = {key!r}: no such task; allowed: {', '.join(self.names)}")
+        raise ValueError(f"task = {key!r}: unknown task; allowed: {', '.join(self.names)}")
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the tasks, in their order."""
+        """Return the names of the tasks in order."""
         return tuple(task.name for task in self)
 
 
 SUITE, MISSION_SUITE = "suite-v1", "missions-v1"
 SUITES: Mapping[str, tuple[Task, ...]] = {SUITE: TASKS, MISSION_SUITE: MISSIONS}
-"""By name. A suite that has a number is never changed: what would change it becomes the next one."""
+"""Suites by name. A numbered suite never changes; changes go into the next one."""
 
 
 def suite(name: str = SUITE) -> Suite:
-    """A benchmark suite: `docs/reference/suite.md` says what its tasks are and how they are scored.
+    """Return a benchmark suite; `docs/reference/suite.md` describes tasks and scores.
 
     Raises:
-        ValueError: If there is none of this name.
+        ValueError: If the name is unknown.
     """
     if name not in SUITES:
-        raise ValueError(f"suite = {name!r}; allowed: {', '.join(SUITES)}")
+        raise ValueError(f"suite = {name!r}: unknown suite; allowed: {', '.join(SUITES)}")
     return Suite(SUITES[name])
