@@ -75,7 +75,7 @@ def check_inputs(values: Values) -> None:
     """Check that every input fits into a message on the bus.
 
     Raises:
-        ValueError: If there is one.
+        ValueError: If an input is too large or not finite.
     """
     for name, value in values.items():
         if not abs(value) <= _LARGEST:
@@ -100,8 +100,8 @@ def check_exportable(briefing: UavBriefing | UgvBriefing) -> None:
         needed = bounds.delay_ticks > 0 or bounds.interval_ticks > 1
         if LAWS[briefing.law.name].watched and needed:
             raise ScenarioError(
-                f"{vehicle}: law.name = {briefing.law.name!r}: its commands carry trajectories, but units have no "
-                "variables for them; allowed: certificate.max_command_delay = 0 and certificate.max_command_interval = dt"
+                f"{vehicle}: law.name = {briefing.law.name!r}: its commands carry trajectories, but units have "
+                "no variables; allowed: certificate.max_command_delay = 0 and certificate.max_command_interval = dt"
             )
         if LAWS[briefing.law.name].own:
             raise ScenarioError(
