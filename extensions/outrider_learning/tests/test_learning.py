@@ -169,7 +169,7 @@ def test_the_table_is_the_same_twice_and_says_what_is_not_filtered(evaluation: M
         result.lost == result.violations == 0 and 0.0 < result.max_distance < 4.75
         for result in results
     )
-    assert {result.pilot for result in results if result.intervened is not None} == {
+    assert {result.pilot for result in results if result.overridden is not None} == {
         "certified",
         "lookahead",
         *evaluation.VARIANTS,
