@@ -1,4 +1,4 @@
-"""The reference of the bus, from its table of keys and its messages."""
+"""Reference of the bus, from its table of keys and its messages."""
 
 import msgspec
 from structs import cell, fields, structs, text_of, words
@@ -8,7 +8,7 @@ from bus.messages.base import Message
 
 
 def keys() -> str:
-    """The table of keys."""
+    """Return the table of keys."""
     rows = [
         "| key | message | written by | read by | delivery | largest |",
         "|---|---|---|---|---|--:|",
@@ -25,7 +25,7 @@ def keys() -> str:
 
 
 def messages() -> str:
-    """A section for each message and for each struct that one holds."""
+    """Return a section for each message and each struct inside one."""
     found: dict[type[msgspec.Struct], None] = {}
     waiting: list[type[msgspec.Struct]] = [key.message for key in KEYS]
     while waiting:
@@ -38,10 +38,12 @@ def messages() -> str:
 
 
 def _section(struct: type[msgspec.Struct], links: dict[type, str]) -> str:
-    rows = ["| field | type | default | what |", "|---|---|---|---|"]
+    rows = ["| field | type | default | description |", "|---|---|---|---|"]
     for field in fields(struct):
         default = f"`{field.default}`" if field.default else ""
-        told = words(field.type, links=links)
-        rows.append(f"| `{field.name}` | {cell(told)} | {cell(default)} | {cell(field.text)} |")
+        type_text = words(field.type, links=links)
+        rows.append(
+            f"| `{field.name}` | {cell(type_text)} | {cell(default)} | {cell(field.text)} |"
+        )
     level = "###" if issubclass(struct, Message) else "####"
     return f"{level} {struct.__name__}\n\n{text_of(struct)}\n\n" + "\n".join(rows)

@@ -1,4 +1,4 @@
-"""The reference of the command line, from the typer code."""
+"""Reference of the command line, from the typer code."""
 
 import inspect
 import re
@@ -16,14 +16,14 @@ _KINDS = {int: "INTEGER", float: "NUMBER", str: "TEXT", Path: "PATH"}
 
 
 def page() -> str:
-    """A section for each command: what it does, an example, its arguments and options."""
+    """Return a section for each command: description, example, arguments and options."""
     return "\n\n".join(
         _section(name, command) for name, command in commands().items() if not command.hidden
     )
 
 
 def commands() -> dict[str, Any]:
-    """All commands by name, those within another one behind it."""
+    """Return all commands by name, each followed by its subcommands."""
     found: dict[str, Any] = {}
     waiting: list[tuple[str, Any]] = [("", typer.main.get_command(make_app(whole=True)))]
     while waiting:
@@ -47,7 +47,7 @@ def _section(name: str, command: Any) -> str:
         lines.append(f"```sh\n{shell}\n```")
     rows = [_row(one, types.get(one.name, str)) for one in shown]
     if rows:
-        lines.append("\n".join(["| option | what | default |", "|---|---|---|", *rows]))
+        lines.append("\n".join(["| option | description | default |", "|---|---|---|", *rows]))
     return "\n\n".join(lines)
 
 
@@ -68,13 +68,13 @@ def _row(parameter: Any, type_: Any) -> str:
         names += "".join(f" {kind}" for kind in _kinds(parameter, type_))
     text = " ".join((parameter.help or "").split())
     variables = parameter.envvar if isinstance(parameter.envvar, list) else [parameter.envvar]
-    told = ", ".join(f"`{variable}`" for variable in variables if variable)
-    text += f" Also in the environment: {told}." if told else ""
+    listed = ", ".join(f"`{variable}`" for variable in variables if variable)
+    text += f" Environment variable: {listed}." if listed else ""
     return f"| {names} | {cell(_without_links(text))} | {_default(parameter)} |"
 
 
 def _kinds(parameter: Any, type_: Any) -> Iterator[str]:
-    """The text after an option's name, if there is any."""
+    """Yield the text after an option's name, if any."""
     parts = [part for part in (type_, *get_args(type_)) if isinstance(part, type)]
     plain = next((part for part in parts if part not in (type(None), list, tuple)), str)
     if parameter.metavar:
@@ -95,6 +95,6 @@ def _default(parameter: Any) -> str:
 
 
 def _without_links(text: str) -> str:
-    """The text with its square brackets kept from being a link, but for those in code."""
+    """Escape the square brackets of a text, except in code."""
     parts = re.split(r"(`[^`]*`)", text)
     return "".join(p if p.startswith("`") else re.sub(r"([\[\]])", r"\\\1", p) for p in parts)

@@ -1,4 +1,4 @@
-"""The variables of FMI units, from their tables."""
+"""Variables of FMI units, from their tables."""
 
 from structs import cell
 
@@ -21,7 +21,7 @@ PILOTS: Rows = (
     ("`uav`: in", UAV_INPUTS),
     ("`uav`: out", UAV_OUTPUTS),
     ("`ugv`: in", OWN_STATE),
-    ("`ugv`: in, where its driver listens (`evade`, `navigate`)", RADIO),
+    ("`ugv`: in, for drivers with radio (`evade`, `navigate`)", RADIO),
     ("`ugv`: in, for the driver `teleop`", OPERATOR),
     ("`ugv`: out", ACCELERATION),
 )
@@ -35,23 +35,25 @@ DRIVER: Rows = (("in", DRIVER_INPUTS), ("out", ACCELERATION))
 
 def _table(rows: Rows) -> str:
     lines = ["| | variable | type, unit | |", "|---|---|---|---|"]
-    for who, variables in rows:
+    for owner, variables in rows:
         for k, one in enumerate(variables):
             unit = f"Float64, {one.unit}" if one.unit else "Boolean"
-            lines.append(f"| {who if k == 0 else ''} | `{one.name}` | {unit} | {cell(one.about)} |")
+            lines.append(
+                f"| {owner if k == 0 else ''} | `{one.name}` | {unit} | {cell(one.about)} |"
+            )
     return "\n".join(lines)
 
 
 def pilots() -> str:
-    """Table of the units of vehicles."""
+    """Return the table of the vehicles' units."""
     return _table(PILOTS)
 
 
 def world() -> str:
-    """Table of the unit of a whole flight."""
+    """Return the table of the whole run's unit."""
     return _table(WORLD)
 
 
 def driver() -> str:
-    """Table of what a unit may have that drives a UGV."""
+    """Return the table of a unit that drives a UGV."""
     return _table(DRIVER)

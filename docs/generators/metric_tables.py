@@ -1,4 +1,4 @@
-"""The reference of metrics, from their table."""
+"""Reference of metrics, from their table."""
 
 from structs import cell
 
@@ -6,22 +6,22 @@ from outrider.running.metrics import LINK_COLUMNS, TABLES, Metric
 
 
 def tables() -> str:
-    """A section for each table."""
+    """Return a section for each table."""
     return "\n\n".join(_section(heading, [*rows.values()]) for heading, rows in TABLES.items())
 
 
 def _section(heading: str, metrics: list[Metric]) -> str:
-    rows = ["| name | unit | meaning | of several | in a sweep |", "|---|---|---|---|---|"]
+    rows = ["| name | unit | meaning | of several vehicles | in a sweep |", "|---|---|---|---|---|"]
     for one in metrics:
         unit = "share" if one.unit == "%" else one.unit
-        meaning = f"{one.meaning} Anything but 0 contradicts a guarantee." * one.guaranteed
+        meaning = f"{one.meaning} Any value other than 0 contradicts a guarantee." * one.guaranteed
         cells = (unit, meaning or one.meaning, one.total, _column(heading, one))
         rows.append(f"| `{one.name}` | {' | '.join(map(cell, cells))} |")
     return f"## {heading}\n\n" + "\n".join(rows)
 
 
 def _column(heading: str, metric: Metric) -> str:
-    """The columns that a metric has in a sweep."""
+    """Return the columns of a metric in a sweep."""
     if not metric.column:
         return ""
     kinds = [f"{kind}_" for kind in LINK_COLUMNS] if heading == "Link" else [""]

@@ -1,4 +1,4 @@
-"""The environment's observations and state, from the tables of their entries."""
+"""Observations and state of the environment, from the tables of their entries."""
 
 from functools import partial
 
@@ -8,13 +8,13 @@ from bus.observations import SYMBOLS, TABLES, markdown
 from outrider_learning.egocentric import UAV_BODY, UGV_BODY
 
 TABLE_OF = {**TABLES, "uav_body": UAV_BODY, "ugv_body": UGV_BODY}
-"""All tables by their marks."""
+"""Tables by their marks."""
 
 
 def symbols() -> str:
-    """Return the names in the ranges."""
+    """Return the symbols in the ranges."""
     return "\n".join(
-        ["| letter | stands for |", "|---|---|"]
+        ["| symbol | meaning |", "|---|---|"]
         + [f"| `{name}` | {cell(meaning)} |" for name, meaning in SYMBOLS.items()]
     )
 
@@ -23,4 +23,4 @@ PAGES = {
     **{name: partial(markdown, table) for name, table in TABLE_OF.items()},
     "observation_symbols": symbols,
 }
-"""The text of each mark."""
+"""Generated text of each mark."""

@@ -1,4 +1,4 @@
-"""The topics that a run has in ROS 2, from the table of them."""
+"""ROS 2 topics of a run, from their table."""
 
 from structs import cell
 
@@ -17,10 +17,10 @@ def _table(rows: tuple[TopicRow, ...]) -> str:
 
 
 def observed() -> str:
-    """Table of the topics of observers."""
+    """Return the table of the observers' topics."""
     return _table(TOPICS)
 
 
 def own() -> str:
-    """Table of the topics of a vehicle's own node, and of its answers."""
+    """Return the table of the topics of a vehicle's own node, and of its answers."""
     return _table((*PILOT_TOPICS, *PILOT_COMMANDS))

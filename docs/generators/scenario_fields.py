@@ -1,4 +1,4 @@
-"""The reference of a scenario's file, from its types."""
+"""Reference of the scenario file, from its types."""
 
 from collections.abc import Iterator
 
@@ -13,13 +13,13 @@ from sim.scenario.types import Scenario
 
 
 def tables() -> str:
-    """A section for each table of the file, the top level first."""
+    """Return a section for each table of the file, the top level first."""
     sections = [_section(name, struct) for name, struct in _walk("", Scenario)]
     return "\n\n".join((*sections, _law_parameters()))
 
 
 def _law_parameters() -> str:
-    """The parameters of all laws in one table."""
+    """Return one table of the parameters of all laws."""
     laws: dict[str, list[str]] = {}
     rows: dict[str, Field] = {}
     for name in LAWS:
@@ -27,17 +27,17 @@ def _law_parameters() -> str:
         for field in () if parameters is None else fields(parameters):
             laws.setdefault(field.name, []).append(f"`{name}`")
             rows.setdefault(field.name, field)
-    lines = ["| field | laws | type | default | what |", "|---|---|---|---|---|"]
+    lines = ["| field | laws | type | default | description |", "|---|---|---|---|---|"]
     for name, field in rows.items():
         default = "" if field.default == "null" else f"`{field.default}`"
-        told = cell(words(field.type)), default, cell(field.text)
-        lines.append(f"| `{name}` | {', '.join(laws[name])} | {' | '.join(told)} |")
+        cells = cell(words(field.type)), default, cell(field.text)
+        lines.append(f"| `{name}` | {', '.join(laws[name])} | {' | '.join(cells)} |")
     return "### `[law.parameters]`\n\n" + "\n".join(lines)
 
 
 def shipped() -> str:
-    """The shipped scenarios."""
-    rows = ["| name | law | time | what it is |", "|---|---|--:|---|"]
+    """Return the table of the shipped scenarios."""
+    rows = ["| name | law | duration | description |", "|---|---|--:|---|"]
     for name in scenario_names():
         one = load_scenario(name)
         rows.append(f"| `{one.name}` | `{one.law.name}` | {one.duration:g} s | {cell(one.title)} |")
@@ -45,7 +45,7 @@ def shipped() -> str:
 
 
 def _walk(name: str, struct: type[msgspec.Struct]) -> Iterator[tuple[str, type[msgspec.Struct]]]:
-    """The tables below one, each as often as it is of another kind."""
+    """Yield the tables below one, once per kind."""
     yield name, struct
     seen: set[type] = set()
     for field in fields(struct):
@@ -61,16 +61,16 @@ def _named(name: str, field: str, type_: types.Type) -> str:
 
 
 def _section(name: str, struct: type[msgspec.Struct]) -> str:
-    rows = ["| field | type | default | what |", "|---|---|---|---|"]
-    told_at: dict[type, str] = {}
+    rows = ["| field | type | default | description |", "|---|---|---|---|"]
+    cells_at: dict[type, str] = {}
     for field in fields(struct):
         inner = next(structs(field.type), None)
-        told = words(field.type, null="left out")
+        type_text = words(field.type, null="left out")
         if inner is not None:
             table = _named(name, field.name, field.type)
-            first = told_at.setdefault(inner, table)
-            told = f"`{table}`, " + ("below" if first == table else f"as `{first}`")
+            first = cells_at.setdefault(inner, table)
+            type_text = f"`{table}`, " + ("below" if first == table else f"as `{first}`")
         default = f"`{field.default}`" if field.default not in ("", "none") else field.default
-        rows.append(f"| `{field.name}` | {cell(told)} | {cell(default)} | {cell(field.text)} |")
-    heading = f"`{name}`" if name else "The top of the file"
+        rows.append(f"| `{field.name}` | {cell(type_text)} | {cell(default)} | {cell(field.text)} |")
+    heading = f"`{name}`" if name else "Top level"
     return f"### {heading}\n\n{text_of(struct)}\n\n" + "\n".join(rows)

@@ -1,4 +1,4 @@
-"""The fields of our msgspec structs in words: their types with bounds, defaults, and the text under each."""
+"""Fields of our msgspec structs as text: types with limits, defaults, and descriptions."""
 
 import inspect
 import textwrap
@@ -11,33 +11,33 @@ from scenario_schema import field_docs
 
 
 class Field(NamedTuple):
-    """A field of a struct, as a row of a table."""
+    """Field of a struct, as a row of a table."""
 
     name: str
     type: types.Type
     default: str
-    """As Python writes it; empty where the field is required."""
+    """Default in Python notation; empty for a required field."""
     text: str
 
 
 def text_of(struct: type[msgspec.Struct]) -> str:
-    """The docstring of a struct, unwrapped."""
+    """Return the docstring of a struct, unwrapped."""
     return " ".join(textwrap.dedent(inspect.getdoc(struct) or "").split())
 
 
 def fields(struct: type[msgspec.Struct]) -> Iterator[Field]:
-    """All fields, in order."""
+    """Yield all fields, in order."""
     info = types.type_info(struct)
     if not isinstance(info, types.StructType):
-        raise TypeError(f"{struct} is no struct")
-    told = field_docs(struct)
+        raise TypeError(f"{struct} is not a struct")
+    texts = field_docs(struct)
     for field in info.fields:
         default = "" if field.required else _default(field)
-        yield Field(field.encode_name, field.type, default, told.get(field.name, ""))
+        yield Field(field.encode_name, field.type, default, texts.get(field.name, ""))
 
 
 def structs(type_: types.Type) -> Iterator[type[msgspec.Struct]]:
-    """The structs that a type holds."""
+    """Yield the structs inside a type."""
     if isinstance(type_, types.StructType):
         yield type_.cls
     for part in _parts(type_):
@@ -45,12 +45,12 @@ def structs(type_: types.Type) -> Iterator[type[msgspec.Struct]]:
 
 
 def words(type_: types.Type, *, null: str = "null", links: dict[type, str] | None = None) -> str:
-    """A type in words: `number > 0`, `list of text`.
+    """Return a type as text: `number > 0`, `list of text`.
 
     Args:
-        type_: As msgspec tells it.
-        null: The word for None.
-        links: The addresses of structs that have a table of their own.
+        type_: Type from msgspec.
+        null: Text for None.
+        links: Addresses of structs with a table of their own.
     """
     match type_:
         case types.UnionType(types=parts):
@@ -97,10 +97,10 @@ def _parts(type_: types.Type) -> tuple[types.Type, ...]:
 def _number(type_: types.IntType | types.FloatType) -> str:
     kind = "whole number" if isinstance(type_, types.IntType) else "number"
     bounds = (("≥", type_.ge), (">", type_.gt), ("≤", type_.le), ("<", type_.lt))
-    told = [
+    texts = [
         f"{sign} {value:g}" for sign, value in bounds if value is not None and abs(value) < 1e12
     ]
-    return " ".join((kind, ", ".join(told))).strip()
+    return " ".join((kind, ", ".join(texts))).strip()
 
 
 def _default(field: types.Field) -> str:
@@ -117,5 +117,5 @@ def _shown(value: Any) -> str:
 
 
 def cell(text: str) -> str:
-    """A text for a cell of a Markdown table."""
+    """Escape a text for a cell of a Markdown table."""
     return text.replace("|", "\\|").replace("\n", " ")
