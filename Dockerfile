@@ -1,13 +1,13 @@
 # One image for every role: docker build -t outrider:0.1.0 .
-# And two more, with the dashboard's web server and with MAVLink: docker build --target dashboard -t outrider-dashboard:0.1.0 .
+# Two more images add the dashboard's web server and MAVLink: docker build --target dashboard -t outrider-dashboard:0.1.0 .
 # and docker build --target mavlink -t outrider-mavlink:0.1.0 .
-# Behind a package mirror, give pip's configuration as a secret, which leaves no trace: docker build --secret id=pip_conf,src=pip.conf .
+# Behind a package mirror, pass pip's configuration as a secret, which leaves no trace: docker build --secret id=pip_conf,src=pip.conf .
 
-# The base may be any image with Python 3.11 or newer on Debian. By its digest it is the same one for ever:
-# docker build --build-arg BASE=python:3.11-slim@sha256:... ; docs/how-to/deployment.md says where the digest is found.
+# The base is any Debian image with Python 3.11 or newer. Pin it by its digest:
+# docker build --build-arg BASE=python:3.11-slim@sha256:... ; docs/how-to/deployment.md shows where to find the digest.
 ARG BASE=python:3.11-slim
 
-# What builds stays in the first stages.
+# Build tools stay in the first stages.
 FROM ${BASE} AS tools
 ENV PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_ROOT_USER_ACTION=ignore PIP_NO_CACHE_DIR=1 PIP_CONSTRAINT=/build/constraints.txt
 WORKDIR /build
@@ -24,8 +24,8 @@ RUN python -c "import tomllib; project = tomllib.load(open('pyproject.toml', 'rb
     python -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']['mavlink'], sep='\n')" \
     >/mavlink.txt
 
-# The dependencies from their list alone: while that stays the same, no change of the project installs them anew. Without the test
-# suites that some of them bring along.
+# Install dependencies from their list alone, so that changes of the project do not reinstall them. Remove the test suites
+# of large packages.
 FROM tools AS dependencies
 COPY --from=needs /needs.txt ./
 RUN --mount=type=secret,id=pip_conf,target=/etc/pip.conf \
@@ -44,7 +44,7 @@ RUN python -m pip wheel --no-deps --no-build-isolation --wheel-dir /wheels .
 
 FROM ${BASE} AS flight
 LABEL org.opencontainers.image.title="Outrider" org.opencontainers.image.licenses="Apache-2.0"
-# Both folders can be written by any user, so that `user:` may be one of the host's; a container has only one.
+# Any user can write both folders, so that `user:` may be a user of the host.
 RUN groupadd --gid 1000 outrider && useradd --uid 1000 --gid 1000 --no-create-home --home-dir /tmp outrider && \
     install -d -m 1777 -o outrider -g outrider /var/cache/outrider /runs
 COPY --from=dependencies /opt/outrider /opt/outrider
@@ -54,18 +54,18 @@ ENV PATH=/opt/outrider/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 \
     OUTRIDER_CACHE=/var/cache/outrider MPLCONFIGDIR=/var/cache/outrider/matplotlib
 USER 1000:1000
 WORKDIR /runs
-# A flight compiles all that the roles need, and its picture fills the cache of fonts: no container does it at its start.
+# One run compiles everything that the roles need and fills the font cache, so that containers start fast.
 RUN outrider run escort --in-process --duration 1 --out /tmp/flight && rm -r /tmp/flight && \
     python -P -c "from agents.process import warm_up; from bus.keys import Role; warm_up(Role.UAV); warm_up(Role.UGV)" && \
     chmod -R a+rwX /var/cache/outrider
-# Healthy is what reaches its router; the router reaches itself.
+# A container is healthy if it reaches the router.
 HEALTHCHECK --interval=10s --timeout=3s --start-period=30s --retries=3 CMD ["python", "-P", "-c", "import os, socket; \
 host, _, port = os.environ.get('OUTRIDER_CONNECT', 'tcp/127.0.0.1:17447').rpartition('/')[2].rpartition(':'); \
 socket.create_connection((host.strip('[]'), int(port)), 2).close()"]
 ENTRYPOINT ["outrider"]
 CMD ["--help"]
 
-# The page needs a web server, and a flight does not: an image on top of the flight's, made only where it is asked for.
+# The dashboard needs a web server: a separate image on top of the simulation's, built on request.
 FROM flight AS dashboard
 USER 0:0
 RUN --mount=type=secret,id=pip_conf,target=/etc/pip.conf --mount=from=needs,source=/dashboard.txt,target=/dashboard.txt \
@@ -76,7 +76,7 @@ USER 1000:1000
 EXPOSE 8080
 CMD ["dashboard"]
 
-# Likewise the bridge to ground stations: pymavlink brings all dialects.
+# The bridge to ground stations is separate, too: pymavlink includes all dialects.
 FROM flight AS mavlink
 USER 0:0
 RUN --mount=type=secret,id=pip_conf,target=/etc/pip.conf --mount=from=needs,source=/mavlink.txt,target=/mavlink.txt \
@@ -86,5 +86,5 @@ RUN --mount=type=secret,id=pip_conf,target=/etc/pip.conf --mount=from=needs,sour
 USER 1000:1000
 CMD ["mavlink"]
 
-# The last stage is what `docker build` makes unless it is told otherwise.
+# `docker build` builds the last stage by default.
 FROM flight

@@ -1,12 +1,12 @@
-# Two commands do everything themselves: `make run` flies, `make test` tests. PYTHON chooses the interpreter (3.11 or newer).
+# `make run` and `make test` install everything they need. PYTHON selects the interpreter (3.11 or newer).
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
-# Errors alone are shown: what an index lacks, or that one is root, concerns nobody who wants to fly.
+# Show errors only: warnings about an index or about root do not matter here.
 PIP    := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --root-user-action ignore
 
 .DEFAULT_GOAL := help
-# Whole files, in the order that tests/conftest.py gives them.
+# Distribute whole files, in the order of tests/conftest.py.
 WORKERS := -n 2 --dist loadscope --no-loadscope-reorder
 LEARNERS := sb3 torchrl rllib supersuit
 
@@ -23,71 +23,71 @@ $(VENV)/.run: pyproject.toml
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.run
-	@echo 'installing what the tests need into $(VENV), once'
+	@echo 'installing the test dependencies into $(VENV), once'
 	@$(PIP) --editable '.[dev,window,record,drive,dashboard,sweep,dask,falsify,tls,ros2,mavlink,fmi]'
 	@touch $@
 
-run: $(VENV)/.run ## fly the escort scenario as three processes over Zenoh (ARGS="..." for more)
+run: $(VENV)/.run ## run the escort scenario as three processes over Zenoh (ARGS="..." for options)
 	@$(BIN)/outrider run $(ARGS)
 
-# Tests start many interpreters: each module is compiled to bytecode once, whatever the environment says.
+# Tests start many interpreters: always cache bytecode.
 test long-test: export PYTHONDONTWRITEBYTECODE =
 
 test: $(VENV)/.dev ## install and run the test suite
 	$(BIN)/python -m pytest $(WORKERS) $(ARGS)
 
-check: $(VENV)/.dev ## format, lint, types, import contracts
+check: $(VENV)/.dev ## check format, lint, types and import contracts
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-format: $(VENV)/.dev ## format and mend what can be mended
+format: $(VENV)/.dev ## format, and apply automatic fixes
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-figures: $(VENV)/.run ## the paper's figures and the table of their claims
+figures: $(VENV)/.run ## draw the paper's figures and the table of their claims
 	$(BIN)/outrider figures $(ARGS)
 
-bench: $(VENV)/.dev ## the speed of each layer beside its limit, in benchmarks/results.json (ARGS="lockstep env_step")
+bench: $(VENV)/.dev ## measure each layer against its limit into benchmarks/results.json (ARGS="lockstep env_step")
 	@rm -f benchmarks/results.json
 	$(BIN)/python -m pytest -c benchmarks/pytest.ini --benchmark-json benchmarks/results.json \
 		$(or $(ARGS:%=benchmarks/test_speed.py::test_%),benchmarks/test_speed.py)
 
-core-test: ## the core's own tests in a copy without extensions, in a fresh environment without extras
+core-test: ## test the core without extensions and extras in a fresh environment
 	rm -rf $(VENV)-core && mkdir -p $(VENV)-core/copy
 	git ls-files -- . ':!extensions' ':!benchmarks' | tar -cf - -T - | tar -xf - -C $(VENV)-core/copy
 	$(PYTHON) -m venv $(VENV)-core/venv
 	$(VENV)-core/venv/bin/python -m pip install --quiet --disable-pip-version-check --root-user-action ignore --constraint constraints.txt --editable $(VENV)-core/copy hypothesis pytest pytest-timeout pytest-xdist
 	cd $(VENV)-core/copy && ../venv/bin/python -m pytest $(WORKERS) tests $(ARGS)
 
-long-test: $(VENV)/.dev ## the tests that repeat for long what a short one of the suite shows
+long-test: $(VENV)/.dev ## run the long versions of the suite's tests
 	$(BIN)/python -m pytest $(WORKERS) -m long $(ARGS)
 
-docs: $(VENV)/.docs ## the documentation as a site that works offline, in site/index.html
+docs: $(VENV)/.docs ## build the documentation as an offline site in site/index.html
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict $(ARGS) && echo "open site/index.html"
 
 $(VENV)/.docs: $(VENV)/.run
 	@$(PIP) --editable '.[docs]'
 	@touch $@
 
-soak: $(VENV)/.dev ## an hour of simulated time with random kills: memory, trajectory, nothing left behind
+soak: $(VENV)/.dev ## simulate an hour with random kills: check memory, trajectory, leftovers
 	$(BIN)/python tests/acceptance/soak.py $(ARGS)
 
-kill-test: $(VENV)/.dev ## a vehicle killed at 40 random moments from its start to the run's end: the same trajectory each time
+kill-test: $(VENV)/.dev ## kill a vehicle at 40 random times; check that the trajectory stays the same
 	$(BIN)/python tests/acceptance/kill.py $(ARGS)
 
-compose-test: $(VENV)/.run ## the containers, built, flown, killed, paused and cut off; needs a Docker engine
+compose-test: $(VENV)/.run ## build, run, kill, pause and disconnect the containers; needs a Docker engine
 	$(BIN)/python tests/acceptance/compose.py $(ARGS)
 
-page-test: $(VENV)/.dev ## the dashboard in a real headless Chromium; gets what it needs, or says in a line what is missing
+page-test: $(VENV)/.dev ## test the dashboard in a headless Chromium, installed if needed
 	@$(PIP) 'playwright>=1.49' || echo 'page-test: playwright cannot be installed'
 	$(BIN)/python extensions/outrider_dashboard/tests/acceptance/page.py --install $(ARGS) || test $$? -eq 77
 
-bridge-test: $(VENV)/.dev ## the bridges against what others wrote, in environments of their own (ARGS="ros2")
+bridge-test: $(VENV)/.dev ## test the bridges against third-party software in separate environments (ARGS="ros2")
 	$(BIN)/python tests/acceptance/bridges.py $(ARGS)
 
-learn-test: $(LEARNERS:%=learn-test-%) ## the learning libraries, each installed into an environment of its own (learn-test-sb3, ...)
+learn-test: $(LEARNERS:%=learn-test-%) ## test the learning libraries, each in its own environment (learn-test-sb3, ...)
 
 $(VENV)-%/.learn: pyproject.toml
 	$(PYTHON) -m venv $(VENV)-$*
@@ -99,5 +99,5 @@ learn-test-%: $(VENV)-%/.learn
 
 .PRECIOUS: $(VENV)-%/.learn
 
-clean: ## remove the environments and what runs have written
+clean: ## remove environments and outputs of runs
 	rm -rf $(VENV) $(LEARNERS:%=$(VENV)-%) $(VENV)-core $(VENV)-ros2 $(VENV)-ros2-rclpy $(VENV)-mavlink $(VENV)-fmi .venv-peers runs figures site

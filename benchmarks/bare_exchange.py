@@ -1,6 +1,6 @@
 """Bare lockstep exchange: three processes send the payloads of a tick over Zenoh and compute nothing.
 
-Run as a program it is one of the two clients.
+As a program it is one of the two clients.
 """
 
 import subprocess
@@ -35,7 +35,7 @@ def _publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
 
 
 def _answer(name: str, endpoint: str) -> None:
-    """Answer each observation with a command until the exchange is over."""
+    """Answer each observation with a command until the exchange ends."""
     with zenoh.open(_config("client", endpoint)) as session:
         observations = session.declare_subscriber(
             f"bare/{name}/observation", zenoh.handlers.FifoChannel(256)

@@ -2,10 +2,11 @@
 
 python benchmarks/cautious_attacks.py NAME
 
-attack: 10,000 flights over ground that an adversary tells in its own order; half of them it holds the wheel, too.
-broken: the same with filters that are known to be wrong: each must be caught.
-arrivals: how many reachable goals are reached, with bumper alone and with ground told in any order.
-speed: of a plan and of a tick; the slowest tick of a UGV that plans over 400 x 400 tiles.
+attack: 10,000 runs over ground that an adversary reveals in its own order; in half of them it also controls the UGV.
+lossy: the same over links that lose, delay and reorder commands.
+broken: the same with faulty filters, each of which must be caught.
+arrivals: share of reachable goals that are reached, with the sensor alone and with ground revealed in any order.
+speed: durations of a plan and of a tick; the slowest tick of a UGV that plans over 400 x 400 tiles.
 
 About three minutes for `attack`, one for each other.
 """
@@ -42,7 +43,7 @@ from sim.models.vehicles import Motion, brake, clip_norm, norm, step_vehicle, wi
 
 RUNS = 10_000
 LATER = 1 << 40
-"""A tick that never comes."""
+"""Tick later than any in a run."""
 _SAMPLES = np.linspace(0.0, 1.0, 17)
 TELLERS = ("bumper", "nothing for long", "all but some", "at rest only", "any order", "all")
 WHEELS = ("plan", "dash", "swerve", "noise")
@@ -50,7 +51,7 @@ WHEELS = ("plan", "dash", "swerve", "noise")
 Ugv = Any
 """A named tuple of the fields of `NavigateParameters`."""
 Parameters: Any = namedtuple("Parameters", NavigateParameters.__struct_fields__)  # type: ignore[misc]
-"""Parameters that the driver does not read."""
+"""Parameters of the driver as a named tuple."""
 
 Check = Callable[[Ugv, bool, TileArray, Open, Motion, float, float], bool]
 
@@ -65,36 +66,36 @@ class Trial:
     start: tuple[float, float]
     goals: FloatArray
     delay: int
-    """Ticks until a command acts."""
+    """Ticks until a command takes effect."""
     slowest: float
-    """Least share of its largest speed that the UGV truly keeps on rough ground."""
+    """Smallest true share of the maximum speed on rough ground."""
     teller: str
-    """The adversary's order of telling: one of `TELLERS`."""
+    """Order in which the adversary reveals tiles: one of `TELLERS`."""
     reach: float
-    """Of the bumper [m]."""
+    """Range of the UGV's sensor [m]."""
     wheel: str
-    """The wanted motion: one of `WHEELS`."""
+    """Nominal control: one of `WHEELS`."""
     ticks: int
 
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """Of a flight."""
+    """Result of one run."""
 
     broken: int
-    """Certified ticks after which the UGV was not certified."""
+    """Certified ticks followed by an uncertified one."""
 
     entered: int
-    """Ticks with a point in a tile that was not known to be drivable."""
+    """Ticks with a point in a tile not known to be drivable."""
     way: float
-    """[m]"""
+    """Length of the path [m]."""
     ticks: int
-    """Until the last goal was reached, or until the end."""
+    """Ticks until the last goal was reached, or until the end."""
     reached: bool
 
 
 def _ground(rng: np.random.Generator) -> TileArray:
-    """Random tiles, few or many blocked, a maze of corridors, or diagonal walls."""
+    """Draw tiles: few or many blocked, a maze of corridors, or diagonal walls."""
     rows, columns = (int(n) for n in rng.integers(4, 26, 2))
     kind, density = rng.integers(4), rng.uniform(0.0, 0.45)
     tiles = rng.choice(
@@ -117,13 +118,13 @@ def _ground(rng: np.random.Generator) -> TileArray:
 
 
 def touched(x: float, tile: float, count: int) -> list[int]:
-    """The rows or columns whose closed intervals hold a coordinate."""
+    """Return the rows or columns whose closed intervals contain a coordinate."""
     at = math.floor(x / tile)
     return [n for n in (at - 1, at, at + 1) if 0 <= n < count and n * tile <= x <= (n + 1) * tile]
 
 
 def _start(rng: np.random.Generator, truth: TileArray, tile: float) -> tuple[float, float] | None:
-    """Somewhere in a drivable tile, often on an edge or a corner, but of drivable tiles only."""
+    """Draw a position in a drivable tile, often on an edge or a corner shared by drivable tiles only."""
     rows, columns = truth.shape
     for _ in range(50):
         i, j = int(rng.integers(rows)), int(rng.integers(columns))
@@ -136,7 +137,7 @@ def _start(rng: np.random.Generator, truth: TileArray, tile: float) -> tuple[flo
 
 
 def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Trial:
-    """A trial of a seed; a calm one can be expected to arrive."""
+    """Draw the trial of a seed; a calm trial can be expected to arrive."""
     rng = np.random.default_rng(seed)
     while True:
         truth, tile = _ground(rng), float(rng.uniform(0.1, 1.0))
@@ -185,7 +186,7 @@ def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Tr
 
 
 class Teller:
-    """Tells the truth of tiles, in an order of its own."""
+    """Adversary that reveals true tiles in its own order."""
 
     def __init__(self, trial: Trial, memory: OccupancyGrid, rng: np.random.Generator) -> None:
         self.trial, self.memory, self.rng = trial, memory, rng
@@ -195,7 +196,7 @@ class Teller:
         self._hidden = rng.random(trial.truth.shape) < 0.2
         self._wakes = int(rng.integers(0, 150))
 
-    def _tell(self, chosen: npt.NDArray[np.bool_]) -> None:
+    def _reveal(self, chosen: npt.NDArray[np.bool_]) -> None:
         rows, columns = np.nonzero(chosen & (self.memory.tiles == UNSEEN))
         if len(rows):
             record_tiles(self.memory, rows, columns, self.trial.truth[rows, columns])
@@ -206,22 +207,22 @@ class Teller:
         d_y = np.maximum(np.maximum(self._low_y - y, y - self._low_y - s), 0.0)
         return d_x[None, :] ** 2 + d_y[:, None] ** 2 <= reach * reach
 
-    def tell(self, tick: int, x: float, y: float, speed: float) -> None:
-        """Tiles that are told at a tick, the UGV being there [m], so fast [m/s]."""
+    def reveal(self, tick: int, x: float, y: float, speed: float) -> None:
+        """Reveal tiles at a tick, given the UGV's position [m] and speed [m/s]."""
         teller, reach, rng = self.trial.teller, self.trial.reach, self.rng
         if teller == "all":
             if tick == 0:
-                self._tell(np.ones_like(self._hidden))
+                self._reveal(np.ones_like(self._hidden))
         elif teller == "nothing for long":
             if tick >= self._wakes:
-                self._tell(self._near(x, y, 4.0 * reach))
+                self._reveal(self._near(x, y, 4.0 * reach))
         elif teller == "all but some":
-            self._tell(~self._hidden | (self._near(x, y, reach) & (rng.random() < 0.1)))
+            self._reveal(~self._hidden | (self._near(x, y, reach) & (rng.random() < 0.1)))
         elif teller == "at rest only":
             if speed < 1e-9:
-                self._tell(self._near(x, y, reach) & (rng.random(self._hidden.shape) < 0.5))
+                self._reveal(self._near(x, y, reach) & (rng.random(self._hidden.shape) < 0.5))
         elif teller == "any order":
-            self._tell(self._near(x, y, 0.0))
+            self._reveal(self._near(x, y, 0.0))
             i, j = (int(rng.integers(0, 1 + n // 8)) for n in self._hidden.shape)
             block = np.zeros((8, 8), np.uint8)
             part = self.trial.truth[8 * i : 8 * i + 8, 8 * j : 8 * j + 8]
@@ -229,13 +230,13 @@ class Teller:
             block[rng.random((8, 8)) < 0.9] = UNSEEN
             record_block(self.memory, i, j, block.reshape(-1))
         else:
-            self._tell(self._near(x, y, reach))
+            self._reveal(self._near(x, y, reach))
 
 
 def _wanted(
     trial: Trial, rng: np.random.Generator, before: tuple[float, float], here: Motion
 ) -> tuple[float, float]:
-    """Wish of an adversary at the wheel [m/s²]: on and on, a sharp turn, or anything."""
+    """Return the adversary's nominal control [m/s²]: straight on, a sharp turn, or anything."""
     u = min(trial.parameters.max_acceleration, trial.parameters.max_speed / trial.parameters.dt)
     speed = norm(here.v_x, here.v_y)
     if trial.wheel == "swerve" and speed > 0.2 * trial.parameters.max_speed:
@@ -248,11 +249,11 @@ def _wanted(
 
 
 class Receiver:
-    """The vehicle's end of a link that loses commands, delays some too long, and scatters the rest.
+    """Vehicle's end of a link that loses commands, delays some too long, and reorders the rest.
 
     Args:
-        memory: Of the sender; a packet carries its motions that have not begun.
-        rng: Of the adversary's draws.
+        memory: Memory of the sender; a packet carries its pending trajectories.
+        rng: Random number generator of the adversary.
     """
 
     def __init__(self, memory: OccupancyGrid, rng: np.random.Generator) -> None:
@@ -262,10 +263,10 @@ class Receiver:
         self._there: dict[int, tuple[int, float, float]] = {}
         self._share, self._silent = rng.choice([0.05, 0.3, 0.8]), 0
         self.flown = NO_MOTION
-        """The motion that is flown, by the tick in which it began."""
+        """Committed trajectory, by the tick at which it started."""
 
     def send(self, tick: int) -> None:
-        """Let the packet of a tick set out, if it is not lost."""
+        """Send the packet of a tick, unless it is lost."""
         if self._silent == 0 and self._rng.random() < 0.05:
             self._silent = int(self._rng.integers(1, 25))
         self._silent = max(0, self._silent - 1)
@@ -276,11 +277,11 @@ class Receiver:
         packet = [
             (int(row["begins"]), int(row["parent"]), *row["acceleration"].tolist()) for row in rows
         ]
-        late = int(self._rng.integers(0, self._delay + 3))  # two ticks too late at most
+        late = int(self._rng.integers(0, self._delay + 3))  # at most two ticks too late
         self._coming.setdefault(tick + late, []).extend(packet)
 
     def act(self, tick: int, here: Motion, parameters: Ugv) -> tuple[float, float]:
-        """Return the command of this tick [m/s²]: the due motion's if it has come and its parent is flown."""
+        """Return the command of this tick [m/s²]: the due trajectory's if it arrived and its parent is committed."""
         for begins, parent, u_x, u_y in self._coming.pop(tick, []):
             if begins >= tick:
                 self._there.setdefault(begins, (parent, u_x, u_y))
@@ -295,7 +296,7 @@ def _filtered_by(
     check: Check | None, trial: Trial, memory: OccupancyGrid, tick: int, here: Motion,
     wanted: tuple[float, float], flown: int,
 ) -> tuple[float, float]:  # fmt: skip
-    """The wanted command if it is safe, else the one that brakes: the filter alone, or one with another check."""
+    """Return the nominal control if it is safe, else the braking one: by the filter, or by another check."""
     parameters = trial.parameters
     ahead, parent = state_ahead(parameters, memory, tick, here, flown)
     ground = open_to(0)
@@ -318,9 +319,9 @@ def _is_rough(trial: Trial, x: float, y: float) -> bool:
 
 
 def _entered(trial: Trial, known: npt.NDArray[np.int64], states: list[Motion]) -> int:
-    """In how many ticks a point of the way was in a closed tile that was not known to be drivable when the tick began.
+    """Count the ticks with a point of the path in a closed tile not known to be drivable at the tick's start.
 
-    At the start it may stand in one.
+    The start itself may lie in such a tile.
     """
     track = np.array(states)
     a, b = track[:-1], track[1:]
@@ -328,7 +329,7 @@ def _entered(trial: Trial, known: npt.NDArray[np.int64], states: list[Motion]) -
     bad = np.zeros(len(a), bool)
     tick = np.arange(len(a))[:, None]
     shares = [np.repeat(_SAMPLES[None], len(a), axis=0)]
-    for k in (2, 3):  # where the way turns back on an axis
+    for k in (2, 3):  # where the path reverses on an axis
         change = b[:, k] - a[:, k]
         shares.append(np.clip(-a[:, k] / np.where(change == 0.0, 1.0, change), 0.0, 1.0)[:, None])
     t = np.concatenate(shares, axis=1)
@@ -357,14 +358,14 @@ def fly(
     *,
     lossy: bool = False,
 ) -> Outcome:
-    """Fly a trial.
+    """Simulate a trial.
 
     Args:
-        trial: Which.
-        seed: Of the adversary's choices.
-        check: Instead of `is_safe`, for filters that are known to be wrong; the adversary is at the wheel then.
-        believed: Instead of the delay, likewise.
-        lossy: Whether commands are lost, late and scattered; then they carry the stop that follows them.
+        trial: Trial to simulate.
+        seed: Seed of the adversary's choices.
+        check: Replacement of `is_safe` in a faulty filter; then the adversary controls the UGV.
+        believed: Delay assumed by a faulty filter.
+        lossy: True for lost, late and reordered commands, which then carry the stop that follows them.
     """
     parameters, rng = trial.parameters, np.random.default_rng([seed, 1])
     memory = occupancy_grid(*trial.truth.shape, trial.delay if believed is None else believed)
@@ -377,7 +378,7 @@ def fly(
     last, reached = trial.goals[-1], False
     claim, broken = NO_CLAIM, 0
     for tick in range(trial.ticks):
-        teller.tell(tick, here.p_x, here.p_y, norm(here.v_x, here.v_y))
+        teller.reveal(tick, here.p_x, here.p_y, norm(here.v_x, here.v_y))
         fresh = (known == LATER) & (memory.tiles != UNSEEN) & (memory.tiles != BLOCK)
         known[fresh] = tick
         if check is None and trial.wheel == "plan":
@@ -414,14 +415,14 @@ def fly(
 
 
 def is_reachable(trial: Trial) -> bool:
-    """True if the true tiles have a way from the start to each goal."""
+    """Return true if the true tiles connect the start to each goal."""
     parameters, memory = trial.parameters, occupancy_grid(*trial.truth.shape)
     memory.tiles[:] = trial.truth
     columns = trial.truth.shape[1]
-    places = [trial.start, *trial.goals]
+    positions = [trial.start, *trial.goals]
     tiles = [
         int(y / parameters.tile) * columns + min(int(x / parameters.tile), columns - 1)
-        for x, y in places
+        for x, y in positions
     ]
     tiles = [min(n, trial.truth.size - 1) for n in tiles]
     if any(trial.truth.reshape(-1)[n] == BLOCK for n in tiles):
@@ -441,7 +442,7 @@ def _brakes_short(
 
 
 def _after(ugv: Ugv, here: Motion, u_x: float, u_y: float) -> tuple[tuple[float, float], ...]:
-    """End of the tick, and the place of rest after it [m]."""
+    """Return the positions at the end of the tick and at the stop after it [m]."""
     x, y, w_x, w_y, _, _ = step_vehicle(
         *here, u_x, u_y, ugv.max_speed, ugv.max_acceleration, ugv.dt
     )
@@ -453,7 +454,7 @@ def _after(ugv: Ugv, here: Motion, u_x: float, u_y: float) -> tuple[tuple[float,
 def _forgets_corners(
     ugv: Ugv, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
 ) -> bool:
-    """Looks at the tiles of some points of the way only."""
+    """Check the tiles of some points of the path only."""
     there, end = _after(ugv, here, *u)
     for (x_0, y_0), (x_1, y_1) in (((here.p_x, here.p_y), there), (there, end)):
         n = 1 + int(2.0 * math.dist((x_0, y_0), (x_1, y_1)) / ugv.tile)
@@ -471,7 +472,7 @@ def _forgets_corners(
 def _takes_the_chord(
     ugv: Ugv, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
 ) -> bool:
-    """Takes the way within a tick to be straight."""
+    """Approximate the path within a tick by a straight line."""
     there, end = _after(ugv, here, *u)
     inside = all(0.0 <= x <= ugv.width and 0.0 <= y <= ugv.height for x, y in (there, end))
     return (
@@ -484,7 +485,7 @@ def _takes_the_chord(
 def _looks_only_at_now(
     ugv: Ugv, late: bool, t: TileArray, ground: Open, here: Motion, *u: float
 ) -> bool:
-    """Asks whether it can brake from here, not from after the command."""
+    """Check braking from the current state, not from the state after the command."""
     return is_safe(
         ugv, late, t, ground, here, *brake(here.v_x, here.v_y, ugv.max_acceleration, ugv.dt)
     )
@@ -496,16 +497,16 @@ BROKEN: dict[str, Check] = {
     "straight within a tick": _takes_the_chord,
     "braking from before the command": _looks_only_at_now,
 }
-"""Filters that are known to be wrong. So is one that believes that commands act at once where they are late."""
+"""Faulty filters. A filter that ignores the delay of commands is faulty, too."""
 
 
 def lossy(runs: int = RUNS) -> Iterator[str]:
-    """Fly the attacks over links that lose, delay and scatter commands, and count."""
+    """Run the attacks over links that lose, delay and reorder commands."""
     yield from attack(runs, lossy=True)
 
 
 def attack(runs: int = RUNS, *, lossy: bool = False) -> Iterator[str]:
-    """Fly the attacks and count."""
+    """Run the attacks and count violations."""
     count = dict.fromkeys(("flights", "entered", "broken", "ticks", "still"), 0)
     way = 0.0
     for seed in range(runs):
@@ -519,36 +520,36 @@ def attack(runs: int = RUNS, *, lossy: bool = False) -> Iterator[str]:
         way += one.way / trial.parameters.tile
         if one.entered:
             yield f"seed {seed}: {one.entered} ticks in tiles not known to be drivable"
-    yield f"{count['flights']} flights of {count['ticks']} ticks and {way:.0f} tiles' way"
-    yield f"in {count['entered']} of them a tile was entered that was not known to be drivable"
+    yield f"{count['flights']} runs of {count['ticks']} ticks and {way:.0f} tiles' path"
+    yield f"{count['entered']} of them entered a tile not known to be drivable"
     if lossy:
         yield f"the certificate was broken {count['broken']} times"
-    yield f"in {count['still']} of them the UGV never moved"
+    yield f"in {count['still']} of them the UGV did not move"
 
 
 def broken(runs: int = 500) -> Iterator[str]:
-    """Fly wrong filters against an adversary at the wheel."""
-    yield head("filter | flights that enter a tile not known to be drivable")
+    """Run faulty filters against an adversary that controls the UGV."""
+    yield head("filter | runs that enter a tile not known to be drivable")
     for name, check in {"none": is_safe, **BROKEN}.items():
         caught = sum(fly(pushed_trial(k), k, check).entered > 0 for k in range(runs))
         yield f"| {name} | {caught} of {runs} |"
     late = [seed for seed in range(3 * runs) if pushed_trial(seed).delay][:runs]
     caught = sum(fly(pushed_trial(k), k, is_safe, believed=0).entered > 0 for k in late)
-    yield f"| commands act at once, believed of late ones | {caught} of {len(late)} |"
+    yield f"| delay of the commands ignored | {caught} of {len(late)} |"
 
 
 def pushed_trial(seed: int) -> Trial:
-    """A trial of a seed with an adversary at the wheel."""
+    """Draw the trial of a seed in which the adversary controls the UGV."""
     return draw_trial(seed, wheel=WHEELS[1 + seed % 3])
 
 
 def arrivals(runs: int = 500) -> Iterator[str]:
-    """Number of calm trials that arrive."""
+    """Count the calm trials that arrive."""
     able = [
         seed for seed in range(5 * runs) if is_reachable(draw_trial(seed, wheel="plan", calm=True))
     ]
     done = [fly(draw_trial(k, wheel="plan", calm=True), k) for k in able[:runs]]
-    yield f"{sum(one.reached for one in done)} of {len(done)} with a way to all goals arrive"
+    yield f"{sum(one.reached for one in done)} of {len(done)} with a path to all goals arrive"
     yield f"{sum(one.entered > 0 for one in done)} of them enter a tile not known to be drivable"
     for k, one in zip(able, done, strict=False):
         if not one.reached:
@@ -556,7 +557,7 @@ def arrivals(runs: int = 500) -> Iterator[str]:
 
 
 def _scattered(side: int) -> OccupancyGrid:
-    """A map of tiles of all kinds, clear where a UGV starts and in the corner across."""
+    """Return a map of random tiles, clear at the UGV's start and in the opposite corner."""
     memory = occupancy_grid(side, side)
     memory.tiles[:] = np.random.default_rng(0).choice(
         5, size=(side, side), p=[0.3, 0.4, 0.1, 0.15, 0.05]
@@ -566,10 +567,10 @@ def _scattered(side: int) -> OccupancyGrid:
 
 
 def _slowest_tick(most: int, ticks: int = 600) -> str:
-    """Of a UGV that is told something new in each tick, and plans so many tiles a tick, over 400 x 400 tiles."""
+    """Return the slowest ticks of a UGV with new tiles in each tick, at this planning rate, over 400 x 400 tiles."""
     memory, goals, took = _scattered(400), np.array([[199.0, 199.0]]), list[float]()
     parameters = draw_trial(3, wheel="plan", calm=True).parameters._replace(
-        width=200.0, height=200.0, tile=0.5, dt=0.05, v_max=1.0, u_max=0.5, plan_ticks=4,
+        width=200.0, height=200.0, tile=0.5, dt=0.05, max_speed=1.0, max_acceleration=0.5, plan_ticks=4,
         bold=1, plan_tiles=most,
     )  # fmt: skip
     here = Motion(1.0, 1.0, 0.0, 0.0)
@@ -590,7 +591,7 @@ def _slowest_tick(most: int, ticks: int = 600) -> str:
 
 
 def speed() -> Iterator[str]:
-    """Of a plan over tiles with hazards, and of a tick."""
+    """Yield the durations of a plan over tiles with hazards, and of a tick."""
     for side in (30, 80, 400):
         memory, took = _scattered(side), []
         for _ in range(30):
@@ -600,7 +601,7 @@ def speed() -> Iterator[str]:
             took.append(time.perf_counter() - began)
         yield f"plan over {side} x {side} tiles: {1e3 * np.median(took[1:]):.2f} ms"
     for most in (400 * 400, PLAN_TILES):
-        yield f"{most:,} tiles a tick: {_slowest_tick(most)}"
+        yield f"{most:,} tiles per tick: {_slowest_tick(most)}"
     trial = draw_trial(3, wheel="plan", calm=True)
     parameters, memory = trial.parameters, occupancy_grid(*trial.truth.shape)
     memory.tiles[:] = trial.truth

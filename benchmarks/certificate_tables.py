@@ -1,13 +1,14 @@
-"""The tables of docs/explanation/proof.md, about a minute each.
+"""Tables of docs/explanation/proof.md, about a minute each.
 
 python benchmarks/certificate_tables.py NAME, with a NAME of `TABLES`.
 
 radius: R_h, E and r_cert over eps, A and tau_c; and the largest A.
-guards: how often guards that are known to be wrong lose sight, and the filter beside them.
-outage: what a longest time B between two motions costs: R_h, E, r_cert and the largest A.
-wind: what w costs, how far the UAV may truly be from where it is told that it is: likewise; and w of some inner loops.
-commands: what becomes of sight and certificate where commands are early, late or lost.
-profiles: whole flights over each shipped network profile: share of ticks certified, mean e(t), what must be zero.
+guards: loss of sight under faulty guards, and under the filter.
+interval: cost of the command interval B: R_h, E, r_cert and the largest A.
+wind: cost of the tracking error w, and w of some inner loops.
+commands: effect of early, late or lost commands on sight and certificate.
+profiles: whole runs over each shipped network profile: share of certified ticks, mean e(t), and the count that must be
+zero.
 """
 
 import math
@@ -47,20 +48,20 @@ NUMBERS = {name: PAPER_BOUNDS[name] for name in ("v_a", "u_a", "v_g", "dt")}
 
 
 def _certificate(**declared: float) -> SafetyBounds:
-    """The promise of these numbers and the paper's bounds."""
-    n = {"delay": 0.0, "outage": 0.0, "tracking": 0.0} | declared
+    """Return the bounds with these declarations and the paper's limits."""
+    n = {"delay": 0.0, "interval": 0.0, "tracking": 0.0} | declared
     safety = SafetyParameters(
         max_measurement_error=n["eps"],
         max_measurement_age=n["age"],
         max_command_delay=n["delay"],
-        max_command_interval=n["outage"],
+        max_command_interval=n["interval"],
         max_tracking_error=n["tracking"],
     )
     return certificate(safety_bounds(safety, visibility_radius=PAPER_BOUNDS["r_v"], **NUMBERS))
 
 
 def radius() -> Iterator[str]:
-    """The declared numbers and what follows from them."""
+    """Yield the declared bounds and the resulting radii."""
     yield head("ε [m] | A [s] | τ_c [s] | R_h [m] | E [m] | r_cert [m]")
     rows = [(0.0, 0.05, 0.0), *((0.3, age, 0.0) for age in (0.05, 5.0, 10.0, 15.0))]
     rows += [(0.9, 10.0, 0.0), (1.5, 0.05, 0.0), (1.5, 5.0, 0.0)]
@@ -88,7 +89,7 @@ def _fly(tasks: list[tuple[str, Conditions, float, float]]) -> Iterator[tuple[st
 
 
 def guards() -> Iterator[str]:
-    """Guards that are known to be wrong, and the filter."""
+    """Yield faulty guards and the filter."""
     outward, flees = INNERS.outward, UGVS.flees
     sphere, periodic = ERRORS.sphere, BLACKOUTS.periodic
     tasks: list[tuple[str, Conditions, float, float]] = []
@@ -141,38 +142,38 @@ def guards() -> Iterator[str]:
     columns = "lose sight | certified while lost | certificate broken | largest d [m] | mean d [m]"
     yield head(f"guard and conditions, {RUNS:,} runs | {columns}")
     for name, rows in _fly(tasks):
-        told = [
+        counts = [
             f"{int((rows[column] > 0).sum())}" if "filter" in name else "–"
             for column in ("certified_lost", "broken")
         ]
         lost, far = int((rows["max_distance"] >= 4.75).sum()), rows["max_distance"].max()
-        yield f"| {name} | {lost} | {told[0]} | {told[1]} | {far:.4f} | {rows['mean_distance'].mean():.2f} |"
+        yield f"| {name} | {lost} | {counts[0]} | {counts[1]} | {far:.4f} | {rows['mean_distance'].mean():.2f} |"
 
 
-def outage() -> Iterator[str]:
-    """The cost of B."""
+def interval() -> Iterator[str]:
+    """Yield the cost of B."""
     waits = (0.05, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0)
     yield head(f"B [s] | {' | '.join(f'{wait:g}' for wait in waits)}")
     for eps, age, delay in ((0.3, 1.0, 0.0), (0.3, 5.0, 0.0), (0.3, 1.0, 0.5), (0.9, 1.0, 0.0)):
-        found = [_certificate(eps=eps, age=age, delay=delay, outage=wait) for wait in waits]
-        told = f"ε {eps:g} m, A {age:g} s, τ_c {delay:g} s"
-        yield from _bounds(told, found)
+        found = [_certificate(eps=eps, age=age, delay=delay, interval=wait) for wait in waits]
+        name = f"ε {eps:g} m, A {age:g} s, τ_c {delay:g} s"
+        yield from _bounds(name, found)
     for eps, delay in ((0.0, 0.0), (0.3, 0.0), (0.9, 0.0), (0.3, 1.0)):
-        found = [_certificate(eps=eps, age=0.05, delay=delay, outage=wait) for wait in waits]
+        found = [_certificate(eps=eps, age=0.05, delay=delay, interval=wait) for wait in waits]
         yield _oldest(f"ε {eps:g} m, τ_c {delay:g} s", found)
 
 
 def wind() -> Iterator[str]:
-    """The cost of w, and its size."""
+    """Yield the cost of w, and its size."""
     offs = (0.0, 0.1, 0.2, 0.3, 0.5, 0.8, 1.2)
     yield head(f"w [m] | {' | '.join(f'{off:g}' for off in offs)}")
-    for eps, age, outage in ((0.3, 1.0, 0.0), (0.3, 5.0, 0.0), (0.3, 1.0, 2.0)):
-        found = [_certificate(eps=eps, age=age, outage=outage, tracking=off) for off in offs]
-        told = f"ε {eps:g} m, A {age:g} s" + (f", B {outage:g} s" if outage else "")
-        yield from _bounds(told, found)
-    for eps, outage in ((0.0, 0.0), (0.3, 0.0), (0.9, 0.0), (0.3, 2.0)):
-        found = [_certificate(eps=eps, age=0.05, outage=outage, tracking=off) for off in offs]
-        yield _oldest(f"ε {eps:g} m" + (f", B {outage:g} s" if outage else ""), found)
+    for eps, age, interval in ((0.3, 1.0, 0.0), (0.3, 5.0, 0.0), (0.3, 1.0, 2.0)):
+        found = [_certificate(eps=eps, age=age, interval=interval, tracking=off) for off in offs]
+        name = f"ε {eps:g} m, A {age:g} s" + (f", B {interval:g} s" if interval else "")
+        yield from _bounds(name, found)
+    for eps, interval in ((0.0, 0.0), (0.3, 0.0), (0.9, 0.0), (0.3, 2.0)):
+        found = [_certificate(eps=eps, age=0.05, interval=interval, tracking=off) for off in offs]
+        yield _oldest(f"ε {eps:g} m" + (f", B {interval:g} s" if interval else ""), found)
     yield ""
     pushes = ((0.1, 0.0), (0.2, 0.0), (0.0, 0.2), (0.1, 0.2))
     heads = " | ".join(f"W {most:g} m/s², ε_a {own:g} m" for most, own in pushes)
@@ -188,32 +189,32 @@ def wind() -> Iterator[str]:
         yield f"| {gains[0]:g}, {gains[1]:g} | {' | '.join(cells)} |"
 
 
-def _bounds(told: str, found: list[SafetyBounds]) -> Iterator[str]:
-    """Rows of R_h, E and r_cert."""
+def _bounds(case: str, found: list[SafetyBounds]) -> Iterator[str]:
+    """Yield rows of R_h, E and r_cert."""
     for name, row in (
         ("R_h [m]", [f"{c.handover_radius:.3f}" for c in found]),
         ("E [m]", [f"{c.handover_bound:.2f}" for c in found]),
         ("r_cert [m]", [f"{certified_radius(c):.2f}" for c in found]),
     ):
-        yield f"| {name} at {told} | {' | '.join(row).replace('nan', '–')} |"
+        yield f"| {name} at {case} | {' | '.join(row).replace('nan', '–')} |"
 
 
-def _oldest(told: str, found: list[SafetyBounds]) -> str:
-    """A row of the largest A."""
+def _oldest(case: str, found: list[SafetyBounds]) -> str:
+    """Return a row of the largest A."""
     ages = [largest_age(c) for c in found]
     row = " | ".join("–" if math.isnan(age) else f"{age:.1f}" for age in ages)
-    return f"| largest A [s] at {told} | {row} |"
+    return f"| largest A [s] at {case} | {row} |"
 
 
 def _unreliable() -> dict[str, tuple[Conditions, float]]:
-    """Commands that are early, late or lost, and the longest time for which they are."""
+    """Return cases of early, late or lost commands, with the longest duration of each."""
     silences = DISTURBANCES.silences
     cases = {
         f"0 to {late:g} s late": (Conditions(delay=late, jitter=True), late)
         for late in (0.2, 0.5, 1.0)
     }
     for name, kind in (
-        ("one lost now and then", DISTURBANCES.single_losses),
+        ("single losses", DISTURBANCES.single_losses),
         ("up to 0.25 s later than declared", DISTURBANCES.late),
     ):
         cases[name] = (Conditions(disturbance=kind), 0.3)
@@ -228,27 +229,33 @@ def _unreliable() -> dict[str, tuple[Conditions, float]]:
 
 
 def commands() -> Iterator[str]:
-    """Commands that are early, late or lost: an outage of n ticks needs B of n + 1, late ones a delay."""
+    """Yield cases of early, late or lost commands.
+
+    A gap of n ticks needs B of n + 1; late commands need a delay.
+    """
     tasks = []
     for name, (conditions, longest) in _unreliable().items():
         late = conditions.delay if conditions.jitter else 0.0
-        kept = conditions._replace(delay=late, outage=longest + 0.05 if not late else 0.05)
+        kept = conditions._replace(
+            delay=late, max_command_interval=longest + 0.05 if not late else 0.05
+        )
         if conditions.disturbance == DISTURBANCES.late:
-            kept = kept._replace(outage=1.0)
+            kept = kept._replace(max_command_interval=1.0)
         tasks.append((name, kept, 0.3, 0.0))
-    columns = "B [s] | lose sight | certified while lost | certificate broken | ticks not certified | mean d [m]"
+    columns = "B [s] | lose sight | certified while lost | certificate broken | uncertified ticks | mean d [m]"
     yield head(f"commands, {RUNS:,} runs | {columns}")
     for (name, rows), (_, conditions, _, _) in zip(_fly(tasks), tasks, strict=True):
         counts = [int((rows[k] > 0).sum()) for k in ("certified_lost", "broken")]
         lost = int((rows["max_distance"] >= 4.75).sum())
         share, mean = rows["uncertified"].mean(), rows["mean_distance"].mean()
-        yield f"| {name} | {conditions.outage:g} | {lost} | {counts[0]} | {counts[1]} | {share:.1%} | {mean:.2f} |"
+        cells = f"{conditions.max_command_interval:g} | {lost} | {counts[0]} | {counts[1]}"
+        yield f"| {name} | {cells} | {share:.1%} | {mean:.2f} |"
 
 
 _DECLARED = {
     "narrowband": ["certificate.max_command_delay=1.0", "certificate.max_command_interval=5.0"]
 }
-"""Declarations about the commands on a profile, where not B = 4 s and the longest delay of its link."""
+"""Declarations about the commands on a profile, if they differ from B = 4 s and the link's longest delay."""
 
 
 def _flown(task: tuple[str, str, int]) -> tuple[float, float, int, float]:
@@ -268,24 +275,24 @@ def _flown(task: tuple[str, str, int]) -> tuple[float, float, int, float]:
         "escort",
         overrides=[*changes, *(f"links.{name}={{profile = '{profile}'}}" for name in names)],
     )
-    flight, said = Flight(scenario, seed), []
+    flight, reports = Flight(scenario, seed), []
     flight.fly(
         InProcess(make_pilots(scenario, seed)),
-        on_tick=lambda: said.append(flight.answers.reports[0]),
+        on_tick=lambda: reports.append(flight.answers.reports[0]),
     )
     distance, error = flight.recorder.escorts[:, 0, 0], flight.recorder.escorts[:, 0, 1]
     certified = [
         report is not None and report.decision is not None and report.decision.certified
-        for report in said
+        for report in reports
     ]
     false = sum(distance[tick] >= 4.75 for tick, sure in enumerate(certified) if sure)
     return sum(certified) / len(certified), float(error.mean()), int(false), float(distance.max())
 
 
 def profiles() -> Iterator[str]:
-    """Whole flights against a UGV that evades, over each shipped profile."""
-    columns = "ticks certified | certified while lost | mean e(t) [m²] | largest d [m]"
-    yield head(f"profile, {SEEDS} flights of 160 s | on | {columns}")
+    """Yield whole runs against an evading UGV over each shipped profile."""
+    columns = "certified ticks | certified while lost | mean e(t) [m²] | largest d [m]"
+    yield head(f"profile, {SEEDS} runs of 160 s | on | {columns}")
     tasks = [
         (profile, links, seed)
         for profile in PROFILES
@@ -301,7 +308,7 @@ def profiles() -> Iterator[str]:
 
 
 TABLES: dict[str, Callable[[], Iterator[str]]] = {
-    "outage": outage,
+    "interval": interval,
     "wind": wind,
     "radius": radius,
     "guards": guards,

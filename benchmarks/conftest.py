@@ -1,4 +1,4 @@
-"""Reduce the benchmarks to rows, each with its limit: a JSON list and a table."""
+"""Reduction of the benchmarks to rows with limits: a JSON list and a table."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -8,22 +8,22 @@ import pytest
 
 
 class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One row of results: a throughput and its limit, or the time of a start."""
+    """Row of results: a throughput and its limit, or the duration of a start."""
 
     name: str
     value: float
     unit: str
     limit: float | None
-    """Throughput in the same unit; None for a start, or where the limit was not measured."""
+    """Throughput in the same unit; None for a start, or without a measured limit."""
     ratio: float | None
-    """value / limit."""
+    """Ratio value / limit."""
 
 
 _ROWS = pytest.StashKey[list[ResultRow]]()
 
 
 def _median(benchmark: Mapping[str, Any]) -> float:
-    """Return the median in the row's unit: of the rates it reports, else from its time per call."""
+    """Return the median in the row's unit: of the reported rates, else from the time per call."""
     facts, seconds = benchmark["extra_info"], benchmark["median"]
     if "rate" in facts:
         return float(facts["rate"])

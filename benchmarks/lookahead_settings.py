@@ -1,4 +1,4 @@
-"""The horizon and the number of candidates of the law `lookahead`: what they bring, and what they cost on one core.
+"""Benefit and cost on one core of the horizon and the number of candidates of the law `lookahead`.
 
 python benchmarks/lookahead_settings.py --flights 6
 """
@@ -20,7 +20,7 @@ from sim.scenario.loading import load_scenario
 
 DRIVERS = ("waypoints", "wander", "evade")
 FIRST_SEED = 501
-"""Flights that the law was made with; those of docs/how-to/learning.md are others."""
+"""First seed of the law's development runs; docs/how-to/learning.md uses others."""
 LAWS = (
     Law(name="logarithmic"),
     Law(name="certified"),
@@ -40,7 +40,7 @@ LAWS = (
 
 
 def fly(law: Law, driver: str, seeds: Sequence[int]) -> tuple[float, float]:
-    """Mean of e(t) over these flights of `escort` [m²], and the processor's time of a tick, world and all [s]."""
+    """Return the mean of e(t) over these runs of `escort` [m²], and the processor time per tick, world included [s]."""
     scenario = msgspec.structs.replace(load_scenario("escort"), law=law)
     loop = ClosedLoop(
         scenario,
@@ -57,20 +57,20 @@ def fly(law: Law, driver: str, seeds: Sequence[int]) -> tuple[float, float]:
     found = loop.metrics("uav_0")
     loop.close()
     if found["visibility_violations"].any():
-        raise SystemExit(f"{law.name} loses sight of a UGV that drives by {driver!r}")
+        raise SystemExit(f"{law.name} loses sight of a UGV with the driver {driver!r}")
     return float(found["mean_error"].mean()), spent / float(found["ticks"].sum())
 
 
 def main() -> None:
-    """Fly all, and print a Markdown table."""
+    """Simulate all runs, and print a Markdown table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--flights", type=int, default=6, help="for each law and driver")
+    parser.add_argument("--flights", type=int, default=6, help="Runs per law and driver.")
     given = parser.parse_args()
     seeds = range(FIRST_SEED, FIRST_SEED + given.flights)
     drivers = " | ".join(f"`{driver}`" for driver in DRIVERS)
-    lines = [head(f"law | horizon [s] | candidates | {drivers} | µs a tick")]
+    lines = [head(f"law | horizon [s] | candidates | {drivers} | µs per tick")]
     console = Console(file=sys.stderr)
-    for law in track(LAWS, "flying", console=console):
+    for law in track(LAWS, "simulating", console=console):
         flown = [fly(law, driver, seeds) for driver in DRIVERS]
         own = law_parameters(law)
         numbers = (f"{own.horizon:g} | {own.candidates}") if law.name == "lookahead" else "- | -"

@@ -1,23 +1,25 @@
-"""Tables of the benchmarks, in Markdown."""
+"""Markdown tables of the benchmarks."""
 
 import sys
 from collections.abc import Callable, Iterator, Mapping
 
 
 def head(columns: str) -> str:
-    """The two lines with which a table begins; the columns' names between bars."""
+    """Return the two head lines of a table from the column names, separated by bars."""
     return f"| {columns} |\n|{'---|' * len(columns.split(' | '))}"
 
 
 def print_chosen(tables: Mapping[str, Callable[[], Iterator[str]]], about: str | None) -> None:
-    """Print the table that the command line names, line by line as it comes.
+    """Print the table selected on the command line, line by line.
 
     Args:
-        tables: All there are, by name.
-        about: What the program is, for whoever names none.
+        tables: Tables by name.
+        about: Description of the program, printed if no table is selected.
     """
     if len(sys.argv) != 2 or sys.argv[1] not in tables:
-        sys.exit(f"{about}\ntable = {' '.join(sys.argv[1:])!r}; allowed: {', '.join(tables)}")
+        sys.exit(
+            f"{about}\ntable = {' '.join(sys.argv[1:])!r}: unknown table; allowed: {', '.join(tables)}"
+        )
     for line in tables[sys.argv[1]]():
         sys.stdout.write(f"{line}\n")
         sys.stdout.flush()

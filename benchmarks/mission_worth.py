@@ -1,8 +1,8 @@
-"""The worth of the escort: how fast and how safely a UGV gets through hazards, by law and network.
+"""Benefit of the escort: speed and safety of a UGV among hazards, by law and network.
 
 python benchmarks/mission_worth.py                         the table of docs/explanation/ground.md, ten minutes
-python benchmarks/mission_worth.py --picture missions.png  and the picture of it
-python benchmarks/mission_worth.py --seeds 3               a quick look
+python benchmarks/mission_worth.py --picture missions.png  the table and its plot
+python benchmarks/mission_worth.py --seeds 3               a quick check
 """
 
 import argparse
@@ -25,20 +25,20 @@ from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario
 
 MISSIONS = (("minefield", "cautious"), ("minefield", "bold"), ("rubble", "cautious"))
-"""In `rubble` a bold UGV is slow enough to stop in time, too: it flies to the same bits."""
+"""Scenarios and cautions; in `rubble` a bold UGV is slow enough to stop in time, with identical runs."""
 NETWORKS = ("perfect", "satellite", "jammed")
-"""Of detections and radio."""
+"""Profiles of detections and radio."""
 LAWS = ("tracking", "circle", "certified", "lookahead")
-NOBODY = "no escort"
+NO_ESCORT = "no escort"
 AGES = {"perfect": 1.0, "satellite": 3.0, "jammed": 6.0}
-"""Largest age of the newest detection that is declared to the certificate [s]."""
+"""Declared largest age of the newest detection [s]."""
 MARKS = {"perfect": "o", "satellite": "D", "jammed": "s"}
 LONGEST = 900.0
-"""So long a flight may take [s]."""
+"""Longest duration of a run [s]."""
 
 
 class Row(NamedTuple):
-    """The missions of one law over one network."""
+    """Missions of one law over one network."""
 
     scenario: str
     caution: str
@@ -46,7 +46,7 @@ class Row(NamedTuple):
     law: str
     missions: list[MissionResult]
     lost: int
-    """Flights in which sight was lost."""
+    """Runs with loss of sight."""
 
 
 def _flown(scenario: Scenario, seeds: int) -> tuple[list[MissionResult], int]:
@@ -54,23 +54,23 @@ def _flown(scenario: Scenario, seeds: int) -> tuple[list[MissionResult], int]:
     loop.begin(list(range(seeds)))
     loop.fly()
     found = [loop.mission(k) for k in range(seeds)]
-    told = [loop.metrics(uav)["visibility_violations"] > 0.0 for uav in loop.uavs]
+    lost = [loop.metrics(uav)["visibility_violations"] > 0.0 for uav in loop.uavs]
     loop.close()
-    return found, int(np.any(told, axis=0).sum()) if told else 0
+    return found, int(np.any(lost, axis=0).sum()) if lost else 0
 
 
 def rows(seeds: int) -> Iterator[Row]:
-    """Fly all of it, with the same hazards for every law."""
+    """Run all missions, with the same hazards for every law."""
     for name, caution in MISSIONS:
         plain = load_scenario(name)
         ugvs = tuple(msgspec.structs.replace(one, caution=caution) for one in plain.ugv)
         for network in NETWORKS:
             link: LinkSettings = PROFILES[network]
             links = LinkTable(detections=link, radio=link)
-            for law in (NOBODY, *LAWS):
-                if law == NOBODY and network != NETWORKS[0]:
+            for law in (NO_ESCORT, *LAWS):
+                if law == NO_ESCORT and network != NETWORKS[0]:
                     continue
-                flown = LAWS[0] if law == NOBODY else law
+                flown = LAWS[0] if law == NO_ESCORT else law
                 scenario = msgspec.structs.replace(
                     plain,
                     duration=LONGEST,
@@ -80,7 +80,7 @@ def rows(seeds: int) -> Iterator[Row]:
                     ugv=ugvs,
                     links=links,
                     law=msgspec.structs.replace(plain.law, name=flown),
-                    uav=() if law == NOBODY else plain.uav,
+                    uav=() if law == NO_ESCORT else plain.uav,
                 )
                 yield Row(name, caution, network, law, *_flown(scenario, seeds))
 
@@ -90,18 +90,18 @@ def _mean(values: list[float | None]) -> str:
     return f"{np.mean(known):.1f}" if known else "–"
 
 
-def _place(row: Row) -> tuple[float, str]:
-    """Where a row stands on the axis of laws and networks, and its colour."""
-    if row.law == NOBODY:
+def _position(row: Row) -> tuple[float, str]:
+    """Return a row's position on the axis of laws and networks, and its colour."""
+    if row.law == NO_ESCORT:
         return 0.0, UGV[0]
     shift = 0.26 * (NETWORKS.index(row.network) - 1)
     return 1.0 + LAWS.index(row.law) + shift, law_color(row.law)
 
 
 def _times(axes: Axes, rows: Sequence[Row]) -> None:
-    """Mission times of the flights that arrived, a point each, with their median; how many did not, above."""
+    """Plot the mission times of completed runs with their median, and the number of incomplete runs above."""
     for row in rows:
-        x, color = _place(row)
+        x, color = _position(row)
         times = [one.mission_time for one in row.missions if one.mission_time is not None]
         filled = color if row.network == NETWORKS[0] else "white"
         mark = MARKS[row.network]
@@ -122,9 +122,9 @@ def _times(axes: Axes, rows: Sequence[Row]) -> None:
 
 
 def _hits(axes: Axes, rows: Sequence[Row]) -> None:
-    """Share of the flights that hit a hazard, a bar each."""
+    """Plot the share of runs that hit a hazard."""
     for row in rows:
-        x, color = _place(row)
+        x, color = _position(row)
         share = 100.0 * float(np.mean([one.hazards_hit > 0 for one in row.missions]))
         hatch = {"perfect": "", "satellite": "....", "jammed": "////"}[row.network]
         face = color if row.network == NETWORKS[0] else "white"
@@ -134,9 +134,9 @@ def _hits(axes: Axes, rows: Sequence[Row]) -> None:
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
-    """The picture: mission times of a cautious UGV, and hits of a bold one."""
+    """Plot mission times of a cautious UGV, and hits of a bold one."""
     figure = new_figure(1500, 560)
-    names = [law.replace(" ", "\n") for law in (NOBODY, *LAWS)]
+    names = [law.replace(" ", "\n") for law in (NO_ESCORT, *LAWS)]
     for axes, (scenario, caution) in zip(figure.subplots(1, len(MISSIONS)), MISSIONS, strict=True):
         here = [row for row in rows if (row.scenario, row.caution) == (scenario, caution)]
         axes.set_title(f"{scenario}, {caution} UGV")
@@ -144,7 +144,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         axes.tick_params(axis="x", length=0.0, labelsize="small")
         if caution == "bold":
             _hits(axes, here)
-            axes.set_ylabel("flights with a hit [%]")
+            axes.set_ylabel("runs with a hit [%]")
             axes.set_ylim(0.0, 105.0)
         else:
             _times(axes, here)
@@ -160,21 +160,21 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     marks.append(Line2D([], [], color=INK, lw=1.6, label="median"))
     timed = [one for row in rows if row.caution != "bold" for one in row.missions]
     if any(one.mission_time is None for one in timed):
-        missing = "flights that did not arrive"
+        missing = "runs that did not arrive"
         marks.append(Line2D([], [], ls="", marker="$n$", mec=LIMIT, mfc=LIMIT, label=missing))
     figure.legend(handles=marks, loc="outside upper center", ncols=len(marks), frameon=False)
     save(figure, path)
 
 
 def main() -> None:
-    """Print the table, and draw it."""
-    parser = argparse.ArgumentParser(description="The worth of the escort.")
-    parser.add_argument("--seeds", type=int, default=20, help="flights of each row")
-    parser.add_argument("--picture", type=Path, help="PNG to draw the result in")
+    """Print the table and, if requested, plot it."""
+    parser = argparse.ArgumentParser(description="Benefit of the escort.")
+    parser.add_argument("--seeds", type=int, default=20, help="Runs per row.")
+    parser.add_argument("--picture", type=Path, help="Plot the result into this PNG.")
     given = parser.parse_args()
     sys.stdout.write(
-        "| scenario | UGV | network | law | arrived | mission time [s] | flights with a hit | on the way "
-        "| known before [s] | seen ahead | stood still [s] | sight lost |\n" + "|---" * 12 + "|\n"
+        "| scenario | UGV | network | law | arrived | mission time [s] | runs with a hit | on the path "
+        "| warning time [s] | reported | stationary [s] | sight lost |\n" + "|---" * 12 + "|\n"
     )
     flown = []
     for row in rows(given.seeds):
@@ -189,7 +189,7 @@ def main() -> None:
             f"| {_mean([one.mean_warning_time for one in m])} "
             f"| {100.0 * np.mean([one.reported_share or 0.0 for one in m]):.0f} % "
             f"| {np.mean([one.stationary_time for one in m]):.1f} "
-            f"| {'–' if row.law == NOBODY else row.lost} |\n"
+            f"| {'–' if row.law == NO_ESCORT else row.lost} |\n"
         )
         sys.stdout.flush()
     if given.picture is not None:

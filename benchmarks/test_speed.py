@@ -1,4 +1,4 @@
-"""Speed of each layer beside its limit in the same run, and the time of two starts: `make bench`.
+"""Speed of each layer beside its limit in the same run, and the duration of two starts: `make bench`.
 
 Each test is a row of the results. `docs/explanation/performance.md` says what a row measures.
 """
@@ -54,7 +54,7 @@ def time_steps(benchmark: Any, work: Work) -> None:
 
 
 def time_runs(benchmark: Any, run: Callable[[], float], unit: str, rounds: int) -> None:
-    """Take the median of the rates that a run reports of itself, without its start."""
+    """Take the median of the rates reported by the runs, without their start."""
     rates: list[float] = []
     benchmark.pedantic(lambda: rates.append(run()), rounds=rounds)
     benchmark.extra_info.update(unit=unit, rate=statistics.median(rates))
@@ -252,7 +252,7 @@ def test_lockstep(benchmark: Any, side: Callable[[Path], float], tmp_path: Path)
 
 
 def children_cpu_seconds() -> float:
-    """Return the processor time of all processes that have been started and have ended [s]."""
+    """Return the processor time of all finished child processes [s]."""
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime
 

@@ -1,4 +1,4 @@
-"""The learning curve of a policy's file, beside the laws on the same flights."""
+"""Learning curve of a policy's file, beside the laws on the same runs."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,15 +16,15 @@ def draw_curve(
     *,
     laws: Sequence[str] = ("circle", "linear", "logarithmic"),
 ) -> None:
-    """Draw how e(t) on the validation flights fell while the policy learned.
+    """Plot the decrease of e(t) on the validation runs during training.
 
     Args:
-        policy: A file of `examples/train_uav.py`.
+        policy: File of `examples/train_uav.py`.
         picture: PNG to write.
-        laws: Those to be drawn beside it.
+        laws: Laws plotted for comparison.
 
     Raises:
-        ValueError: If the file is not there, or no policy with a curve.
+        ValueError: If the file is missing, or is not a policy with a learning curve.
     """
     _, recipe = load_policy(policy)
     curve = [(float(decisions), float(error)) for decisions, _, error in recipe.get("curve", ())]
@@ -45,20 +45,20 @@ def draw_curve(
         axes.plot(million, errors, color=INK, marker="o", markersize=3.5, clip_on=False, zorder=3)
         ends = levels | {"learned": errors[-1]}
         for (name, _), height in zip(_by_level(ends), _spread(ends, 0.045 * top), strict=True):
-            place: dict[str, Any] = {
+            style: dict[str, Any] = {
                 "xycoords": axes.get_yaxis_transform(),
                 "va": "center",
                 "annotation_clip": False,
             }
-            axes.annotate(name, (1.015, height), color=law_color(name), **place)
+            axes.annotate(name, (1.015, height), color=law_color(name), **style)
         axes.set_xlim(0.0, million[-1] or 1.0)
         axes.set_ylim(0.0, top)
         axes.set_xlabel(
-            f"decisions in training [million], each for {recipe['repeat'] * recipe['dt']:g} s"
+            f"training decisions [million], one per {recipe['repeat'] * recipe['dt']:g} s"
         )
         axes.set_ylabel("mean e(t) [m²]")
         axes.set_title(
-            f"Unseen ground on {len(VALIDATION_SEEDS)} validation flights, UGV wandering"
+            f"Uncovered ground in {len(VALIDATION_SEEDS)} validation runs, UGV wandering"
         )
         save(figure, Path(picture))
 
@@ -68,7 +68,7 @@ def _by_level(levels: Mapping[str, float]) -> list[tuple[str, float]]:
 
 
 def _spread(levels: Mapping[str, float], apart: float) -> list[float]:
-    """Heights for the names, the lowest first, so that none lies on another."""
+    """Return heights of the labels, the lowest first, without overlap."""
     heights: list[float] = []
     for _, level in _by_level(levels):
         heights.append(max(level, heights[-1] + apart) if heights else level)

@@ -1,4 +1,4 @@
-"""The paper's pilots fly the PettingZoo environment."""
+"""Run the PettingZoo environment with the paper's pilots."""
 
 import outrider
 from outrider.envs.env_pilots import pilots

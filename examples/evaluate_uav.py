@@ -1,4 +1,4 @@
-"""The table of docs/how-to/learning.md: a learned UAV beside the paper's laws, on flights that its training never saw.
+"""Table of docs/how-to/learning.md: a learned UAV beside the paper's laws, in runs outside its training.
 
 python examples/evaluate_uav.py --json table.json --curve learning-curve.png
 """
@@ -14,10 +14,10 @@ parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
 parser.add_argument(
     "policy", type=Path, nargs="?", default=Path(__file__).parent / "policies" / "uav_ppo.npz"
 )
-parser.add_argument("--flights", type=int, default=20, help="for each pilot and case")
+parser.add_argument("--flights", type=int, default=20, help="Runs per pilot and case.")
 parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
-parser.add_argument("--json", type=Path, help="write the table here, too")
-parser.add_argument("--curve", type=Path, help="draw the learning curve here, as PNG")
+parser.add_argument("--json", type=Path, help="Also write the table to this file.")
+parser.add_argument("--curve", type=Path, help="Plot the learning curve into this PNG.")
 given = parser.parse_args()
 try:
     results = evaluate(given.policy, flights=given.flights, cases=given.cases)

@@ -1,4 +1,4 @@
-"""Compares a learned UAV with the paper's laws, on flights that its training never saw."""
+"""Comparison of a learned UAV with the paper's laws, in runs outside its training."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,32 +19,32 @@ from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 
 BASELINES = tuple(law.name for law in LAWS.values() if law.compared and law.name != "tracking")
-"""The laws beside which a learned UAV is put: all that look at the ground."""
+"""Laws for comparison: all that take coverage into account."""
 VARIANTS: Mapping[str, Mapping[str, float]] = {
     "lookahead, one step": {"horizon": 0.5},
     "lookahead, at random": {"candidates": 1},
 }
-"""The law `lookahead` with other parameters: without its horizon, and without comparing motions."""
+"""Variants of the law `lookahead`: without its horizon, and without comparing trajectories."""
 LEARNED, UNSHIELDED = "learned, in the filter", "learned, without it"
 FIRST_SEED = 900_001
-"""Of the flights. Training begins with seeds far below, and goes on with seeds that are drawn from 2**53."""
+"""First seed of the evaluation runs. Training uses far smaller seeds, then seeds drawn from 2**53."""
 VALIDATION_SEEDS = tuple(range(800_001, 800_017))
-"""Of the flights of the learning curve, which are neither trained on nor in the table."""
+"""Seeds of the learning curve, used neither in training nor in the table."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """A scenario and a driver to be flown."""
+    """Scenario with a UGV driver."""
 
     title: str
     scenario: str
     driver: str
-    """Of the UGV."""
+    """Driver of the UGV."""
     overrides: Sequence[str] = ()
-    """Of the scenario."""
+    """Overrides of the scenario."""
 
     def load(self, duration: float | None = None) -> Scenario:
-        """The scenario, with a duration of its own [s] where one is given."""
+        """Return the scenario, with another duration [s] if given."""
         length = () if duration is None else (f"duration={duration}",)
         return load_scenario(self.scenario, overrides=(*self.overrides, *length))
 
@@ -61,7 +61,7 @@ CASES = {
         title="`scenario-2` with the detections of `escort`: waypoints past covered ground, 200 s",
         scenario="scenario-2",
         driver="waypoints",
-        # Without noise all flights would be the same.
+        # Without noise all runs would be identical.
         overrides=("detections.noise=0.1", "detections.dropout=0.1", "estimator.enabled=true"),
     ),
 }
@@ -69,27 +69,27 @@ CASES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """One pilot in one case, over all flights."""
+    """Result of one pilot in one case, over all runs."""
 
     case: str
     pilot: str
     flights: int
     mean_error: float
-    """Mean over flights of the mean of e(t) [m²]."""
+    """Mean over the runs of the mean of e(t) [m²]."""
     half_width: float
-    """Of its 95 % interval [m²]; NaN for a single flight."""
+    """Half width of its 95 % interval [m²]; NaN for a single run."""
     difference: float
-    """Mean over flights of what it has more than the logarithmic law on the same flight [m²]."""
+    """Mean difference to the logarithmic law in the same run [m²]."""
     difference_half_width: float
-    """Of its 95 % interval [m²]."""
+    """Half width of its 95 % interval [m²]."""
     max_distance: float
-    """Largest of all flights [m]."""
-    intervened: float | None
-    """Share of ticks in which the filter acted; None without one."""
+    """Largest distance of all runs [m]."""
+    overridden: float | None
+    """Share of ticks overridden by the filter; None without one."""
     lost: int
-    """Flights that lost sight."""
+    """Runs with loss of sight."""
     violations: int
-    """Ticks out of sight in all flights."""
+    """Ticks out of sight in all runs."""
 
 
 Metrics = Mapping[str, FloatArray]
@@ -103,7 +103,7 @@ def fly_law(
     parameters: Mapping[str, float] | None = None,
     duration: float | None = None,
 ) -> Metrics:
-    """A law, with parameters other than its own where they are given, in one flight for each seed."""
+    """Run a law once per seed, with its own or the given parameters."""
     scenario = case.load(duration)
     chosen = {**scenario.law.parameters, **(parameters or {})}
     chosen_law = msgspec.structs.replace(scenario.law, parameters=chosen)
@@ -126,7 +126,7 @@ def fly_policy(
     shielded: bool,
     duration: float | None = None,
 ) -> Metrics:
-    """A learned policy in one flight for each seed, with the safety filter around it or without."""
+    """Run a learned policy once per seed, with or without the safety filter."""
     scenario = case.load(duration)
     policy.check(scenario)
     (uav,), (ugv,) = scenario.uav, scenario.ugv
@@ -142,7 +142,7 @@ def fly_policy(
     )
     worlds.reset(list(seeds), None)
     ended = np.zeros(len(seeds), dtype=np.bool_)
-    while not ended.any():  # nothing but time ends an episode, so all end together
+    while not ended.any():  # only time ends an episode, so all end together
         ended = worlds.step({uav.name: policy(worlds.observe(uav.name))})
     metrics = worlds.metrics()[uav.name]
     worlds.loop.close()
@@ -156,25 +156,25 @@ def evaluate(
     cases: Sequence[str] = tuple(CASES),
     duration: float | None = None,
 ) -> list[Result]:
-    """All pilots in these cases; the same file gives the same results.
+    """Evaluate all pilots in these cases; the same file gives the same results.
 
     Args:
-        path: A file of `examples/train_uav.py`.
-        flights: For each pilot and case, with the seeds from `FIRST_SEED` on.
-        cases: Of `CASES`.
-        duration: Of a flight, instead of the scenario's [s].
+        path: File of `examples/train_uav.py`.
+        flights: Runs per pilot and case, with seeds from `FIRST_SEED` on.
+        cases: Names in `CASES`.
+        duration: Duration of a run instead of the scenario's [s].
 
     Raises:
-        ValueError: If the file is not there or no such policy, or another argument is not allowed.
+        ValueError: If the file is missing or is not such a policy, or another argument is invalid.
     """
     LearnedPolicy.load(path)
     if flights < 1:
-        raise ValueError(f"flights = {flights}: must be 1 or more")
+        raise ValueError(f"flights = {flights}: too few; allowed: 1 or more")
     seeds = list(range(FIRST_SEED, FIRST_SEED + flights))
     results: list[Result] = []
     for name in cases:
         if name not in CASES:
-            raise ValueError(f"case = {name!r}; allowed: {', '.join(CASES)}")
+            raise ValueError(f"case = {name!r}: unknown case; allowed: {', '.join(CASES)}")
         flown: dict[str, Metrics] = {
             law: fly_law(CASES[name], law, seeds, duration=duration) for law in BASELINES
         }
@@ -210,26 +210,26 @@ def _result(
         difference=difference,
         difference_half_width=difference_high - difference,
         max_distance=float(metrics["max_distance"].max()),
-        intervened=float(metrics["overridden"].mean()) if filtered else None,
+        overridden=float(metrics["overridden"].mean()) if filtered else None,
         lost=int(np.count_nonzero(violations)),
         violations=int(violations.sum()),
     )
 
 
 def as_dicts(results: Sequence[Result]) -> list[dict[str, object]]:
-    """The results for JSON."""
+    """Return the results as JSON data."""
     return [asdict(result) for result in results]
 
 
 def markdown(results: Sequence[Result]) -> str:
-    """The results as a Markdown table for each case."""
+    """Return a Markdown table for each case."""
     tables = []
     for case in dict.fromkeys(result.case for result in results):
         lines = [
             f"**{CASES[case].title}**",
             "",
-            "| pilot | mean e(t) [m²] | more than logarithmic [m²] | largest distance [m] | filter acts "
-            "| flights that lose sight | ticks out of sight |",
+            "| pilot | mean e(t) [m²] | difference to logarithmic [m²] | largest distance [m] | overridden "
+            "| runs with loss of sight | ticks out of sight |",
             "|---|---|---|---|---|---|---|",
         ]
         lines += [_line(result) for result in results if result.case == case]
@@ -242,7 +242,7 @@ def _about(half_width: float) -> str:
 
 
 def _line(result: Result) -> str:
-    acts = "no filter" if result.intervened is None else f"{100.0 * result.intervened:.1f} %"
+    overridden = "no filter" if result.overridden is None else f"{100.0 * result.overridden:.1f} %"
     more = (
         "-"
         if result.pilot == DEFAULT_LAW
@@ -250,6 +250,6 @@ def _line(result: Result) -> str:
     )
     return (
         f"| {result.pilot} | {result.mean_error:.1f}{_about(result.half_width)} | {more} "
-        f"| {result.max_distance:.2f} | {acts} | {result.lost} of {result.flights} "
+        f"| {result.max_distance:.2f} | {overridden} | {result.lost} of {result.flights} "
         f"| {result.violations} |"
     )

@@ -1,4 +1,4 @@
-"""A UGV that is nobody's Python: plain Zenoh and JSON, as any language would speak them. It drives a circle.
+"""UGV that drives a circle with plain Zenoh and JSON, as any language could.
 
 Start `outrider simulator escort --realtime 1` and `outrider uav` in two terminals, and this file in a third.
 """
@@ -18,9 +18,12 @@ with zenoh.open(config) as session:
     commands = session.declare_publisher(f"{mine}/command")
     here = session.liveliness().declare_token(f"{mine}/alive/0")
     for sample in observations:
-        seen = json.loads(sample.payload.to_bytes())
-        if seen.get("over"):
+        observation = json.loads(sample.payload.to_bytes())
+        if observation.get("over"):
             break
-        wanted = [0.2 * math.cos(0.1 * seen["time"]), 0.2 * math.sin(0.1 * seen["time"])]
-        push = [w - v for w, v in zip(wanted, seen["velocity"], strict=True)]
-        commands.put(json.dumps({"tick": seen["tick"], "acceleration": push}))
+        wanted = [
+            0.2 * math.cos(0.1 * observation["time"]),
+            0.2 * math.sin(0.1 * observation["time"]),
+        ]
+        push = [w - v for w, v in zip(wanted, observation["velocity"], strict=True)]
+        commands.put(json.dumps({"tick": observation["tick"], "acceleration": push}))

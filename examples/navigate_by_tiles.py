@@ -1,6 +1,6 @@
-"""A navigation policy of one's own: it drives where the tiles that it knows leave room.
+"""Navigation policy that drives where the known tiles leave room.
 
-python examples/navigate_by_tiles.py      its place in the missions' table, beside the driver `navigate`
+python examples/navigate_by_tiles.py      its row in the missions' table, beside the driver `navigate`
 outrider run minefield --driver policy --set custom.policy=navigate_by_tiles:policy      in this folder
 """
 
@@ -19,10 +19,10 @@ ROWS, COLUMNS = SIDE // 2 + np.rint(ALONG).astype(int)
 BESIDE = (0, 0), (0, 1), (1, 0), (0, -1), (-1, 0)
 
 
-def drive(seen):
-    """Rows (worlds, 8) and tiles (worlds, 21, 21) in, accelerations (worlds, 2) out."""
-    _, x, y, v_x, v_y, underway, goal_x, goal_y = seen["row"].T
-    shut = np.isin(seen["tiles"], (0, 3, 5))  # unknown, blocked, beyond the area
+def drive(observation):
+    """Return accelerations (worlds, 2) from rows (worlds, 8) and tiles (worlds, 21, 21)."""
+    _, x, y, v_x, v_y, underway, goal_x, goal_y = observation["row"].T
+    shut = np.isin(observation["tiles"], (0, 3, 5))  # unknown, blocked, beyond the area
     room = np.pad(shut, ((0, 0), (1, 1), (1, 1)))
     shut = sum(room[:, 1 + a : 1 + a + SIDE, 1 + b : 1 + b + SIDE] for a, b in BESIDE)
     met = shut[:, ROWS, COLUMNS] > 0
@@ -34,20 +34,20 @@ def drive(seen):
     best = np.argmax(np.cos(HEADINGS - towards) * free + steady, axis=1)
     speed = underway * np.minimum(SPEED, np.sqrt(BRAKES * free[np.arange(len(best)), best]))
     wanted = speed[:, None] * np.stack([np.cos(HEADINGS[best]), np.sin(HEADINGS[best])], axis=1)
-    change = wanted - np.stack([v_x, v_y], axis=1)  # m/s², and within the UGV's bound
+    change = wanted - np.stack([v_x, v_y], axis=1)  # m/s², within the UGV's limit
     return change * np.minimum(1.0, BRAKES / np.maximum(np.hypot(*change.T), 1e-9))[:, None]
 
 
 class Policy:
-    """The same for one UGV, as `custom.policy` takes it."""
+    """Policy for one UGV, for `custom.policy`."""
 
     observation_space = gymnasium.spaces.Dict(
         row=gymnasium.spaces.Box(-np.inf, np.inf, (8,), np.float64),
         tiles=gymnasium.spaces.Box(0, 5, (SIDE, SIDE), np.uint8),
     )
 
-    def predict(self, seen):
-        return drive({name: np.asarray(value)[None] for name, value in seen.items()})[0]
+    def predict(self, observation):
+        return drive({name: np.asarray(value)[None] for name, value in observation.items()})[0]
 
 
 policy = Policy()

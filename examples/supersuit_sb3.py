@@ -16,10 +16,10 @@ from stable_baselines3.common.utils import set_random_seed
 import outrider
 
 
-class SayTruncated(BaseParallelWrapper):
-    """Infos say which ends were cut off: Stable-Baselines3 reads it there, and SuperSuit does not write it.
+class MarkTruncated(BaseParallelWrapper):
+    """Wrapper that marks truncated episodes in the infos for Stable-Baselines3, which SuperSuit omits.
 
-    Without it an episode that was merely cut off counts as one that ended, as if nothing came after it.
+    Without the mark a truncated episode counts as terminated, as if nothing followed.
     """
 
     def step(self, actions):
@@ -30,14 +30,14 @@ class SayTruncated(BaseParallelWrapper):
 
 
 def make_env(worlds, *, duration, seed):
-    """A vector environment of 2 x `worlds` places: a vehicle each, the UAVs' at even ones, the UGVs' at odd ones."""
-    env = SayTruncated(outrider.parallel_env("escort", duration=duration, dtype=np.float32))
+    """Return a vector environment of 2 x `worlds` entries: UAVs at even, UGVs at odd indices."""
+    env = MarkTruncated(outrider.parallel_env("escort", duration=duration, dtype=np.float32))
     env = supersuit.normalize_obs_v0(env, env_min=-1, env_max=1)
-    # a UGV's row gets a 0 more
+    # pad a UGV's row with a zero
     env = supersuit.pad_action_space_v0(supersuit.pad_observations_v0(env))
     env = supersuit.pettingzoo_env_to_vec_env_v1(env)
     env = supersuit.concat_vec_envs_v1(env, worlds, num_cpus=1, base_class="stable_baselines3")
-    # world k has seed + k from here on; without it all fly the same episodes
+    # world k has seed + k; without it all episodes are identical
     env.venv.reset(seed=seed)
     return env
 
@@ -46,15 +46,15 @@ def main():
     parser = argparse.ArgumentParser(
         description="PPO for both vehicles with SuperSuit and Stable-Baselines3."
     )
-    parser.add_argument("--steps", type=int, default=2000, help="of all vehicles together")
+    parser.add_argument("--steps", type=int, default=2000, help="Steps of all vehicles together.")
     parser.add_argument("--worlds", type=int, default=4)
-    parser.add_argument("--duration", type=float, default=60.0, help="length of an episode [s]")
+    parser.add_argument("--duration", type=float, default=60.0, help="Duration of an episode [s].")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("runs/supersuit"))
     args = parser.parse_args()
 
     env = make_env(args.worlds, duration=args.duration, seed=args.seed)
-    # PPO(seed=...) would ask SuperSuit's environment for a seed(), which it has not
+    # PPO(seed=...) would call seed(), which SuperSuit's environment lacks
     set_random_seed(args.seed)
     model = PPO("MlpPolicy", env, n_steps=125, batch_size=250, gamma=0.995, device="cpu", verbose=1)
     model.learn(args.steps)

@@ -1,4 +1,4 @@
-"""Both vehicles learn with RLlib's PPO, a policy for the UAVs and one for the UGVs.
+"""Train both vehicles with RLlib's PPO: one policy for the UAVs, one for the UGVs.
 
 pip install -e '.[rllib]'
 python examples/train_rllib.py --iterations 2 --out runs/rllib
@@ -18,19 +18,19 @@ import outrider
 
 
 def make_env(config):
-    """The environment for RLlib; of a UAV's and a UGV's row, each has its own length."""
+    """Return the environment for RLlib; rows of UAV and UGV differ in length."""
     return ParallelPettingZooEnv(
         outrider.parallel_env("escort", duration=config.get("duration"), dtype=np.float32)
     )
 
 
 def policy_of(agent, *_, **__):
-    """Vehicles of a kind share a policy: `uav_0` flies by `uav`."""
+    """Return the policy's name: vehicles of a kind share a policy, `uav_0` uses `uav`."""
     return agent.rpartition("_")[0]
 
 
 def fly_randomly(env, seed):
-    """One episode of random actions: its ticks and each vehicle's return."""
+    """Run one episode of random actions; return its ticks and each vehicle's return."""
     env.action_space.seed(seed)
     env.reset(seed=seed)
     returns, ticks, over = dict.fromkeys(env.possible_agents, 0.0), 0, False
@@ -46,11 +46,11 @@ def main():
         description="PPO for both vehicles of the escort scenario with RLlib."
     )
     parser.add_argument("--iterations", type=int, default=100)
+    parser.add_argument("--batch", type=int, default=4000, help="Environment steps per iteration.")
     parser.add_argument(
-        "--batch", type=int, default=4000, help="steps of the environment in an iteration"
+        "--runners", type=int, default=1, help="Number of rollout processes; 0: this process."
     )
-    parser.add_argument("--runners", type=int, default=1, help="processes that fly; 0: in this one")
-    parser.add_argument("--duration", type=float, default=60.0, help="length of an episode [s]")
+    parser.add_argument("--duration", type=float, default=60.0, help="Duration of an episode [s].")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("runs/rllib"))
     args = parser.parse_args()
@@ -80,7 +80,7 @@ def main():
             num_epochs=6,
             gamma=0.995,
         )
-        # Without a seed every runner flies the same episodes, those of the scenario's seed.
+        # Without a seed every runner repeats the episodes of the scenario's seed.
         .debugging(seed=args.seed)
     )
     ray.init(num_cpus=args.runners + 1, include_dashboard=False)
@@ -88,7 +88,9 @@ def main():
         algorithm = config.build_algo()
         for iteration in range(1, args.iterations + 1):
             found = algorithm.train()["env_runners"]
-            means = found.get("module_episode_returns_mean", {})  # empty until an episode has ended
+            means = found.get(
+                "module_episode_returns_mean", {}
+            )  # empty until the first episode ends
             print(
                 f"{iteration:>4}  {int(found['num_env_steps_sampled_lifetime']):>9} steps  mean return:",
                 ", ".join(f"{name} {mean:+.3f}" for name, mean in sorted(means.items()))

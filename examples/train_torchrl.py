@@ -1,6 +1,6 @@
-"""Both vehicles learn at once: multi-agent PPO (MAPPO) with TorchRL on the parallel environment.
+"""Train both vehicles at once: multi-agent PPO (MAPPO) with TorchRL on the parallel environment.
 
-The policies see their own observations alone; the critics, which nobody flies with, see the true state.
+The policies have their own observations; the critics, used in training only, have the true state.
 
     pip install -e '.[torchrl]'
     python examples/train_torchrl.py --minutes 10 --out runs/torchrl
@@ -30,18 +30,20 @@ from torchrl.objectives.value import GAE
 import outrider
 from outrider.envs.env_pilots import pilots
 
-HOLD = 10  # ticks, half a second: in one tick of 0.05 s an acceleration moves nothing that a critic could tell
+REPEAT = 10  # ticks (half a second): the effect of a single tick is too small for a critic
 BATCH, MINIBATCH, EPOCHS = 2000, 250, 8
 DISCOUNT, TRACE, RATE = 0.98, 0.95, 5e-4
-REWARD_SCALE = 0.02  # the charge for lost sight is large: the critics' targets become about 1
+REWARD_SCALE = (
+    0.02  # the penalty for lost sight is large; this scales the critics' targets to about 1
+)
 
 
-class Hold(BaseParallelWrapper):
-    """Each action acts for `HOLD` ticks, or to the end of the episode."""
+class ActionRepeat(BaseParallelWrapper):
+    """Wrapper that applies each action for `REPEAT` ticks, or to the end of the episode."""
 
     def step(self, actions):
         observations, paid, *ends, infos = super().step(actions)
-        for _ in range(HOLD - 1):
+        for _ in range(REPEAT - 1):
             if not self.agents:
                 break
             observations, rewards, *ends, infos = super().step(actions)
@@ -50,21 +52,21 @@ class Hold(BaseParallelWrapper):
 
 
 def make_env(duration: float) -> PettingZooWrapper:
-    """The environment for TorchRL, with one group for the UAVs and one for the UGVs, and the state beside them."""
+    """Return the environment for TorchRL, with a group for UAVs, one for UGVs, and the state."""
     with warnings.catch_warnings():
-        # it names 1.24.3 whatever is installed
+        # it names 1.24.3 for every installed version
         warnings.filterwarnings("ignore", "PettingZoo in TorchRL is tested using")
         return PettingZooWrapper(
-            Hold(outrider.parallel_env("escort", duration=duration, dtype=np.float32)),
+            ActionRepeat(outrider.parallel_env("escort", duration=duration, dtype=np.float32)),
             return_state=True,
         )
 
 
 class Rescale(nn.Module):
-    """Bounded numbers to [-1, 1]: the first layer of each network.
+    """Scaling of bounded numbers to [-1, 1]: first layer of each network.
 
     Args:
-        space: The space of the numbers, as TorchRL's specs have it.
+        space: Space of the numbers, from TorchRL's specs.
     """
 
     def __init__(self, space: ContinuousBox) -> None:
@@ -78,13 +80,13 @@ class Rescale(nn.Module):
 
 
 def make_actor(env: PettingZooWrapper, group: str) -> ProbabilisticActor:
-    """A group's policy: from each vehicle's own observation to its acceleration."""
+    """Return a group's policy, from each vehicle's own observation to its acceleration."""
     spec = env.full_action_spec[group, "action"]
-    seen = env.observation_spec[group, "observation"]
+    observed = env.observation_spec[group, "observation"]
     net = nn.Sequential(
-        Rescale(seen.space),
+        Rescale(observed.space),
         MLP(
-            seen.shape[-1],
+            observed.shape[-1],
             2 * spec.shape[-1],
             num_cells=[64, 64],
             activation_class=nn.Tanh,
@@ -103,7 +105,7 @@ def make_actor(env: PettingZooWrapper, group: str) -> ProbabilisticActor:
 
 
 class Critic(nn.Module):
-    """The value of the true state for each vehicle of a group."""
+    """Value of the true state for each vehicle of a group."""
 
     def __init__(self, env: PettingZooWrapper, group: str) -> None:
         super().__init__()
@@ -133,10 +135,8 @@ class Learner:
             "done": (group, "done"),
             "terminated": (group, "terminated"),
         }
-        # Only `terminated` ends the future: where an episode is merely cut off at its duration, or a batch at its
-        # length, the
-        # value of the last state goes on to count. The last state is the episode's own: Collector begins anew only
-        # after it.
+        # Only `terminated` removes the value of the last state; a truncated episode or batch keeps it. The last state
+        # is the episode's own, because Collector resets only after it.
         self.advantages = GAE(gamma=DISCOUNT, lmbda=TRACE, value_network=critic)
         self.advantages.set_keys(**keys)
         self.loss = ClipPPOLoss(self.actor, critic, entropy_coeff=1e-3, normalize_advantage=True)
@@ -147,7 +147,7 @@ class Learner:
         losses = self.loss(frames)
         self.optimizer.zero_grad()
         (losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]).backward()
-        # apart: a critic's may be far larger
+        # clip separately: a critic's gradient may be far larger
         for params in (
             self.loss.actor_network_params,
             self.loss.critic_network_params,
@@ -159,7 +159,7 @@ class Learner:
 def train(
     env: PettingZooWrapper, *, steps: int, minutes: float, seed: int
 ) -> dict[str, ProbabilisticActor]:
-    """Let all groups learn until the steps or the minutes are over."""
+    """Train all groups until the steps or the minutes are over."""
     torch.manual_seed(seed)
     env.set_seed(seed)
     learners = [Learner(env, group) for group in env.group_map]
@@ -172,8 +172,8 @@ def train(
         total_frames=-(-steps // batch) * batch,
         auto_register_policy_transforms=True,
     )
-    begun, done = time.monotonic(), 0
-    period = HOLD * env.unwrapped.scenario.dt
+    started, done = time.monotonic(), 0
+    period = REPEAT * env.unwrapped.scenario.dt
     for frames in collector:
         done += len(frames)
         paid = {
@@ -188,7 +188,7 @@ def train(
             for part in torch.randperm(len(frames)).split(MINIBATCH):
                 for learner in learners:
                     learner.step(frames[part])
-        elapsed = time.monotonic() - begun
+        elapsed = time.monotonic() - started
         rewards = ", ".join(f"{group} {reward:+.3f}" for group, reward in paid.items())
         print(
             f"{done:>9} steps  {done / elapsed:5.0f} /s  reward per second: {rewards}", flush=True
@@ -202,7 +202,7 @@ def train(
 def fly_learned(
     env: PettingZooWrapper, actors: Mapping[str, ProbabilisticActor], seed: int
 ) -> dict[str, float]:
-    """Returns of one episode of the learned policies, without exploration."""
+    """Return the returns of one episode of the learned policies, without exploration."""
     policy = TensorDictSequential(*actors.values())
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         flight = env.rollout(
@@ -219,7 +219,7 @@ def fly_learned(
 
 
 def fly_pilots(duration: float, seed: int) -> dict[str, float]:
-    """Returns of one episode of the scenario's own pilots."""
+    """Return the returns of one episode of the scenario's own pilots."""
     env = outrider.parallel_env("escort", duration=duration)
     policies = pilots(env)
     observations, _ = env.reset(seed=seed)
@@ -237,12 +237,15 @@ def main() -> None:
         description="MAPPO for both vehicles of the escort scenario with TorchRL."
     )
     parser.add_argument(
-        "--steps", type=int, default=1_000_000, help="half a second each; whole batches of 2000"
+        "--steps",
+        type=int,
+        default=1_000_000,
+        help="Training steps of half a second; whole batches of 2000.",
     )
     parser.add_argument(
-        "--minutes", type=float, default=float("inf"), help="stop learning after these"
+        "--minutes", type=float, default=float("inf"), help="Stop training after this time [min]."
     )
-    parser.add_argument("--duration", type=float, default=60.0, help="length of an episode [s]")
+    parser.add_argument("--duration", type=float, default=60.0, help="Duration of an episode [s].")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("runs/torchrl"))
     args = parser.parse_args()

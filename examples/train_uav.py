@@ -1,6 +1,6 @@
-"""Train a UAV to see more ground than the paper's laws do.
+"""Train a UAV to cover more ground than the paper's laws.
 
-PPO of Stable-Baselines3, many worlds at once, on a processor.
+PPO of Stable-Baselines3 in many worlds at once, on a CPU.
 
 python -m pip install -e '.[sb3]'; python examples/train_uav.py --minutes 12
 """
@@ -28,13 +28,13 @@ CASE = CASES["wander"]
 REWARDS = {"uncovered": 1.0, "sight_lost": 10.0, "out_of_sight": 2.0}
 PPO_SETTINGS = {"n_steps": 200, "n_epochs": 6, "gamma": 0.98, "gae_lambda": 0.95}
 MINIBATCHES = 10
-LEARNING_RATE, LAST_SHARE = 5e-4, 0.05  # at the start, and what is left of it at the end
+LEARNING_RATE, LAST_SHARE = 5e-4, 0.05  # initial value, and the remaining share at the end
 NETWORK, CRITIC, LOG_STD = (128, 128), (256, 256), -0.7
 VALIDATE_EVERY = 8  # rollouts
 
 
 def make_recipe(seed: int, num_envs: int) -> dict:
-    """Everything that the worlds, the view and the training are made from."""
+    """Return the settings of worlds, view and training."""
     scenario = outrider.load_scenario(CASE.scenario)
     return {
         "algorithm": "PPO",
@@ -69,7 +69,7 @@ def make_recipe(seed: int, num_envs: int) -> dict:
 
 
 def make_worlds(recipe: dict) -> VecEnvAdapter:
-    """The worlds to train in, with the safety filter around the UAV."""
+    """Return the training worlds, with the safety filter around the UAV."""
     env = outrider.vector_env(
         recipe["scenario"],
         num_envs=recipe["num_envs"],
@@ -84,7 +84,7 @@ def make_worlds(recipe: dict) -> VecEnvAdapter:
 
 
 def network_of(model: PPO) -> Mlp:
-    """The policy's mean, as it is now."""
+    """Return the network of the policy's current mean."""
     layers = [
         layer
         for layer in model.policy.mlp_extractor.policy_net
@@ -96,20 +96,20 @@ def network_of(model: PPO) -> Mlp:
 
 
 class Progress(BaseCallback):
-    """Ends the training in time, and every now and then flies what there is on flights of its own."""
+    """Callback that ends the training in time and regularly validates the policy."""
 
     def __init__(self, recipe: dict, seconds: float) -> None:
         super().__init__()
         self._recipe = recipe
         self._seconds = seconds
-        self._begun = time.perf_counter()
+        self._started = time.perf_counter()
         self._rollouts = 0
         self.curve = []
 
     @property
     def share(self) -> float:
-        """Of the time that has passed."""
-        return min(1.0, (time.perf_counter() - self._begun) / self._seconds)
+        """Return the share of the training time used."""
+        return min(1.0, (time.perf_counter() - self._started) / self._seconds)
 
     def _on_step(self) -> bool:
         return self.share < 1.0
@@ -120,10 +120,10 @@ class Progress(BaseCallback):
         self._rollouts += 1
 
     def validate(self) -> None:
-        """Note how well the policy flies without exploring."""
+        """Record the performance of the policy without exploration."""
         policy = LearnedPolicy(network_of(self.model), self._recipe)
         flown = fly_policy(CASE, policy, VALIDATION_SEEDS, shielded=True)
-        minutes = (time.perf_counter() - self._begun) / 60.0
+        minutes = (time.perf_counter() - self._started) / 60.0
         error = float(flown["mean_error"].mean())
         self.curve.append([self.num_timesteps, round(minutes, 3), round(error, 2)])
         speed = self.num_timesteps / (60.0 * minutes)
@@ -134,26 +134,29 @@ class Progress(BaseCallback):
 
 
 def main() -> None:
-    """Train, and save what there is."""
+    """Train, and save the result."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--minutes", type=float, default=12.0, help="how long to train")
+    parser.add_argument("--minutes", type=float, default=12.0, help="Training time [min].")
     parser.add_argument(
-        "--seed", type=int, default=0, help="of the worlds and of the network, below 1000"
+        "--seed", type=int, default=0, help="Seed of worlds and network, below 1000."
     )
     parser.add_argument(
         "--out",
         type=Path,
         default=Path("uav_ppo.npz"),
-        help="the policy; Stable-Baselines3's own file beside it",
+        help="File of the policy, with Stable-Baselines3's own beside it.",
     )
     parser.add_argument(
-        "--num-envs", type=int, default=64, help="worlds; a rollout is 200 decisions in each"
+        "--num-envs",
+        type=int,
+        default=64,
+        help="Number of worlds; a rollout has 200 decisions per world.",
     )
     given = parser.parse_args()
     if not (given.minutes > 0.0 and 0 <= given.seed < 1000 and given.num_envs >= 1):
         parser.error("--minutes must be positive, --seed from 0 to 999, --num-envs 1 or more")
 
-    torch.set_num_threads(1)  # the networks are small, and the worlds take all cores
+    torch.set_num_threads(1)  # the networks are small, and the worlds use all cores
     recipe = make_recipe(given.seed, given.num_envs)
     env = make_worlds(recipe)
     progress = Progress(recipe, 60.0 * given.minutes)
@@ -164,19 +167,17 @@ def main() -> None:
             "net_arch": {"pi": list(NETWORK), "vf": list(CRITIC)},
             "log_std_init": LOG_STD,
         },
-        seed=recipe[
-            "first_world_seed"
-        ],  # of the network, too; world k begins with the k-th from here on
+        seed=recipe["first_world_seed"],  # also of the network; world k starts with seed + k
         device="cpu",
         **recipe["ppo"]
         | {"learning_rate": lambda _: LEARNING_RATE * max(LAST_SHARE, 1.0 - progress.share)},
     )
-    begun = time.perf_counter()
+    started = time.perf_counter()
     try:
         model.learn(total_timesteps=2**53, callback=progress)
     except KeyboardInterrupt:
-        print("stopped: what there is is saved")
-    minutes = (time.perf_counter() - begun) / 60.0
+        print("stopped: saving the current policy")
+    minutes = (time.perf_counter() - started) / 60.0
     progress.validate()
     env.close()
 
@@ -187,7 +188,7 @@ def main() -> None:
         "minutes": round(minutes, 2),
     }
     save_policy(given.out, network_of(model), recipe | {"curve": progress.curve})
-    # the schedule of now would hold on to the clock
+    # the current schedule would keep a reference to the clock
     model.learning_rate, model.lr_schedule = LEARNING_RATE, None
     model.save(given.out.with_suffix(".zip"))
     print(

@@ -1,10 +1,11 @@
-"""From one flight to a policy of your own on the leaderboard, in a minute.
+"""From one run to your own policy on the leaderboard, in a minute.
 
 `python examples/tutorial.py tutorial.png`.
 """
 
 # %% [markdown]
-# One flight. The paper's pilots fly the PettingZoo environment: each sees its own row and answers an acceleration.
+# One episode. The paper's pilots run in the PettingZoo environment: each receives its own row and returns an
+# acceleration.
 
 # %%
 import sys
@@ -24,17 +25,16 @@ paid = 0.0
 while env.agents:
     seen, rewards, _, _, _ = env.step({name: policies[name](seen[name]) for name in env.agents})
     paid += rewards["uav_0"]
-told = env.metrics()["uav_0"]
+metrics = env.metrics()["uav_0"]
 print(
-    f"one flight: return {paid:.2f}, farthest {told['max_distance']:.2f} m, e(t) at the end "
-    f"{told['coverage_error']:.0f} m²"
+    f"one episode: return {paid:.2f}, largest distance {metrics['max_distance']:.2f} m, final e(t) "
+    f"{metrics['coverage_error']:.0f} m²"
 )
 
 # %% [markdown]
-# Many worlds at once. Now the UAV is ours and the UGV drives in the compiled loop. We ask for three helps: the
-# Kalman filter's
-# estimate in the place of the raw detection, the direction to new ground at the end of the row, and the safety
-# filter around whatever we answer. World k, given seed + k, is the environment from above to the bit.
+# Many worlds at once. Now we control the UAV, and the UGV drives in the compiled loop. Three options help: the
+# Kalman filter's estimate instead of the raw detection, the coverage gradient at the end of the row, and the safety
+# filter around our action. World k with seed + k is bit-identical to the environment above.
 
 # %%
 GENERATIONS, CANDIDATES, EACH = 6, 16, 4
@@ -46,23 +46,23 @@ print("observations", worlds.observation_space.shape, "actions", worlds.action_s
 
 
 # %% [markdown]
-# A policy of three numbers: back to the UGV, brake, on to new ground. With an axis for worlds in front, so that
-# each world can have numbers of its own.
+# A policy with three gains: towards the UGV, braking, and along the coverage gradient. A first axis for the worlds
+# allows different gains in each world.
 
 
 # %%
 def act(numbers: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Accelerations [m/s²] of all worlds. Numbers: (3,) or (worlds, 3); rows: (worlds, 11)."""
+    """Return accelerations [m/s²] of all worlds. Numbers: (3,) or (worlds, 3); rows: (worlds, 11)."""
     velocity, relative, onward = rows[:, 3:5], rows[:, 6:8], rows[:, 9:11]
     back, brake, on = (numbers[..., k, None] for k in range(3))
     return on * onward - brake * velocity - back * relative
 
 
 def returns(numbers: np.ndarray, seed: int) -> np.ndarray:
-    """Pay of each world over one episode, with its own numbers. Shape (worlds,)."""
+    """Return each world's return over one episode, with its own gains. Shape (worlds,)."""
     rows, _ = worlds.reset(seed=seed)
     total = np.zeros(worlds.num_envs)
-    # the safety filter keeps sight: nobody's episode ends before
+    # the safety filter keeps the UGV in sight, so no episode ends early
     for _ in range(worlds.worlds.scenario.ticks):
         rows, rewards, _, _, _ = worlds.step(act(numbers, rows))
         total += rewards
@@ -70,9 +70,8 @@ def returns(numbers: np.ndarray, seed: int) -> np.ndarray:
 
 
 # %% [markdown]
-# Random search: sixteen candidates around the best so far, each in four worlds, the best of them is kept. All
-# candidates of a
-# generation meet the same four seeds; the old best is among them, so its score is never one lucky flight of long ago.
+# Random search: sixteen candidates around the best so far, each in four worlds; the best one survives. All candidates
+# of a generation use the same four seeds. The previous best is among them, so that its score is never an old lucky run.
 
 # %%
 rng = np.random.default_rng(0)
@@ -85,21 +84,20 @@ for generation in range(GENERATIONS):
     best, width = tries[scores.argmax()], 0.85 * width
     curve.append((scores[0], scores.max()))
     print(
-        f"generation {generation + 1}: best return {scores.max():.2f}, the old best {scores[0]:.2f}"
+        f"generation {generation + 1}: best return {scores.max():.2f}, previous best {scores[0]:.2f}"
     )
 worlds.close()
 print("back {:.2f} /s², brake {:.2f} /s, on {:.2f} m/s²".format(*best))
 
 # %% [markdown]
-# On the leaderboard. The suite flies a policy with twenty seeds that it was not trained on; the score is the share
-# of what there
-# was to see that has been seen, in percent, and nothing counts after sight is lost. An evaluation has noise that
-# nobody could know before, unless it is given a secret; this one is the leaderboard's, so that the numbers are too.
+# On the leaderboard. The suite runs a policy with twenty seeds outside its training. The score is the covered share of
+# the ground around the UGV in percent; ticks after a loss of sight score zero. The noise of an evaluation is
+# unpredictable unless a secret is given; this secret is the leaderboard's, so that the scores agree.
 
 
 # %%
 def mine(rows: np.ndarray) -> np.ndarray:
-    """The policy that was found."""
+    """Run the policy that the search found."""
     return act(best, rows)
 
 
@@ -116,7 +114,7 @@ for name in TASKS:
     )
 
 # %% [markdown]
-# And a picture of both.
+# A plot of both.
 
 # %%
 mpl.use("Agg")
@@ -125,9 +123,9 @@ from matplotlib import pyplot as plt  # noqa: E402
 figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 4.0), layout="constrained")
 steps = range(1, GENERATIONS + 1)
 left.plot(steps, [new for _, new in curve], "o-", color="#1f5fbf", label="best candidate")
-left.plot(steps, [old for old, _ in curve], "o-", color="#727985", label="the best before it")
+left.plot(steps, [old for old, _ in curve], "o-", color="#727985", label="previous best")
 left.set(
-    title="Random search over three numbers",
+    title="Random search over three gains",
     xlabel="generation",
     ylabel="return, mean of 4 episodes of 60 s",
 )
@@ -138,7 +136,7 @@ for k, (entry, color) in enumerate(
     bars = [board[name][k].score for name in TASKS]
     drawn = right.bar(np.arange(len(TASKS)) + 0.27 * (k - 1), bars, 0.25, color=color, label=entry)
     right.bar_label(drawn, fmt="%.0f", fontsize=8)
-right.set(title="Score in the suite", ylabel="seen of what there was to see [%]", ylim=(0, 100))
+right.set(title="Score in the suite", ylabel="covered share of the ground [%]", ylim=(0, 100))
 right.set_xticks(range(len(TASKS)), TASKS)
 right.legend(frameon=False, ncols=3, loc="upper center")
 file = Path(sys.argv[1] if len(sys.argv) > 1 else "tutorial.png")

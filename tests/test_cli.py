@@ -120,14 +120,14 @@ sweep, unknown law | sweep escort --law fancy | law.name = "fancy"
 sweep, no seeds | sweep escort --seeds 0 | --seeds
 report of no sweep | report . | not a folder of a sweep
 suite, unknown law | suite --law lograithmic | law 'lograithmic': unknown
-suite, unknown task | suite --only nosie | no such task, did you mean 'noise'?; allowed: paper,
+suite, unknown task | suite --only nosie | unknown task, did you mean 'noise'?; allowed: paper,
 suite, policy not there | suite --uav-policy nowhere:f | --uav-policy = 'nowhere:f'
 suite, no secret | suite --law linear --secret 1234 | --secret: 4 characters: not a secret; allowed:
 suite, estimate for a law | suite --estimate | --estimate: for a --uav-policy alone
 suite, two outputs | suite --law linear --markdown --json | both want stdout
 unit of another's agent | fmu export uav escort --agent ugv_0 | no uav of escort; allowed: uav_0
-unit of a world's agent | fmu export world escort --agent uav_0 | the world has all of them
-unit's name | fmu export world escort --out world.zip | world.zip: is no unit's name; allowed: FILE.fmu
+unit of a world's agent | fmu export world escort --agent uav_0 | the world contains all agents
+unit's name | fmu export world escort --out world.zip | world.zip: not a unit's name; allowed: FILE.fmu
 unit's folder | fmu export world escort --out no/world.fmu | no/world.fmu: No such file or directory
 unit of no scenario | fmu export ugv escrot | escrot: no such file or scenario
 ground stations of strangers | mavlink --in udpin:0.0.0.0:14550 | say --insecure

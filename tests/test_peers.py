@@ -133,7 +133,7 @@ def test_a_runner_that_prints_nothing_is_said(load: Any, tmp_path: Path) -> None
         "fake", Path(sys.executable), GIVEN, cwd=runner(tmp_path, "")
     )
     assert not rows
-    assert failures[0].reason == "its runner has printed nothing"
+    assert failures[0].reason == "its runner printed nothing"
 
 
 def test_what_takes_too_long_is_ended_with_all_it_has_started(load: Any, tmp_path: Path) -> None:
@@ -145,7 +145,7 @@ def test_what_takes_too_long_is_ended_with_all_it_has_started(load: Any, tmp_pat
         f"import subprocess, sys; subprocess.run([sys.executable, '-c', {child!r}])",
     ]
     started = time.monotonic()
-    with pytest.raises(processes.Failed, match="not done after"):
+    with pytest.raises(processes.Failed, match="not finished after"):
         processes.run(command, cwd=tmp_path, deadline=0.3)
     # the child holds our pipe: while it lives, nothing comes back
     assert time.monotonic() - started < 30.0

@@ -70,7 +70,7 @@ def test_every_field_of_a_scenario_is_told_in_its_table(generator: ModuleType) -
     sections = dict(part.split("\n", 1) for part in ("\n" + text).split("\n### ")[1:])
     assert {"`[area]`", "`[law]`", "`[[uav]]`", "`[[ugv]]`", "`[[ugv.script]]`"} <= set(sections)
     for heading, struct in (
-        ("The top of the file", Scenario),
+        ("Top level", Scenario),
         ("`[links.detections]`", LinkSettings),
     ):
         for field in msgspec.structs.fields(struct):

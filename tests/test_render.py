@@ -271,6 +271,6 @@ def test_the_scenarios_title_and_the_axis_name_are_whole_in_picture_and_film():
     assert scenario.title in texts
     assert any(text.startswith("escort   ·   law certified") for text in texts)
     film = Frames(scene_of(scenario), width=800)
-    assert film._figure.texts[0].get_text().startswith("A UGV on its way")
+    assert film._figure.texts[0].get_text().startswith("A UGV on its route")
     (axes,) = film._figure.axes
     assert axes.yaxis.label.get_window_extent().x0 >= 0.0

@@ -1,24 +1,24 @@
-"""A discrete-time backup barrier filter, on what our own filter is told: the peer in `compare.py`.
+"""Discrete-time backup barrier filter with the information of our own filter: the peer in `compare.py`.
 
 Gurriet, Mote, Singletary, Nilsson, Feron and Ames (IEEE Access 2020) and Chen, Jankovic, Santillo and Ames (CDC 2021)
-keep a state safe that leads, under a known backup policy, through safe states into a backup set. With the flow x(s) of
-that policy
+call a state safe if a known backup policy leads from it through safe states into a backup set. With the flow x(s) of
+this policy
 
     h_I(x) = min( min over s of h(x(s)),  h_b(x(T)) )
 
-is a barrier, positive where the backup is safe, and of all inputs the one nearest to the wanted is taken for which
-it holds in discrete time (Agrawal and Sreenath, RSS 2017)
+is a barrier, positive where the backup is safe. The filter selects the input nearest to the nominal one that satisfies
+the discrete-time condition (Agrawal and Sreenath, RSS 2017)
 
     h_I(x+) >= (1 - gamma) h_I(x).
 
-Here h is r_v less the largest distance at which the UGV can be, which grows along the flow (van Wijk, Coogan, Molnar,
-Majji and Hobbs 2024 keep a tube around the flow likewise). The backup policy flies to the newest detection and stops
-there, as fast as the bounds allow. The backup set is our own: at rest, with the UGV within R_h and the newest
-detection's bound within E, from which docs/explanation/proof.md proves that the next one can be flown to.
-Commands under way are flown first.
+Here h is r_v minus the largest possible distance of the UGV, which grows along the flow (van Wijk, Coogan, Molnar,
+Majji and Hobbs 2024 also keep a tube around the flow). The backup policy flies to the newest detection and stops there,
+as fast as the bounds allow. The backup set is ours: at rest, with the UGV within R_h and the newest detection's bound
+within E; docs/explanation/proof.md proves that the next detection is reachable from there. Pending commands are
+applied first.
 
-The policy knows nothing of its past: with each detection the flow is another one. Where h_I < 0 no input is known
-to be safe, and the backup policy acts; such ticks are counted as not feasible.
+The policy has no memory: each detection changes the flow. If h_I < 0 no input is known to be safe, and the backup
+policy acts; such ticks count as infeasible.
 """
 
 import math
@@ -53,17 +53,17 @@ from sim.models.vehicles import (
 )
 
 _REST = 0.02
-"""The backup policy has arrived where it is slower than this [m/s], and nearer to its goal than `_NEAR` [m]."""
+"""Speed below which the backup policy has arrived [m/s], if it is also within `_NEAR` [m] of its goal."""
 _NEAR = 0.05
 _LONGEST = 25.0
-"""A flow that takes longer [s] ends nowhere."""
+"""Longest duration of a flow [s]; longer flows count as infeasible."""
 _TRACK = 60.0
-"""Own positions are kept for so long [s]."""
+"""Time for which own positions are stored [s]."""
 _DIRECTIONS = 16
-"""In which a better input is looked for."""
+"""Number of directions in the search for a nearer input."""
 _HALVINGS = 8
 _WALL = 1e-6
-"""A flow may touch the walls by so much [m]."""
+"""Tolerance of a flow at the walls [m]."""
 
 
 @compiled
@@ -78,20 +78,18 @@ def backup_policy(
     u_a: float,
     dt: float,
 ) -> tuple[float, float]:
-    """The acceleration [m/s²] that leads to the newest detection z [m] as fast as the UAV can still stop there."""
+    """Return the acceleration [m/s²] towards the newest detection z [m], at a speed that allows a stop there."""
     x, y = z_x - p_x, z_y - p_y
-    way = norm(x, y)
-    speed = min(v_a, speed_to_stop_within(way, u_a, dt), way / dt) / max(way, 1e-12)
+    distance = norm(x, y)
+    speed = min(v_a, speed_to_stop_within(distance, u_a, dt), distance / dt) / max(distance, 1e-12)
     return clip_norm((x * speed - v_x) / dt, (y * speed - v_y) / dt, u_a)
 
 
 @compiled
-def worst_distance(
-    promise: SafetyBounds, known: KnownDiscs, tick: int, x: float, y: float
-) -> float:
-    """The largest distance of the UGV from (x, y) [m] at a tick, by the newest disc and the one of least bound."""
+def worst_distance(bounds: SafetyBounds, known: KnownDiscs, tick: int, x: float, y: float) -> float:
+    """Return the largest distance of the UGV from (x, y) [m], by the newest disc and the disc with the least bound."""
     a, b = known.newest, known.nearest
-    a_r, b_r = radius_at(promise, a, tick), radius_at(promise, b, tick)
+    a_r, b_r = radius_at(bounds, a, tick), radius_at(bounds, b, tick)
     if known.single:
         return norm(x - a.x, y - a.y) + a_r
     lens: float = lens_distance(x, y, a.x, a.y, a_r, b.x, b.y, b_r)
@@ -100,19 +98,17 @@ def worst_distance(
 
 @compiled
 def flow_value(
-    promise: SafetyBounds, known: KnownDiscs, tick: int, spent: int, here: Motion, enough: float
+    bounds: SafetyBounds, known: KnownDiscs, tick: int, spent: int, here: Motion, enough: float
 ) -> float:
-    """h_I [m] of the state in which the UAV is `spent` ticks after this one.
+    """Return h_I [m] of the state of the UAV `spent` ticks from now.
 
-    With a finite `enough` only whether it is at least that.
-
-    What is known of the UGV now grows by v_g. A tick is looked at only where the worst distance can have come
-    near: it grows by at most v_a + v_g.
+    A finite `enough` asks only for a comparison. Uncertainty about the UGV grows by v_g. A tick is evaluated only if
+    the worst distance may have come near, because it grows by at most v_a + v_g.
 
     Returns:
-        h_I; with a finite `enough` a number below it if h_I is less, and else one that is not.
+        h_I; with a finite `enough`, a number on the same side of it as h_I.
     """
-    c = promise
+    c = bounds
     p_x, p_y, v_x, v_y = here
     z_x, z_y = known.newest.x, known.newest.y
     value, wait = math.inf, 0.0
@@ -126,7 +122,7 @@ def flow_value(
             value = min(value, room)
             if value < enough:
                 return value
-            # until it can be the least, or too small
+            # until it can be the minimum, or too small
             wait = room - (value if enough == -math.inf else enough)
         if arrived:
             end = worst_distance(c, known, tick, p_x, p_y) + driven + _NEAR
@@ -140,7 +136,7 @@ def flow_value(
 
 @compiled
 def value_after(
-    promise: SafetyBounds,
+    bounds: SafetyBounds,
     known: KnownDiscs,
     tick: int,
     here: Motion,
@@ -148,18 +144,18 @@ def value_after(
     u_y: float,
     enough: float,
 ) -> float:
-    """h_I [m] one tick later, under the input u [m/s²].
+    """Return h_I [m] one tick later, under the input u [m/s²].
 
-    Arguments else as in `flow_value`, from the tick on in which a command acts.
+    Other arguments as in `flow_value`, from the tick at which a command takes effect.
     """
-    c, (p_x, p_y, v_x, v_y) = promise, here
+    c, (p_x, p_y, v_x, v_y) = bounds, here
     x, y, w_x, w_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, c.v_a, c.u_a, c.dt)
     return flow_value(c, known, tick, c.delay_ticks + 1, Motion(x, y, w_x, w_y), enough)
 
 
 @compiled
 def filtered(
-    promise: SafetyBounds,
+    bounds: SafetyBounds,
     discs: RecordArray,
     tick: int,
     here: Motion,
@@ -167,23 +163,23 @@ def filtered(
     u_y: float,
     gamma: float,
 ) -> tuple[float, float, bool, bool]:
-    """The input nearest to u for which the barrier holds.
+    """Return the input nearest to u that satisfies the barrier condition.
 
-    First between u and the backup's input, which always satisfies it, by halving; then whatever is nearer, in
-    `_DIRECTIONS` directions around u.
+    Bisection between u and the backup's input, which always satisfies it, comes first; then a search in `_DIRECTIONS`
+    directions around u.
 
     Args:
-        promise: The declared numbers.
-        discs: Detections as kept. (KEPT,)
-        tick: Now.
-        here: State when the input will act.
-        u_x, u_y: What is wanted [m/s²].
-        gamma: How much of h_I may be used up in a tick, 0 to 1.
+        bounds: Declared bounds.
+        discs: Stored detections. Shape (KEPT,).
+        tick: Current tick.
+        here: State at which the input takes effect.
+        u_x, u_y: Nominal input [m/s²].
+        gamma: Share of h_I that one tick may use up, 0 to 1.
 
     Returns:
-        The input [m/s²], whether it is another one than was wanted, and whether h_I >= 0 before.
+        The input [m/s²], true if it differs from the nominal one, and true if h_I >= 0 before.
     """
-    c = promise
+    c = bounds
     p_x, p_y, v_x, v_y = here
     new = newest_disc(discs)
     near = nearest(c, discs, tick, p_x, p_y)
@@ -201,7 +197,7 @@ def filtered(
     u_x, u_y = clip_norm(u_x, u_y, c.u_a)
     if value_after(c, known, tick, here, u_x, u_y, least) >= least:
         return u_x, u_y, False, True
-    low, high = 0.0, 1.0  # of the way from u to the backup's input
+    low, high = 0.0, 1.0  # share of the distance from u to the backup's input
     for _ in range(_HALVINGS):
         share = 0.5 * (low + high)
         x, y = u_x + share * (b_x - u_x), u_y + share * (b_y - u_y)
@@ -230,11 +226,11 @@ def filtered(
 
 
 class BackupFilter:
-    """The filter of one UAV, with the calls of `agents.safety.safety_filter.SafetyFilter`.
+    """Filter of one UAV, with the methods of `agents.safety.safety_filter.SafetyFilter`.
 
     Args:
-        briefing: What the UAV is told when it joins.
-        gamma: How much of the barrier's value may be used up in a tick; 1: it only has to stay positive.
+        briefing: Briefing of the UAV.
+        gamma: Share of the barrier's value that one tick may use up; 1 only requires a positive value.
     """
 
     def __init__(self, briefing: UavBriefing, *, gamma: float = 1.0) -> None:
@@ -245,7 +241,7 @@ class BackupFilter:
         self._pending: list[Vector] = [(0.0, 0.0)] * self.bounds.delay_ticks
 
     def see(self, observation: UavObservation) -> None:
-        """Take in where the UAV is, and the detections that have arrived."""
+        """Record the UAV's position and the received detections."""
         c, tick, (p_x, p_y) = self.bounds, observation.tick, observation.position
         self._track[observation.tick] = observation.position
         self._track.pop(tick - math.ceil(_TRACK / c.dt), None)
@@ -258,9 +254,9 @@ class BackupFilter:
                 add_disc(c, self._discs, Disc(z_x, z_y, c.placed_error, taken), tick, p_x, p_y)
 
     def filter(self, observation: UavObservation, acceleration: Vector) -> FilterDecision:
-        """The nearest input [m/s²] that keeps the barrier.
+        """Return the nearest input [m/s²] that satisfies the barrier condition.
 
-        `certified` says whether there is one that is known to be safe.
+        `certified` is true if an input is known to be safe.
         """
         c, tick = self.bounds, observation.tick
         (p_x, p_y), (v_x, v_y) = observation.position, observation.velocity

@@ -1,6 +1,4 @@
-"""Our safety filter beside a backup barrier filter from the literature.
-
-The same tasks, the same detections, the same bounds.
+"""Our safety filter beside a backup barrier filter from the literature, with the same tasks, detections and bounds.
 
     python benchmarks/filters/compare.py --jobs 2           # in the project's environment; about 10 minutes
     python benchmarks/filters/compare.py --seeds 2 --duration 30 --jobs 2
@@ -44,13 +42,13 @@ FILTERS: Mapping[str, Callable[[UavBriefing], Any] | None] = {
     "backup, γ = 1": partial(BackupFilter, gamma=1.0),
     "backup, γ = 0.1": partial(BackupFilter, gamma=0.1),
 }
-"""Around the inner control; each is told what the UAV is told and nothing else."""
+"""Filters around the inner control; each receives the UAV's observations and nothing else."""
 
 _QUIET = {"detections.noise": 0.0, "detections.dropout": 0.0}
 
 
-def _dark(length: float, seed: int, duration: float) -> dict[str, object]:
-    """Blackouts with 10 s between them, at other times for each seed."""
+def _blackouts(length: float, seed: int, duration: float) -> dict[str, object]:
+    """Return blackouts with 10 s between them, at different times for each seed."""
     first, every = 8.0 + 0.5 * (seed % 20), length + 10.0
     starts = [first + k * every for k in range(int((duration - first) / every) + 1)]
     return {
@@ -62,19 +60,19 @@ def _dark(length: float, seed: int, duration: float) -> dict[str, object]:
 NETWORKS: Mapping[str, Callable[[int, float], dict[str, object]]] = {
     "undegraded": lambda _seed, _duration: dict(_QUIET),
     "noise": lambda _seed, _duration: {"detections.noise": 0.3, "detections.dropout": 0.1},
-    "blackouts of 5 s": lambda seed, duration: _QUIET | _dark(5.0, seed, duration),
-    "blackouts of 10 s": lambda seed, duration: _QUIET | _dark(10.0, seed, duration),
+    "blackouts of 5 s": lambda seed, duration: _QUIET | _blackouts(5.0, seed, duration),
+    "blackouts of 10 s": lambda seed, duration: _QUIET | _blackouts(10.0, seed, duration),
     "commands 0.5 s late": lambda _seed, _duration: (
         _QUIET | {"links.commands.delay": 0.5, "command_timeout": 1.0}
     ),
 }
 DRIVERS = ("evade", "waypoints", "wander")
 INNER = ("logarithmic", "outward")
-"""The inner controls of the filters: the paper's law, and full thrust away from the UGV."""
+"""Inner controls: the paper's law, and full thrust away from the UGV."""
 
 
 class Case(msgspec.Struct, frozen=True):
-    """One flight."""
+    """Parameters of one run."""
 
     network: str
     inner: str
@@ -85,7 +83,7 @@ class Case(msgspec.Struct, frozen=True):
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True):
-    """The outcome of one flight."""
+    """Result of one run."""
 
     case: Case
     ticks: int
@@ -94,34 +92,34 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     mean_distance: float
     mean_error: float
     known: int
-    """Ticks certified, or feasible."""
+    """Certified or feasible ticks."""
     known_while_lost: int
-    """Those of them in which the UGV was not in sight."""
+    """Such ticks with the UGV out of sight."""
     interventions: int
     microseconds: float
-    """Of the processor's time that the filter needs in a tick, on average."""
+    """Mean processor time of the filter per tick [µs]."""
 
 
 class FilteredPilot(UavPilot):
-    """A pilot of the inner control with a filter around it; the filter's calls are timed and its decisions counted.
+    """Pilot with an inner control and a filter, whose calls are timed and whose decisions are counted.
 
     Args:
-        told: What the UAV is told when it joins.
-        make: Makes the filter; None: there is none.
-        outward: Whether the inner control is full thrust away from the UGV, instead of the law.
+        briefing: Briefing of the UAV.
+        make: Constructor of the filter; None: without a filter.
+        outward: True for full thrust away from the UGV, instead of the law.
     """
 
     def __init__(
-        self, told: UavBriefing, make: Callable[[UavBriefing], Any] | None, *, outward: bool
+        self, briefing: UavBriefing, make: Callable[[UavBriefing], Any] | None, *, outward: bool
     ) -> None:
-        super().__init__(told)
-        self._around = None if make is None else make(told)
-        self._outward = told.limits.max_acceleration or 0.0 if outward else 0.0
+        super().__init__(briefing)
+        self._around = None if make is None else make(briefing)
+        self._outward = briefing.limits.max_acceleration or 0.0 if outward else 0.0
         self.known: list[bool] = []
         self.interventions = self.nanoseconds = 0
 
     def act(self, observation: UavObservation) -> UavCommand:
-        """The inner control's command, as the filter lets it through."""
+        """Return the inner control's command after the filter."""
         command = super().act(observation)
         wanted = command.acceleration
         if self._outward and command.report is not None:
@@ -145,7 +143,7 @@ class FilteredPilot(UavPilot):
 
 
 def scenario_of(case: Case) -> Scenario:
-    """The shipped escort with the case's network and driver, under the law without a filter."""
+    """Return the shipped escort with the case's network and driver, under the law without a filter."""
     changes: dict[str, object] = {
         "law.name": "logarithmic",
         "ugv.0.driver": case.driver,
@@ -159,17 +157,17 @@ def scenario_of(case: Case) -> Scenario:
 
 
 def fly(case: Case) -> Result:
-    """One flight in this process, with the project's own world and pilots."""
+    """Simulate one run in this process, with the project's own world and pilots."""
     scenario = scenario_of(case)
     pilots: dict[str, Pilot] = {}
     for vehicle in scenario.vehicles:
-        told = briefing(scenario, vehicle.name, case.seed)
-        if isinstance(told, UavBriefing):
+        own = briefing(scenario, vehicle.name, case.seed)
+        if isinstance(own, UavBriefing):
             uav = pilots[vehicle.name] = FilteredPilot(
-                told, FILTERS[case.filter], outward=case.inner == "outward"
+                own, FILTERS[case.filter], outward=case.inner == "outward"
             )
         else:
-            pilots[vehicle.name] = UgvPilot(told)
+            pilots[vehicle.name] = UgvPilot(own)
     flight = Flight(scenario, case.seed)
     began = time.perf_counter()
     flight.fly(InProcess(pilots))
@@ -193,10 +191,10 @@ def fly(case: Case) -> Result:
 
 
 def cases(seeds: int, duration: float) -> Iterator[Case]:
-    """All flights; those of one row of the table one after the other."""
+    """Yield all runs, ordered by rows of the table."""
     for values in product(NETWORKS, INNER, FILTERS, DRIVERS, range(7, 7 + seeds)):
         case = Case(*values, duration)
-        if (case.inner, case.filter) != ("outward", "none"):  # which is gone after eight seconds
+        if (case.inner, case.filter) != ("outward", "none"):  # loses sight after eight seconds
             yield case
 
 
@@ -204,19 +202,19 @@ COLUMNS = (
     "network",
     "inner control",
     "filter",
-    "flights that lose sight",
-    "farthest [m]",
+    "runs with loss of sight",
+    "largest distance [m]",
     "known to be safe",
-    "known, but lost [ticks]",
-    "filter acts",
+    "known to be safe, but lost [ticks]",
+    "overridden",
     "mean e(t) [m²]",
     "mean distance [m]",
-    "µs a tick",
+    "µs per tick",
 )
 
 
 def rows(results: Sequence[Result]) -> Iterator[list[str]]:
-    """One row for each network, inner control and filter: all drivers and seeds together."""
+    """Yield one row per network, inner control and filter, over all drivers and seeds."""
     for key, group in groupby(results, lambda r: (r.case.network, r.case.inner, r.case.filter)):
         found = list(group)
         ticks, watched = sum(r.ticks for r in found), key[2] != "none"
@@ -234,13 +232,13 @@ def rows(results: Sequence[Result]) -> Iterator[list[str]]:
 
 
 def table(lines: Iterable[Sequence[str]]) -> str:
-    """As Markdown."""
+    """Return the table in Markdown."""
     head = [COLUMNS, ["---"] * 3 + ["--:"] * (len(COLUMNS) - 3)]
     return "".join("| " + " | ".join(line) + " |\n" for line in [*head, *lines])
 
 
 def main() -> None:
-    """Fly all cases, print the table, write it and every flight's numbers."""
+    """Run all cases, print the table, and write it with the numbers of every run."""
     parser = argparse.ArgumentParser(
         description="Our safety filter beside a backup barrier filter, on the same tasks."
     )
@@ -248,18 +246,20 @@ def main() -> None:
         "--seeds",
         type=int,
         default=20,
-        help="flights for each driver, network, inner control and filter",
+        help="Runs per driver, network, inner control and filter.",
     )
-    parser.add_argument("--duration", type=float, default=60.0, help="of a flight [s]")
+    parser.add_argument("--duration", type=float, default=60.0, help="Duration of a run [s].")
     parser.add_argument(
-        "--jobs", type=int, default=1, help="processes; the times a tick are those of one core"
+        "--jobs", type=int, default=1, help="Number of processes; times per tick refer to one core."
     )
     parser.add_argument(
-        "--out", type=Path, default=HERE / "results", help="folder for filters.json and filters.md"
+        "--out", type=Path, default=HERE / "results", help="Folder for filters.json and filters.md."
     )
     given = parser.parse_args()
     if given.seeds < 1 or given.jobs < 1 or not given.duration > 0.0:
-        parser.error("--seeds and --jobs must be 1 or more, --duration above 0 s")
+        parser.error(
+            "--seeds, --jobs, --duration: out of range; allowed: 1 or more, 1 or more, above 0 s"
+        )
     wanted, began = list(cases(given.seeds, given.duration)), time.monotonic()
     for name in FILTERS:  # compile before anything is timed
         fly(Case("undegraded", "outward", name, "evade", seed=1, duration=5.0))
@@ -268,16 +268,14 @@ def main() -> None:
         for n, result in enumerate(pool.map(fly, wanted, chunksize=5), 1):
             results.append(result)
             if n % 50 == 0 or n == len(wanted):
-                sys.stderr.write(
-                    f"\r{n} of {len(wanted)} flights, {time.monotonic() - began:.0f} s"
-                )
+                sys.stderr.write(f"\r{n} of {len(wanted)} runs, {time.monotonic() - began:.0f} s")
                 sys.stderr.flush()
     text = table(rows(results))
     sys.stdout.write(f"\n{text}")
     given.out.mkdir(parents=True, exist_ok=True)
     given.out.joinpath("filters.md").write_text(text, encoding="utf-8")
-    told = msgspec.json.encode({"cores": os.cpu_count(), "jobs": given.jobs, "flights": results})
-    given.out.joinpath("filters.json").write_bytes(msgspec.json.format(told, indent=1) + b"\n")
+    report = msgspec.json.encode({"cores": os.cpu_count(), "jobs": given.jobs, "flights": results})
+    given.out.joinpath("filters.json").write_bytes(msgspec.json.format(report, indent=1) + b"\n")
 
 
 if __name__ == "__main__":

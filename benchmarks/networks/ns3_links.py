@@ -1,13 +1,13 @@
-"""Recorded links from an independent simulator, ns-3: a vehicle's Wi-Fi at two distances, and LTE along a road.
+"""Links recorded in an independent simulator, ns-3: a vehicle's Wi-Fi at two distances, and LTE along a road.
 
-A UDP message of 200 bytes leaves every 20 ms; the table tells when, and how long it took or that it was lost. The
-same version and seed give the same files, byte for byte.
+A UDP message of 200 bytes leaves every 20 ms. The table lists the time of each message and its delay or loss. The same
+version and seed reproduce the files byte for byte.
 
     python -m venv ns3 && ns3/bin/pip install ns3==3.44.post0
     ns3/bin/python benchmarks/networks/ns3_links.py            # all, into examples/networks/
     ns3/bin/python benchmarks/networks/ns3_links.py wifi-far --seconds 600 --out /tmp
 
-ns-3 is GPL-2.0 software; this script calls it as it is, and what it prints is ours.
+ns-3 is GPL-2.0 software; this script calls it unmodified, and its output is ours.
 """
 
 import argparse
@@ -19,14 +19,14 @@ from typing import Any
 
 OUT = Path(__file__).resolve().parents[2] / "examples" / "networks"
 INTERVAL = 20
-"""Between two messages [ms]."""
+"""Time between two messages [ms]."""
 SIZE = 200
-"""Of a message [bytes]."""
+"""Size of a message [bytes]."""
 START = 2.0
-"""The first message [s]: stations have found each other by then."""
+"""Time of the first message [s], after the stations have associated."""
 
 _MASTS = 5
-"""So many base stations: a road of 2 km, two minutes at 15 m/s."""
+"""Number of base stations: a road of 2 km, two minutes at 15 m/s."""
 
 _SINK = """
 #include "ns3/seq-ts-header.h"
@@ -47,7 +47,7 @@ void outrider_listen(ns3::Ptr<ns3::Application> server) {
 
 
 def send_beside(ns: Any, node: Any, to: Any, rate: str) -> None:
-    """Let a node send 1,400 bytes again and again, at this rate for half a second and then not, each on average."""
+    """Send background packets of 1,400 bytes at this rate, with on and off times of 0.5 s on average."""
     other = ns.OnOffHelper("ns3::UdpSocketFactory", to)
     other.SetAttribute("DataRate", ns.DataRateValue(ns.DataRate(rate)))
     other.SetAttribute("PacketSize", ns.UintegerValue(1400))
@@ -57,10 +57,10 @@ def send_beside(ns: Any, node: Any, to: Any, rate: str) -> None:
 
 
 def wifi(ns: Any, distance: float, stations: int) -> tuple[Any, ...]:
-    """802.11g, ad hoc, with Nakagami fading (m = 1.5, 1, 0.75 by distance) and stations that send beside the vehicle.
+    """Create an 802.11g ad hoc network with Nakagami fading and background stations.
 
-    Path loss is log-distance with the exponent 3 and ns-3's 46.7 dB at 1 m; 16 dBm; Minstrel chooses the rate. Each
-    station in the middle sends 1,400 bytes at random times, 1 Mbit/s on average.
+    Fading has m = 1.5, 1, 0.75 by distance. Path loss is log-distance with the exponent 3 and ns-3's 46.7 dB at 1 m; 16
+    dBm; Minstrel selects the rate. Each background station sends 1,400 bytes at random times, 1 Mbit/s on average.
     """
     nodes = ns.NodeContainer()
     nodes.Create(2 + 2 * stations)
@@ -91,7 +91,7 @@ def wifi(ns: Any, distance: float, stations: int) -> tuple[Any, ...]:
     addresses = ns.Ipv4AddressHelper()
     addresses.SetBase(ns.Ipv4Address("10.0.0.0"), ns.Ipv4Mask("255.255.255.0"))
     given = addresses.Assign(devices)
-    ns.NeighborCacheHelper().PopulateNeighborCache()  # nobody asks for addresses meanwhile
+    ns.NeighborCacheHelper().PopulateNeighborCache()  # no address resolution during the run
     for k in range(stations):
         to = ns.InetSocketAddress(given.GetAddress(3 + 2 * k), 10).ConvertTo()
         send_beside(ns, nodes.Get(2 + 2 * k), to, "2Mb/s")
@@ -99,11 +99,10 @@ def wifi(ns: Any, distance: float, stations: int) -> tuple[Any, ...]:
 
 
 def lte(ns: Any, speed: float, gap: float, parked: int) -> tuple[Any, ...]:
-    """A 4G uplink along a road: base stations every `gap` m beside it, 46 dBm, handover by signal strength (A3).
+    """Create a 4G uplink along a road: base stations every `gap` m, 46 dBm, handover by signal strength (A3).
 
-    Path loss is log-distance with the exponent 3; 25 resource blocks, proportional fair, acknowledged radio bearer;
-    from the core network to the receiver it takes 10 ms more. In each cell stand others that send too, 3 Mbit/s each
-    on average.
+    Path loss is log-distance with the exponent 3; 25 resource blocks, proportional fair, acknowledged radio bearer. The
+    core network adds 10 ms. Other stations in each cell send 3 Mbit/s each on average.
     """
     ns.Config.SetDefault("ns3::LteEnbPhy::TxPower", ns.DoubleValue(46.0))
     ns.Config.SetDefault("ns3::LteUePhy::TxPower", ns.DoubleValue(23.0))
@@ -165,7 +164,7 @@ CASES: dict[str, Callable[[Any], tuple[Any, ...]]] = {
     "wifi-far": lambda ns: wifi(ns, 45.0, 2),
     "lte-road": lambda ns: lte(ns, 15.0, 500.0, 1),
 }
-"""Each gives the sending node, the receiving one, the receiver's address, and what must not be collected meanwhile."""
+"""Cases: functions that return sender, receiver, the receiver's address, and objects to keep alive."""
 
 
 def record(case: str, seconds: float) -> str:
@@ -199,9 +198,9 @@ def record(case: str, seconds: float) -> str:
 
 
 def main() -> None:
-    """Write the tables; each case in a process of its own, as ns-3 has one world a process."""
+    """Write the tables; each case needs its own process, because ns-3 has one world per process."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("case", nargs="?", choices=CASES, help="one alone, instead of all")
+    parser.add_argument("case", nargs="?", choices=CASES, help="Case to record; default: all.")
     parser.add_argument("--seconds", type=float, default=120.0)
     parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args()

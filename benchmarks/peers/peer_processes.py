@@ -21,7 +21,7 @@ _UNSET = ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP")
 
 
 class Failed(Exception):
-    """Something could not be installed or measured; says why in one line."""
+    """Failure of an installation or a measurement, with the reason in one line."""
 
 
 def run(
@@ -52,7 +52,7 @@ def run(
             finally:
                 timer.cancel()
         if late.is_set():
-            raise Failed(f"not done after {deadline:g} s")
+            raise Failed(f"not finished after {deadline:g} s")
         if code:
             said.seek(0)
             raise Failed(reason(said.read()) or f"ended with exit code {code}")
@@ -60,7 +60,7 @@ def run(
 
 @contextmanager
 def _started(command: list[str], cwd: Path, errors: int) -> Iterator[subprocess.Popen[str]]:
-    """A process that has a group of its own, which is ended with all it has started, however the block is left."""
+    """Yield a process in its own process group, which ends with the block."""
     environment = {name: value for name, value in os.environ.items() if name not in _UNSET}
     process = subprocess.Popen(
         command,
@@ -89,14 +89,14 @@ def _end(process: subprocess.Popen[str]) -> None:
 
 
 def reason(text: str) -> str:
-    """The last line of an error that says something, without addresses and without folders of this machine."""
+    """Return the last informative line of an error, without addresses and local folders."""
     lines = [line.strip() for line in text.splitlines()]
     telling = [line for line in lines if line and not line.lower().startswith(_REMARKS)]
     return in_one_line(telling[-1]) if telling else ""
 
 
 def in_one_line(text: str) -> str:
-    """A message fit for a table that others read."""
+    """Return a message in one line, for a table."""
     text = re.sub(r"\b\w+://\S+", "(address)", " ".join(text.split()))
     text = re.sub(r"(?<![\w.])(?:/[^\s/:'\"]+)+/([^\s/:'\"]+)", r"\1", text)
     return text if len(text) <= LONGEST_REASON else text[: LONGEST_REASON - 1] + "…"

@@ -1,4 +1,4 @@
-"""Writes the measurements as JSON, as a table with a reading of it, and as a picture."""
+"""Output of the measurements: JSON, a table with comments, and a plot."""
 
 from itertools import groupby
 from pathlib import Path
@@ -18,12 +18,12 @@ GROUPS = {True: "with a field", False: "without a field"}
 
 
 def worlds_in_words(count: int) -> str:
-    """Such as "1 world"."""
+    """Return a count such as "1 world"."""
     return f"{count} world" if count == 1 else f"{count} worlds"
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """One measurement."""
+    """Measurement of one variant."""
 
     peer: str
     """Its runner."""
@@ -47,14 +47,14 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Failure(msgspec.Struct, frozen=True, kw_only=True):
-    """Something that could not be measured."""
+    """Measurement that failed."""
 
     what: str
     reason: str
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True):
-    """All of one run."""
+    """Results of one run."""
 
     date: str
     cpu: str
@@ -67,7 +67,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def conditions(self) -> str:
-        """On what and how it was measured."""
+        """Return hardware and settings of the measurement."""
         repeats = "once" if self.repeats == 1 else f"median of {self.repeats}"
         return (
             f"{self.cpu}, {self.cores} cores, Python {self.python}, {self.date}; each row {self.seconds:g} s, "
@@ -76,7 +76,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def crowded(report: Report) -> str:
-    """Names the fault of rows that were measured beside other work; empty if nothing is."""
+    """Return a warning about rows measured beside other load; empty without any."""
     shares = [row.others for row in report.rows if row.others is not None and row.others > CROWDED]
     if not shares:
         return ""
@@ -101,14 +101,14 @@ def write(report: Report, out: Path) -> None:
 
 
 def _ordered(report: Report, field: bool) -> list[Row]:
-    """The rows of a group: ours first, then each peer's as it has measured them."""
+    """Return the rows of a group: ours first, then the peers' in order of measurement."""
     return sorted(
         (row for row in report.rows if row.field == field), key=lambda row: row.peer != OURS
     )
 
 
 def markdown(report: Report) -> str:
-    """The table, in two parts, and in words where a peer is faster."""
+    """Return the table in two parts, with comments on faster peers."""
     lines = ["# World-steps per second", "", f"{report.conditions}.", ""]
     if warning := crowded(report):
         lines += [f"**{warning}**", ""]
@@ -143,7 +143,7 @@ def markdown(report: Report) -> str:
 
 
 def where_faster(report: Report) -> list[str]:
-    """A sentence for each number of worlds, and for each peer that is faster there than any of ours."""
+    """Return sentences about peers faster than any of ours, for each number of worlds."""
     sentences: list[str] = []
     for worlds in sorted({row.worlds for row in report.rows}):
         here = [row for row in report.rows if row.worlds == worlds]
@@ -163,7 +163,7 @@ def where_faster(report: Report) -> list[str]:
 
 
 def _faster(row: Row, ours: list[Row]) -> str:
-    """Those of ours that this peer outruns, and by how much; empty if none."""
+    """Return our rows that this peer beats, with the ratios; empty without any."""
     beaten = [
         f"{_times(row.steps_per_second / own.steps_per_second)} as fast as {own.name} {own.variant}"
         + (", within the spread of the repeats" if row.slowest <= own.fastest else "")
@@ -182,7 +182,7 @@ def _times(ratio: float) -> str:
 
 
 def draw(report: Report) -> Figure:
-    """A dot for each row on a logarithmic axis, the number beside it, ours in the blue of the UAV."""
+    """Plot a dot for each row on a logarithmic axis, with its number; ours in the UAV's blue."""
     groups = [(title, rows) for field, title in GROUPS.items() if (rows := _ordered(report, field))]
     figure = style.new_figure(1400, round(230 + 36 * (len(report.rows) + 1.5 * len(groups))))
     axes = figure.add_subplot()
@@ -202,7 +202,7 @@ def draw(report: Report) -> Figure:
 
 
 def _at_left(axes: Axes, y: float, text: str, **font: str) -> None:
-    """A text left of the number of worlds."""
+    """Write a text left of the number of worlds."""
     place = {
         "xycoords": axes.get_yaxis_transform(),
         "xytext": (-76, 0),

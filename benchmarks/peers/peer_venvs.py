@@ -21,18 +21,18 @@ ONLY_CUDA = (
 
 
 def python_of(folder: Path) -> Path:
-    """The interpreter of a virtual environment."""
+    """Return the interpreter of a virtual environment."""
     return folder / "bin" / "python"
 
 
 def stamp_of(requirements: tuple[str, ...]) -> str:
-    """The stamp that is written into an environment that is whole."""
-    told = {"python": sys.version.split()[0], "requirements": list(requirements)}
-    return json.dumps(told, indent=2) + "\n"
+    """Return the stamp of a complete environment."""
+    stamp = {"python": sys.version.split()[0], "requirements": list(requirements)}
+    return json.dumps(stamp, indent=2) + "\n"
 
 
 def is_whole(folder: Path, requirements: tuple[str, ...]) -> bool:
-    """True if the environment is there, was filled to the end, and with these requirements."""
+    """Return true if the environment exists and is complete with these requirements."""
     stamp = folder / STAMP
     return (
         python_of(folder).exists()
@@ -42,7 +42,7 @@ def is_whole(folder: Path, requirements: tuple[str, ...]) -> bool:
 
 
 def provide(folder: Path, requirements: tuple[str, ...], *, cuda: bool = False) -> Path:
-    """The interpreter of an environment with these requirements; an old or broken one is made anew.
+    """Return the interpreter of an environment with these requirements; an outdated one is recreated.
 
     Args:
         folder: Of the environment.
@@ -71,7 +71,7 @@ def _pip(folder: Path, *arguments: str) -> None:
 
 
 def _refuse_cuda(folder: Path, requirements: tuple[str, ...]) -> None:
-    """Ask pip what it would install for torch, before it does."""
+    """Check pip's plan for torch before installing it."""
     torch = [requirement for requirement in requirements if requirement.startswith("torch")]
     if not torch:
         return

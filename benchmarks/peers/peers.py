@@ -1,4 +1,4 @@
-"""The speed of our environment beside those of other packages, each in a virtual environment of its own.
+"""Speed of our environment and of other packages, each in its own virtual environment.
 
 python benchmarks/peers/peers.py
 """
@@ -35,7 +35,7 @@ ERR = Console(stderr=True)
 def measure(
     name: str, python: Path, given: argparse.Namespace, *, cwd: Path = HERE
 ) -> tuple[list[Row], list[Failure]]:
-    """Let a peer's runner measure.
+    """Run a peer's measurements.
 
     Args:
         name: The runner.
@@ -49,7 +49,7 @@ def measure(
     rows: list[Row] = []
     failures: list[Failure] = []
 
-    def take(line: str) -> None:
+    def read(line: str) -> None:
         if not line.startswith("{"):
             return  # a greeting of the package
         found: dict[str, Any] = msgspec.json.decode(line)
@@ -67,16 +67,16 @@ def measure(
     command += ["--seconds", str(given.seconds), "--repeats", str(given.repeats)]
     deadline = 300.0 + 60.0 * given.seconds * given.repeats
     try:
-        run(command, cwd=cwd, deadline=deadline, on_line=take)
+        run(command, cwd=cwd, deadline=deadline, on_line=read)
         if not rows and not failures:
-            failures.append(Failure(what=name, reason="its runner has printed nothing"))
+            failures.append(Failure(what=name, reason="its runner printed nothing"))
     except (Failed, msgspec.MsgspecError) as error:
         failures.append(Failure(what=name, reason=in_one_line(str(error))))
     return rows, failures
 
 
 def compare(given: argparse.Namespace) -> Report:
-    """Install and measure one peer after the other; never two at a time."""
+    """Install and measure one peer after the other, never two at a time."""
     rows: list[Row] = []
     failures: list[Failure] = []
     names = given.only or list(PEERS)
@@ -127,54 +127,54 @@ def _cpu() -> str:
 
 def _arguments(words: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="peers.py", description="The speed of our environment beside those of other packages."
+        prog="peers.py", description="Speed of our environment and of other packages."
     )
     parser.add_argument(
-        "--only", nargs="+", metavar="NAME", choices=PEERS, help=f"only these: {', '.join(PEERS)}"
+        "--only", nargs="+", metavar="NAME", choices=PEERS, help=f"Only these: {', '.join(PEERS)}."
     )
     parser.add_argument(
         "--repeats",
         type=int,
         default=3,
-        help="measurements of each row; the median counts (%(default)s)",
+        help="Measurements per row; the median counts (%(default)s).",
     )
     parser.add_argument(
-        "--seconds", type=float, default=3.0, help="length of a measurement [s] (%(default)s)"
+        "--seconds", type=float, default=3.0, help="Duration of a measurement [s] (%(default)s)."
     )
     parser.add_argument(
         "--out",
         type=Path,
         default=HERE / "results",
-        help="folder for the results (results/ beside this)",
+        help="Folder for the results (results/ beside this file).",
     )
     parser.add_argument(
         "--venvs",
         type=Path,
         default=HERE.parents[1] / ".venv-peers",
-        help="folder for the environments (.venv-peers/ in the project)",
+        help="Folder for the environments (.venv-peers/ in the project).",
     )
     parser.add_argument(
-        "--cuda", action="store_true", help="take torch's CUDA build where pip finds no other"
+        "--cuda", action="store_true", help="Accept torch's CUDA build if pip finds no other."
     )
     parser.add_argument(
-        "--json", action="store_true", help="print the results as one JSON object on stdout"
+        "--json", action="store_true", help="Print the results as one JSON object on stdout."
     )
     given = parser.parse_args(words)
     if given.repeats < 1 or not given.seconds > 0.0:
-        parser.error("--repeats and --seconds must be positive")
+        parser.error("--repeats, --seconds: out of range; allowed: above 0")
     given.out, given.venvs = given.out.resolve(), given.venvs.resolve()
     return given
 
 
 def main(words: list[str] | None = None) -> int:
-    """Compare, write the results and show them; 1 if nothing could be measured."""
+    """Compare, write and show the results; return 1 if nothing was measured."""
     given = _arguments(words)
-    # so that what was started is ended, too
+    # also end started processes
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
         report = compare(given)
     except KeyboardInterrupt:
-        ERR.print("stopped; nothing is written", style="red")
+        ERR.print("stopped; no results written", style="red")
         return 130
     write(report, given.out)
     if given.json:

@@ -21,7 +21,7 @@ PILOTS: Rows = (
     ("`uav`: in", UAV_INPUTS),
     ("`uav`: out", UAV_OUTPUTS),
     ("`ugv`: in", OWN_STATE),
-    ("`ugv`: in, where its driver listens (`evade`, `navigate`)", RADIO),
+    ("`ugv`: in, for drivers with radio (`evade`, `navigate`)", RADIO),
     ("`ugv`: in, for the driver `teleop`", OPERATOR),
     ("`ugv`: out", ACCELERATION),
 )
@@ -38,7 +38,9 @@ def _table(rows: Rows) -> str:
     for who, variables in rows:
         for k, one in enumerate(variables):
             unit = f"Float64, {one.unit}" if one.unit else "Boolean"
-            lines.append(f"| {who if k == 0 else ''} | `{one.name}` | {unit} | {cell(one.about)} |")
+            lines.append(
+                f"| {who if k == 0 else ''} | `{one.name}` | {unit} | {cell(one.about)} |"
+            )
     return "\n".join(lines)
 
 

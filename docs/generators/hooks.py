@@ -1,4 +1,4 @@
-"""The site's build: pages made from the code, links that work in repository and site alike, equations as MathML."""
+"""Build of the site: pages from the code, links valid in repository and site, equations as MathML."""
 
 import ast
 import html
@@ -31,12 +31,12 @@ PROJECT = {
     f"extensions/{path.parent.name}/README.md": f"extensions/{path.parent.name}.md"
     for path in ROOT.glob("extensions/*/README.md")
 }
-"""Pages that stand at the repository's root or with an extension, and where they are in the site."""
+"""Pages at the repository's root or in an extension, with their address in the site."""
 
 SHIM = "assets/iframe-worker.js"
 
 MODULES = {
-    "The front door": ("outrider",),
+    "Public interface": ("outrider",),
     "Environments": (
         "outrider/envs/parallel.py",
         "sim/env/settings.py",
@@ -75,20 +75,20 @@ MODULES = {
     "The bus": ("bus",),
     "Links": ("sim/channel", "sim/engine"),
 }
-"""The modules with a page of their own: files, or folders with all that is in them."""
+"""Modules with a page of their own: files, or folders with their content."""
 
 _LINK = re.compile(
     r"^ *(`{3,}).*?^ *\1 *$|`[^`\n]+`|\]\((?P<to>[^)\s]+)\)", re.DOTALL | re.MULTILINE
 )
-"""A link; or code, in which there is none."""
+"""A link, or code, which contains no links."""
 _MATH = re.compile(r'<(span|div) class="arithmatex">\s*\\([(\[])(.*?)\\[)\]]\s*</\1>', re.DOTALL)
 _FUNCTION = re.compile(r"(\[`([\w.]+)`\]\([^)#\s]+\.py)\)")
-"""A link from a function's full name to its file."""
+"""Link from a function's full name to its file."""
 _MARK = re.compile(r"<!-- generated: (\w+) -->")
 
 
 def modules() -> dict[str, list[str]]:
-    """The files of the modules that have a page, by group."""
+    """Return the files of the modules with a page, by group."""
     found: dict[str, list[str]] = {}
     for group, places in MODULES.items():
         files: list[str] = []
@@ -147,7 +147,7 @@ GENERATED = {
     "ros2_pilot_topics": ros2_topics.own,
     **observations.PAGES,
 }
-"""Text that follows a page's or a docstring's comment `<!-- generated: NAME -->` in the site."""
+"""Generated text inserted after a comment `<!-- generated: NAME -->` of a page or docstring."""
 
 
 def _api_page(file: str) -> str:
@@ -168,7 +168,7 @@ def _api_page(file: str) -> str:
 
 
 def _source_page(path: str) -> str:
-    """A file of the repository, or the files of a folder, as a page."""
+    """Return a file of the repository, or the files of a folder, as a page."""
     place = ROOT / path
     shown = [place] if place.is_file() else sorted(one for one in place.iterdir() if one.is_file())
     parts = [f"# {path}"]
@@ -186,11 +186,11 @@ def _source_page(path: str) -> str:
 
 
 _ORIGIN: dict[str, str] = {}
-"""Of pages made of files outside docs: their address in the site, and the file."""
+"""Pages from files outside docs: address in the site, and file."""
 
 
 def _site_address(repository_path: str) -> str:
-    """Address of a file of the repository in the site."""
+    """Return the address of a repository file in the site."""
     if repository_path.startswith("docs/"):
         return repository_path.removeprefix("docs/")
     if repository_path in PROJECT:
@@ -205,7 +205,7 @@ def _site_address(repository_path: str) -> str:
 
 
 def _targets(text: str, origin: str) -> list[str]:
-    """The repository's files that a page links to."""
+    """Return the repository files that a page links to."""
     folder = os.path.dirname(origin)
     links = (found["to"] or "" for found in _LINK.finditer(text))
     files = (link.partition("#")[0] for link in links if not re.match(r"[a-z]+:", link))
@@ -213,7 +213,7 @@ def _targets(text: str, origin: str) -> list[str]:
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Put the modules' pages into the navigation."""
+    """Add the modules' pages to the navigation."""
     for section in config.nav or []:
         if "Reference" in section:
             groups = [
@@ -228,7 +228,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages that no file of docs is."""
+    """Add the generated pages."""
     waiting: dict[str, str] = {}
     for path, address in PROJECT.items():
         _ORIGIN[address] = path
@@ -256,7 +256,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Fill in what is generated, and lead links to files of the repository to their pages."""
+    """Insert generated text, and redirect links to repository files to their pages."""
     here = page.file.src_uri
     if here == "index.md":
         page.meta["hide"] = ["navigation"]
@@ -269,7 +269,7 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
         path = os.path.normpath(os.path.join(os.path.dirname(origin), file))
         address = _site_address(path)
         if files.get_file_from_path(address) is None and not path.startswith("docs/"):
-            raise PluginError(f"{origin}: links to {found['to']}, which is not there")
+            raise PluginError(f"{origin}: link to {found['to']}: no such file")
         relative = os.path.relpath(address, PurePosixPath(here).parent)
         return f"]({relative}{mark}{heading})"
 
@@ -280,7 +280,7 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
 
 
 def on_page_content(content: str, **_: Any) -> str:
-    """Fill in the tables of docstrings; draw equations as MathML, which browsers show by themselves."""
+    """Insert the tables of docstrings, and convert equations to MathML, which browsers display natively."""
 
     def draw(found: re.Match[str]) -> str:
         tag, bracket, tex = found.groups()
@@ -295,12 +295,12 @@ def on_page_content(content: str, **_: Any) -> str:
 
 
 def on_post_page(output: str, *, page: Page, **_: Any) -> str:
-    """Take the shim that search needs from here, and see that nothing else comes from the network."""
+    """Load the search's shim from the site, and check that nothing else comes from the network."""
     return _offline(output, os.path.relpath(SHIM, PurePosixPath(page.file.dest_uri).parent))
 
 
 def on_post_template(output_content: str, *, template_name: str, **_: Any) -> str:
-    """The same for the page that is shown where none is found."""
+    """Apply the same to the error page."""
     return (
         _offline(output_content, f"/{SHIM}") if template_name.endswith(".html") else output_content
     )
@@ -310,5 +310,5 @@ def _offline(output: str, shim: str) -> str:
     text = output.replace("https://unpkg.com/iframe-worker/shim", shim)
     foreign = re.search(r'<(script|img|link|iframe)[^>]+(src|href)="?(https?:)?//[^>]*>', text)
     if foreign:
-        raise PluginError(f"the site is to work offline, and loads {foreign[0]}")
+        raise PluginError(f"the site must work offline, but loads {foreign[0]}")
     return text

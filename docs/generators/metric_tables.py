@@ -21,7 +21,7 @@ def _section(heading: str, metrics: list[Metric]) -> str:
         if one.column == "double" and not one.unit:
             raise ValueError(f"{heading}, {one.name}: no unit")
         unit = "share" if one.unit == "%" else one.unit
-        meaning = f"{one.meaning} Anything but 0 contradicts a guarantee." * one.guaranteed
+        meaning = f"{one.meaning} Any value other than 0 contradicts a guarantee." * one.guaranteed
         cells = (unit, meaning or one.meaning, one.total, _column(heading, one))
         rows.append(f"| `{one.name}` | {' | '.join(map(cell, cells))} |")
     return f"## {heading}\n\n" + "\n".join(rows)

@@ -1,4 +1,4 @@
-"""JSON Schema of a scenario's file, made from its types and the documentation of their fields.
+"""JSON Schema of the scenario file, from its types and the documentation of their fields.
 
 python docs/generators/scenario_schema.py writes sim/scenario/scenario.schema.json, which the package ships.
 """
@@ -24,7 +24,7 @@ from sim.scenario.types import Scenario
 
 
 def field_docs(struct: type[msgspec.Struct]) -> dict[str, str]:
-    """The documentation under each field of a struct, those of its bases first."""
+    """Return the documentation of each field of a struct, fields of its bases first."""
     found: dict[str, str] = {}
     for cls in reversed(struct.__mro__):
         if cls is msgspec.Struct or not issubclass(cls, msgspec.Struct):
@@ -43,26 +43,26 @@ def field_docs(struct: type[msgspec.Struct]) -> dict[str, str]:
 
 @functools.cache
 def _classes(module: ModuleType | None) -> dict[str, ast.ClassDef]:
-    """The classes of a module, as they are written."""
+    """Return the classes of a module in source order."""
     written = ast.parse(inspect.getsource(module)).body if module is not None else []
     return {one.name: one for one in written if isinstance(one, ast.ClassDef)}
 
 
 def scenario_schema() -> dict[str, Any]:
-    """The schema, JSON Schema 2020-12: types, bounds, defaults, and each field's documentation."""
+    """Return the JSON Schema 2020-12: types, limits, defaults, and each field's documentation."""
     schema = msgspec.json.schema(Scenario)
     tables = schema["$defs"]
     for name, table in tables.items():
         struct = next(vars(m)[name] for m in (types, scenario, links) if name in vars(m))
         docs = field_docs(struct) if "properties" in table else {}
-        for field, told in docs.items():
-            table["properties"][field]["description"] = told
+        for field, entry in docs.items():
+            table["properties"][field]["description"] = entry
     tables["Law"]["properties"]["parameters"]["properties"] = law_parameters_schema()
     driver = tables["Ugv"]["properties"]["driver"]
     driver["pattern"] = f"{driver['pattern']}|^[a-z0-9_-]+:."
     profile = {
         "enum": sorted(PROFILES),
-        "description": "The profile that these settings start from.",
+        "description": "Profile on which these settings are based.",
     }
     for name in ("LinkTable", "VehicleLinks", "LinkSettings"):
         tables[name]["properties"]["profile"] = profile
@@ -71,13 +71,13 @@ def scenario_schema() -> dict[str, Any]:
             tables[name]["properties"][str(kind)].pop("default", None)
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "Scenario of Outrider",
+        "title": "Outrider scenario",
         **schema,
     }
 
 
 def law_parameters_schema() -> dict[str, Any]:
-    """The parameters of all laws, by name; a name stands for the same in every law that has it."""
+    """Return the parameters of all laws by name; a name has the same meaning in every law."""
     found: dict[str, Any] = {}
     for name in LAWS:
         parameters = parameters_class(name)
@@ -85,17 +85,17 @@ def law_parameters_schema() -> dict[str, Any]:
             continue
         (table,) = msgspec.json.schema(parameters)["$defs"].values()
         docs = field_docs(parameters)
-        for field, told in table["properties"].items():
+        for field, entry in table["properties"].items():
             default = (
-                {} if told.get("default") in (None, math.inf) else {"default": told["default"]}
+                {} if entry.get("default") in (None, math.inf) else {"default": entry["default"]}
             )
-            kept = {key: value for key, value in told.items() if key != "default"}
+            kept = {key: value for key, value in entry.items() if key != "default"}
             found[field] = kept | default | {"description": docs[field]}
     return found
 
 
 def schema_text() -> str:
-    """Return the schema as a text that ends with a line break."""
+    """Return the schema as text with a final line break."""
     return msgspec.json.format(msgspec.json.encode(scenario_schema()), indent=2).decode() + "\n"
 
 

@@ -1,4 +1,4 @@
-"""A UGV that sees everything and answers what the UAV does; what it did is a script that does the same again."""
+"""Omniscient UGV that reacts to the UAV; its decisions are recorded as a script that replays them."""
 
 import math
 from collections.abc import Callable
@@ -16,40 +16,40 @@ from sim.server.flight import Flight
 
 
 def cut(number: float, digits: int) -> float:
-    """Towards zero, so that bounds are kept, to so many digits: a scenario that people can read."""
+    """Truncate a number towards zero, so that bounds still hold and the scenario stays readable."""
     scale = 10.0**digits
     return math.trunc(number * scale) / scale
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tactics:
-    """The UGV's answers, by how far away the UAV is and whether it comes or goes."""
+    """Reactions of the UGV to the UAV's distance and radial velocity."""
 
     far: float
-    """From this distance on it counts as far [m]."""
+    """Distance from which the UAV counts as far [m]."""
     fast: float
-    """Faster than this it counts as coming or going [m/s]."""
+    """Radial speed above which the UAV counts as approaching or receding [m/s]."""
     period: int
     """Ticks between two decisions."""
     table: tuple[tuple[float, float], ...]
-    """Angle from straight away [rad] and speed [m/s], while it is near and flies off, neither, comes.
+    """Angle from the direction away from the UAV [rad] and speed [m/s].
 
-    Then while it is far.
+    Rows: near UAV that recedes, holds its distance, approaches; then the same for a far UAV.
     """
 
 
 class Adversary:
-    """The driver, with the whole truth before it.
+    """UGV controller with access to the true state.
 
     Args:
-        tactics: What it answers.
-        flight: Where the truth is.
-        told: The UGV's briefing.
+        tactics: Reactions to the UAV.
+        flight: Run that holds the true state.
+        briefing: The UGV's briefing.
     """
 
-    def __init__(self, tactics: Tactics, flight: Flight, told: UgvBriefing) -> None:
+    def __init__(self, tactics: Tactics, flight: Flight, briefing: UgvBriefing) -> None:
         self._tactics, self._world = tactics, flight.world
-        self._steering = Steering(told)
+        self._steering = Steering(briefing)
         self.script: list[ScriptStep] = []
         """Its commands so far."""
 
@@ -67,7 +67,7 @@ class Adversary:
         return cut(speed * math.cos(angle), 4), cut(speed * math.sin(angle), 4)
 
     def drive(self, observation: UgvObservation) -> Vector:
-        """The acceleration [m/s²], to the velocity that a script would hold at this tick."""
+        """Return the acceleration [m/s²] towards the velocity that a script would hold at this tick."""
         if observation.tick % self._tactics.period == 0:
             self.script.append(ScriptStep(time=observation.time, velocity=self._wanted()))
         return self._steering.to_velocity(observation, self.script[-1].velocity)
@@ -76,20 +76,20 @@ class Adversary:
 def fly_adversary(
     scenario: Scenario, tactics: Tactics, on_tick: Callable[[Flight], None]
 ) -> tuple[Flight, list[ScriptStep]]:
-    """Fly a scenario with the adversary at the UGV's wheel.
+    """Simulate a scenario with the adversary as the UGV's controller.
 
     Args:
-        scenario: What is flown, with its own seed; its script is not.
-        tactics: The adversary's.
+        scenario: Scenario with its own seed; its script is ignored.
+        tactics: Reactions of the adversary.
         on_tick: Called after each tick.
 
     Returns:
-        The flight, and the script with which the scenario flies the same.
+        The run, and the script that reproduces it.
     """
     flight = Flight(scenario, scenario.seed)
     pilots = make_pilots(scenario, scenario.seed)
-    told = ugv_briefing(scenario, scenario.ugv[0].name, scenario.seed)
-    adversary = Adversary(tactics, flight, told)
-    pilots[told.vehicle] = UgvPilot(told, driver=adversary)
+    briefing = ugv_briefing(scenario, scenario.ugv[0].name, scenario.seed)
+    adversary = Adversary(tactics, flight, briefing)
+    pilots[briefing.vehicle] = UgvPilot(briefing, driver=adversary)
     flight.fly(InProcess(pilots), on_tick=lambda: on_tick(flight))
     return flight, adversary.script

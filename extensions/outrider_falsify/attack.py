@@ -1,10 +1,8 @@
-"""An attack on the certificate.
+"""Compiled attack on the safety filter and its certificate.
 
-The project's own world, links and counting, the UAV's filter, and adversaries in everything else.
-
-The adversary knows the truth and the code. It is the inner control, the UGV, the errors of the detections, which of
-them are made at all, and what becomes of commands. Everything is drawn from the seed and the run's number, so any run
-can be flown again alone.
+World, links, counters and safety filter are the product's own; adversaries control everything else. They know the true
+state and the code. They choose the nominal control, the UGV's motion, detection errors, missed detections and the fate
+of commands. Every draw depends on the seed and the run's number, so each run can be repeated alone.
 """
 
 import math
@@ -28,7 +26,7 @@ from outrider_falsify.attack_records import (
     Run,
     View,
     apart,
-    empty_room,
+    empty_scratch,
     keep_states,
     view_of,
 )
@@ -42,8 +40,7 @@ from outrider_falsify.conditions import (
     Conditions,
     scenario_of,
 )
-from outrider_falsify.draws import next_share
-from outrider_falsify.network_troubles import darken, send_command
+from outrider_falsify.network_troubles import send_command, start_blackout
 from outrider_falsify.opponents import (
     UAV,
     UGV,
@@ -56,6 +53,7 @@ from outrider_falsify.opponents import (
     redraw,
     ugv_command,
 )
+from outrider_falsify.rng import next_share
 from outrider_falsify.tick_distance import largest_between
 from sim.channel.link_records import ARRIVED
 from sim.compiling.compile import compiled, released
@@ -80,30 +78,30 @@ _A_C, _B_C, _C_C, _D_C = -3.0, -3.0, -8.0 / 3.0, -3.0  # (15) with the paper's c
 
 
 class Known(NamedTuple):
-    """The UAV's knowledge at a tick."""
+    """Knowledge of the UAV at one tick."""
 
     new: int
-    """Row of the newest detection; negative: there is none."""
+    """Row of the newest detection; negative before the first."""
     bound: float
-    """The certified distance [m]."""
+    """Certified distance [m]."""
     z_x: float
     z_y: float
-    """p_a - p_g of the newest detection [m]."""
+    """Relative position p_a - p_g of the newest detection [m]."""
 
 
 class Order(NamedTuple):
-    """The UAV's command of a tick, and what is said of it."""
+    """Command of the UAV at one tick, with the filter's statement about it."""
 
     u_x: float
     u_y: float
     """[m/s²]"""
     acted: bool
-    """True if it is the guard's."""
+    """True if the guard overrides the nominal control."""
     certified: bool
-    carrying: bool
-    """True if it carries a motion."""
+    carries_trajectory: bool
+    """True if the command carries a trajectory."""
     reported: bool
-    """True if the filter was asked."""
+    """True if the filter was evaluated."""
 
 
 @compiled
@@ -111,15 +109,18 @@ def _switch_command(
     conditions: Conditions,
     bounds: SafetyBounds,
     discs: RecordArray,
-    plots: RecordArray,
+    adversaries: RecordArray,
     tick: int,
     here: Motion,
     z_x: float,
     z_y: float,
 ) -> tuple[float, float]:
-    """The command of a law that switches, beyond its radius [m/s²]; z is p_a - p_g of the newest detection [m]."""
+    """Return the command [m/s²] of a switching law beyond its radius.
+
+    z is p_a - p_g of the newest detection [m].
+    """
     if conditions.law >= GUARDS.switch_tracking:
-        return clip_norm(plots[UAV].output_x, plots[UAV].output_y, bounds.u_a)
+        return clip_norm(adversaries[UAV].output_x, adversaries[UAV].output_y, bounds.u_a)
     if conditions.law == GUARDS.switch_best:
         least = math.inf
         for k in range(KEPT):
@@ -138,16 +139,16 @@ def _switch_command(
 
 
 @compiled
-def _take_in(run: Run, view: View) -> Known:
-    """Let what has arrived reach the UAV's computer, and hold its bound against the truth."""
+def _receive(run: Run, view: View) -> Known:
+    """Deliver arrived detections to the UAV and compare the certified distance with the true one."""
     bounds, memory, here, tick = run.bounds, run.memory, view.here, view.tick
     result = run.results[0]
-    if run.room.trouble[0].away == 0:
+    if run.scratch.trouble[0].away == 0:
         add_position(memory, tick, here.p_x, here.p_y)
         for n in range(run.state.links[0, 0].arrived):
             packet = run.state.packets[0, 0, ARRIVED, n]
             taken, (d_x, d_y) = int(packet.stamp), packet.vector
-            record_arrival(bounds, run.room.counts[0], taken, packet.error)
+            record_arrival(bounds, run.scratch.counts[0], taken, packet.error)
             add_measurement(bounds, memory, taken, (d_x, d_y), tick, here)
     discs = memory.discs
     new = newest_disc(discs)
@@ -162,30 +163,32 @@ def _take_in(run: Run, view: View) -> Known:
 
 
 @compiled
-def _want(run: Run, view: View, known: Known) -> tuple[float, float]:
-    """Return the command that the adversary in the UAV wants [m/s²]."""
-    conditions, random, plots = run.conditions, run.random, run.room.plots
-    dt, u_a, roles, (z_x, z_y) = run.bounds.dt, run.bounds.u_a, run.room.roles[0], known[2:]
+def _nominal_command(run: Run, view: View, known: Known) -> tuple[float, float]:
+    """Return the nominal command chosen by the adversary in the UAV [m/s²]."""
+    conditions, random, adversaries = run.conditions, run.random, run.scratch.adversaries
+    dt, u_a, roles, (z_x, z_y) = run.bounds.dt, run.bounds.u_a, run.scratch.roles[0], known[2:]
     if next_share(random) < 0.01:
-        redraw(random, plots, UAV, u_a)
+        redraw(random, adversaries, UAV, u_a)
         if conditions.inner == ANY and next_share(random) < 0.3:
             roles.inner = choose(random, conditions.inner, len(INNERS))
     if roles.inner == INNERS.tracking or conditions.law >= GUARDS.switch_tracking:
         c_x, c_y = roles.controller_x, roles.controller_y
         o_x, o_y = tracking_output(c_x, c_y, z_x, z_y, _C_C, _D_C)
-        plots[UAV].output_x, plots[UAV].output_y = o_x, o_y
+        adversaries[UAV].output_x, adversaries[UAV].output_y = o_x, o_y
         c_x, c_y = tracking_step(c_x, c_y, z_x, z_y, _A_C, _B_C, dt)
         roles.controller_x, roles.controller_y = c_x, c_y
     phase = roles.rate * (view.tick * dt)
-    u_x, u_y = inner_command(roles.inner, view.x, view.y, view.here, z_x, z_y, phase, plots, u_a)
+    u_x, u_y = inner_command(
+        roles.inner, view.x, view.y, view.here, z_x, z_y, phase, adversaries, u_a
+    )
     return clip_norm(u_x, u_y, u_a)
 
 
 @compiled
 def _filter(run: Run, view: View, u_x: float, u_y: float) -> Order:
-    """Ask the filter, which may be off, away or without its memory; count what it says as the simulator does."""
+    """Evaluate the filter unless it is off or disconnected; count its statement as the simulator does."""
     conditions, memory, random, here = run.conditions, run.memory, run.random, view.here
-    roles, trouble, counts = run.room.roles[0], run.room.trouble[0], run.room.counts[0]
+    roles, trouble, counts = run.scratch.roles[0], run.scratch.trouble[0], run.scratch.counts[0]
     if conditions.disturbance == DISTURBANCES.law_changes and next_share(random) < 0.01:
         roles.filtering = not roles.filtering
         if roles.filtering:
@@ -200,8 +203,8 @@ def _filter(run: Run, view: View, u_x: float, u_y: float) -> Order:
         if trouble.away == 0:
             invalidate_plans(memory)
     elif roles.filtering:
-        begun = run.state.flown[0, UAV, 0].begins
-        decide(run.bounds, memory, view.tick, here, u_x, u_y, begun)
+        begins = run.state.flown[0, UAV, 0].begins
+        decide(run.bounds, memory, view.tick, here, u_x, u_y, begins)
         decision = memory.decision[0]
         u_x, u_y = decision.acceleration[0], decision.acceleration[1]
         certified, acted = decision.reason == CERTIFIED, decision.source != NOMINAL
@@ -213,26 +216,26 @@ def _filter(run: Run, view: View, u_x: float, u_y: float) -> Order:
 
 @compiled
 def _decide(run: Run, view: View, known: Known) -> Order:
-    """Return the UAV's command: the adversary's, or what its guard makes of it."""
+    """Return the UAV's command: the adversary's nominal control, possibly overridden by the guard."""
     conditions = run.conditions
-    u_x, u_y = _want(run, view, known)
+    u_x, u_y = _nominal_command(run, view, known)
     if conditions.law == GUARDS.filter:
         return _filter(run, view, u_x, u_y)
     z_x, z_y = known.z_x, known.z_y
     far = norm(z_x, z_y) if conditions.law == GUARDS.paper else known.bound
     acted = known.new >= 0 and far >= conditions.radius
     if acted:
-        discs, plots = run.memory.discs, run.room.plots
+        discs, adversaries = run.memory.discs, run.scratch.adversaries
         u_x, u_y = _switch_command(
-            conditions, run.bounds, discs, plots, view.tick, view.here, z_x, z_y
+            conditions, run.bounds, discs, adversaries, view.tick, view.here, z_x, z_y
         )
     return Order(u_x, u_y, acted, False, False, False)
 
 
 @compiled
 def _count(run: Run, view: View, known: Known, order: Order) -> None:
-    """Count a tick of the run."""
-    sums, counts, result = run.room.sums[0], run.room.counts[0], run.results[0]
+    """Add one tick to the run's sums."""
+    sums, counts, result = run.scratch.sums[0], run.scratch.counts[0], run.results[0]
     sums.distance += view.distance
     sums.overridden += order.acted
     counts.certified_before = counts.certified_before and order.reported
@@ -245,53 +248,67 @@ def _count(run: Run, view: View, known: Known, order: Order) -> None:
 
 @compiled
 def _drive(run: Run, view: View) -> None:
-    """Let the UGV's adversary send its command."""
-    conditions, random, plots, roles = run.conditions, run.random, run.room.plots, run.room.roles[0]
+    """Send the command of the adversary in the UGV."""
+    conditions, random, adversaries, roles = (
+        run.conditions,
+        run.random,
+        run.scratch.adversaries,
+        run.scratch.roles[0],
+    )
     u_g, moving, ugv = (
         ugv_bound(run.bounds, conditions),
-        run.room.now[UGV],
+        run.scratch.now[UGV],
         run.state.vehicles[0, UGV],
     )
     if next_share(random) < 0.01:
-        redraw(random, plots, UGV, u_g)
+        redraw(random, adversaries, UGV, u_g)
         if conditions.ugv == ANY and next_share(random) < 0.2:
             roles.ugv = choose(random, conditions.ugv, len(UGVS))
     ugv.outgoing_tick = view.tick
     ugv.outgoing[0], ugv.outgoing[1] = ugv_command(
-        roles.ugv, view.x, view.y, view.here, moving.v_x, moving.v_y, plots, u_g
+        roles.ugv, view.x, view.y, view.here, moving.v_x, moving.v_y, adversaries, u_g
     )
 
 
 @compiled
 def _step(run: Run, view: View) -> None:
-    """Step the world; the adversary is the wind."""
-    conditions, state, room = run.conditions, run.state, run.room
-    roles = room.roles[0]
-    keep_states(state, room.before)
+    """Step the world; the adversary sets the wind."""
+    conditions, state, scratch = run.conditions, run.state, run.scratch
+    roles = scratch.roles[0]
+    keep_states(state, scratch.before)
     receive_commands(run.tables, state, 0)
     if run.tables.disturbances.shape[0] > 0:
-        dark = room.trouble[0].dark
+        blackout = scratch.trouble[0].blackout
         roles.blows = disturb(
-            conditions, state, run.random, roles.blows, dark, view.x, view.y, room.plots
+            conditions,
+            state,
+            run.random,
+            roles.blows,
+            blackout,
+            view.x,
+            view.y,
+            scratch.adversaries,
         )
     move(run.tables, state, None, 0)
     if conditions.jumps > 0.0:
         jump(conditions, state)
-    keep_states(state, room.now)
+    keep_states(state, scratch.now)
 
 
 @compiled
 def _detect(run: Run, tick: int) -> None:
-    """Let the world detect the UGV; the adversary chooses which detections are made, and with which error."""
-    conditions, random, room, bounds = run.conditions, run.random, run.room, run.bounds
-    trouble, found = room.trouble[0], run.state.vehicles[0, UAV].detection
-    x, y, _ = apart(room.now)
-    darken(conditions, bounds, room, random, tick)
+    """Detect the UGV; the adversary chooses missed detections and errors."""
+    conditions, random, scratch, bounds = run.conditions, run.random, run.scratch, run.bounds
+    trouble, found = scratch.trouble[0], run.state.vehicles[0, UAV].detection
+    x, y, _ = apart(scratch.now)
+    start_blackout(conditions, bounds, scratch, random, tick)
     size = bounds.max_measurement_error * conditions.error_share
-    n_x, n_y = detection_error(room.roles[0].error, random, tick, size, x, y, room.plots)
-    trouble.seen = 1 if trouble.dark == 0 else 0
-    if trouble.dark > 0:
-        trouble.dark -= 1
+    n_x, n_y = detection_error(
+        scratch.roles[0].error, random, tick, size, x, y, scratch.adversaries
+    )
+    trouble.seen = 1 if trouble.blackout == 0 else 0
+    if trouble.blackout > 0:
+        trouble.blackout -= 1
         n_x = math.nan
     if not math.isnan(found[0]):
         found[0], found[1] = x - n_x, y - n_y
@@ -300,22 +317,22 @@ def _detect(run: Run, tick: int) -> None:
 
 @compiled
 def _judge(run: Run, tick: int, certified: bool) -> None:
-    """Count the time until the next tick: what the UAV flies, and whether sight is lost in it."""
-    counts, result, room = run.room.counts[0], run.results[0], run.room
+    """Check the interval up to the next tick for loss of sight and broken assumptions."""
+    counts, result, scratch = run.scratch.counts[0], run.results[0], run.scratch
     flown = run.state.flown[0, UAV, 0]
     bare = run.state.vehicles[0, UAV].command_tick if flown.plain == 1 else NEVER_SEEN
     record_interval(run.bounds, counts, tick, flown.begins, bare)
     if counts.interval_kept and certified:
-        most = largest_between(room.before, room.now, run.bounds.dt)
+        most = largest_between(scratch.before, scratch.now, run.bounds.dt)
         result.max_certified = max(result.max_certified, most)
         result.certified_lost += most >= run.conditions.r_v
 
 
 @compiled
 def _finish(run: Run, ticks: int) -> None:
-    """Fill in the result of a run of so many ticks."""
-    counts, result, sums = run.room.counts[0], run.results[0], run.room.sums[0]
-    record_end(counts, apart(run.room.now)[2] >= run.conditions.r_v)
+    """Write the result of a run with this number of ticks."""
+    counts, result, sums = run.scratch.counts[0], run.results[0], run.scratch.sums[0]
+    record_end(counts, apart(run.scratch.now)[2] >= run.conditions.r_v)
     result.certified_lost += counts.certified_while_lost
     result.broken = counts.broken
     result.overridden = sums.overridden / (ticks + 1)
@@ -325,16 +342,16 @@ def _finish(run: Run, ticks: int) -> None:
 
 @released
 def fly_one(run: Run, ticks: int) -> None:
-    """Fly one run of so many ticks, in a world that is as it was at the start, with its keys."""
+    """Simulate one run in a world that has just been reset and has its rng keys."""
     begin(run)
     for tick in range(ticks + 1):
         view = view_of(run, tick)
-        known = _take_in(run, view)
+        known = _receive(run, view)
         order = _decide(run, view, known)
         _count(run, view, known, order)
         if tick == ticks:
             break
-        send_command(run, view, order.u_x, order.u_y, order.carrying)
+        send_command(run, view, order.u_x, order.u_y, order.carries_trajectory)
         _drive(run, view)
         _step(run, view)
         _detect(run, tick)
@@ -345,18 +362,18 @@ def fly_one(run: Run, ticks: int) -> None:
 def attack(
     bounds: SafetyBounds, conditions: Conditions, seed: int, first: int, runs: int, duration: float
 ) -> RecordArray:
-    """Runs of an attack from `first` on.
+    """Simulate consecutive runs of an attack.
 
     Args:
-        bounds: The declared numbers.
-        conditions: Who guards, who attacks, over which network.
-        seed: Of all draws.
+        bounds: Declared bounds.
+        conditions: Guard, adversaries and network.
+        seed: Seed of all draws.
         first: Number of the first run.
-        runs: How many.
-        duration: Of each [s].
+        runs: Number of runs.
+        duration: Duration of each run [s].
 
     Returns:
-        `AttackResult` of each. Shape (runs,).
+        `AttackResult` of each run. Shape (runs,).
     """
     batch = Batch(scenario_of(bounds, conditions), 1, threads=1)
     late = batch.links.longest(LinkKind.DETECTIONS) + 1
@@ -365,7 +382,7 @@ def attack(
         tables=batch.tables,
         state=batch.state,
         memory=filter_memory(bounds.delay_ticks, max(1, late)),
-        room=empty_room(),
+        scratch=empty_scratch(),
         bounds=bounds,
         conditions=conditions,
         random=random,

@@ -1,4 +1,4 @@
-"""The grid of attacks: all combinations of network, place, error, vehicles and broken assumptions."""
+"""Grid of attacks: combinations of network, area, detection error, vehicle limits and broken assumptions."""
 
 import itertools
 import math
@@ -15,11 +15,11 @@ from outrider_falsify.conditions import (
     Conditions,
     declared,
 )
-from outrider_falsify.lost_motions import LOSSES
+from outrider_falsify.lost_trajectories import LOSSES
 from sim.models.safety import SafetyBounds
 
 EPS = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5)
-"""Largest errors of a detection in the grid [m]."""
+"""Largest detection errors in the grid [m]."""
 
 _OTHER_BOUNDS = (
     {"dt": 0.02},
@@ -31,13 +31,14 @@ _OTHER_BOUNDS = (
     {"v_a": 3.0, "u_a": 4.0, "v_g": 1.0, "dt": 0.1},
     {"v_a": 1.5, "u_a": 0.5, "v_g": 0.5, "dt": 0.02},
 )
-"""Vehicles and ticks unlike the paper's: short and long ticks.
+"""Vehicle limits and ticks that differ from the paper's: short and long ticks, fast vehicles.
 
-A UGV up to 0.99 as fast as the UAV, which only a large radius can certify; fast vehicles."""
+The UGV's speed reaches 0.99 of the UAV's, which only a large radius can certify.
+"""
 
 
 def _networks() -> Iterator[Conditions]:
-    """Every network that keeps the assumptions."""
+    """Yield every network that satisfies the assumptions."""
     times = (0.0, 2.0, 5.0, 10.0, 15.0)
     networks = itertools.product(
         times,
@@ -46,11 +47,11 @@ def _networks() -> Iterator[Conditions]:
         (0.0, 0.3, 1.0),
         (0.1, math.inf),
     )
-    for dark, kind, (latency, scattered), delay, u_g in networks:
-        if dark > 0.0 or kind == BLACKOUTS.periodic:
+    for blackout_time, kind, (latency, scattered), delay, u_g in networks:
+        if blackout_time > 0.0 or kind == BLACKOUTS.periodic:
             yield Conditions(
-                blackout=kind if dark else BLACKOUTS.none,
-                blackout_time=dark,
+                blackout=kind if blackout_time else BLACKOUTS.none,
+                blackout_time=blackout_time,
                 latency=latency,
                 scattered=scattered,
                 delay=delay,
@@ -58,8 +59,8 @@ def _networks() -> Iterator[Conditions]:
             )
 
 
-def _places() -> Iterator[Conditions]:
-    """Walls and corners."""
+def _walls() -> Iterator[Conditions]:
+    """Yield runs at walls and in corners."""
     for conditions in _networks():
         if conditions.blackout in (
             BLACKOUTS.none,
@@ -70,13 +71,13 @@ def _places() -> Iterator[Conditions]:
 
 
 def _disturbed() -> Iterator[Conditions]:
-    """Commands and processes that now and then break A5', and commands that come early or twice."""
-    for delay, area, dark, kind in itertools.product(
+    """Yield disturbances that occasionally break A5', and commands that arrive early or twice."""
+    for delay, area, blackout_time, kind in itertools.product(
         (0.0, 0.3, 1.0), AREAS, (0.0, 5.0), DISTURBANCES
     ):
         conditions = Conditions(
-            blackout=BLACKOUTS.when_far if dark else BLACKOUTS.none,
-            blackout_time=dark,
+            blackout=BLACKOUTS.when_far if blackout_time else BLACKOUTS.none,
+            blackout_time=blackout_time,
             delay=delay,
             area=area,
             disturbance=kind,
@@ -91,8 +92,8 @@ def _disturbed() -> Iterator[Conditions]:
 
 
 def _lossy() -> Iterator[Conditions]:
-    """Networks that lose motions, as often and for as long as B allows."""
-    for outage, delay, kind, dark, area in itertools.product(
+    """Yield networks that lose trajectories as often and as long as `max_command_interval` allows."""
+    for interval, delay, kind, blackout_time, area in itertools.product(
         (0.3, 1.0, 2.0, 5.0, 8.0),
         (0.0, 0.3, 1.0),
         LOSSES[1:],
@@ -100,11 +101,11 @@ def _lossy() -> Iterator[Conditions]:
         AREAS,
     ):
         conditions = Conditions(
-            outage=outage,
+            max_command_interval=interval,
             delay=delay,
             losses=kind,
-            blackout=BLACKOUTS.when_far if dark else BLACKOUTS.none,
-            blackout_time=dark,
+            blackout=BLACKOUTS.when_far if blackout_time else BLACKOUTS.none,
+            blackout_time=blackout_time,
             area=area,
             u_g=math.inf if kind % 2 else 0.1,
         )
@@ -114,18 +115,24 @@ def _lossy() -> Iterator[Conditions]:
         if delay and area == AREAS.open:
             yield conditions._replace(jitter=True, duplicates=0.5)
             yield conditions._replace(latency=1.0, scattered=True)
-    for outage, kind in itertools.product((1.0, 5.0), DISTURBANCES[1:]):
+    for interval, kind in itertools.product((1.0, 5.0), DISTURBANCES[1:]):
         for delay in (0.0, 0.4):
-            yield Conditions(outage=outage, delay=delay, losses=ANY, disturbance=kind, silence=2.0)
+            yield Conditions(
+                max_command_interval=interval,
+                delay=delay,
+                losses=ANY,
+                disturbance=kind,
+                silence=2.0,
+            )
 
 
-def _bare() -> Iterator[Conditions]:
-    """Receivers that know accelerations only."""
-    for area, dark, kind in itertools.product(AREAS, (0.0, 5.0), DISTURBANCES):
+def _accelerations_only() -> Iterator[Conditions]:
+    """Yield receivers that accept accelerations only."""
+    for area, blackout_time, kind in itertools.product(AREAS, (0.0, 5.0), DISTURBANCES):
         yield Conditions(
             bare=True,
-            blackout=BLACKOUTS.when_far if dark else BLACKOUTS.none,
-            blackout_time=dark,
+            blackout=BLACKOUTS.when_far if blackout_time else BLACKOUTS.none,
+            blackout_time=blackout_time,
             area=area,
             disturbance=kind,
             u_g=math.inf,
@@ -133,21 +140,21 @@ def _bare() -> Iterator[Conditions]:
 
 
 def _moving() -> Iterator[Conditions]:
-    """UAVs that move when the run begins."""
-    for speed, delay, outage, area in itertools.product(
+    """Yield UAVs that move at the start."""
+    for speed, delay, interval, area in itertools.product(
         (0.3, 1.0), (0.0, 0.3, 1.0), (0.0, 2.0), AREAS
     ):
         yield Conditions(
             start_speed=speed,
             delay=delay,
-            outage=outage,
-            losses=ANY if outage else LOSSES.none,
+            max_command_interval=interval,
+            losses=ANY if interval else LOSSES.none,
             area=area,
         )
 
 
 def _windy() -> Iterator[Conditions]:
-    """Wind, a wrong own position and jumps, with darkness, walls, delays and lost motions."""
+    """Yield wind, position errors and jumps combined with blackouts, walls, delays and lost trajectories."""
     pushes = [
         Conditions(wind=wind, position_error=own, gains=gains)
         for (wind, own), gains in itertools.product(
@@ -156,44 +163,54 @@ def _windy() -> Iterator[Conditions]:
     ]
     pushes += [Conditions(jumps=jumps) for jumps in (0.1, 0.5)]
     darkness = ((0.0, BLACKOUTS.none), (5.0, BLACKOUTS.when_far))
-    places = itertools.product(AREAS, darkness, (0.0, 0.3), (0.0, 2.0))
-    for push, (area, (dark, blackout), delay, outage) in itertools.product(pushes, places):
+    settings = itertools.product(AREAS, darkness, (0.0, 0.3), (0.0, 2.0))
+    for push, (area, (blackout_time, blackout), delay, interval) in itertools.product(
+        pushes, settings
+    ):
         yield push._replace(
             area=area,
             blackout=blackout,
-            blackout_time=dark,
+            blackout_time=blackout_time,
             delay=delay,
-            outage=outage,
-            losses=ANY if outage else 0,
+            max_command_interval=interval,
+            losses=ANY if interval else 0,
             u_g=math.inf if area else 0.1,
         )
 
 
 def grid() -> Iterator[tuple[SafetyBounds, Conditions]]:
-    """All combinations of network, place, error, vehicles and broken assumptions for which there is a certificate."""
-    kinds = _networks(), _places(), _disturbed(), _lossy(), _bare(), _moving(), _windy()
+    """Yield every combination for which a certificate exists, with its declared changes."""
+    kinds = (
+        _networks(),
+        _walls(),
+        _disturbed(),
+        _lossy(),
+        _accelerations_only(),
+        _moving(),
+        _windy(),
+    )
     for conditions in itertools.chain(*kinds):
         pushed = conditions.wind or conditions.position_error or conditions.jumps
         started = conditions.bare or conditions.start_speed
-        lossy = conditions.disturbance or conditions.outage
+        lossy = conditions.disturbance or conditions.max_command_interval
         plain = not (conditions.area or lossy or started or pushed)
         for eps in EPS if plain else EPS[::2]:
-            promise = declared(conditions, eps)
-            if not math.isnan(promise.handover_radius):
-                yield promise, conditions
-    for bounds, area, delay, dark in itertools.product(
+            bounds = declared(conditions, eps)
+            if not math.isnan(bounds.handover_radius):
+                yield bounds, conditions
+    for changes, area, delay, blackout_time in itertools.product(
         _OTHER_BOUNDS, AREAS, (0.0, 0.4), (0.0, 4.0)
     ):
         conditions = Conditions(
-            blackout=BLACKOUTS.periodic if dark else BLACKOUTS.none,
-            blackout_time=dark,
+            blackout=BLACKOUTS.periodic if blackout_time else BLACKOUTS.none,
+            blackout_time=blackout_time,
             delay=delay,
             area=area,
             error=ERRORS.sphere,
             u_g=math.inf,
-            r_v=bounds.get("r_v", PAPER_BOUNDS["r_v"]),
+            r_v=changes.get("r_v", PAPER_BOUNDS["r_v"]),
         )
         for eps in (0.0, 0.3):
-            promise = declared(conditions, eps, **bounds)
-            if not math.isnan(promise.handover_radius):
-                yield promise, conditions
+            bounds = declared(conditions, eps, **changes)
+            if not math.isnan(bounds.handover_radius):
+                yield bounds, conditions

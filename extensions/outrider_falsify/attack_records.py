@@ -1,4 +1,4 @@
-"""Records of an attack: what a run finds, what its adversaries remember, and what they see at a tick."""
+"""Records of an attack: results, memory of the adversaries, and their view of a tick."""
 
 from typing import NamedTuple
 
@@ -6,8 +6,8 @@ import numpy as np
 
 from agents.safety.memory import FilterMemory
 from outrider_falsify.conditions import Conditions
-from outrider_falsify.draws import Words
-from outrider_falsify.opponents import UAV, UGV, Plot
+from outrider_falsify.opponents import UAV, UGV, AdversaryState
+from outrider_falsify.rng import RngState
 from sim.compiling.compile import FloatArray, compiled
 from sim.compiling.records import RecordArray, record_type
 from sim.engine.monitor import certificate_counters
@@ -16,26 +16,26 @@ from sim.models.safety import SafetyBounds
 from sim.models.vehicles import Motion, norm
 
 RING = 8
-"""Commands that are remembered: so many ticks at most are they late."""
+"""Number of stored commands: the largest delay that the adversary imposes [ticks]."""
 
 
 class AttackResult(NamedTuple):
-    """The columns of what is found, a row each run."""
+    """Columns of the results, one row per run."""
 
     max_distance: float
     """Largest distance [m]."""
     max_excess: float
     """Largest d - d_cert [m]."""
     overridden: float
-    """Share of ticks with an intervention."""
+    """Share of ticks at which the guard overrides the nominal control."""
     uncertified: float
-    """Share of the ticks since the first detection arrived that are not certified."""
+    """Share of uncertified ticks since the first detection arrived."""
     mean_distance: float
     """[m]"""
     max_age: float
     """Largest age of the newest detection [s]."""
     certified_lost: float
-    """Ticks certified with a distance of r_v or more at them or, if A5' holds, until the next."""
+    """Certified ticks with a distance of r_v or more at the tick or, if A5' holds, before the next."""
     broken: float
     """Ticks at which the certificate is lost although its assumptions hold, as the simulator counts them."""
     max_certified: float
@@ -43,22 +43,22 @@ class AttackResult(NamedTuple):
 
 
 class Trouble(NamedTuple):
-    """The trouble that the adversary makes now, in ticks; a row of an array of one."""
+    """Current network trouble, in ticks; a row of an array of one."""
 
-    dark: int
-    """For so long nothing is detected yet."""
+    blackout: int
+    """Remaining ticks of the detections' blackout."""
     seen: int
     """1 if there was a detection in the last tick."""
     silent: int
-    """For so long no command comes yet."""
+    """Remaining ticks without a command."""
     late: int
-    """Commands set out so much later than they should."""
+    """Additional delay of the commands sent."""
     away: int
-    """For so long the UAV's process is away yet."""
+    """Remaining ticks for which the UAV's process is disconnected."""
 
 
 class Roles(NamedTuple):
-    """The adversaries that play now, by their codes, and the state of the UAV's; a row of an array of one."""
+    """Codes of the active adversaries and the controller state of the UAV's; a row of an array of one."""
 
     inner: int
     """A code of `INNERS`."""
@@ -71,16 +71,16 @@ class Roles(NamedTuple):
     losses: int
     """A code of `LOSSES`."""
     rate: float
-    """Of the phase of what swings [rad/s]."""
+    """Angular rate of periodic controls [rad/s]."""
     controller_x: float
     controller_y: float
     """State of the controller (15)."""
     filtering: bool
-    """False while another law flies than the filter's."""
+    """False while a law other than the filter flies."""
 
 
 class TickSums(NamedTuple):
-    """Sums over the ticks of a run, of which its shares are made; a row of an array of one."""
+    """Sums over the ticks of a run, from which shares are computed; a row of an array of one."""
 
     distance: float
     """[m]"""
@@ -88,27 +88,27 @@ class TickSums(NamedTuple):
     seen: int
     """Ticks since the first detection arrived."""
     uncertified: int
-    """Those of them that are not certified."""
+    """Uncertified ticks among them."""
 
 
-class Room(NamedTuple):
-    """The memory of a run, beside the world's and the filter's; arrays that change in place."""
+class Scratch(NamedTuple):
+    """Working memory of a run besides the world's and the filter's; arrays that change in place."""
 
-    plots: RecordArray
-    """`Plot`. (2,)"""
+    adversaries: RecordArray
+    """`AdversaryState`. Shape (2,)."""
     trouble: RecordArray
-    """`Trouble`. (1,)"""
+    """`Trouble`. Shape (1,)."""
     roles: RecordArray
-    """`Roles`. (1,)"""
+    """`Roles`. Shape (1,)."""
     sums: RecordArray
-    """`TickSums`. (1,)"""
+    """`TickSums`. Shape (1,)."""
     before: RecordArray
     now: RecordArray
-    """`Motion` of UAV and UGV as they truly are, at the last tick and now. (2,)"""
+    """True `Motion` of UAV and UGV at the last tick and now. Shape (2,)."""
     ring: FloatArray
-    """The commands of the last ticks [m/s²], and 1 for each that carries a motion. (RING, 3)"""
+    """Last commands [m/s²]; column 2 is 1 for a command that carries a trajectory. Shape (RING, 3)."""
     counts: RecordArray
-    """`CertificateCounters`. (1,)"""
+    """`CertificateCounters`. Shape (1,)."""
 
 
 class Run(NamedTuple):
@@ -116,19 +116,19 @@ class Run(NamedTuple):
 
     tables: BatchTables
     state: BatchState
-    """The world. UAV 0 is vehicle 0, the UGV vehicle 1."""
+    """State of the world: UAV 0 is vehicle 0, the UGV is vehicle 1."""
     memory: FilterMemory
-    """Of the filter."""
-    room: Room
-    """Of all else."""
+    """Memory of the safety filter."""
+    scratch: Scratch
+    """Working memory of everything else."""
     bounds: SafetyBounds
-    """The declared numbers; the laws that switch use its bounds only."""
+    """Declared bounds; switching laws use the vehicle limits only."""
     conditions: Conditions
-    """Who guards and who attacks."""
-    random: Words
-    """State of the adversary's draws. (1,)"""
+    """Guard, adversaries and network."""
+    random: RngState
+    """State of the adversary's random number generator. Shape (1,)."""
     results: RecordArray
-    """Filled: `AttackResult`. (1,)"""
+    """`AttackResult`, written by the run. Shape (1,)."""
 
 
 class View(NamedTuple):
@@ -136,18 +136,18 @@ class View(NamedTuple):
 
     tick: int
     here: Motion
-    """The UAV, as it is told that it moves."""
+    """Reference state of the UAV."""
     x: float
     y: float
-    """The true p_a - p_g [m]."""
+    """True relative position p_a - p_g [m]."""
     distance: float
-    """Its norm [m]."""
+    """Norm of the relative position [m]."""
 
 
-def empty_room() -> Room:
-    """Room for runs, one after the other."""
-    return Room(
-        plots=np.zeros(2, record_type(Plot)),
+def empty_scratch() -> Scratch:
+    """Allocate working memory, reused by consecutive runs."""
+    return Scratch(
+        adversaries=np.zeros(2, record_type(AdversaryState)),
         trouble=np.zeros(1, record_type(Trouble)),
         roles=np.zeros(1, record_type(Roles)),
         sums=np.zeros(1, record_type(TickSums)),
@@ -160,7 +160,7 @@ def empty_room() -> Room:
 
 @compiled
 def keep_states(state: BatchState, states: RecordArray) -> None:
-    """Copy how the vehicles truly move into an array of `Motion`."""
+    """Copy the true states of the vehicles into an array of `Motion`."""
     for k in range(states.shape[0]):
         row, vehicle = states[k], state.vehicles[0, k]
         row.p_x, row.p_y = vehicle.position[0], vehicle.position[1]
@@ -169,15 +169,15 @@ def keep_states(state: BatchState, states: RecordArray) -> None:
 
 @compiled
 def apart(now: RecordArray) -> tuple[float, float, float]:
-    """Return p_a - p_g of two motions and its norm [m]."""
+    """Return the relative position p_a - p_g of two states and its norm [m]."""
     x, y = now[UAV].p_x - now[UGV].p_x, now[UAV].p_y - now[UGV].p_y
     return x, y, norm(x, y)
 
 
 @compiled
 def view_of(run: Run, tick: int) -> View:
-    """Return what the adversary sees at the beginning of a tick."""
+    """Return the adversary's view at the start of a tick."""
     uav = run.state.vehicles[0, UAV]
     there, moving = uav.reference_position, uav.reference_velocity
-    x, y, d = apart(run.room.now)
+    x, y, d = apart(run.scratch.now)
     return View(tick, Motion(there[0], there[1], moving[0], moving[1]), x, y, d)

@@ -1,4 +1,4 @@
-"""The compiled attack on the certificate, over its whole grid and on all cores; and laws that it must catch."""
+"""Compiled attack over the whole grid on all cores, and faulty guards that it must expose."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -28,86 +28,88 @@ CONTROLS = {
     "paper-radius": GUARDS.switch_servo,
     "switching": GUARDS.paper,
 }
-"""Guards that are known to be wrong.
+"""Guards with known faults.
 
-Beyond the specification's radius of d_cert tracking (15), or full speed to the detection with the least bound; full
-speed to the newest one beyond a radius that does not know the delay; the paper's law (18)."""
+`tracking` and `argmin` switch at the specification's radius of d_cert: to tracking (15), or to full speed towards the
+detection with the smallest bound. `paper-radius` flies at full speed towards the newest detection, beyond a radius that
+ignores the delay. `switching` is the paper's law (18).
+"""
 
 _CHUNK = 8
-"""Runs of a task, after the first round with one for each combination."""
+"""Runs per task after the first round, which flies each combination once."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attacked:
-    """The outcome of a few runs of one combination."""
+    """Result of some runs of one combination."""
 
     eps: float
-    """Largest error of a detection [m]."""
+    """Largest detection error [m]."""
     bounds: dict[str, float]
-    """Of the vehicles and the tick, where they are not the paper's."""
+    """Limits of the vehicles and tick length that differ from the paper's."""
     conditions: Conditions
     duration: float
-    """Of each run [s]."""
+    """Duration of each run [s]."""
     runs: int
     violations: int
-    """Runs with a certified tick in which the distance reaches r_v, or, where nothing certifies, with any such tick."""
+    """Runs with a certified tick at which the distance reaches r_v; any tick for guards that do not certify."""
     broken: int
-    """Runs in which the certificate was lost although its assumptions held."""
+    """Runs that lost the certificate although its assumptions held."""
     lost: int
     """Runs with a distance of r_v or more."""
     uncertified: int
-    """Runs with a tick that was not certified."""
+    """Runs with an uncertified tick."""
     uncertified_share: float
-    """Sum of the runs' shares of such ticks."""
+    """Sum over the runs of their shares of uncertified ticks."""
     worst_run: int
     worst_distance: float
     """[m]"""
     excess: float
-    """Largest distance less the certified one [m]; above 0 the bound is none."""
+    """Largest distance minus the certified distance [m]; a positive value refutes the bound."""
 
     @property
     def worst_share(self) -> float:
-        """The largest distance as a share of r_v."""
+        """Return the largest distance as a share of r_v."""
         return self.worst_distance / self.conditions.r_v
 
 
 def kind(conditions: Conditions) -> str:
-    """Names the place, and what is special about the run or breaks A5'."""
-    c, words = conditions, [AREAS._fields[conditions.area]]
+    """Describe the area, special features of the run, and disturbances that break A5'."""
+    c, parts = conditions, [AREAS._fields[conditions.area]]
     if c.wind or c.position_error or c.jumps:
-        words.append("wind and own position")
-    for given, word in (
+        parts.append("wind and position error")
+    for given, text in (
         (c.bare, "bare accelerations"),
         (c.start_speed, "starts moving"),
-        (c.outage, "motions lost"),
+        (c.max_command_interval, "trajectories lost"),
         (c.jitter, "jitter"),
         (c.duplicates, "duplicates"),
         (c.disturbance, DISTURBANCES._fields[c.disturbance].replace("_", " ")),
     ):
         if given:
-            words.append(word)
-    return ", ".join(words)
+            parts.append(text)
+    return ", ".join(parts)
 
 
 @dataclass(slots=True)
 class KindTally:
-    """Counts of one place with one disturbance."""
+    """Counters of one area with one disturbance."""
 
     runs: int = 0
     violations: int = 0
     broken: int = 0
     lost: int = 0
     uncertified: float = 0.0
-    """Sum of the runs' shares of ticks that were not certified."""
+    """Sum over the runs of their shares of uncertified ticks."""
 
 
 @dataclass(slots=True)
 class AttackTally:
-    """Counts of a search so far."""
+    """Running counters of a search."""
 
     runs: int = 0
     combinations: int = 0
-    """Of network and error; each is flown with other adversaries in every run."""
+    """Combinations of network and error; each run of one has other adversaries."""
     violations: int = 0
     broken: int = 0
     lost: int = 0
@@ -115,10 +117,10 @@ class AttackTally:
     worst: Attacked | None = None
     excess: float = -math.inf
     kinds: dict[str, KindTally] = field(default_factory=dict)
-    """By `kind`."""
+    """Counters by `kind`."""
 
     def take(self, found: Attacked, *, new: bool) -> None:
-        """Count a task."""
+        """Add the result of a task."""
         one = self.kinds.setdefault(kind(found.conditions), KindTally())
         one.uncertified += found.uncertified_share
         for tally in (self, one):
@@ -139,35 +141,33 @@ def warm() -> None:
     attack(declared(conditions, 0.0), conditions, 0, 0, 1, 1.0)
 
 
-def _guarded(control: str | None, promise: SafetyBounds, conditions: Conditions) -> Conditions:
-    """The same conditions with the guard that is to be caught."""
+def _guarded(control: str | None, bounds: SafetyBounds, conditions: Conditions) -> Conditions:
+    """Return the conditions with the faulty guard in place of the filter."""
     if control is None:
         return conditions
-    bounds = PAPER_BOUNDS
-    radius = spec_radius(promise, with_latency=control != "paper-radius")
+    paper = PAPER_BOUNDS
+    radius = spec_radius(bounds, with_latency=control != "paper-radius")
     if control == "switching":
-        radius = float(
-            raw_switching_radius(bounds["r_v"], bounds["v_a"], bounds["v_g"], bounds["u_a"])
-        )
+        radius = float(raw_switching_radius(paper["r_v"], paper["v_a"], paper["v_g"], paper["u_a"]))
     return conditions._replace(law=CONTROLS[control], radius=radius)
 
 
 def fly_attack(
-    promise: SafetyBounds, conditions: Conditions, seed: int, first: int, runs: int, duration: float
+    bounds: SafetyBounds, conditions: Conditions, seed: int, first: int, runs: int, duration: float
 ) -> Attacked:
-    """A few runs of one combination; for a worker. Arguments as in `outrider_falsify.attack.attack`."""
-    found = attack(promise, conditions, seed, first, runs, duration)
+    """Simulate some runs of one combination in a worker; arguments as in `outrider_falsify.attack.attack`."""
+    found = attack(bounds, conditions, seed, first, runs, duration)
     lost, uncertified = found["max_distance"] >= conditions.r_v, found["uncertified"] > 0.0
     certifies = conditions.law == GUARDS.filter
     distance = found["max_certified" if certifies else "max_distance"]
     violated = found["certified_lost"] > 0.0 if certifies else lost
     worst = int(np.argmax(distance / conditions.r_v))
     return Attacked(
-        eps=promise.max_measurement_error,
+        eps=bounds.max_measurement_error,
         bounds={
-            name: getattr(promise, name)
+            name: getattr(bounds, name)
             for name in ("v_a", "u_a", "v_g", "dt")
-            if getattr(promise, name) != PAPER_BOUNDS[name]
+            if getattr(bounds, name) != PAPER_BOUNDS[name]
         },
         conditions=conditions,
         duration=duration,
@@ -186,28 +186,28 @@ def fly_attack(
 def _calls(
     control: str | None, eps: float | None, seed: int, runs: int | None, duration: float
 ) -> Iterator[tuple[SafetyBounds, Conditions, int, int, int, float]]:
-    """Every combination once, then again and again with more runs, as many as are asked for."""
+    """Yield every combination once, then more runs of each until the requested number is reached."""
     left = math.inf if runs is None else runs
     flown: list[tuple[SafetyBounds, Conditions]] = []
 
-    def length(promise: SafetyBounds) -> float:
-        return duration * max(1.0, promise.dt / PAPER_BOUNDS["dt"])
+    def length(bounds: SafetyBounds) -> float:
+        return duration * max(1.0, bounds.dt / PAPER_BOUNDS["dt"])
 
-    for promise, conditions in grid():
+    for bounds, conditions in grid():
         if left <= 0:
             return
-        if eps is None or promise.max_measurement_error == eps:
-            flown.append((promise, _guarded(control, promise, conditions)))
+        if eps is None or bounds.max_measurement_error == eps:
+            flown.append((bounds, _guarded(control, bounds, conditions)))
             left -= 1
-            yield *flown[-1], seed, 0, 1, length(promise)
+            yield *flown[-1], seed, 0, 1, length(bounds)
     first = 1
     while flown:
-        for promise, conditions in flown:
+        for bounds, conditions in flown:
             if left <= 0:
                 return
             count = int(min(_CHUNK, left))
             left -= count
-            yield promise, conditions, seed, first, count, length(promise)
+            yield bounds, conditions, seed, first, count, length(bounds)
         first += _CHUNK
 
 
@@ -225,14 +225,14 @@ def run_attack(
     """Attack until the budget is used up.
 
     Args:
-        workers: Who fly.
-        budget: How much.
-        tally: What is found, counted as it comes.
-        control: Instead of the filter a guard that is known to be wrong, a row of `CONTROLS`.
-        eps: Only this error [m].
-        seed: Of all draws.
-        duration: Of each run [s]; longer where a tick is longer than the paper's, so that no run has fewer ticks.
-        on_task: Is told after every few runs.
+        workers: Worker processes.
+        budget: Limit on runs and time.
+        tally: Counters, updated with each result.
+        control: Faulty guard in place of the filter, a row of `CONTROLS`.
+        eps: Restriction to one detection error [m].
+        seed: Seed of all draws.
+        duration: Duration of each run [s]; scaled up with ticks longer than the paper's, to keep the number of ticks.
+        on_task: Callback after each task.
     """
     calls = _calls(control, eps, seed, budget.runs, duration)
     for found in workers.stream(fly_attack, calls, budget.ends):
@@ -247,14 +247,14 @@ _NAMES = (
 
 
 def again(found: Attacked, seed: int) -> str:
-    """The worst run as a line of Python that flies it again."""
-    told = ", ".join(
+    """Return one line of Python that repeats the worst run."""
+    arguments = ", ".join(
         f"{name}=math.inf" if value == math.inf else f"{name}={value!r}"
         for name, value in found.conditions._asdict().items()
         if value != Conditions._field_defaults[name]
         and (name not in ("law", "radius") or found.conditions.law)
     )
-    conditions = f"c = Conditions({told})"
+    conditions = f"c = Conditions({arguments})"
     bounds = "".join(f", {name}={value!r}" for name, value in found.bounds.items())
     return (
         f"{_NAMES}; {conditions}; attack(declared(c, {found.eps!r}{bounds}), c, {seed}, {found.worst_run}, 1, "

@@ -1,13 +1,13 @@
-"""The beginning of a run of an attack: places, and the adversaries that are chosen."""
+"""Start of an attack's run: positions of the vehicles and choice of the adversaries."""
 
 import math
 
 from agents.safety.memory import reset_memory
-from outrider_falsify.attack_records import Room, Run, keep_states
+from outrider_falsify.attack_records import Run, Scratch, keep_states
 from outrider_falsify.conditions import AREAS, ERRORS, INNERS, UGVS, WINDS, Conditions
-from outrider_falsify.draws import Words, next_share
-from outrider_falsify.lost_motions import ALIVE, LOSSES
+from outrider_falsify.lost_trajectories import ALIVE, LOSSES
 from outrider_falsify.opponents import UAV, UGV, choose, draw_creep, draw_direction, redraw
+from outrider_falsify.rng import RngState, next_share
 from sim.compiling.compile import compiled
 from sim.engine.monitor import reset_counters
 from sim.engine.world_state import BatchState, BatchTables
@@ -16,8 +16,10 @@ from sim.models.safety import SafetyBounds
 
 
 @compiled
-def _place(conditions: Conditions, tables: BatchTables, state: BatchState, random: Words) -> None:
-    """Put UGV and UAV where the run begins, and let the UAV move where the conditions ask for it."""
+def _place(
+    conditions: Conditions, tables: BatchTables, state: BatchState, random: RngState
+) -> None:
+    """Place UGV and UAV, and set the UAV's initial velocity where the conditions specify a speed."""
     parameters, vehicles = tables.world[0], state.vehicles
     if conditions.start_speed > 0.0:
         speed = conditions.start_speed * vehicles[0, UAV].max_speed
@@ -48,10 +50,12 @@ def _place(conditions: Conditions, tables: BatchTables, state: BatchState, rando
 
 
 @compiled
-def _place_at_wall(conditions: Conditions, width: float, state: BatchState, random: Words) -> None:
-    """Put UGV and UAV on the wall y = 0, some in its corner, or between a picometre and ten micrometres from it.
+def _place_at_wall(
+    conditions: Conditions, width: float, state: BatchState, random: RngState
+) -> None:
+    """Place UGV and UAV at the wall y = 0, in its corner, or 1e-12 m to 1e-5 m from it.
 
-    Half of the UAVs start with a velocity as small as what rounding leaves.
+    Half of the UAVs start with a velocity of the order of rounding errors.
     """
     vehicles = state.vehicles
     corner = next_share(random) < 0.25
@@ -68,34 +72,34 @@ def _place_at_wall(conditions: Conditions, width: float, state: BatchState, rand
 
 
 @compiled
-def _begin_plots(room: Room, random: Words, u_a: float, u_g: float) -> None:
-    """Let the adversaries begin, who may accelerate so much [m/s²]."""
-    plots, trouble, ring = room.plots, room.trouble[0], room.ring
-    redraw(random, plots, UAV, u_a)
-    redraw(random, plots, UGV, u_g)
+def _reset_adversaries(scratch: Scratch, random: RngState, u_a: float, u_g: float) -> None:
+    """Initialize the adversaries with their acceleration limits u_a and u_g [m/s²]."""
+    adversaries, trouble, ring = scratch.adversaries, scratch.trouble[0], scratch.ring
+    redraw(random, adversaries, UAV, u_a)
+    redraw(random, adversaries, UGV, u_g)
     for k in (UAV, UGV):
-        plots[k].output_x, plots[k].output_y = 0.0, 0.0
-        plots[k].heading_x, plots[k].heading_y = 0.0, 0.0
-        plots[k].error_x, plots[k].error_y, plots[k].wind = 0.0, 0.0, 0.0
-    plots[UAV].heading_x, plots[UAV].heading_y = draw_creep(random)
-    plots[UGV].heading_x, plots[UGV].heading_y = draw_direction(random)
-    plots[UGV].error_x, plots[UGV].error_y = draw_direction(random)
-    plots[UAV].losing = ALIVE
-    trouble.dark, trouble.seen = 0, 1
+        adversaries[k].output_x, adversaries[k].output_y = 0.0, 0.0
+        adversaries[k].heading_x, adversaries[k].heading_y = 0.0, 0.0
+        adversaries[k].error_x, adversaries[k].error_y, adversaries[k].wind = 0.0, 0.0, 0.0
+    adversaries[UAV].heading_x, adversaries[UAV].heading_y = draw_creep(random)
+    adversaries[UGV].heading_x, adversaries[UGV].heading_y = draw_direction(random)
+    adversaries[UGV].error_x, adversaries[UGV].error_y = draw_direction(random)
+    adversaries[UAV].losing = ALIVE
+    trouble.blackout, trouble.seen = 0, 1
     trouble.silent, trouble.late, trouble.away = 0, 0, 0
     ring[:] = 0.0
 
 
 @compiled
 def ugv_bound(bounds: SafetyBounds, conditions: Conditions) -> float:
-    """Return the UGV's largest acceleration [m/s²]; where it has none, what turns it back within a tick."""
+    """Return the UGV's acceleration limit [m/s²]; if unlimited, one that reverses it within a tick."""
     u_g: float = conditions.u_g
     return u_g if math.isfinite(u_g) else 2.0 * bounds.v_g / bounds.dt
 
 
 @compiled
 def _begin_states(state: BatchState) -> None:
-    """Let the vehicles be where they are told that they are."""
+    """Set the reference states to the true states."""
     for k in range(2):
         vehicle = state.vehicles[0, k]
         for i in range(2):
@@ -105,37 +109,37 @@ def _begin_states(state: BatchState) -> None:
 
 @compiled
 def _reset_result(run: Run) -> None:
-    """Nothing has been found or counted."""
-    result, sums = run.results[0], run.room.sums[0]
+    """Reset results and counters."""
+    result, sums = run.results[0], run.scratch.sums[0]
     result.max_distance, result.max_excess, result.max_age = 0.0, -math.inf, 0.0
     result.certified_lost, result.broken, result.max_certified = 0.0, 0.0, 0.0
     sums.distance, sums.overridden, sums.seen, sums.uncertified = 0.0, 0, 0, 0
-    reset_counters(run.room.counts[0])
+    reset_counters(run.scratch.counts[0])
 
 
 @compiled
 def begin(run: Run) -> None:
-    """Let a run begin, in a world that is as it was at the start, with its keys."""
-    conditions, random, plots = run.conditions, run.random, run.room.plots
-    roles = run.room.roles[0]
+    """Start a run in a world that has just been reset and has its rng keys."""
+    conditions, random, adversaries = run.conditions, run.random, run.scratch.adversaries
+    roles = run.scratch.roles[0]
     roles.inner = choose(random, conditions.inner, len(INNERS))
     roles.ugv = choose(random, conditions.ugv, len(UGVS))
     roles.error = choose(random, conditions.error, len(ERRORS))
-    _begin_plots(run.room, random, run.bounds.u_a, ugv_bound(run.bounds, conditions))
+    _reset_adversaries(run.scratch, random, run.bounds.u_a, ugv_bound(run.bounds, conditions))
     roles.rate = 0.05 + 1.5 * next_share(random)
     roles.controller_x, roles.controller_y = 0.0, 0.0
     _place(conditions, run.tables, run.state, random)
     if conditions.area == AREAS.wall and next_share(random) < 0.8:  # along the wall
-        plots[UGV].heading_x = plots[UGV].side
-        plots[UGV].heading_y = 1e-6 * next_share(random) if next_share(random) < 0.5 else 0.0
+        adversaries[UGV].heading_x = adversaries[UGV].side
+        adversaries[UGV].heading_y = 1e-6 * next_share(random) if next_share(random) < 0.5 else 0.0
     _begin_states(run.state)
     roles.blows = 0
     if run.tables.disturbances.shape[0] > 0:
-        plots[UGV].wind = 2.0 * math.pi * next_share(random)
+        adversaries[UGV].wind = 2.0 * math.pi * next_share(random)
         roles.blows = choose(random, conditions.blows, len(WINDS))
     reset_memory(run.memory)
     begin_world(run.tables, run.state, None, 0)
     roles.filtering = True
     _reset_result(run)
-    keep_states(run.state, run.room.now)
+    keep_states(run.state, run.scratch.now)
     roles.losses = choose(random, conditions.losses, len(LOSSES))

@@ -1,4 +1,4 @@
-"""One candidate flown, and whether it broke the promise."""
+"""Simulation of one candidate and its verdict."""
 
 import math
 from dataclasses import dataclass
@@ -17,38 +17,38 @@ from sim.server.flight import Flight
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CandidateResult:
-    """The outcome of a run."""
+    """Result of one run."""
 
     number: int
     score: float
-    """Largest distance while the promise stood [m]."""
+    """Largest distance at states with guaranteed visibility [m]."""
     violated: bool
-    """True if the UGV was lost while the promise stood."""
+    """True if the UGV was lost at a state with guaranteed visibility."""
     lost: bool
-    """True if it was lost at all."""
+    """True if the UGV was lost at any state."""
     uncertified: bool
-    """True if the law certifies, and did not certify every tick from the first certified one on."""
+    """True if the law certifies, but missed a tick after its first certified one."""
     certified_while_lost: int = 0
-    """Ticks that were certified although the UGV was out of sight then; any is a violation."""
+    """Ticks certified while the UGV was out of sight; each is a violation."""
     certificate_broken: int = 0
-    """Ticks that were not certified although the one before was and all assumptions held."""
+    """Ticks that lost the certificate although all assumptions held."""
 
 
 _WHILE = 1.0
-"""After an uncertified tick a promise counts again once it has stood for so long and for the commands' delay [s]."""
+"""Certified time, besides the command delay, after which visibility is guaranteed again [s]."""
 
 
-def promised(certified: npt.NDArray[np.bool_], patience: int) -> npt.NDArray[np.bool_]:
-    """At which states the promise stands.
+def guaranteed(certified: npt.NDArray[np.bool_], patience: int) -> npt.NDArray[np.bool_]:
+    """Return the states at which visibility is guaranteed.
 
-    Without a gap since the run's first certified tick, or for long enough since a gap.
+    A state counts if every tick since the first certified one is certified, or if enough ticks after a gap are.
 
     Args:
-        certified: Of each tick whether sight was certified from there on.
-        patience: How many ticks are long enough.
+        certified: Certified ticks. Shape (ticks,).
+        patience: Certified ticks required after a gap.
 
     Returns:
-        Of each state, one more than ticks.
+        Mask of the states. Shape (ticks + 1,).
     """
     stands = np.zeros(len(certified) + 1, dtype=np.bool_)
     length, gaps = 0, 0
@@ -62,18 +62,18 @@ def promised(certified: npt.NDArray[np.bool_], patience: int) -> npt.NDArray[np.
 def flown(
     candidate: Candidate, base: Scenario, limits: SearchLimits
 ) -> tuple[Scenario, Flight, CandidateResult]:
-    """Fly a candidate.
+    """Simulate a candidate.
 
     Args:
-        candidate: What is flown.
-        base: What all candidates have in common.
-        limits: Within what is searched.
+        candidate: Candidate to simulate.
+        base: Scenario shared by all candidates.
+        limits: Limits of the search.
 
     Returns:
-        The scenario that flies the same by itself, the flight, and what came out.
+        The scenario that reproduces the run, the run, and its result.
     """
     scenario = decode(candidate, base, limits)
-    certified = np.zeros(scenario.ticks, dtype=np.bool_)  # that sight is kept from there on
+    certified = np.zeros(scenario.ticks, dtype=np.bool_)
 
     def see(flight: Flight) -> None:
         report = flight.answers.reports[0]
@@ -88,8 +88,10 @@ def flown(
     distance = flight.recorder.escorts[:, 0, 0]
     certifies = LAWS[scenario.law.name].watched
     patience = math.ceil((_WHILE + scenario.links.commands.delay) / scenario.dt)
-    stands = promised(certified, patience) if certifies else np.ones(len(distance), dtype=np.bool_)
-    stands[:-1] |= certified  # whatever has been before: such a tick says that the UGV is in sight
+    stands = (
+        guaranteed(certified, patience) if certifies else np.ones(len(distance), dtype=np.bool_)
+    )
+    stands[:-1] |= certified  # a certified tick asserts visibility whatever came before
     lost = distance >= scenario.visibility.radius
     result = CandidateResult(
         number=candidate.number,
@@ -104,5 +106,5 @@ def flown(
 
 
 def fly_candidate(candidate: Candidate, base: Scenario, limits: SearchLimits) -> CandidateResult:
-    """Fly a candidate; for a worker."""
+    """Simulate a candidate in a worker."""
     return flown(candidate, base, limits)[2]

@@ -1,4 +1,4 @@
-"""`outrider falsify`: a search for what breaks the promise."""
+"""`outrider falsify`: search for runs that violate the visibility guarantee."""
 
 import shlex
 import time
@@ -17,13 +17,13 @@ from outrider.cli.stopping import stop_on_signals
 from outrider_falsify import options
 
 if TYPE_CHECKING:
-    from outrider_falsify.engines import Found, Wanted
+    from outrider_falsify.engines import SearchRequest, SearchResult
     from outrider_falsify.limits import SearchLimits
     from sim.scenario.types import Scenario
 
 _MINUTES = 1.0
 _LINE = 10.0
-"""The time between two lines of progress without a terminal [s]; one more comes at the first violation."""
+"""Interval between two progress lines without a terminal [s]; the first violation prints one at once."""
 
 
 def command(
@@ -46,33 +46,35 @@ def command(
 ) -> None:
     """Search for a run in which the UAV loses sight of its UGV.
 
-    On all cores. Turned are the UGV's motion within its bounds, the start, the draws of the noise and, within the
-    limits below, the network: first what the proofs fear, then chance, then CMA-ES on the largest distance. Starts are
-    such that braking at once keeps the UGV within r_s, so that a law that loses it did so itself. The worst run with a
-    violation is saved as a scenario that flies it again, to the last bit: `outrider run FILE --in-process`.
+    The search uses all cores. It varies the UGV's motion within its limits, the start, the noise and, within --limit,
+    the network. It tries critical cases of the proofs, then random candidates, then CMA-ES on the largest distance.
+    From every start, braking at once keeps the UGV within r_s: a loss is the law's own fault. The worst violation is
+    saved as a scenario that reproduces it exactly: `outrider run FILE --in-process`.
 
-    The law `certified` promises only where it says so: a run counts as violated if every tick from its first certified
-    one up to the loss was certified (after a gap: those of the last second), or if any tick was certified while the UGV
-    was out of sight; all numbers are told. What the scenario does not declare in [certificate] is declared as the
-    limits need it. For this law a compiled attack is flown as well, over its own grid: adversaries in the UAV and in
-    the UGV, errors on the border of their ball, blackouts up to 15 s, commands up to 1 s late, walls and corners; and
-    commands that are lost, early, doubled or later than declared, laws changed in flight, processes that join again.
-    One in a hundred of --runs are whole flights, the others attacks; of --minutes, a third.
+    The law `certified` guarantees visibility only at certified ticks. A run violates the guarantee if every tick from
+    its first certified one to the loss was certified (after a gap: every tick of the last second). It also does if any
+    tick was certified while the UGV was out of sight. Bounds missing from [certificate] are set to cover the limits.
 
-    The exit code is 0 whatever is found, unless --expect says otherwise; 130 after Ctrl-C, which keeps the best.
-    Needs the extra [falsify].
+    For this law a compiled attack runs as well, over a grid of its own. Adversaries control the UAV, the UGV and the
+    detection errors. Blackouts last up to 15 s and commands arrive up to 1 s late, in the open, at walls and in
+    corners. Further runs break assumptions: lost, early, duplicated or delayed commands, changes of the law in flight,
+    processes that reconnect. One in a hundred of --runs simulates a scenario, the rest are attacks; of --minutes,
+    scenarios use a third.
+
+    The exit code is 0 for any result unless --expect is given; 130 after Ctrl-C, which keeps the best result. Needs the
+    extra [falsify].
 
     Example: outrider falsify --law switching --limit none
     """
     from outrider.running.resolve import resolve
     from outrider.running.user_code import check_code, check_own_functions
-    from outrider_falsify.engines import Wanted
+    from outrider_falsify.engines import SearchRequest
     from outrider_falsify.limits import SearchLimits
     from sim.compiling.threads import cores
 
     if control is not None and (law not in (None, "certified") or engine == "flights"):
         raise typer.BadParameter(
-            "--control stands in the place of the law certified in the attack; leave --law and --engine out"
+            "--control: replaces the law certified in the attack; leave out --law and --engine"
         )
     flown, named = resolve(
         scenario,
@@ -84,14 +86,16 @@ def command(
     check_own_functions(flown)
     certified = LAWS[flown.law.name].watched
     if (engine is not None or error is not None) and not certified:
-        raise typer.BadParameter("--engine and --error are for the law certified")
+        raise typer.BadParameter(
+            f"law = {flown.law.name}: --engine and --error need the law certified"
+        )
     flies = control is None and engine != "attack"
     attacks = certified and (control is not None or engine != "flights")
     limits = SearchLimits(**options.limits_of(limit, flown.detections.noise))
     if attacks:
         _check_error(error)
     _check_out(out)
-    wanted = Wanted(
+    wanted = SearchRequest(
         base=_base(flown, limits) if flies else flown,
         limits=limits,
         flies=flies,
@@ -109,7 +113,7 @@ def command(
 
 
 def _check_error(error: float | None) -> None:
-    """Refuse an error that the attack does not try."""
+    """Raise BadParameter if the attack's grid lacks this error."""
     from outrider_falsify.attack_grid import EPS
 
     if error is not None and error not in EPS:
@@ -118,7 +122,7 @@ def _check_error(error: float | None) -> None:
 
 
 def _base(given: "Scenario", limits: "SearchLimits") -> "Scenario":
-    """Return the scenario that every flight starts from; warn of what the limits change or exceed in it."""
+    """Return the base scenario of every candidate; warn about fields that the limits raise or exceed."""
     from outrider.cli.console import print_warnings
     from outrider_falsify.limits import base_of, beyond_declared
 
@@ -127,15 +131,15 @@ def _base(given: "Scenario", limits: "SearchLimits") -> "Scenario":
     raised: tuple[str, ...] = ()
     if base.command_timeout > given.command_timeout:
         raised = (
-            f"command_timeout = {given.command_timeout:g} s is raised to {base.command_timeout:g} s, the "
-            f"latest command that the limits allow",
+            f"command_timeout = {given.command_timeout:g} s: raised to {base.command_timeout:g} s, the "
+            f"largest command delay within the limits",
         )
     print_warnings((*raised, *beyond_declared(base, limits)))
     return base
 
 
 def _check_out(out: Path | None) -> None:
-    """Raises if the file cannot be written: before the search, not after it."""
+    """Raise BadParameter before the search if the file cannot be written."""
     if out is None:
         return
     if out.is_dir():
@@ -143,16 +147,16 @@ def _check_out(out: Path | None) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
 
 
-def _search(wanted: "Wanted", expect: options.Expected, *, json: bool) -> None:
+def _search(wanted: "SearchRequest", expect: options.Expected, *, json: bool) -> None:
     from outrider.cli.console import ERR, OUT, print_json
-    from outrider_falsify.engines import Found, save, search
+    from outrider_falsify.engines import SearchResult, save, search
 
-    found, fault = Found(wanted), None
+    found, fault = SearchResult(wanted), None
     with stop_on_signals() as stop:
         try:
             with _progress(found) as show:
                 search(found, asked=lambda: bool(stop), on_run=show)
-        except PeerLost as error:  # what has been found by then is told all the same
+        except PeerLost as error:  # print the result so far first
             fault = error
         save(found)
     if json:
@@ -163,101 +167,101 @@ def _search(wanted: "Wanted", expect: options.Expected, *, json: bool) -> None:
     if fault is not None:
         raise fault
     if stop:
-        ERR.tell(f"outrider: interrupted after {found.runs:,} runs; what was found by then is told")
+        ERR.tell(f"outrider: interrupted after {found.runs:,} runs; results so far are printed")
         raise typer.Exit(stop.exit_code)
     if expect is not None and not found.runs:
-        ERR.tell(f"outrider: --expect {expect}, but the time was over before anything had flown")
+        ERR.tell(f"outrider: --expect {expect}: time ran out before the first run")
         raise typer.Exit(1)
     if expect is not None and (found.violations > 0) is (expect == "none"):
         ERR.tell(
-            f"outrider: --expect {expect}, but {found.violations:,} of {found.runs:,} runs are violations"
+            f"outrider: --expect {expect}: {found.violations:,} of {found.runs:,} runs are violations"
         )
         raise typer.Exit(1)
 
 
 @contextmanager
-def _progress(found: "Found") -> Iterator[Callable[[str, float], None]]:
-    """A bar on a terminal, else a line now and then."""
+def _progress(found: "SearchResult") -> Iterator[Callable[[str, float], None]]:
+    """Show a progress bar on a terminal, otherwise a line at intervals."""
     from outrider.cli.console import ERR, runs_bar
 
-    began = said = time.monotonic()
+    began = printed = time.monotonic()
     shown = 0  # violations
     with runs_bar(width=30) as progress:
         task = progress.add_task("starting", total=1.0, note="")
 
         def show(engine: str, share: float) -> None:
-            nonlocal said, shown
+            nonlocal printed, shown
             now = time.monotonic()
             rate = found.runs / max(now - began, 1e-9)
             note = (
-                f"{found.runs:,} runs, {rate:.1f} runs/s, farthest {found.worst:.4f} m, {found.violations:,} "
+                f"{found.runs:,} runs, {rate:.1f} runs/s, largest distance {found.worst:.4f} m, {found.violations:,} "
                 "violations"
             )
             note += f", {found.lost:,} lost" if found.lost != found.violations else ""
             progress.update(task, description=engine, completed=min(1.0, share), note=note)
-            if not ERR.is_terminal and (now - said >= _LINE or (found.violations and not shown)):
-                said, shown = now, found.violations
+            if not ERR.is_terminal and (now - printed >= _LINE or (found.violations and not shown)):
+                printed, shown = now, found.violations
                 ERR.tell(f"{engine}: {note}")
 
         yield show
 
 
-_KINDS = "place, what breaks A5'"
+_KINDS = "area, violation of A5'"
 
 
-def _lines(found: "Found") -> Iterator[str]:
-    """Tell what was found."""
+def _lines(found: "SearchResult") -> Iterator[str]:
+    """Yield the lines of the printed result."""
     from outrider.running.user_code import foreign_code
 
     wanted = found.wanted
     law = (
         wanted.base.law.name
         if wanted.control is None
-        else f"{wanted.control}, in the place of the filter"
+        else f"{wanted.control}, in place of the filter"
     )
     rate = found.runs / found.seconds if found.seconds > 0.0 else 0.0
-    much = f"{found.runs:,} runs in {found.seconds:.1f} s, {rate:.1f} runs/s"
-    yield f"{law}: {found.violations:,} violations of r_v = {wanted.base.visibility.radius:g} m in {much}"
+    amount = f"{found.runs:,} runs in {found.seconds:.1f} s, {rate:.1f} runs/s"
+    yield f"{law}: {found.violations:,} violations of r_v = {wanted.base.visibility.radius:g} m in {amount}"
     yield from _flight_lines(found)
     yield from _attack_lines(found)
     if found.path is not None:
-        yield "  The worst flight:"
-        yield from (f"    {line}" for line in found.words)
+        yield "  Worst scenario:"
+        yield from (f"    {line}" for line in found.description)
         yield f"  {found.path}"
-        # the file names what the command has named
+        # the saved file refers to the same user code
         code = " --allow-code" if foreign_code(wanted.base) else ""
-        yield f"  outrider run {shlex.quote(str(found.path))} --in-process{code} flies it again: {found.sha256}"
+        yield f"  outrider run {shlex.quote(str(found.path))} --in-process{code} reproduces it: {found.sha256}"
 
 
-def _flight_lines(found: "Found") -> Iterator[str]:
+def _flight_lines(found: "SearchResult") -> Iterator[str]:
     flights = found.flights
     if not flights.runs:
         return
-    yield f"  flights: {flights.violations:,} of {flights.runs:,} lose sight; the farthest {flights.worst:.4f} m"
+    yield f"  scenarios: {flights.violations:,} of {flights.runs:,} lose sight; largest distance {flights.worst:.4f} m"
     if LAWS[found.wanted.base.law.name].watched:
-        share = f"not every tick was certified in {flights.uncertified:,}"
+        share = f"gaps in the certificate in {flights.uncertified:,}"
         yield (
-            f"    {share}; in {flights.lost - flights.violations:,} sight was lost after nothing was "
-            "promised any more"
+            f"    {share}; sight lost without a certificate in "
+            f"{flights.lost - flights.violations:,}"
         )
         yield f"    certified while lost: {flights.certified_while_lost:,} ticks"
-        yield f"    certificate lost while all assumptions held: {flights.certificate_broken:,} times"
+        yield f"    certificate lost although all assumptions held: {flights.certificate_broken:,} times"
 
 
-def _attack_lines(found: "Found") -> Iterator[str]:
+def _attack_lines(found: "SearchResult") -> Iterator[str]:
     wanted, attacks = found.wanted, found.attacks
     if attacks.worst is None:
         return
     worst = attacks.worst
     over = f"over {attacks.combinations:,} combinations of network and error"
-    said = "are certified while sight is lost" if wanted.control is None else "lose sight"
+    verdict = "are certified while sight is lost" if wanted.control is None else "lose sight"
     yield (
-        f"  attack: {attacks.violations:,} of {attacks.runs:,} {over} {said}; the farthest "
+        f"  attack: {attacks.violations:,} of {attacks.runs:,} {over} {verdict}; largest distance "
         f"{worst.worst_distance:.6f} m"
     )
     if wanted.control is None:
-        yield f"    the certificate is lost although its assumptions hold in {attacks.broken:,}"
-        yield f"    not every tick was certified in {attacks.uncertified:,}; sight was lost in {attacks.lost:,}"
+        yield f"    certificate lost although all assumptions held in {attacks.broken:,}"
+        yield f"    uncertified ticks in {attacks.uncertified:,}; sight lost in {attacks.lost:,}"
         yield (
             f"    {_KINDS:46}{'runs':>8}{'lost':>8}{'certified, lost':>17}"
             f"{'broken':>8}{'uncertified':>13}"
@@ -266,13 +270,17 @@ def _attack_lines(found: "Found") -> Iterator[str]:
             counts = f"{one.runs:8,}{one.lost:8,}{one.violations:17,}{one.broken:8,}"
             yield f"    {name:46}{counts}{one.uncertified / one.runs:13.1%}"
     else:
-        yield "    nothing certifies here"
+        yield "    this guard does not certify"
     if found.attack_again is not None:
         c = worst.conditions
-        dark = f"motions lost for up to {c.outage:g} s, " if c.outage else ""
-        dark += (
+        network = (
+            f"trajectories lost for up to {c.max_command_interval:g} s, "
+            if c.max_command_interval
+            else ""
+        )
+        network += (
             f"blackouts up to {c.blackout_time:g} s, detections up to {c.latency:g} s and commands "
             f"{c.delay:g} s late"
         )
-        yield f"  The worst attack: errors up to {worst.eps:g} m, {dark}. Again:"
+        yield f"  Worst attack: errors up to {worst.eps:g} m, {network}. To repeat it:"
         yield f"    {found.attack_again}"

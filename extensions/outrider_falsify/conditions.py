@@ -1,7 +1,7 @@
-"""The conditions of an attack on the certificate: who guards, who attacks, over which network and where.
+"""Conditions of an attack: guard, adversaries, network and area.
 
-Of each kind of adversary there is a named tuple: its fields are the names, their values the codes. What is `@compiled`
-holds these as constants, so this file's text belongs to the compile cache's name.
+Each kind of adversary is a named tuple whose fields are the names and whose values are the codes. Compiled functions
+hold the codes as constants, so the compile cache depends on this file's text.
 """
 
 import math
@@ -10,7 +10,7 @@ from typing import NamedTuple
 from agents.safety.handover import certificate
 from bus.messages.links import LinkSettings
 from bus.messages.scenario import Area, SafetyParameters, Sensor
-from outrider_falsify.lost_motions import LOSSES
+from outrider_falsify.lost_trajectories import LOSSES
 from sim.models.inner_loop import InnerLoop, needed_reserve, tracking_error
 from sim.models.safety import SafetyBounds, safety_bounds
 from sim.models.vehicles import raw_switching_radius
@@ -28,29 +28,29 @@ from sim.scenario.types import (
 )
 
 ANY = -1
-"""In place of an adversary's code: another one for each run.
+"""Placeholder for an adversary's code: draw one for each run.
 
-Of an inner control or a UGV also now and then within the run.
+The inner control and the UGV are also redrawn occasionally within a run.
 """
 
 
 class Guards(NamedTuple):
-    """The laws that guard the promise; those after `switch_best` fly by tracking (15)."""
+    """Laws that guard visibility; those after `switch_best` fly by tracking (15)."""
 
     filter: int = 0
-    """The safety filter."""
+    """Safety filter."""
     switch_servo: int = 1
-    """Beyond a radius of d_cert full speed to the newest detection."""
+    """Full speed towards the newest detection beyond a radius of d_cert."""
     switch_best: int = 2
-    """Beyond a radius of d_cert full speed to the detection with the least bound."""
+    """Full speed towards the detection with the smallest bound beyond a radius of d_cert."""
     switch_tracking: int = 3
-    """Beyond a radius of d_cert tracking (15)."""
+    """Tracking (15) beyond a radius of d_cert."""
     paper: int = 4
-    """Beyond (18) of the newest detection's distance tracking (15)."""
+    """Tracking (15) beyond the radius (18) of the newest detection's distance."""
 
 
 class Inners(NamedTuple):
-    """The inner controls in the UAV, by where they want to go."""
+    """Inner controls of the UAV, named by their direction."""
 
     outward: int = 0
     random: int = 1
@@ -58,42 +58,42 @@ class Inners(NamedTuple):
     outward_then_tangential: int = 3
     sinusoidal: int = 4
     tracking: int = 5
-    """By (15)."""
+    """Tracking (15)."""
     still: int = 6
     away_from_detection: int = 7
     creeps: int = 8
-    """At the residual velocities that rounding leaves."""
+    """Creep at velocities of the order of rounding errors."""
 
 
 class Ugvs(NamedTuple):
-    """The drivers of the UGV."""
+    """Controllers of the UGV."""
 
     flees: int = 0
     straight: int = 1
     random: int = 2
     turns: int = 3
     dodges: int = 4
-    """Drives against the UAV's velocity."""
+    """Drive against the UAV's velocity."""
     ambush: int = 5
-    """Drives away from a UAV that flies off, and towards one that comes."""
+    """Drive away from a receding UAV and towards an approaching one."""
     still: int = 6
 
 
 class Errors(NamedTuple):
-    """The errors of detections."""
+    """Distributions of the detection error."""
 
     ball: int = 0
     sphere: int = 1
-    """Anywhere, of the largest norm."""
+    """Uniform direction, largest norm."""
     alternating: int = 2
     constant: int = 3
     hides: int = 4
-    """The UGV seems nearer than it is."""
+    """Detect the UGV nearer than it is."""
     none: int = 5
 
 
 class Blackouts(NamedTuple):
-    """The times at which nothing is detected."""
+    """Schedules of the detections' blackouts."""
 
     none: int = 0
     periodic: int = 1
@@ -102,48 +102,48 @@ class Blackouts(NamedTuple):
 
 
 class Areas(NamedTuple):
-    """The areas in which it is flown."""
+    """Areas of operation."""
 
     open: int = 0
-    """So large that nobody meets a wall."""
+    """Area too large to reach a wall."""
     corner: int = 1
-    """From a corner of that."""
+    """Corner of the open area."""
     small: int = 2
-    """A room of 9 m by 7 m, at the paper's radius."""
+    """Room of 9 m by 7 m, at the paper's radius."""
     wall: int = 3
-    """Along a wall of the large area: both vehicles start within micrometres of it."""
+    """Wall of the large area: both vehicles start within micrometres of it."""
 
 
 class Winds(NamedTuple):
-    """The ways in which wind and own position drive the UAV."""
+    """Directions of wind and position error."""
 
     outward: int = 0
     """Away from the UGV."""
     constant: int = 1
     random: int = 2
-    """Another way now and then."""
+    """Direction redrawn occasionally."""
     pumping: int = 3
-    """The way that it is going, off its reference."""
+    """Direction of the velocity relative to the reference."""
     turns: int = 4
-    """The way that it accelerates."""
+    """Direction of the acceleration."""
     flips: int = 5
-    """Towards the UGV while that is detected, and then away."""
+    """Towards the UGV while it is detected, then away from it."""
 
 
 class Disturbances(NamedTuple):
-    """The disturbances that break A5' now and then."""
+    """Disturbances that occasionally break A5'."""
 
     none: int = 0
     single_losses: int = 1
-    """A command is lost."""
+    """Loss of one command."""
     silences: int = 2
-    """None comes for up to `silence`."""
+    """No command for up to `silence`."""
     late: int = 3
-    """All set out later than they should for a while, so that their motions arrive too late to begin."""
+    """Delayed commands for a while, whose trajectories arrive after their start."""
     law_changes: int = 4
-    """The filter is switched off for a while and begun anew."""
+    """Safety filter switched off for a while, then reset."""
     rejoins: int = 5
-    """A process is away for a while and joins again."""
+    """Process disconnected for a while."""
 
 
 GUARDS, INNERS, UGVS, ERRORS = Guards(), Inners(), Ugvs(), Errors()
@@ -151,7 +151,7 @@ BLACKOUTS, AREAS, WINDS, DISTURBANCES = Blackouts(), Areas(), Winds(), Disturban
 
 
 class Conditions(NamedTuple):
-    """The conditions of one attack: who guards, who attacks, and over which network. Times in s, lengths in m."""
+    """Conditions of one attack: guard, adversaries and network. Times in s, lengths in m."""
 
     law: int = GUARDS.filter
     inner: int = ANY
@@ -159,51 +159,51 @@ class Conditions(NamedTuple):
     error: int = ANY
     blackout: int = BLACKOUTS.none
     blackout_time: float = 0.0
-    """Longest time without a detection; at least one lies between two blackouts."""
+    """Longest time without a detection; blackouts are separated by at least one detection."""
     latency: float = 0.0
-    """From a detection to its arrival, at most."""
+    """Largest delay of a detection."""
     scattered: bool = False
-    """Each detection has a latency of its own, so they overtake each other."""
+    """Individual latency for each detection, so that detections overtake each other."""
     delay: float = 0.0
-    """From a command to the tick in which it acts."""
+    """Time from a command to the tick at which it takes effect."""
     jitter: bool = False
-    """Commands may be earlier than that, each by a time of its own."""
+    """True if commands may arrive earlier, each by its own time."""
     duplicates: float = 0.0
-    """Share of commands that come twice."""
+    """Share of commands that arrive twice."""
     disturbance: int = DISTURBANCES.none
-    """The disturbance that breaks A5' now and then, of `DISTURBANCES`."""
+    """Code of `DISTURBANCES`."""
     silence: float = 0.5
-    """Longest time without a command, where that is the disturbance."""
+    """Longest time without a command, for the disturbance `silences`."""
     command_timeout: float = 2.0
-    """For how long the vehicle goes on with its last command."""
+    """Time for which the last command stays in effect."""
     u_g: float = 0.1
-    """Largest acceleration of the UGV [m/s²]; infinite: it turns on the spot, which the theorem allows."""
+    """Largest acceleration of the UGV [m/s²]; infinite allows instantaneous turns, as the theorem does."""
     error_share: float = 1.0
-    """The errors' norm as a share of eps; above 1 breaks an assumption."""
-    outage: float = 0.0
-    """Longest time from the start of a motion to the start of the next, B; a tick at least."""
+    """Norm of the detection errors as a share of eps; above 1 it breaks an assumption."""
+    max_command_interval: float = 0.0
+    """Longest time from the start of a trajectory to the start of the next, B; at least one tick."""
     bare: bool = False
-    """Commands carry no motions, as of a receiver that knows accelerations only."""
+    """True if commands carry no trajectories, for receivers that accept accelerations only."""
     start_speed: float = 0.0
-    """Speed with which the UAV starts, as a share of its bound."""
+    """Initial speed of the UAV as a share of its limit."""
     losses: int = LOSSES.none
-    """The motions that are lost, of `LOSSES`; never more than B allows."""
+    """Losses of trajectories, a code of `LOSSES`; never more than B allows."""
     wind: float = 0.0
-    """Largest acceleration of the wind, W [m/s²]."""
+    """Largest wind acceleration, W [m/s²]."""
     position_error: float = 0.0
-    """Largest error of the own position, eps_a [m]."""
+    """Largest position error of the UAV, eps_a [m]."""
     gains: tuple[float, float] = (1.0, 2.0)
-    """Of the inner loop, k_p [1/s²] and k_d [1/s]; its reserve is just what it needs."""
+    """Gains of the inner loop, k_p [1/s²] and k_d [1/s]; its reserve is exactly the required one."""
     jumps: float = 0.0
-    """The UAV's distance from what it is told, anywhere at any tick, without an inner loop [m]; 0: with one."""
+    """Tracking error without an inner loop, redirected at any tick [m]; 0 simulates the inner loop."""
     blows: int = ANY
-    """The direction of wind, own position and jumps, of `WINDS`."""
+    """Direction of wind, position error and jumps, a code of `WINDS`."""
     radius: float = 0.0
-    """Of the laws that switch [m]."""
+    """Radius of the switching laws [m]."""
     r_v: float = 4.75
     """Visibility radius [m]."""
     area: int = AREAS.open
-    """The area, of `AREAS`."""
+    """Code of `AREAS`."""
 
 
 _SIZES = {
@@ -216,26 +216,26 @@ _SIZES = {
 
 
 def area_of(conditions: Conditions) -> tuple[float, float]:
-    """Width and height of where it is flown [m]."""
+    """Return width and height of the area [m]."""
     width, height = _SIZES[conditions.area]
     return width * conditions.r_v / 4.75, height * conditions.r_v / 4.75
 
 
 def _strength(conditions: Conditions) -> float:
-    """The wind [m/s²]; of jumps a unit, which the jumps scale."""
+    """Return the wind's magnitude [m/s²]; 1 for jumps, which scale it."""
     return 1.0 if conditions.jumps else conditions.wind
 
 
 def _inner_loop(conditions: Conditions, dt: float) -> InnerLoop:
-    """The UAV's inner loop, with just the reserve that it needs."""
+    """Return the UAV's inner loop with exactly the required reserve."""
     k_p, k_d = conditions.gains
     loop = InnerLoop(position_gain=k_p, velocity_gain=k_d, reserve=math.inf)
     needed = needed_reserve(loop, _strength(conditions), conditions.position_error, dt)
     return InnerLoop(position_gain=k_p, velocity_gain=k_d, reserve=needed or 1.0)
 
 
-def farthest_off(conditions: Conditions, dt: float) -> float:
-    """The UAV's largest distance from what it is told, w [m]; at a tick of dt [s]."""
+def largest_tracking_error(conditions: Conditions, dt: float) -> float:
+    """Return the UAV's largest tracking error w [m] at a tick of dt [s]."""
     if conditions.jumps:
         return conditions.jumps
     return tracking_error(
@@ -243,82 +243,88 @@ def farthest_off(conditions: Conditions, dt: float) -> float:
     )
 
 
-def scenario_of(promise: SafetyBounds, conditions: Conditions) -> Scenario:
-    """The world that is flown: no noise and no dropouts, as the adversary makes them.
+def scenario_of(bounds: SafetyBounds, conditions: Conditions) -> Scenario:
+    """Return the scenario without noise and dropouts, which the adversary creates.
 
-    A coarse grid, as nobody looks at it.
+    The coverage grid is coarse because nothing reads it.
     """
     width, height = area_of(conditions)
-    looks = LinkSettings(delay=conditions.latency)
+    detections = LinkSettings(delay=conditions.latency)
     if conditions.scattered:
-        looks = LinkSettings(delay=0.5 * conditions.latency, jitter=0.5 * conditions.latency)
-    delay = promise.delay_ticks * promise.dt
+        detections = LinkSettings(delay=0.5 * conditions.latency, jitter=0.5 * conditions.latency)
+    delay = bounds.delay_ticks * bounds.dt
     commands = LinkSettings(delay=delay, duplicates=conditions.duplicates)
     if conditions.jitter:
         commands = LinkSettings(
             delay=0.5 * delay, jitter=0.5 * delay, duplicates=conditions.duplicates
         )
     return Scenario(
-        dt=promise.dt,
+        dt=bounds.dt,
         command_timeout=conditions.command_timeout,
         certificate=Certificate(
-            max_command_delay=delay, max_command_interval=conditions.outage or None
+            max_command_delay=delay, max_command_interval=conditions.max_command_interval or None
         ),
         area=Area(width=width, height=height, cell=0.5 * min(width, height)),
         visibility=Visibility(radius=conditions.r_v),
         sensor=Sensor(range=1.2 * conditions.r_v),
         coverage=Coverage(),
-        detections=Detections(rate=1.0 / promise.dt),
-        links=LinkTable(only=(VehicleLinks(vehicle="uav_0", detections=looks, commands=commands),)),
+        detections=Detections(rate=1.0 / bounds.dt),
+        links=LinkTable(
+            only=(VehicleLinks(vehicle="uav_0", detections=detections, commands=commands),)
+        ),
         wind=Wind(mean=(_strength(conditions), 0.0)),
         uav=(
             Uav(
                 position=(0.0, 0.0),
-                max_speed=promise.v_a,
-                max_acceleration=promise.u_a,
+                max_speed=bounds.v_a,
+                max_acceleration=bounds.u_a,
                 position_error=conditions.position_error,
-                tracking=_inner_loop(conditions, promise.dt),
+                tracking=_inner_loop(conditions, bounds.dt),
             ),
         ),
         ugv=(
             Ugv(
                 position=(0.0, 0.0),
-                max_speed=promise.v_g,
+                max_speed=bounds.v_g,
                 max_acceleration=conditions.u_g,
             ),
         ),
     )
 
 
-def spec_radius(promise: SafetyBounds, *, with_latency: bool = True) -> float:
-    """The radius of the specification without its angle, r_v - (v_a + v_g)(dt + tau_c) - (v_a + v_g)²/(2 u_a) [m]."""
-    late = (
-        (promise.v_a + promise.v_g) * (1 + promise.delay_ticks) * promise.dt
-        if with_latency
-        else 0.0
-    )
-    radius: float = (
-        raw_switching_radius(promise.radius, promise.v_a, promise.v_g, promise.u_a) - late
-    )
+def spec_radius(bounds: SafetyBounds, *, with_latency: bool = True) -> float:
+    """Return r_v - (v_a + v_g)(dt + tau_c) - (v_a + v_g)²/(2 u_a) [m].
+
+    This is the specification's radius without its angle.
+    """
+    late = (bounds.v_a + bounds.v_g) * (1 + bounds.delay_ticks) * bounds.dt if with_latency else 0.0
+    radius: float = raw_switching_radius(bounds.radius, bounds.v_a, bounds.v_g, bounds.u_a) - late
     return radius
 
 
 PAPER_BOUNDS = {"r_v": 4.75, "v_a": 0.6, "u_a": 0.3, "v_g": 0.2, "dt": 0.05}
-"""The paper's vehicles: r_v [m], speeds [m/s], acceleration [m/s²]; and our tick [s]."""
+"""Limits of the paper's vehicles: r_v [m], speeds [m/s], acceleration [m/s²]; and our tick [s]."""
 
 
 def declared(
     conditions: Conditions, eps: float, *, margin: float = 0.0, **bounds: float
 ) -> SafetyBounds:
-    """The certificate that just covers these conditions; eps and margin [m], bounds other than the paper's by name."""
+    """Return the tightest bounds that cover these conditions.
+
+    Args:
+        conditions: Conditions to cover.
+        eps: Largest detection error [m].
+        margin: Safety margin [m].
+        **bounds: Limits that differ from the paper's, by name.
+    """
     numbers = {**PAPER_BOUNDS, "r_v": conditions.r_v, **bounds}
     width, height = area_of(conditions)
     safety = SafetyParameters(
         max_measurement_error=eps,
         max_measurement_age=conditions.latency + conditions.blackout_time + numbers["dt"],
         max_command_delay=conditions.delay,
-        max_command_interval=conditions.outage,
-        max_tracking_error=farthest_off(conditions, numbers["dt"]),
+        max_command_interval=conditions.max_command_interval,
+        max_tracking_error=largest_tracking_error(conditions, numbers["dt"]),
         margin=margin,
     )
     radius = numbers.pop("r_v")

@@ -1,4 +1,4 @@
-"""Both engines under one budget: whole flights of scenarios, and for the law `certified` the compiled attack."""
+"""Search with both engines under one budget: simulated scenarios and, for `certified`, the compiled attack."""
 
 import time
 from collections.abc import Callable
@@ -13,87 +13,87 @@ from outrider.running.warming import warm_up_flight
 from outrider_falsify.attacks import AttackTally, again, run_attack
 from outrider_falsify.attacks import warm as warm_attack
 from outrider_falsify.candidate import flown
+from outrider_falsify.description import describe
 from outrider_falsify.limits import SearchLimits
 from outrider_falsify.pool import Workers
 from outrider_falsify.search import Budget, Tally, run_search
-from outrider_falsify.words import in_words
 from sim.scenario.checks import check_scenario
 from sim.scenario.resolved import as_toml
 from sim.scenario.types import Scenario
 
 _SHARE, _LEAST = 100, 32
-"""With both engines, one run in so many is a whole flight, and not fewer than so many are."""
+"""With both engines, one run in _SHARE is a simulated scenario, but at least _LEAST are."""
 _SHARE_OF_TIME = 1.0 / 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wanted:
-    """The search that is asked for."""
+class SearchRequest:
+    """Parameters of a search."""
 
     base: Scenario
     limits: SearchLimits
     flies: bool
-    """True if scenarios are searched."""
+    """True to search scenarios."""
     attacks: bool
-    """True if the compiled attack is flown."""
+    """True to run the compiled attack."""
     runs: int | None = None
     minutes: float | None = None
     attack_duration: float = 200.0
-    """[s]"""
+    """Duration of an attack's run [s]."""
     seed: int = 1
     jobs: int = 1
     control: str | None = None
-    """A guard that is to be caught, a row of `CONTROLS`."""
+    """Faulty guard to expose, a row of `CONTROLS`."""
     eps: float | None = None
-    """For the attack: only this error [m]."""
+    """Restriction of the attack to one detection error [m]."""
     out: Path | None = None
 
 
 @dataclass(slots=True)
-class Found:
-    """The outcome of a search."""
+class SearchResult:
+    """Result of a search."""
 
-    wanted: Wanted
+    wanted: SearchRequest
     flights: Tally = field(default_factory=Tally)
     attacks: AttackTally = field(default_factory=AttackTally)
     seconds: float = 0.0
     path: Path | None = None
-    """Of the counterexample."""
-    words: list[str] = field(default_factory=list)
+    """Path of the counterexample."""
+    description: list[str] = field(default_factory=list)
     sha256: str | None = None
-    """Of its trajectory."""
+    """Hash of its trajectory."""
 
     @property
     def runs(self) -> int:
-        """Of both engines."""
+        """Return the runs of both engines."""
         return self.flights.runs + self.attacks.runs
 
     @property
     def violations(self) -> int:
-        """Of both engines."""
+        """Return the violations of both engines."""
         return self.flights.violations + self.attacks.violations
 
     @property
     def lost(self) -> int:
-        """Runs in which the UGV was lost at all, of both engines."""
+        """Return the runs of both engines in which the UGV was lost at any state."""
         return self.flights.lost + self.attacks.lost
 
     @property
     def worst(self) -> float:
-        """The largest distance while the promise stood [m], of both engines."""
+        """Return the largest distance with guaranteed visibility [m], of both engines."""
         attacked = self.attacks.worst
         return max(self.flights.worst, 0.0 if attacked is None else attacked.worst_distance)
 
     @property
     def attack_again(self) -> str | None:
-        """Python that flies the attack's worst run again, if it is a violation."""
+        """Return Python that repeats the attack's worst run, if it is a violation."""
         attacked, wanted = self.attacks.worst, self.wanted
         if attacked is None or not self.attacks.violations:
             return None
         return again(attacked, wanted.seed)
 
     def as_plain(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the result as JSON data."""
         wanted, attacks = self.wanted, self.attacks
         return {
             "law": wanted.base.law.name,
@@ -141,14 +141,14 @@ class Found:
 
 
 def search(
-    found: Found, *, asked: Callable[[], bool], on_run: Callable[[str, float], None]
+    found: SearchResult, *, asked: Callable[[], bool], on_run: Callable[[str, float], None]
 ) -> None:
-    """Search until the budget is used up; what is found is counted as it comes.
+    """Search until the budget is used up; results are counted as they arrive.
 
     Args:
-        found: Nothing yet.
-        asked: Whether somebody wants the end.
-        on_run: Is told after every few runs which engine runs, and the share of its budget that is used up.
+        found: Empty result, updated in place.
+        asked: Return true to stop the search.
+        on_run: Progress callback: name of the engine, used share of its budget.
 
     Raises:
         PeerLost: If a worker process dies.
@@ -167,7 +167,9 @@ def search(
         found.seconds = time.monotonic() - began
 
 
-def _fly(found: Found, ends: Callable[[], bool], on_run: Callable[[str, float], None]) -> None:
+def _fly(
+    found: SearchResult, ends: Callable[[], bool], on_run: Callable[[str, float], None]
+) -> None:
     wanted = found.wanted
     runs, minutes = wanted.runs, wanted.minutes
     if wanted.attacks:
@@ -187,7 +189,10 @@ def _fly(found: Found, ends: Callable[[], bool], on_run: Callable[[str, float], 
 
 
 def _attack(
-    found: Found, ends: Callable[[], bool], on_run: Callable[[str, float], None], began: float
+    found: SearchResult,
+    ends: Callable[[], bool],
+    on_run: Callable[[str, float], None],
+    began: float,
 ) -> None:
     wanted, tally = found.wanted, found.attacks
     runs = None if wanted.runs is None else wanted.runs - found.flights.runs
@@ -212,7 +217,7 @@ def _attack(
 
 
 def free_path(law: str) -> Path:
-    """Return a file for a counterexample that does not exist yet."""
+    """Return an unused file name for a counterexample."""
     path, taken = Path(f"counterexample-{law}.toml"), 1
     while path.exists():
         taken += 1
@@ -220,24 +225,24 @@ def free_path(law: str) -> Path:
     return path
 
 
-def save(found: Found) -> None:
-    """Fly the worst run with a violation once more, tell it in words, and save it as a scenario.
+def save(found: SearchResult) -> None:
+    """Simulate the worst violation again, describe it, and save it as a scenario.
 
-    Nothing where there is none.
+    Without a violation nothing is saved.
 
     Raises:
-        OSError: If it cannot be written.
+        OSError: If the file cannot be written.
     """
     wanted = found.wanted
     if not found.flights.violations:
         return
     scenario, flight, _ = flown(found.flights.elite[0][0], wanted.base, wanted.limits)
-    found.words, found.sha256 = in_words(scenario, flight), flight.recorder.sha256()
+    found.description, found.sha256 = describe(scenario, flight), flight.recorder.sha256()
     path = wanted.out or free_path(scenario.law.name)
     title = (
         f"The law {scenario.law.name} loses sight: found by outrider falsify, seed {wanted.seed}"
     )
     saved = check_scenario(msgspec.structs.replace(scenario, name=path.stem, title=title))
     with writing(path):
-        path.write_text(as_toml(saved, found.words), encoding="utf-8")
+        path.write_text(as_toml(saved, found.description), encoding="utf-8")
     found.path = path

@@ -1,4 +1,4 @@
-"""A candidate as numbers between 0 and 1, which is what a search can turn, and the scenario that they mean."""
+"""Candidates as vectors of numbers in [0, 1] for the optimizer, and their decoding into scenarios."""
 
 import math
 from collections.abc import Sequence
@@ -11,43 +11,45 @@ from bus.messages.base import Vector
 from bus.messages.links import LinkSettings
 from bus.messages.scenario import Region, ScriptStep
 from outrider_falsify.adversary import Tactics, cut
-from outrider_falsify.limits import SearchLimits, looks_until_seen, pair
+from outrider_falsify.limits import SearchLimits, pair, time_to_detection
 from sim.models.vehicles import stopping_distance
 from sim.scenario.types import Detections, LinkTable, Scenario, VehicleLinks, switching_radius
 
 (_X, _Y, _ANGLE, _DISTANCE, _UAV_SPEED, _UAV_HEADING, _UGV_SPEED, _UGV_HEADING) = range(8)
-(_DELAY, _JITTER, _LOSS, _NOISE, _COMMAND_DELAY, _DARK, _DARK_START, _DARK_GAP) = range(8, 16)
+(_DELAY, _JITTER, _LOSS, _NOISE, _COMMAND_DELAY, _BLACKOUT, _BLACKOUT_START, _BLACKOUT_GAP) = range(
+    8, 16
+)
 _COVERED = 16
 HEAD = 20
-"""Numbers of the start, the network and the covered ground; those of the UGV's motion follow."""
+"""Parameters of start, network and covered ground; the parameters of the UGV's motion follow."""
 
 _FAR, _FAST, _PERIOD = range(HEAD, HEAD + 3)
 _TABLE = HEAD + 3
 
 SCRIPT_STEPS = 12
 SIZES = {"adversary": _TABLE + 12, "script": HEAD + 3 * SCRIPT_STEPS}
-"""Kinds of candidates, and how many numbers each has.
+"""Number of parameters of each kind of candidate.
 
-A UGV that answers what the UAV does, or velocities one after the other.
+`adversary`: a UGV that reacts to the UAV; `script`: a sequence of velocities.
 """
 
 _GAP = 10.0
 """Longest time between two blackouts [s]."""
 _MOST_BLACKOUTS = 1000
 _COVERED_MOST = 10.0
-"""The largest reach of the covered ground from the UGV's start [m]."""
+"""Largest extent of the covered ground from the UGV's start [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """One run to be flown."""
+    """Parameters of one run."""
 
     number: int
     kind: str
-    """A row of `SIZES`."""
+    """Row of `SIZES`."""
     vector: tuple[float, ...]
     seed: int
-    """Of the run: the draws of noise and losses."""
+    """Seed of noise and losses."""
 
 
 def _polar(length: float, angle: float, digits: int) -> Vector:
@@ -55,7 +57,7 @@ def _polar(length: float, angle: float, digits: int) -> Vector:
 
 
 def _speed(share: float, bound: float) -> float:
-    """At rest in half of the cases."""
+    """Return a speed that is zero in half of the cases."""
     return bound * max(0.0, 2.0 * share - 1.0)
 
 
@@ -64,7 +66,10 @@ def _clipped(point: Vector, size: Vector) -> Vector:
 
 
 def _started(scenario: Scenario, x: Sequence[float]) -> Scenario:
-    """A start from which braking at once keeps the UGV within r_s (18): a law that loses it then did so itself."""
+    """Set a start from which braking at once keeps the UGV within r_s (18).
+
+    A law that loses sight from there is itself at fault.
+    """
     uav, ugv = pair(scenario)
     width, height, r_v = scenario.area.width, scenario.area.height, scenario.visibility.radius
     p_g = cut((0.1 + 0.8 * x[_X]) * width, 3), cut((0.1 + 0.8 * x[_Y]) * height, 3)
@@ -77,7 +82,7 @@ def _started(scenario: Scenario, x: Sequence[float]) -> Scenario:
     d_x, d_y = _polar(distance, angle, 3)
     v_a = _polar(speed, angle + 2.0 * math.pi * x[_UAV_HEADING], 4)
     v_g = _polar(_speed(x[_UGV_SPEED], ugv.max_speed), angle + 2.0 * math.pi * x[_UGV_HEADING], 4)
-    # the UGV is in Q: this brings it nearer
+    # the UGV is in Q, so clipping brings the UAV nearer
     p_a = _clipped((round(p_g[0] + d_x, 3), round(p_g[1] + d_y, 3)), (width, height))
     uav = msgspec.structs.replace(uav, position=p_a, velocity=v_a)
     ugv = msgspec.structs.replace(ugv, position=p_g, velocity=v_g)
@@ -85,7 +90,7 @@ def _started(scenario: Scenario, x: Sequence[float]) -> Scenario:
 
 
 def _covered(scenario: Scenario, x: Sequence[float]) -> Scenario:
-    """A rectangle around the UGV's start that has been seen before: what is left to see draws the UAV outwards."""
+    """Mark a rectangle around the UGV's start as covered: the rest draws the UAV outwards."""
     area, (p_x, p_y) = scenario.area, scenario.ugv[0].position
     west, east, south, north = (
         _COVERED_MOST * max(0.0, 2.0 * share - 1.0) for share in x[_COVERED : _COVERED + 4]
@@ -103,23 +108,23 @@ def _covered(scenario: Scenario, x: Sequence[float]) -> Scenario:
 def _blackouts(
     x: Sequence[float], longest: float, loss: float, scenario: Scenario
 ) -> tuple[tuple[float, float], ...]:
-    """One after the other, with time enough between them for a look to get through.
+    """Return blackouts separated by enough time for a detection to arrive.
 
-    Else two would be one that is longer.
+    Otherwise two blackouts would act as one longer blackout.
     """
     duration, dt = scenario.duration, scenario.dt
-    length = cut(x[_DARK] * longest, 2)
+    length = cut(x[_BLACKOUT] * longest, 2)
     if length < dt:
         return ()
-    start = cut(x[_DARK_START] * duration, 2)
-    gap = looks_until_seen(loss, scenario) + dt + x[_DARK_GAP] * _GAP
+    start = cut(x[_BLACKOUT_START] * duration, 2)
+    gap = time_to_detection(loss, scenario) + dt + x[_BLACKOUT_GAP] * _GAP
     every = length + math.ceil(gap / dt) * dt
     count = min(_MOST_BLACKOUTS, math.ceil((duration - start) / every))
     return tuple((round(start + k * every, 6), length) for k in range(count))
 
 
 def _degraded(scenario: Scenario, limits: SearchLimits, x: Sequence[float]) -> Scenario:
-    """Noise and network; the UGV's own commands are never late."""
+    """Apply noise and network effects; the UGV's own commands stay without delay."""
     if not limits.degraded:
         return scenario
     delay, loss = cut(x[_DELAY] * limits.delay, 3), cut(x[_LOSS] * limits.loss, 3)
@@ -153,7 +158,7 @@ def _script(scenario: Scenario, x: Sequence[float]) -> tuple[ScriptStep, ...]:
 
 
 def tactics_of(vector: Sequence[float], scenario: Scenario) -> Tactics:
-    """The tactics of an `adversary`."""
+    """Return the tactics of an `adversary`."""
     uav, ugv = pair(scenario)
     table = tuple(
         (2.0 * math.pi * angle, ugv.max_speed * min(1.0, 1.5 * speed))
@@ -168,7 +173,10 @@ def tactics_of(vector: Sequence[float], scenario: Scenario) -> Tactics:
 
 
 def decode(candidate: Candidate, base: Scenario, limits: SearchLimits) -> Scenario:
-    """The candidate's scenario; an `adversary`'s without its script, which only its flight can write."""
+    """Return the candidate's scenario.
+
+    The script of an `adversary` is missing, because only its run can record it.
+    """
     x = candidate.vector
     scenario = _degraded(_covered(_started(base, x), x), limits, x)
     script = (
@@ -180,7 +188,7 @@ def decode(candidate: Candidate, base: Scenario, limits: SearchLimits) -> Scenar
 
 
 def with_script(scenario: Scenario, script: Sequence[ScriptStep]) -> Scenario:
-    """The scenario with a UGV that drives this script, without the steps that change nothing."""
+    """Return the scenario with a UGV that follows this script; steps without effect are removed."""
     kept = [
         *script[:1],
         *(later for earlier, later in pairwise(script) if later.velocity != earlier.velocity),
@@ -193,15 +201,22 @@ def with_script(scenario: Scenario, script: Sequence[ScriptStep]) -> Scenario:
 
 
 def proof_cases() -> list[list[float]]:
-    """Adversaries that the proofs fear, as vectors of the kind `adversary`, each with the worst network.
+    """Return critical cases of the proofs as `adversary` vectors, each with the worst network.
 
-    A row of `tables` is where the UGV drives while the UAV is near and then while it is far, each time while that
-    flies off, hardly moves, and closes in.
+    A row of `tables` gives the UGV's direction for a near UAV, then for a far one. Each time the UAV recedes, hardly
+    moves, or approaches.
     """
     away, towards, left, right = 0.0, 0.5, 0.25, 0.75
     tables = (
         (away, away, away, away, away, away),  # flees
-        (towards, towards, towards, away, away, away),  # lures it and flees from a distance on
+        (
+            towards,
+            towards,
+            towards,
+            away,
+            away,
+            away,
+        ),  # lures the UAV, then flees beyond a distance
         (
             away,
             left,
@@ -209,15 +224,15 @@ def proof_cases() -> list[list[float]]:
             away,
             away,
             towards,
-        ),  # flees from one that flies off, turns around when it closes in
+        ),  # flees a receding UAV, turns towards an approaching one
         (away, away, towards, away, away, away),
         (left, left, left, away, away, away),  # circles, then flees
         (left, right, left, right, left, right),  # dodges
-        (towards, towards, towards, away, left, towards),  # under it and through
+        (towards, towards, towards, away, left, towards),  # passes below the UAV
         (left, away, right, away, away, left),
     )
-    starts = ((0.95, 0.0), (0.5, 0.0), (0.98, 1.0))  # share of the room, speed
-    # covered: nothing, around, all but on one side
+    starts = ((0.95, 0.0), (0.5, 0.0), (0.98, 1.0))  # share of the allowed distance, speed
+    # covered ground: none, all around, all but one side
     grounds = (
         (0.0, 0.0, 0.0, 0.0),
         (0.7, 0.7, 0.7, 0.7),
@@ -228,7 +243,7 @@ def proof_cases() -> list[list[float]]:
         for k, table in enumerate(tables):
             head = [0.5, 0.5, (0.37 * k) % 1.0, distance, speed, 0.0, 0.0, 0.5]
             network = [1.0, 0.0, 0.3, 1.0, 1.0, 1.0, 0.1 + 0.1 * k, 0.0]
-            # waits while the UAV is near
+            # stands while the UAV is near
             stands = [0.0 if speed == 0.0 and k % 2 and cell < 3 else 1.0 for cell in range(6)]
             cells = [
                 number

@@ -1,4 +1,4 @@
-"""The adversaries of an attack: inner control, UGV, errors of detections, wind and own position, compiled."""
+"""Compiled adversaries of an attack: inner control, UGV, detection errors, wind and position error."""
 
 import math
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from outrider_falsify.conditions import (
     WINDS,
     Conditions,
 )
-from outrider_falsify.draws import Words, next_share
+from outrider_falsify.rng import RngState, next_share
 from sim.compiling.compile import compiled
 from sim.compiling.records import RecordArray
 from sim.engine.world_state import BatchState
@@ -19,48 +19,48 @@ from sim.engine.world_tick import apply_disturbance
 from sim.models.vehicles import Motion, brake, norm
 
 UAV, UGV = 0, 1
-"""Rows of the adversaries' memory, and of the vehicles in the world."""
+"""Rows of UAV and UGV in the adversaries' memory and in the world."""
 
 
-class Plot(NamedTuple):
-    """An adversary's memory, a row each for the one in the UAV and the one in the UGV."""
+class AdversaryState(NamedTuple):
+    """Memory of an adversary: one row for the UAV's, one for the UGV's."""
 
     u_x: float
     u_y: float
-    """An acceleration that is drawn now and then [m/s²]."""
+    """Acceleration, redrawn occasionally [m/s²]."""
     side: float
-    """1.0 or -1.0, drawn with it: left or right."""
+    """Turning direction, redrawn with the acceleration: 1.0 left, -1.0 right."""
     output_x: float
     output_y: float
-    """The command of (15) [m/s²]."""
+    """Command of (15) [m/s²]."""
     heading_x: float
     heading_y: float
-    """Of the UGV: a direction; of the UAV: a residual velocity [m/s]. Drawn once."""
+    """Direction of the UGV; residual velocity of the UAV [m/s]. Drawn once."""
     error_x: float
     error_y: float
     """Direction of constant errors, drawn once."""
     wind: float
-    """Angle of wind and own position [rad]."""
+    """Angle of wind and position error [rad]."""
     losing: float
-    """Of `loses`: ALIVE, or the tick of the first motion that was lost."""
+    """State of `loses`: ALIVE, or the tick of the first lost trajectory."""
 
 
 @compiled
-def choose(random: Words, wanted: int, count: int) -> int:
-    """The wanted code, or where it is ANY one that is drawn among so many."""
+def choose(random: RngState, wanted: int, count: int) -> int:
+    """Return the requested code, or draw one of `count` codes if it is ANY."""
     return wanted if wanted >= 0 else int(next_share(random) * count)
 
 
 @compiled
-def draw_direction(random: Words) -> tuple[float, float]:
-    """A unit vector, evenly over all angles."""
+def draw_direction(random: RngState) -> tuple[float, float]:
+    """Draw a unit vector with a uniform angle."""
     angle = 2.0 * math.pi * next_share(random)
     return math.cos(angle), math.sin(angle)
 
 
 @compiled
 def direction(x: float, y: float) -> tuple[float, float]:
-    """The unit vector along another; (1, 0) for none."""
+    """Return the unit vector along a vector; (1, 0) for zero."""
     length = norm(x, y)
     if length == 0.0:
         return 1.0, 0.0
@@ -68,17 +68,17 @@ def direction(x: float, y: float) -> tuple[float, float]:
 
 
 @compiled
-def redraw(random: Words, plots: RecordArray, k: int, u: float) -> None:
-    """Draw an adversary's acceleration, of at most u [m/s²], and its side anew."""
+def redraw(random: RngState, adversaries: RecordArray, k: int, u: float) -> None:
+    """Draw a new acceleration of at most u [m/s²] and a new side for an adversary."""
     angle, strength = 2.0 * math.pi * next_share(random), u * min(1.0, 2.0 * next_share(random))
-    plot = plots[k]
-    plot.u_x, plot.u_y = strength * math.cos(angle), strength * math.sin(angle)
-    plot.side = 1.0 if next_share(random) < 0.5 else -1.0
+    own = adversaries[k]
+    own.u_x, own.u_y = strength * math.cos(angle), strength * math.sin(angle)
+    own.side = 1.0 if next_share(random) < 0.5 else -1.0
 
 
 @compiled
-def draw_creep(random: Words) -> tuple[float, float]:
-    """Return a velocity as small as what rounding leaves [m/s], mostly towards the wall y = 0."""
+def draw_creep(random: RngState) -> tuple[float, float]:
+    """Draw a velocity of the order of rounding errors [m/s], mostly towards the wall y = 0."""
     pace = 10.0 ** (4.0 * next_share(random) - 12.0)
     e_x, e_y = draw_direction(random)
     return (0.0, -pace) if next_share(random) < 0.7 else (pace * e_x, pace * e_y)
@@ -86,12 +86,12 @@ def draw_creep(random: Words) -> tuple[float, float]:
 
 @compiled
 def _creep(here: Motion, c_x: float, c_y: float, side: float) -> tuple[float, float]:
-    """Return the command that keeps the UAV at a residual velocity [m/s²].
+    """Return the command that holds the UAV at a residual velocity [m/s²].
 
     Args:
-        here: The UAV.
+        here: State of the UAV.
         c_x, c_y: The residual velocity [m/s].
-        side: 1.0: push back while the safety filter moves the UAV; -1.0: do nothing then.
+        side: While the safety filter moves the UAV, 1.0 pushes back and -1.0 does nothing.
     """
     speed, pace = norm(here.v_x, here.v_y), norm(c_x, c_y)
     push = 0.0
@@ -111,27 +111,27 @@ def inner_command(
     z_x: float,
     z_y: float,
     phase: float,
-    plots: RecordArray,
+    adversaries: RecordArray,
     u: float,
 ) -> tuple[float, float]:
-    """The command that the inner control wants [m/s²].
+    """Return the command of the inner control [m/s²].
 
     Args:
-        kind: A code of `INNERS`.
-        x, y: The true p_a - p_g [m].
-        here: The UAV.
-        z_x, z_y: That of the newest detection [m].
-        phase: Of what swings [rad].
-        plots: The adversaries' memory.
-        u: The UAV's bound [m/s²].
+        kind: Code of `INNERS`.
+        x, y: True p_a - p_g [m].
+        here: State of the UAV.
+        z_x, z_y: p_a - p_g of the newest detection [m].
+        phase: Phase of periodic controls [rad].
+        adversaries: Memory of the adversaries.
+        u: Acceleration limit of the UAV [m/s²].
     """
     e_x, e_y = direction(x, y)
-    plot = plots[UAV]
-    side = plot.side
+    own = adversaries[UAV]
+    side = own.side
     if kind == INNERS.outward:
         return u * e_x, u * e_y
     if kind == INNERS.random:
-        return plot.u_x, plot.u_y
+        return own.u_x, own.u_y
     if kind == INNERS.tangential:
         return -side * u * e_y, side * u * e_x
     if kind == INNERS.outward_then_tangential:
@@ -140,11 +140,11 @@ def inner_command(
         s, c = math.sin(phase), math.cos(phase)
         return u * (c * e_x - side * s * e_y), u * (c * e_y + side * s * e_x)
     if kind == INNERS.tracking:
-        return plot.output_x, plot.output_y
+        return own.output_x, own.output_y
     if kind == INNERS.still:
         return -here.v_x / 0.05, -here.v_y / 0.05
     if kind == INNERS.creeps:
-        return _creep(here, plot.heading_x, plot.heading_y, side)
+        return _creep(here, own.heading_x, own.heading_y, side)
     e_x, e_y = direction(z_x, z_y)
     return u * e_x, u * e_y
 
@@ -157,28 +157,28 @@ def ugv_command(
     here: Motion,
     w_x: float,
     w_y: float,
-    plots: RecordArray,
+    adversaries: RecordArray,
     u: float,
 ) -> tuple[float, float]:
-    """The UGV's command [m/s²].
+    """Return the UGV's command [m/s²].
 
     Args:
-        kind: A code of `UGVS`.
-        x, y: The true p_a - p_g [m].
-        here: The UAV.
-        w_x, w_y: The UGV's velocity [m/s].
-        plots: The adversaries' memory.
-        u: The UGV's bound [m/s²].
+        kind: Code of `UGVS`.
+        x, y: True p_a - p_g [m].
+        here: State of the UAV.
+        w_x, w_y: Velocity of the UGV [m/s].
+        adversaries: Memory of the adversaries.
+        u: Acceleration limit of the UGV [m/s²].
     """
     e_x, e_y = direction(x, y)
-    plot = plots[UGV]
-    side = plot.side
+    own = adversaries[UGV]
+    side = own.side
     if kind == UGVS.flees:
         return -u * e_x, -u * e_y
     if kind == UGVS.straight:
-        return u * plot.heading_x, u * plot.heading_y
+        return u * own.heading_x, u * own.heading_y
     if kind == UGVS.random:
-        return plot.u_x, plot.u_y
+        return own.u_x, own.u_y
     if kind == UGVS.turns:
         d_x, d_y = direction(w_x, w_y)
         return u * (d_x - side * d_y) * 0.7, u * (d_y + side * d_x) * 0.7
@@ -194,22 +194,22 @@ def ugv_command(
 @compiled
 def detection_error(
     kind: int,
-    random: Words,
+    random: RngState,
     tick: int,
     size: float,
     x: float,
     y: float,
-    plots: RecordArray,
+    adversaries: RecordArray,
 ) -> tuple[float, float]:
-    """The error of one detected position [m].
+    """Return the error of one detected position [m].
 
     Args:
-        kind: A code of `ERRORS`.
-        random: Of the draws.
-        tick: Now.
-        size: The largest norm [m].
-        x, y: The true p_a - p_g [m].
-        plots: The adversaries' memory.
+        kind: Code of `ERRORS`.
+        random: State of the random number generator.
+        tick: Current tick.
+        size: Largest norm [m].
+        x, y: True p_a - p_g [m].
+        adversaries: Memory of the adversaries.
     """
     if kind == ERRORS.none:
         return 0.0, 0.0
@@ -222,57 +222,57 @@ def detection_error(
         sign = size if tick % 2 else -size
         return sign * e_x, sign * e_y
     if kind == ERRORS.constant:
-        return size * plots[UGV].error_x, size * plots[UGV].error_y
+        return size * adversaries[UGV].error_x, size * adversaries[UGV].error_y
     return size * e_x, size * e_y
 
 
 @compiled
 def _push(
-    kind: int, dark: int, x: float, y: float, state: BatchState, plots: RecordArray
+    kind: int, blackout: int, x: float, y: float, state: BatchState, adversaries: RecordArray
 ) -> tuple[float, float]:
-    """The way in which wind and own position drive the UAV, a unit vector. Arguments as in `disturb`."""
+    """Return the direction of wind and position error, a unit vector. Arguments as in `disturb`."""
     e_x, e_y = direction(x, y)
     off, acting = state.vehicles[0, UAV].disturbance, state.vehicles[0, UAV].command
     if kind == WINDS.outward:
         return e_x, e_y
     if kind <= WINDS.random:
-        return math.cos(plots[UGV].wind), math.sin(plots[UGV].wind)
+        return math.cos(adversaries[UGV].wind), math.sin(adversaries[UGV].wind)
     if kind == WINDS.pumping:
         v_x, v_y = off.error_rate[0], off.error_rate[1]
         return direction(v_x, v_y) if norm(v_x, v_y) > 0.0 else (e_x, e_y)
     if kind == WINDS.turns:
         return direction(acting[0], acting[1])
-    return (e_x, e_y) if dark > 0 else (-e_x, -e_y)
+    return (e_x, e_y) if blackout > 0 else (-e_x, -e_y)
 
 
 @compiled
 def disturb(
     conditions: Conditions,
     state: BatchState,
-    random: Words,
+    random: RngState,
     kind: int,
-    dark: int,
+    blackout: int,
     x: float,
     y: float,
-    plots: RecordArray,
+    adversaries: RecordArray,
 ) -> int:
-    """Set what acts on the UAV beside its commands in the coming tick; how the next one is directed.
+    """Set the UAV's disturbance for the coming tick; return the code of the next direction.
 
     Args:
-        conditions: The conditions.
-        state: The world, changed.
-        random: Of the draws.
-        kind: A code of `WINDS`.
-        dark: Ticks for which nothing is detected yet.
-        x, y: The true p_a - p_g [m].
-        plots: The adversaries' memory, changed.
+        conditions: Conditions of the attack.
+        state: State of the world, updated in place.
+        random: State of the random number generator.
+        kind: Code of `WINDS`.
+        blackout: Remaining ticks of the detections' blackout.
+        x, y: True p_a - p_g [m].
+        adversaries: Memory of the adversaries, updated in place.
     """
     if next_share(random) < 0.02:
         if kind == WINDS.random:
-            plots[UGV].wind = 2.0 * math.pi * next_share(random)
+            adversaries[UGV].wind = 2.0 * math.pi * next_share(random)
         if conditions.blows == ANY and next_share(random) < 0.1:
             kind = choose(random, conditions.blows, len(WINDS))
-    w_x, w_y = _push(kind, dark, x, y, state, plots)
+    w_x, w_y = _push(kind, blackout, x, y, state, adversaries)
     strength, row = (
         1.0 if conditions.jumps > 0.0 else conditions.wind,
         state.vehicles[0, UAV].disturbance,
@@ -285,7 +285,7 @@ def disturb(
 
 @compiled
 def jump(conditions: Conditions, state: BatchState) -> None:
-    """Put the UAV off what it is told, the way that its wind blows."""
+    """Offset the UAV from its reference in the direction of its wind."""
     row = state.vehicles[0, UAV].disturbance
     for axis in range(2):
         row.error[axis] = conditions.jumps * row.wind[axis]

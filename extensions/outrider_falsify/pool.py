@@ -1,4 +1,4 @@
-"""All cores: worker processes that answer in the order in which they were asked, and end with their parent."""
+"""Worker processes on all cores that return results in the order of the calls."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -12,17 +12,17 @@ from outrider.running.workers import interrupts_masked, open_pool
 _Result = TypeVar("_Result")
 
 _AHEAD = 3
-"""Tasks a worker that are under way."""
+"""Pending tasks per worker."""
 _LOOK = 0.1
-"""So often somebody looks whether the search is to end [s]."""
+"""Interval between checks for a request to stop [s]."""
 
 
 class Workers:
-    """Processes that fly; with one job everything is flown in this process.
+    """Worker processes; with one job everything runs in this process.
 
     Args:
-        jobs: How many.
-        warm: What each does first.
+        jobs: Number of processes.
+        warm: Function that each process calls first.
     """
 
     def __init__(self, jobs: int, warm: Callable[[], None]) -> None:
@@ -46,12 +46,12 @@ class Workers:
         calls: Iterable[tuple[Any, ...]],
         ends: Callable[[], bool],
     ) -> Iterator[_Result]:
-        """The results of these calls, in order.
+        """Yield the results of these calls, in order.
 
         Args:
-            function: Of a module, so that workers find it.
-            calls: Its arguments.
-            ends: Whether to stop; what is finished by then still comes.
+            function: Function of a module, so that workers can import it.
+            calls: Arguments of each call.
+            ends: Return true to stop; finished calls are still yielded.
 
         Raises:
             PeerLost: If a worker dies.
@@ -62,7 +62,9 @@ class Workers:
         try:
             yield from self._answers(self._pool, function, iter(calls), ends)
         except BrokenProcessPool as error:
-            raise PeerLost("a worker process died; out of memory? (fewer --jobs)") from error
+            raise PeerLost(
+                "a worker process died: perhaps out of memory; try fewer --jobs"
+            ) from error
 
     def _answers(
         self,

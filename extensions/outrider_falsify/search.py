@@ -1,8 +1,6 @@
-"""The search over scenarios.
+"""Search over scenarios: critical cases of the proofs, random samples, then CMA-ES on the largest distance.
 
-What the proofs fear, what chance finds, and from the best of it CMA-ES on the largest distance.
-
-Which candidates are flown depends on the seed and on the results in their order, not on how many processes fly them.
+Candidates depend on the seed and on the ordered results, not on the number of processes.
 """
 
 import math
@@ -21,20 +19,20 @@ from outrider_falsify.pool import Workers
 from sim.scenario.types import Scenario
 
 _EXPLORED = 0.35
-"""Share of the budget after which the best is improved."""
+"""Share of the budget after which the best candidates are improved."""
 _ISLANDS, _POPULATION = 2, 16
 _SPREAD, _NEW_SPREAD = 0.15, 0.3
-"""Standard deviation of the first generation, and of the first after a search that has come to its end."""
+"""Standard deviation of the first generation, and of the first generation after a restart."""
 _ELITE = 8
 
 
 class Budget:
-    """The amount that may be flown: runs, time, or both, whichever ends first.
+    """Limit on runs and time; the search stops at the first one reached.
 
     Args:
-        runs: None: no limit.
-        seconds: Of wall time; None: no limit.
-        asked: Whether it is to end all the same.
+        runs: Number of runs; None: unlimited.
+        seconds: Wall time; None: unlimited.
+        asked: Return true to stop early.
     """
 
     def __init__(
@@ -45,48 +43,48 @@ class Budget:
 
     @property
     def elapsed(self) -> float:
-        """Since it began [s]."""
+        """Return the time since the start [s]."""
         return time.monotonic() - self._began
 
     def share(self, runs: int) -> float:
-        """The share of it that is used up after so many runs."""
+        """Return the share of the budget used after this number of runs."""
         of_runs = runs / self.runs if self.runs else 0.0
         return max(of_runs, self.elapsed / self._seconds if self._seconds else 0.0)
 
     def ends(self) -> bool:
-        """True if the search is to stop at once: the time is over, or it is asked to."""
+        """Return true if the search must stop: time is up, or a stop was requested."""
         return self._asked() or (self._seconds is not None and self.elapsed >= self._seconds)
 
     def left(self, runs: int) -> int | None:
-        """Runs that are left; None: as many as one likes."""
+        """Return the remaining runs; None: unlimited."""
         return None if self.runs is None else max(0, self.runs - runs)
 
 
 @dataclass(slots=True)
 class Tally:
-    """Counts of a search so far."""
+    """Running counters of a search."""
 
     runs: int = 0
     violations: int = 0
-    """Runs in which the UGV was lost while the promise stood."""
+    """Runs that lost the UGV at a state with guaranteed visibility."""
     lost: int = 0
-    """Runs in which it was lost at all."""
+    """Runs that lost the UGV at any state."""
     uncertified: int = 0
-    """Runs in which a filter did not certify every tick."""
+    """Runs with a gap in the certificate."""
     certified_while_lost: int = 0
-    """Ticks of all runs that were certified although the UGV was out of sight."""
+    """Ticks certified while the UGV was out of sight, summed over the runs."""
     certificate_broken: int = 0
-    """Ticks of all runs that were not certified although the one before was and all assumptions held."""
+    """Ticks that lost the certificate although all assumptions held, summed over the runs."""
     elite: list[tuple[Candidate, CandidateResult]] = field(default_factory=list)
-    """The best, by the largest distance while the promise stood."""
+    """Best candidates, by the largest distance with guaranteed visibility."""
 
     @property
     def worst(self) -> float:
-        """The largest distance while the promise stood [m]; 0 before the first run."""
+        """Return the largest distance with guaranteed visibility [m]; 0 before the first run."""
         return self.elite[0][1].score if self.elite else 0.0
 
     def take(self, candidate: Candidate, result: CandidateResult) -> None:
-        """Count a run."""
+        """Add the result of a run."""
         self.runs += 1
         self.violations += result.violated
         self.lost += result.lost
@@ -99,7 +97,7 @@ class Tally:
 
 
 def _chances(seed: int) -> Iterator[tuple[str, tuple[float, ...], int]]:
-    """Kind, vector and seed of what is tried first: the proofs' cases, then at random, one kind after the other."""
+    """Yield kind, vector and seed: the critical cases of the proofs, then random vectors of alternating kinds."""
     random = np.random.default_rng((seed, 0))
     for case in proof_cases():
         yield "adversary", tuple(case), int(random.integers(2**31))
@@ -109,7 +107,7 @@ def _chances(seed: int) -> Iterator[tuple[str, tuple[float, ...], int]]:
 
 
 class _Island:
-    """CMA-ES from one candidate on; its runs draw the same noise, so that what is compared is comparable."""
+    """CMA-ES around one candidate; its runs share the noise seed, so that their scores are comparable."""
 
     def __init__(self, parent: Candidate, seed: int, number: int, spread: float) -> None:
         import cma  # noqa: PLC0415 - an extra
@@ -129,11 +127,11 @@ class _Island:
 
     @property
     def over(self) -> bool:
-        """True if it finds nothing better any more."""
+        """Return true if the strategy has converged."""
         return bool(self._strategy.stop())
 
     def ask(self) -> list[tuple[str, tuple[float, ...], int]]:
-        """The next generation."""
+        """Return the next generation."""
         self._asked = self._strategy.ask()
         return [
             (self.kind, tuple(float(min(max(x, 0.0), 1.0)) for x in vector), self.seed)
@@ -141,7 +139,7 @@ class _Island:
         ]
 
     def tell(self, scores: list[float]) -> None:
-        """Tell how far the UGV came in each [m]."""
+        """Report the largest distance of each candidate [m]."""
         self._strategy.tell(self._asked, [-score for score in scores])
 
 
@@ -158,26 +156,26 @@ def run_search(
     """Search until the budget is used up.
 
     Args:
-        workers: Who fly.
-        budget: How much.
-        tally: What is found, counted as it comes.
-        base: What all candidates have in common.
-        limits: Within what is searched.
-        seed: Of the search.
-        on_run: Is told after every run.
+        workers: Worker processes.
+        budget: Limit on runs and time.
+        tally: Counters, updated with each result.
+        base: Scenario shared by all candidates.
+        limits: Limits of the search.
+        seed: Seed of the search.
+        on_run: Callback after every run.
     """
     chances, cases, size = _chances(seed), len(proof_cases()), _ISLANDS * _POPULATION
-    numbers, begun = count(), count(1)
+    numbers, island_numbers = count(), count(1)
     islands: list[_Island] = []
 
     def island(rank: int, spread: float) -> _Island:
-        return _Island(tally.elite[rank][0], seed, next(begun), spread)
+        return _Island(tally.elite[rank][0], seed, next(island_numbers), spread)
 
     while not budget.ends() and budget.left(tally.runs) != 0:
         explores = tally.runs < cases or budget.share(tally.runs) < _EXPLORED
         if explores:
             wanted = list(islice(chances, size))
-        else:  # those that still find something go on, and new ones begin in the place of the others
+        else:  # restart islands that have converged
             islands = [island(0, _NEW_SPREAD) if one.over else one for one in islands] or [
                 island(min(k, len(tally.elite) - 1), _SPREAD) for k in range(_ISLANDS)
             ]

@@ -1,4 +1,4 @@
-"""The largest distance of two vehicles within a tick, between the states that a run records."""
+"""Largest distance of two vehicles within a tick, between the recorded states."""
 
 import math
 
@@ -11,20 +11,20 @@ from sim.models.vehicles import norm
 def largest_in_tick(
     r_x: float, r_y: float, v_x: float, v_y: float, w_x: float, w_y: float, dt: float
 ) -> float:
-    """The largest distance within a tick of two vehicles with constant accelerations [m].
+    """Return the largest distance of two vehicles with constant accelerations within a tick [m].
 
-    The derivative of half its square is a cubic in the time; between its stationary points it has one root at most.
+    The derivative of half the squared distance is a cubic in time, with at most one root between stationary points.
 
     Args:
         r_x, r_y: Relative position at the tick's start [m].
-        v_x, v_y: Relative velocity then [m/s].
-        w_x, w_y: And at its end [m/s].
-        dt: Its length [s].
+        v_x, v_y: Relative velocity at the tick's start [m/s].
+        w_x, w_y: Relative velocity at the tick's end [m/s].
+        dt: Length of the tick [s].
     """
     a_x, a_y = (w_x - v_x) / dt, (w_y - v_y) / dt
     c_0, c_1 = r_x * v_x + r_y * v_y, v_x * v_x + v_y * v_y + r_x * a_x + r_y * a_y
     c_2, c_3 = 1.5 * (v_x * a_x + v_y * a_y), 0.5 * (a_x * a_x + a_y * a_y)
-    first = second = dt  # where the derivative turns
+    first = second = dt  # stationary points of the derivative
     root = c_2 * c_2 - 3.0 * c_3 * c_1
     if c_3 > 0.0 and root > 0.0:
         first = min(max((-c_2 - math.sqrt(root)) / (3.0 * c_3), 0.0), dt)
@@ -54,16 +54,18 @@ def largest_in_tick(
 
 @compiled
 def _bounced(p: float, v: float, after: float, w: float, dt: float) -> bool:
-    """True if constant acceleration does not lead along one axis from p and v to the place after with w: at a wall."""
+    """Return true if the vehicle met a wall: constant acceleration does not connect its states on this axis."""
     return abs(after - p - 0.5 * (v + w) * dt) > 1e-12
 
 
 @compiled
 def largest_between(before: RecordArray, after: RecordArray, dt: float) -> float:
-    """The largest distance of two vehicles within the last tick [m]; at its ends only, where a wall was met.
+    """Return the largest distance of two vehicles within the last tick [m].
+
+    If a vehicle met a wall, only the ends of the tick are compared.
 
     Args:
-        before, after: `Motion` of both. (2,)
+        before, after: `Motion` of both vehicles. Shape (2,).
         dt: Length of the tick [s].
     """
     a, g, b, h = before[0], before[1], after[0], after[1]

@@ -1,4 +1,4 @@
 """Exchange vehicles with FMI 3.0 tools.
 
-Vehicles as FMI 3.0 co-simulation units, and units as drivers.
+Export vehicles as FMI 3.0 co-simulation units, and run units as UGV drivers.
 """

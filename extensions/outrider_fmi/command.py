@@ -1,4 +1,4 @@
-"""`outrider fmu`: vehicles and whole flights as FMI 3.0 co-simulation units."""
+"""`outrider fmu`: vehicles and whole runs as FMI 3.0 co-simulation units."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,7 +16,7 @@ app = typer.Typer(invoke_without_command=True, add_completion=False, rich_markup
 def command(context: typer.Context) -> None:
     """Exchange vehicles with FMI 3.0 tools (extra `[fmi]`).
 
-    The other way, `--driver fmu:FILE.fmu` of every command that flies lets a unit drive the UGVs.
+    Conversely, `--driver fmu:FILE.fmu` of `outrider run` and similar commands makes a unit drive the UGVs.
 
     Example: outrider fmu export ugv escort --out ugv.fmu
     """
@@ -26,17 +26,19 @@ def command(context: typer.Context) -> None:
 @app.command()
 def export(
     what: Annotated[
-        Literal["uav", "ugv", "world"], typer.Argument(help="A vehicle, or the whole flight.")
+        Literal["uav", "ugv", "world"], typer.Argument(help="Vehicle kind, or the whole world.")
     ],
     scenario: Annotated[
-        str, typer.Argument(help="A TOML file, or a shipped scenario's name.")
+        str, typer.Argument(help="TOML file, or name of a shipped scenario.")
     ] = "escort",
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="The file to write; uav.fmu, ... by default."),
+        typer.Option(
+            metavar="FILE", help="Write this file; default: uav.fmu, ugv.fmu or world.fmu."
+        ),
     ] = None,
     agent: Annotated[
-        str, typer.Option(help="The vehicle's name in the scenario; the first by default.")
+        str, typer.Option(help="Export this vehicle; default: the first of its kind.")
     ] = "",
     seed: options.Seed = None,
     duration: options.Duration = None,
@@ -46,12 +48,13 @@ def export(
     changes: options.Set = None,
     json: options.Json = False,
 ) -> None:
-    """Write a vehicle, or the world, as a co-simulation unit.
+    """Export a vehicle, or the world, as a co-simulation unit.
 
-    A vehicle is its pilot or driver, the world is all of them. A UAV's inputs are its own position and velocity and the
-    noisy relative detection; a UGV's its own position and velocity, and what it is told by radio or an operator where
-    its driver uses it; the world's an operator's wish, for the driver `teleop`. One step is one tick of the scenario.
-    The unit is Python: the Python that loads it needs this outrider.
+    A vehicle unit contains its pilot or driver; a world unit simulates all vehicles. Inputs of a UAV are its own
+    position and velocity and the noisy relative detection. Inputs of a UGV are its own position and velocity, and radio
+    or operator messages if its driver uses them. The input of a world is the operator's command, for the driver
+    `teleop`. One step is one tick of the scenario. Units are Python code: the Python that loads one needs this version
+    of outrider.
 
     Example: outrider fmu export world escort --seed 3 --out world.fmu
     """
@@ -70,9 +73,9 @@ def export(
     )
     file = out or Path(f"{what}.fmu")
     if what == "world" and agent:
-        raise ScenarioError(f"--agent {agent}: the world has all of them; allowed: none")
+        raise ScenarioError(f"--agent {agent}: the world contains all agents; allowed: none")
     try:
-        with ERR.status(f"making {file}"):
+        with ERR.status(f"exporting {file}"):
             if what == "world":
                 export_world(flown, file)
             else:
@@ -80,7 +83,7 @@ def export(
     except OSError as error:
         raise ScenarioError(f"{error.filename or file}: {error.strerror or error}") from error
     if json:
-        told = {"file": str(file), "what": what, "agent": agent or None}
-        print_json(told | {"scenario": flown.name, "seed": flown.seed, "step": flown.dt})
+        exported = {"file": str(file), "what": what, "agent": agent or None}
+        print_json(exported | {"scenario": flown.name, "seed": flown.seed, "step": flown.dt})
     else:
         OUT.tell(f"{file}: {agent or 'the world'} of {flown.name}, steps of {flown.dt:g} s")

@@ -1,6 +1,6 @@
-"""A co-simulation unit at a UGV's wheel, as a saved policy: `driver = "fmu:FILE.fmu"`.
+"""Co-simulation unit as a UGV's driver and saved policy: `driver = "fmu:FILE.fmu"`.
 
-At each tick it is given what it has inputs for, makes one step of a tick, and its outputs are the acceleration.
+At each tick the unit receives the values of its inputs and makes one step of a tick; its outputs are the acceleration.
 """
 
 import contextlib
@@ -22,14 +22,14 @@ from bus.plugins import needs
 from outrider_fmi.variables import ACCELERATION, DRIVER_INPUTS, GOAL, OWN_STATE, RADIO
 
 _INPUTS = {one.name: "Float64" if one.unit else "Boolean" for one in DRIVER_INPUTS}
-"""The inputs that a unit may have, with their types."""
+"""Allowed inputs of a unit, with their types."""
 _OUTPUTS = tuple(one.name for one in ACCELERATION)
 MOST_UNPACKED = 256 << 20
-"""Bytes that a unit unpacks to at most."""
+"""Largest size of an unpacked unit [bytes]."""
 _STEP = 0.05
-"""Of the trial where the unit names no step size [s]."""
+"""Step size of the trial for a unit without one [s]."""
 _FAULTY = 2
-"""The least status of a message that tells a fault (fmi3Discard)."""
+"""Lowest status of an error message (fmi3Discard)."""
 
 
 def _one_line(text: object) -> str:
@@ -41,22 +41,22 @@ def _free(fmu: Any) -> None:  # noqa: ANN401 - fmpy has no types
     with contextlib.suppress(Exception):
         fmu.terminate()
     with contextlib.suppress(Exception):
-        fmu.dll.finalizePythonInterpreter()  # of pythonfmu3's units alone: see `slave`
+        fmu.dll.finalizePythonInterpreter()  # for pythonfmu3's units only, see `slave`
     with contextlib.suppress(Exception):
         fmu.freeInstance()
 
 
 class _Instance:
-    """One UGV's instance of a unit; freed when nobody has it any more."""
+    """Instance of a unit for one UGV; freed with its last reference."""
 
     def __init__(self, fmu: Any, time: float) -> None:  # noqa: ANN401
-        said: list[str] = []
-        self._said = said
+        errors: list[str] = []
+        self._errors = errors
         self.fmu = fmu
 
         def listen(_where: object, status: int, _category: object, text: bytes | None) -> None:
             if status >= _FAULTY and text:
-                said.append(text.decode("utf-8", "replace"))
+                errors.append(text.decode("utf-8", "replace"))
 
         self._freed = weakref.finalize(self, _free, fmu)
         try:
@@ -68,41 +68,41 @@ class _Instance:
             raise ScenarioError(f"cannot be started: {self.give_up(error)}") from error
 
     def give_up(self, error: BaseException) -> str:
-        """The unit's own last word about a fault, or else the error's; nobody may call it any more, even to free it."""
+        """Return the unit's last error message, else the exception's; the instance must not be used or freed again."""
         self._freed.detach()
-        return _one_line(self._said[-1] if self._said else error)
+        return _one_line(self._errors[-1] if self._errors else error)
 
 
 def _check_size(path: str, where: str) -> None:
-    """Check what an archive says that it unpacks to, before it is unpacked.
+    """Check the declared size of an archive before unpacking.
 
     Raises:
-        ScenarioError: If that is too much.
+        ScenarioError: If the size exceeds the limit.
     """
     with zipfile.ZipFile(path) as archive:
         size = sum(entry.file_size for entry in archive.infolist())
     if size > MOST_UNPACKED:
         raise ScenarioError(
-            f"{where}: unpacks to {size >> 20:,} MiB; allowed: {MOST_UNPACKED >> 20} MiB at most"
+            f"{where}: unpacks to {size >> 20:,} MiB; allowed: {MOST_UNPACKED >> 20} MiB or less"
         )
 
 
 class FmuPolicy:
-    """A unit, `FILE.fmu`, that has been read and tried; each UGV has an instance of its own.
+    """Unit `FILE.fmu`, read and tested; each UGV has an instance of its own.
 
-    fmpy is imported here, and never else.
+    fmpy is imported only here.
 
     Args:
-        path: The file.
-        where: It stands in errors.
+        path: File of the unit.
+        where: Field and value, for errors.
 
     Raises:
-        ScenarioError: If it cannot drive a UGV.
+        ScenarioError: If the unit cannot drive a UGV.
     """
 
     def __init__(self, path: str, where: str) -> None:
         if not Path(path).is_file():
-            raise ScenarioError(f"{where}: no such file: {path or 'none is named'}")
+            raise ScenarioError(f"{where}: no such file: {path or 'no file given'}")
         with needs("fmi", where):
             import fmpy  # noqa: PLC0415
             from fmpy.fmi3 import FMU3Slave  # noqa: PLC0415
@@ -113,7 +113,7 @@ class FmuPolicy:
             _check_size(path, where)
             fmpy.extract(path, self._folder)
             xml = Path(self._folder, "modelDescription.xml")
-            version = ElementTree.parse(xml).getroot().get("fmiVersion")  # noqa: S314 - its code is run next
+            version = ElementTree.parse(xml).getroot().get("fmiVersion")  # noqa: S314 - the unit's code runs next anyway
             if version is not None and not version.startswith("3."):
                 raise ScenarioError(f"{where}: of FMI {version}; allowed: FMI 3.0")
             described = fmpy.read_model_description(self._folder)
@@ -130,7 +130,7 @@ class FmuPolicy:
     def _check(self, described: Any) -> None:  # noqa: ANN401
         where = self._where
         if described.coSimulation is None:
-            raise ScenarioError(f"{where}: not for co-simulation; allowed: units that are")
+            raise ScenarioError(f"{where}: not for co-simulation; allowed: co-simulation units")
         by_name = {one.name: one for one in described.modelVariables}
         inputs = [one for one in described.modelVariables if one.causality == "input"]
         for one in inputs:
@@ -161,17 +161,17 @@ class FmuPolicy:
             )
 
     def _try(self, step: float) -> None:
-        """Make one step at the origin, as a flight would.
+        """Make one step at the origin as a test.
 
         Raises:
-            ScenarioError: If the unit cannot, or answers no numbers.
+            ScenarioError: If the step fails or returns invalid numbers.
         """
         try:
             answer, _ = self.predict([0.0] * len(UGV), None, dt=step)
         except ScenarioError as error:
             raise ScenarioError(f"{self._where}: {error}") from error
         if not all(math.isfinite(value) for value in answer):
-            raise ScenarioError(f"{self._where}: answers {answer}; allowed: two finite numbers")
+            raise ScenarioError(f"{self._where}: returned {answer}; allowed: two finite numbers")
 
     def _instance(self, time: float) -> _Instance:
         try:
@@ -193,40 +193,42 @@ class FmuPolicy:
         dt: float,
         perceived: UgvObservation | None = None,
     ) -> tuple[list[float], _Instance]:
-        """The acceleration, and the instance that gave it.
+        """Return the acceleration [m/s²] and the instance that computed it.
 
         Args:
-            row: The UGV's row, `bus.observations.UGV`.
-            state: The instance of this UGV; None: it is made.
+            row: Row of the UGV, `bus.observations.UGV`.
+            state: Instance of this UGV; None creates one.
             dt: Length of a tick [s].
-            perceived: For what the UGV has received by radio; None: nothing.
+            perceived: Observation with the radio messages of the UGV; None: without any.
 
         Raises:
-            ScenarioError: If the unit cannot be started here or refuses the step.
+            ScenarioError: If the unit cannot be started or rejects the step.
         """
-        seen = dict(zip(names(UGV), map(float, row), strict=True))
-        instance = self._instance(seen["time"]) if state is None else state
-        fmu, values = instance.fmu, _values(seen, perceived)
+        observed = dict(zip(names(UGV), map(float, row), strict=True))
+        instance = self._instance(observed["time"]) if state is None else state
+        fmu, values = instance.fmu, _values(observed, perceived)
         try:
             for kind, inputs in self._inputs.items():
                 if inputs:
                     put = fmu.setBoolean if kind == "Boolean" else fmu.setFloat64
-                    put([place for _, place in inputs], [values[name] for name, _ in inputs])
-            fmu.doStep(currentCommunicationPoint=seen["time"], communicationStepSize=dt)
+                    put(
+                        [reference for _, reference in inputs], [values[name] for name, _ in inputs]
+                    )
+            fmu.doStep(currentCommunicationPoint=observed["time"], communicationStepSize=dt)
             return fmu.getFloat64(self._outputs), instance
         except Exception as error:
             raise ScenarioError(instance.give_up(error)) from error
 
 
-def _values(seen: Mapping[str, float], perceived: UgvObservation | None) -> Mapping[str, float]:
+def _values(observed: Mapping[str, float], perceived: UgvObservation | None) -> Mapping[str, float]:
     values: dict[str, float] = dict.fromkeys(_INPUTS, 0.0)
-    motion = seen["x"], seen["y"], seen["vx"], seen["vy"]
+    motion = observed["x"], observed["y"], observed["vx"], observed["vy"]
     values |= zip((one.name for one in OWN_STATE), motion, strict=True)
-    goal = bool(seen["underway"]), seen["goal_x"], seen["goal_y"]
+    goal = bool(observed["underway"]), observed["goal_x"], observed["goal_y"]
     values |= zip((one.name for one in GOAL), goal, strict=True)
     received = perceived.radio[-1:] if perceived is not None else ()
     for message in received:
-        told = True, message.time, *message.relative_position, message.coverage_error
-        values |= zip((one.name for one in RADIO), told, strict=True)
+        fields = True, message.time, *message.relative_position, message.coverage_error
+        values |= zip((one.name for one in RADIO), fields, strict=True)
     values["radio.new"] = bool(received)
     return values

@@ -1,4 +1,4 @@
-"""A vehicle of a scenario, or the whole flight, as a file for FMI tools."""
+"""Export of a vehicle, or of a whole run, as a file for FMI tools."""
 
 import shutil
 import tempfile
@@ -7,33 +7,33 @@ from pathlib import Path
 from bus.errors import ScenarioError
 from bus.keys import Role
 from bus.plugins import needs
-from outrider_fmi.carried import files_of
+from outrider_fmi.unit_files import files_of
 from outrider_fmi.vehicle_unit import check_exportable
 from outrider_fmi.world_unit import check_world, packed
 from sim.engine.briefing import briefing
 from sim.scenario.types import Scenario
 
-_HOLD = {
-    "slavemodule.txt": "outrider_hold",
-    "outrider_hold.py": "from pythonfmu3 import Fmi3Slave\n\n\nclass Hold(Fmi3Slave):\n    pass\n",
+_PLACEHOLDER = {
+    "slavemodule.txt": "outrider_placeholder",
+    "outrider_placeholder.py": "from pythonfmu3 import Fmi3Slave\n\n\nclass Placeholder(Fmi3Slave):\n    pass\n",
 }
-"""A unit that does nothing: see `slave`."""
+"""Unit without behaviour, see `slave`."""
 
 
 def export_vehicle(scenario: Scenario, role: Role, out: Path, *, name: str = "") -> str:
-    """Write the co-simulation unit of a vehicle.
+    """Export a vehicle as a co-simulation unit.
 
     Args:
-        scenario: Of which it is; its pilot's random numbers are those of a run with this seed and no secret.
+        scenario: Scenario of the vehicle. Its pilot draws the random numbers of a run with this seed and no secret.
         role: UAV or UGV.
-        out: The file, whose name ends in `.fmu`; one that is there is replaced.
-        name: The vehicle's; the first of its kind by default.
+        out: File `*.fmu`; an existing one is replaced.
+        name: Name of the vehicle; default: the first of its kind.
 
     Returns:
-        The vehicle's name.
+        Name of the vehicle.
 
     Raises:
-        ScenarioError: If there is no such vehicle, it needs more than a unit has, or pythonfmu3 is missing.
+        ScenarioError: If the vehicle is unknown, needs more than a unit has, or pythonfmu3 is missing.
         OSError: If the file cannot be written.
     """
     there = [one.name for one in (scenario.uav if role == Role.UAV else scenario.ugv)]
@@ -44,37 +44,37 @@ def export_vehicle(scenario: Scenario, role: Role, out: Path, *, name: str = "")
         raise ScenarioError(
             f"--agent {name}: no {role} of {scenario.name}; allowed: {', '.join(there)}"
         )
-    told = briefing(scenario, vehicle, scenario.seed)
-    check_exportable(told)
-    _build(files_of(told), out)
+    vehicle_briefing = briefing(scenario, vehicle, scenario.seed)
+    check_exportable(vehicle_briefing)
+    _build(files_of(vehicle_briefing), out)
     return vehicle
 
 
 def export_world(scenario: Scenario, out: Path) -> None:
-    """Write the co-simulation unit of a whole flight; arguments and errors as of `export_vehicle`."""
+    """Export a whole run as a co-simulation unit; arguments and errors as of `export_vehicle`."""
     check_world(scenario)
     _build(files_of(packed(scenario)), out)
 
 
-def _build(carried: dict[str, bytes], out: Path) -> None:
+def _build(files: dict[str, bytes], out: Path) -> None:
     if out.suffix != ".fmu":
-        raise ScenarioError(f"--out {out}: is no unit's name; allowed: FILE.fmu")
+        raise ScenarioError(f"--out {out}: not a unit's name; allowed: FILE.fmu")
     with needs("fmi"):
         from pythonfmu3 import FmuBuilder  # noqa: PLC0415
     with tempfile.TemporaryDirectory(prefix="outrider-fmu-") as name:
         folder = Path(name)
         script = folder / "outrider_unit.py"
         shutil.copyfile(Path(__file__).with_name("slave.py"), script)
-        hold = folder / "hold"
-        hold.mkdir()
-        for file, text in _HOLD.items():
-            (hold / file).write_text(text, "ascii")
-        for file, content in carried.items():
+        placeholder = folder / "placeholder"
+        placeholder.mkdir()
+        for file, text in _PLACEHOLDER.items():
+            (placeholder / file).write_text(text, "ascii")
+        for file, content in files.items():
             (folder / file).write_bytes(content)
         made = FmuBuilder.build_FMU(
             script,
             dest=folder / "made",
-            project_files=[hold, *(folder / file for file in carried)],
+            project_files=[placeholder, *(folder / file for file in files)],
             needsExecutionTool="true",
             canHandleVariableCommunicationStepSize="false",
         )

@@ -1,6 +1,6 @@
-"""The Python part of an exported unit: copied into it, and run by the unit's library.
+"""Python part of an exported unit: copied into the unit, and run by its library.
 
-It needs an installed outrider of the version that exported it, in the Python that loads the unit.
+The Python that loads the unit needs outrider in the version that exported it.
 """
 
 import ctypes
@@ -18,7 +18,7 @@ from pythonfmu3.fmi3slave import Fmi3StepResult
 from pythonfmu3.unit import Unit
 from pythonfmu3.variables import Boolean, Float64
 
-from outrider_fmi.carried import open_unit
+from outrider_fmi.unit_files import open_unit
 from outrider_fmi.variables import Variable
 
 _UNITS = (
@@ -28,17 +28,17 @@ _UNITS = (
     Unit("m/s2", m=1, s=-2),
     Unit("m2", m=2),
 )
-_HELD: set[Path] = set()
-"""Libraries whose hold of Python is kept."""
+_RETAINED: set[Path] = set()
+"""Libraries for which this process keeps a reference to Python."""
 
 
 class OutriderUnit(Fmi3Slave):  # type: ignore[misc]  # pythonfmu3 has no types
-    """A vehicle of an Outrider scenario, or the whole flight."""
+    """Vehicle of an Outrider scenario, or a whole run."""
 
     def __init__(self, **given: Any) -> None:  # noqa: ANN401 - pythonfmu3's own
         super().__init__(**given)
         folder = Path(given["resources"])
-        _keep_heap_whole(self, folder)
+        _protect_heap(self, folder)
         self._unit = unit = open_unit(folder)
         self.description = f"{unit.about}; needs outrider in the Python that loads it"
         self.version = version("outrider")
@@ -61,18 +61,22 @@ class OutriderUnit(Fmi3Slave):  # type: ignore[misc]  # pythonfmu3 has no types
             self._register(one, Fmi3Causality.output)
 
     def _register(self, one: Variable, causality: Fmi3Causality) -> None:
-        told: dict[str, Any] = {
+        attributes: dict[str, Any] = {
             "causality": causality,
-            "variability": Fmi3Variability.discrete,  # all change at the communication points
+            "variability": Fmi3Variability.discrete,  # values change at communication points
             "description": one.about,
             "getter": partial(self._values.__getitem__, one.name),
             "setter": partial(self._values.__setitem__, one.name),
         }
-        made = Float64(one.name, unit=one.unit, **told) if one.unit else Boolean(one.name, **told)
+        made = (
+            Float64(one.name, unit=one.unit, **attributes)
+            if one.unit
+            else Boolean(one.name, **attributes)
+        )
         self.register_variable(made, nested=False)
 
     def do_step(self, current_time: float, step_size: float) -> Fmi3StepResult:
-        """Make one tick; a step that is none, or an input that is not finite, is an error of the master's."""
+        """Advance one tick; report a wrong step or a non-finite input as an error of the master."""
         inputs = {one.name: self._values[one.name] for one in self._unit.inputs}
         try:
             self._values |= self._unit.step(current_time, step_size, inputs)
@@ -83,38 +87,45 @@ class OutriderUnit(Fmi3Slave):  # type: ignore[misc]  # pythonfmu3 has no types
         return Fmi3StepResult(status=Fmi3Status.ok)
 
 
-def _keep_heap_whole(unit: OutriderUnit, folder: Path) -> None:
-    """Keep pythonfmu3's library from freeing its hold of Python twice when it is unloaded or the process ends.
+def _protect_heap(unit: OutriderUnit, folder: Path) -> None:
+    """Prevent pythonfmu3's library from releasing Python twice when it is unloaded or the process ends.
 
-    It does (0.3.4: its destructor runs after that of its global variable), and the heap is broken then: every second
-    master ended with an abort. In a Python process the hold is freed before, with the unit. Where the library has
-    started Python itself, for a master in another language, Python cannot be ended and started anew: there two
-    instances that nobody frees keep the hold.
+    Its destructor runs after its global variable's (0.3.4) and corrupts the heap: every second master aborted at exit.
+    In a Python process the reference is released earlier, with the unit. A master in another language lets the library
+    start Python, which cannot be restarted; there, two instances that are never freed keep the reference.
     """
     ours = list(folder.parent.glob(f"binaries/*/{type(unit).__name__}.so"))
     if not ours:
         return
     library = ctypes.CDLL(str(ours[0]))
     if sys.orig_argv:
-        weakref.finalize(unit, _let_go, library)
-    elif ours[0] not in _HELD:
-        _HELD.add(ours[0])
-        make, resources = library.fmi3InstantiateCoSimulation, str(folder / "hold")
+        weakref.finalize(unit, _release, library)
+    elif ours[0] not in _RETAINED:
+        _RETAINED.add(ours[0])
+        make, resources = library.fmi3InstantiateCoSimulation, str(folder / "placeholder")
         make.restype = ctypes.c_void_p
         flags, none = (False,) * 4, ctypes.c_void_p()
         for _ in range(2):
-            make(b"hold", b"", resources.encode(), *flags, none, ctypes.c_size_t(), *(none,) * 3)
+            make(
+                b"placeholder",
+                b"",
+                resources.encode(),
+                *flags,
+                none,
+                ctypes.c_size_t(),
+                *(none,) * 3,
+            )
 
 
-def _let_go(library: ctypes.CDLL) -> None:
-    import _ctypes  # noqa: PLC0415 - where there is no `dlclose`, there is no .so
+def _release(library: ctypes.CDLL) -> None:
+    import _ctypes  # noqa: PLC0415 - systems without `dlclose` have no .so
 
     library.finalizePythonInterpreter()
     _ctypes.dlclose(library._handle)
 
 
 def _token(folder: Path) -> str:
-    """A name of the unit's content; pythonfmu3's own tells the machine that made it."""
+    """Return an identifier of the unit's content; pythonfmu3's own would reveal the exporting machine."""
     files = sorted(one for one in folder.iterdir() if one.suffix in (".json", ".msgpack", ".txt"))
-    told = [one.read_bytes() for one in files if one.name != "slavemodule.txt"]
-    return hashlib.sha256(b"\0".join(told)).hexdigest()[:32]
+    contents = [one.read_bytes() for one in files if one.name != "slavemodule.txt"]
+    return hashlib.sha256(b"\0".join(contents)).hexdigest()[:32]

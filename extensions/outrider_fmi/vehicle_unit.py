@@ -1,6 +1,6 @@
-"""A vehicle's pilot behind the variables of a co-simulation unit: its own observation in, its acceleration out.
+"""Vehicle's pilot behind the variables of a co-simulation unit: its own observation in, its acceleration out.
 
-There is an input for what the vehicle perceives itself and for nothing else.
+Inputs exist only for quantities that the vehicle perceives itself.
 """
 
 import math
@@ -37,45 +37,45 @@ from outrider_fmi.variables import (
 )
 
 _SHARE = 1e-6
-"""By so much of a tick a communication step may differ from it: masters add up their times."""
+"""Largest deviation of a communication step from a tick, as a share of the tick: masters accumulate rounding errors."""
 
 _LARGEST = 1e6
-"""Of a number on the bus."""
+"""Largest magnitude of a number on the bus."""
 
 Values = Mapping[str, float]
-"""The values of variables, by name; a flag's is true or false."""
+"""Values of variables by name; flags are true or false."""
 
 
 def tick_at(time: float, size: float, dt: float) -> int:
-    """The tick of a communication step.
+    """Return the tick of a communication step.
 
     Args:
-        time: Of the communication point [s].
-        size: Of the step [s].
+        time: Time of the communication point [s].
+        size: Length of the step [s].
         dt: Length of a tick [s].
 
     Raises:
-        ValueError: If it is not exactly a tick.
+        ValueError: If the step is not exactly one tick.
     """
     tick = tick_of(time, dt)
     if tick < 0 or not abs(size - dt) <= _SHARE * dt:
         raise ValueError(
             f"a step of {size:g} s from {time:g} s; allowed: steps of {dt:g} s, the scenario's dt, "
-            "from whole multiples of it"
+            "from multiples of it"
         )
     return tick
 
 
 def pair(values: Values, name: str) -> Vector:
-    """The variables x and y of this name."""
+    """Return the variables x and y of this name."""
     return values[f"{name}.x"], values[f"{name}.y"]
 
 
 def check_inputs(values: Values) -> None:
-    """Refuse an input that no message on the bus could carry.
+    """Check that every input fits into a message on the bus.
 
     Raises:
-        ValueError: If there is one.
+        ValueError: If an input is too large or not finite.
     """
     for name, value in values.items():
         if not abs(value) <= _LARGEST:
@@ -83,43 +83,43 @@ def check_inputs(values: Values) -> None:
 
 
 def check_exportable(briefing: UavBriefing | UgvBriefing) -> None:
-    """Refuse a vehicle that needs more than the variables of a unit.
+    """Check that the variables of a unit cover everything that the vehicle needs.
 
     Raises:
-        ScenarioError: If it does.
+        ScenarioError: If they do not.
     """
     vehicle = briefing.vehicle
     if briefing.ground is not None:
         raise ScenarioError(
-            f"{vehicle}: perceives hazards, for whose tiles a unit has no variables; allowed: scenarios without "
+            f"{vehicle}: perceives hazards, but units have no variables for tiles; allowed: scenarios without "
             "[[hazard]] and [[hazard_field]]"
         )
     if isinstance(briefing, UavBriefing):
         SelectedLaw(briefing, briefing.law, uav_parameters(briefing))
-        promise = bounds_of(briefing)
-        needed = promise.delay_ticks > 0 or promise.interval_ticks > 1
+        bounds = bounds_of(briefing)
+        needed = bounds.delay_ticks > 0 or bounds.interval_ticks > 1
         if LAWS[briefing.law.name].watched and needed:
             raise ScenarioError(
-                f"{vehicle}: law.name = {briefing.law.name!r}: its commands carry motions, for which a unit has no "
-                "variables; allowed: certificate.max_command_delay = 0 and certificate.max_command_interval = dt"
+                f"{vehicle}: law.name = {briefing.law.name!r}: its commands carry trajectories, but units have "
+                "no variables; allowed: certificate.max_command_delay = 0 and certificate.max_command_interval = dt"
             )
         if LAWS[briefing.law.name].own:
             raise ScenarioError(
-                f"{vehicle}: the law {briefing.law.name!r} needs a function of your own, which a unit does not carry; "
+                f"{vehicle}: the law {briefing.law.name!r} needs user code, which a unit does not contain; "
                 "allowed: other laws"
             )
     elif not DRIVERS[briefing.driver].provided:
         raise ScenarioError(
-            f"{vehicle}: the driver {briefing.driver!r} is code of your own, which a unit does not carry; allowed: "
+            f"{vehicle}: the driver {briefing.driver!r} is user code, which a unit does not contain; allowed: "
             f"{', '.join(row.name for row in DRIVERS.values() if row.provided)}"
         )
 
 
 class VehicleUnit:
-    """A vehicle's pilot, asked by values of variables.
+    """Vehicle's pilot, called with values of variables.
 
     Args:
-        briefing: The one that the vehicle would be told.
+        briefing: Briefing of the vehicle.
 
     Raises:
         ScenarioError: If the vehicle needs more than a unit has.
@@ -128,40 +128,40 @@ class VehicleUnit:
     def __init__(self, briefing: UavBriefing | UgvBriefing) -> None:
         check_exportable(briefing)
         self.dt = briefing.dt
-        """Of a communication step [s]."""
+        """Length of a communication step [s]."""
         self.duration = 200.0 * briefing.dt
-        """Of a simulation by default [s]: a pilot does not know how long the run will be."""
+        """Default duration of a simulation [s]; a pilot does not know the duration of its run."""
         self._pilot: UavPilot | UgvPilot
         if isinstance(briefing, UavBriefing):
             self._pilot = UavPilot(briefing)
             self.inputs: tuple[Variable, ...] = UAV_INPUTS
             self.outputs: tuple[Variable, ...] = UAV_OUTPUTS
-            who = f"the UAV's pilot, law {briefing.law.name}"
+            content = f"the UAV's pilot, law {briefing.law.name}"
         else:
             row = DRIVERS[briefing.driver]
             self._pilot = UgvPilot(briefing)
             self.inputs = OWN_STATE + RADIO * row.listens + OPERATOR * row.operated
             self.outputs = ACCELERATION
-            who = f"the UGV's driver, {briefing.driver}"
+            content = f"the UGV's driver, {briefing.driver}"
         self._visible = briefing.visibility_radius if isinstance(briefing, UavBriefing) else 0.0
-        self.about = f"{briefing.vehicle} of an Outrider scenario: {who}"
-        """Description for whoever imports it."""
+        self.about = f"{briefing.vehicle} of an Outrider scenario: {content}"
+        """Description for the importing tool."""
 
     def start(self) -> dict[str, float]:
-        """The outputs before the first step."""
+        """Return the outputs before the first step."""
         values = {one.name: 0.0 if one.unit else False for one in self.outputs}
         return values | ({"margin": -math.inf} if "margin" in values else {})
 
     def step(self, time: float, size: float, values: Values) -> dict[str, float]:
-        """The outputs from a time on.
+        """Return the outputs from this time on.
 
         Args:
-            time: Of the communication point [s].
-            size: Of the communication step [s]; the vehicle's tick.
-            values: Of the inputs.
+            time: Time of the communication point [s].
+            size: Length of the communication step [s], the vehicle's tick.
+            values: Values of the inputs.
 
         Raises:
-            ValueError: If the times are not those of ticks, or an input is not what it may be.
+            ValueError: If the step is not a tick, or an input is invalid.
         """
         tick = tick_at(time, size, self.dt)
         check_inputs(values)
@@ -176,28 +176,28 @@ class VehicleUnit:
         return self._drive(self._pilot, own, values)
 
     def _fly(self, pilot: UavPilot, own: dict[str, Any], values: Values) -> dict[str, float]:
-        looks: tuple[Detection, ...] = ()
+        detections: tuple[Detection, ...] = ()
         if values["detection.new"]:
             relative = pair(values, "detection")
-            looks = (Detection(time=values["detection.time"], relative_position=relative),)
-        return self._told(pilot.act(UavObservation(**own, detections=looks)))
+            detections = (Detection(time=values["detection.time"], relative_position=relative),)
+        return self._outputs(pilot.act(UavObservation(**own, detections=detections)))
 
-    def _told(self, command: UavCommand) -> dict[str, float]:
-        told = self.start()
-        told["acceleration.x"], told["acceleration.y"] = command.acceleration
+    def _outputs(self, command: UavCommand) -> dict[str, float]:
+        outputs = self.start()
+        outputs["acceleration.x"], outputs["acceleration.y"] = command.acceleration
         report = command.report
         if report is not None:
-            told["estimate.valid"] = True
-            told["estimate.x"], told["estimate.y"] = report.estimate
+            outputs["estimate.valid"] = True
+            outputs["estimate.x"], outputs["estimate.y"] = report.estimate
             decision = report.decision
-            told["certified"] = decision is not None and decision.certified
+            outputs["certified"] = decision is not None and decision.certified
             if decision is not None and decision.certified_distance is not None:
-                told["margin"] = self._visible - decision.certified_distance
+                outputs["margin"] = self._visible - decision.certified_distance
         for message in command.radio:
-            told["radio.new"], told["radio.time"] = True, message.time
-            told["radio.x"], told["radio.y"] = message.relative_position
-            told["radio.coverage_error"] = message.coverage_error
-        return told
+            outputs["radio.new"], outputs["radio.time"] = True, message.time
+            outputs["radio.x"], outputs["radio.y"] = message.relative_position
+            outputs["radio.coverage_error"] = message.coverage_error
+        return outputs
 
     def _drive(self, pilot: UgvPilot, own: dict[str, Any], values: Values) -> dict[str, float]:
         radio: tuple[RelativeInformation, ...] = ()

@@ -1,6 +1,6 @@
-"""A whole flight behind the variables of a co-simulation unit: world, links and all pilots, as in one process.
+"""Whole run behind the variables of a co-simulation unit: world, links and all pilots in one process.
 
-It tells what an observer is told. An operator's wish crosses the operator's link, as everybody's.
+Its outputs are those of an observer. The operator's input crosses the operator's link.
 """
 
 import msgspec
@@ -20,19 +20,19 @@ _CERTIFIED = 6
 
 
 def check_world(scenario: Scenario) -> None:
-    """Refuse a scenario that needs code of the user's own.
+    """Reject a scenario that needs user code.
 
     Raises:
-        ScenarioError: If it does.
+        ScenarioError: If it needs user code.
     """
     for field, value in own_code(scenario).items():
         raise ScenarioError(
-            f"{field} = {value!r}: a unit does not carry code of your own; allowed: scenarios without it"
+            f"{field} = {value!r}: a unit does not contain user code; allowed: scenarios without it"
         )
     for ugv in scenario.ugv:
         if not DRIVERS[ugv.driver].provided:
             raise ScenarioError(
-                f"{ugv.name}: the driver {ugv.driver!r} is another process, which a unit does not start; allowed: "
+                f"{ugv.name}: the driver {ugv.driver!r} runs in another process, which a unit does not start; allowed: "
                 f"{', '.join(row.name for row in DRIVERS.values() if row.provided)}"
             )
 
@@ -43,25 +43,25 @@ class _Packed(msgspec.Struct, frozen=True):
 
 
 def packed(scenario: Scenario) -> bytes:
-    """A flight as a unit carries it, in MessagePack: JSON has no infinite bounds."""
+    """Encode a run for a unit, in MessagePack because JSON lacks infinite bounds."""
     return msgspec.msgpack.encode(_Packed(scenario, scenario.seed))
 
 
 def unpacked(flight: bytes) -> "WorldUnit":
-    """The unit of such a flight."""
+    """Return the unit of an encoded run."""
     found = msgspec.msgpack.decode(flight, type=_Packed)
     return WorldUnit(found.scenario, found.seed)
 
 
 class WorldUnit:
-    """A flight, a tick a step.
+    """Run that advances one tick per step.
 
     Args:
-        scenario: What is flown.
-        seed: Of all random numbers.
+        scenario: Scenario of the run.
+        seed: Seed of all random numbers.
 
     Raises:
-        ScenarioError: If it needs more than a unit has.
+        ScenarioError: If the scenario needs more than a unit has.
     """
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
@@ -69,30 +69,30 @@ class WorldUnit:
         self._flight = Flight(scenario, seed)
         self._exchange = InProcess(make_pilots(scenario, seed))
         self.dt, self.duration = scenario.dt, scenario.duration
-        """Of a communication step and of the flight [s]."""
+        """Length of a communication step, and duration of the run [s]."""
         self._driven = [ugv.name for ugv in scenario.ugv if DRIVERS[ugv.driver].operated]
         self.inputs: tuple[Variable, ...] = sum((of(name, OPERATOR) for name in self._driven), ())
         states = (of(vehicle.name, TRUE_STATE) for vehicle in scenario.vehicles)
         escorts = (of(uav.name, TRUE_ESCORT) for uav in self._flight.world.uavs)
         self.outputs: tuple[Variable, ...] = sum((*states, *escorts), ())
-        self.about = f"The flight {scenario.name!r} of Outrider, seed {seed}"
-        """Description for whoever imports it."""
+        self.about = f"Run of the Outrider scenario {scenario.name!r}, seed {seed}"
+        """Description for the importing tool."""
 
     def start(self) -> dict[str, float]:
-        """The outputs before the first step."""
-        return self._told()
+        """Return the outputs before the first step."""
+        return self._outputs()
 
     def step(self, time: float, size: float, values: Values) -> dict[str, float]:
-        """The outputs at the end of a step; arguments as of `VehicleUnit.step`.
+        """Return the outputs at the end of a step; arguments as of `VehicleUnit.step`.
 
         Raises:
-            ValueError: If it is not the next tick, there is none any more, or an input is not what it may be.
+            ValueError: If the step is not the next tick, the run is over, or an input is invalid.
         """
         tick, flight = tick_at(time, size, self.dt), self._flight
         check_inputs(values)
         if flight.over:
             raise ValueError(
-                f"the flight is over at {self.duration:g} s; allowed: steps up to there"
+                f"a step from {time:g} s: the run ends at {self.duration:g} s; allowed: earlier steps"
             )
         if tick != flight.world.tick:
             raise ValueError(
@@ -103,9 +103,9 @@ class WorldUnit:
                 wanted = pair(values, f"{name}.operator.velocity")
                 flight.teleoperate(name, Teleoperation(operator="fmi", velocity=wanted))
         flight.fly_tick(self._exchange)
-        return self._told()
+        return self._outputs()
 
-    def _told(self) -> dict[str, float]:
+    def _outputs(self) -> dict[str, float]:
         flight = self._flight
         flight.recorder.record(flight.answers.reports)
         states, escorts = flight.recorder.states, flight.recorder.escorts

@@ -1,4 +1,4 @@
-"""`outrider suite`: the benchmark suite, and the leaderboard of who has flown it."""
+"""`outrider suite`: the benchmark suite and its leaderboard."""
 
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,8 +23,7 @@ _Law = Annotated[
     list[str] | None,
     typer.Option(
         "--law",
-        help="Laws, between commas; by default the paper's and certified, in missions also 'none', a UGV without "
-        "an escort; or no law beside a --uav-policy. May be repeated.",
+        help="Score these laws, comma-separated (repeatable); default: the baselines.",
     ),
 ]
 _UavPolicy = Annotated[
@@ -32,39 +31,36 @@ _UavPolicy = Annotated[
     typer.Option(
         "--uav-policy",
         metavar="POLICY",
-        help="A policy of your own, a UAV's observations in all worlds in, its accelerations out, or a saved one, "
-        f"with the observation that it was trained on: {policy_forms('uav')}; may be repeated.",
+        help=f"Score your own policy (repeatable): {policy_forms('uav')}.",
     ),
 ]
 _Name = Annotated[
     str,
     typer.Option(
         "--suite",
-        help="Which: suite-v1, scored by what was seen, or missions-v1, by how the UGV got through.",
+        help="Select the suite: suite-v1 (coverage) or missions-v1 (missions).",
     ),
 ]
-_Only = Annotated[list[str] | None, typer.Option(help="Only this task; may be repeated.")]
+_Only = Annotated[list[str] | None, typer.Option(help="Run only this task (repeatable).")]
 _Estimate = Annotated[
     bool,
     typer.Option(
         "--estimate",
-        help="Policies observe the filter's estimate in the place of the raw detection.",
+        help="Give policies the estimate in place of the raw detection.",
     ),
 ]
 _Gradient = Annotated[
     bool,
-    typer.Option("--gradient", help="Policies observe the direction to new ground besides."),
+    typer.Option("--gradient", help="Add the coverage gradient to the policies' observations."),
 ]
 _SafetyFilter = Annotated[
-    bool, typer.Option("--safety-filter", help="Policies fly inside the safety filter.")
+    bool, typer.Option("--safety-filter", help="Run policies inside the safety filter.")
 ]
-_Seeds = Annotated[int, typer.Option(help="Fly only the first so many seeds.", min=1, max=20)]
+_Seeds = Annotated[int, typer.Option(help="Use only this number of seeds.", min=1, max=20)]
 _Markdown = Annotated[
     bool, typer.Option("--markdown", help="Print the table as Markdown on stdout.")
 ]
-_ListTasks = Annotated[
-    bool, typer.Option("--list", help="Tell what the tasks are, and fly nothing.")
-]
+_ListTasks = Annotated[bool, typer.Option("--list", help="List the tasks and exit.")]
 
 
 def command(
@@ -81,13 +77,14 @@ def command(
     list_tasks: _ListTasks = False,
     json: Json = False,
 ) -> None:
-    """Score laws and policies over the benchmark's tasks.
+    """Score laws and policies on the benchmark's tasks.
 
-    Each task is flown with 20 seeds. The score is the share of the ground around the UGV that was seen, averaged over
-    the flight, in percent; from the tick at which sight is lost on, nothing counts as seen.
+    Each task runs with 20 seeds. The score is the covered share of the ground around the UGV, averaged over the
+    episode, in percent. Ticks after the loss of sight score zero.
 
-    In missions it is 100 T*/T of a flight that arrives in the time T, T* being that of straight ways, times the share
-    of the things that were found, divided by 1 and the hazards that were run into.
+    In missions the score is 100 T*/T, times the share of finds, divided by one plus the number of hazards hit. T is the
+    mission time, and T* the time along straight lines at full speed. A mission that does not arrive scores zero.
+    Missions have one more baseline: 'none', a UGV without an escort.
 
     Example: outrider suite --law logarithmic,certified --only noise --only bursts
     Example: outrider suite --suite missions-v1 --seeds 3
@@ -96,10 +93,10 @@ def command(
     from outrider_learning.suite.tasks import SUITES, suite
 
     if name not in SUITES:
-        raise typer.BadParameter(f"--suite {name}: no such suite; allowed: {', '.join(SUITES)}")
+        raise typer.BadParameter(f"--suite {name}: unknown suite; allowed: {', '.join(SUITES)}")
     tasks = _tasks(suite(name), only or [])
     if list_tasks:
-        _tell_tasks(tasks, json=json)
+        _print_tasks(tasks, json=json)
         return
     chosen = {"estimate": estimate, "gradient": gradient, "safety_filter": safety_filter}
     settings = {name: True for name, wanted in chosen.items() if wanted}
@@ -107,10 +104,12 @@ def command(
     entries = _entries(laws, uav_policy or [], tasks)
     if settings and not uav_policy:
         raise typer.BadParameter(
-            f"--{'/'.join(settings).replace('_', '-')}: for a --uav-policy alone; the laws are as they are"
+            f"--{'/'.join(settings).replace('_', '-')}: applies to policies only; allowed: with --uav-policy"
         )
     if markdown and json:
-        raise typer.BadParameter("--markdown and --json both want stdout; choose one")
+        raise typer.BadParameter(
+            "--markdown and --json: both write to stdout; allowed: one of them"
+        )
     from outrider.cli.options import secret_of
 
     board = _fly(entries, tasks, settings, secret_of(secret, wanted=True), seeds)
@@ -121,8 +120,8 @@ def command(
         print_text(board.markdown())
     else:
         OUT.print(_table(board))
-    told = ERR if markdown else OUT
-    told.tell(f"  secret {board.secret}: with --secret the same scores again")
+    console = ERR if markdown else OUT
+    console.tell(f"  secret {board.secret}: pass it with --secret to reproduce the scores")
 
 
 def _tasks(whole: "Suite", only: list[str]) -> "Suite":
@@ -133,7 +132,7 @@ def _tasks(whole: "Suite", only: list[str]) -> "Suite":
     if unknown:
         meant = near(unknown[0], whole.names)
         raise ScenarioError(
-            f"--only {unknown[0]}: no such task{meant}; allowed: {', '.join(whole.names)}"
+            f"--only {unknown[0]}: unknown task{meant}; allowed: {', '.join(whole.names)}"
         )
     return Suite([task for task in whole if not only or task.name in only])
 
@@ -154,19 +153,19 @@ def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str,
             )
     entries: dict[str, Entry] = {law: law for law in laws or ([] if policies else baselines)}
     for name in policies:
-        entries[name] = _Own(name, load_uav_policy(name, what="--uav-policy"))
+        entries[name] = _UserPolicy(name, load_uav_policy(name, what="--uav-policy"))
     return entries
 
 
-class _Own:
-    """A policy of the user's own whose errors become one line that names it; a copy of it has a memory of its own."""
+class _UserPolicy:
+    """Policy of the user's own that reports its errors in one line with its name; a copy has its own memory."""
 
     def __init__(self, name: str, policy: "UavPolicy") -> None:
         self._name, self._policy = name, policy
         self.setup = getattr(policy, "setup", {})
 
     def check(self, scenario: "Scenario") -> None:
-        """Refuse a task that it was not made for."""
+        """Raise ScenarioError for a task that the policy does not support."""
         if not hasattr(self._policy, "check"):
             return
         try:
@@ -174,9 +173,9 @@ class _Own:
         except ValueError as error:
             raise ScenarioError(f"--uav-policy {self._name}: {error}") from error
 
-    def __call__(self, seen: "AgentObservation") -> Any:  # noqa: ANN401 - what it answers is checked where it flies
+    def __call__(self, observation: "AgentObservation") -> Any:  # noqa: ANN401 - the environment checks the action
         try:
-            return self._policy(seen)
+            return self._policy(observation)
         except Exception as error:
             raise OutriderError(f"--uav-policy {self._name}: {error_with_place(error)}") from error
 
@@ -192,7 +191,7 @@ def _fly(
     from outrider_learning.suite.board import leaderboard
     from outrider_learning.suite.tasks import SEEDS
 
-    with share_progress("compiling, then flying") as show:
+    with share_progress("compiling, then simulating") as show:
         try:
             return leaderboard(
                 entries,
@@ -203,7 +202,7 @@ def _fly(
                 **settings,
             )
         except ValueError as error:
-            raise OutriderError(f"a policy cannot fly: {error}") from error
+            raise OutriderError(f"a policy cannot run: {error}") from error
 
 
 def _table(board: "Leaderboard") -> Any:  # noqa: ANN401 - rich's
@@ -212,7 +211,7 @@ def _table(board: "Leaderboard") -> Any:  # noqa: ANN401 - rich's
 
     from outrider_learning.suite.board import middle_cell
 
-    measure = "Mission score" if board.mission else "Seen of what there was to see"
+    measure = "Mission score" if board.mission else "Covered share of the ground"
     title = f"{measure} [%], mean of {len(board.standings[0].results[0].scores)} seeds"
     table = Table(
         title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False
@@ -228,20 +227,20 @@ def _table(board: "Leaderboard") -> Any:  # noqa: ANN401 - rich's
     return table
 
 
-def _cell(told: "Result | Standing") -> "Text":
+def _cell(result: "Result | Standing") -> "Text":
     from rich.text import Text
 
-    score = f"{told.score:.1f}"
-    return Text.assemble(score, (f"\n{told.lost} lost", "red")) if told.lost else Text(score)
+    score = f"{result.score:.1f}"
+    return Text.assemble(score, (f"\n{result.lost} lost", "red")) if result.lost else Text(score)
 
 
-def _tell_tasks(tasks: "Suite", *, json: bool) -> None:
+def _print_tasks(tasks: "Suite", *, json: bool) -> None:
     from outrider.cli.console import print_json, print_table
 
     if json:
-        told = [{"name": task.name, "hard": task.hard, "env_id": task.env_id} for task in tasks]
-        print_json({"tasks": told})
+        listed = [{"name": task.name, "hard": task.hard, "env_id": task.env_id} for task in tasks]
+        print_json({"tasks": listed})
         return
     rows = [(task.name, task.hard, task.env_id) for task in tasks]
-    headings = ("task", "what is hard", "at Gymnasium")
-    print_table(headings, rows, title="The tasks of the suite", whole=("task",))
+    headings = ("task", "difficulty", "Gymnasium ID")
+    print_table(headings, rows, title="Tasks of the suite", whole=("task",))

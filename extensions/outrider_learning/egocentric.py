@@ -1,4 +1,4 @@
-"""The vehicle's own frame: rows, pictures of the coverage, and actions turned with its heading."""
+"""Vehicle frame: rows, coverage pictures and actions rotated with the vehicle's heading."""
 
 from typing import Any, cast
 
@@ -25,29 +25,29 @@ UAV_BODY: Table = (
     Entry("relative_y", "the same, to the left", "m", "-d_max", "d_max"),
     *(entry for entry in UAV if entry.name == "age"),
 )
-"""A UAV's row in its own frame: x ahead, y to the left. R: half the diagonal of the area."""
+"""Row of a UAV in its own frame: x ahead, y to the left. R is half the diagonal of the area."""
 UGV_BODY: Table = (
     *_BODY,
     *(entry for entry in UGV if entry.name == "underway"),
     Entry("goal_x", "from the UGV to its goal, ahead; 0 if it is not underway", "m", "-D", "D"),
     Entry("goal_y", "the same, to the left", "m", "-D", "D"),
 )
-"""A UGV's row in its own frame."""
+"""Row of a UGV in its own frame."""
 
 _BODY_OF = {len(UAV): (UAV, UAV_BODY), len(UGV): (UGV, UGV_BODY)}
 _BODY_OF[len(UAV + GRADIENT)] = (UAV + GRADIENT, UAV_BODY + GRADIENT)
 
 
 class Egocentric(Transformation):
-    """The vehicle's own frame: the origin at the vehicle, x along its velocity, y to the left.
+    """Vehicle frame: origin at the vehicle, x along its velocity, y to the left.
 
-    While the vehicle is slower than `rest` its last heading stays; at the start of an episode it is east. Rows become
-    `UAV_BODY` or `UGV_BODY`; the gradient behind them is turned. Actions are accelerations [m/s²] in this frame, by the
-    heading of the last observation. The picture of the coverage is turned: columns ahead, rows to the left, each
-    pixel the nearest of the environment's picture, and 1 beyond it. The picture of the tiles is not turned.
+    Below the speed `rest` the vehicle keeps its last heading; an episode starts with heading east. Rows become
+    `UAV_BODY` or `UGV_BODY`, and the gradient that follows them is rotated. Actions are accelerations [m/s²] in this
+    frame, by the heading of the last observation. The coverage picture is rotated: columns ahead, rows to the left,
+    nearest sampling, 1 outside. The picture of the tiles is not rotated.
 
     Args:
-        rest: Speed below which the heading stays [m/s].
+        rest: Speed below which the heading is frozen [m/s].
 
     Raises:
         ValueError: If `rest` is not positive and finite.
@@ -60,11 +60,11 @@ class Egocentric(Transformation):
         self._heading: Array = np.empty((0, 2))
 
     def settings(self) -> dict[str, Any]:
-        """Return the speed below which the heading stays."""
+        """Return the speed below which the heading is frozen."""
         return {"rest": self._rest}
 
     def space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
-        """Return the row's space in the vehicle's frame; that of a picture stays."""
+        """Return the space of the row in the vehicle frame; pictures keep theirs."""
         if isinstance(space, spaces.Dict):
             return spaces.Dict({**space.spaces, "row": self._row_space(space["row"])})
         return self._row_space(space)
@@ -86,7 +86,7 @@ class Egocentric(Transformation):
         return self._box
 
     def begin(self, observation: AgentObservation, worlds: Mask) -> AgentObservation:
-        """Point these worlds' vehicles east, unless they move."""
+        """Reset the headings of these worlds to east, or along the velocity."""
         if len(self._heading) != len(worlds):
             self._heading = np.tile((1.0, 0.0), (len(worlds), 1))
         self._heading[worlds] = (1.0, 0.0)
@@ -97,7 +97,7 @@ class Egocentric(Transformation):
         return self._shown(observation, np.ones(len(self._heading), dtype=np.bool_))
 
     def _shown(self, observation: AgentObservation, turning: Mask) -> AgentObservation:
-        """Return the observation; where `turning`, the heading follows the velocity."""
+        """Return the observation; where `turning`, update the heading from the velocity."""
         whole = observation if isinstance(observation, dict) else {"row": observation}
         old = by_name(self._table, whole["row"].astype(np.float64))
         velocity, speed = np.stack((old["vx"], old["vy"]), -1), np.hypot(old["vx"], old["vy"])
@@ -130,7 +130,7 @@ class Egocentric(Transformation):
         return np.stack([new[name] for name in names(self._body)], axis=-1)
 
     def action(self, action: Any) -> Any:  # noqa: ANN401 - see Transformation
-        """Return the acceleration in the world frame; what is no pair of numbers for each world stays as it is."""
+        """Return the acceleration in the world frame; invalid actions pass unchanged."""
         body = np.asarray(action)
         if body.shape != self._heading.shape or body.dtype.kind not in "fiu":
             return action

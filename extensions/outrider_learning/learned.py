@@ -1,4 +1,4 @@
-"""A learned UAV that flies: its network behind the very transformation that it was trained with, called once a tick."""
+"""Learned UAV policy: its network behind the transformation of its training, called once per tick."""
 
 import math
 from collections.abc import Mapping
@@ -18,55 +18,54 @@ from sim.scenario.types import Scenario
 
 
 def check_made_for(name: str, value: float, made: float) -> None:
-    """Refuse a number that a policy was not made for.
+    """Check a number against the one of the policy's training.
 
     Raises:
-        ValueError: If it is another.
+        ValueError: If the numbers differ.
     """
     if not math.isclose(value, made, rel_tol=1e-9, abs_tol=1e-9):
-        raise ValueError(f"{name} = {value:g}: the policy is made for {made:g}")
+        raise ValueError(f"{name} = {value:g}: the policy was trained with {made:g}")
 
 
 def make_view(recipe: Mapping[str, Any]) -> EscortView:
-    """The transformation that a recipe describes, for one environment.
+    """Return the transformation that a recipe describes, for one environment.
 
     Raises:
-        ValueError: If the recipe lacks something.
+        ValueError: If the recipe is incomplete.
     """
     try:
         pixel = float(recipe["coverage_patch"][1])
         return EscortView(step=recipe["repeat"] * recipe["dt"], pixel=pixel, **recipe["view"])
     except (KeyError, IndexError, TypeError) as error:
         raise ValueError(
-            f"recipe: {type(error).__name__}: {error}; allowed: one of examples/train_uav.py"
+            f"recipe: {type(error).__name__}: {error}; allowed: a recipe of examples/train_uav.py"
         ) from error
 
 
 class LearnedPolicy:
-    """A policy for one world or for all worlds of a batch at once; it remembers each world's episode.
+    """Policy for one world or for all worlds of a batch, with a memory of each world's episode.
 
-    Call it once a tick with the observation of the environment that `setup` describes: of `outrider.vector_env(...,
-    **setup)` where it is one of the others, of `outrider.parallel_env(..., **setup)` where it flies a single world. It
-    answers every `repeat` ticks and holds that acceleration in between. An episode begins where the time is 0. One
-    object serves one environment.
+    Call it once per tick with the observation of the environment that `setup` describes: `outrider.vector_env(...,
+    **setup)` for a batch, or `outrider.parallel_env(..., **setup)` for a single world. It computes an acceleration
+    every `repeat` ticks and holds it in between. An episode starts at time 0. One object serves one environment.
 
     Args:
-        network: From what the view shows to the action.
-        recipe: As `examples/train_uav.py` writes it: `coverage_patch`, `dt`, `repeat`, `view`.
+        network: Network from the view's observation to the action.
+        recipe: Recipe of `examples/train_uav.py`: `coverage_patch`, `dt`, `repeat`, `view`.
 
     Raises:
-        ValueError: If the recipe lacks something or does not fit the network.
+        ValueError: If the recipe is incomplete or does not fit the network.
     """
 
     def __init__(self, network: Mlp, recipe: Mapping[str, Any]) -> None:
         self.recipe = dict(recipe)
-        """The way it was made."""
+        """Recipe of the policy."""
         self._network = network
         self._view = make_view(recipe)
         inputs, outputs = network.weights[0].shape[1], network.weights[-1].shape[0]
         if (inputs, outputs) != (self._view.size, 2):
             raise ValueError(
-                f"network from {inputs} to {outputs} numbers: the recipe's view needs {self._view.size} to 2"
+                f"network: {inputs} inputs, {outputs} outputs; the recipe needs {self._view.size} inputs, 2 outputs"
             )
         pixels, meters = recipe["coverage_patch"]
         for name, value, whole in (
@@ -83,17 +82,17 @@ class LearnedPolicy:
             "estimate": True,
             "coverage_patch": (int(pixels), float(meters)),
         }
-        """Arguments for the vector environment whose observations it needs."""
+        """Arguments of the vector environment with the required observations."""
         self._shapes = {"row": (len(UAV),), "coverage": (int(pixels), int(pixels))}
         self._ticks, self._dt = int(recipe["repeat"]), float(recipe["dt"])
         self._held: Array = np.zeros((0, 2))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """The policy of a file.
+        """Load a policy from a file.
 
         Raises:
-            ValueError: If the file is not there, or no such policy; one line.
+            ValueError: If the file is missing or is not such a policy; one line.
         """
         network, recipe = load_policy(path)
         try:
@@ -102,10 +101,10 @@ class LearnedPolicy:
             raise ValueError(f"policy {str(path)!r}: {error}") from error
 
     def check(self, scenario: Scenario) -> None:
-        """Refuse a scenario that it was not made for.
+        """Check that the policy supports a scenario.
 
         Raises:
-            ValueError: If ticks are of another length, or a UAV has another largest speed.
+            ValueError: If the tick length or a UAV's maximum speed differs.
         """
         for uav in scenario.uav:
             try:
@@ -114,10 +113,10 @@ class LearnedPolicy:
                 raise ValueError(f"{scenario.name}: {uav.name}: {error}") from error
 
     def fits(self, briefing: UavBriefing) -> tuple[str, ...]:
-        """Refuse a UAV that it was not made for; there are no warnings.
+        """Check that the policy supports a UAV; there are no warnings.
 
         Raises:
-            ValueError: If ticks are of another length, or the UAV has another largest speed.
+            ValueError: If the tick length or the UAV's maximum speed differs.
         """
         v_max = float(self.recipe["view"]["v_max"])
         check_made_for("dt", briefing.dt, self._dt)
@@ -125,14 +124,14 @@ class LearnedPolicy:
         return ()
 
     def __call__(self, observation: AgentObservation) -> Array:
-        """The acceleration [m/s²] for this tick's observation, of one world (2,) or of all (worlds, 2).
+        """Return the acceleration [m/s²] for one world, shape (2,), or for all, shape (worlds, 2).
 
         Raises:
-            ValueError: If the observation is of an environment that was not made with its `setup`.
+            ValueError: If the environment was not created with the policy's `setup`.
         """
         if not isinstance(observation, dict):
             raise ValueError(
-                "a learned policy needs the row and the coverage patch: make the environment with its setup"
+                "a learned policy needs the row and the coverage patch: create the environment with its setup"
             )
         if observation["row"].ndim == 1:
             alone: Array = self._act({key: array[None] for key, array in observation.items()})[0]
@@ -143,18 +142,18 @@ class LearnedPolicy:
         shapes = {key: array.shape[1:] for key, array in observation.items()}
         if shapes != self._shapes:
             raise ValueError(
-                f"observations of shapes {shapes}: the policy is made for {self._shapes}; make the environment with "
+                f"observations of shapes {shapes}: the policy needs {self._shapes}; create the environment with "
                 "its setup"
             )
         tick = np.rint(observation["row"][:, 0] / self._dt).astype(np.int64)
-        begun, due = tick == 0, tick % self._ticks == 0
+        starting, due = tick == 0, tick % self._ticks == 0
         if self._held.shape != (len(tick), 2):
-            self._held, begun = np.zeros((len(tick), 2)), np.ones(len(tick), dtype=np.bool_)
-        if begun.any():
-            shown = self._view.begin(observation, begun)
-        if (due & ~begun).any():
-            shown = self._view.see(observation, due & ~begun)
-        due |= begun
+            self._held, starting = np.zeros((len(tick), 2)), np.ones(len(tick), dtype=np.bool_)
+        if starting.any():
+            shown = self._view.begin(observation, starting)
+        if (due & ~starting).any():
+            shown = self._view.update(observation, due & ~starting)
+        due |= starting
         if due.any():
             action = np.clip(self._network(shown), -1.0, 1.0)
             self._held[due] = self._view.action(action)[due]
@@ -162,10 +161,10 @@ class LearnedPolicy:
 
 
 def load_learned_policy(rest: str, where: str) -> LearnedPolicy:
-    """`FILE.npz`, for `custom.uav_policy`; `where` is the field and its value, for errors.
+    """Load `FILE.npz` for `custom.uav_policy`; `where` names field and value in errors.
 
     Raises:
-        ScenarioError: If the file is not there, or no such policy.
+        ScenarioError: If the file is missing or is not such a policy.
     """
     try:
         return LearnedPolicy.load(rest)

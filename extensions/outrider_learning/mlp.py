@@ -1,6 +1,6 @@
-"""A small network in plain NumPy, and the file that it is kept in with its recipe.
+"""Small network in plain NumPy, and its file format with a recipe.
 
-No learning library is needed to use it.
+It needs no learning library.
 """
 
 import json
@@ -19,22 +19,22 @@ Array = npt.NDArray[np.floating[Any]]
 
 _RECIPE = "recipe"
 _MOST_BYTES = 64 << 20
-"""Of a policy's file, packed and unpacked."""
+"""Largest size of a policy's file, compressed and uncompressed."""
 
 
 class Mlp(NamedTuple):
-    """Layers with tanh between them, and none behind the last.
+    """Dense layers with tanh between them.
 
-    A world's answer has the same bits alone and in a batch: each is multiplied by itself.
+    A world's output has the same bits alone and in a batch, because each world is multiplied separately.
     """
 
     weights: tuple[Array, ...]
-    """Of each layer, shape (outputs, inputs)."""
+    """Weights of each layer, shape (outputs, inputs)."""
     biases: tuple[Array, ...]
-    """Of each layer, shape (outputs,)."""
+    """Biases of each layer, shape (outputs,)."""
 
     def __call__(self, inputs: Array) -> Array:
-        """The outputs, float64. Shape (..., inputs) to (..., outputs)."""
+        """Return the outputs, float64. Shape (..., inputs) to (..., outputs)."""
         x = np.asarray(inputs, dtype=np.float64)
         last = len(self.weights) - 1
         for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
@@ -45,12 +45,12 @@ class Mlp(NamedTuple):
 
 
 def save_policy(path: str | Path, network: Mlp, recipe: dict[str, Any]) -> None:
-    """Write a network, in float32, and its recipe as JSON.
+    """Write a network in float32, and its recipe as JSON.
 
     Args:
-        path: The file, `.npz`.
-        network: The network.
-        recipe: What it needs to fly, and how it was made.
+        path: File, `.npz`.
+        network: Network to save.
+        recipe: Observation, action and training of the network.
     """
     arrays: dict[str, Any] = {_RECIPE: np.array(json.dumps(recipe, indent=1))}
     for k, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
@@ -61,13 +61,13 @@ def save_policy(path: str | Path, network: Mlp, recipe: dict[str, Any]) -> None:
 
 
 def load_policy(path: str | Path) -> tuple[Mlp, dict[str, Any]]:
-    """The network and its recipe.
+    """Load a network and its recipe.
 
     Raises:
-        ValueError: If the file is not there, or no policy; one line.
+        ValueError: If the file is missing or is not a policy; one line.
     """
     try:
-        # Opened here: of a broken archive NumPy leaves its own file open.
+        # Open it here: NumPy does not close the file of a broken archive.
         with (
             open_regular(Path(path), _MOST_BYTES) as file,
             np.load(file, allow_pickle=False) as archive,
@@ -112,7 +112,7 @@ def _check(
     )
     if not fits:
         raise ValueError(
-            f"policy {str(path)!r}: layers of shapes {shapes} do not follow each other, or are not finite"
+            f"policy {str(path)!r}: layers of shapes {shapes} do not fit together, or are not finite"
         )
     if not isinstance(recipe, dict):
-        raise ValueError(f"policy {str(path)!r}: its recipe is no table")
+        raise ValueError(f"policy {str(path)!r}: its recipe is not a table")

@@ -1,7 +1,4 @@
-"""Observation and action of the learned UAV.
-
-The ground around its UGV and a velocity, both in the frame of the line between them.
-"""
+"""Observation and action of the learned UAV: coverage around its UGV and a velocity, in the escort frame."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,29 +12,29 @@ from sim.env.observation import AgentObservation, Array
 
 _V_X = names(UAV).index("vx")
 _LARGEST = 5.0
-"""Entries are cut to ± this."""
+"""Largest magnitude of an entry; larger ones are clipped."""
 _NEAR = 1e-6
-"""A shorter relative position has no direction [m]: the last one stays."""
+"""Relative distance [m] below which the frame keeps its last direction."""
 
 
 class EscortView(Transformation):
-    """The frame has its x axis from the UGV to the UAV, by the filter's estimate; before there is one it looks east.
+    """Escort frame: x axis from the UGV to the UAV, by the estimate; east before the first estimate.
 
-    An observation is one array: whether the UGV was ever detected; the distance over `scale`; own velocity over v_max;
-    the UGV's velocity, from two estimates `lag` steps apart, over v_max; and 1 - min(C / C*, 1) on rings around the
-    UGV, ring by ring and counter-clockwise from the UAV, interpolated in the coverage patch.
+    An observation is one array: detection flag; distance over `scale`; own velocity over v_max; the UGV's velocity over
+    v_max, from two estimates `lag` steps apart; and 1 - min(C / C*, 1) on rings around the UGV. The rings follow each
+    other, counter-clockwise from the UAV, interpolated in the coverage patch.
 
-    An action is the velocity to have a step later, over v_max. It becomes the acceleration that reaches it, which
-    the world shortens to u_max.
+    An action is the velocity one step later, over v_max. It is converted to the acceleration that reaches it, which
+    the world limits to u_max.
 
     Args:
-        step: Between two observations [s].
-        v_max: The UAV's [m/s].
-        pixel: Meters per pixel of the coverage patch [m].
+        step: Time between two observations [s].
+        v_max: Maximum speed of the UAV [m/s].
+        pixel: Pixel size of the coverage patch [m].
         rings: Radii of the rings [m].
-        sectors: Points on each.
-        lag: Steps.
-        scale: [m].
+        sectors: Points on each ring.
+        lag: Steps between the two estimates.
+        scale: Unit of the distance [m].
     """
 
     def __init__(
@@ -66,7 +63,7 @@ class EscortView(Transformation):
         self._known: Array = np.empty(0)
 
     def settings(self) -> dict[str, Any]:
-        """The arguments."""
+        """Return the arguments."""
         return {
             "step": self._step,
             "v_max": self._v_max,
@@ -79,27 +76,27 @@ class EscortView(Transformation):
 
     @property
     def size(self) -> int:
-        """Entries of the array."""
+        """Return the number of entries."""
         return 6 + len(self._points[0])
 
     def space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
-        """The space of the one array."""
+        """Return the space of the array."""
         row = space.spaces.get("row") if isinstance(space, spaces.Dict) else None
         picture = space.spaces.get("coverage") if isinstance(space, spaces.Dict) else None
         if not isinstance(row, spaces.Box) or row.shape != (len(UAV),) or picture is None:
-            raise ValueError(f"EscortView needs a UAV's row and a coverage patch, not {space}")
+            raise ValueError(f"EscortView needs a UAV's row and a coverage patch, got {space}")
         if not np.isclose(row.high[_V_X], self._v_max):
             raise ValueError(
-                f"EscortView is made for v_max = {self._v_max:g} m/s, not {row.high[_V_X]:g} m/s"
+                f"v_max = {row.high[_V_X]:g} m/s: EscortView was created with {self._v_max:g} m/s"
             )
         return spaces.Box(-_LARGEST, _LARGEST, (self.size,), np.float32)
 
     def action_space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
-        """A square of shares of v_max."""
+        """Return the space of velocities over v_max."""
         return spaces.Box(-1.0, 1.0, (2,), np.float32)
 
     def begin(self, observation: AgentObservation, worlds: Mask) -> Array:
-        """Begin in these worlds."""
+        """Start an episode in these worlds."""
         if self._known.shape != worlds.shape:
             self._known = np.zeros(worlds.shape, dtype=np.bool_)
             self._track = np.zeros((self._lag + 1, *worlds.shape, 2))
@@ -107,14 +104,14 @@ class EscortView(Transformation):
             worlds = np.ones(worlds.shape, dtype=np.bool_)
         self._known[worlds] = False
         self._axis[worlds] = (1.0, 0.0)
-        return self.see(observation, worlds)
+        return self.update(observation, worlds)
 
     def apply(self, observation: AgentObservation) -> Array:
-        """The observation of the next step."""
-        return self.see(observation, np.ones(self._known.shape, dtype=np.bool_))
+        """Return the observation of the next step."""
+        return self.update(observation, np.ones(self._known.shape, dtype=np.bool_))
 
-    def see(self, observation: AgentObservation, moving: Mask) -> Array:
-        """The array of all worlds, of which only these go on by a step."""
+    def update(self, observation: AgentObservation, moving: Mask) -> Array:
+        """Return the array of all worlds; only the worlds in `moving` advance by a step."""
         if not isinstance(observation, dict):
             raise ValueError("EscortView needs the row and the coverage patch")
         row = by_name(UAV, observation["row"].astype(np.float64))
@@ -145,13 +142,13 @@ class EscortView(Transformation):
         return shown
 
     def _turned(self, vector: Array) -> Array:
-        """From the world's frame to ours."""
+        """Rotate a vector from the world frame to the escort frame."""
         c, s = self._axis[..., 0], self._axis[..., 1]
         x, y = vector[..., 0], vector[..., 1]
         return np.stack((c * x + s * y, c * y - s * x), axis=-1)
 
     def _lack(self, picture: Array, relative: Array) -> Array:
-        """1 - min(C / C*, 1) on the rings. Shape (..., points)."""
+        """Return 1 - min(C / C*, 1) on the rings. Shape (..., points)."""
         c, s = self._axis[..., 0, None], self._axis[..., 1, None]
         ahead, left = self._points
         pixels = picture.shape[-1]
@@ -171,8 +168,8 @@ class EscortView(Transformation):
         lack: Array = 1.0 - ((1.0 - b) * low + b * high)
         return lack
 
-    def action(self, action: Any) -> Any:  # noqa: ANN401 - what is no action passes, and the environment refuses it
-        """The acceleration [m/s²] for a velocity, by the last observation."""
+    def action(self, action: Any) -> Any:  # noqa: ANN401 - the environment rejects invalid actions
+        """Return the acceleration [m/s²] for a velocity, by the last observation."""
         wanted = np.asarray(action, dtype=np.float64)
         if wanted.shape != self._velocity.shape:
             return action

@@ -1,4 +1,4 @@
-"""The observation of a policy as a record that can be saved: an environment's settings and the wrappers around it."""
+"""Recipe of a policy's observation: settings of the environment and the wrappers around it."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -32,36 +32,38 @@ _OF_GYMNASIUM = (
 )
 _OF_SB3 = ("VecCheckNan", "VecMonitor", "VecTransposeImage", "VecVideoRecorder")
 _PASSED = {"env": _OF_GYMNASIUM, "venv": _OF_SB3}
-"""Layers that change neither observations nor actions, by the attribute that has the one inside. (What
-`VecTransposeImage` does, a model does again by itself.)"""
+"""Layers without effect on observations and actions, by the attribute of the inner one.
+
+A model repeats the effect of `VecTransposeImage` by itself.
+"""
 
 
 NEEDED = frozenset({"T", "W", "H", "v_max", "d_max", "D"})
-"""The names of `bus.observations.SYMBOLS` that bound a UAV's observation."""
+"""Names of `bus.observations.SYMBOLS` that bound a UAV's observation."""
 
 
 class ObservationRecipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The observation of a policy."""
+    """Recipe of a policy's observation."""
 
     extent: dict[str, float]
     """Values of the names in `NEEDED` in the training environment."""
     dt: float | None = None
-    """Length of a tick [s]; None: not known."""
+    """Length of a tick [s]; None if unknown."""
     estimate: bool = False
     gradient: bool = False
     coverage_patch: tuple[int, float] | None = None
     dtype: str = "float64"
-    """As in `outrider.vector_env`."""
+    """Settings of `outrider.vector_env`."""
     layers: tuple[dict[str, Any], ...] = ()
-    """From the inside out: the `kind` of a transformation and its settings, or `repeat` and the `ticks` of a step."""
+    """Layers from the inside out: `kind` and settings of a transformation, or `repeat` and `ticks`."""
 
     @property
     def length(self) -> float:
-        """Of an episode [s]."""
+        """Return the length of an episode [s]."""
         return self.extent["T"]
 
     def space(self) -> spaces.Space[Any]:
-        """The environment's own observation space."""
+        """Return the environment's own observation space."""
         patch = given_patch(self.coverage_patch)
         return uav_space(
             self.extent,
@@ -73,14 +75,14 @@ class ObservationRecipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
 
 
 def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of several ecosystems
-    """The observation that an environment gives its UAV, with all wrappers around it.
+    """Return the recipe of a UAV's observations in an environment with all its wrappers.
 
     Args:
-        env: `outrider.vector_env` or `outrider.single_env`, in the wrappers `Transformed`, `ActionRepeat`,
-            `VecEnvAdapter`, `VecNormalize` and such as change nothing; or a `VecEnv` of Stable-Baselines3 around them.
+        env: `outrider.vector_env` or `outrider.single_env`, or a `VecEnv` of Stable-Baselines3 around them. Supported
+            wrappers: `Transformed`, `ActionRepeat`, `VecEnvAdapter`, `VecNormalize` and wrappers without effect.
 
     Raises:
-        ValueError: If a wrapper cannot be saved with a policy, or the learner is no UAV.
+        ValueError: If a wrapper cannot be saved with a policy, or the agent is not a UAV.
     """
     layers: list[dict[str, Any]] = []
     while not hasattr(env, "worlds"):
@@ -90,7 +92,7 @@ def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of seve
     scenario, options = env.worlds.scenario, env.worlds.settings
     uav = next((one for one in scenario.vehicles if one.name == env.agent), None)
     if not isinstance(uav, Uav):
-        raise ValueError(f"agent = {env.agent!r}: drives; allowed: a UAV")
+        raise ValueError(f"agent = {env.agent!r}: not a UAV; allowed: a UAV")
     patch = options.coverage_patch
     return ObservationRecipe(
         extent={name: value for name, value in extent_of(scenario, uav).items() if name in NEEDED},
@@ -104,7 +106,7 @@ def observation_recipe(env: Any) -> ObservationRecipe:  # noqa: ANN401 - of seve
 
 
 def _taken_off(env: Any) -> tuple[dict[str, Any] | None, Any]:  # noqa: ANN401
-    """The outermost layer as a recipe has it, None where it changes nothing, and the environment inside."""
+    """Return the recipe of the outermost layer, None without effect, and the inner environment."""
     name = type(env).__name__
     if isinstance(env, Transformed):
         one = env.transformation
@@ -127,22 +129,22 @@ def _taken_off(env: Any) -> tuple[dict[str, Any] | None, Any]:  # noqa: ANN401
             return None, getattr(env, attribute)
     raise ValueError(
         f"{name}: cannot be saved with a policy; allowed: Transformed by Egocentric or Stack, ActionRepeat, "
-        f"VecEnvAdapter, DummyVecEnv, VecNormalize of rows, and such as change neither observation nor action"
+        f"VecEnvAdapter, DummyVecEnv, VecNormalize of rows, and wrappers without effect on observations and actions"
     )
 
 
 class HeldAction:
-    """An action that is held for some ticks."""
+    """Action that is repeated for a number of ticks."""
 
     def __init__(self, ticks: int) -> None:
         self.ticks, self.due, self.held = int(ticks), 0, np.zeros((0, 2))
 
 
 def make_layer(layer: Mapping[str, Any]) -> Transformation | HeldAction:
-    """The layer that a recipe describes.
+    """Create the layer that a recipe describes.
 
     Raises:
-        ValueError: If it describes none.
+        ValueError: If the recipe does not describe a layer.
     """
     given = dict(layer)
     kind = given.pop("kind", None)

@@ -1,4 +1,4 @@
-"""Names of the suites' tasks at Gymnasium and PettingZoo, such as `outrider/Suite-Noise-v0`.
+"""Gymnasium and PettingZoo names of the suites' tasks, such as `outrider/Suite-Noise-v0`.
 
 Importing this module registers them; `gymnasium.make("outrider_learning.registration:outrider/Suite-Noise-v0")` needs
 no import.
@@ -21,36 +21,36 @@ _TASKS = Suite((*TASKS, *MISSIONS))
 
 @drawing
 def single(*, task: str, **settings: Any) -> "SingleEnv":  # noqa: ANN401 - those of the environment
-    """Make a task's environment for `gymnasium.make`."""
+    """Create a task's environment for `gymnasium.make`."""
     return _TASKS[task].make_single(**settings)
 
 
 def vector(*, num_envs: int, task: str, **settings: Any) -> "OutriderVectorEnv":  # noqa: ANN401
-    """Make a task's environment for `gymnasium.make_vec`.
+    """Create a task's environment for `gymnasium.make_vec`.
 
     Raises:
-        ValueError: If it is given a limit of steps, which Gymnasium can put around single environments only.
+        ValueError: If `max_episode_steps` is given, which Gymnasium supports for single environments only.
     """
-    refuse_limit(settings, "max_episode_steps", "not for many worlds at once")
+    refuse_limit(settings, "max_episode_steps", "not supported for many worlds")
     return _TASKS[task].make(num_envs, **settings)
 
 
 def parallel(*, task: str, **settings: Any) -> "ParallelEnv[str, Any, Any]":  # noqa: ANN401
-    """Make a task's environment for `pettingzoo.make("parallel", ...)`.
+    """Create a task's environment for `pettingzoo.make("parallel", ...)`.
 
     Raises:
-        ValueError: If it is given a limit of cycles: episodes end by themselves.
+        ValueError: If a limit of cycles is given: episodes end by themselves.
     """
     return outrider.registration.parallel(scenario=_TASKS[task].scenario, **settings)
 
 
 def turn_based(*, task: str, **settings: Any) -> "AECEnv[str, Any, Any]":  # noqa: ANN401
-    """Make a task's environment for `pettingzoo.make("aec", ...)`."""
+    """Create a task's environment for `pettingzoo.make("aec", ...)`."""
     return outrider.registration.turn_based(scenario=_TASKS[task].scenario, **settings)
 
 
 def register() -> None:
-    """Register the names, with PettingZoo too where it has been imported; again does nothing."""
+    """Register the names, with PettingZoo only if it is imported; repeated calls do nothing."""
     register_names({task.env_id: {"task": task.name} for task in _TASKS}, __name__)
 
 

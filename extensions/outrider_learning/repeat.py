@@ -1,4 +1,4 @@
-"""An action that is held for several ticks: fewer, longer steps for whoever learns."""
+"""Action repeat: fewer, longer steps for the learner."""
 
 import operator
 from typing import Any
@@ -7,22 +7,21 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
 FINAL = ("final_obs", "_final_obs", "final_info", "_final_info")
-"""Entries of the infos that tell of episodes that have ended."""
+"""Entries of the infos about finished episodes."""
 
 
 class ActionRepeat(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes no arguments here
-    """A step is several ticks under the same action, and its reward is the sum of theirs.
+    """Environment whose step is several ticks under the same action, with the sum of their rewards.
 
-    Where an episode ends inside a step, the reward is that of the old episode, and the new one, which begins in that
-    very tick, passes the rest of the step with the action zero. Episodes whose length is a whole number of steps end at
-    a step's last tick.
+    If an episode ends inside a step, the reward is the old episode's. The new episode starts at that tick and runs the
+    rest of the step with zero action. Episodes of a whole number of steps end at a step's last tick.
 
     Args:
-        env: A vector environment in the mode SAME_STEP, or a wrapper of it.
-        ticks: Ticks of a step.
+        env: Vector environment in the mode SAME_STEP, or a wrapper of it.
+        ticks: Ticks per step.
 
     Raises:
-        ValueError: If the mode is another, or `ticks` is no whole number from 1 on.
+        ValueError: If the mode differs, or `ticks` is not a positive integer.
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any], ticks: int) -> None:
@@ -31,19 +30,19 @@ class ActionRepeat(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes no ar
             raise ValueError(f"{env}: ActionRepeat needs the autoreset mode SAME_STEP")
         try:
             self.ticks = operator.index(ticks)
-            """Of a step."""
+            """Ticks per step."""
         except TypeError:
             self.ticks = 0
         if self.ticks < 1:
-            raise ValueError(f"ticks = {ticks!r}; must be a whole number from 1 on")
+            raise ValueError(f"ticks = {ticks!r}: not a positive integer")
 
     @property
     def autoreset_mode(self) -> AutoresetMode:
-        """SAME_STEP; TorchRL reads it here."""
+        """Return SAME_STEP; TorchRL reads the mode here."""
         return AutoresetMode.SAME_STEP
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:  # noqa: ANN401 - as the environment's
-        """Let all worlds go on by a step."""
+        """Advance all worlds by one step."""
         held = np.array(actions)
         observations, rewards, terminated, truncated, infos = self.env.step(held)
         total, ended = np.array(rewards, dtype=np.float64), np.logical_or(terminated, truncated)
@@ -67,7 +66,7 @@ def _final(infos: dict[str, Any]) -> dict[str, Any]:
 
 
 def _merged(one: Any, other: Any, worlds: Any) -> Any:  # noqa: ANN401 - arrays, and dictionaries of them
-    """`one`, and where the worlds are these, `other`."""
+    """Return `one`, with the values of `other` in these worlds."""
     if not isinstance(other, dict):
         whole = np.array(one) if one is not None else np.zeros_like(other)
         for k in np.flatnonzero(worlds):

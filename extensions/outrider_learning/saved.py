@@ -1,7 +1,7 @@
-"""A UAV's policy that a learning library has saved, with the observation that it was trained on.
+"""UAV policy saved by a learning library, with its training observation.
 
-The observation is a JSON file beside the policy's own: the settings of the environment, and the transformations around
-it, from the inside out. `save_sb3_policy` writes both; `custom.uav_policy=sb3:ppo:model.zip` flies them.
+A JSON file beside the policy's own describes the observation: settings of the environment, and the transformations from
+the inside out. `save_sb3_policy` writes both; `custom.uav_policy=sb3:ppo:model.zip` runs them.
 """
 
 import copy
@@ -37,7 +37,7 @@ _MOST_BYTES = 1 << 20
 
 
 class Model(Protocol):
-    """A policy as Stable-Baselines3 makes it."""
+    """Policy interface of Stable-Baselines3."""
 
     observation_space: spaces.Space[Any]
     action_space: spaces.Space[Any]
@@ -49,19 +49,19 @@ class Model(Protocol):
         episode_start: Array,
         deterministic: bool,
     ) -> tuple[Array, object]:
-        """Actions of all worlds, and a state."""
+        """Return the actions of all worlds, and a state."""
 
 
 def recipe_file(file: str | Path) -> Path:
-    """The file beside a policy's that says what it observes: `model.json` beside `model.zip`."""
+    """Return the path of a policy's recipe: `model.json` beside `model.zip`."""
     return Path(file).with_suffix(".json")
 
 
 def save_sb3_policy(model: Any, file: str | Path) -> None:  # noqa: ANN401 - the library's
-    """Save a model of Stable-Baselines3, `model.zip`, and what it observes, `model.json` beside it.
+    """Save a Stable-Baselines3 model, `model.zip`, and its recipe, `model.json`.
 
     Raises:
-        ValueError: As `observation_recipe`, of the model's environment; nothing is saved then.
+        ValueError: If `observation_recipe` rejects the model's environment; then nothing is saved.
     """
     recipe = observation_recipe(model.get_env())
     model.save(file)
@@ -71,17 +71,17 @@ def save_sb3_policy(model: Any, file: str | Path) -> None:  # noqa: ANN401 - the
 
 
 class SavedPolicy:
-    """A model behind the very observation that it was trained on, for one world or for all of a batch.
+    """Model behind its training observation, for one world or for all worlds of a batch.
 
-    Call it once a tick with the observations of all worlds, as `setup` says. With a `repeat` among its layers all
-    worlds must begin at the same time.
+    Call it once per tick with the observations of all worlds that `setup` describes. With a `repeat` layer, all worlds
+    must start at the same time.
 
     Args:
-        model: The model.
-        recipe: Its observation.
+        model: Trained model.
+        recipe: Recipe of its observation.
 
     Raises:
-        ValueError: If the model observes something else than the recipe says, or answers no acceleration.
+        ValueError: If the model does not fit the recipe, or its action is not an acceleration.
     """
 
     def __init__(self, model: Model, recipe: ObservationRecipe) -> None:
@@ -96,8 +96,8 @@ class SavedPolicy:
         made, done = _shapes(model.observation_space), getattr(model.action_space, "shape", None)
         if made != _shapes(space) or done != (2,):
             raise ValueError(
-                f"the model is made for observations of shape {made} and actions of shape {done}, and what it would "
-                f"be given is of shape {_shapes(space)} and (2,)"
+                f"model: observations of shape {made} and actions of shape {done}; "
+                f"the recipe gives {_shapes(space)} and (2,)"
             )
         self.setup: dict[str, Any] = {
             "estimate": recipe.estimate,
@@ -106,23 +106,23 @@ class SavedPolicy:
             "dtype": np.dtype(recipe.dtype).type,
             "duration": recipe.length,
         }
-        """Settings of the environment whose observations it needs, and the length of its episodes [s]."""
+        """Settings of the environment with the required observations, and the length of its episodes [s]."""
         self._state: Any = None
         self._worlds = 0
         self._flown: float | None = None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """Another one for another UAV: the model is the same, what is remembered is its own."""
+        """Return a policy for another UAV with the same model and a memory of its own."""
         return type(self)(self._model, copy.copy(self._recipe))
 
     def fits(self, briefing: UavBriefing) -> tuple[str, ...]:
-        """Hold it against a UAV.
+        """Check that the policy supports a UAV.
 
         Returns:
-            A warning where the ground is larger than what it was trained on.
+            A warning if the area is larger than in training.
 
         Raises:
-            ValueError: If ticks are of another length, or the UAV has another largest speed.
+            ValueError: If the tick length or the UAV's maximum speed differs.
         """
         made, area = self._recipe.extent, briefing.area
         if self._recipe.dt is not None:
@@ -132,16 +132,16 @@ class SavedPolicy:
         width, height = made["W"], made["H"]
         if area.width > width or area.height > height:
             return (
-                f"made for ground of {width:g} m x {height:g} m, and this is {area.width:g} m x {area.height:g} m: "
-                "it may observe positions that its training never had",
+                f"area = {area.width:g} m x {area.height:g} m: larger than the {width:g} m x {height:g} m of the "
+                "policy's training; it may observe positions outside its training range",
             )
         return ()
 
     def check(self, scenario: Scenario) -> None:
-        """Refuse a scenario that it was not made for; a batch of whose worlds it will fly.
+        """Check that the policy supports a scenario, whose worlds it will control.
 
         Raises:
-            ValueError: As `fits`.
+            ValueError: If `fits` rejects a UAV.
         """
         for uav in scenario.uav:
             try:
@@ -151,11 +151,11 @@ class SavedPolicy:
         self._flown = scenario.ticks * scenario.dt
 
     def __call__(self, observation: AgentObservation) -> Array:
-        """The accelerations [m/s²] of all worlds for this tick's observations. Shape (worlds, 2).
+        """Return the accelerations [m/s²] of all worlds. Shape (worlds, 2).
 
         Raises:
-            ValueError: If these are of an environment that was not made with its `setup`, or worlds begin at
-                different times that must not.
+            ValueError: If the environment was not created with the policy's `setup`, or a `repeat` layer meets worlds
+                that start at different times.
         """
         shapes = (
             {key: array.shape[1:] for key, array in observation.items()}
@@ -164,46 +164,53 @@ class SavedPolicy:
         )
         if shapes != self._shapes:
             raise ValueError(
-                f"observations of shape {shapes}: the policy is made for {self._shapes}; make the environment with "
+                f"observations of shape {shapes}: the policy needs {self._shapes}; create the environment with "
                 "its setup"
             )
         row = observation["row"] if isinstance(observation, dict) else observation
-        begun = row[:, _TIME] == 0.0
+        starting = row[:, _TIME] == 0.0
         if len(row) != self._worlds:
-            self._worlds, begun = len(row), np.ones(len(row), dtype=np.bool_)
+            self._worlds, starting = len(row), np.ones(len(row), dtype=np.bool_)
         if self._flown is not None and self._flown != self._recipe.length:
             row = row.copy()
             row[row[:, _AGE] == self._flown, _AGE] = self._recipe.length
             observation = observation | {"row": row} if isinstance(observation, dict) else row
-        return self._act(0, observation, begun, float(row[:, _TIME].max()))
+        return self._act(0, observation, starting, float(row[:, _TIME].max()))
 
-    def _act(self, depth: int, seen: AgentObservation, begun: Array, time: float) -> Array:
-        """The actions of the layers from this depth on, from the inside out."""
+    def _act(
+        self, depth: int, observation: AgentObservation, starting: Array, time: float
+    ) -> Array:
+        """Return the actions of the layers from this depth on, from the inside out."""
         if depth == len(self._layers):
             actions, self._state = self._model.predict(
-                seen, state=self._state, episode_start=begun, deterministic=True
+                observation, state=self._state, episode_start=starting, deterministic=True
             )
             return np.asarray(actions, dtype=np.float64)
         layer = self._layers[depth]
         if isinstance(layer, HeldAction):
-            return self._hold(layer, depth, seen, begun, time)
-        shown = seen if begun.all() else layer.apply(seen)
-        if begun.any():
-            shown = layer.begin(seen, begun)
-        action: Array = layer.action(self._act(depth + 1, shown, begun, time))
+            return self._hold(layer, depth, observation, starting, time)
+        shown = observation if starting.all() else layer.apply(observation)
+        if starting.any():
+            shown = layer.begin(observation, starting)
+        action: Array = layer.action(self._act(depth + 1, shown, starting, time))
         return action
 
     def _hold(
-        self, layer: HeldAction, depth: int, seen: AgentObservation, begun: Array, time: float
+        self,
+        layer: HeldAction,
+        depth: int,
+        observation: AgentObservation,
+        starting: Array,
+        time: float,
     ) -> Array:
-        if begun.any() and not begun.all():
+        if starting.any() and not starting.all():
             raise ValueError(
-                "worlds begin at different times: a policy with a repeated action flies worlds that do not"
+                "worlds start at different times: a policy with a repeated action needs a common start"
             )
         tick = round(time / (self._recipe.dt or 1.0))
-        if begun.all() or tick >= layer.due:
+        if starting.all() or tick >= layer.due:
             layer.due = tick - tick % layer.ticks + layer.ticks
-            layer.held = self._act(depth + 1, seen, begun, time)
+            layer.held = self._act(depth + 1, observation, starting, time)
         return layer.held.copy()
 
 
@@ -211,7 +218,7 @@ _TIME, _AGE = names(UAV).index("time"), names(UAV).index("age")
 
 
 def _shapes(space: spaces.Space[Any]) -> Any:  # noqa: ANN401
-    """The shapes of a space: of one array, or by key."""
+    """Return the shape of a space, or the shapes by key."""
     parts = getattr(space, "spaces", None)
     if isinstance(parts, Mapping):
         return {key: part.shape for key, part in parts.items()}
@@ -219,7 +226,7 @@ def _shapes(space: spaces.Space[Any]) -> Any:  # noqa: ANN401
 
 
 def _plain_row(space: spaces.Space[Any]) -> ObservationRecipe | None:
-    """The recipe of a policy that observes the environment's own row, to be seen from its bounds; None: of another."""
+    """Return the recipe of a policy on the environment's own row, recognized by its bounds; None otherwise."""
     low, high = getattr(space, "low", None), getattr(space, "high", None)
     if space.shape != (len(UAV),) or low is None or high is None:
         return None
@@ -232,23 +239,23 @@ def _plain_row(space: spaces.Space[Any]) -> ObservationRecipe | None:
         ObservationRecipe(extent=extent, dtype=dtype, estimate=estimate).space()
         for estimate in (False, True)
     )
-    # An estimate is bounded by the diagonal, and so is a detection whose noise has no bound: both are possible.
+    # The diagonal bounds an estimate as well as a detection with unbounded noise: ambiguous.
     if space != detected or space == estimated:
         return None
     return ObservationRecipe(extent=extent, dtype=dtype)
 
 
 def load_sb3_policy(rest: str, where: str) -> SavedPolicy:
-    """`ALGORITHM:FILE.zip`, for `custom.uav_policy`.
+    """Load `ALGORITHM:FILE.zip` for `custom.uav_policy`.
 
-    Without the file beside it the model must observe the environment's own row, in SI units.
+    Without a recipe file the model must observe the environment's own row, in SI units.
 
     Args:
-        rest: The algorithm and the file.
+        rest: Algorithm and file.
         where: Field and value, for errors.
 
     Raises:
-        ScenarioError: If it cannot be loaded, or it is not known what it observes, or it observes something else.
+        ScenarioError: If the model cannot be loaded, or its observation is unknown or does not fit.
     """
     model: Model = load_sb3_model(rest, where, policy_forms("uav"))
     beside = recipe_file(rest.partition(":")[2])
@@ -260,8 +267,8 @@ def load_sb3_policy(rest: str, where: str) -> SavedPolicy:
         found = _plain_row(model.observation_space)
         if found is None:
             raise ScenarioError(
-                f"{where}: made for observations of shape {_shapes(model.observation_space)} that are not the UAV's "
-                f"row in SI units, and no {beside} says which; allowed: a policy of "
+                f"{where}: observations of shape {_shapes(model.observation_space)} are not the UAV's row in SI units, "
+                f"and {beside} is missing; allowed: policies saved by "
                 "outrider_learning.saved.save_sb3_policy"
             ) from None
         recipe = found

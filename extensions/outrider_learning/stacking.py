@@ -1,4 +1,4 @@
-"""The last observations of each world together, since Gymnasium stacks those of one world only."""
+"""Stack of the last observations of each world; Gymnasium stacks single environments only."""
 
 import operator
 from typing import Any
@@ -12,15 +12,15 @@ from sim.env.observation import AgentObservation, Array
 
 
 class Stack(Transformation):
-    """The last observations along a new axis, the oldest first, as Gymnasium's `FrameStackObservation`.
+    """Last observations along a new axis, oldest first, like Gymnasium's `FrameStackObservation`.
 
-    At the start of an episode the first observation takes the places of those before it.
+    An episode starts with copies of its first observation.
 
     Args:
         length: Number of observations.
 
     Raises:
-        ValueError: If `length` is no whole number from 1 on.
+        ValueError: If `length` is not a positive integer.
     """
 
     def __init__(self, length: int) -> None:
@@ -29,7 +29,7 @@ class Stack(Transformation):
         except TypeError:
             self._length = 0
         if self._length < 1:
-            raise ValueError(f"length = {length!r}; must be a whole number from 1 on")
+            raise ValueError(f"length = {length!r}: not a positive integer")
         self._memory: dict[str, Array] = {}
 
     def settings(self) -> dict[str, Any]:
@@ -37,11 +37,11 @@ class Stack(Transformation):
         return {"length": self._length}
 
     def space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
-        """Return the space with an axis more in front. Shape (length, ...)."""
+        """Return the space with a new first axis. Shape (length, ...)."""
         return batch_space(space, self._length)
 
     def begin(self, observation: AgentObservation, worlds: Mask) -> AgentObservation:
-        """Fill the memory of these worlds."""
+        """Fill the memory of these worlds with their first observation."""
         if worlds.all() or not self._memory:
             self._memory = {
                 key: np.repeat(array[:, None], self._length, axis=1)
@@ -52,7 +52,7 @@ class Stack(Transformation):
         return self._stacked(observation)
 
     def apply(self, observation: AgentObservation) -> AgentObservation:
-        """Add an observation in every world."""
+        """Add one observation in every world."""
         for key, array in _arrays(observation).items():
             memory = self._memory[key]
             memory[:, :-1] = memory[:, 1:].copy()

@@ -1,4 +1,4 @@
-"""Observations scaled by a mean and a variance, as Stable-Baselines3's `VecNormalize` had them when it was saved."""
+"""Observations scaled by the mean and variance of a saved `VecNormalize` of Stable-Baselines3."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,13 +11,13 @@ from sim.env.observation import AgentObservation, Array
 
 
 class Standardized(Transformation):
-    """One array, entry by entry (x - mean) / sqrt(variance + epsilon), cut to ± clip.
+    """Scaled array: (x - mean) / sqrt(variance + epsilon) by entry, clipped to ± clip.
 
     Args:
-        mean: Of each entry.
-        variance: Of each entry.
-        epsilon: Added to the variance.
-        clip: Largest value that comes out.
+        mean: Mean of each entry.
+        variance: Variance of each entry.
+        epsilon: Constant added to the variance.
+        clip: Largest magnitude of a result.
     """
 
     def __init__(
@@ -27,7 +27,7 @@ class Standardized(Transformation):
         self._epsilon, self._clip = epsilon, clip
 
     def settings(self) -> dict[str, Any]:
-        """The arguments."""
+        """Return the arguments."""
         return {
             "mean": self._mean.tolist(),
             "variance": self._variance.tolist(),
@@ -36,17 +36,17 @@ class Standardized(Transformation):
         }
 
     def space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
-        """The box of what comes out."""
+        """Return the space of the scaled array."""
         if not isinstance(space, spaces.Box) or space.shape != self._mean.shape:
             raise ValueError(
-                f"Standardized: made for a Box of shape {self._mean.shape}, not {type(space).__name__} of {space.shape}"
+                f"Standardized: needs a Box of shape {self._mean.shape}, got {type(space).__name__} of {space.shape}"
             )
         return spaces.Box(-self._clip, self._clip, self._mean.shape, np.float32)
 
     def apply(self, observation: AgentObservation) -> AgentObservation:
-        """The array scaled."""
+        """Return the scaled array."""
         if isinstance(observation, dict):
-            raise ValueError("Standardized takes one array, not a dictionary")
+            raise ValueError("Standardized: needs one array, got a dictionary")
         scaled = (observation - self._mean) / np.sqrt(self._variance + self._epsilon)
         shown: Array = np.clip(scaled, -self._clip, self._clip).astype(np.float32)
         return shown

@@ -1,4 +1,4 @@
-"""Transformations of the observations and actions of a vector environment, with a memory of each world's episode."""
+"""Transformations of a vector environment's observations and actions, with a memory of each world's episode."""
 
 from abc import ABC, abstractmethod
 from copy import deepcopy
@@ -13,23 +13,23 @@ from gymnasium.vector.utils import batch_space
 from sim.env.observation import AgentObservation, one_of_world
 
 Mask = npt.NDArray[np.bool_]
-"""One truth value for each world. Shape (worlds,)."""
+"""Mask of worlds. Shape (worlds,)."""
 
 
 class Transformation(ABC):
-    """The change to one vehicle's observations in all worlds; the first axis of every array is that of the worlds.
+    """Transformation of one vehicle's observations in all worlds; the first axis of every array is the world.
 
     One object serves one environment.
     """
 
     def settings(self) -> dict[str, Any]:
-        """Return the arguments that make another one like this, as JSON can hold them.
+        """Return the arguments that recreate this transformation, as JSON data.
 
         Raises:
-            ValueError: If there are none: it cannot be saved with a policy.
+            ValueError: If the transformation cannot be saved with a policy.
         """
         raise ValueError(
-            f"{type(self).__name__} cannot be saved with a policy: it has no settings()"
+            f"{type(self).__name__} settings() is missing, so that it cannot be saved with a policy"
         )
 
     @abstractmethod
@@ -37,35 +37,35 @@ class Transformation(ABC):
         """Return the space of a transformed observation; called once, before anything else.
 
         Args:
-            space: The space of one world's observation before.
+            space: Space of one world's original observation.
 
         Raises:
             ValueError: If the transformation does not fit it.
         """
 
     def action_space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
-        """Return the space of one world's action before `action`, given that of the environment."""
+        """Return the space of one world's action before `action`, given the environment's."""
         return space
 
     def begin(self, observation: AgentObservation, worlds: Mask) -> AgentObservation:
-        """Begin an episode in these worlds with this observation of all worlds; the others' memory stays."""
+        """Start an episode in these worlds; the others keep their memory."""
         return self.apply(observation)
 
     @abstractmethod
     def apply(self, observation: AgentObservation) -> AgentObservation:
-        """Return the observation of the next step, transformed: new arrays."""
+        """Return the transformed observation of the next step as new arrays."""
 
-    def action(self, action: Any) -> Any:  # noqa: ANN401 - the environment refuses what is no action
-        """Return the environment's action for one that was chosen by the last observation. Shape (worlds, 2)."""
+    def action(self, action: Any) -> Any:  # noqa: ANN401 - the environment rejects invalid actions
+        """Return the environment's action for an action chosen by the last observation. Shape (worlds, 2)."""
         return action
 
 
 class Transformed(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes no arguments here
-    """A vector environment with transformed observations, `infos["final_obs"]` too.
+    """Vector environment with transformed observations, including `infos["final_obs"]`.
 
     Args:
-        env: The environment, or a wrapper of it; any autoreset mode. `final_obs` must be an array of objects.
-        transformation: The change.
+        env: Environment or wrapper, in any autoreset mode. `final_obs` must be an array of objects.
+        transformation: Transformation of observations and actions.
 
     Raises:
         ValueError: If the transformation does not fit the observations.
@@ -74,7 +74,7 @@ class Transformed(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes no arg
     def __init__(self, env: VectorEnv[Any, Any, Any], transformation: Transformation) -> None:
         super().__init__(env)
         self.autoreset_mode = AutoresetMode(env.metadata["autoreset_mode"])
-        """The environment's; TorchRL reads it here."""
+        """Mode of the environment; TorchRL reads it here."""
         self.transformation = transformation
         self.single_observation_space = transformation.space(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
@@ -85,7 +85,7 @@ class Transformed(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes no arg
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[AgentObservation, dict[str, Any]]:
-        """Begin an episode in every world, or in those of `options["reset_mask"]`."""
+        """Start an episode in every world, or in the worlds of `options["reset_mask"]`."""
         mask = (options or {}).get("reset_mask")  # read before the environment removes it
         worlds = np.ones(self.num_envs, np.bool_) if mask is None else np.array(mask, np.bool_)
         observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]  # they take lists
@@ -97,22 +97,22 @@ class Transformed(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes no arg
         transform, acted = self.transformation, self.transformation.action(actions)
         observations, rewards, terminations, truncations, infos = self.env.step(acted)
         ended = np.logical_or(terminations, truncations)
-        begins = self._over  # in the mode NEXT_STEP; its episodes ended a step ago
+        begins = self._over  # in the mode NEXT_STEP: episodes that ended one step ago
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
-            seen = transform.apply(_replaced(observations, infos["final_obs"], ended))
-            infos = infos | {"final_obs": _separate(seen, ended)}
+            shown = transform.apply(_replaced(observations, infos["final_obs"], ended))
+            infos = infos | {"final_obs": _separate(shown, ended)}
             begins = ended
         else:
-            seen = transform.apply(observations)
+            shown = transform.apply(observations)
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
             self._over = ended
         if begins.any():
-            seen = transform.begin(observations, begins)
-        return seen, rewards, terminations, truncations, infos
+            shown = transform.begin(observations, begins)
+        return shown, rewards, terminations, truncations, infos
 
 
 def _replaced(observations: AgentObservation, final: Any, worlds: Mask) -> AgentObservation:  # noqa: ANN401
-    """Return the observations with the last ones of the ended episodes in their places."""
+    """Return the observations with the final ones of the ended episodes inserted."""
     whole = deepcopy(observations)
     for k in np.flatnonzero(worlds).tolist():
         if isinstance(whole, dict):
@@ -123,9 +123,9 @@ def _replaced(observations: AgentObservation, final: Any, worlds: Mask) -> Agent
     return whole
 
 
-def _separate(seen: AgentObservation, worlds: Mask) -> npt.NDArray[np.object_]:
+def _separate(observation: AgentObservation, worlds: Mask) -> npt.NDArray[np.object_]:
     """Return the observations of these worlds as an array of objects."""
     final = np.full(len(worlds), None, dtype=object)
     for k in np.flatnonzero(worlds).tolist():
-        final[k] = deepcopy(one_of_world(seen, k))
+        final[k] = deepcopy(one_of_world(observation, k))
     return final

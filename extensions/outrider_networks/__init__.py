@@ -1,1 +1,1 @@
-"""Fit links to recordings, and find the bounds that links keep."""
+"""Fit links to recordings, and compute bounds that links satisfy."""

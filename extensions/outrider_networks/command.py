@@ -1,4 +1,4 @@
-"""`outrider network`: recorded links, and the bounds that links keep."""
+"""`outrider network`: recorded links, and bounds that links satisfy."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,7 +18,7 @@ app = typer.Typer(invoke_without_command=True, add_completion=False, rich_markup
 
 @app.callback()
 def command(context: typer.Context) -> None:
-    """Fit links to recordings, and find the bounds that links keep.
+    """Fit links to recordings, and compute bounds that links satisfy.
 
     Example: outrider network bounds escort --network wifi --risk 1e-3
     """
@@ -29,28 +29,28 @@ def command(context: typer.Context) -> None:
 def fit(
     file: Annotated[
         Path,
-        typer.Argument(
-            help="A Mahimahi file, or a CSV table with the columns sent [s] and delay [s]."
-        ),
+        typer.Argument(help="Mahimahi file, or CSV table with columns sent [s], delay [s]."),
     ],
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw how well it fits.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Plot the fit into this PNG.")
+    ] = None,
     rate: Annotated[
         float,
-        typer.Option(
-            help="Messages a second that are sent over a Mahimahi file.", min=0.1, max=1000
-        ),
+        typer.Option(help="Set the message rate over a Mahimahi file [1/s].", min=0.1, max=1000),
     ] = 20.0,
     message_bytes: Annotated[
-        int, typer.Option(help="Their size, in bytes.", min=1, max=1_000_000)
+        int,
+        typer.Option(
+            help="Set the message size over a Mahimahi file [bytes].", min=1, max=1_000_000
+        ),
     ] = 1000,
     json: Json = False,
 ) -> None:
-    """Find the settings that come nearest to a recorded link.
+    """Fit link settings to a recording, and find the nearest shipped profile.
 
-    And the shipped profile that does. Fitted are delay, jitter and its shape, loss, bursts and random blackouts; the
-    lines that a scenario needs are printed. A link's waits are the times until a message or a later one is there: the
-    factor tells by how much those of two links differ, on average over their quantiles. Duplicates cannot be seen in
-    such a file.
+    The fit covers delay, jitter and its shape, loss, bursts and random blackouts, and prints the lines for a scenario.
+    A link's wait is the time until a message or a later one arrives. The factor is the mean ratio of the waits of two
+    links, averaged over their quantiles. Duplicates do not show in such a file.
 
     Example: outrider network fit drive.csv --out fit.png
     """
@@ -60,7 +60,7 @@ def fit(
     from sim.scenario.recordings import read_link
 
     if out is not None and out.suffix.lower() != ".png":
-        raise ScenarioError(f"--out {out}: needs a file that ends in .png")
+        raise ScenarioError(f"--out {out}: not a PNG file; allowed: FILE.png")
     recorded = msgspec.structs.replace(read_link(str(file), one_line(str(file))), name=file.name)
     with ERR.status("fitting"):
         found, samples = fit_link(recorded, rate=rate, message_bytes=message_bytes)
@@ -87,8 +87,8 @@ def chances(
 ) -> None:
     """Print the probabilities that a run exceeds the declared bounds.
 
-    And the probability that certified visibility is lost, which is at most their sum. Bounds are those of the
-    scenario's table [certificate], on which the law certified relies.
+    Also print the probability of losing certified visibility, which is at most their sum. The bounds are those of
+    [certificate], on which the law certified relies.
 
     Example: outrider network chances escort --network jammed --set certificate.max_measurement_age=5
     """
@@ -102,7 +102,7 @@ def chances(
         print_json(found)
         return
     rows = [
-        (name, "not known" if value is None else in_runs(value))
+        (name, "unknown" if value is None else in_runs(value))
         for name, value in found.exceedance_probability.items()
     ]
     print_table(("bound", "exceeded"), rows, title=f"{found.scenario}: declared bounds")
@@ -115,7 +115,7 @@ def chances(
 def bounds(
     scenario: options.ScenarioName,
     risk: Annotated[
-        float, typer.Option(help="Probability that a run exceeds any of the bounds.")
+        float, typer.Option(help="Set the probability that a run exceeds any bound.")
     ] = 1e-3,
     changes: options.Set = None,
     duration: options.Duration = None,
@@ -125,8 +125,8 @@ def bounds(
 ) -> None:
     """Print the smallest bounds for a given risk.
 
-    A run exceeds them with at most this probability. Each line is an option of `outrider run`: a --set of a field of
-    the table [certificate].
+    A run exceeds any of them with at most this probability. Each line is an option of `outrider run`: --set with a
+    field of [certificate].
 
     Example: outrider network bounds escort --risk 1e-3
     """
@@ -135,7 +135,7 @@ def bounds(
     from outrider_networks.scenario_bounds import bounds_for
 
     if not 0.0 < risk < 1.0:
-        raise ScenarioError(f"--risk {risk:g}: no probability; allowed: above 0 and below 1")
+        raise ScenarioError(f"--risk {risk:g}: out of range; allowed: above 0 and below 1")
     loaded, _ = resolve(scenario, changes=changes, duration=duration, law=law, network=network)
     found = bounds_for(loaded, risk)
     if json:
@@ -150,15 +150,15 @@ def _print(found: "Fit") -> None:
 
     from outrider.cli.console import OUT, print_table, print_warnings
 
-    told = ", ".join(f"{name} {1000.0 * value:.3g} ms" for name, value in found.delay.items())
+    delays = ", ".join(f"{name} {1000.0 * value:.3g} ms" for name, value in found.delay.items())
     OUT.tell(
         f"{found.file}: {found.messages:,} messages, one every {found.interval:g} s\n"
-        f"delay: {told}\n"
+        f"delay: {delays}\n"
         f"lost: {100.0 * found.lost:.3g} %, at most {found.longest_burst:g} s in a row\n"
     )
     fitted = Text("fitted", style="bold"), Text(f"{found.factor:.2f}", style="bold")
     profiles = [(f"profile {name}", f"{factor:.2f}") for name, factor in found.profiles.items()]
-    title = "Waits differ by this factor"
+    title = "Mean ratio of the waits"
     print_table(("link", "factor"), [fitted, *profiles], title=title, right=("factor",))
     OUT.tell(f"\n{found.toml}")
     print_warnings(found.notes)

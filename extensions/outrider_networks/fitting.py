@@ -1,8 +1,8 @@
-"""The settings of a drawn link that come nearest to a recorded one, and the nearest of the shipped profiles.
+"""Fit of link settings to a recorded link, and the nearest shipped profile.
 
-Delay: for each shape of the jitter the delay and scale whose quantiles differ least from those recorded, in their
-logarithms, then the best shape. Loss: runs of nearly one length are random blackouts; the rest is a chain of Gilbert
-and Elliott by maximum likelihood, of which a part is only taken where it pays by Schwarz's criterion (BIC).
+Delay: for each jitter shape, delay and scale minimize the difference of the logarithms of the quantiles; the best shape
+wins. Loss: runs of nearly equal length are random blackouts. The rest is a Gilbert-Elliott chain by maximum likelihood;
+a parameter is kept only if it improves Schwarz's criterion (BIC).
 """
 
 import math
@@ -22,65 +22,64 @@ from sim.channel.recorded import Fates, RecordedLink, recording_of
 from sim.compiling.compile import FloatArray, compiled
 
 _LEVELS: FloatArray = 1.0 - 10.0 ** (-3.0 * (np.arange(400, dtype=np.float64) + 0.5) / 400.0)
-"""Shares at which quantiles are compared: from the least to the longest but one in a thousand, each power of ten alike.
-"""
+"""Levels of the compared quantiles, from the smallest to the largest but one in a thousand, spaced by powers of ten."""
 _DELAYS = {"least": 0.0, "median": 0.5, "95 %": 0.95, "99 %": 0.99, "most": 1.0}
-"""Quantiles of the delay that a fit tells."""
+"""Reported quantiles of the delay."""
 _SHORTEST = 1e-3
-"""Waits that are shorter count as this long [s]: no tick notices them."""
+"""Lower limit of the waits [s]; shorter ones make no difference at a tick."""
 _STEADY = 1e-6
-"""Delays that differ by less than this have no jitter [s]."""
+"""Spread of the delay below which there is no jitter [s]."""
 _OUTAGE = 0.2
-"""Shorter gaps between opportunities are no outage [s]."""
+"""Shortest gap between opportunities that counts as an outage [s]."""
 _OUTSTANDING = 4.0
-"""An outage is so many times longer than all but one gap in a hundred."""
+"""Ratio of an outage's length to the 99 % quantile of the gaps."""
 _IN_A_ROW = 3
-"""Fewer messages lost in a row are no blackout."""
+"""Fewest consecutive losses that count as a blackout."""
 _CORRELATED = 0.5
 
 
 class Fit(msgspec.Struct, frozen=True, kw_only=True):
-    """A recorded link and what comes nearest to it."""
+    """Recorded link and its nearest settings."""
 
     file: str
     messages: int
     interval: float
-    """Between two messages [s]."""
+    """Time between two messages [s]."""
     lost: float
-    """Share of the messages."""
+    """Share of lost messages."""
     longest_burst: float
-    """Time in which every message was lost, at most [s]."""
+    """Longest time in which every message was lost [s]."""
     delay: dict[str, float]
-    """Least, median, 95 %, 99 % and largest [s]."""
+    """Smallest, median, 95 %, 99 % and largest delay [s]."""
     settings: LinkSettings
-    """The best that were found."""
+    """Fitted settings."""
     factor: float
-    """By which waits over that link differ from those recorded, on average over their quantiles; 1: not at all."""
+    """Mean ratio of the waits over the fitted and the recorded link, over their quantiles; 1 is a perfect fit."""
     nearest: str
-    """The shipped profile whose factor is least."""
+    """Shipped profile with the smallest factor."""
     profiles: dict[str, float]
-    """Factors of all profiles, the nearest first."""
+    """Factors of all profiles in ascending order."""
     notes: list[str]
-    """The traits of the recorded link that cannot be drawn."""
+    """Traits of the recorded link that settings cannot reproduce."""
     toml: str
-    """The settings as a scenario writes them."""
+    """Settings in the scenario's format."""
 
 
 def fit_link(
     recorded: RecordedLink, *, rate: float = 20.0, message_bytes: int = 1000
 ) -> tuple[Fit, dict[str, Sample]]:
-    """Fit a link to a recorded one.
+    """Fit link settings to a recorded link.
 
     Args:
         recorded: The recorded link.
-        rate: Messages a second, over a Mahimahi file.
-        message_bytes: Their size.
+        rate: Message rate over a Mahimahi file [1/s].
+        message_bytes: Message size [bytes].
 
     Returns:
-        The fit, and the messages of which it is made: `recorded`, `fitted` and `nearest`.
+        The fit, and the samples `recorded`, `fitted` and `nearest`.
 
     Raises:
-        ScenarioError: If it is no recorded link, or nothing arrives over it.
+        ScenarioError: If the file is not a recorded link, or no message arrives.
     """
     sample = recorded_sample(recorded, rate=rate, message_bytes=message_bytes)
     settings = _rounded(_settings(sample, _outages(recorded)))
@@ -94,8 +93,8 @@ def fit_link(
     notes = list(_notes(recorded, sample))
     if ranked[nearest] < factor:
         notes.append(
-            f"the profile {nearest} comes nearer ({ranked[nearest]:.2f}) than the fit ({factor:.2f}): use it or "
-            f'play the file itself, with trace = "{recorded.name}" under [links.detections]'
+            f"the profile {nearest} is closer ({ranked[nearest]:.2f}) than the fit ({factor:.2f}): use it, or "
+            f'replay the file with trace = "{recorded.name}" under [links.detections]'
         )
     fit = Fit(
         file=recorded.name,
@@ -115,16 +114,16 @@ def fit_link(
 
 
 def wait_factor(one: Sample, other: Sample) -> float:
-    """By which factor the waits over two links differ, as the geometric mean over their quantiles; 1: not at all.
+    """Return the mean ratio of the waits over two links, over their quantiles; 1 if they are equal.
 
-    In the picture of the waits, both axes logarithmic, it is the mean distance of the curves to the right.
+    In a logarithmic plot of the waits it is the mean horizontal distance of the curves.
     """
     logs = [_logs(np.quantile(sample.waits, _LEVELS)) for sample in (one, other)]
     return float(np.exp(np.abs(logs[0] - logs[1]).mean()))
 
 
 def as_toml(settings: LinkSettings) -> str:
-    """The fields that differ from a perfect link, as a scenario writes them."""
+    """Return the fields that differ from a perfect link, in the scenario's format."""
     lines = [
         f"{field} = {msgspec.json.encode(value).decode()}"
         for field, value in settings.changes().items()
@@ -140,8 +139,8 @@ def _notes(recorded: RecordedLink, sample: Sample) -> Iterator[str]:
         r = float(np.corrcoef(before[both], after[both])[0, 1])
         if r > _CORRELATED:
             yield (
-                f"neighbouring delays are alike (r = {r:.2f}); drawn ones are independent, so that messages overtake "
-                "each other: play the file itself where that matters"
+                f"consecutive delays are correlated (r = {r:.2f}), but simulated delays are independent and reorder "
+                "messages: replay the file if that matters"
             )
     if isinstance(recording, Fates):
         gaps = np.diff(recording.sent)
@@ -149,7 +148,7 @@ def _notes(recorded: RecordedLink, sample: Sample) -> Iterator[str]:
             gaps.size
             and float((np.abs(gaps - sample.interval) > 0.5 * sample.interval).mean()) > 0.01
         ):
-            yield f"messages were not sent at equal times; {sample.interval:g} s, the median, is taken for all"
+            yield f"messages were sent at unequal intervals: the fit uses their median, {sample.interval:g} s"
     else:
         times = recording.times
         capacity = 12.0 * len(times) / float(times[-1])  # 1,500 bytes a line
@@ -160,7 +159,7 @@ def _notes(recorded: RecordedLink, sample: Sample) -> Iterator[str]:
 
 
 def _rounded(settings: LinkSettings) -> LinkSettings:
-    """Numbers with three digits: more would say more than any recording knows."""
+    """Round to three digits, the precision of a recording."""
     plain = msgspec.to_builtins(settings)
     return msgspec.convert(
         {
@@ -172,7 +171,7 @@ def _rounded(settings: LinkSettings) -> LinkSettings:
 
 
 def _outages(recorded: RecordedLink) -> FloatArray:
-    """Return begin and end of the outages of a Mahimahi file [s]: gaps between opportunities. Shape (outages, 2)."""
+    """Return start and end of the outages of a Mahimahi file [s]. Shape (outages, 2)."""
     recording = recording_of(recorded)
     if isinstance(recording, Fates):
         return np.zeros((0, 2))
@@ -183,7 +182,10 @@ def _outages(recorded: RecordedLink) -> FloatArray:
 
 
 def _without(sample: Sample, outages: FloatArray) -> Sample:
-    """Return the messages that no outage delayed or lost: runs of such messages, about as long as an outage, go."""
+    """Return the messages without those that an outage delayed or lost.
+
+    Runs of late or lost messages about as long as an outage are removed.
+    """
     usual = float(np.median(sample.arrived))
     late = np.isnan(sample.delay) | (sample.delay > usual + 2.0 * sample.interval)
     edges = np.flatnonzero(np.diff(late.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
@@ -196,24 +198,26 @@ def _without(sample: Sample, outages: FloatArray) -> Sample:
 
 
 def _settings(sample: Sample, outages: FloatArray) -> LinkSettings:
-    dark, rest = _blackouts(sample)
+    blackouts, rest = _blackouts(sample)
     if len(outages):
         lengths = outages[:, 1] - outages[:, 0]
         whole = len(sample.delay) * sample.interval
         between = max(whole - float(lengths.sum()), 1e-3) / len(outages)
-        dark = {"blackout_length": float(lengths.mean()), "blackout_interval": between}
+        blackouts = {"blackout_length": float(lengths.mean()), "blackout_interval": between}
         rest = _without(sample, outages)
         return msgspec.structs.replace(
-            LinkSettings(), **_delay(rest.arrived), **dark, **_loss(rest)
+            LinkSettings(), **_delay(rest.arrived), **blackouts, **_loss(rest)
         )
-    return msgspec.structs.replace(LinkSettings(), **_delay(sample.arrived), **dark, **_loss(rest))
+    return msgspec.structs.replace(
+        LinkSettings(), **_delay(sample.arrived), **blackouts, **_loss(rest)
+    )
 
 
 # Delay
 
 
 def _delay(arrived: FloatArray) -> dict[str, Any]:
-    """Delay, jitter, its shape and its cut."""
+    """Return delay, jitter, jitter shape and its limit."""
     from scipy.optimize import minimize  # noqa: PLC0415 - slow to load
 
     least, most = float(arrived[0]), float(arrived[-1])
@@ -245,7 +249,7 @@ def _delay(arrived: FloatArray) -> dict[str, Any]:
 
 
 def _quantiles_off(x: FloatArray, shape: str, most: float, wanted: FloatArray) -> float:
-    """The mean distance of the quantiles' logarithms from those wanted; x as in `_jittered`."""
+    """Return the mean difference of the quantiles' logarithms; x as in `_jittered`."""
     return float(np.abs(_logs(_quantiles(_jittered(x, shape, most))) - wanted).mean())
 
 
@@ -255,7 +259,7 @@ def _logs(times: FloatArray) -> FloatArray:
 
 
 def _jittered(x: FloatArray, shape: str, most: float) -> LinkSettings:
-    """The settings with this delay and this logarithm of the jitter, cut at the largest delay that was seen."""
+    """Return settings with this delay and logarithm of the jitter, limited to the largest recorded delay."""
     delay, jitter = min(max(float(x[0]), 0.0), 30.0), min(math.exp(float(x[1])), 10.0)
     cut = 0.0 if shape == "uniform" else min(max(most - delay, 0.01 * jitter), 60.0)
     return LinkSettings(delay=delay, jitter=jitter, jitter_shape=shape, max_jitter=cut)
@@ -283,10 +287,9 @@ def _extra_quantiles(
 
 
 def _blackouts(sample: Sample) -> tuple[dict[str, float], Sample]:
-    """Random blackouts, and the messages without them.
+    """Return random blackouts, and the messages without them.
 
-    Runs of lost messages in a chain of Gilbert and Elliott have lengths that scatter like a geometric law's; those
-    of blackouts are all alike.
+    Runs of losses in a Gilbert-Elliott chain have geometrically distributed lengths; blackouts are of equal length.
     """
     runs = sample.lost_runs
     long = runs[runs[:, 1] - runs[:, 0] >= _IN_A_ROW]
@@ -309,7 +312,7 @@ def _blackouts(sample: Sample) -> tuple[dict[str, float], Sample]:
 def _log_likelihood(
     gone: FloatArray, bad_share: float, memory: float, loss: float, burst_loss: float
 ) -> float:
-    """Of which messages were lost (1) and which not (0), under a chain of Gilbert and Elliott."""
+    """Return the log-likelihood of losses (1) and arrivals (0) under a Gilbert-Elliott chain."""
     in_bad = 1.0 - (1.0 - loss) * (1.0 - burst_loss)
     bad, total = bad_share, 0.0
     for k in range(gone.shape[0]):
@@ -324,7 +327,7 @@ def _log_likelihood(
 
 
 def _chain(x: FloatArray, free_loss: bool, free_burst: bool) -> tuple[float, float, float, float]:
-    """Share of the bad state, memory, loss and loss in bursts, whose log-odds are x; what is not free is 0 or 1."""
+    """Return share of the bad state, memory, loss and loss in bursts from log-odds x; fixed ones are 0 or 1."""
     from scipy.special import expit  # noqa: PLC0415 - slow to load
 
     bad, memory, loss, burst = expit(x).tolist()
@@ -332,12 +335,12 @@ def _chain(x: FloatArray, free_loss: bool, free_burst: bool) -> tuple[float, flo
 
 
 def _unlikely(x: FloatArray, gone: FloatArray, free_loss: bool, free_burst: bool) -> float:
-    """The negative logarithm of the likelihood of `_chain`."""
+    """Return the negative log-likelihood of `_chain`."""
     return -_log_likelihood(gone, *_chain(x, free_loss, free_burst))
 
 
 def _loss(sample: Sample) -> dict[str, float]:
-    """Loss and bursts; a part only where it pays."""
+    """Return loss and bursts; each parameter only if it improves the fit."""
     from scipy.optimize import minimize  # noqa: PLC0415 - slow to load
 
     gone = np.isnan(sample.delay).astype(np.float64)

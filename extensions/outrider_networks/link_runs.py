@@ -1,7 +1,7 @@
-"""One link over one run: the probability that a bound is exceeded, and the smallest bound for a risk.
+"""Probability that one link exceeds a bound within one run, and the smallest bound for a risk.
 
-`DrawnRun` evaluates a link whose losses are drawn, `RecordedRun` one that plays a table, from each place at which a run
-may begin in it (`outrider_networks.places`).
+`DrawnRun` evaluates a link with random losses, `RecordedRun` a replayed trace from each start position
+(`outrider_networks.recorded_positions`).
 """
 
 from collections.abc import Callable
@@ -12,41 +12,41 @@ from sim.channel.gaps import LossChain
 from sim.compiling.compile import FloatArray
 
 MOST_CELLS = 1e8
-"""Largest effort for a run: its ticks times those of a window."""
+"""Largest effort for a run: ticks of the run times ticks of a window."""
 _MOST_TICKS = 100_000
 SUMMED = "the expected number of exceedances bounds the probability"
 
 
 class Probability(NamedTuple):
-    """A probability within a run."""
+    """Probability of an event within a run."""
 
     value: float | None
-    """None: it is not known."""
+    """Value; None if unknown."""
     why: str
-    """Limits of the statement; empty where it is exact."""
+    """Limits of the statement; empty if it is exact."""
 
     @property
     def exact(self) -> bool:
-        """False: a bound, or not known."""
+        """Return false for an upper bound or an unknown value."""
         return not self.why
 
 
 class DrawnRun(NamedTuple):
-    """A link whose losses are drawn, over one run."""
+    """Run of a link with random losses."""
 
     chain: LossChain
     plans: tuple[Plan, ...]
-    """Each of them gives a bound."""
+    """Plans, each of which gives a bound."""
     ticks: int
     regular: bool
-    """True if messages leave at equal intervals all the time: no planned blackouts, no queue."""
+    """True if messages leave at equal intervals throughout: no planned blackouts, no queue."""
     why: str
-    """Why it is a bound; empty: it is exact."""
+    """Reason why the result is a bound; empty if it is exact."""
     longest: int
     """Largest number that can be exceeded before the run ends [ticks]."""
 
     def summed(self, plan: Plan, number: int, *, regular: bool) -> float:
-        """Return the expected number of exceedances; `regular`: without planned blackouts and queue."""
+        """Return the expected number of exceedances; `regular` ignores planned blackouts and queue."""
         window, first = plan.window(number), plan.first(number)
         pattern = plan.regular if regular else None
         return plan.extra + sum(
@@ -69,7 +69,7 @@ class DrawnRun(NamedTuple):
         return Probability(min(1.0, value), self.why or SUMMED)
 
     def smallest(self, risk: float) -> int | None:
-        """Return the smallest number of ticks exceeded with at most this probability; None: none within the run."""
+        """Return the smallest number of ticks exceeded with at most this probability; None if none is."""
 
         def kept(number: int) -> bool:
             value = self.probability(number).value
@@ -88,29 +88,29 @@ class DrawnRun(NamedTuple):
 
 
 class RecordedRun(NamedTuple):
-    """A link that plays a recorded table, over one run."""
+    """Run of a link that replays a recorded table."""
 
     exceeded: Callable[[int], FloatArray]
-    """By the place at which it begins, the probability that a number of ticks is exceeded, or a bound."""
+    """Function from a number of ticks to its exceedance probability or a bound, by start position."""
     ticks: int
     why: str
     longest: int
 
     def probability(self, number: int) -> Probability:
-        """Return the mean of the probability over all places, which are equally likely."""
+        """Return the mean probability over all start positions, which are equally likely."""
         return Probability(float(self.exceeded(number).mean()), self.why)
 
     def smallest(self, risk: float) -> int | None:
-        """Return the smallest number of ticks exceeded with at most this probability; None: none within the run."""
+        """Return the smallest number of ticks exceeded with at most this probability; None if none is."""
         return _first(lambda number: self.exceeded(number).mean() <= risk, 0, self.longest)
 
 
 LinkRun = DrawnRun | RecordedRun | str
-"""A string: why nothing is known."""
+"""Link run; a string gives the reason why its result is unknown."""
 
 
 def _first(holds: Callable[[int], bool], least: int, most: int) -> int | None:
-    """Return the smallest number from `least` to `most` for which it holds, if it does for all larger ones."""
+    """Return the smallest number in [least, most] for which a monotonic condition holds; None if there is none."""
     step, below = 1, least - 1
     while not holds(min(below + step, most)):
         if below + step >= most:

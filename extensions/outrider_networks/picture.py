@@ -1,4 +1,4 @@
-"""The fit of drawn links to a recorded one as a picture: delays, bursts of loss, and what a receiver sees of both."""
+"""Plot of a fit: delays, bursts of loss and waits of the recorded link, the fit and the nearest profile."""
 
 from pathlib import Path
 
@@ -11,28 +11,28 @@ from outrider_networks.fitting import Fit
 from outrider_networks.samples import Sample
 from sim.compiling.compile import FloatArray
 
-_LOOKS = {
+_STYLES = {
     "recorded": (style.INK, "-", 2.6),
     "fitted": (style.UAV[0], "-", 1.6),
     "nearest": (style.UGV[0], style.DASHED, 1.6),
 }
-"""Colour, line and width."""
+"""Colour, line style and line width."""
 _LEAST = 1e-4
-"""Times that are shorter are drawn here [s]."""
+"""Lower limit of plotted times [s]."""
 _WIDE = 300.0
-"""Ratio of the ends of an axis beyond which only powers of ten are written at it."""
+"""Axis ratio above which only powers of ten are labelled."""
 
 
 def draw_fit(fit: Fit, samples: dict[str, Sample], path: Path) -> None:
     """Draw the distributions of the recorded link, the fitted one and the nearest profile.
 
     Args:
-        fit: What was found.
-        samples: `recorded`, `fitted` and `nearest`.
-        path: The PNG.
+        fit: Result of the fit.
+        samples: Samples `recorded`, `fitted` and `nearest`.
+        path: PNG file.
 
     Raises:
-        OSError: If it cannot be written.
+        OSError: If the file cannot be written.
     """
     names = {
         "recorded": "recorded",
@@ -43,25 +43,25 @@ def draw_fit(fit: Fit, samples: dict[str, Sample], path: Path) -> None:
         figure = style.new_figure(1680, 620, header=0.14)
         delays, bursts, waits = figure.subplots(1, 3)
         for name, sample in samples.items():
-            color, line, width = _LOOKS[name]
+            color, line, width = _STYLES[name]
             look = {"color": color, "linestyle": line, "linewidth": width, "label": names[name]}
             _shares(delays, sample.arrived, look)
             _bursts(bursts, sample, look)
             _beyond(waits, np.sort(sample.waits), look)
         _times(delays, "delay of a message that arrives")
-        delays.set_ylabel("share of the messages that took no longer")
+        delays.set_ylabel("share of messages with at most this delay")
         delays.yaxis.set_major_formatter(_PERCENT)
         delays.set_ylim(0.0, 1.02)
-        _times(bursts, "time in which every message was lost")
-        bursts.set_ylabel("such bursts or longer ones, per hour [1/h]")
+        _times(bursts, "duration of a burst of loss")
+        bursts.set_ylabel("bursts of at least this duration [1/h]")
         if not any(sample.bursts.size for sample in samples.values()):
-            bursts.text(0.5, 0.5, "nothing is lost", ha="center", transform=bursts.transAxes)
-        _times(waits, "time until a message or a later one is there")
-        waits.set_ylabel("share of the messages for which it is longer")
+            bursts.text(0.5, 0.5, "no losses", ha="center", transform=bursts.transAxes)
+        _times(waits, "wait until a message or a later one arrives")
+        waits.set_ylabel("share of messages with a longer wait")
         for axes, letter, title in (
             (delays, "a", "Delay"),
             (bursts, "b", "Bursts of loss"),
-            (waits, "c", "Both together"),
+            (waits, "c", "Delay and loss combined"),
         ):
             style.panel(axes, letter, title)
         lost = ", ".join(f"{name} {100.0 * one.lost:.2g} %" for name, one in samples.items())
@@ -82,7 +82,7 @@ _PERCENT = FuncFormatter(lambda value, _: f"{100.0 * value:g} %")
 
 
 def _times(axes: Axes, label: str) -> None:
-    """Dress the axis to the right; called when everything is drawn."""
+    """Format the horizontal axis; call it after plotting."""
     axes.set_xscale("log")
     axes.set_xlabel(f"{label} [ms]")
     low, high = axes.get_xlim()
@@ -92,13 +92,13 @@ def _times(axes: Axes, label: str) -> None:
 
 
 def _shares(axes: Axes, values: FloatArray, look: dict[str, object]) -> None:
-    """The share of the values up to each."""
+    """Plot the cumulative distribution."""
     shares = np.arange(1, len(values) + 1) / len(values)
     axes.step(np.maximum(values, _LEAST), shares, where="post", **look)  # type: ignore[arg-type]
 
 
 def _beyond(axes: Axes, values: FloatArray, look: dict[str, object]) -> None:
-    """The share of the values beyond each."""
+    """Plot the complementary distribution."""
     axes.set_yscale("log")
     shares = 1.0 - np.arange(len(values)) / len(values)
     axes.step(np.maximum(values, _LEAST), shares, where="pre", **look)  # type: ignore[arg-type]
@@ -107,7 +107,7 @@ def _beyond(axes: Axes, values: FloatArray, look: dict[str, object]) -> None:
 
 
 def _bursts(axes: Axes, sample: Sample, look: dict[str, object]) -> None:
-    """The number of bursts per hour of each length or longer."""
+    """Plot the number of bursts per hour with at least each length."""
     lengths = np.sort(sample.bursts) * sample.interval
     if not lengths.size:
         return

@@ -1,6 +1,6 @@
 """Exceedance probabilities of declared link bounds within a run, and the smallest bounds for a risk.
 
-extensions/outrider_networks/README.md explains and proves them, with tables beside frequencies.
+extensions/outrider_networks/README.md explains and proves them, and compares them with simulated frequencies.
 """
 
 import functools
@@ -15,12 +15,12 @@ from sim.channel.recorded import RecordedLink
 
 
 class Smallest(NamedTuple):
-    """The smallest bound that is exceeded in a run with at most a given probability."""
+    """Smallest bound that a run exceeds with at most a given probability."""
 
     value: float | None
-    """None: no bound is."""
+    """Bound; None if there is none."""
     why: str
-    """Limits of the statement, or why there is no bound."""
+    """Limits of the statement, or the reason why there is no bound."""
 
 
 @functools.lru_cache(maxsize=256)
@@ -34,53 +34,56 @@ def age_exceedance(
     age: float,
     traces: tuple[RecordedLink, ...] = (),
 ) -> Probability:
-    """Return the probability that the newest detection that has arrived is older than `age` at some tick of a run.
+    """Return the probability that the newest detection becomes older than `age` within a run.
 
-    Counted from the tick on at which the first detection arrives. Exact for a fixed delay with independent loss,
-    Gilbert-Elliott and planned blackouts, and for a recorded table if all looks find something; else a bound.
+    The age counts from the arrival of the first detection. The result is exact for a fixed delay with independent loss,
+    Gilbert-Elliott loss and planned blackouts, and for a recorded table without missed detections. Otherwise it is an
+    upper bound.
 
     Args:
-        settings: Detections' link, as `check_link` has returned it.
+        settings: Link of the detections, returned by `check_link`.
         dt: Length of a tick [s].
-        period_ticks: Ticks from one look of the detector to the next; the first is at tick 0.
-        dropout: Share of looks that find nothing, independent of each other.
-        ticks: Length of the run.
-        age: [s]; whole ticks within it count.
-        traces: Recorded links that it may play.
+        period_ticks: Ticks between two detections; the first is at tick 0.
+        dropout: Share of missed detections, independent of each other.
+        ticks: Length of the run [ticks].
+        age: Bound [s], rounded down to ticks.
+        traces: Recorded links available for replay.
     """
     run = detections_run(settings, dt, period_ticks, dropout, ticks, traces)
     return _probability(run, age, dt)
 
 
 @functools.lru_cache(maxsize=256)
-def outage_exceedance(
+def command_interval_exceedance(
     settings: LinkSettings,
     *,
     dt: float,
     delay_ticks: int,
     repeats: int,
     ticks: int,
-    outage: float,
+    max_command_interval: float,
     traces: tuple[RecordedLink, ...] = (),
 ) -> Probability:
-    """Return the probability that some motion of a run is followed by the next only after more than `outage`.
+    """Return the probability that a run exceeds the command interval `max_command_interval`.
 
-    Packet k carries the motions k - repeats + 1 to k; motion j begins at tick j + delay_ticks if one of its packets has
-    arrived and the motion before began. If motion s does not, the pilot sees it at tick s + d + 1 and begins a new
-    chain with the motion of that number. The rest at the start counts as a motion that begins at tick d - 1. Exact for
-    a fixed delay with independent loss, Gilbert-Elliott and planned blackouts, and for a recorded table; else a bound.
+    The command interval is the time from the start of one trajectory to the start of the next. Packet k carries the
+    trajectories k - repeats + 1 to k. Trajectory j starts at tick j + delay_ticks if one of its packets has arrived and
+    the previous trajectory started. If trajectory s does not start, the pilot detects it at tick s + d + 1 and begins a
+    new chain with the trajectory of that number. The rest at the start counts as a trajectory that starts at tick d -
+    1. The result is exact for a fixed delay with independent loss, Gilbert-Elliott loss and planned blackouts, and for
+    a recorded table. Otherwise it is an upper bound.
 
     Args:
-        settings: Commands' link, as `check_link` has returned it.
+        settings: Link of the commands, returned by `check_link`.
         dt: Length of a tick [s].
-        delay_ticks: d, from the tick of a motion's packet to the one at which it begins.
-        repeats: Packets that carry a motion, the first included.
-        ticks: Length of the run.
-        outage: [s]; whole ticks within it count.
-        traces: Recorded links that it may play.
+        delay_ticks: Time d from a trajectory's first packet to its start [ticks].
+        repeats: Packets that carry a trajectory, the first included.
+        ticks: Length of the run [ticks].
+        max_command_interval: Bound [s], rounded down to ticks.
+        traces: Recorded links available for replay.
     """
     run = commands_run(settings, dt, delay_ticks, repeats, ticks, traces)
-    return _probability(run, outage, dt)
+    return _probability(run, max_command_interval, dt)
 
 
 def _probability(run: LinkRun, bound: float, dt: float) -> Probability:
@@ -104,7 +107,7 @@ def smallest_age(
 
     Args:
         settings, dt, period_ticks, dropout, ticks, traces: See `age_exceedance`.
-        risk: Between 0 and 1.
+        risk: Probability, between 0 and 1.
     """
     return _smallest(
         detections_run(settings, dt, period_ticks, dropout, ticks, traces), "age", risk, dt
@@ -112,7 +115,7 @@ def smallest_age(
 
 
 @functools.lru_cache(maxsize=64)
-def smallest_outage(
+def smallest_command_interval(
     settings: LinkSettings,
     *,
     dt: float,
@@ -122,14 +125,17 @@ def smallest_outage(
     risk: float,
     traces: tuple[RecordedLink, ...] = (),
 ) -> Smallest:
-    """Return the smallest outage [s], in whole ticks, that is exceeded with at most the probability `risk`.
+    """Return the smallest command interval [s], in whole ticks, exceeded with at most the probability `risk`.
 
     Args:
-        settings, dt, delay_ticks, repeats, ticks, traces: See `outage_exceedance`.
-        risk: Between 0 and 1.
+        settings, dt, delay_ticks, repeats, ticks, traces: See `command_interval_exceedance`.
+        risk: Probability, between 0 and 1.
     """
     return _smallest(
-        commands_run(settings, dt, delay_ticks, repeats, ticks, traces), "outage", risk, dt
+        commands_run(settings, dt, delay_ticks, repeats, ticks, traces),
+        "command interval",
+        risk,
+        dt,
     )
 
 
@@ -139,18 +145,18 @@ def _smallest(run: LinkRun, bound: str, risk: float, dt: float) -> Smallest:
     found = run.smallest(risk)
     if found is None:
         length = f"{run.ticks * dt:g} s"
-        return Smallest(None, f"no {bound} shorter than the run of {length} is exceeded so rarely")
+        return Smallest(None, f"every {bound} up to the run's {length} is exceeded more often")
     return Smallest(round(found * dt, 9), run.why)
 
 
 def error_exceedance(sigma: float, cut: float, count: int, error: float) -> Probability:
-    """Return the probability that the norm of one of `count` errors is larger than `error`.
+    """Return the probability that the norm of one of `count` errors exceeds `error`.
 
     Args:
         sigma: Standard deviation per axis [m].
-        cut: No norm is larger than this many deviations; infinite: no cut.
+        cut: Truncation of the norm, in standard deviations; may be infinite.
         count: Number of errors.
-        error: [m]
+        error: Bound on the norm [m].
     """
     if sigma == 0.0 or error >= sigma * cut * (1.0 - 1e-9):
         return Probability(0.0, "")
@@ -162,14 +168,14 @@ def error_exceedance(sigma: float, cut: float, count: int, error: float) -> Prob
 
 
 def smallest_error(sigma: float, cut: float, count: int, risk: float) -> float:
-    r"""Return the error [m] that `count` errors exceed with at most the probability `risk`; with a cut the cut.
+    r"""Return the error [m] that `count` errors exceed with at most probability `risk`; the truncation if finite.
 
     The norm of a normal vector exceeds ε with the probability exp(-ε²/(2σ²)), so that
     $$ \epsilon = \sigma \sqrt{-2 \ln(1 - (1 - \text{risk})^{1/\text{count}})} $$
 
     Args:
         sigma, cut, count: See `error_exceedance`.
-        risk: Between 0 and 1.
+        risk: Probability, between 0 and 1.
     """
     if sigma == 0.0 or math.isfinite(cut):
         return sigma * cut if sigma > 0.0 else 0.0

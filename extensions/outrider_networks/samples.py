@@ -1,4 +1,4 @@
-"""The fates of messages sent at equal times: over a recorded link, or over one that is drawn."""
+"""Samples of delay and loss at equal intervals, from a recorded or a simulated link."""
 
 import math
 from typing import NamedTuple
@@ -16,50 +16,53 @@ from sim.models.randomness import Key
 
 MILLISECOND = 0.001
 _FINEST = 0.0002
-"""Resolution at which a link is played [s]."""
+"""Time resolution of a simulated link [s]."""
 _TICKS = 100
-"""Largest number of ticks of a played link between two messages."""
+"""Largest number of ticks between two messages of a simulated link."""
 _MESSAGES = 20_000
 _KEY: Key = (np.uint64(0x6F757472), np.uint64(0x69646572))
-"""Seed of every played link: the same file and settings give the same numbers."""
+"""Rng key of every simulated link: the same file and settings give the same numbers."""
 _MOST = 1_000_000
-"""Messages of a recorded link that are looked at, from its first on."""
+"""Largest number of evaluated messages of a recorded link, from its start."""
 
 
 class Sample(NamedTuple):
-    """Messages, one every `interval`."""
+    """Messages sent at equal intervals."""
 
     interval: float
-    """[s]"""
+    """Time between two messages [s]."""
     delay: FloatArray
-    """[s]; NaN: lost. Shape (messages,)."""
+    """Delays [s]; NaN if lost. Shape (messages,)."""
 
     @property
     def lost(self) -> float:
-        """Share of the messages."""
+        """Return the share of lost messages."""
         return float(np.isnan(self.delay).mean())
 
     @property
     def arrived(self) -> FloatArray:
-        """Delays of those that arrived [s], rising."""
+        """Return the delays of received messages in ascending order [s]."""
         found: FloatArray = np.sort(self.delay[~np.isnan(self.delay)])
         return found
 
     @property
     def lost_runs(self) -> IntArray:
-        """For each run of lost messages its first one and the one after its last. Shape (runs, 2)."""
+        """Return the first message of each run of losses and the first after it. Shape (runs, 2)."""
         edges = np.diff(np.isnan(self.delay).astype(np.int8), prepend=0, append=0)
         return np.flatnonzero(edges).reshape(-1, 2)
 
     @property
     def bursts(self) -> IntArray:
-        """The number of messages lost in a row, each time that any were."""
+        """Return the lengths of the runs of losses."""
         runs = self.lost_runs
         return runs[:, 1] - runs[:, 0]
 
     @property
     def waits(self) -> FloatArray:
-        """Time from each message until it or a later one arrives [s]: what a receiver notices of delay and loss."""
+        """Return the time from each message until it or a later one arrives [s].
+
+        The receiver's view of delay and loss combined.
+        """
         sent = np.arange(len(self.delay)) * self.interval
         arrives = np.where(np.isnan(self.delay), np.inf, sent + self.delay)
         first = np.minimum.accumulate(arrives[::-1])[::-1] - sent
@@ -68,15 +71,15 @@ class Sample(NamedTuple):
 
 
 def recorded_sample(recorded: RecordedLink, *, rate: float, message_bytes: int) -> Sample:
-    """The messages of a recorded link.
+    """Return the messages of a recorded link.
 
     Args:
-        recorded: A table has messages of its own; a Mahimahi file is played for one round.
-        rate: Messages that are sent over a Mahimahi file [1/s].
-        message_bytes: Their size. A full queue loses messages as in a run.
+        recorded: Table with messages of its own, or Mahimahi file, replayed once.
+        rate: Message rate over a Mahimahi file [1/s].
+        message_bytes: Message size [bytes]. A full queue drops messages as in a run.
 
     Raises:
-        ScenarioError: If it is no recorded link, or nothing arrives over it.
+        ScenarioError: If the file is not a recorded link, or no message arrives.
     """
     recording = recording_of(recorded)
     if isinstance(recording, Fates):
@@ -91,17 +94,17 @@ def recorded_sample(recorded: RecordedLink, *, rate: float, message_bytes: int) 
         sample = _played(p, MILLISECOND, messages, every)
     if not sample.arrived.size:
         raise ScenarioError(
-            f"{recorded.name}: no message arrives; allowed: a recording with one that does"
+            f"{recorded.name}: no message arrives; allowed: recordings with received messages"
         )
     return sample
 
 
 def drawn_sample(settings: LinkSettings, interval: float) -> Sample:
-    """Some thousand messages over a link that is drawn.
+    """Simulate messages over a link with random delays and losses.
 
     Args:
-        settings: Of the link.
-        interval: Between two messages [s].
+        settings: Settings of the link.
+        interval: Time between two messages [s].
     """
     every = min(max(1, math.ceil(interval / _FINEST)), _TICKS)
     dt = interval / every

@@ -1,4 +1,4 @@
-"""Exceedance probabilities of a scenario's declared bounds, and the bounds that a risk allows."""
+"""Exceedance probabilities of a scenario's declared bounds, and the bounds for a given risk."""
 
 import math
 from typing import Any
@@ -15,48 +15,48 @@ from outrider_networks.link_runs import Probability
 from outrider_networks.probabilities import (
     Smallest,
     age_exceedance,
+    command_interval_exceedance,
     error_exceedance,
-    outage_exceedance,
     smallest_age,
+    smallest_command_interval,
     smallest_error,
-    smallest_outage,
 )
 from sim.engine.briefing import command_delay, safety_parameters
 from sim.input.faults import Fault
 from sim.scenario.types import Scenario
 
 NEARLY_CERTAIN = 0.999
-"""Probability within a run above which text says that it is certain."""
+"""Probability within a run above which text calls it certain."""
 
 
 class Exceedance(msgspec.Struct, frozen=True, kw_only=True):
-    """Probabilities within one run of a scenario; None: not known."""
+    """Probabilities within one run of a scenario; None if unknown."""
 
     scenario: str
     exceedance_probability: dict[str, float | None]
-    """By `vehicle/bound`: the probability that a declared bound is exceeded, or an upper bound of it."""
+    """Probability of exceeding each declared bound, or an upper bound of it, by `vehicle/bound`."""
     loss_probability: float | None
-    """Upper bound of the probability that certified visibility is lost; None: another assumption may be broken."""
+    """Upper bound of the probability of losing certified visibility; None if other assumptions may break."""
     notes: list[str]
-    """Why a value is an upper bound, or not known."""
+    """Reasons why a value is an upper bound or unknown."""
 
 
 class Bounds(msgspec.Struct, frozen=True, kw_only=True):
-    """Bounds that are exceeded in a run with at most a given probability."""
+    """Bounds that a run exceeds with at most a given probability."""
 
     scenario: str
     risk: float
     set: dict[str, float]
-    """By field of the scenario."""
+    """Bounds by field of the scenario."""
     notes: list[str]
-    """Why a bound is larger than needed."""
+    """Reasons why a bound is larger than needed."""
 
 
 def exceedance(scenario: Scenario) -> Exceedance:
     """Return the probabilities that a run exceeds the bounds on which the law `certified` relies.
 
-    Certified visibility is lost with at most the sum of these probabilities, where everything else that the theorem
-    assumes holds for certain.
+    If the theorem's other assumptions hold for certain, certified visibility is lost with at most the sum of these
+    probabilities.
 
     Raises:
         ScenarioError: If no UAV relies on bounds.
@@ -68,8 +68,8 @@ def exceedance(scenario: Scenario) -> Exceedance:
         found[f"{name}/max_measurement_age"] = age_exceedance(
             **_detections(scenario, name), age=bounds.max_measurement_age
         )
-        found[f"{name}/max_command_interval"] = outage_exceedance(
-            **_commands(scenario, name), outage=bounds.max_command_interval
+        found[f"{name}/max_command_interval"] = command_interval_exceedance(
+            **_commands(scenario, name), max_command_interval=bounds.max_command_interval
         )
         if bounds.max_measurement_error is not None:
             error = error_exceedance(*_errors(scenario), bounds.max_measurement_error)
@@ -86,36 +86,38 @@ def exceedance(scenario: Scenario) -> Exceedance:
 
 
 def bounds_for(scenario: Scenario, risk: float) -> Bounds:
-    """Return the smallest bounds that are together exceeded in a run with at most the probability `risk`.
+    """Return the smallest bounds that a run exceeds with at most the total probability `risk`.
 
-    The risk is shared equally by all bounds of all UAVs; of each bound the largest of all UAVs is returned. The error
-    is among them only if the noise has no cut.
+    All bounds of all UAVs share the risk equally; each result is the largest over the UAVs. The error is included only
+    if the noise is not truncated.
 
     Raises:
         ScenarioError: If there is no UAV, or no bound meets the risk.
     """
     if not scenario.uav:
         raise ScenarioError(
-            f"{scenario.name}: uav = []: no UAV relies on bounds; allowed: one or more"
+            f"{scenario.name}: uav = []: no UAV to compute bounds for; allowed: one or more"
         )
-    sigma, cut, count = _errors(scenario)
-    uncut = sigma > 0.0 and math.isinf(cut)
-    share = risk / ((3 if uncut else 2) * len(scenario.uav))
+    sigma, truncation, count = _errors(scenario)
+    untruncated = sigma > 0.0 and math.isinf(truncation)
+    share = risk / ((3 if untruncated else 2) * len(scenario.uav))
     values: dict[str, float] = {}
     notes: list[str] = []
     for uav in scenario.uav:
         age = smallest_age(**_detections(scenario, uav.name), risk=share)
-        outage = smallest_outage(**_commands(scenario, uav.name), risk=share)
+        interval = smallest_command_interval(**_commands(scenario, uav.name), risk=share)
         for name, kind, found in (
             ("max_measurement_age", LinkKind.DETECTIONS, age),
-            ("max_command_interval", LinkKind.COMMANDS, outage),
+            ("max_command_interval", LinkKind.COMMANDS, interval),
         ):
             value = _value(scenario, uav.name, kind, found, risk)
             field = f"certificate.{name}"
             values[field] = max(values.get(field, scenario.dt), value)
             notes += [f"{uav.name}/{name}: {found.why}"] if found.why else []
-    if uncut:
-        values["certificate.max_measurement_error"] = smallest_error(sigma, cut, count, share)
+    if untruncated:
+        values["certificate.max_measurement_error"] = smallest_error(
+            sigma, truncation, count, share
+        )
     return Bounds(scenario=scenario.name, risk=risk, set=values, notes=notes)
 
 
@@ -132,7 +134,7 @@ def _check_law(scenario: Scenario) -> None:
 def _value(scenario: Scenario, uav: str, kind: LinkKind, found: Smallest, risk: float) -> float:
     if found.value is None:
         link = scenario.links.path_of(uav, kind)
-        wrong = f"{found.why}: no bound is known for {link} of {uav}"
+        wrong = f"no bound for {link} of {uav}: {found.why}"
         raise Fault("--risk", risk, wrong, "a greater risk, or other links").error(scenario.name)
     return found.value
 
@@ -162,7 +164,7 @@ def _commands(scenario: Scenario, uav: str) -> dict[str, Any]:
 
 
 def _errors(scenario: Scenario) -> tuple[float, float, int]:
-    """Return standard deviation [m], cut and number of a run's detections."""
+    """Return standard deviation [m], truncation and number of a run's detections."""
     count = -(-scenario.ticks // scenario.detection_period)
     return scenario.detections.noise, scenario.detections.truncation, count
 

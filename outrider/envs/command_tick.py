@@ -94,7 +94,7 @@ def _write_radio(
         row, column = next_block(memory, parameters.tile, tick, g_x, g_y)
         if row >= 0:
             ground.stamp = tick
-            ground.block = row * memory.news.shape[1] + column
+            ground.block = row * memory.repeats.shape[1] + column
             encode_block(memory.tiles, row, column, ground.tiles)
 
 

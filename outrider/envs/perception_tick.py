@@ -18,7 +18,7 @@ def _receive_block(
     tables: LoopTables, state: LoopState, ground: GroundState, world: int, ugv: int, packet: Packet
 ) -> None:
     """Update a UGV's occupancy grid from a map update."""
-    block, across = packet.block, state.map_updates.news.shape[3]
+    block, across = packet.block, state.map_updates.repeats.shape[3]
     row, column, states = block // across, block % across, state.states[world, :BLOCK_TILES]
     for place in range(BLOCK_TILES):
         states[place] = decode_tile(packet.tiles, place)

@@ -1,1 +1,1 @@
-"""One runner a peer: each runs in that peer's own virtual environment and prints what it has measured."""
+"""Runners of the peers: each runs in the peer's virtual environment and prints its measurements."""

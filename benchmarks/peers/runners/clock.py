@@ -1,4 +1,4 @@
-"""Counting and printing, alike for every runner.
+"""Counting and printing, common to all runners.
 
 Standard library only, since it runs in every environment.
 """
@@ -20,7 +20,7 @@ Step = Callable[[], object]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variant:
-    """One row of the table."""
+    """Row of the table."""
 
     name: str
     worlds: int
@@ -36,14 +36,14 @@ class Variant:
 
 
 class Watch:
-    """True if the machine is quiet: how much of its cores other programs use."""
+    """Monitor of the load by other programs."""
 
     def __init__(self) -> None:
         self._busy, self._total = _cores()
         self._own = time.process_time()
 
     def others(self) -> float | None:
-        """Share of the cores that other programs have used since; None where the system does not tell."""
+        """Return the share of the cores used by other programs since the start; None if unknown."""
         busy, total = _cores()
         if total <= self._total:
             return None
@@ -52,7 +52,7 @@ class Watch:
 
 
 def _cores() -> tuple[float, float]:
-    """Time that all cores were busy, and all their time [clock ticks]; zeros where the system does not tell."""
+    """Return the busy time of all cores and their total time [clock ticks]; zeros if unknown."""
     try:
         words = Path("/proc/stat").read_text(encoding="ascii").splitlines()[0].split()
     except OSError:
@@ -63,9 +63,9 @@ def _cores() -> tuple[float, float]:
 
 
 def random_steps(env: Any, count: int, seed: int) -> Step:  # noqa: ANN401 - this file knows no package
-    """A step of an environment of PettingZoo's parallel API with random actions of all agents, so many in turn.
+    """Return a step of a PettingZoo parallel environment with cyclic random actions of all agents.
 
-    A new episode begins where one has ended.
+    Finished episodes restart.
     """
     env.reset(seed=seed)
     names = env.possible_agents
@@ -84,7 +84,7 @@ def random_steps(env: Any, count: int, seed: int) -> Step:  # noqa: ANN401 - thi
 
 
 def calls_per_second(step: Step, seconds: float) -> float:
-    """The rate at which it can be called [1/s]; it is called at least once and for at least so long [s]."""
+    """Return the call rate [1/s]; at least one call and at least this duration [s] are measured."""
     calls, started = 0, time.perf_counter()
     while True:
         step()
@@ -95,7 +95,7 @@ def calls_per_second(step: Step, seconds: float) -> float:
 
 
 def measure(variant: Variant, seconds: float, repeats: int) -> dict[str, object]:
-    """World-steps a second: one step of one world with all its agents counts one. Warm-up is not counted."""
+    """Return world-steps per second without warm-up; one step of one world with all its agents counts one."""
     step = variant.make()
     step()
     calls_per_second(step, seconds / 3.0)
@@ -112,9 +112,9 @@ def measure(variant: Variant, seconds: float, repeats: int) -> dict[str, object]
 
 
 def run(name: str, version: str, variants: Iterable[Variant]) -> None:
-    """Measure the variants and print each as a line of JSON as soon as it is there.
+    """Measure the variants and print each as a line of JSON at once.
 
-    One that fails is said, the others go on.
+    A failed variant is reported; the others continue.
 
     Args:
         name: What people call the package.
@@ -135,7 +135,7 @@ def run(name: str, version: str, variants: Iterable[Variant]) -> None:
         try:
             line |= {"agents": variant.agents, "field": variant.field}
             line |= measure(variant, given.seconds, given.repeats)
-        except Exception as error:  # noqa: BLE001 - whatever a package does, its other rows are still wanted
+        except Exception as error:  # noqa: BLE001 - the package's other rows still count
             line["error"] = f"{type(error).__name__}: {error}"
         sys.stdout.write(json.dumps(line) + "\n")
         sys.stdout.flush()

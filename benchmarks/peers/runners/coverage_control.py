@@ -37,7 +37,7 @@ def _core() -> ModuleType:
 
 
 def swarm(objective: bool) -> Step:
-    """A step with random velocities, and the objective if asked for; there are no episodes, so nothing restarts."""
+    """Return a step with random velocities and, optionally, the objective; without episodes nothing restarts."""
     core = _core()
     parameters = core.Parameters()
     parameters.pNumRobots = ROBOTS
@@ -47,11 +47,11 @@ def swarm(objective: bool) -> Step:
         core.BivariateNormalDistribution(rng.uniform(0.0, CELLS, 2), 40.0, 1.0)
         for _ in range(PEAKS)
     ]
-    # left to itself it draws another world each time
+    # otherwise the package draws a new world each time
     starts = core.PointVector([np.array(start) for start in STARTS])
     system = core.CoverageSystem(parameters, core.BNDVector(peaks), starts)
     drawn = rng.uniform(-1.0, 1.0, (ACTIONS, ROBOTS, 2))
-    drawn -= drawn.mean(axis=0)  # or the robots end in a corner, where there is less to do
+    drawn -= drawn.mean(axis=0)  # otherwise the robots end in a corner with less work
     actions = cycle([core.PointVector(list(row)) for row in drawn])
     if not objective:
         return lambda: system.StepActions(next(actions))

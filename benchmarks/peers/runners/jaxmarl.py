@@ -23,7 +23,7 @@ def _spread() -> Any:  # noqa: ANN401 - the package names no type
 
 
 def stepped() -> Step:
-    """`env.step` in a Python loop; as a policy in Python would, each step waits for its observations."""
+    """Return `env.step` in a Python loop; each step waits for its observations, like a policy in Python."""
     env = _spread()
     keys = list(jax.random.split(jax.random.key(SEED), ACTIONS))
     drawn = {
@@ -44,7 +44,7 @@ def stepped() -> Step:
 
 
 def scanned(worlds: int, steps: int) -> Step:
-    """So many steps of all worlds in one compiled `scan`, which gives back what a learner needs of each step."""
+    """Return steps of all worlds in one compiled `scan`, with the outputs that a learner needs."""
     env = _spread()
     first, *keys = jax.random.split(jax.random.key(SEED), 1 + AGENTS)
     drawn = {

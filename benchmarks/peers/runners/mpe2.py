@@ -15,7 +15,7 @@ ACTIONS = 256
 
 
 def spread(agents: int) -> Step:
-    """A step with random actions of all agents; a new episode where one has ended."""
+    """Return a step with random actions of all agents; finished episodes restart."""
     return random_steps(simple_spread_v3.parallel_env(N=agents), ACTIONS, SEED)
 
 

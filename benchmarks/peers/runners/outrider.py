@@ -1,4 +1,4 @@
-"""Ours: the parallel environment, and many worlds at once."""
+"""Outrider: the parallel environment, and many worlds at once."""
 
 from functools import partial
 from importlib.metadata import version
@@ -14,12 +14,12 @@ ACTIONS = 256
 
 
 def parallel(**settings: object) -> Step:
-    """`parallel_env.step` with random accelerations for all vehicles; a new episode where one has ended."""
+    """Return `parallel_env.step` with random accelerations of all vehicles; finished episodes restart."""
     return random_steps(outrider.parallel_env("escort", **settings), ACTIONS, SEED)
 
 
 def vector(worlds: int, **settings: object) -> Step:
-    """`vector_env.step` with random accelerations for the UAVs; it begins new episodes by itself."""
+    """Return `vector_env.step` with random accelerations of the UAVs; it restarts episodes itself."""
     env = outrider.vector_env("escort", num_envs=worlds, agent="uav_0", **settings)
     env.reset(seed=SEED)
     space = env.single_action_space

@@ -14,7 +14,7 @@ AGENTS = 2
 
 
 def scenario(name: str, worlds: int) -> Step:
-    """A step with random actions; the package restarts no world by itself, so an episode has no end."""
+    """Return a step with random actions; the package never restarts a world, so episodes do not end."""
     env = vmas.make_env(name, num_envs=worlds, device="cpu", seed=SEED, n_agents=AGENTS)
     env.reset()
     actions = cycle([env.get_random_actions() for _ in range(ACTIONS)])

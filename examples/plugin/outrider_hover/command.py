@@ -1,11 +1,11 @@
-"""`outrider hover`: a pilot of one's own as a command."""
+"""`outrider hover`: your own pilot as a command."""
 
 from bus.messages.vehicle import UavCommand
 from outrider.cli import options
 
 
 class Hover:
-    """A UAV's pilot: it accelerates to the newest detection of its UGV."""
+    """UAV pilot that accelerates towards the newest detection of its UGV."""
 
     def __init__(self, briefing):
         pass

@@ -1,4 +1,4 @@
-"""`gain:NUMBER`: a policy that drives a UGV to its goal, `outrider run --driver gain:0.3`."""
+"""`gain:NUMBER`: policy that drives a UGV to its goal, `outrider run --driver gain:0.3`."""
 
 from bus.errors import ScenarioError
 from bus.policies import PolicyKind
@@ -7,11 +7,11 @@ GAIN = PolicyKind(form="NUMBER", ugv="outrider_hover.policy:load_gain")
 
 
 def load_gain(text, where):
-    """Return the policy; `where` is field and value, for errors."""
+    """Return the policy; `where` names field and value in errors."""
     try:
         gain = float(text)
     except ValueError:
-        raise ScenarioError(f"{where}: no number; allowed: gain:0.3") from None
+        raise ScenarioError(f"{where}: not a number; allowed: gain:0.3") from None
 
     def drive(observation, briefing):
         goal = briefing.goals[0] if briefing.goals else observation.position

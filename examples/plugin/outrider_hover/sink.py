@@ -1,10 +1,10 @@
-"""`outrider record track.csv --format csv`: the vehicles' positions, a line each."""
+"""`outrider record track.csv --format csv`: positions of the vehicles, one per line."""
 
 from bus.messages.telemetry import Truth
 
 
 class CsvSink:
-    """Writes each truth of a run; `outrider.recording.observer.RunSink` documents the methods."""
+    """Recorder of the true states; `outrider.recording.observer.RunSink` documents the methods."""
 
     next_start = 0.0
 

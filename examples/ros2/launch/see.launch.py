@@ -1,4 +1,4 @@
-"""A run in RViz: `ros2 launch outrider_demo see.launch.py`, beside `outrider simulator` and `outrider ros2`."""
+"""View a run in RViz: `ros2 launch outrider_demo see.launch.py`, with `outrider simulator` and `outrider ros2`."""
 
 from pathlib import Path
 

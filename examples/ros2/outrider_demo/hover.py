@@ -1,7 +1,7 @@
-"""A UAV flown by a ROS 2 node: it hovers over its UGV, and knows what the UAV is told and nothing else.
+"""ROS 2 node that hovers a UAV over its UGV, with the UAV's own observations only.
 
-Needs `outrider ros2 --vehicle uav_0` on the run's router. Each observation comes as an odometry, the detections before
-it; the answer carries its stamp.
+It needs `outrider ros2 --vehicle uav_0` on the run's router. Each observation arrives as an odometry, its detections
+before it; the answer repeats its stamp.
 """
 
 import rclpy
@@ -13,19 +13,19 @@ from rclpy.node import Node
 class Hover(Node):
     def __init__(self):
         super().__init__("hover", namespace="uav_0")
-        self.seen = None
+        self.detection = None
         self.answers = self.create_publisher(AccelStamped, "pilot/accel", 10)
         self.create_subscription(PointStamped, "pilot/detection", self.detect, 10)
         self.create_subscription(Odometry, "pilot/odom", self.act, 10)
 
     def detect(self, detection):
-        self.seen = detection.point
+        self.detection = detection.point
 
     def act(self, odometry):
         velocity = odometry.twist.twist.linear
-        x, y = (self.seen.x, self.seen.y) if self.seen is not None else (0.0, 0.0)
+        x, y = (self.detection.x, self.detection.y) if self.detection is not None else (0.0, 0.0)
         answer = AccelStamped()
-        answer.header = odometry.header  # its stamp says which observation this answers
+        answer.header = odometry.header  # the stamp identifies the observation
         answer.accel.linear.x = 0.2 * x - velocity.x
         answer.accel.linear.y = 0.2 * y - velocity.y
         self.answers.publish(answer)

@@ -69,14 +69,14 @@ def flown(conditions: Conditions, eps: float, **numbers: float) -> RecordArray:
 def test_where_the_assumptions_hold_nobody_is_lost_and_the_certificate_is_approached(name) -> None:
     """One that nobody comes near would be worth little."""
     conditions, eps = CONDITIONS[name]
-    promise = declared(conditions, eps)
-    assert not math.isnan(promise.handover_radius)
+    bounds = declared(conditions, eps)
+    assert not math.isnan(bounds.handover_radius)
     rows = flown(conditions, eps)
     assert 0.98 * R_V < rows["max_distance"].max() < R_V
     assert rows["max_certified"].max() < R_V  # between ticks too
     assert rows["max_excess"].max() <= 1e-9
     assert not any(rows[name].any() for name in ("uncertified", "certified_lost", "broken"))
-    assert rows["max_age"].max() <= promise.max_measurement_age + 1e-9
+    assert rows["max_age"].max() <= bounds.max_measurement_age + 1e-9
     assert 0.0 < rows["overridden"].mean() < 0.6
 
 
@@ -102,10 +102,10 @@ def test_what_is_wrong_loses_sight(name: str) -> None:
 
 def test_the_radius_needs_its_term_for_late_commands() -> None:
     conditions = Conditions(law=GUARDS.switch_servo, delay=1.0)
-    promise = declared(conditions, 0.3)
+    bounds = declared(conditions, 0.3)
     largest = []
     for with_latency in (True, False):
-        tried = conditions._replace(radius=spec_radius(promise, with_latency=with_latency))
+        tried = conditions._replace(radius=spec_radius(bounds, with_latency=with_latency))
         largest.append(flown(tried, 0.3)["max_distance"].max())
     assert largest[0] < R_V < R_V + 0.5 < largest[1]
 
@@ -159,15 +159,13 @@ def test_a_uav_that_starts_moving_keeps_its_certificate_once_it_has_one(delay: f
 
 def test_a_filter_that_certifies_what_it_should_not_is_caught() -> None:
     """The counters count: a filter that believes in too large a radius."""
-    promise = declared(Conditions(), 0.0)
-    assert (
-        flown_with(promise._replace(radius=4.9, handover_radius=4.85))["certified_lost"].sum() > 0
-    )
-    assert flown_with(promise._replace(handover_radius=4.74))["broken"].sum() > 0
+    bounds = declared(Conditions(), 0.0)
+    assert flown_with(bounds._replace(radius=4.9, handover_radius=4.85))["certified_lost"].sum() > 0
+    assert flown_with(bounds._replace(handover_radius=4.74))["broken"].sum() > 0
 
 
-def flown_with(promise: SafetyBounds) -> RecordArray:
-    return attack(promise, Conditions(u_g=math.inf), 7, 0, RUNS, DURATION)
+def flown_with(bounds: SafetyBounds) -> RecordArray:
+    return attack(bounds, Conditions(u_g=math.inf), 7, 0, RUNS, DURATION)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -186,7 +184,9 @@ def test_residual_velocities_at_a_wall_break_no_certificate() -> None:
 
     Only the first tick of a UAV that starts on the wall and moves into it may be uncertified.
     """
-    conditions = Conditions(area=AREAS.wall, inner=INNERS.creeps, outage=1.0, losses=ANY, delay=0.3)
+    conditions = Conditions(
+        area=AREAS.wall, inner=INNERS.creeps, max_command_interval=1.0, losses=ANY, delay=0.3
+    )
     rows = attack(declared(conditions, 0.0), conditions, 11, 0, 200, DURATION)
     assert not any(rows[name].any() for name in ("certified_lost", "broken"))
     at_first = attack(declared(conditions, 0.0), conditions, 11, 0, 200, 0.0)["uncertified"]
@@ -197,14 +197,14 @@ def test_residual_velocities_at_a_wall_break_no_certificate() -> None:
 
 def test_any_run_can_be_flown_again_alone() -> None:
     conditions, eps = CONDITIONS["all at once"]
-    promise = declared(conditions, eps)
-    rows = attack(promise, conditions, 7, 0, 4, 30.0)
-    assert attack(promise, conditions, 7, 3, 1, 30.0)[0] == rows[3]
-    assert attack(promise, conditions, 8, 3, 1, 30.0)[0] != rows[3]
+    bounds = declared(conditions, eps)
+    rows = attack(bounds, conditions, 7, 0, 4, 30.0)
+    assert attack(bounds, conditions, 7, 3, 1, 30.0)[0] == rows[3]
+    assert attack(bounds, conditions, 8, 3, 1, 30.0)[0] != rows[3]
 
 
 def test_the_grid_holds_only_what_has_a_certificate_and_every_place_and_disturbance() -> None:
     combinations = list(grid())
-    assert not any(math.isnan(promise.handover_radius) for promise, _ in combinations)
+    assert not any(math.isnan(bounds.handover_radius) for bounds, _ in combinations)
     assert {conditions.area for _, conditions in combinations} == set(AREAS)
     assert {conditions.disturbance for _, conditions in combinations} == set(DISTURBANCES)

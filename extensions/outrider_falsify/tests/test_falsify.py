@@ -25,9 +25,9 @@ from flights import R_S, R_V, Piloted, distances
 from outrider.running.flying import fly, make_pilots
 from outrider_falsify import attacks, search
 from outrider_falsify import candidate as flying
-from outrider_falsify.candidate import flown, promised
+from outrider_falsify.candidate import flown, guaranteed
 from outrider_falsify.conditions import Conditions, declared
-from outrider_falsify.engines import Found, Wanted, save
+from outrider_falsify.engines import SearchRequest, SearchResult, save
 from outrider_falsify.engines import search as search_both
 from outrider_falsify.genome import SIZES, Candidate, decode, proof_cases
 from outrider_falsify.limits import SearchLimits, base_of, beyond_declared, needed_age
@@ -49,10 +49,12 @@ def base(law: str, limits: SearchLimits = UNDEGRADED, **changes: Any) -> Scenari
     return base_of(load_scenario("escort", overrides={"law.name": law, **QUICK, **changes}), limits)
 
 
-def found(law: str, runs: int | None, limits: SearchLimits = UNDEGRADED, **wanted: Any) -> Found:
+def found(
+    law: str, runs: int | None, limits: SearchLimits = UNDEGRADED, **wanted: Any
+) -> SearchResult:
     changes = wanted.pop("changes", {})
     budget = {"flies": True, "attacks": False, "runs": runs} | wanted
-    result = Found(Wanted(base=base(law, limits, **changes), limits=limits, **budget))
+    result = SearchResult(SearchRequest(base=base(law, limits, **changes), limits=limits, **budget))
     search_both(result, asked=lambda: False, on_run=lambda *_: None)
     return result
 
@@ -123,12 +125,22 @@ def test_a_broken_assumption_is_told_and_is_no_violation(name: str) -> None:
 
 def test_a_promise_counts_from_the_first_certified_tick_and_again_some_time_after_a_gap() -> None:
     word = np.array([False, True, True, False, True, True, True, True], dtype=np.bool_)
-    assert promised(word, 2).tolist() == [False, False, True, True, False, False, False, True, True]
-    assert not promised(np.zeros(3, dtype=np.bool_), 0).any()
+    assert guaranteed(word, 2).tolist() == [
+        False,
+        False,
+        True,
+        True,
+        False,
+        False,
+        False,
+        True,
+        True,
+    ]
+    assert not guaranteed(np.zeros(3, dtype=np.bool_), 0).any()
 
 
 def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a_gap(monkeypatch):
-    """The UAV flies off, and claims now and then, too short for a promise, that sight is kept."""
+    """The UAV flies off, and claims now and then, too short for a guarantee, that sight is kept."""
 
     def fly_off(scenario, seed, *, on_tick):
         flight, pilots = Flight(scenario, seed), make_pilots(scenario, seed)
@@ -156,8 +168,8 @@ def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a
     tally = search.Tally()
     tally.take(candidate, result)
     tally.take(candidate, result)
-    wanted = Wanted(base=base("certified"), limits=UNDEGRADED, flies=True, attacks=False)
-    told = Found(wanted, flights=tally).as_plain()["flights"]
+    wanted = SearchRequest(base=base("certified"), limits=UNDEGRADED, flies=True, attacks=False)
+    told = SearchResult(wanted, flights=tally).as_plain()["flights"]
     assert (told["violations"], told["certified_while_lost"]) == (2, 2 * lies)
     assert told["certificate_broken"] == 2 * result.certificate_broken
 
@@ -301,16 +313,16 @@ def test_a_guard_that_is_wrong_is_caught_and_its_run_flies_again(control: str) -
 
 def test_the_best_detection_is_caught_where_there_are_blackouts() -> None:
     conditions = Conditions(blackout=1, blackout_time=10.0)
-    promise = declared(conditions, 0.9)
+    bounds = declared(conditions, 0.9)
     assert attacks.fly_attack(
-        promise, attacks._guarded("argmin", promise, conditions), 1, 0, 60, 200.0
+        bounds, attacks._guarded("argmin", bounds, conditions), 1, 0, 60, 200.0
     ).violations
 
 
 def test_a_combination_with_uncertified_ticks_has_lost_nothing_that_was_promised() -> None:
     conditions = Conditions(blackout=1, blackout_time=12.0)
-    promise = declared(conditions._replace(blackout_time=2.0), 0.3)
-    result = attacks.fly_attack(promise, conditions, 1, 0, 20, 100.0)
+    bounds = declared(conditions._replace(blackout_time=2.0), 0.3)
+    result = attacks.fly_attack(bounds, conditions, 1, 0, 20, 100.0)
     assert result.uncertified == 20
     assert result.violations == 0
 

@@ -12,7 +12,7 @@ PUSHED = [
     (Conditions(position_error=0.4), {"position_error": 0.1}),
     (Conditions(wind=0.1, gains=(1.0, 0.4), blackout=3, blackout_time=5.0), {"wind": 0.02}),
     (Conditions(jumps=0.5, delay=0.3, area=2, u_g=math.inf), {"jumps": 0.2}),
-    (Conditions(wind=0.3, outage=2.0, losses=ANY, area=1), {"wind": 0.1}),
+    (Conditions(wind=0.3, max_command_interval=2.0, losses=ANY, area=1), {"wind": 0.1}),
 ]
 
 
@@ -27,7 +27,7 @@ def test_no_certified_run_loses_sight_whatever_wind_and_own_position_do(conditio
 
 @pytest.mark.parametrize(("conditions", "less"), PUSHED)
 def test_a_w_that_is_declared_too_small_is_caught_by_the_attack(conditions, less) -> None:
-    promise = declared(conditions._replace(**less), 0.0)
-    found = attack(promise, conditions, 1, 0, 40, 60.0)
+    bounds = declared(conditions._replace(**less), 0.0)
+    found = attack(bounds, conditions, 1, 0, 40, 60.0)
     assert found["max_excess"].max() > 0.01
     assert found["certified_lost"].any() or found["broken"].any()

@@ -332,7 +332,7 @@ def test_no_unit_steps_beyond_its_flight_or_takes_a_number_that_is_none() -> Non
     unit = WorldUnit(load_scenario("escort", overrides=["duration=0.1"]), 0)
     for tick in range(2):
         unit.step(tick * DT, DT, {})
-    with pytest.raises(ValueError, match=r"the flight is over at 0\.1 s"):
+    with pytest.raises(ValueError, match=r"the run ends at 0\.1 s"):
         unit.step(0.1, DT, {})
     driver = VehicleUnit(briefing(load_scenario("escort"), "ugv_0", 0))
     values = every_input(driver, 0.0)
@@ -362,7 +362,11 @@ HAZARD = 'hazard=[{kind="block",center=[30,30],radius=0.2}]'
         ("uav", ["law.name=path", "custom.path=a:b"], "uav_0: the law 'path'"),
         ("ugv", ["ugv.0.driver=external"], "ugv_0: the driver 'external'.*allowed: waypoints"),
         ("ugv", ["ugv.0.driver=fmu:x.fmu"], "ugv_0: the driver 'policy'"),
-        ("world", ["ugv.0.driver=fmu:x.fmu"], "custom.policy = 'fmu:x.fmu': a unit does not carry"),
+        (
+            "world",
+            ["ugv.0.driver=fmu:x.fmu"],
+            "custom.policy = 'fmu:x.fmu': a unit does not contain",
+        ),
         ("world", ["ugv.0.driver=external"], "ugv_0: the driver 'external'"),
         ("uav", ["name=elsewhere", "uav=[]"], "elsewhere: has no uav to export"),
     ],

@@ -1,1 +1,1 @@
-"""The benchmark suite: named tasks, the score they share, and the leaderboard of whoever has flown them."""
+"""Benchmark suite: named tasks, a common score, and a leaderboard."""

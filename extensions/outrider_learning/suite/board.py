@@ -1,4 +1,4 @@
-"""The leaderboard: entries beside each other, task by task."""
+"""Leaderboard: entries side by side, task by task."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -15,53 +15,53 @@ from sim.compiling.threads import cores
 from sim.engine.run_keys import check_secret, new_secret
 
 BASELINES = tuple(law.name for law in LAWS.values() if law.compared)
-"""The entries that are always there to beat."""
+"""Baseline entries of every leaderboard."""
 MISSION_BASELINES = (NO_ESCORT, *BASELINES)
-"""Those of missions: what a UGV does alone shows what an escort is worth."""
+"""Baselines of missions; a UGV without an escort shows what the escort is worth."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Standing:
-    """The scores of one entry in all the tasks."""
+    """Scores of one entry in all tasks."""
 
     entry: str
     score: float
     """Mean over the tasks."""
     low: float
     high: float
-    """Its 95 % interval over the seeds; NaN for a single one."""
+    """95 % interval of the score over the seeds; NaN for a single seed."""
     middle: float
-    """Interquartile mean over the tasks and seeds."""
+    """Interquartile mean over tasks and seeds."""
     middle_low: float
     middle_high: float
-    """Its 95 % interval, by the bootstrap stratified by tasks; NaN for a single seed."""
+    """95 % interval of the interquartile mean, by a bootstrap stratified by task; NaN for a single seed."""
     lost: int
-    """Episodes in which sight was lost."""
+    """Episodes with loss of sight."""
     episodes: int
     certified_while_lost: int
-    """Ticks that the safety filter certified with the UGV out of sight: 0, or the certificate is wrong."""
+    """Ticks certified while the UGV was out of sight: zero if the certificate is correct."""
     certificate_broken: int
-    """Ticks that it did not certify although the one before was and all assumptions held: likewise."""
+    """Ticks that lost the certificate although all assumptions held: zero if it is correct."""
     results: tuple[Result, ...]
-    """Task by task."""
+    """Results by task."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leaderboard:
-    """The entries and their scores."""
+    """Entries and their scores."""
 
     tasks: tuple[str, ...]
     standings: tuple[Standing, ...]
-    """The best first."""
+    """Standings, best first."""
     mission: bool
-    """True if the tasks were scored by how the UGVs got through."""
+    """True if the tasks are missions."""
     secret: str
-    """Of all the flights' random numbers, beside the seeds: with it the same table again."""
+    """Secret of all random numbers; with the seeds it reproduces the table."""
 
     def rows(self) -> list[list[str]]:
-        """The table: a head, a row for each task, and one for the mean over the tasks; a column for each entry.
+        """Return the table: a head, one row per task and one for the mean; one column per entry.
 
-        Missions, some of which an entry never ends, have one more for the interquartile mean.
+        Missions add a row for the interquartile mean, because an entry may fail some of them.
         """
         table = [["task", *(standing.entry for standing in self.standings)]]
         table += [
@@ -74,22 +74,22 @@ class Leaderboard:
         return table
 
     def markdown(self) -> str:
-        """The table in Markdown."""
+        """Return the table in Markdown."""
         head, *body = self.rows()
         rule = ["---", *("---:" for _ in self.standings)]
         return "".join(f"| {' | '.join(row)} |\n" for row in (head, rule, *body))
 
 
-def _cell(told: Result | Standing) -> str:
-    half, lost = 0.5 * (told.high - told.low), f" ({told.lost} lost)" if told.lost else ""
+def _cell(result: Result | Standing) -> str:
+    half, lost = 0.5 * (result.high - result.low), f" ({result.lost} lost)" if result.lost else ""
     about = "" if math.isnan(half) else f" ± {half:.1f}"
-    return f"{told.score:.1f}{about}{lost}"
+    return f"{result.score:.1f}{about}{lost}"
 
 
-def middle_cell(told: Standing) -> str:
-    """The interquartile mean with its interval, where there is one, as tables have it."""
-    low, high = told.middle_low, told.middle_high
-    return f"{told.middle:.1f}" + ("" if math.isnan(low) else f" [{low:.1f}, {high:.1f}]")
+def middle_cell(standing: Standing) -> str:
+    """Return the interquartile mean with its interval, if known, as a table cell."""
+    low, high = standing.middle_low, standing.middle_high
+    return f"{standing.middle:.1f}" + ("" if math.isnan(low) else f" [{low:.1f}, {high:.1f}]")
 
 
 def _standing(entry: str, results: Sequence[Result]) -> Standing:
@@ -121,32 +121,32 @@ def leaderboard(
     on_progress: Callable[[str, float], object] | None = None,
     **settings: Any,  # noqa: ANN401 - those of evaluate
 ) -> Leaderboard:
-    """Fly every entry over every task, laws on all cores; the same secret gives the same table.
+    """Evaluate every entry on every task, laws on all cores; the same secret reproduces the table.
 
     Args:
-        entries: Laws by name, or a mapping from names to laws and policies; by default `BASELINES`, and for missions
+        entries: Laws by name, or a mapping from names to laws and policies; default: `BASELINES`, for missions
             `MISSION_BASELINES`.
-        tasks: A part of the suite, or tasks of your own; by default the whole suite.
-        seeds: Of the episodes.
-        secret: As in `outrider_learning.suite.scoring.evaluate`; one for all.
-        on_progress: Called with what was flown last and the share of all that is done.
-        settings: How the policies among the entries see and act, as in `outrider_learning.suite.scoring.evaluate`.
+        tasks: Tasks to run; default: the whole suite.
+        seeds: Seeds of the episodes.
+        secret: Secret of `outrider_learning.suite.scoring.evaluate`, the same for all.
+        on_progress: Progress callback: last entry and task, completed share.
+        settings: Observation and action settings of the policies, see `outrider_learning.suite.scoring.evaluate`.
 
     Raises:
-        ValueError: If there is no entry or no task, a law is unknown, or a policy answers what is no action.
+        ValueError: If there is no entry or task, a law is unknown, or a policy returns an invalid action.
     """
     flown = Suite(suite() if tasks is None else tasks)
     if entries is None:
         entries = MISSION_BASELINES if all(task.mission for task in flown) else BASELINES
     field = dict(entries) if isinstance(entries, Mapping) else {name: name for name in entries}
     if len({task.mission for task in flown}) > 1:
-        raise ValueError("tasks: missions and others have scores of their own; allowed: one kind")
+        raise ValueError("tasks: missions and other tasks have different scores; allowed: one kind")
     if not field or not flown:
         raise ValueError(
-            f"{len(field)} entries and {len(flown)} tasks: allowed is one or more of each"
+            f"{len(field)} entries and {len(flown)} tasks; allowed: one or more of each"
         )
     if len(set(flown.names)) < len(flown):
-        raise ValueError(f"tasks: {', '.join(flown.names)}: two have one name")
+        raise ValueError(f"tasks: {', '.join(flown.names)}: duplicate name; allowed: unique names")
     kept = new_secret() if secret is None else check_secret(secret)
     jobs = [(name, entry, task) for task in flown for name, entry in field.items()]
 
@@ -163,18 +163,18 @@ def leaderboard(
 
     results: dict[tuple[str, str], Result] = {}
 
-    def note(result: Result) -> None:
+    def record(result: Result) -> None:
         results[result.entry, result.task] = result
         if on_progress is not None:
             on_progress(f"{result.entry} in {result.task}", len(results) / len(jobs))
 
     for job in jobs:
-        if not isinstance(job[1], str):  # a policy of the user's own need not bear threads
-            note(fly(job))
+        if not isinstance(job[1], str):  # a user's policy may not be thread-safe
+            record(fly(job))
     with ThreadPoolExecutor(cores()) as pool:
         try:
             for result in pool.map(fly, (job for job in jobs if isinstance(job[1], str))):
-                note(result)
+                record(result)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise

@@ -1,4 +1,4 @@
-"""The score of a mission: how soon the UGVs are through, what they have run into, and what was found."""
+"""Score of a mission: duration, hazards hit, and finds."""
 
 import math
 from collections.abc import Sequence
@@ -12,40 +12,47 @@ import numpy as np
 from bus.messages.telemetry import MissionResult
 from outrider.envs.pilot_numbers import pilot_names
 from outrider.envs.worlds import Worlds
-from outrider_learning.suite.scoring import Entry, Result, Team, begun, check_law, result_of
+from outrider_learning.suite.scoring import (
+    Entry,
+    Result,
+    Team,
+    check_law,
+    result_of,
+    started_worlds,
+)
 from outrider_learning.suite.tasks import NO_ESCORT, Task
 from sim.engine.run_keys import derive_secret
 from sim.env.rewards import RewardWeights
 from sim.scenario.types import Scenario
 
 _MISSION = {
-    "rewards": RewardWeights(uncovered=0.0),  # nobody looks at e(t), which is faster
+    "rewards": RewardWeights(uncovered=0.0),  # e(t) is unused, and skipping it is faster
     "end_on_sight_lost": False,
     "end_on_goals_reached": True,
 }
-"""Settings of the worlds that missions are flown in."""
+"""Settings of the worlds in missions."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionScore(Result):
-    """The score of one entry in one mission."""
+    """Score of one entry in one mission."""
 
     arrived: int
-    """Episodes in which every UGV has reached all its goals."""
+    """Episodes in which every UGV reached all its goals."""
     mission_time: float
-    """Mean of the time that those took [s]; NaN if there are none."""
+    """Mean mission time of these episodes [s]; NaN without any."""
     hazards_hit: int
-    """In all episodes."""
+    """Hazards hit in all episodes."""
     found: float
-    """Share of the things to be found that were; NaN where there are none."""
+    """Share of the finds that were detected; NaN without any."""
     mean_warning_time: float
-    """Time between knowing of a hazard on the way and coming near it, in the mean [s]; NaN: of none."""
+    """Mean time from learning of a hazard on the path to approaching it [s]; NaN without any."""
     reported_share: float
-    """Share of the way that led over ground which had come by radio before."""
+    """Share of the path on ground reported by radio beforehand."""
 
 
 def shortest_time(scenario: Scenario) -> float:
-    """The time that straight ways at full speed would take the slowest UGV [s], as if there were no hazards."""
+    """Return the time of the slowest UGV along straight lines at full speed [s], without hazards."""
     times = [
         sum(map(math.dist, (ugv.position, *ugv.goals), ugv.goals)) / ugv.max_speed
         for ugv in scenario.ugv
@@ -54,15 +61,15 @@ def shortest_time(scenario: Scenario) -> float:
 
 
 def mission_score(mission: MissionResult, shortest: float) -> float:
-    r"""The score of one flight, 0 to 100.
+    r"""Return the score of one mission, 0 to 100.
 
     $$ S = 100 \, a \, \min\left(1, \frac{T^*}{T}\right) \frac{n}{n^*} \frac{1}{1 + h} $$
 
-    a is 1 if every UGV arrived and 0 else, T the time that it took and T* the shortest, n of n* things were found (the
-    factor is 1 where there are none), and h hazards were run into.
+    a is 1 if every UGV arrived and 0 otherwise, T is the mission time and T* the shortest. n of n* finds were detected
+    (the factor is 1 without finds), and h hazards were hit.
 
     Args:
-        mission: What happened.
+        mission: Result of the mission.
         shortest: T* [s].
     """
     if mission.mission_time is None:
@@ -73,7 +80,7 @@ def mission_score(mission: MissionResult, shortest: float) -> float:
 
 
 def _fly(worlds: Worlds) -> None:
-    """Fly each world on until its mission is over."""
+    """Simulate each world until its mission ends."""
     flying = np.arange(worlds.num_envs)
     while flying.size:
         ended = worlds.step({}, flying)
@@ -89,10 +96,10 @@ def evaluate_mission(
     secret: str,
     settings: dict[str, Any],
 ) -> MissionScore:
-    """Fly a mission with all seeds at once, and score it; arguments as of `scoring.evaluate`.
+    """Run a mission with all seeds at once, and score it; arguments as of `scoring.evaluate`.
 
     Raises:
-        ValueError: If the law is unknown, or a policy answers what is no action.
+        ValueError: If the law is unknown, or a policy returns an invalid action.
     """
     scenario = task.scenario
     if isinstance(entry, str):
@@ -103,7 +110,7 @@ def evaluate_mission(
     pilots = {uav.name: team.uav for uav in scenario.uav}
     pilots |= {ugv.name: team.ugv for ugv in scenario.ugv}
     own = derive_secret(secret, task.name)
-    with begun(scenario, pilots, seeds, own, settings | _MISSION) as worlds:
+    with started_worlds(scenario, pilots, seeds, own, settings | _MISSION) as worlds:
         if isinstance(entry, str):
             worlds.loop.fly()
         else:

@@ -1,4 +1,4 @@
-"""The score of a flight: how much of what there was to see has been seen, averaged over the time that was asked for."""
+"""Score of an episode: covered share of the ground around the UGV, averaged over the requested duration."""
 
 import copy
 import math
@@ -25,24 +25,24 @@ from sim.scenario.types import Scenario
 
 
 class Team(NamedTuple):
-    """The pilots of both sides in a mission."""
+    """Controllers of both sides in a mission."""
 
     uav: str | BatchPolicy | None = None
-    """A law by name, or a policy for all worlds at once; None: the scenario's law."""
+    """Law by name, or a policy for all worlds; None: the scenario's law."""
     ugv: str | BatchPolicy | None = None
-    """A driver by name, or a policy; None: the scenario's driver."""
+    """Driver by name, or a policy; None: the scenario's driver."""
 
 
 Entry = str | BatchPolicy | Team
-"""The pilot of the UAVs: a law by name, or a policy for all worlds at once; in a mission also a whole team."""
+"""Controller of the UAVs: a law by name, or a policy for all worlds; in a mission also a team."""
 
 SETTINGS = ("estimate", "gradient", "safety_filter", "coverage_patch", "dtype", "threads")
-"""The settings of a policy: how it sees and acts. All else belongs to the task."""
+"""Observation and action settings of a policy. Everything else belongs to the task."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """The score of one entry in one task."""
+    """Score of one entry in one task."""
 
     task: str
     entry: str
@@ -50,27 +50,27 @@ class Result:
     """Mean over the episodes, 0 to 100."""
     low: float
     high: float
-    """The 95 % interval of that mean; NaN for a single episode."""
+    """95 % interval of the mean; NaN for a single episode."""
     scores: tuple[float, ...]
-    """Of each episode, in the order of the seeds."""
+    """Scores of the episodes, in the order of the seeds."""
     mean_error: float
     """Mean of e(t) [m²] over UAVs, ticks before sight was lost, and episodes."""
     lost: int
-    """Episodes in which sight was lost."""
+    """Episodes with loss of sight."""
     episodes: int
     secret: str
-    """Of the episodes' random numbers, beside the seeds: with it the same score again."""
+    """Secret of the episodes' random numbers; with the seeds it reproduces the score."""
     certified_while_lost: int = 0
-    """Ticks of all UAVs that the safety filter certified with the UGV out of sight: 0, or the certificate is wrong."""
+    """Ticks of all UAVs certified while the UGV was out of sight: zero if the certificate is correct."""
     certificate_broken: int = 0
-    """Ticks that it did not certify although the one before was and all assumptions held: likewise."""
+    """Ticks that lost the certificate although all assumptions held: zero if it is correct."""
 
 
 _Scored = TypeVar("_Scored", bound=Result)
 
 
 class _Meter:
-    """Reads a closed loop tick by tick."""
+    """Counters of a closed loop, updated at every tick."""
 
     def __init__(self, loop: ClosedLoop) -> None:
         scenario = loop.scenario
@@ -80,38 +80,38 @@ class _Meter:
         self._desired, self._cell = float(scenario.coverage.desired), float(scenario.area.cell)
         self._known: dict[tuple[float, float], float] = {}
         self.in_sight: npt.NDArray[np.bool_] = np.ones(loop.worlds, dtype=np.bool_)
-        """True where sight has never been lost."""
+        """True in worlds without loss of sight so far."""
         self.seen: FloatArray = np.zeros(loop.worlds)
-        """Sum over the ticks of the share that has been seen."""
+        """Sum of the covered share over the ticks."""
         self.errors: FloatArray = np.zeros(loop.worlds)
-        """Sum of e(t) over the ticks in sight [m²], the mean of the UAVs."""
+        """Sum of e(t) over the ticks in sight [m²], averaged over the UAVs."""
         self.ticks: npt.NDArray[np.int64] = np.zeros(loop.worlds, dtype=np.int64)
-        """In sight."""
+        """Ticks in sight."""
 
-    def note(self) -> None:
-        """Take in the tick that all worlds are at."""
+    def update(self) -> None:
+        """Add the current tick of all worlds."""
         state = self._loop.state
         uavs, ugvs = self._loop.tables.batch.escorts.T
         standings = state.rows.standings[:, uavs]
         self.in_sight &= ~standings["lost"].any(axis=1)
-        places = state.batch.vehicles["position"][:, ugvs]
+        positions = state.batch.vehicles["position"][:, ugvs]
         which = np.flatnonzero(self.in_sight)
         if which.size == 0:
             return
         error = standings["error"][which]
         most = np.array(
-            [[self._unseen(x, y) for x, y in of_world] for of_world in places[which].tolist()]
+            [[self._uncovered(x, y) for x, y in of_world] for of_world in positions[which].tolist()]
         )
-        share = np.ones_like(error)  # where there is nothing to see, all of it has been seen
+        share = np.ones_like(error)  # without any ground to cover, the share is 1
         np.divide(most - error, most, out=share, where=most > 0.0)
         self.seen[which] += share.mean(axis=1)
         self.errors[which] += error.mean(axis=1)
         self.ticks[which] += 1
 
-    def _unseen(self, x: float, y: float) -> float:
-        """E(t) [m²] with the UGV at (x, y) [m], had no UAV seen anything.
+    def _uncovered(self, x: float, y: float) -> float:
+        """Return e(t) [m²] with the UGV at (x, y) [m] and no coverage by any UAV.
 
-        UGVs of many worlds often stand there.
+        It is cached, because the UGVs of many worlds often share a position.
         """
         found = self._known.get((x, y))
         if found is None:
@@ -122,20 +122,20 @@ class _Meter:
 
 
 @contextmanager
-def begun(
+def started_worlds(
     scenario: Scenario,
     pilots: Mapping[str, str | BatchPolicy | None],
     seeds: Sequence[int],
     secret: str,
     settings: dict[str, Any],
 ) -> Iterator[Worlds]:
-    """A world for each seed, at its start; each policy is a copy of its own, as it may have a memory.
+    """Yield one world per seed, at its start; each policy is copied, because it may have a memory.
 
     Args:
-        scenario: What is flown.
+        scenario: Scenario of all worlds.
         pilots: Laws, drivers and policies by vehicle; None: the scenario's own.
-        seeds, secret: Of the random numbers.
-        settings: Of `outrider.vector_env`.
+        seeds, secret: Seeds and secret of the random numbers.
+        settings: Settings of `outrider.vector_env`.
     """
     others = {name: copy.deepcopy(pilot) for name, pilot in pilots.items() if pilot is not None}
     worlds = Worlds(scenario, len(seeds), [], others=others, secret=secret, **settings)
@@ -147,33 +147,33 @@ def begun(
 
 
 def _fly(worlds: Worlds) -> _Meter:
-    """Fly each world until it has lost sight, or to the end."""
+    """Simulate each world until it loses sight, or to the end."""
     meter = _Meter(worlds.loop)
-    meter.note()
+    meter.update()
     for _ in range(worlds.scenario.ticks):
         if not meter.in_sight.any():
             break
         worlds.step({}, np.flatnonzero(meter.in_sight))
-        meter.note()
+        meter.update()
     return meter
 
 
 def check_law(law: str, allowed: Sequence[str]) -> None:
-    """Refuse a law that is none of these.
+    """Reject an unknown law.
 
     Raises:
-        ValueError: Then.
+        ValueError: If the law is not in `allowed`.
     """
     if law not in allowed:
         raise ValueError(
-            f"law = {law!r}: unknown; allowed: {', '.join(allowed)}, or a policy for all worlds at once"
+            f"law = {law!r}: unknown law; allowed: {', '.join(allowed)}, or a policy for all worlds"
         )
 
 
 def score_interval(scores: Sequence[float]) -> tuple[float, float, float]:
-    """The mean score and its 95 % interval, cut to 0 to 100; NaN for a single one."""
+    """Return the mean score and its 95 % interval, clipped to 0 to 100; NaN for a single score."""
     score, low, high = mean_interval(scores)
-    return score, max(low, 0.0), min(high, 100.0)  # in this order NaN stays
+    return score, max(low, 0.0), min(high, 100.0)  # this argument order keeps NaN
 
 
 def result_of(
@@ -185,18 +185,18 @@ def result_of(
     *,
     name: str,
     secret: str,
-    **told: Any,  # noqa: ANN401 - the other fields of that kind
+    **fields: Any,  # noqa: ANN401 - the other fields of that kind
 ) -> _Scored:
-    """The result of an entry from the scores of its episodes.
+    """Return the result of an entry from the scores of its episodes.
 
     Args:
-        kind: Of result.
-        task, entry: What was flown, and by whom.
-        scores: In the order of the seeds.
-        flown: What the worlds told of each UAV in the end.
-        name: Of the entry, for tables; empty: its own.
-        secret: Of the episodes' random numbers.
-        told: The other fields of that kind of result.
+        kind: Class of the result.
+        task, entry: Task and entry.
+        scores: Scores in the order of the seeds.
+        flown: Final metrics of each UAV.
+        name: Name of the entry in tables; empty: its own.
+        secret: Secret of the episodes' random numbers.
+        fields: Further fields of this class.
     """
     score, low, high = score_interval(scores)
     own = entry if isinstance(entry, str) else getattr(entry, "__name__", type(entry).__name__)
@@ -211,22 +211,22 @@ def result_of(
         secret=secret,
         certified_while_lost=sum(int(one["certified_while_lost"].sum()) for one in flown.values()),
         certificate_broken=sum(int(one["certificate_broken"].sum()) for one in flown.values()),
-        **told,
+        **fields,
     )
 
 
 def _with_setup(entry: Entry, settings: dict[str, Any]) -> dict[str, Any]:
-    """The settings, and those that the policy itself says it was trained with.
+    """Return the settings, completed by the policy's own training settings.
 
     Raises:
-        ValueError: If a setting is another than the policy's own: it would observe something else.
+        ValueError: If a setting contradicts the policy's own: its observations would differ.
     """
     policy = entry.uav if isinstance(entry, Team) else entry
     setup = getattr(policy, "setup", {})
     for setting, value in settings.items():
         if setup.get(setting, value) != value:
             raise ValueError(
-                f"{setting} = {value!r}: the policy is made with {setup[setting]!r}; leave it out"
+                f"{setting} = {value!r}: the policy was trained with {setup[setting]!r}; leave it out"
             )
     return {key: value for key, value in setup.items() if key in SETTINGS} | settings
 
@@ -240,56 +240,55 @@ def evaluate(
     secret: str | None = None,
     **settings: Any,  # noqa: ANN401 - those of Worlds
 ) -> Result:
-    r"""Fly a task with all seeds at once, and score it.
+    r"""Run a task with all seeds at once, and score it.
 
     $$ S = \frac{100}{N + 1} \sum_{k < k_{lost}} \left( 1 - \frac{e(t_k)}{e_0(t_k)} \right) $$
 
-    e is the paper's (4); e_0 is what it would be at this tick had no UAV seen anything, with the UGV where it is. N is
-    the number of ticks that the task asks for, and k_lost the tick at which any UAV loses sight: from then on nothing
-    counts as seen.
+    e is the paper's (4), and e_0 is its value at the same tick without any coverage. N is the number of ticks of the
+    task, and k_lost the tick at which any UAV loses sight: later ticks score zero.
 
     Args:
-        task: What is flown.
-        entry: A law by name; or a policy: the observations of one UAV in all worlds in, its accelerations [m/s²]
-            out, shape (worlds, 2). In a task with several UAVs each has a copy of it, and sees its own row.
-        name: Of the entry, for tables.
-        seeds: Of the episodes.
-        secret: Of the random numbers, with each seed: 32 to 128 hexadecimal digits. None: a new one, which nobody
-            can have prepared for; empty: none, and the noise of the seeds is known to whoever looks.
-        settings: How a policy sees and acts: `SETTINGS`, as in `outrider.vector_env`; where it has a `setup`, as
-            saved policies have, the settings of that.
+        task: Task to run.
+        entry: Law by name, or a policy from the observations of one UAV in all worlds to its accelerations [m/s²],
+            shape (worlds, 2). In a task with several UAVs each has a copy of the policy and observes its own row.
+        name: Name of the entry in tables.
+        seeds: Seeds of the episodes.
+        secret: Secret of the random numbers: 32 to 128 hexadecimal digits. None: a new one, so that no entry can
+            prepare for it; empty: none, so that the noise of the seeds is public.
+        settings: Observation and action settings of a policy, `SETTINGS` of `outrider.vector_env`; the `setup` of a
+            saved policy completes them.
 
     Raises:
-        ValueError: If the law is unknown, a seed, the secret or a setting is not allowed, or the policy answers
-            what is no action.
+        ValueError: If the law is unknown, a seed, the secret or a setting is invalid, or the policy returns an
+            invalid action.
     """
     if entry is None:
-        raise ValueError("entry = None: allowed is a law by name, a policy or a team")
+        raise ValueError("entry = None; allowed: a law by name, a policy or a team")
     if not seeds:
-        raise ValueError("seeds: none are given; allowed is one or more")
+        raise ValueError("seeds: empty; allowed: one or more")
     for seed in seeds:
         Seeds.check(seed)
     kept = new_secret() if secret is None else check_secret(secret)
     if isinstance(entry, str) and settings:
-        raise ValueError(f"{', '.join(settings)}: for policies alone, not for the law {entry!r}")
+        raise ValueError(
+            f"{', '.join(settings)}: not supported for the law {entry!r}; allowed: for policies"
+        )
     for setting in settings:
         if setting not in SETTINGS:
-            raise ValueError(
-                f"{setting}: cannot be set, it belongs to the task; allowed: {', '.join(SETTINGS)}"
-            )
+            raise ValueError(f"{setting}: fixed by the task; allowed: {', '.join(SETTINGS)}")
     settings = _with_setup(entry, settings)
     if task.mission:
-        from outrider_learning.suite.missions import evaluate_mission  # noqa: PLC0415 - it stands on this file
+        from outrider_learning.suite.missions import evaluate_mission  # noqa: PLC0415 - it imports this file
 
         return evaluate_mission(task, entry, seeds, name=name, secret=kept, settings=settings)
     if isinstance(entry, Team):
-        raise ValueError("a team: for missions alone; allowed: a law by name, or a policy")
+        raise ValueError("entry: a team needs a mission; allowed: a law by name, or a policy")
     scenario = task.scenario
     uavs = [uav.name for uav in scenario.uav]
     if isinstance(entry, str):
         check_law(entry, pilot_names(scenario, uavs[0]))
     own = derive_secret(kept, task.name)
-    with begun(scenario, dict.fromkeys(uavs, entry), seeds, own, settings) as worlds:
+    with started_worlds(scenario, dict.fromkeys(uavs, entry), seeds, own, settings) as worlds:
         meter, flown = _fly(worlds), worlds.metrics()
     scores = (100.0 * meter.seen / (scenario.ticks + 1)).tolist()
     return result_of(

@@ -1,6 +1,6 @@
-"""The tasks of the suites: each is a shipped scenario with a few fields changed, so that what is hard can be read off.
+"""Tasks of the suites: a shipped scenario each, with a few fields changed.
 
-Nothing heavy is loaded until a task is flown: the names are also read where environments are registered.
+Heavy imports wait until a task runs, because the registration of the environments reads the names.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,38 +14,38 @@ if TYPE_CHECKING:
     from sim.scenario.types import Scenario
 
 BASE = "escort"
-"""The shipped scenario that every task starts from, but for the missions."""
+"""Shipped scenario of every task except the missions."""
 
 NO_ESCORT = "none"
-"""The entry of missions without an escort: what a UGV can do with its own sensor."""
+"""Mission entry without an escort: the UGV relies on its own sensor."""
 
 SEEDS = tuple(range(9000, 9020))
-"""The seeds of every evaluation. No default leads a training run to them."""
+"""Seeds of every evaluation. No default setting uses them for training."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """One task of the suite: a scenario, the seeds it is flown with, and a score."""
+    """Task of the suite: a scenario, its seeds and a score."""
 
     name: str
-    """Lower-case letters and '-'."""
+    """Name in lower-case letters and '-'."""
     hard: str
-    """The difficulty, in a line."""
+    """Difficulty, in one line."""
     changes: Mapping[str, object]
-    """Fields of the shipped scenario and their values, as in `load_scenario(overrides=...)`."""
+    """Changed fields of the shipped scenario, as in `load_scenario(overrides=...)`."""
     base: str = BASE
-    """The shipped scenario."""
+    """Name of the shipped scenario."""
     mission: bool = False
-    """True if it is scored by how the UGVs get through, and not by how much of the ground was seen."""
+    """True if the score is a mission's, and not the covered share."""
 
     @property
     def scenario(self) -> "Scenario":
-        """The scenario that is flown.
+        """Return the scenario of the task.
 
         Raises:
-            ScenarioError: If the changes make it impossible.
+            ScenarioError: If the changes contradict the scenario.
         """
-        from sim.scenario.loading import load_scenario  # noqa: PLC0415 - compiled code stands behind it
+        from sim.scenario.loading import load_scenario  # noqa: PLC0415 - it imports compiled code
 
         return load_scenario(
             self.base, overrides={"name": self.name, "title": self.hard, **self.changes}
@@ -53,17 +53,17 @@ class Task:
 
     @property
     def env_id(self) -> str:
-        """The task's name at Gymnasium."""
+        """Return the task's Gymnasium ID."""
         return f"outrider/Suite-{''.join(part.capitalize() for part in self.name.split('-'))}-v0"
 
     def make(self, num_envs: int, **settings: Any) -> "OutriderVectorEnv":  # noqa: ANN401 - those of the environment
-        """The task as `outrider.vector_env`; the settings are its own."""
+        """Return the task as `outrider.vector_env` with these settings."""
         from outrider.envs.vector import OutriderVectorEnv  # noqa: PLC0415
 
         return OutriderVectorEnv(self.scenario, num_envs=num_envs, **settings)
 
     def make_single(self, **settings: Any) -> "SingleEnv":  # noqa: ANN401
-        """The task as `outrider.single_env`; the settings are its own."""
+        """Return the task as `outrider.single_env` with these settings."""
         from outrider.envs.single import SingleEnv  # noqa: PLC0415
 
         return SingleEnv(self.scenario, **settings)
@@ -77,7 +77,7 @@ class Task:
         secret: str | None = None,
         **settings: Any,  # noqa: ANN401 - those of `outrider_learning.suite.scoring.evaluate`
     ) -> "Result":
-        """Fly the task with all seeds at once, and score it: see `outrider_learning.suite.scoring.evaluate`."""
+        """Run the task with all seeds at once, and score it, see `outrider_learning.suite.scoring.evaluate`."""
         from outrider_learning.suite.scoring import evaluate  # noqa: PLC0415
 
         return evaluate(self, entry, name=name, seeds=seeds, secret=secret, **settings)
@@ -115,7 +115,7 @@ _LONG_ROUTE = [
     [22.0, 34.0],
     [8.0, 30.0],
 ]
-"""Far enough for a UGV that drives 0.4 m/s."""
+"""Route that is long enough for a UGV at 0.4 m/s."""
 
 TASKS: tuple[Task, ...] = (
     Task(
@@ -218,11 +218,11 @@ TASKS: tuple[Task, ...] = (
         },
     ),
 )
-"""The easier ones first: where no law of the paper loses sight, then where some do."""
+"""Tasks in order of difficulty: first those in which no law of the paper loses sight, then the others."""
 
 
 _BAD: dict[str, object] = {"links.profile": "jammed", "certificate.max_measurement_age": 6.0}
-"""The network of `bursts`: bursts of loss and half a second of delay, on every link."""
+"""Network of `bursts`: bursts of loss and half a second of delay on every link."""
 
 
 def _missions() -> Iterator[Task]:
@@ -243,11 +243,11 @@ def _missions() -> Iterator[Task]:
 
 
 MISSIONS: tuple[Task, ...] = tuple(_missions())
-"""Ground with hazards, over a perfect network and over a bad one: what the escort is for."""
+"""Ground with hazards, over a perfect and a degraded network."""
 
 
 class Suite(tuple[Task, ...]):
-    """All the tasks, by place or by name."""
+    """Tasks by index or by name."""
 
     __slots__ = ()
 
@@ -256,10 +256,10 @@ class Suite(tuple[Task, ...]):
     @overload
     def __getitem__(self, key: slice) -> "Suite": ...
     def __getitem__(self, key: SupportsIndex | str | slice) -> "Task | Suite":
-        """A task by its place or its name, or a part of the suite.
+        """Return a task by index or name, or a slice of the suite.
 
         Raises:
-            ValueError: If there is none of this name.
+            ValueError: If the name is unknown.
         """
         if isinstance(key, slice):
             return Suite(super().__getitem__(key))
@@ -268,25 +268,25 @@ class Suite(tuple[Task, ...]):
         for task in self:
             if task.name == key:
                 return task
-        raise ValueError(f"task = {key!r}: no such task; allowed: {', '.join(self.names)}")
+        raise ValueError(f"task = {key!r}: unknown task; allowed: {', '.join(self.names)}")
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the tasks, in their order."""
+        """Return the names of the tasks in order."""
         return tuple(task.name for task in self)
 
 
 SUITE, MISSION_SUITE = "suite-v1", "missions-v1"
 SUITES: Mapping[str, tuple[Task, ...]] = {SUITE: TASKS, MISSION_SUITE: MISSIONS}
-"""By name. A suite that has a number is never changed: what would change it becomes the next one."""
+"""Suites by name. A numbered suite never changes; changes go into the next one."""
 
 
 def suite(name: str = SUITE) -> Suite:
     """Return a benchmark suite; `extensions/outrider_learning/README.md` explains tasks and score.
 
     Raises:
-        ValueError: If there is none of this name.
+        ValueError: If the name is unknown.
     """
     if name not in SUITES:
-        raise ValueError(f"suite = {name!r}; allowed: {', '.join(SUITES)}")
+        raise ValueError(f"suite = {name!r}: unknown suite; allowed: {', '.join(SUITES)}")
     return Suite(SUITES[name])

@@ -249,7 +249,7 @@ def test_what_does_not_fit_is_refused_in_one_line() -> None:
         with refused(ValueError, "Egocentric needs a UAV's or a UGV's own row in SI units"):
             Egocentric().space(space)
     for length in (0, -1, 2.5, None):
-        with refused(ValueError, "length = .*; must be a whole number from 1 on"):
+        with refused(ValueError, "length = .*: not a positive integer"):
             Stack(length)
     for rest in (0.0, -1.0, math.inf):
         with refused(ValueError, "rest = .*; must be positive and finite"):

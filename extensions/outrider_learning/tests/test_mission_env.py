@@ -298,7 +298,7 @@ def test_missions_are_flown_by_laws_policies_and_teams() -> None:
     assert told["law"].hazards_hit == 0  # type: ignore[attr-defined]
     assert told["law"].reported_share > 0.3  # type: ignore[attr-defined]
     assert board.markdown().splitlines()[-1].startswith("| **interquartile mean** | 0.0 [0.0, 0.0]")
-    with refused(ValueError, "tasks: missions and others"):
+    with refused(ValueError, "tasks: missions and other tasks"):
         leaderboard(["tracking"], tasks=[task, TASKS[0]])
-    with refused(ValueError, "a team: for missions alone"):
+    with refused(ValueError, "entry: a team needs a mission"):
         TASKS[0].evaluate(Team())

@@ -67,7 +67,7 @@ def test_there_are_a_dozen_tasks_and_each_has_a_name_of_its_own() -> None:
     assert suite()["noise"].name == "noise"
     assert suite()[:2].names == suite().names[:2]
     assert suite()[-1] is TASKS[-1]
-    with pytest.raises(ValueError, match="task = 'nosie': no such task; allowed: paper,"):
+    with pytest.raises(ValueError, match="task = 'nosie': unknown task; allowed: paper,"):
         suite()["nosie"]
 
 
@@ -284,12 +284,12 @@ def test_a_single_seed_has_no_interval() -> None:
 @pytest.mark.parametrize(
     ("entry", "settings", "message"),
     [
-        ("lograithmic", {}, "law = 'lograithmic': unknown; allowed: tracking,"),
-        ("linear", {"estimate": True}, "estimate: for policies alone"),
+        ("lograithmic", {}, "law = 'lograithmic': unknown law; allowed: tracking,"),
+        ("linear", {"estimate": True}, "estimate: not supported for the law"),
         (
             hover,
             {"duration": 1.0},
-            "duration: cannot be set, it belongs to the task; allowed: estimate,",
+            "duration: fixed by the task; allowed: estimate,",
         ),
         (lambda seen: np.zeros(3), {}, r"actions of uav_0: an array of shape \(3,\)"),
     ],
@@ -302,7 +302,7 @@ def test_what_cannot_be_scored_is_refused_in_one_line(entry, settings, message):
 
 @pytest.mark.parametrize(
     ("seeds", "message"),
-    [([], "seeds: none are given"), ([1, -1], "seed = -1"), ([1.5], "seed = 1.5")],
+    [([], "seeds: empty"), ([1, -1], "seed = -1"), ([1.5], "seed = 1.5")],
 )
 def test_bad_seeds_are_refused(seeds: Any, message: str) -> None:
     for entry in ("tracking", hover):

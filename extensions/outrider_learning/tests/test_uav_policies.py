@@ -253,7 +253,7 @@ def test_a_saved_policy_flies_a_run_and_says_where_its_ground_ends() -> None:
     assert policy.fits(briefing) == ()
     wide = msgspec.structs.replace(briefing.area, width=120.0)
     (line,) = policy.fits(msgspec.structs.replace(briefing, area=wide))
-    assert "made for ground of 40 m x 40 m" in line
+    assert "larger than the 40 m x 40 m" in line
 
 
 class Mine(Egocentric):
@@ -265,7 +265,7 @@ def test_what_cannot_be_saved_with_a_policy_is_refused() -> None:
     for wrong, words in (
         (Transformed(env, Mine()), "Mine: cannot be saved with a policy"),
         (gymnasium.wrappers.vector.RescaleAction(env, -1.0, 1.0), "RescaleAction: cannot be saved"),
-        (outrider.vector_env("escort", num_envs=1, agent="ugv_0"), "agent = 'ugv_0': drives"),
+        (outrider.vector_env("escort", num_envs=1, agent="ugv_0"), "agent = 'ugv_0': not a UAV"),
     ):
         with refused(ValueError, words):
             observation_recipe(wrong)
@@ -275,7 +275,7 @@ def test_a_model_of_another_input_is_refused() -> None:
     env = outrider.vector_env("escort", num_envs=1)
     recipe = observation_recipe(env)
     for other in (spaces.Box(-1.0, 1.0, (10,)), spaces.Dict({"row": env.single_observation_space})):
-        with refused(ValueError, r"the model is made for observations of shape .* \(9,\)"):
+        with refused(ValueError, r"model: observations of shape .* \(9,\)"):
             SavedPolicy(Linear(other), recipe)
 
 
@@ -285,8 +285,8 @@ def test_a_model_of_another_input_is_refused() -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"uav.0.max_speed": 0.7}, "uav_0: max_speed = 0.7: the policy is made for 0.6"),
-        ({"dt": 0.1, "detections.rate": 10.0}, "uav_0: dt = 0.1: the policy is made for 0.05"),
+        ({"uav.0.max_speed": 0.7}, "uav_0: max_speed = 0.7: the policy was trained with 0.6"),
+        ({"dt": 0.1, "detections.rate": 10.0}, "uav_0: dt = 0.1: the policy was trained with 0.05"),
         ({"custom.uav_policy": "npz:none.npz"}, r"^custom.uav_policy = 'npz:none.npz': .*read"),
         ({"custom.uav_policy": "json:nothing"}, "^custom.uav_policy = 'json:nothing'"),
         ({"custom.uav_policy": "collections:Counter"}, "not a policy"),
@@ -341,7 +341,7 @@ def test_the_suite_flies_a_policy_with_its_own_observation() -> None:
     policy = load_uav_policy(NAME)
     result = evaluate(task, policy, seeds=[9000], secret="", safety_filter=True)
     assert result.score > 80.0
-    with refused(ValueError, "estimate = False: the policy is made with True"):
+    with refused(ValueError, "estimate = False: the policy was trained with True"):
         evaluate(task, policy, seeds=[9000], secret="", estimate=False)
 
 

@@ -22,11 +22,11 @@ from bus.messages.vehicle import MOST_CARRIED
 from outrider_networks.link_runs import Probability
 from outrider_networks.probabilities import (
     age_exceedance,
+    command_interval_exceedance,
     error_exceedance,
-    outage_exceedance,
     smallest_age,
+    smallest_command_interval,
     smallest_error,
-    smallest_outage,
 )
 from outrider_networks.scenario_bounds import bounds_for, exceedance, in_runs
 from properties import PROPERTY
@@ -131,8 +131,8 @@ def test_the_chance_of_an_age_is_that_of_all_outcomes(link, period, flies, age) 
 )
 def test_the_chance_of_an_outage_is_that_of_all_outcomes(link, flies, delay, repeats, outage):
     told = LinkSettings(delay=flies * DT, **link)
-    chance = outage_exceedance(
-        told, dt=DT, delay_ticks=delay, repeats=repeats, ticks=11, outage=outage * DT
+    chance = command_interval_exceedance(
+        told, dt=DT, delay_ticks=delay, repeats=repeats, ticks=11, max_command_interval=outage * DT
     )
     numbers = (delay, repeats, outage)
     found = sum(
@@ -186,8 +186,8 @@ def test_the_chance_of_an_age_agrees_with_its_frequency(flown, link, period, age
 
 @pytest.mark.parametrize(("link", "delay", "repeats", "outage"), OUTAGES)
 def test_the_chance_of_an_outage_agrees_with_its_frequency(flown, link, delay, repeats, outage):
-    numbers = PACKETS | {"delay_ticks": delay, "repeats": repeats, "outage": outage}
-    counted(flown, outage_exceedance, LinkSettings(**link), **numbers)
+    numbers = PACKETS | {"delay_ticks": delay, "repeats": repeats, "max_command_interval": outage}
+    counted(flown, command_interval_exceedance, LinkSettings(**link), **numbers)
 
 
 # Over a recorded link
@@ -215,9 +215,14 @@ def test_over_a_recorded_table_the_chance_is_the_share_of_all_its_places(number,
         bound = age_exceedance(link, dropout=1e-9, **looks)
         assert (bound.exact, share - 1e-6 <= bound.value <= share + 0.15) == (False, True)
     for delay, repeats, outage in itertools.product((0, 2, 5), (1, 6), (1, 3, 8, 20)):
-        packets = {**common, "delay_ticks": delay, "repeats": repeats, "outage": outage * DT}
+        packets = {
+            **common,
+            "delay_ticks": delay,
+            "repeats": repeats,
+            "max_command_interval": outage * DT,
+        }
         share = np.mean([is_interrupted(flight, delay, repeats, outage) for flight in flights])
-        assert outage_exceedance(link, **packets) == (pytest.approx(share), "")
+        assert command_interval_exceedance(link, **packets) == (pytest.approx(share), "")
 
 
 def test_the_chances_over_a_recorded_link_agree_with_frequencies(flown: ModuleType) -> None:
@@ -227,12 +232,17 @@ def test_the_chances_over_a_recorded_link_agree_with_frequencies(flown: ModuleTy
         numbers = looks | {"dropout": dropout, "age": age}
         chance, share = counted(flown, age_exceedance, link, **numbers)
         assert chance < 1.2 * share
-    counted(flown, outage_exceedance, link, **packets, outage=0.1)
-    for smallest, chance_of, numbers in (
-        (smallest_age, age_exceedance, looks),
-        (smallest_outage, outage_exceedance, packets),
+    counted(flown, command_interval_exceedance, link, **packets, max_command_interval=0.1)
+    for smallest, chance_of, name, numbers in (
+        (smallest_age, age_exceedance, "age", looks),
+        (
+            smallest_command_interval,
+            command_interval_exceedance,
+            "max_command_interval",
+            packets,
+        ),
     ):
-        found, name = smallest(link, **numbers, risk=0.05).value, smallest.__name__[9:]
+        found = smallest(link, **numbers, risk=0.05).value
         assert chance_of(link, **numbers, **{name: found}).value <= 0.05
         assert chance_of(link, **numbers, **{name: found - DT}).value > 0.05
 
@@ -271,12 +281,14 @@ def test_the_chance_of_an_age_rises_with_all_that_is_worse(kind, loss, age, peri
 def test_the_chance_of_an_outage_rises_with_all_that_is_worse(kind, loss, outage, delay, repeats):
     link = LinkSettings(delay=0.1, loss=loss, **kind)
     numbers: dict[str, Any] = {"settings": link, "dt": DT, "delay_ticks": delay, "ticks": 200}
-    numbers.update(outage=outage * DT, repeats=repeats)
-    assert rises(outage_exceedance, numbers, outage=(outage - 1) * DT)
-    assert rises(outage_exceedance, numbers, ticks=230)
-    assert rises(outage_exceedance, {**numbers, "repeats": repeats + 1}, repeats=repeats)
+    numbers.update(max_command_interval=outage * DT, repeats=repeats)
+    assert rises(command_interval_exceedance, numbers, max_command_interval=(outage - 1) * DT)
+    assert rises(command_interval_exceedance, numbers, ticks=230)
+    assert rises(command_interval_exceedance, {**numbers, "repeats": repeats + 1}, repeats=repeats)
     assert rises(
-        outage_exceedance, numbers, settings=msgspec.structs.replace(link, loss=loss + 0.1)
+        command_interval_exceedance,
+        numbers,
+        settings=msgspec.structs.replace(link, loss=loss + 0.1),
     )
 
 
@@ -286,14 +298,14 @@ def test_the_smallest_number_is_the_smallest(kind: dict[str, Any], risk: float) 
     link = LinkSettings(delay=0.1, loss=0.1, **kind)
     looks, packets = LOOKS | {"period_ticks": 2, "ticks": 400}, PACKETS | {"ticks": 400}
     age = smallest_age(link, **looks, risk=risk).value
-    outage = smallest_outage(link, **packets, risk=risk).value
+    outage = smallest_command_interval(link, **packets, risk=risk).value
     kept = (
         age_exceedance(link, **looks, age=age).value,
-        outage_exceedance(link, **packets, outage=outage).value,
+        command_interval_exceedance(link, **packets, max_command_interval=outage).value,
     )
     exceeded = (
         age_exceedance(link, **looks, age=age - DT).value,
-        outage_exceedance(link, **packets, outage=outage - DT).value,
+        command_interval_exceedance(link, **packets, max_command_interval=outage - DT).value,
     )
     assert max(kept) <= risk < min(exceeded)
 
@@ -301,10 +313,10 @@ def test_the_smallest_number_is_the_smallest(kind: dict[str, Any], risk: float) 
 def test_what_cannot_be_bounded_is_said_and_is_no_number() -> None:
     for told in (
         age_exceedance(SLOW, **LOOKS, age=1.0),
-        outage_exceedance(SLOW, **PACKETS, outage=1.0),
+        command_interval_exceedance(SLOW, **PACKETS, max_command_interval=1.0),
         smallest_age(SLOW, **LOOKS, risk=0.1),
-        smallest_outage(SLOW, **PACKETS, risk=0.1),
-        smallest_outage(LinkSettings(loss=1.0), **PACKETS, risk=0.1),
+        smallest_command_interval(SLOW, **PACKETS, risk=0.1),
+        smallest_command_interval(LinkSettings(loss=1.0), **PACKETS, risk=0.1),
     ):
         assert told.value is None
         assert told.why
@@ -312,7 +324,7 @@ def test_what_cannot_be_bounded_is_said_and_is_no_number() -> None:
 
 def test_packets_that_are_always_too_late_begin_nothing() -> None:
     late = LinkSettings(delay=0.5)
-    assert outage_exceedance(late, **PACKETS, outage=5.0) == (1.0, "")
+    assert command_interval_exceedance(late, **PACKETS, max_command_interval=5.0) == (1.0, "")
 
 
 def test_a_flight_too_long_to_be_gone_through_has_a_bound() -> None:
@@ -356,7 +368,7 @@ def test_bounds_share_the_risk_equally() -> None:
     )
     assert (
         both["certificate.max_command_interval"]
-        == smallest_outage(commands, **packets, risk=5e-4).value
+        == smallest_command_interval(commands, **packets, risk=5e-4).value
     )
     uncut = bounds_for(scenario("detections.truncation=inf"), 1.5e-3).set
     assert uncut["certificate.max_measurement_age"] == both["certificate.max_measurement_age"]

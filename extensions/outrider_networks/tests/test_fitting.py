@@ -86,7 +86,7 @@ def test_a_profile_that_comes_nearer_than_the_fit_is_named(monkeypatch) -> None:
     monkeypatch.setattr("outrider_networks.fitting.PROFILES", {"odd": odd})
     fit, _ = fit_link(written(odd, 0.05))
     assert fit.profiles["odd"] < fit.factor
-    assert any("the profile odd comes nearer" in note for note in fit.notes)
+    assert any("the profile odd is closer" in note for note in fit.notes)
 
 
 def test_the_fit_of_a_steady_link_is_its_delay_and_nothing_else(monkeypatch) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from outrider_falsify.attack import attack
 from outrider_falsify.conditions import DISTURBANCES, Conditions, declared
-from outrider_falsify.lost_motions import LOSSES
+from outrider_falsify.lost_trajectories import LOSSES
 
 COMBINATIONS = [
     (outage, delay, kind) for outage in (1.0, 5.0) for delay in (0.0, 0.3) for kind in LOSSES[1:]
@@ -16,7 +16,7 @@ COMBINATIONS = [
 @pytest.mark.parametrize(("outage", "delay", "kind"), COMBINATIONS)
 def test_no_certified_run_loses_sight_whatever_motions_are_lost(outage, delay, kind) -> None:
     dark = {"blackout": 3, "blackout_time": 4.0, "u_g": math.inf, "jitter": delay > 0.0}
-    conditions = Conditions(outage=outage, delay=delay, losses=kind, **dark)
+    conditions = Conditions(max_command_interval=outage, delay=delay, losses=kind, **dark)
     rows = attack(declared(conditions, 0.3), conditions, 5, 0, 4, 100.0)
     assert rows["max_distance"].max() < conditions.r_v
     assert rows["certified_lost"].sum() == rows["broken"].sum() == 0
@@ -25,16 +25,24 @@ def test_no_certified_run_loses_sight_whatever_motions_are_lost(outage, delay, k
 
 def test_the_hand_over_knows_where_the_motion_that_is_flown_ends_not_one_that_was_lost() -> None:
     conditions = Conditions(
-        blackout=3, blackout_time=5.0, outage=2.0, losses=-1, ugv=-1, inner=-1, error=-1
+        blackout=3,
+        blackout_time=5.0,
+        max_command_interval=2.0,
+        losses=-1,
+        ugv=-1,
+        inner=-1,
+        error=-1,
     )
     found = attack(declared(conditions, 0.9), conditions, 1, 0, 400, 100.0)
     assert not found["broken"].any()
 
 
 def test_longer_outages_than_declared_lose_sight_and_are_told() -> None:
-    conditions = Conditions(outage=8.0, inner=0, ugv=0, losses=LOSSES.whenever_it_may, u_g=math.inf)
-    promise = declared(conditions._replace(outage=0.5), 0.3)
-    rows = attack(promise, conditions, 5, 0, 20, 200.0)
+    conditions = Conditions(
+        max_command_interval=8.0, inner=0, ugv=0, losses=LOSSES.whenever_it_may, u_g=math.inf
+    )
+    bounds = declared(conditions._replace(max_command_interval=0.5), 0.3)
+    rows = attack(bounds, conditions, 5, 0, 20, 200.0)
     assert rows["max_distance"].max() > conditions.r_v
     assert rows["uncertified"].min() > 0.1
     assert rows["certified_lost"].sum() == rows["broken"].sum() == 0
@@ -42,8 +50,10 @@ def test_longer_outages_than_declared_lose_sight_and_are_told() -> None:
 
 def test_motions_that_were_checked_for_less_than_the_outage_are_caught_by_the_attack() -> None:
     """The numbers of a short outage with the claim of a long one: what the certificate would be without its wait."""
-    conditions = Conditions(outage=8.0, losses=LOSSES.whenever_it_may, inner=0, ugv=0, u_g=math.inf)
-    short = declared(conditions._replace(outage=0.05), 0.3)
+    conditions = Conditions(
+        max_command_interval=8.0, losses=LOSSES.whenever_it_may, inner=0, ugv=0, u_g=math.inf
+    )
+    short = declared(conditions._replace(max_command_interval=0.05), 0.3)
     wait = 7.95 * short.v_g  # which the checks take off again
     wrong = short._replace(
         handover_radius=short.handover_radius + wait,
@@ -58,7 +68,7 @@ def test_motions_that_were_checked_for_less_than_the_outage_are_caught_by_the_at
 def test_outages_that_are_yet_to_come_break_no_certificate() -> None:
     """A motion is lost when the one that is flown began so long ago that the next chain comes too late."""
     conditions = Conditions(
-        outage=0.65,
+        max_command_interval=0.65,
         delay=0.5,
         losses=LOSSES.random,
         disturbance=DISTURBANCES.single_losses,

@@ -1,4 +1,4 @@
-"""The adversary's own draws: compiled, fast, the same for one seed."""
+"""Random numbers of the adversary: compiled, fast, reproducible from a seed."""
 
 import numpy as np
 import numpy.typing as npt
@@ -9,13 +9,16 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
 
-Words = npt.NDArray[np.uint64]
-"""State of the draws. (1,)"""
+RngState = npt.NDArray[np.uint64]
+"""State of the random number generator. Shape (1,)."""
 
 
 @compiled
-def next_share(state: Words) -> float:
-    """A number in [0, 1) by splitmix64 (Steele, Lea, Flood 2014); draws of Philox would take most of the time."""
+def next_share(state: RngState) -> float:
+    """Return a number in [0, 1) by splitmix64 (Steele, Lea, Flood 2014).
+
+    Philox would dominate the run time.
+    """
     state[0] += _GOLDEN
     z = state[0]
     z = (z ^ (z >> np.uint64(30))) * _MIX_1

@@ -1,4 +1,4 @@
-"""A counterexample in words."""
+"""Description of a counterexample in text."""
 
 import math
 
@@ -12,22 +12,22 @@ def _start(scenario: Scenario) -> str:
     speeds = f"the UAV flies at {v_a:.2f} m/s, the UGV drives at {v_g:.2f} m/s"
     if uav.velocity == ugv.velocity == (0.0, 0.0):
         speeds = "both at rest"
-    return f"It starts {math.dist(uav.position, ugv.position):.2f} m apart, {speeds}."
+    return f"The vehicles start {math.dist(uav.position, ugv.position):.2f} m apart, {speeds}."
 
 
 def _network(scenario: Scenario) -> str:
     links, noise = scenario.links, scenario.detections.noise
-    looks, parts = links.detections, []
+    detections, parts = links.detections, []
     if noise:
         parts.append(
             f"errors of up to {noise * scenario.detections.truncation:.2f} m in the detections"
         )
-    if looks.delay or looks.jitter:
-        parts.append(f"detections up to {looks.delay + looks.jitter:.2f} s late")
-    if looks.loss:
-        parts.append(f"{100.0 * looks.loss:.0f} % of them lost")
-    if looks.blackouts:
-        start, length = looks.blackouts[0]
+    if detections.delay or detections.jitter:
+        parts.append(f"detections up to {detections.delay + detections.jitter:.2f} s late")
+    if detections.loss:
+        parts.append(f"{100.0 * detections.loss:.0f} % of them lost")
+    if detections.blackouts:
+        start, length = detections.blackouts[0]
         parts.append(f"blackouts of {length:.2f} s, the first at {start:.2f} s")
     if links.commands.delay:
         parts.append(f"the UAV's commands {links.commands.delay:.2f} s late")
@@ -35,15 +35,15 @@ def _network(scenario: Scenario) -> str:
 
 
 def _at(flight: Flight, tick: int) -> str:
-    """Describes how both move at a tick, along the line between them."""
+    """Describe the motion of both vehicles at a tick, along the line between them."""
     a, g = flight.recorder.states[tick, flight.world.escorts[0]]
     x, y = float(a[0] - g[0]), float(a[1] - g[1])
     away = math.hypot(x, y) or 1.0
     flies, drives = (float(v[2] * x + v[3] * y) / away for v in (a, g))
     uav = (
-        f"the UAV flies off at {flies:.2f} m/s"
+        f"the UAV recedes at {flies:.2f} m/s"
         if flies >= 0.0
-        else f"the UAV comes at {-flies:.2f} m/s"
+        else f"the UAV approaches at {-flies:.2f} m/s"
     )
     ugv = (
         f"the UGV drives away at {-drives:.2f} m/s"
@@ -53,23 +53,23 @@ def _at(flight: Flight, tick: int) -> str:
     return f"{uav}, {ugv}"
 
 
-def in_words(scenario: Scenario, flight: Flight) -> list[str]:
-    """Describes what happens, a sentence each."""
+def describe(scenario: Scenario, flight: Flight) -> list[str]:
+    """Describe the run, one sentence per item."""
     distance, r_v, dt = flight.recorder.escorts[:, 0, 0], scenario.visibility.radius, scenario.dt
     farthest = int(distance.argmax())
     beyond = [int(tick) for tick in (distance >= r_v).nonzero()[0]]
     lines = [
         _start(scenario),
-        f"The UGV is driven by {len(scenario.ugv[0].script)} steps of a script.",
+        f"The UGV follows a script of {len(scenario.ugv[0].script)} steps.",
         _network(scenario),
     ]
     if beyond:
         last = max(0, beyond[0] - 1)
         lines.append(
-            f"At {beyond[0] * dt:.2f} s the UGV is lost: just before, {_at(flight, last)}."
+            f"At {beyond[0] * dt:.2f} s the UGV is lost. One tick earlier, {_at(flight, last)}."
         )
         lines.append(f"It is out of sight for {len(beyond) * dt:.2f} s of {scenario.duration:g} s.")
     lines.append(
-        f"The largest distance is {distance[farthest]:.4f} m of r_v = {r_v:g} m, at {farthest * dt:.2f} s."
+        f"The largest distance is {distance[farthest]:.4f} m at {farthest * dt:.2f} s; r_v = {r_v:g} m."
     )
     return lines
