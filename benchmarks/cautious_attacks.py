@@ -31,8 +31,8 @@ from agents.drivers.cautious import (
 )
 from agents.drivers.navigate import navigate_control
 from agents.drivers.navigate_parameters import PLAN_TILES, NavigateParameters
-from agents.drivers.pending_stops import PLAIN, note_claim, store_command, state_ahead
-from agents.drivers.planning import start_search, continue_search
+from agents.drivers.pending_stops import PLAIN, note_claim, state_ahead, store_command
+from agents.drivers.planning import continue_search, start_search
 from agents.drivers.tile_map import OccupancyGrid, occupancy_grid, record_block, record_tiles
 from sim.compiling.compile import FloatArray
 from sim.models.ground import CERTIFIED, CLEAR, NO_CLAIM, UNSEEN, WAY_UNKNOWN, TileArray

@@ -13,11 +13,11 @@ from agents.estimation.motion_model import (
     SPAN,
     KalmanParameters,
     acceleration_deviation,
-    truncated_variance,
+    assumed_acceleration,
     history_depth,
     kalman_parameters,
     strayed_distance,
-    assumed_acceleration,
+    truncated_variance,
 )
 from bus.messages.scenario import Detector, Estimator, Limits
 from bus.messages.vehicle import Detection

@@ -9,7 +9,7 @@ import pytest
 
 from agents.estimation.batch_filter import estimate, estimator_rows, update
 from agents.estimation.estimator import RelativeEstimator
-from agents.estimation.motion_model import KalmanParameters, truncated_variance, kalman_parameters
+from agents.estimation.motion_model import KalmanParameters, kalman_parameters, truncated_variance
 from bus.messages.scenario import Detector, Estimator, Limits
 from bus.ticks import Look
 from filters import FREE, UGV, straying

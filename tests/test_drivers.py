@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from agents.drivers.compiled import (
     CompiledDriver,
     NavigateDriver,
-    driver_parameters,
     briefed_route,
+    driver_parameters,
 )
 from agents.drivers.dispatch import CODES
 from agents.drivers.evade import away, flee, receive_radio

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from agents.estimation.motion_model import acceleration_deviation as deviation_of
-from agents.estimation.motion_model import truncated_variance, process_noise
+from agents.estimation.motion_model import process_noise, truncated_variance
 from bus.messages.scenario import Estimator, Limits
 from bus.ticks import Look
 from filters import (

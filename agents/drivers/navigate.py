@@ -18,17 +18,17 @@ from agents.drivers.cautious import (
 )
 from agents.drivers.navigate_parameters import NavigateParameters, navigate_parameters
 from agents.drivers.parameters import DriverInputs, UgvParameters
-from agents.drivers.pending_stops import update_claim, store_command, state_ahead
+from agents.drivers.pending_stops import state_ahead, store_command, update_claim
 from agents.drivers.planning import (
     BESIDE_PRICE,
     UNSEEN_PRICE,
-    start_search,
+    adopt_plan,
+    continue_search,
     has_path,
     is_settled,
     next_tile,
     price_of,
-    continue_search,
-    adopt_plan,
+    start_search,
 )
 from agents.drivers.steering import goal_control
 from agents.drivers.tile_map import OccupancyGrid

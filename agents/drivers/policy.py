@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from agents.asking import LARGEST, AskedPolicy, pair
-from agents.drivers.compiled import update_grid, briefed_grid
+from agents.drivers.compiled import briefed_grid, update_grid
 from agents.drivers.steering import Steering
 from bus.errors import ScenarioError
 from bus.messages.vehicle import UgvBriefing, UgvObservation

@@ -32,8 +32,8 @@ The number is limited, or a large radius would take minutes.
 def rest_to_rest(distance: float, v_a: float, u_a: float, dt: float) -> tuple[int, int, float]:
     r"""Return the fastest trajectory of whole ticks over `distance` [m] along a line, from rest to rest.
 
-    It takes at most $distance / v_a + v_a / u_a + 2 dt$, up to terms of the order of REST. The acceleration bound leaves
-    room to remove an initial velocity of up to REST while the vehicle accelerates.
+    It takes at most $distance / v_a + v_a / u_a + 2 dt$, up to terms of the order of REST. The acceleration bound
+    leaves room to remove an initial velocity of up to REST while the vehicle accelerates.
 
     Returns:
         Ticks of acceleration (and of braking), ticks at constant speed, and this speed [m/s].

@@ -6,7 +6,7 @@ world is processed in one pass, so that its grid stays in the cache until the ti
 
 from agents.estimation.batch_filter import estimate
 from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
-from outrider.envs.command_tick import command, apply_actions
+from outrider.envs.command_tick import apply_actions, command
 from outrider.envs.perception_tick import perceive
 from outrider.envs.vehicle_parts import coverage_of
 from sim.channel.link_records import ARRIVED

@@ -4,7 +4,7 @@ from agents.drivers.dispatch import driver_command
 from agents.drivers.parameters import DriverInputs
 from agents.drivers.pending_stops import PLAIN, add_stops
 from agents.estimation.batch_filter import estimate
-from agents.estimation.map_updates import encode_block, next_block, map_updates_of
+from agents.estimation.map_updates import encode_block, map_updates_of, next_block
 from agents.laws.dispatch import nominal_command
 from agents.safety.decision import CERTIFIED, NOMINAL, decide
 from agents.safety.pending import add_plans
@@ -94,7 +94,7 @@ def _write_radio(
         row, column = next_block(memory, parameters.tile, tick, g_x, g_y)
         if row >= 0:
             ground.stamp = tick
-            ground.block = row * memory.news.shape[1] + column
+            ground.block = row * memory.repeats.shape[1] + column
             encode_block(memory.tiles, row, column, ground.tiles)
 
 

@@ -2,7 +2,7 @@
 
 from agents.drivers.tile_map import record_block, record_tiles
 from agents.estimation.batch_filter import update as update_estimate
-from agents.estimation.map_updates import BLOCK_TILES, record_tile, map_updates_of, decode_tile
+from agents.estimation.map_updates import BLOCK_TILES, decode_tile, map_updates_of, record_tile
 from agents.estimation.perception import uav_perceive
 from outrider.envs.closed_loop_state import LoopParameters, LoopState, LoopTables
 from outrider.envs.vehicle_parts import coverage_of, filter_of, grid_of, reference_of
@@ -18,7 +18,7 @@ def _receive_block(
     tables: LoopTables, state: LoopState, ground: GroundState, world: int, ugv: int, packet: Packet
 ) -> None:
     """Update a UGV's occupancy grid from a map update."""
-    block, across = packet.block, state.map_updates.news.shape[3]
+    block, across = packet.block, state.map_updates.repeats.shape[3]
     row, column, states = block // across, block % across, state.states[world, :BLOCK_TILES]
     for place in range(BLOCK_TILES):
         states[place] = decode_tile(packet.tiles, place)
