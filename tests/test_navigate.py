@@ -115,9 +115,9 @@ def test_a_plan_costs_what_a_library_finds_however_few_tiles_a_tick(seed: int) -
     assert math.isinf(_plan(memory, tile, goal))
     expected = _by_library(memory, tile, goal)
     np.testing.assert_allclose(_costs(memory), expected, rtol=0.0, atol=1e-9)
-    cost, way = _costs(memory).tobytes(), memory.way.copy()
+    cost, way = _costs(memory).tobytes(), memory.path.copy()
     _plan(memory, tile, goal, most=int(rng.integers(1, 9)))
-    assert (_costs(memory).tobytes(), memory.way.tobytes()) == (cost, way.tobytes())
+    assert (_costs(memory).tobytes(), memory.path.tobytes()) == (cost, way.tobytes())
 
 
 def test_a_search_settles_no_more_tiles_in_a_tick_than_it_may() -> None:
@@ -132,13 +132,13 @@ def test_a_search_that_ends_early_knows_all_costs_up_to_where_it_ended() -> None
     rng = np.random.default_rng(5)
     memory = _random_map(rng, 30, 40)
     _plan(memory, 0.5, 615)
-    full, way = _costs(memory), memory.way.copy()
+    full, way = _costs(memory), memory.path.copy()
     for until in np.flatnonzero(np.isfinite(full))[::97]:
         settled = _plan(memory, 0.5, 615, int(until))
         known = _costs(memory) <= settled
         assert settled == full[until]
         assert (memory.cost[known] == full[known]).all()
-        assert (memory.way[known] == way[known]).all()
+        assert (memory.path[known] == way[known]).all()
         assert known.sum() >= (full <= settled).sum()
 
 
@@ -149,20 +149,20 @@ def test_the_cheapest_way_goes_down_to_the_goal_and_cuts_no_blocked_corner() -> 
     _plan(memory, 1.0, 2)
     way = [0]
     while way[-1] != 2:
-        way.append(next_tile(memory.way, 3, way[-1]))
+        way.append(next_tile(memory.path, 3, way[-1]))
     assert way == [0, 3, 6, 7, 8, 5, 2]
-    assert next_tile(memory.way, 3, 2) == 2
+    assert next_tile(memory.path, 3, 2) == 2
     memory.tiles[2, 1] = BLOCK
     _plan(memory, 1.0, 2)
-    assert not has_path(memory.way, 0)
-    assert next_tile(memory.way, 3, 0) == 0
+    assert not has_path(memory.path, 0)
+    assert next_tile(memory.path, 3, 0) == 0
 
 
 def test_each_ground_has_its_price() -> None:
     memory = occupancy_grid(1, 7)
     memory.tiles[0] = [CLEAR, UNSEEN, ROUGH, FOUND, CLEAR, CLEAR, BLOCK]
     _plan(memory, 1.0, 0)
-    prices = [price_of(ROUGH_PRICE, int(byte)) for byte in memory.way]
+    prices = [price_of(ROUGH_PRICE, int(byte)) for byte in memory.path]
     assert prices == [1.0, 1.5, 2.5, 1.0, 1.0, 1.5, math.inf]
     assert _costs(memory).tolist() == [0.0, 1.25, 3.25, 5.0, 6.0, 7.25, math.inf]
 
@@ -184,7 +184,7 @@ def test_of_ways_that_cost_the_same_the_one_over_the_first_tile_is_planned() -> 
         onward.setdefault(n, []).append((float(memory.cost[m]) + cost, m))
     best = [min(onward[n])[1] for n in range(81)]
     best[40] = 40
-    assert [next_tile(memory.way, 9, n) for n in range(81)] == best
+    assert [next_tile(memory.path, 9, n) for n in range(81)] == best
     assert sum(sorted(one)[0][0] == sorted(one)[1][0] for one in onward.values()) > 20
 
 

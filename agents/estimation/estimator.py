@@ -168,8 +168,8 @@ class RelativeEstimator:
         Args:
             tick: Current tick, not before the last call.
             own_position: Current p_a [m].
-            detections: Detections received since the last call, in any order. Of several detections of one tick, only
-            the first is used.
+            detections: Detections received since the last call, in any order. Of several in one tick, only the first is
+                used.
 
         Returns:
             The estimate, or None before the first detection.

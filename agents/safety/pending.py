@@ -149,8 +149,8 @@ def predict(
 ) -> tuple[Motion, bool, int]:
     """Predict the UAV's state when the plan of this tick's command begins.
 
-    `pending.committed` then contains the trajectory committed at that time. Pending plans continue the committed one
-    in a chain, or are void.
+    `pending.committed` then contains the trajectory committed at that time. Pending plans continue the committed one in
+    a chain, or are void.
 
     Returns:
         The state; whether every plan until then is checked; and the least time without a new plan at that tick [ticks].

@@ -38,9 +38,7 @@ def _table(rows: Rows) -> str:
     for who, variables in rows:
         for k, one in enumerate(variables):
             unit = f"Float64, {one.unit}" if one.unit else "Boolean"
-            lines.append(
-                f"| {who if k == 0 else ''} | `{one.name}` | {unit} | {cell(one.about)} |"
-            )
+            lines.append(f"| {who if k == 0 else ''} | `{one.name}` | {unit} | {cell(one.about)} |")
     return "\n".join(lines)
 
 

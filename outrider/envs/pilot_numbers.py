@@ -148,8 +148,7 @@ class PilotNumbers:
         law = briefing.law if name is None else msgspec.structs.replace(briefing.law, name=name)
         if law.name in LAWS and LAWS[law.name].own:
             raise ScenarioError(
-                f"{briefing.vehicle}: law.name = {law.name!r}: a user's function cannot compile; allowed: a "
-                f"built-in law"
+                f"{briefing.vehicle}: law.name = {law.name!r}: a user's function cannot compile; allowed: others"
             )
         SelectedLaw(briefing, law, uav_parameters(briefing))  # raises if the law does not fit
         return law

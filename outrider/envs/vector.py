@@ -1,9 +1,9 @@
 """Many worlds at once for training: a Gymnasium vector environment for one vehicle, and one for all vehicles.
 
 `docs/reference/environment.md` describes observations and rewards; they equal `outrider.parallel_env` bit for bit. An
-ended episode resets in the same step (Gymnasium's SAME_STEP): the observation is the first one of the new
-episode, and the last one of the old episode is in `infos["final_obs"]`. With
-`autoreset_mode=AutoresetMode.NEXT_STEP`, which Gymnasium's own wrappers require, it resets in the next step.
+ended episode resets in the same step (Gymnasium's SAME_STEP): the observation is the first one of the new episode, and
+the last one of the old episode is in `infos["final_obs"]`. With `autoreset_mode=AutoresetMode.NEXT_STEP`, which
+Gymnasium's own wrappers require, it resets in the next step.
 """
 
 from collections.abc import Mapping, Sequence
