@@ -1,4 +1,4 @@
-"""A UAV pilot of one's own, as a process on the bus: it hovers over its UGV.
+"""A UAV pilot in its own process: it hovers over its UGV.
 
 Start `outrider simulator` and `outrider ugv` in two terminals, and this file in a third.
 """
@@ -13,8 +13,8 @@ class Hover:
         pass
 
     def act(self, observation):
-        (look, *_) = observation.detections or [None]
-        x, y = look.relative_position if look else (0.0, 0.0)
+        (detection, *_) = observation.detections or [None]
+        x, y = detection.relative_position if detection else (0.0, 0.0)
         v_x, v_y = observation.velocity
         return UavCommand(tick=observation.tick, acceleration=(-0.2 * x - v_x, -0.2 * y - v_y))
 
