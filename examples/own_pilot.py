@@ -1,4 +1,4 @@
-"""UAV pilot as a process on the bus: it hovers over its UGV.
+"""A UAV pilot in its own process: it hovers over its UGV.
 
 Start `outrider simulator` and `outrider ugv` in two terminals, and this file in a third.
 """

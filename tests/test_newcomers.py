@@ -398,7 +398,7 @@ def test_what_an_operator_changed_is_told_in_words():
 
 
 class Hover:
-    """The pilot of docs/how-to/own-pilot.md: it reports nothing."""
+    """The pilot of docs/how-to/own-code.md: it reports nothing."""
 
     def act(self, observation):
         (look, *_) = observation.detections or [None]

@@ -29,8 +29,8 @@ def prose(page: str) -> str:
     [
         ("environment", "README.md"),
         ("environment", "docs/reference/environment.md"),
-        ("own_pilot", "docs/how-to/own-pilot.md"),
-        ("external_ugv", "docs/how-to/own-pilot.md"),
+        ("own_pilot", "docs/how-to/own-code.md"),
+        ("external_ugv", "docs/how-to/own-code.md"),
     ],
 )
 def test_the_examples_are_shown_as_they_are(example: str, page: str) -> None:
@@ -50,15 +50,24 @@ def test_prose_has_at_most_120_columns(page: str) -> None:
 
 
 def test_the_scenario_shown_can_be_flown(tmp_path: Path) -> None:
-    shown, hazards = blocks("toml", "docs/how-to/scenario.md")
+    shown, pairs, hazards = blocks("toml", "docs/how-to/scenario.md")
     (tmp_path / "mine.toml").write_text(shown, encoding="utf-8")
     assert load_scenario(tmp_path / "mine.toml").title == "Across the yard"
     (tmp_path / "mine.toml").write_text(f"{shown}\n{hazards}", encoding="utf-8")
     assert load_scenario(tmp_path / "mine.toml").has_ground
+    (tmp_path / "pairs.toml").write_text(pairs, encoding="utf-8")
+    escorted = [uav.escorts for uav in load_scenario(tmp_path / "pairs.toml").uav]
+    assert escorted == ["ugv_0", "ugv_1"]
+
+
+def test_scenario_of_own_robot_is_valid(tmp_path: Path) -> None:
+    (shown,) = blocks("toml", "docs/how-to/own-robot.md")
+    (tmp_path / "mine.toml").write_text(shown, encoding="utf-8")
+    assert load_scenario(tmp_path / "mine.toml").law.name == "certified"
 
 
 def test_the_links_shown_can_be_flown(tmp_path: Path) -> None:
-    (shown, _), (links,) = (
+    (shown, *_), (links,) = (
         blocks("toml", f"docs/how-to/{name}.md") for name in ("scenario", "network")
     )
     (tmp_path / "mine.toml").write_text(shown + links, encoding="utf-8")
@@ -118,7 +127,8 @@ def test_the_weighting_shown_flies(here: Path, command: Any) -> None:
 
 
 def test_the_path_and_the_policy_shown_fly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    shown = "\n".join(blocks("python", "docs/how-to/own-code.md"))
+    own = blocks("python", "docs/how-to/own-code.md")
+    shown = "\n".join(block for block in own if block.startswith("# mine.py"))
     (tmp_path / "shown_in_docs.py").write_text(shown, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     changes = {

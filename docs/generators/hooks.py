@@ -2,6 +2,7 @@
 
 import ast
 import html
+import json
 import os
 import re
 from pathlib import Path, PurePosixPath
@@ -177,12 +178,22 @@ def _source_page(path: str) -> str:
         if one.suffix == ".md":
             parts.append(text.partition("\n")[2])
             continue
+        if one.suffix == ".ipynb":
+            parts.append(_notebook(text))
+            continue
         language = {".py": "python", ".toml": "toml", ".yml": "yaml", ".c": "c"}.get(
             one.suffix, "text"
         )
         heading = f"## {one.name}\n\n" if len(shown) > 1 else ""
         parts.append(f"{heading}````{language}\n{text}\n````")
     return "\n\n".join(parts)
+
+
+def _notebook(text: str) -> str:
+    """Return the cells of a notebook as Markdown; its first heading becomes one of the second level."""
+    cells = [(one["cell_type"], "".join(one["source"])) for one in json.loads(text)["cells"]]
+    shown = (f"```python\n{cell}\n```" if kind == "code" else cell for kind, cell in cells)
+    return "\n\n".join(shown).replace("# ", "## ", 1)
 
 
 _ORIGIN: dict[str, str] = {}
