@@ -5,6 +5,7 @@ What the router enforces, tried with real sessions that do not ask our API first
 
 import functools
 import os
+import socket
 import stat
 import time
 from contextlib import AbstractContextManager, ExitStack
@@ -42,7 +43,16 @@ from bus.keys import (
 from bus.session import Session
 from outrider.running.child import child_environment
 from processes import free_port
-from staging import Received, everybody, hosted, listening, raw_session, settled
+from staging import (
+    Received,
+    client_of,
+    everybody,
+    hosted,
+    listening,
+    raw_session,
+    settled,
+    zenoh_of,
+)
 
 RUN = "run"
 GIVEN = new_credentials(RUN, ["uav_0", "uav_1"], ["ugv_0", "ugv_1"])
@@ -206,7 +216,7 @@ STRANGERS: dict[str, Credential | None] = {
 @pytest.mark.parametrize("mode", ["client", "peer", "router"])
 def test_a_stranger_gets_nothing(endpoint: str, kind: str, mode: str) -> None:
     with ExitStack() as stack:
-        host = stack.enter_context(hosted(endpoint, GIVEN))._zenoh
+        host = zenoh_of(stack.enter_context(hosted(endpoint, GIVEN)))
         publishers = [speaks(host, expression) for _, _, expression in concrete()]
         commands = receives(host, "outrider/**")
         told = {"mode": mode, "scouting__gossip__enabled": True, "listen__endpoints": []}
@@ -227,7 +237,7 @@ def test_a_stranger_gets_nothing(endpoint: str, kind: str, mode: str) -> None:
 
 def test_a_known_peer_with_gossip_gets_no_more_than_a_client(endpoint: str) -> None:
     with ExitStack() as stack:
-        host = stack.enter_context(hosted(endpoint, GIVEN))._zenoh
+        host = zenoh_of(stack.enter_context(hosted(endpoint, GIVEN)))
         stack.enter_context(raw_session(endpoint, GIVEN.of("ugv_0")))
         told = {"mode": "peer", "scouting__gossip__enabled": True}
         peer = stack.enter_context(raw_session(endpoint, GIVEN.of("uav_0"), **told))
@@ -328,12 +338,6 @@ def test_credentials_that_cannot_be_used_are_refused_in_one_line(tmp_path: Path)
         read_credentials(files["ugv_0"])
 
 
-def test_a_password_is_never_shown() -> None:
-    secret = GIVEN.of("uav_0")
-    assert secret.password not in repr(secret)
-    assert secret.password not in repr(GIVEN)
-
-
 def test_the_routers_list_of_passwords_is_gone_once_it_is_open(endpoint, monkeypatch, tmp_path):
     private = tmp_path / "private"
     private.mkdir()
@@ -386,3 +390,34 @@ def test_no_process_of_a_vehicle_inherits_the_pages_token_or_the_users_credentia
         assert name not in child_environment(companion=True)
     assert "OUTRIDER_TOKEN" not in child_environment()
     assert "OUTRIDER_TOKEN" in child_environment(companion=True)
+
+
+def test_a_password_is_never_shown() -> None:
+    secret = GIVEN.of("uav_0")
+    assert secret.password not in repr(secret)
+    assert secret.password not in repr(GIVEN)
+
+
+def test_idle_connections_keep_no_client_out() -> None:
+    port = free_port()
+    endpoint = f"tcp/127.0.0.1:{port}"
+    with ExitStack() as stack:
+        stack.enter_context(hosted(endpoint))
+        for number in range(300):
+            opened = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
+            if number % 2:
+                # the beginning of a message that never ends
+                opened.sendall(b"\xff\xff" + b"\xa5" * 300)
+        assert stack.enter_context(client_of(endpoint, GIVEN.of("observer"))).connected
+
+
+def test_the_sessions_of_a_party_are_limited(endpoint: str) -> None:
+    with ExitStack() as stack:
+        stack.enter_context(hosted(endpoint))
+        ugv = GIVEN.of("ugv_0")
+        opened = [stack.enter_context(client_of(endpoint, ugv)) for _ in range(PLACES + 1)]
+        for one in opened[:PLACES]:
+            one.announce()
+        assert [one.place for one in opened[:PLACES]] == list(range(PLACES))
+        with pytest.raises(AccessDenied, match=f"ugv_0 has {PLACES} sessions"):
+            opened[-1].announce()

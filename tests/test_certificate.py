@@ -332,21 +332,6 @@ def test_from_rest_within_the_handover_radius_there_is_a_plan_to_every_later_det
     assert c.return_from(q, known, memory, NOW, here)
 
 
-@pytest.mark.parametrize("off", [-0.02, 0.02])
-def test_a_plan_may_end_only_where_the_newest_detection_s_own_bound_is_within_reach(off) -> None:
-    """However small the disc is that all discs together leave: by then that of the newest has grown."""
-    q, radius, ticks = promise(age=10.0), 2.0, 100
-    rho, growth = q.placed_error + q.max_age_ticks * DT * V_G, ticks * DT * V_G
-    way = q.handover_bound + off - rho - growth
-    assert radius - rho < way < radius + rho  # the discs meet
-    assert radius + growth < q.handover_radius
-    z = (7.0 + way, 7.0, NOW - q.max_age_ticks)
-    end, here = discs.Disc(7.0, 7.0, radius, NOW), Motion(7.0, 7.0, 0.0, 0.0)
-    known = discs.known_discs(q, seen(z), end, 0, NOW, here)
-    bound = c._end_radius(q, known, NOW, 7.0, 7.0, ticks)
-    assert math.isinf(bound) == (off > 0.0)
-
-
 @given(shares, angles, shares, angles, angles, errors)
 @settings(PROPERTY, max_examples=300)
 def test_within_the_certified_radius_every_inner_control_acts(

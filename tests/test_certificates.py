@@ -39,7 +39,7 @@ from bus.keys import COMMAND, Role
 from bus.messages.vehicle import UavCommand
 from bus.session import Session
 from processes import free_port
-from staging import client_of, hosted, raw_session
+from staging import client_of, hosted, raw_session, zenoh_of
 from tabular import rows
 
 RUN = "run"
@@ -185,14 +185,14 @@ def passes(router: Session, client: Session) -> bool:
 def test_a_name_that_the_router_does_not_know_gets_nothing_and_is_named(endpoint, caplog):
     stranger = known_as(identity("nobody"))
     with hosted(endpoint, GIVEN) as router:
-        receives = router._zenoh.declare_subscriber("**", zenoh.handlers.RingChannel(10))
+        receives = zenoh_of(router).declare_subscriber("**", zenoh.handlers.RingChannel(10))
         with raw_session(endpoint, stranger) as opened:
             received = opened.declare_subscriber("outrider/**", zenoh.handlers.RingChannel(10))
             # its own subscriber receives nothing of what it puts
             told, there = threading.Event(), {"allowed_destination": zenoh.Locality.REMOTE}
             for k in range(250):
                 opened.put(f"outrider/{RUN}/uav_0/command", b"{}", **there)
-                router._zenoh.put(f"outrider/{RUN}/uav_0/observation", b"{}", **there)
+                zenoh_of(router).put(f"outrider/{RUN}/uav_0/observation", b"{}", **there)
                 if k >= 20 and caplog.records:
                     break
                 told.wait(0.02)

@@ -153,12 +153,6 @@ def test_what_is_asked_for_besides_changes_no_bit_of_the_rest(scenario):
         assert equal(plain.metrics(), full.metrics())
 
 
-def test_settings_stay_as_they_are():
-    env = parallel_env(ONE)
-    with pytest.raises(AttributeError):
-        env.worlds.settings.end_on_sight_lost = False
-
-
 def test_metadata_and_agents():
     env = parallel_env(MANY)
     assert env.metadata["name"] == str(env) == "outrider_v0"

@@ -16,7 +16,6 @@ from outrider.envs.parallel import parallel_env
 from outrider.envs.single import single_env
 from outrider.envs.vector import parallel_vector_env, vector_env
 from outrider.registration import ESCORT
-from processes import python
 from refusals import refused
 from sim.env.view import Window
 from sim.scenario.types import Scenario, Uav, Ugv
@@ -37,14 +36,6 @@ def pixels_of(frame, color):
     return np.argwhere(
         (np.abs(frame.astype(int) - np.array(to_rgb(color)) * 255.0) < 3.0).all(axis=2)
     )
-
-
-def test_the_environment_loads_nothing_that_draws():
-    code = (
-        "import sys, outrider.envs.parallel, outrider.envs.env_pilots;"
-        "print([m for m in ('matplotlib', 'pygame') if m in sys.modules])"
-    )
-    assert python(code).stdout.strip() == "[]"
 
 
 def begun(scenario=SCENARIO):

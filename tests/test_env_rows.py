@@ -13,9 +13,8 @@ from bus.observations import (
     UAV,
     UGV,
     by_name,
-    markdown,
 )
-from outrider.envs.parallel import OutriderEnv, parallel_env
+from outrider.envs.parallel import parallel_env
 from row_messages import uav_observation, ugv_observation
 from sim.scenario.types import Coverage, Detections, Scenario, Uav, Ugv
 from sim.server.flight import Flight
@@ -48,12 +47,6 @@ def drive(env, uav, ugv, ticks):
 
 
 # -- the layout
-
-
-def test_the_docstring_has_the_tables_of_both_vehicles() -> None:
-    docstring = "\n".join(line.strip() for line in OutriderEnv.__doc__.splitlines())
-    assert markdown(UAV) in docstring
-    assert markdown(UGV) in docstring
 
 
 @pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)

@@ -14,7 +14,6 @@ from bus.messages.scenario import Law
 from flights import DESIRED, DT, R_S, R_V, R
 from outrider.experiments import paper_figures
 from outrider.experiments.claims import (
-    claim_anchor,
     claim_collapse,
     claims_1,
     claims_2,
@@ -27,7 +26,6 @@ from outrider.experiments.traces import (
     crossings,
     distance,
     error,
-    rise,
     searching,
     stop_row,
     velocity_errors,
@@ -123,10 +121,6 @@ def test_flying_is_told_flight_by_flight(monkeypatch):
     assert told == [(f"flying {one.name}", k / 3) for k, one in enumerate(planned.values())]
 
 
-def test_claims_of_a_run_are_those_of_its_flights(made, claims):
-    assert made[1] == claims
-
-
 def test_every_claim_holds(claims):
     assert failing(claims) == set()
     assert all(math.isfinite(claim.number) and claim.value for claim in claims)
@@ -186,10 +180,6 @@ def test_ugv_stands_still_from_its_stop_on(flights):
     assert 140.0 < stop * DT < 150.0
     np.testing.assert_allclose(flight.recorder.states[stop:, g, :2] - [34.0, 20.0], 0.0, atol=0.06)
     assert np.linalg.norm(flight.recorder.states[stop - 1, g, 2:4]) > 0.0
-
-
-def test_rise_adds_up_what_goes_up():
-    assert rise(np.array([3.0, 1.0, 2.0, 2.0, 5.0, 0.0])) == 4.0
 
 
 def test_another_law_in_place_of_the_logarithmic_breaks_figure_3(flights):
@@ -256,12 +246,6 @@ def test_a_circle_that_can_be_flown_does_not_collapse(flights):
     assert claim_collapse(flights["too fast"]).holds
     assert not claim_collapse(flights["circle"]).holds
     assert distance(flights["circle"]).mean() > 3.0
-
-
-def test_an_anchor_holds_only_within_its_tolerance():
-    assert claim_anchor("x", 10.2, 10.0, " m", 0.25).holds
-    assert not claim_anchor("x", 10.3, 10.0, " m", 0.25).holds
-    assert not claim_anchor("x", math.nan, 10.0, " m", 0.25).holds
 
 
 def test_error_over_bare_ground_is_the_formula_s(claims):

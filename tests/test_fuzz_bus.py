@@ -31,7 +31,7 @@ from bus.keys import (
 from bus.messages.vehicle import UavCommand, UgvCommand
 from bus.session import Inbox, Session
 from mutations import REFUSALS, mutated
-from staging import stage
+from staging import stage, zenoh_of
 
 STREAM = 20_000
 TICKS, GARBAGE_PER_TICK = 200, 5
@@ -97,7 +97,7 @@ class Wire:
 
 def publisher(session: Session, expression: str) -> zenoh.Publisher:
     """A writer that waits rather than lose one, of any key."""
-    return session._zenoh.declare_publisher(
+    return zenoh_of(session).declare_publisher(
         expression, congestion_control=zenoh.CongestionControl.BLOCK
     )
 
@@ -217,7 +217,7 @@ def test_a_flood_of_garbage_is_counted_and_changes_nothing_of_a_flight(tmp_path:
     "expression", ["**", "outrider/**", "*/run/ugv_0/*", "outrider/*/ugv_0/command"]
 )
 def test_what_is_put_on_a_pattern_is_nobodys_message(wire: Wire, expression: str) -> None:
-    wire.client._zenoh.put(expression, b'{"tick":1,"acceleration":[0,0]}')
+    zenoh_of(wire.client).put(expression, b'{"tick":1,"acceleration":[0,0]}')
     assert wire.carry(()) == []
 
 

@@ -38,7 +38,7 @@ from sim.scenario.types import Ground, Scenario, Ugv
 from sim.scene.colors import HAZARDS, LIMIT
 from sim.scene.drawing import Map
 from sim.scene.known import geometry_of, scene_of
-from sim.scene.told_tiles import HIT, KNOWN, SEEN, UNKNOWN, ground_map
+from sim.scene.told_tiles import HIT, KNOWN, UNKNOWN, ground_map
 from sim.server.flight import Flight
 
 ORANGE = Color.parse(UGV[0])
@@ -66,30 +66,6 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flight, Summa
     path = tmp_path_factory.mktemp("ground") / "run.mcap"
     flight = recorded(path, course(), 1, secret="5" * 32)
     return path, flight, summarize(flight, seconds=1.0)
-
-
-class Watched(InProcess):
-    """The pilots, and beside them the map that observers are told."""
-
-    flight: Flight
-    compared = 0
-
-    def collect(self, tick: int) -> Any:
-        said = super().collect(tick)
-        driver: Any = self._pilots["ugv_0"]._driver  # type: ignore[union-attr]
-        tiles = driver.ground.tiles
-        told = np.frombuffer(ground_map(self.flight.world).tiles, np.uint8).reshape(tiles.shape)
-        assert (np.where(told == SEEN, 0, told) == tiles).all(), tick
-        self.compared += int((tiles > 0).sum())
-        return said
-
-
-def test_observers_are_shown_the_tiles_that_the_ugvs_own_pilot_knows() -> None:
-    scenario = msgspec.structs.replace(course("navigate", false_alarm=0.05), duration=15.0)
-    watched = Watched(make_pilots(scenario, 1))
-    watched.flight = Flight(scenario, 1)
-    watched.flight.fly(watched)
-    assert watched.compared > 10_000
 
 
 def test_observers_alone_are_told_of_the_ground_with_its_hazards() -> None:

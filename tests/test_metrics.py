@@ -111,10 +111,3 @@ def test_a_row_of_a_sweep_has_the_columns_types(pairs: Summary) -> None:
     assert row["margin"] == pairs.visibility_radius - (pairs.max_distance or 0.0)
     ages = [one.max_age for name, one in pairs.links.items() if name.endswith("detections")]
     assert row["detections_max_age"] == max(age for age in ages if age is not None)
-
-
-def test_values_are_shown_with_the_units_of_the_table() -> None:
-    assert SUMMARY["max_distance"].text(4.0) == "4.000 m"
-    assert SUMMARY["certified_share"].text(0.5) == "50.00 %"
-    assert SUMMARY["arrived"].text(True) == "yes"
-    assert SUMMARY["mission_time"].text(None) == "-"

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from properties import PROPERTY
-from seeded import a_key, a_told_key
+from seeded import a_key
 from sim.engine.run_keys import check_secret, derive_key, derive_keys, new_secret
 from sim.models import randomness
 from sim.models.randomness import (
@@ -117,12 +117,6 @@ def test_every_seed_purpose_vehicle_and_secret_has_a_key_of_its_own() -> None:
     secrets = ("", SECRET, SECRET[:-1] + "e", SECRET + "00")
     keys = np.concatenate([derive_keys(range(20), 4, secret) for secret in secrets]).reshape(-1, 2)
     assert len({tuple(key) for key in keys.tolist()}) == len(keys) == 4 * 20 * RUN_PURPOSES * 4
-
-
-@given(words, words)
-@settings(PROPERTY)
-def test_a_told_key_is_its_words(first: int, second: int) -> None:
-    assert words_of(a_told_key(first | second << 64)) == a_key(first, second)
 
 
 @pytest.mark.parametrize("bad", ["", "00", "g" * 32, "0" * 31, "0" * 34])

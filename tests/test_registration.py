@@ -16,7 +16,7 @@ from gymnasium.wrappers import TimeLimit
 import outrider
 from outrider.envs.vector import OutriderVectorEnv
 from outrider.registration import ESCORT, register
-from processes import loaded_by, python
+from processes import python
 from refusals import refused
 
 
@@ -107,14 +107,6 @@ def test_settings_go_through() -> None:
     env = gymnasium.make(ESCORT, agent="ugv_0", dtype=np.float32)
     assert env.observation_space.shape == (8,)
     assert env.observation_space.dtype == np.float32
-
-
-def test_names_alone_load_nothing_heavy_and_a_name_with_its_module_in_front_needs_no_import():
-    heavy = {"numba", "sim", "agents", "zenoh", "pettingzoo"}
-    assert heavy.isdisjoint(loaded_by("outrider.registration"))
-    name = f"outrider.registration:{ESCORT}"
-    made = f"import gymnasium; print(gymnasium.make({name!r}).unwrapped.worlds.scenario.name)"
-    assert python(made).stdout == "escort\n"
 
 
 def test_every_name_of_the_front_door_is_the_same_thing_twice() -> None:

@@ -14,7 +14,6 @@ from bus.errors import ScenarioError
 from bus.registry import LAWS
 from outrider.experiments.intervals import mean_interval, wilson_interval
 from outrider.experiments.report.document import certified_runs, holds, markdown, page
-from outrider.experiments.report.labels import label_of, number, tick_of, value_of
 from outrider.experiments.report.plots import MOST_PANELS, draw_all, positions
 from outrider.experiments.report.results import Material, read_material
 from outrider.experiments.sweep.columns import RESULTS
@@ -198,12 +197,6 @@ def test_the_page_needs_nothing_beside_itself(material, pictures):
     assert "made up <b>" not in text
 
 
-def test_the_same_material_gives_the_same_pictures(material, pictures, tmp_path):
-    again = draw_all(material, tmp_path)
-    assert again.keys() == pictures.keys()
-    assert all(again[name].read_bytes() == path.read_bytes() for name, path in pictures.items())
-
-
 def test_laws_in_folders_of_their_own_are_one_experiment(tmp_path):
     folders = [
         swept(tmp_path / law, plan_of(laws=law)) for law in ("switching", "linear", "circle")
@@ -278,19 +271,6 @@ def test_values_too_uneven_for_one_axis_stand_side_by_side(material):
     panel = type(panel)(title="", field="dt", values=[0.01, 0.02, 0.5], laws=[], cells={})
     assert positions(panel) == ([0.0, 1.0, 2.0], 1.0)
     assert MOST_PANELS > 7
-
-
-def test_fields_have_words_and_units():
-    assert label_of("links.commands.burst_length") == "length of bursts of the commands [s]"
-    assert label_of("detections.noise") == "noise of the detections per axis [m]"
-    assert label_of("uav.0.max_speed") == "largest speed, uav.0 [m/s]"
-    assert label_of("law.parameters.a_c") == "law.parameters.a_c"
-    assert (tick_of("links.radio.loss", 0.05), value_of("links.radio.loss", 0.05)) == ("5", "5 %")
-    assert tick_of("links.radio.trace", "examples/networks/lte-road.csv") == "lte-road"
-    ticks = [tick_of("x", value) for value in (None, True, "word")]
-    assert ticks == ["none", "true", "word"]
-    told = [number(value) for value in (0.0, 0.05, 1.0, 12.345, 1234.5, math.inf)]
-    assert told == ["0", "0.05", "1", "12.3", "1234", "inf"]
 
 
 def test_the_command_writes_page_and_pictures_and_prints_one_object(tmp_path, command):

@@ -6,13 +6,11 @@ from typing import Any
 
 import msgspec
 import pytest
-import typer
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bus.errors import ScenarioError
 from bus.profiles import PROFILES
-from outrider.cli.main import make_app
 from outrider.running import launch
 from outrider.running.parent import Start
 from outrider.running.resolve import resolve
@@ -20,7 +18,7 @@ from processes import SHORT, launched, outrider
 from sim.scenario.loading import load_scenario, scenario_names
 from sim.scenario.resolved import as_toml, read_resolved
 from sim.scenario.types import Scenario
-from test_scenario_garbage import ODD, PATHS
+from test_scenario_refusals import ODD, PATHS
 
 TRACE = "sent [s],delay [s]\n5.0,0.1\n5.2,lost\n5.3,0\n"
 
@@ -115,12 +113,6 @@ def test_every_vehicle_can_be_changed_at_once() -> None:
     assert (scenario.uav[0].max_speed, scenario.ugv[0].max_speed) == (0.5, 0.1)
     with pytest.raises(ScenarioError, match="uav has no entries"):
         load_scenario("minefield", overrides=["uav=[]", "uav.*.max_speed=0.5"])
-
-
-def test_the_run_has_at_most_twenty_options() -> None:
-    commands = getattr(typer.main.get_command(make_app(whole=True)), "commands", {})
-    options = [one for one in commands["run"].params if one.opts[0].startswith("--")]
-    assert 10 < len(options) <= 20
 
 
 def test_a_run_leaves_a_file_that_flies_the_same_run_again(tmp_path: Path) -> None:

@@ -4,9 +4,10 @@ import json
 import re
 import signal
 import stat
+import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import get_type_hints
+from typing import Any, get_type_hints
 
 import msgspec
 import numpy as np
@@ -15,7 +16,7 @@ import pytest
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
 
 from bus.errors import ScenarioError
-from bus.keys import CONTROL, KEYS
+from bus.keys import KEYS
 from bus.messages.control import Action, Control
 from fields import fields_within
 from flights import degraded, record
@@ -26,7 +27,7 @@ from outrider.envs.vector import OutriderVectorEnv
 from outrider.recording.reader import flight_of
 from outrider.recording.refly import refly
 from outrider.running.flying import fly, run
-from processes import command_line, family, flying, outrider, started, wait_until
+from processes import command_line, family, flying, outrider, started
 from refusals import refused
 from sim.engine.briefing import briefing
 from sim.scenario.loading import load_scenario
@@ -101,18 +102,16 @@ def test_over_the_bus_with_a_process_that_joins_again_and_after_a_reset_too(tmp_
     with stage(tmp_path, 300, scenario=scenario, secret=SECRET, respawn=True) as going:
         going.start("ugv_0")
         going.start("uav_0", until=100, again=True)
-        operator = going.client("operator").outbox(CONTROL)
-        asked = False
 
-        def on_tick() -> None:
-            nonlocal asked
-            if going.server.flight.world.tick == 200 and not asked:
-                asked = True
-                operator.send(Control(action=Action.RESET))
-                controls = going.server._operators._controls
-                wait_until(controls.holds_any)  # else the flight may end before it comes
+        def reset(send: Any, await_status: Any) -> None:
+            await_status(lambda status: status.tick > 110)
+            send(Control(action=Action.RESET))
 
-        flight = going.fly(on_tick)
+        def slowly() -> None:  # else the flight may end before it is reset
+            if going.server.flight.episode == 0:
+                time.sleep(0.02)
+
+        flight = going.fly(slowly, operator=reset)
     assert flight.episode == 1
     alone, plain = (fly(scenario, scenario.seed, secret=secret)[1] for secret in (SECRET, ""))
     assert plain.trajectory_sha256 != flight.recorder.sha256() == alone.trajectory_sha256

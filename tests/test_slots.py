@@ -26,7 +26,7 @@ from sim.engine.briefing import briefing
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario
 from sim.server.flight import Flight
-from staging import GIVEN, PILOT, Vehicle, client_of, hosted, stage, whole
+from staging import GIVEN, PILOT, Vehicle, client_of, hosted, stage, whole, zenoh_of
 
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])
@@ -278,7 +278,7 @@ def test_a_flood_of_messages_neither_stops_the_clock_nor_the_end(payload, tmp_pa
         ugv = run.client("ugv_0")
         ugv.announce()
         uav = run.start("uav_0")
-        flooding = ugv._zenoh.declare_publisher(
+        flooding = zenoh_of(ugv).declare_publisher(
             "outrider/run/ugv_0/command", congestion_control=zenoh.CongestionControl.BLOCK
         )
 
@@ -390,43 +390,3 @@ def test_a_vehicle_acts_once_on_each_observation_of_its_own_run_alone(endpoint: 
         5
     ].tick in (6, 7)
     assert ticks <= {5, 6, 7}
-
-
-def test_an_observation_that_was_missed_is_acted_on_and_many_are_only_perceived() -> None:
-    """One missed: lockstep after joining again, where the state must be exact; more.
-
-    A pilot that is slower than the clock.
-    """
-
-    class Pilot:
-        def __init__(self) -> None:
-            self.did: list[tuple[str, int]] = []
-
-        def act(self, observation: Any) -> UgvCommand:
-            self.did.append(("act", observation.tick))
-            return UgvCommand(tick=observation.tick, acceleration=(0.0, 0.0))
-
-        def perceive(self, observation: Any) -> None:
-            self.did.append(("perceive", observation.tick))
-
-    class Outbox:
-        def __init__(self) -> None:
-            self.sent: list[int] = []
-
-        def send(self, command: Any) -> None:
-            self.sent.append(command.tick)
-
-    flight = Flight(load_scenario("escort"), 7)
-    seen = []
-    for _ in range(4):
-        seen.append(flight.observations()["ugv_0"])
-        flight.apply({})
-    for count, did in (
-        (1, [("act", 0)]),
-        (2, [("act", 0), ("act", 1)]),
-        (4, [("perceive", 0), ("perceive", 1), ("perceive", 2), ("act", 3)]),
-    ):
-        pilot, outbox = Pilot(), Outbox()
-        process._answer(pilot, seen[:count], outbox, "ugv_0")  # type: ignore[arg-type]
-        assert pilot.did == did
-        assert outbox.sent == [count - 1]

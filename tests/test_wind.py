@@ -11,10 +11,9 @@ from agents.safety.handover import check_assumptions
 from bus.errors import ScenarioError
 from bus.messages.ground import Hazard, TileReport
 from bus.messages.vehicle import UavObservation
-from flights import EVADED, PROMISED, certified, flown_in_both, told
+from flights import PROMISED, certified, flown_in_both, told
 from outrider.running.assumptions import shortfalls
 from outrider.running.flying import fly
-from processes import flown_both_ways
 from sim.compiling.records import record_type, records
 from sim.engine.batch import Batch
 from sim.models.inner_loop import (
@@ -197,13 +196,6 @@ def test_wind_flies_one_trajectory_in_the_environment_and_in_a_run() -> None:
     (ugv,) = WINDY.ugv
     deaf = msgspec.structs.replace(ugv, driver="script")
     flown_in_both(msgspec.structs.replace(WINDY, ugv=(deaf,)), 3)
-
-
-def test_wind_flies_one_trajectory_over_three_processes() -> None:
-    wind = ("wind.mean=[0.1, 0.0]", "wind.gust=0.03", "uav.0.position_error=0.1")
-    there, _ = flown_both_ways("escort", *EVADED, *wind, seed=3)
-    assert 0.02 < there["largest_tracking_error"] <= there["max_tracking_error"]
-    assert there["certified_share"] == 1.0
 
 
 def test_wind_and_lost_commands_leave_every_tick_certified() -> None:
