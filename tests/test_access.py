@@ -113,7 +113,7 @@ def may(check: Any, key: Any, name: str, vehicle: str) -> bool:
     return True
 
 
-def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(known_by: str) -> None:
+def test_messages_go_from_their_writer_to_their_readers_alone(known_by: str) -> None:
     """All parties write to every key and read every key, each for itself and with the widest keys there are."""
     wanted = {
         (reader, expression, writer)
@@ -156,7 +156,7 @@ def declared(owner: str, name: str) -> list[str]:
     return [token(RUN, owner, place) for place in places]
 
 
-def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulators_alone(known_by):
+def test_parties_announce_themselves_alone(known_by):
     """Each declares the place of its number in everybody's name, places that nobody has."""
     seen: dict[str, set[str]] = {name: set() for name in NAMES}
     assert len(NAMES) <= PLACES
@@ -297,7 +297,7 @@ def test_the_grants_are_the_table_and_nothing_more() -> None:
         assert allowed == own, party
 
 
-def test_nothing_is_allowed_by_default_and_no_grant_is_wider_than_its_run() -> None:
+def test_access_is_denied_by_default_and_limited_to_the_run() -> None:
     rules = access_control(GIVEN)
     assert rules["default_permission"] == "deny"
     assert {rule["permission"] for rule in rules["rules"]} == {"allow"}
@@ -381,7 +381,7 @@ def test_links_are_not_followed_where_credentials_are_given_away(tmp_path: Path)
         give_folder(tmp_path / "link", (os.geteuid(), os.getegid()))
 
 
-def test_no_process_of_a_vehicle_inherits_the_pages_token_or_the_users_credentials(
+def test_vehicle_processes_inherit_no_credentials(
     monkeypatch,
 ) -> None:
     monkeypatch.setenv("OUTRIDER_TOKEN", "x" * 20)

@@ -86,7 +86,7 @@ def test_world_k_of_a_batch_is_the_single_world_of_its_seed(name: str) -> None:
         assert batch.links.status(k) == expected
 
 
-def test_the_bits_do_not_depend_on_the_number_of_worlds_or_threads() -> None:
+def test_batch_size_and_threads_change_no_bit() -> None:
     scenario, seeds = SCENARIOS["network"], list(range(50, 120))
     commands = np.random.default_rng(1).uniform(-0.4, 0.4, (60, len(seeds), 2, 2))
     found = []

@@ -55,7 +55,7 @@ def sessions(endpoint: str) -> Iterator[dict[Role, Session]]:
 
 
 @pytest.mark.parametrize("key", KEYS, ids=lambda key: key.message.__name__)
-def test_every_row_round_trips_to_its_reader_with_the_same_bits_and_its_vehicle(sessions, key):
+def test_messages_round_trip_with_the_same_bits_and_vehicle(sessions, key):
     reader = key.readers[0]
     vehicle = NAMES.get(key.vehicle, "") if key.vehicle else ""
     inbox = sessions[reader].inbox(key, vehicle)
@@ -145,7 +145,7 @@ def test_what_does_not_decode_is_counted_named_and_dropped(sessions: dict[Role, 
     assert inbox.refused == {"uav_0": 0, "ugv_0": len(GARBAGE)}
 
 
-def test_what_is_too_large_is_dropped_by_the_router_or_refused_by_the_reader(sessions):
+def test_oversized_messages_are_dropped_or_refused(sessions):
     inbox = sessions[Role.SIMULATOR].inbox_of_all({"uav_0": UAV_COMMAND, "ugv_0": UGV_COMMAND})
     observer = sessions[Role.OBSERVER].inbox(TRUTH)
     client, router = zenoh_of(sessions[Role.UGV]), zenoh_of(sessions[Role.SIMULATOR])

@@ -76,7 +76,7 @@ def refusal(endpoint: str, credential: Credential | None) -> str:
     return str(caught.value)
 
 
-def test_each_party_has_a_name_of_its_own_and_no_file_has_anothers_key(tmp_path: Path) -> None:
+def test_each_party_has_its_own_name_and_key(tmp_path: Path) -> None:
     files = write_credentials(GIVEN, tmp_path / "made", AUTHORITY)
     assert {stat.S_IMODE(path.stat().st_mode) for path in files.values()} == {0o600}
     assert read_credentials(files["router"]) == GIVEN.for_router()
@@ -109,7 +109,7 @@ def mixed(**parts: str) -> Identity:
     ],
     ids=["another's", "expired", "another key", "another authority", "garbage", "garbage key"],
 )
-def test_a_certificate_that_would_be_refused_is_named_before_anything_is_sent(made, told):
+def test_invalid_certificate_is_named_before_connecting(made, told):
     with pytest.raises(AccessDenied, match=told):
         check_identity(made(), "uav_0")
     assert told in refusal("tls/127.0.0.1:1", known_as(made()))
@@ -126,7 +126,7 @@ a router's certificate | says that this certificate is not for a client
 expired | says that this certificate has expired
 """),
 )
-def test_who_is_not_of_the_run_is_refused_by_the_router_and_told_why(
+def test_router_refuses_strangers_with_a_reason(
     endpoint: str, kind: str, told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     foreign = identity(authority=FOREIGN)
@@ -160,7 +160,7 @@ def test_a_client_trusts_nobody_but_its_router(endpoint, monkeypatch):
         assert "is not a router's" in refusal(endpoint, UAV)
 
 
-def test_certificates_and_unencrypted_endpoints_do_not_go_together() -> None:
+def test_certificates_need_encrypted_endpoints() -> None:
     with pytest.raises(AccessDenied, match="must begin with tls/"), hosted("tcp/[::1]:0", GIVEN):
         pass
     assert "must begin with tls/" in refusal("tcp/127.0.0.1:1", UAV)
@@ -182,7 +182,7 @@ def passes(router: Session, client: Session) -> bool:
     return False
 
 
-def test_a_name_that_the_router_does_not_know_gets_nothing_and_is_named(endpoint, caplog):
+def test_unknown_name_receives_nothing_and_is_logged(endpoint, caplog):
     stranger = known_as(identity("nobody"))
     with hosted(endpoint, GIVEN) as router:
         receives = zenoh_of(router).declare_subscriber("**", zenoh.handlers.RingChannel(10))

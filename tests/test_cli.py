@@ -156,7 +156,7 @@ ugv = [{position = [7, 7]}, {position = [7, 27]}]
     ],
 )
 @pytest.mark.usefixtures("impatient")
-def test_what_cannot_be_done_gets_one_line_its_exit_code_and_no_file(
+def test_impossible_command_gives_one_line_exit_code_and_no_file(
     arguments, told, code, here, command
 ):
     needs(arguments)
@@ -231,7 +231,7 @@ def test_json_of_the_lists(command):
     assert checked == valid
 
 
-def test_a_circle_that_cannot_be_flown_warns_and_flies(command) -> None:
+def test_too_fast_circle_warns_and_flies(command) -> None:
     run = command(*words("run circle-too-fast --in-process --no-files --duration 5"))
     assert run.returncode == 0
     assert "0.1086 rad/s" in " ".join(run.stderr.split())

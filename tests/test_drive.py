@@ -271,7 +271,7 @@ def arguments(endpoint: str, *more: str) -> tuple[str, ...]:
     return ("--connect", endpoint, "--run", "mine", *more)
 
 
-def test_keys_take_the_wheel_drive_brake_and_give_it_back_and_the_terminal_is_as_before(endpoint):
+def test_keys_drive_the_ugv_and_restore_the_terminal(endpoint):
     with scripted(endpoint) as simulator, teleoperation(*arguments(endpoint)) as one:
         one.until_shown(
             "script drives ugv_0",
@@ -336,7 +336,7 @@ def test_of_two_terminals_only_the_one_that_drives_says_so(endpoint: str) -> Non
         second.until_shown("script drives ugv_0")
 
 
-def test_a_simulator_that_goes_is_told_and_the_next_one_is_driven_too(endpoint: str) -> None:
+def test_drive_continues_with_the_next_simulator(endpoint: str) -> None:
     with teleoperation(*arguments(endpoint, "--speed", "0.1", "--back", "waypoints")) as one:
         one.until(lambda: "waiting for the simulator of the run mine" in one.told)
         with scripted(endpoint) as simulator:
@@ -438,7 +438,7 @@ def test_without_a_terminal_there_is_one_clear_line(command) -> None:
 
 
 @pytest.mark.usefixtures("nothing_left_behind")
-def test_an_operator_drives_a_flight_in_real_time_and_nothing_jumps(tmp_path: Path) -> None:
+def test_operator_drives_in_real_time_without_jumps(tmp_path: Path) -> None:
     with scattered(tmp_path) as run:
         run.router()
         simulator = run.simulator("--realtime", "1")
@@ -485,7 +485,7 @@ def test_a_key_counts_for_a_moment_and_its_repeats_prolong_it() -> None:
     assert wheel.velocity(30.0) is None
 
 
-def test_two_keys_at_once_are_a_diagonal_and_one_after_the_other_a_turn() -> None:
+def test_two_keys_drive_diagonally_and_successive_keys_turn() -> None:
     wheel = PressedKeys(0.2)
     wheel.press(Heading.NORTH, 0.0)
     wheel.press(Heading.EAST, 0.1)
@@ -502,7 +502,7 @@ def characters(canvas: Canvas) -> list[str]:
     return ["".join(segment.text for segment in canvas.row(row)) for row in range(canvas.height)]
 
 
-def test_the_map_shows_the_vehicles_where_they_are_and_the_limit_of_sight_around_the_ugv() -> None:
+def test_map_shows_vehicles_and_visibility_radius() -> None:
     trails = Trails()
     trails.follow(truth_at())
     view = DriveView(status=status_at(), truth=truth_at(distance=3.0))
@@ -537,7 +537,7 @@ class Watching:
 
 
 @pytest.mark.parametrize("columns", [44, 80, 120])
-def test_every_key_and_the_time_are_on_the_screen_however_narrow_it_is(columns: int) -> None:
+def test_narrow_screen_shows_every_key_and_the_time(columns: int) -> None:
     from textual.widgets import Static
 
     from outrider.view.terminal.screen import DriveApp

@@ -205,7 +205,7 @@ def test_spaces_are_as_tight_as_the_scenario_says():
     np.testing.assert_array_equal(env.action_space("ugv_0").low, [-0.1, -0.1])
 
 
-def test_the_bounds_leave_room_for_the_rounding_of_the_worlds_clipping():
+def test_space_bounds_allow_for_rounding():
     """A vector shortened to its bound may be longer by a last place or two."""
     rng = np.random.default_rng(0)
     longer = 0
@@ -217,7 +217,7 @@ def test_the_bounds_leave_room_for_the_rounding_of_the_worlds_clipping():
     assert longer > 100
 
 
-def test_vehicles_without_limits_have_finite_observation_and_action_spaces():
+def test_unbounded_vehicles_have_finite_spaces():
     env = parallel_env(FREE)
     diagonal = math.hypot(40.0, 40.0)
     high = env.observation_space("uav_0").high[[3, 4, 6, 7]]
@@ -228,7 +228,7 @@ def test_vehicles_without_limits_have_finite_observation_and_action_spaces():
     assert env.world.acceleration[0].tolist() == [40.0, 0.0]
 
 
-def test_an_action_that_is_too_long_is_shortened_to_the_norm_bound():
+def test_excessive_action_is_clipped_to_the_norm_bound():
     env = parallel_env(ONE)
     env.reset(seed=0)
     env.step({"uav_0": env.action_space("uav_0").high, "ugv_0": np.zeros(2)})

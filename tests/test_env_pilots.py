@@ -154,7 +154,7 @@ def test_estimates_are_nearer_to_the_truth_than_detections():
 
 
 @pytest.mark.parametrize("options", [{}, {"dtype": np.float32}, {"coverage_patch": (8, 1.0)}])
-def test_environment_with_estimates_keeps_to_its_spaces_and_to_its_seed(options):
+def test_estimates_stay_in_their_spaces_and_repeat_by_seed(options):
     env, twin = (parallel_env(NOISY, estimate=True, **options) for _ in range(2))
     list(rows_of(twin, 30, seed=9))  # another episode leaves nothing behind
     kept = []

@@ -44,7 +44,7 @@ def begun(scenario=SCENARIO):
     return env
 
 
-def test_picture_shows_both_vehicles_and_the_limit_where_they_are_in_the_areas_proportion():
+def test_picture_shows_vehicles_and_limit_in_proportion():
     frame = begun().render()
     assert frame.dtype == np.uint8
     assert frame.ndim == 3
@@ -76,7 +76,7 @@ def test_pictures_follow_the_flight_and_are_not_overwritten():
     assert columns[1] > columns[0] + 5.0
 
 
-def test_picture_depends_on_the_episode_alone_not_on_earlier_pictures():
+def test_picture_depends_on_the_episode_alone():
     def picture(env):
         env.reset(seed=0)
         for _ in range(5):
@@ -203,7 +203,7 @@ def test_window_shows_the_same_picture(display):
     human.close()
 
 
-def test_a_window_that_a_person_closes_stays_closed_and_the_flight_goes_on(display):
+def test_closed_window_stays_closed_and_the_flight_continues(display):
     import pygame
 
     env = parallel_env(SCENARIO, render_mode="human")

@@ -61,7 +61,7 @@ def ended(vehicle: "subprocess.Popen[str]", why: str) -> None:
     assert len(err.strip().splitlines()) == 1
 
 
-def test_with_respawn_a_killed_vehicle_and_a_frozen_one_change_no_bit() -> None:
+def test_respawn_after_a_kill_and_a_freeze_changes_no_bit() -> None:
     with flying(*QUIET, "--respawn") as run:
         before, frozen = child_of(run, "uav"), child_of(run, "ugv")
         os.kill(frozen, signal.SIGSTOP)
@@ -83,7 +83,7 @@ def answered(status: Status) -> int:
     return status.tick - status.vehicles["uav_0"].missing_commands
 
 
-def test_in_real_time_a_vehicle_brakes_while_its_process_is_away_and_flies_on_when_it_is_back():
+def test_absent_vehicle_brakes_in_real_time_and_resumes():
     endless = ("escort", "--duration", "100000", "--no-files", "--json")
     with flying(*endless, "--realtime", "20", "--respawn") as run:
         with observing(run) as session:
@@ -165,7 +165,7 @@ def test_a_router_that_dies_and_comes_back_changes_no_bit(tmp_path: Path) -> Non
     assert "the router is back" in err  # it may have been away too shortly for anybody to see
 
 
-def test_without_its_router_every_process_ends_and_says_who_is_missing(tmp_path: Path) -> None:
+def test_lost_router_ends_every_process_with_a_reason(tmp_path: Path) -> None:
     with scattered(tmp_path) as run:
         router = run.router()
         simulator = run.simulator("--join-timeout", "2")
@@ -182,7 +182,7 @@ def test_without_its_router_every_process_ends_and_says_who_is_missing(tmp_path:
             ended(vehicle, "the router has been away for 2 s")
 
 
-def test_vehicles_wait_for_a_simulator_that_dies_and_fly_with_the_next_one(tmp_path: Path) -> None:
+def test_vehicles_fly_with_the_next_simulator(tmp_path: Path) -> None:
     with scattered(tmp_path) as run:
         run.router()
         simulator = run.simulator()
@@ -195,7 +195,7 @@ def test_vehicles_wait_for_a_simulator_that_dies_and_fly_with_the_next_one(tmp_p
     assert summary["trajectory_sha256"] == undisturbed(SECRET)
 
 
-def test_without_their_simulator_vehicles_end_and_say_who_is_missing(tmp_path: Path) -> None:
+def test_lost_simulator_ends_vehicles_with_a_reason(tmp_path: Path) -> None:
     with scattered(tmp_path) as run:
         run.router()
         simulator = run.simulator()

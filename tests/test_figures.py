@@ -98,7 +98,7 @@ def test_five_pictures_are_made(made):
         assert 30_000 < len(data) < 400_000
 
 
-def test_the_claims_that_the_page_shows_are_those_that_the_figures_make(made):
+def test_shown_claims_are_those_of_the_figures(made):
     _, *table = marked("claims", "docs/explanation/paper.md")
     assert [(row[0], row[1], row[-1]) for row in table] == [
         (c.figure, c.claim, "yes" if c.holds else "**no**") for c in made[1]
@@ -166,7 +166,7 @@ def test_velocity_error_times_k_v_is_what_the_unbounded_uav_flew(flights):
         np.testing.assert_allclose(speeds[~searching(wanted)], 0.0, atol=1e-12)
 
 
-def test_velocity_error_knows_the_ground_that_is_covered_from_the_start():
+def test_velocity_error_includes_ground_covered_initially():
     free = words("law.name=coverage law.parameters.reference_speed=0.6 uav.0.max_speed=inf")
     free += words("uav.0.max_acceleration=inf duration=20.0")
     flight, _ = fly(load_scenario("scenario-2", overrides=free), 0)
@@ -213,7 +213,7 @@ def test_a_ugv_that_never_moves_breaks_figure_1c():
     assert ("1c", "e(t) can rise while the UGV moves") in failing(claims_1(still, still, still))
 
 
-def test_a_flight_that_ends_before_the_ugv_stops_breaks_figure_1c(flights):
+def test_flight_ending_before_the_ugv_stops_breaks_figure_1c(flights):
     short, _ = fly(load_scenario("figure-1-high-gain", overrides=["duration=100.0"]), 0)
     assert ("1c", "e(t) falls to zero after the UGV has stopped: high k_v") in failing(
         claims_1(flights["low"], short, flights["bounded"])
@@ -227,7 +227,7 @@ def test_a_weighting_without_tracking_breaks_figure_2():
     assert "Proposition 2 asks for alpha = 1" in claim.value
 
 
-def test_circle_and_coverage_in_each_others_place_break_figures_4_and_5(flights):
+def test_swapped_circle_and_coverage_break_figures_4_and_5(flights):
     ours, circle = flights["open"], flights["open, circle"]
     assert {claim for _, claim in failing(claims_4(circle, ours))} == {
         "e(t) is lower for coverage than for the circle, most of the time",

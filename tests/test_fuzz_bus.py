@@ -119,7 +119,7 @@ def wire(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Wire]:
         yield Wire(simulator, client)
 
 
-def test_an_inbox_gives_exactly_what_decodes_and_counts_exactly_what_does_not(wire: Wire) -> None:
+def test_inbox_delivers_valid_messages_and_counts_the_rest(wire: Wire) -> None:
     # the router drops what is larger
     sent = [(name, payload) for name, payload in stream() if 0 < len(payload) <= LARGEST]
     refused = [name for name, payload in sent if refuses(COMMANDS[name], payload)]
@@ -186,7 +186,7 @@ def steadily(command: Any) -> Callable[[Any, int], None]:
     return lambda commands, tick: commands.send(command(tick=tick, acceleration=(0.01, 0.0)))
 
 
-def test_a_flood_of_garbage_is_counted_and_changes_nothing_of_a_flight(tmp_path: Path) -> None:
+def test_flood_of_garbage_is_counted_and_changes_no_flight(tmp_path: Path) -> None:
     """Two honest programs fly, and then one of them floods the bus."""
     (tmp_path / "flooded").mkdir()
     with stage(tmp_path, TICKS, is_open=True) as run:

@@ -38,7 +38,7 @@ def _numbers(struct: type[msgspec.Struct]) -> set[str]:
     }
 
 
-def test_every_number_of_a_summary_is_a_row_and_every_row_a_field() -> None:
+def test_summary_numbers_and_metric_rows_correspond() -> None:
     assert _numbers(Summary) - NO_METRICS == set(SUMMARY) - set(MISSION) - {"trajectory_sha256"}
     assert set(SUMMARY) - set(MISSION) <= set(Summary.__struct_fields__)
 

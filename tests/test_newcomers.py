@@ -40,7 +40,7 @@ from tabular import words
 SCRIPT = Path(sys.executable).with_name("outrider")
 
 
-def test_a_module_in_the_place_of_one_of_ours_is_named_in_one_line(tmp_path):
+def test_shadowing_module_is_named_in_one_line(tmp_path):
     file = tmp_path / "bus.py"
     file.touch()
     (tmp_path / "train.py").write_text("import outrider\n")
@@ -48,7 +48,7 @@ def test_a_module_in_the_place_of_one_of_ours_is_named_in_one_line(tmp_path):
     assert line.startswith(f"ImportError: {file} stands in the way of")
 
 
-def test_a_foreign_module_on_the_python_path_ends_the_command_with_one_line(tmp_path):
+def test_shadowing_module_on_the_path_ends_the_command(tmp_path):
     (tmp_path / "bus.py").touch()
     run = ran([SCRIPT, "--version"], env={"PYTHONPATH": str(tmp_path)})
     assert run.returncode == 1
@@ -56,7 +56,7 @@ def test_a_foreign_module_on_the_python_path_ends_the_command_with_one_line(tmp_
     assert len(run.stderr.splitlines()) == 1
 
 
-def test_a_users_function_that_wants_a_module_of_our_name_is_told_so(here, command):
+def test_user_module_with_a_package_name_is_explained(here, command):
     (here / "bus.py").write_text("speed = 0.1\n")
     (here / "wants_bus.py").write_text("from bus import speed\n\ndef wheel(o, b): return 0, 0\n")
     done = command(
@@ -67,7 +67,7 @@ def test_a_users_function_that_wants_a_module_of_our_name_is_told_so(here, comma
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_a_run_that_fails_leaves_no_empty_folder_but_that_of_the_user(here, command):
+def test_failed_run_leaves_no_new_empty_folder(here, command):
     (here / "bad.py").write_text("def wheel(o, b): raise RuntimeError('off')\n")
     (here / "mine").mkdir()
     own = words("run --in-process --driver policy --set custom.policy=bad:wheel")
@@ -84,7 +84,7 @@ def test_brackets_in_a_path_are_no_markup(tmp_path, command):
     assert str(out / "summary.json") in done.stdout
 
 
-def test_a_policy_that_raises_at_once_ends_every_kind_of_run_alike(here, command):
+def test_policy_error_ends_every_kind_of_run_alike(here, command):
     (here / "frames.py").write_text(
         "def wheel(o, b): raise ValueError('frame [/base_link] unknown, [m/s²]')\n"
     )
@@ -116,9 +116,7 @@ def test_a_warning_of_a_vehicles_process_is_passed_on(here, command):
     assert "tyres.py:6: UserWarning: tyres are worn" in line
 
 
-def test_debug_shows_the_traceback_of_a_vehicles_process_and_its_log_keeps_it(
-    here, monkeypatch, command
-):
+def test_debug_shows_and_logs_the_traceback_of_a_vehicle(here, monkeypatch, command):
     (here / "deep.py").write_text(
         "def wheel(o, b):\n    return inner(o)\n\n\ndef inner(o):\n    return 1 / 0\n"
     )
@@ -177,9 +175,7 @@ def spin(t):
 
 
 @pytest.mark.parametrize("named_by", ["the command", "the file"])
-def test_check_tries_a_function_of_ones_own_as_run_does_and_says_where_it_does_not(
-    here, command, named_by
-):
+def test_check_calls_user_functions_like_run(here, command, named_by):
     (here / "spinning.py").write_text(TOO_FAST)
     own = words("escort --duration 1 --law path --set custom.path=spinning:spin")
     if named_by == "the file":
@@ -231,7 +227,7 @@ def schema():
     return json.loads(schema_text())
 
 
-def test_every_shipped_scenario_fits_the_schema_and_nonsense_does_not(schema):
+def test_schema_accepts_shipped_scenarios_and_no_nonsense(schema):
     validator = jsonschema.Draft202012Validator(schema)
     validator.check_schema(schema)
     for name in scenario_names():
@@ -248,7 +244,7 @@ def test_the_shipped_schema_is_the_one_that_the_types_make(monkeypatch) -> None:
     assert importlib.import_module("scenario_schema").schema_text() == schema_text()
 
 
-def test_a_new_scenario_is_a_shipped_one_that_flies_and_replaces_nothing(tmp_path, command, schema):
+def test_new_scenario_copies_a_shipped_one_and_replaces_no_file(tmp_path, command, schema):
     file = tmp_path / "Käfig 1.toml"
     made = command("scenarios", "new", file, "--from", "circle")
     assert made.returncode == 0
@@ -371,7 +367,7 @@ class Hover:
         return UavCommand(tick=observation.tick, acceleration=(-0.2 * x - v_x, -0.2 * y - v_y))
 
 
-def test_a_uav_of_ones_own_is_not_titled_with_the_law_that_it_does_not_fly(tmp_path):
+def test_external_uav_is_not_titled_with_a_law(tmp_path):
     told = []
     scenario = load_scenario("escort", overrides={"duration": 5.0})
     flight = Flight(scenario, 7, on_notice=told.append)
@@ -391,7 +387,7 @@ def test_a_uav_of_ones_own_is_not_titled_with_the_law_that_it_does_not_fly(tmp_p
         assert "certified" not in titles
 
 
-def test_a_pilot_of_ours_that_sees_nothing_is_not_taken_for_one_of_the_users():
+def test_blind_built_in_pilot_is_not_called_external():
     dark = {"duration": 3.0, "links.detections.blackouts": [[0.0, 10.0]]}
     _, summary = fly(load_scenario("escort", overrides=dark), 7)
     assert summary.law == "certified"

@@ -99,7 +99,7 @@ def test_vehicles_that_went_with_their_router_are_waited_for(timetable: Any) -> 
     assert events[-1] == "the router is back"
 
 
-def test_one_that_had_answered_before_the_router_died_is_waited_for_at_the_next_tick() -> None:
+def test_vehicle_answered_before_router_death_is_awaited_next() -> None:
     bus = Bus((0.3, {"r"}, set()), (0.5, set(), BOTH), (0.8, {"s"}, {"uav_0"}), (9.0, {"s"}, set()))
     bus.refuses_to_answer = {"ugv_0"}
     pace = lockstep(bus, lambda _line: None)
@@ -111,7 +111,7 @@ def test_one_that_had_answered_before_the_router_died_is_waited_for_at_the_next_
     assert set(pace.collect(1, lambda: False)) == set(NAMES)
 
 
-def test_tokens_that_go_between_two_ticks_are_no_reason_to_fly_on() -> None:
+def test_tokens_lost_between_ticks_are_awaited() -> None:
     bus = Bus((0.1, {"r"}, set()), (0.2, {"r"}, BOTH), (0.5, set(), BOTH), (9.0, {"s"}, set()))
     pace = lockstep(bus, lambda _line: None)
     pace.publish(SEEN)
@@ -122,7 +122,7 @@ def test_tokens_that_go_between_two_ticks_are_no_reason_to_fly_on() -> None:
 
 
 @pytest.mark.parametrize(("tick", "least", "most"), [(0, 1.9, 4.0), (1, 0.0, 1.5)])
-def test_one_that_dies_while_the_router_lives_is_waited_for_in_the_first_tick_alone(
+def test_dead_vehicle_is_awaited_in_the_first_tick_alone(
     tick: int, least: float, most: float
 ) -> None:
     events: list[str] = []

@@ -170,7 +170,7 @@ def test_an_entry_point_that_names_no_row_is_ignored(tmp_path, points, told) -> 
     assert told in done.stderr
 
 
-def test_the_compile_cache_covers_the_files_and_names_of_packages(tmp_path: Path) -> None:
+def test_compile_cache_depends_on_plugin_files_and_names(tmp_path: Path) -> None:
     folder, own = install(tmp_path / "installed"), {"OUTRIDER_CACHE": str(tmp_path / "cache")}
     code = "from sim.compiling.compile import cache_folder; print(cache_folder().name)"
 

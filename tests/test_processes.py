@@ -52,7 +52,7 @@ def test_three_processes_and_one_fly_the_same_bits(name: str, seconds: float) ->
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", scenario_names())
-def test_three_processes_and_one_fly_the_same_bits_in_every_scenario(name: str) -> None:
+def test_every_scenario_flies_alike_over_three_processes(name: str) -> None:
     _same_bits(name, 100.0)
 
 
@@ -113,7 +113,7 @@ def _ending(before: str) -> "subprocess.CompletedProcess[str]":
     return python(f"{code}sys.argv = ['outrider', '--version']\nmain()\n", check=False)
 
 
-def test_a_process_that_is_asked_to_end_while_it_ends_says_nothing() -> None:
+def test_signal_during_exit_is_silent() -> None:
     ended = _ending("atexit.register(os.kill, os.getpid(), signal.SIGTERM)")
     assert ended.stdout.startswith("outrider ")
     assert (ended.stderr, ended.returncode) == ("", 0)
@@ -146,7 +146,7 @@ def test_a_file_that_a_policy_leaves_open_is_written_out(tmp_path: Path) -> None
     assert (tmp_path / "kept.csv").read_text().count("a row") >= 20
 
 
-def test_a_vehicle_that_dies_brakes_and_the_run_ends_with_its_name(tmp_path: Path) -> None:
+def test_dead_vehicle_brakes_and_is_named_by_the_run(tmp_path: Path) -> None:
     pytest.importorskip("foxglove", reason="the extra [record] is not installed")
     from outrider.recording.reader import statuses
 

@@ -106,7 +106,7 @@ def test_no_schema_refers_to_another(message: type[Any]) -> None:
     assert set(schema["properties"]) == set(message.__struct_fields__)
 
 
-def test_a_closed_file_opens_in_the_plain_reader_with_every_message_in_time_order(flown):
+def test_closed_file_has_every_message_in_time_order(flown):
     path, flight = flown
     found = plain(path)
     viewers = {"/tf", "/scene", "/grid", "/log", "/pose/uav_0", "/pose/ugv_0"}
@@ -425,7 +425,7 @@ def _read_or_one_line(path: Path) -> Recording | None:
     return None
 
 
-def test_damaged_bytes_end_the_reading_and_nothing_false_comes_out(tmp_path: Path) -> None:
+def test_damaged_bytes_end_the_reading_without_false_data(tmp_path: Path) -> None:
     path, hurt = tmp_path / "run.mcap", tmp_path / "hurt.mcap"
     recorded(path, SHORT, SEED)
     data, whole = bytearray(path.read_bytes()), flight_of(path).truths

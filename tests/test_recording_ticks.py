@@ -118,7 +118,7 @@ def _fly(path, scenario, spoken=None):
     return flight, exchange.received
 
 
-def test_what_operators_said_and_changed_is_in_the_file_with_its_tick(tmp_path: Path) -> None:
+def test_operator_messages_and_changes_are_recorded_with_ticks(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     flight, received = _fly(path, ONE, SPOKEN)
     words = [word for seen in received for word in seen.operator]

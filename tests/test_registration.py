@@ -28,7 +28,7 @@ def test_registering_again_does_nothing() -> None:
     assert [dict(one) for one in registries] == before
 
 
-def test_pettingzoo_has_the_same_name_with_all_vehicles_as_agents() -> None:
+def test_pettingzoo_makes_all_vehicles_agents() -> None:
     code = "import pettingzoo, outrider; print(*(n for n in pettingzoo.parallel_registry if n.startswith('outrider')))"
     run = python(code)
     assert run.stdout.split() == [ESCORT]
@@ -83,7 +83,7 @@ def test_a_limit_of_steps_is_gymnasiums_own() -> None:
         gymnasium.make_vec(ESCORT, num_envs=2, max_episode_steps=3)
 
 
-def test_many_worlds_are_made_in_one_or_one_by_one_with_the_same_bits() -> None:
+def test_vector_modes_make_the_same_bits() -> None:
     env_id = ESCORT
     fast = gymnasium.make_vec(env_id, num_envs=3, duration=1.0)
     slow = gymnasium.make_vec(env_id, num_envs=3, vectorization_mode="sync", duration=1.0)

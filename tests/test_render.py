@@ -61,12 +61,12 @@ def drawn(flight, tmp_path_factory):
     return path
 
 
-def test_picture_is_a_png_of_its_size_and_light_enough_for_a_web_page(drawn):
+def test_picture_is_a_small_png_of_its_size(drawn):
     assert png_size(drawn) == SIZE
     assert 20_000 < drawn.stat().st_size < 400_000
 
 
-def test_same_flight_gives_the_same_bytes_whatever_the_users_settings_are(flight, drawn, tmp_path):
+def test_user_settings_change_no_byte_of_the_picture(flight, drawn, tmp_path):
     with mpl.rc_context(
         {"font.size": 20.0, "axes.facecolor": "black", "savefig.dpi": 50, "text.usetex": False}
     ):

@@ -63,7 +63,7 @@ def test_a_scenario_that_loads_is_written_and_read_the_same(
     assert_written_and_read_the_same(scenario, tmp_path / "any.toml")
 
 
-def test_recorded_links_and_tracks_are_written_with_their_content(
+def test_recorded_links_and_tracks_keep_their_content(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

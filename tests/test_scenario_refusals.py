@@ -152,7 +152,7 @@ circle_is_within_sight | law.name=circle & uav.0.max_acceleration=inf
 
 
 @pytest.mark.parametrize(("check", "overrides", "field", "allowed"), BROKEN)
-def test_one_broken_field_gives_one_line_with_file_field_value_and_what_is_allowed(
+def test_refusal_names_file_field_value_and_allowed_values(
     check, overrides, field, allowed
 ) -> None:
     if "goals" not in overrides[0] and overrides[0].startswith("ugv.0.position"):
@@ -330,7 +330,7 @@ def test_an_unreadable_file_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("source", ["escrot", "no-such.toml", "/no/such/folder/escort.toml"])
-def test_an_unknown_scenario_lists_the_known_ones_and_the_closest(source: str) -> None:
+def test_unknown_scenario_lists_the_known_and_the_closest(source: str) -> None:
     line = refusal(source)
     assert line.startswith(f"{source}: no such file or scenario")
     assert line.endswith(f"a TOML file, or {', '.join(SHIPPED)}")
@@ -424,5 +424,5 @@ def test_a_mutated_value_is_never_anything_but_a_scenario_error(changes: dict[st
         max_size=3,
     )
 )
-def test_a_mutated_command_line_is_never_anything_but_a_scenario_error(changes: list[str]) -> None:
+def test_mutated_overrides_raise_only_scenario_errors(changes: list[str]) -> None:
     must_load_or_be_refused_in_one_line("escort", changes)

@@ -67,7 +67,7 @@ def test_a_briefing_with_a_secret_differs_in_its_key_alone() -> None:
 
 
 @pytest.mark.usefixtures("nothing_left_behind")
-def test_a_runs_secret_is_in_no_command_line_and_no_environment_of_its_processes(monkeypatch):
+def test_secret_is_in_no_command_line_or_environment(monkeypatch):
     monkeypatch.setenv(VARIABLE, SECRET)
     words = ("escort", "--set", "duration=100000.0", "--no-files", "--json")
     with flying(*words) as going:
@@ -97,7 +97,7 @@ def test_the_environment_and_many_worlds_fly_the_bits_of_the_run() -> None:
     assert np.array_equal(env.world.detections, flight.world.detections)
 
 
-def test_over_the_bus_with_a_process_that_joins_again_and_after_a_reset_too(tmp_path: Path) -> None:
+def test_secret_flight_survives_rejoin_and_reset_over_the_bus(tmp_path: Path) -> None:
     scenario = degraded(300)
     with stage(tmp_path, 300, scenario=scenario, secret=SECRET, respawn=True) as going:
         going.start("ugv_0")
@@ -117,9 +117,7 @@ def test_over_the_bus_with_a_process_that_joins_again_and_after_a_reset_too(tmp_
     assert plain.trajectory_sha256 != flight.recorder.sha256() == alone.trajectory_sha256
 
 
-def test_three_processes_and_one_fly_the_same_bits_and_leave_files_for_the_owner_alone(
-    tmp_path: Path, secret_file: str
-) -> None:
+def test_secret_runs_fly_alike_and_leave_private_files(tmp_path: Path, secret_file: str) -> None:
     written = {}
     for name, more in {"three": (), "one": ("--in-process",)}.items():
         folder, recorded = tmp_path / name, tmp_path / f"{name}.mcap"
@@ -143,7 +141,7 @@ def test_three_processes_and_one_fly_the_same_bits_and_leave_files_for_the_owner
 
 
 @pytest.mark.parametrize("is_private", [True, False])
-def test_a_simulator_with_credentials_makes_one_and_a_run_on_this_machine_none(
+def test_only_a_simulator_with_credentials_makes_a_secret(
     is_private, endpoint, tmp_path, monkeypatch
 ):
     """Its processes are started one by one."""

@@ -30,7 +30,7 @@ from staging import GIVEN, PILOT, Vehicle, client_of, hosted, stage, whole, zeno
 
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])
-def test_a_vehicle_that_comes_back_with_its_past_flies_the_same_bits(victim, tmp_path):
+def test_rejoined_vehicle_with_its_past_flies_the_same_bits(victim, tmp_path):
     """More ticks than one part of a briefing holds; the newcomer knows nothing but what it is told."""
     with stage(tmp_path, 1500, respawn=True) as run:
         run.start("uav_0" if victim == "ugv_0" else "ugv_0")
@@ -100,7 +100,7 @@ def _briefings(scenario: Scenario) -> dict[str, Any]:
     return {name: briefing(scenario, name, scenario.seed) for name in names}
 
 
-def test_a_lost_vehicle_brakes_and_one_that_returns_is_told_nothing_it_has_missed(tmp_path):
+def test_lost_vehicle_brakes_and_returns_without_missed_data(tmp_path):
     """Without respawn the clock does not wait; what was detected while nobody was there stays unknown."""
     with stage(tmp_path, 20_000) as run:
         run.start("ugv_0")
@@ -144,7 +144,7 @@ def test_a_vehicle_that_does_not_come_back_is_given_up_once(tmp_path: Path) -> N
     assert len(run.events) == 2
 
 
-def test_the_first_session_keeps_the_slot_and_a_second_one_is_counted_named_and_ignored(tmp_path):
+def test_second_session_is_counted_and_ignored(tmp_path):
     with stage(tmp_path, 400) as run:
         first, _ = run.start_both()
         intruder: dict[str, Any] = {}
@@ -172,7 +172,7 @@ def test_the_first_session_keeps_the_slot_and_a_second_one_is_counted_named_and_
     assert [seen.tick for seen in first.seen] == list(range(400))
 
 
-def test_the_second_session_takes_the_slot_when_the_first_has_gone(tmp_path: Path) -> None:
+def test_second_session_takes_a_free_slot(tmp_path: Path) -> None:
     with stage(tmp_path, 300, respawn=True) as run:
         run.start("ugv_0")
         run.start("uav_0", until=150)
@@ -189,7 +189,7 @@ def test_the_second_session_takes_the_slot_when_the_first_has_gone(tmp_path: Pat
     assert [seen.tick for seen in run.vehicles[2].seen] == list(range(300))
 
 
-def test_real_time_keeps_the_clock_and_flies_the_lockstep_bits_if_all_are_in_time(tmp_path):
+def test_punctual_real_time_flies_the_lockstep_bits(tmp_path):
     with stage(tmp_path, 100, realtime=2.0) as run:
         run.start_both()
         started: list[float] = []
@@ -217,7 +217,7 @@ def test_in_real_time_a_slow_vehicle_degrades_itself_only(tmp_path: Path) -> Non
     assert status["ugv_0"].missing_commands < 20
 
 
-def test_in_real_time_a_command_is_used_by_its_age_and_then_the_vehicle_brakes() -> None:
+def test_real_time_uses_commands_by_age_and_then_brakes() -> None:
     """Commands are held for `command_timeout` after the tick they answer, however late they have come."""
     scenario = load_scenario("escort", overrides=["duration=5.0", "command_timeout=0.2"])
     flight = Flight(scenario, 7)
@@ -317,7 +317,7 @@ def test_only_a_first_answer_may_take_several_deadlines(slow_at, missing, tmp_pa
     assert bool(flight.answers.missing["ugv_0"]) == bool(missing)
 
 
-def test_an_answer_to_another_tick_or_a_second_one_is_counted_and_changes_nothing(tmp_path):
+def test_wrong_or_second_answers_are_counted_and_ignored(tmp_path):
     scenario = load_scenario("escort", overrides=["duration=1.0"])
 
     def confused(commands: Any, tick: int) -> None:
@@ -345,7 +345,7 @@ def test_an_answer_to_another_tick_or_a_second_one_is_counted_and_changes_nothin
     assert flight.recorder.sha256() == once.recorder.sha256()
 
 
-def test_a_vehicle_acts_once_on_each_observation_of_its_own_run_alone(endpoint: str) -> None:
+def test_vehicle_acts_once_on_each_observation_of_its_run(endpoint: str) -> None:
     """A simulator that says everything twice and interrupts a briefing comes after one that left messages behind."""
     scenario = load_scenario("escort", overrides=["duration=5.0"])
     told = _briefings(scenario)["uav_0"]
