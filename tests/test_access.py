@@ -5,7 +5,6 @@ What the router enforces, tried with real sessions that do not ask our API first
 
 import functools
 import os
-import socket
 import stat
 import time
 from contextlib import AbstractContextManager, ExitStack
@@ -396,19 +395,6 @@ def test_a_password_is_never_shown() -> None:
     secret = GIVEN.of("uav_0")
     assert secret.password not in repr(secret)
     assert secret.password not in repr(GIVEN)
-
-
-def test_idle_connections_keep_no_client_out() -> None:
-    port = free_port()
-    endpoint = f"tcp/127.0.0.1:{port}"
-    with ExitStack() as stack:
-        stack.enter_context(hosted(endpoint))
-        for number in range(300):
-            opened = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
-            if number % 2:
-                # the beginning of a message that never ends
-                opened.sendall(b"\xff\xff" + b"\xa5" * 300)
-        assert stack.enter_context(client_of(endpoint, GIVEN.of("observer"))).connected
 
 
 def test_the_sessions_of_a_party_are_limited(endpoint: str) -> None:

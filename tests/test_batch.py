@@ -134,21 +134,6 @@ def test_there_must_be_a_seed_for_each_world_that_begins() -> None:
         batch.begin([1, 2, 3])
 
 
-def test_a_thread_that_is_slow_holds_up_the_others_by_one_range() -> None:
-    workers, rest = WorkerThreads(2), threading.Semaphore(0)
-
-    def work(begin: int, end: int) -> None:
-        if begin == 0:
-            assert end <= 640 // 8
-            for _ in range(640 - end):  # all the others are done elsewhere meanwhile
-                assert rest.acquire(timeout=20.0)
-        else:
-            rest.release(end - begin)
-
-    workers.share(work, 640)
-    workers.close()
-
-
 def test_threads_share_everything_once_and_pass_on_what_fails() -> None:
     workers, done, lock = WorkerThreads(3), [], threading.Lock()
 

@@ -285,7 +285,7 @@ def fly_plan(
 @pytest.mark.parametrize("kind", ["stop", "return"])
 @given(st.floats(0.0, 4.7), angles, shares, angles, errors, ages, seeds)
 @settings(PROPERTY, max_examples=300)
-def test_plan_keeps_every_ugv_consistent_with_detections_in_sight(
+def test_plan_keeps_every_possible_ugv_in_sight(
     kind, far, where, share, angle, eps, age, seed
 ) -> None:
     rng = np.random.default_rng(seed)

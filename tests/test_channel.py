@@ -478,11 +478,6 @@ def test_a_link_does_the_same_twice_and_whatever_other_links_do() -> None:
     assert repr(links[0].tolist()).encode() + np.array(arrived, dtype=np.int64).tobytes() == alone
 
 
-def test_each_link_and_each_seed_has_a_fate_of_its_own() -> None:
-    fates = [Flown(BUSY, 300, seed=seed, link=link) for seed in range(4) for link in range(4)]
-    assert len({flown.bits for flown in fates}) == 16
-
-
 def test_neighbours_in_number_link_and_seed_share_no_luck() -> None:
     def table(number: int, seed: int, link: int) -> np.ndarray:
         """The delay of each message of this number within its tick; -1: lost."""
@@ -642,15 +637,6 @@ def test_objects_change_over_with_the_settings() -> None:
     link.change(LinkSettings())
     assert link.arrivals(1) == ["soon"]
     assert [message for tick in range(2, 11) for message in link.arrivals(tick)] == ["late"]
-
-
-def test_ticks_come_once_and_in_order() -> None:
-    link = OneLink(LinkSettings(), dt=DT, key=a_key(1, 1))
-    with pytest.raises(ValueError, match="the link is at tick 0, not 1"):
-        link.send(1, "too early", 1)
-    link.arrivals(0)
-    with pytest.raises(ValueError, match="the link is at tick 1, not 0"):
-        link.arrivals(0)
 
 
 # --- settings

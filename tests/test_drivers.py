@@ -16,9 +16,7 @@ from agents.drivers.compiled import (
     CompiledDriver,
     NavigateDriver,
     driver_parameters,
-    told_route,
 )
-from agents.drivers.dispatch import CODES
 from agents.drivers.evade import away, flee, receive_radio
 from agents.drivers.parameters import UgvParameters, ugv_parameters
 from agents.drivers.policy import PolicyDriver
@@ -34,7 +32,6 @@ from bus.messages.vehicle import (
     UgvCommand,
     UgvObservation,
 )
-from bus.registry import DRIVERS as REGISTERED
 from bus.ticks import tick_of
 from flights import DT, R_V, U_G, V_A, V_G, distances, told_ugv
 from outrider.running.flying import InProcess, make_pilots
@@ -230,11 +227,6 @@ def test_the_wanderers_goals_keep_its_margin(v_max: float, u_max: float) -> None
     assert min(x, y, 20.0 - x, 20.0 - y) >= margin
 
 
-def test_built_in_drivers_have_a_compiled_form() -> None:
-    ours = {row.name for row in REGISTERED.values() if row.provided and not row.operated}
-    assert CODES.keys() == ours
-
-
 @pytest.mark.parametrize("name", ["teleop", "policy", "external", "nobody", ""])
 def test_a_driver_without_a_compiled_form_is_refused_in_one_line(name: str) -> None:
     allowed = "waypoints, wander, script, evade, navigate"
@@ -248,29 +240,6 @@ def test_an_area_of_too_many_tiles_is_refused_in_one_line() -> None:
     told = r"^ground.tile = 0.5: makes 3.6e\+07 tiles of the area; at most 1,000,000$"
     with pytest.raises(ScenarioError, match=told):
         NavigateDriver(told_ugv(area=Area(width=1e6, height=9.0, cell=0.5), ground=ground))
-
-
-def test_only_the_papers_driver_knows_no_bound() -> None:
-    for name in CODES:
-        told, unbounded = _told(v_max=math.inf, u_max=math.inf), REGISTERED[name].unbounded
-        bounds = ugv_parameters(told, unbounded=unbounded)
-        bound = math.inf if name == "waypoints" else 1e6
-        assert (bounds.max_speed, bounds.max_acceleration) == (bound, bound)
-
-
-@pytest.mark.parametrize(
-    "fields",
-    [{}, {"goals": (), "script": ()}, {"goals": ((1, 2),)}],
-    ids=["some", "none", "integers"],
-)
-def test_goals_and_script_are_arrays_that_compiled_code_takes(fields: dict[str, Any]) -> None:
-    told = _told(**fields)
-    goals, script = told_route(told)
-    assert (goals.shape, script.shape) == ((len(told.goals), 2), (len(told.script), 3))
-    for array in (goals, script):
-        assert array.dtype == np.float64
-        assert array.flags.c_contiguous
-    assert [tuple(goal) for goal in goals.tolist()] == [*told.goals]
 
 
 # teleop
@@ -354,12 +323,6 @@ def test_nobody_at_the_wheel_and_an_empty_word_both_brake() -> None:
     assert nobody[-1, 0] - MIDDLE[0] == pytest.approx(V_G**2 / (2.0 * U_G), abs=V_G * DT)
 
 
-def test_an_operator_who_comes_back_drives_on() -> None:
-    rows, _ = _drive(TeleopDriver(_told()), 160, receives=_says(t0=FULL, t100=FULL))
-    assert rows[99, 2] == pytest.approx(0.0, abs=1e-15)
-    assert rows[111, 2] == pytest.approx(11 * U_G * DT)
-
-
 # script
 
 
@@ -399,17 +362,6 @@ def test_a_script_taken_up_late_is_where_it_would_have_been(steps, tick):
         whole.drive(_observe(k, (*MIDDLE, 0.0, 0.0), {}))
     now = _observe(tick, (*MIDDLE, 0.1, 0.1), {})
     assert late.drive(now) == whole.drive(now)
-
-
-def test_unordered_script_flies_the_latest_due_step():
-    driver = _script((2.0, (0.0, V_G)), (2.0, (0.0, -V_G)), (1.0, (V_G, 0.0)))
-    u = [driver.drive(_observe(tick, (*MIDDLE, 0.0, 0.0), {})) for tick in (10, 30, 50)]
-    assert u == [(0.0, 0.0), pytest.approx((U_G, 0.0)), pytest.approx((0.0, -U_G))]
-
-
-def test_an_empty_script_stands() -> None:
-    rows, _ = _drive(_script(), 100, velocity=(V_G, 0.0))
-    assert np.abs(rows[-30:, 2:4]).max() <= 1e-15
 
 
 # wander

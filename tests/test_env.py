@@ -1,7 +1,6 @@
 """The environment as PettingZoo and a learner meet it: API, spaces, actions, errors, determinism."""
 
 import copy
-import itertools
 import math
 import pickle
 import warnings
@@ -284,27 +283,6 @@ def test_same_seed_same_bits_for_more_than_a_thousand_ticks(scenario, options):
         assert equal(first.metrics(), second.metrics())
         steps += 1
     assert steps == 1200
-
-
-def test_another_seed_gives_other_detections():
-    env = parallel_env(ONE)
-    observations = [env.reset(seed=seed)[0] for seed in (1, 2)]
-    assert not equal(observations[0]["uav_0"], observations[1]["uav_0"])
-    assert equal(observations[0]["ugv_0"], observations[1]["ugv_0"])
-
-
-def test_reset_in_the_middle_repeats_the_episode():
-    env = parallel_env(MANY, end_on_sight_lost=False, coverage_patch=(9, 1.0))
-
-    def episode():
-        yield env.reset(seed=11)
-        for step in fly(env, np.random.default_rng(2), 100):
-            yield step
-            yield env.state()
-
-    whole = list(episode())
-    list(itertools.islice(episode(), 80))
-    assert all(map(equal, whole, list(episode())))
 
 
 def test_an_episode_leaves_nothing_behind_for_the_next():

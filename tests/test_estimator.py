@@ -30,7 +30,6 @@ from filters import (
     look,
     make,
     model,
-    pilots_filtered,
     squared,
     within,
 )
@@ -126,12 +125,6 @@ def test_process_noise_does_not_depend_on_how_finely_time_is_cut():
     np.testing.assert_allclose(after_a_second(0.05), after_a_second(0.005), rtol=2e-3)
 
 
-def test_process_noise_of_the_default_ugv():
-    # 0.7 u held for half of v / u = 1 s instead of for one tick of 0.05 s.
-    found = deviation_of(target=UGV, manoeuvre=0.7, dt=DT)
-    assert found == pytest.approx(0.07 * math.sqrt(20.0))
-
-
 def test_unbounded_acceleration_changes_velocity_in_a_tick():
     boundless = Limits(max_speed=0.2, max_acceleration=None)
     assert deviation_of(target=boundless, manoeuvre=1.0, dt=DT) * DT == pytest.approx(0.2)
@@ -188,17 +181,6 @@ def test_is_consistent_when_the_ugv_moves_as_the_model_says(cut):
     for k in (1, 10, 40, count - 1):
         assert within(np.mean([one[k] for one in nees]), 4, seeds)
     assert within(np.mean(nis), 2, seeds * (count - 1))
-
-
-def test_nees_of_pilots_is_within_its_95_percent_interval():
-    """300 flights of 80 ticks with cut noise, by filterpy; one average at the last tick."""
-    flights, nees = 300, []
-    for seed in range(1000, 1000 + flights):
-        truth, seen = fly_the_model(seed, 80, 3.0)
-        at = each_tick(np.zeros_like(seen), seen)
-        found = pilots_filtered(np.zeros_like(seen), at, target=FREE, cut=3.0, gate=1e12)
-        nees.append(squared(truth[-1] - found.states[-1], found.covariances[-1]))
-    assert within(np.mean(nees), 4, flights, sure=0.95)
 
 
 @pytest.mark.parametrize("legs", [(1.0, 8.0), (0.2, 0.8)], ids=["waypoints", "restless"])
@@ -407,14 +389,6 @@ def test_without_noise_it_follows_exactly_and_refuses_nothing(acceleration):
         assert estimate.position == pytest.approx(tuple(truth[:2]), abs=1e-6)
         assert 0.0 < estimate.covariance[0] < 1e-11
     assert estimate.refused == 0
-
-
-def test_a_ugv_first_seen_at_full_speed_is_believed():
-    estimator = make(noise=0.0)
-    for k in range(20):
-        estimate = look(estimator, k, (20.0 + 0.2 * k * DT, 20.0))
-    assert estimate.refused == 0
-    assert estimate.velocity == pytest.approx((0.2, 0.0), abs=1e-3)
 
 
 def test_unbounded_ugv_turning_in_a_tick_is_followed():

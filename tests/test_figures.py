@@ -3,7 +3,6 @@
 import itertools
 import math
 import struct
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -35,7 +34,6 @@ from pages import marked
 from sim.scenario.loading import load_scenario
 from tabular import rows, words
 
-ROOT = Path(__file__).parents[1]
 CELL = 0.25
 WIDTHS = {1: (1400, 760), 2: (1400, 480), 3: (1400, 700), 4: (1400, 1100), 5: (1400, 1100)}
 
@@ -110,15 +108,6 @@ def test_progress_rises_to_the_end(made):
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
     assert len(shares) == 7
-
-
-def test_flying_is_told_flight_by_flight(monkeypatch):
-    planned = dict(list(paper_figures.experiments().items())[:3])
-    monkeypatch.setattr(paper_figures, "experiments", lambda: planned)
-    monkeypatch.setattr(paper_figures, "fly", lambda scenario, seed: (scenario.name, seed))
-    told = []
-    fly_all(lambda what, share: told.append((what, share)))
-    assert told == [(f"flying {one.name}", k / 3) for k, one in enumerate(planned.values())]
 
 
 def test_every_claim_holds(claims):
@@ -203,14 +192,6 @@ low linear bounded | 1b | at a high k_v its only peaks are where u_si turns
 def test_flights_in_the_place_of_others_break_figures_1_and_3(flights, flown, figure, claim):
     claims = {"1": claims_1, "3": claims_3}[figure[0]]
     assert (figure, claim) in failing(claims(*(flights[name] for name in words(flown))))
-
-
-def test_a_ugv_that_never_moves_breaks_figure_1c():
-    still, _ = fly(
-        load_scenario("figure-1-high-gain", overrides=["ugv.0.goals=[]", "duration=20.0"]), 0
-    )
-    assert stop_row(still) == 0
-    assert ("1c", "e(t) can rise while the UGV moves") in failing(claims_1(still, still, still))
 
 
 def test_flight_ending_before_the_ugv_stops_breaks_figure_1c(flights):

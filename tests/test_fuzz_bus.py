@@ -3,9 +3,11 @@
 import gc
 import os
 import random
+import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -31,7 +33,8 @@ from bus.keys import (
 from bus.messages.vehicle import UavCommand, UgvCommand
 from bus.session import Inbox, Session
 from mutations import REFUSALS, mutated
-from staging import stage, zenoh_of
+from processes import free_port
+from staging import GIVEN, client_of, hosted, stage, zenoh_of
 
 STREAM = 20_000
 TICKS, GARBAGE_PER_TICK = 200, 5
@@ -225,3 +228,16 @@ def test_a_fault_is_one_printable_line(wire: Wire) -> None:
     wire.carry((("ugv_0", b'{"tick":1,"acceleration":[0,0],"a\\n\\u001b[2J":0}'),))
     assert "\\x1b" in wire.inbox.fault["ugv_0"]
     assert wire.inbox.fault["ugv_0"].isprintable()
+
+
+def test_idle_connections_keep_no_client_out() -> None:
+    port = free_port()
+    endpoint = f"tcp/127.0.0.1:{port}"
+    with ExitStack() as stack:
+        stack.enter_context(hosted(endpoint))
+        for number in range(300):
+            opened = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
+            if number % 2:
+                # the beginning of a message that never ends
+                opened.sendall(b"\xff\xff" + b"\xa5" * 300)
+        assert stack.enter_context(client_of(endpoint, GIVEN.of("observer"))).connected

@@ -69,11 +69,6 @@ def test_a_memory_that_begins_again_is_as_fresh_as_a_new_one(delay: float) -> No
     assert [part.dtype for part in parts] == [part.dtype for part in arrays_of(fresh)]
 
 
-def test_a_track_has_room_for_a_tick() -> None:
-    with pytest.raises(ValueError, match="at least 1, not 0"):
-        filter_memory(1, 0)
-
-
 @pytest.mark.parametrize("taken", [-1, -8, 0, 3, 4, 10, 12, 19])
 def test_a_detection_of_a_tick_that_was_not_noted_is_ignored(taken: int) -> None:
     """Before the start, missed, later than now, or so long ago that another tick has its place in the track of 8."""

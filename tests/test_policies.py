@@ -169,19 +169,6 @@ def test_a_policy_that_raises_is_named_in_one_line(kind: Any) -> None:
     assert isinstance(caught.value.__cause__, RuntimeError)
 
 
-def test_of_a_long_reason_the_end_is_told_too() -> None:
-    """There a learning library says what was wrong."""
-
-    def broken(seen: UgvObservation, told: object) -> object:
-        raise RuntimeError(
-            "The following operation failed.\n" + "at\n" * 99 + "shapes 1x8 and 12x2"
-        )
-
-    driver = PolicyDriver(told_ugv(), policy=broken, name="mine:broken")
-    with refused(ScenarioError, r"raised RuntimeError: The following .* shapes 1x8 and 12x2"):
-        driver.drive(_seen(3))
-
-
 @pytest.mark.parametrize(
     "scenario",
     [_scenario(), load_scenario("escort", overrides={"duration": 20.0})],

@@ -13,7 +13,6 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
 
-import outrider
 from outrider.envs.vector import OutriderVectorEnv
 from outrider.registration import ESCORT, register
 from processes import python
@@ -107,11 +106,3 @@ def test_settings_go_through() -> None:
     env = gymnasium.make(ESCORT, agent="ugv_0", dtype=np.float32)
     assert env.observation_space.shape == (8,)
     assert env.observation_space.dtype == np.float32
-
-
-def test_every_name_of_the_front_door_is_the_same_thing_twice() -> None:
-    """A module of the same name would take its place once it is loaded."""
-    for name in outrider.__all__:
-        found = getattr(outrider, name)
-        assert callable(found), name
-        assert getattr(outrider, name) is found, name

@@ -13,7 +13,6 @@ from bus.messages.scenario import Area, Law
 from flights import escort, pairs
 from outrider.running.flying import fly
 from outrider.view.flight_picture import SIZE, draw_flight, flight_figure
-from sim.scenario.loading import load_scenario
 from sim.scenario.types import Detections, Uav, Ugv
 from sim.scene.known import geometry_of, scene_of
 from sim.scene.model import observed_scene
@@ -74,14 +73,6 @@ def test_user_settings_change_no_byte_of_the_picture(flight, drawn, tmp_path):
         draw_flight(flight, tmp_path / "b.png")
         assert dict(mpl.rcParams) == before
     assert drawn.read_bytes() == (tmp_path / "b.png").read_bytes()
-
-
-def test_every_panel_names_its_quantities_and_units(flight):
-    figure = flight_figure(flight)
-    assert [axes.get_ylabel() for axes in figure.axes] == LABELS
-    assert figure.axes[0].get_xlabel() == "x [m]"
-    assert panel(figure, "Estimate").get_xlabel() == "time [s]"  # the lowest of those that share it
-    assert len({axes.get_xlim() for axes in figure.axes[2:]}) == 1
 
 
 def test_header_tells_scenario_law_seed_distance_and_margin(flight):
@@ -249,14 +240,3 @@ def test_sight_that_is_kept_is_not_shaded(flight):
 def test_a_folder_that_is_not_there_is_an_oserror(flight, tmp_path):
     with pytest.raises(OSError, match="nowhere"):
         draw_flight(flight, tmp_path / "nowhere" / "flight.png")
-
-
-def test_the_picture_has_the_title_of_the_scenario():
-    scenario = load_scenario(
-        "escort",
-        overrides={"duration": 1.0, "area.width": 200.0, "area.height": 200.0, "area.cell": 1.0},
-    )
-    flight, _ = fly(scenario, 7)
-    texts = [text.get_text() for text in flight_figure(flight).texts]
-    assert scenario.title in texts
-    assert any(text.startswith("escort   ·   law certified") for text in texts)

@@ -11,16 +11,14 @@ pytest.importorskip("pyarrow", reason="the extra [sweep] is not installed")
 from scipy import stats
 
 from bus.errors import ScenarioError
-from bus.registry import LAWS
 from outrider.experiments.intervals import mean_interval, wilson_interval
 from outrider.experiments.report.document import certified_runs, holds, markdown, page
-from outrider.experiments.report.plots import MOST_PANELS, draw_all, positions
+from outrider.experiments.report.plots import draw_all
 from outrider.experiments.report.results import Material, read_material
 from outrider.experiments.sweep.columns import RESULTS
 from outrider.experiments.sweep.definition import describe_sweep
 from outrider.experiments.sweep.folder import SweepFolder
 from outrider.experiments.sweep.plan import SweepPlan, lay_out
-from outrider.style import law_color, law_mark
 
 
 def test_the_wilson_interval_of_none_of_twenty():
@@ -257,20 +255,6 @@ def test_a_sweep_of_nothing_but_failures_can_be_reported(tmp_path):
     material = read_material([kept(tmp_path / "sweep", plan, rows, whole=False)])
     pictures = draw_all(material, tmp_path)
     assert "No run was flown to its end" in page(material, pictures, "")
-
-
-def test_every_law_has_its_color_and_unknown_laws_are_drawn():
-    assert len({law_color(law) for law in LAWS}) == len(LAWS)
-    assert law_color("of-old") not in {law.color for law in LAWS.values()}
-    assert law_mark("of-old")
-
-
-def test_values_too_uneven_for_one_axis_stand_side_by_side(material):
-    (panel,) = material.panels
-    assert positions(panel) == ([0.0, 0.5, 1.0, 2.0], 0.5)
-    panel = type(panel)(title="", field="dt", values=[0.01, 0.02, 0.5], laws=[], cells={})
-    assert positions(panel) == ([0.0, 1.0, 2.0], 1.0)
-    assert MOST_PANELS > 7
 
 
 def test_report_writes_page_and_pictures_and_prints_json(tmp_path, command):

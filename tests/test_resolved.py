@@ -85,29 +85,6 @@ def test_recorded_links_and_tracks_keep_their_content(
     assert_written_and_read_the_same(scenario, tmp_path / "any.toml")
 
 
-def _structs(kind: type[msgspec.Struct]) -> set[type[msgspec.Struct]]:
-    """All tables of a scenario."""
-    found = {kind}
-    waiting: list[Any] = [msgspec.inspect.type_info(kind)]
-    while waiting:
-        one = waiting.pop()
-        if isinstance(one, msgspec.inspect.StructType):
-            found.add(one.cls)
-            waiting += [field.type for field in one.fields]
-        waiting += getattr(one, "types", ())
-        waiting += [one.item_type] if hasattr(one, "item_type") else []
-    return found
-
-
-def test_a_field_that_may_be_none_is_none_by_default() -> None:
-    """TOML has no null: a field that is left out must mean None."""
-    for struct in _structs(Scenario):
-        for field in msgspec.inspect.type_info(struct).fields:  # type: ignore[union-attr]
-            kinds = getattr(field.type, "types", ())
-            if any(isinstance(kind, msgspec.inspect.NoneType) for kind in kinds):
-                assert field.default is None, f"{struct.__name__}.{field.name}"
-
-
 def test_every_vehicle_can_be_changed_at_once() -> None:
     scenario = load_scenario("escort", overrides={"uav.*.max_speed": 0.5, "ugv.*.max_speed": 0.1})
     assert (scenario.uav[0].max_speed, scenario.ugv[0].max_speed) == (0.5, 0.1)
