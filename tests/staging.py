@@ -226,6 +226,11 @@ def raw_session(endpoint: str, credential: Credential | None, **settings: Any) -
     return zenoh.open(joining._config(known | {"connect/endpoints": [endpoint]} | own))
 
 
+def zenoh_of(session: Session) -> zenoh.Session:
+    """Return the raw session below ours, which asks nobody's leave."""
+    return session._zenoh
+
+
 @contextmanager
 def everybody(
     endpoint: str, given: CredentialSet, names: Iterable[str], router: str = "simulator"

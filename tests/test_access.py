@@ -42,7 +42,16 @@ from bus.keys import (
 from bus.session import Session
 from outrider.running.child import child_environment
 from processes import free_port
-from staging import Received, everybody, hosted, listening, raw_session, settled
+from staging import (
+    Received,
+    client_of,
+    everybody,
+    hosted,
+    listening,
+    raw_session,
+    settled,
+    zenoh_of,
+)
 
 RUN = "run"
 GIVEN = new_credentials(RUN, ["uav_0", "uav_1"], ["ugv_0", "ugv_1"])
@@ -103,7 +112,7 @@ def may(check: Any, key: Any, name: str, vehicle: str) -> bool:
     return True
 
 
-def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(known_by: str) -> None:
+def test_messages_go_from_their_writer_to_their_readers_alone(known_by: str) -> None:
     """All parties write to every key and read every key, each for itself and with the widest keys there are."""
     wanted = {
         (reader, expression, writer)
@@ -146,7 +155,7 @@ def declared(owner: str, name: str) -> list[str]:
     return [token(RUN, owner, place) for place in places]
 
 
-def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulators_alone(known_by):
+def test_parties_announce_themselves_alone(known_by):
     """Each declares the place of its number in everybody's name, places that nobody has."""
     seen: dict[str, set[str]] = {name: set() for name in NAMES}
     assert len(NAMES) <= PLACES
@@ -206,7 +215,7 @@ STRANGERS: dict[str, Credential | None] = {
 @pytest.mark.parametrize("mode", ["client", "peer", "router"])
 def test_a_stranger_gets_nothing(endpoint: str, kind: str, mode: str) -> None:
     with ExitStack() as stack:
-        host = stack.enter_context(hosted(endpoint, GIVEN))._zenoh
+        host = zenoh_of(stack.enter_context(hosted(endpoint, GIVEN)))
         publishers = [speaks(host, expression) for _, _, expression in concrete()]
         commands = receives(host, "outrider/**")
         told = {"mode": mode, "scouting__gossip__enabled": True, "listen__endpoints": []}
@@ -227,7 +236,7 @@ def test_a_stranger_gets_nothing(endpoint: str, kind: str, mode: str) -> None:
 
 def test_a_known_peer_with_gossip_gets_no_more_than_a_client(endpoint: str) -> None:
     with ExitStack() as stack:
-        host = stack.enter_context(hosted(endpoint, GIVEN))._zenoh
+        host = zenoh_of(stack.enter_context(hosted(endpoint, GIVEN)))
         stack.enter_context(raw_session(endpoint, GIVEN.of("ugv_0")))
         told = {"mode": "peer", "scouting__gossip__enabled": True}
         peer = stack.enter_context(raw_session(endpoint, GIVEN.of("uav_0"), **told))
@@ -287,7 +296,7 @@ def test_the_grants_are_the_table_and_nothing_more() -> None:
         assert allowed == own, party
 
 
-def test_nothing_is_allowed_by_default_and_no_grant_is_wider_than_its_run() -> None:
+def test_access_is_denied_by_default_and_limited_to_the_run() -> None:
     rules = access_control(GIVEN)
     assert rules["default_permission"] == "deny"
     assert {rule["permission"] for rule in rules["rules"]} == {"allow"}
@@ -326,12 +335,6 @@ def test_credentials_that_cannot_be_used_are_refused_in_one_line(tmp_path: Path)
         read_credential(files["router"])
     with pytest.raises(AccessDenied, match="not a router's credentials"):
         read_credentials(files["ugv_0"])
-
-
-def test_a_password_is_never_shown() -> None:
-    secret = GIVEN.of("uav_0")
-    assert secret.password not in repr(secret)
-    assert secret.password not in repr(GIVEN)
 
 
 def test_the_routers_list_of_passwords_is_gone_once_it_is_open(endpoint, monkeypatch, tmp_path):
@@ -377,7 +380,7 @@ def test_links_are_not_followed_where_credentials_are_given_away(tmp_path: Path)
         give_folder(tmp_path / "link", (os.geteuid(), os.getegid()))
 
 
-def test_no_process_of_a_vehicle_inherits_the_pages_token_or_the_users_credentials(
+def test_vehicle_processes_inherit_no_credentials(
     monkeypatch,
 ) -> None:
     monkeypatch.setenv("OUTRIDER_TOKEN", "x" * 20)
@@ -386,3 +389,21 @@ def test_no_process_of_a_vehicle_inherits_the_pages_token_or_the_users_credentia
         assert name not in child_environment(companion=True)
     assert "OUTRIDER_TOKEN" not in child_environment()
     assert "OUTRIDER_TOKEN" in child_environment(companion=True)
+
+
+def test_a_password_is_never_shown() -> None:
+    secret = GIVEN.of("uav_0")
+    assert secret.password not in repr(secret)
+    assert secret.password not in repr(GIVEN)
+
+
+def test_the_sessions_of_a_party_are_limited(endpoint: str) -> None:
+    with ExitStack() as stack:
+        stack.enter_context(hosted(endpoint))
+        ugv = GIVEN.of("ugv_0")
+        opened = [stack.enter_context(client_of(endpoint, ugv)) for _ in range(PLACES + 1)]
+        for one in opened[:PLACES]:
+            one.announce()
+        assert [one.place for one in opened[:PLACES]] == list(range(PLACES))
+        with pytest.raises(AccessDenied, match=f"ugv_0 has {PLACES} sessions"):
+            opened[-1].announce()

@@ -118,7 +118,7 @@ def test_a_tick_that_is_certified_out_of_sight_is_counted() -> None:
     assert taken(False, None, at=9.0).certified_while_lost == 0
 
 
-def test_a_certificate_that_ends_while_all_assumptions_hold_is_counted_once() -> None:
+def test_certificate_ended_under_its_assumptions_counts_once() -> None:
     assert taken(*[True] * 5, *[False] * 5, True, False, False).certificate_broken == 2
     assert taken(False, False, True, True).certificate_broken == 0
 
@@ -194,7 +194,7 @@ NO_EXCUSES: dict[str, tuple[Truths, dict[str, Any]]] = {
         for name, case in cases.items()
     ],
 )
-def test_a_certificate_may_end_where_an_assumption_fails_and_only_there(broken, truths, told):
+def test_certificate_ends_only_where_an_assumption_fails(broken, truths, told):
     ends = told.get("ends", AT)
     declared = {name: value for name, value in told.items() if name != "ends"}
     certificate = msgspec.structs.replace(DELAYED.certificate, **declared)
@@ -204,7 +204,7 @@ def test_a_certificate_may_end_where_an_assumption_fails_and_only_there(broken, 
     assert assurance.certificate_broken == broken
 
 
-def test_a_filter_that_begins_in_flight_answers_for_no_detection_of_before() -> None:
+def test_filter_started_in_flight_ignores_earlier_detections() -> None:
     assurance = Assurance(DELAYED)
     take(assurance, 0, True, arrivals=[(0, 9.0)])
     for tick in range(10, 20):  # the law has not been watched meanwhile
@@ -212,7 +212,7 @@ def test_a_filter_that_begins_in_flight_answers_for_no_detection_of_before() -> 
     assert assurance.certificate_broken == 1
 
 
-def test_a_filter_that_begins_in_flight_need_not_certify_what_one_before_it_did() -> None:
+def test_filter_started_in_flight_inherits_no_certificate() -> None:
     assurance = taken(True, True)
     for tick in range(10, 14):  # the law has not been watched meanwhile
         take(assurance, tick, tick > 11)
@@ -224,7 +224,7 @@ def test_a_filter_that_begins_in_flight_need_not_certify_what_one_before_it_did(
 
 
 @pytest.mark.parametrize(("flown_on", "broken"), [(True, 1), (False, 0)])
-def test_an_outage_that_follows_at_once_excuses_a_certificate_that_ends(flown_on, broken) -> None:
+def test_outage_right_afterwards_excuses_an_ended_certificate(flown_on, broken) -> None:
     """Where commands carry motions: a pilot knows of it before it is too long."""
     certificate = Certificate(
         max_command_delay=0.25,
@@ -240,7 +240,7 @@ def test_an_outage_that_follows_at_once_excuses_a_certificate_that_ends(flown_on
     assert assurance.certificate_broken == broken
 
 
-def test_a_certificate_ends_with_the_filter_and_vouches_for_no_tick_after_it() -> None:
+def test_certificate_covers_no_tick_after_the_filter_stops() -> None:
     assurance = taken(True, True)
     take(assurance, 2, None, watched=False)
     assurance.end(0, R_V)
@@ -278,7 +278,7 @@ def lied(tmp_path_factory: pytest.TempPathFactory) -> tuple[Flight, Summary, Pat
     return flight, summarize(flight, seconds=1.0), path
 
 
-def test_sight_that_is_lost_with_the_last_certified_tick_is_counted_once() -> None:
+def test_sight_lost_at_the_last_certified_tick_counts_once() -> None:
     for ticks, last, lost in (
         ((True, True), R_V, 1),
         ((True, True), R_V - 1e-6, 0),
@@ -291,7 +291,7 @@ def test_sight_that_is_lost_with_the_last_certified_tick_is_counted_once() -> No
             assert assurance.certified_while_lost == lost
 
 
-def test_a_filter_around_a_control_of_ones_own_is_held_against_the_truth_whatever_the_law() -> None:
+def test_filter_around_user_control_is_checked_against_truth() -> None:
     """The laws of the paper are watched by no filter; `inner` is."""
     counts = []
     for law in ("certified", "linear"):
@@ -320,7 +320,7 @@ def test_every_lie_of_a_flight_is_in_its_summary(lied: tuple[Flight, Summary, Pa
     assert truth.decision.certified
 
 
-def test_the_trajectory_s_file_tells_each_tick_what_was_certified(lied, tmp_path):
+def test_trajectory_file_states_the_certificate_of_each_tick(lied, tmp_path):
     flight, summary, _ = lied
     flight.recorder.write(tmp_path / "trajectory.csv")
     with (tmp_path / "trajectory.csv").open(newline="", encoding="utf-8") as file:
@@ -369,7 +369,7 @@ def test_a_recording_tells_the_same_counts_and_each_tick_s_claim(lied):
             assert told[field] == getattr(summary, field), (arguments, field)
 
 
-def test_the_table_has_a_line_for_each_fault_of_the_certificate_and_none_without(lied):
+def test_summary_table_lists_certificate_faults_only(lied):
     _, summary, _ = lied
     broken = msgspec.structs.replace(summary, certified_while_lost=0, certificate_broken=3)
     clean = msgspec.structs.replace(summary, certified_while_lost=0)
@@ -409,7 +409,7 @@ def losing_the_thread(scenario: Scenario) -> Piloted:
     ],
     ids=str,
 )
-def test_a_flight_s_certificate_is_broken_only_where_the_truth_keeps_what_is_declared(
+def test_certificate_breaks_only_under_its_declared_bounds(
     changes: dict[str, Any], broken: int
 ) -> None:
     given = {
@@ -426,7 +426,7 @@ def test_a_flight_s_certificate_is_broken_only_where_the_truth_keeps_what_is_dec
     assert flight.answers.assurance.reasons[NotCertified.NO_PLAN] == 4
 
 
-def test_a_law_that_is_ordered_in_flight_excuses_the_tick_at_which_it_begins() -> None:
+def test_law_change_excuses_its_first_tick() -> None:
     scenario = load_scenario(
         "escort", overrides={"law.name": "certified", "area.cell": 0.5, "duration": 10.0}
     )

@@ -20,7 +20,7 @@ MARGIN = border_distance(V_A, U_A, DT)
 speeds = st.floats(-V_A, V_A)
 
 
-def test_the_safety_distance_is_the_papers_and_at_most_two_ticks_more() -> None:
+def test_safety_distance_exceeds_the_papers_by_two_ticks_at_most() -> None:
     assert V_A**2 / (2.0 * U_A) + V_A * DT <= MARGIN <= V_A**2 / (2.0 * U_A) + 2.0 * V_A * DT
     assert border_distance(V_A, math.inf, DT) <= 2.0 * V_A * DT
 

@@ -88,7 +88,7 @@ def bomb(folder: Path, name: str) -> Path:
 
 
 @pytest.mark.parametrize("name", BOMBS)
-def test_a_recording_that_unpacks_to_more_than_a_flight_is_one_line(name, tmp_path):
+def test_oversized_recording_is_refused_in_one_line(name, tmp_path):
     with refused(ScenarioError, BOMBS[name][1]):
         load(bomb(tmp_path, name))
 

@@ -31,6 +31,7 @@ from bus.messages.vehicle import UavCommand, UgvCommand
 from bus.session import Envelope, Session
 from mutations import real_messages
 from processes import python
+from staging import zenoh_of
 
 NAMES = {role: role.value for role in Role} | {Role.UAV: "uav_0", Role.UGV: "ugv_0"}
 
@@ -54,7 +55,7 @@ def sessions(endpoint: str) -> Iterator[dict[Role, Session]]:
 
 
 @pytest.mark.parametrize("key", KEYS, ids=lambda key: key.message.__name__)
-def test_every_row_round_trips_to_its_reader_with_the_same_bits_and_its_vehicle(sessions, key):
+def test_messages_round_trip_with_the_same_bits_and_vehicle(sessions, key):
     reader = key.readers[0]
     vehicle = NAMES.get(key.vehicle, "") if key.vehicle else ""
     inbox = sessions[reader].inbox(key, vehicle)
@@ -130,7 +131,7 @@ GARBAGE = [
 
 def test_what_does_not_decode_is_counted_named_and_dropped(sessions: dict[Role, Session]) -> None:
     inbox = sessions[Role.SIMULATOR].inbox_of_all({"uav_0": UAV_COMMAND, "ugv_0": UGV_COMMAND})
-    raw = sessions[Role.UGV]._zenoh
+    raw = zenoh_of(sessions[Role.UGV])
     good = UgvCommand(tick=3, acceleration=(0.0, 0.1))
     outbox = sessions[Role.UGV].outbox(UGV_COMMAND, "ugv_0")
     for payload in GARBAGE:
@@ -144,10 +145,10 @@ def test_what_does_not_decode_is_counted_named_and_dropped(sessions: dict[Role, 
     assert inbox.refused == {"uav_0": 0, "ugv_0": len(GARBAGE)}
 
 
-def test_what_is_too_large_is_dropped_by_the_router_or_refused_by_the_reader(sessions):
+def test_oversized_messages_are_dropped_or_refused(sessions):
     inbox = sessions[Role.SIMULATOR].inbox_of_all({"uav_0": UAV_COMMAND, "ugv_0": UGV_COMMAND})
     observer = sessions[Role.OBSERVER].inbox(TRUTH)
-    client, router = sessions[Role.UGV]._zenoh, sessions[Role.SIMULATOR]._zenoh
+    client, router = zenoh_of(sessions[Role.UGV]), zenoh_of(sessions[Role.SIMULATOR])
     good = msgspec.json.encode(UgvCommand(tick=3, acceleration=(0.0, 0.1)))
     for size in (UGV_COMMAND.largest + 1, 2 << 20, UGV_COMMAND.largest):
         client.put(
@@ -171,7 +172,7 @@ def test_what_is_too_large_is_dropped_by_the_router_or_refused_by_the_reader(ses
 def test_nothing_of_a_stranger_in_the_run_is_received(sessions: dict[Role, Session]) -> None:
     inbox = sessions[Role.SIMULATOR].inbox_of_all({"uav_0": UAV_COMMAND, "ugv_0": UGV_COMMAND})
     for key in ("outrider/run/nobody/command", "outrider/another/ugv_0/command"):
-        sessions[Role.UGV]._zenoh.put(key, b'{"tick":1,"acceleration":[0.0,0.0]}')
+        zenoh_of(sessions[Role.UGV]).put(key, b'{"tick":1,"acceleration":[0.0,0.0]}')
     assert inbox.receive(0.5) is None
 
 

@@ -71,13 +71,13 @@ def told(changes, seed, on_tick=None):
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_no_tick_is_certified_beyond_r_v_where_commands_do_not_act_as_declared(name: str) -> None:
+def test_undeclared_command_delay_certifies_no_tick_beyond_r_v(name: str) -> None:
     ticks = told(*BROKEN[name])
     assert not [distance for certified, distance in ticks if certified and distance >= R_V]
     assert {certified for certified, _ in ticks} >= {True, False}
 
 
-def test_a_law_that_is_changed_in_flight_is_not_certified_before_its_own_commands_are_under_way():
+def test_changed_law_is_certified_from_its_own_commands_on():
     """The filter once believed that nothing was under way."""
 
     def change(flight: Flight) -> None:
@@ -103,7 +103,7 @@ def test_a_law_that_is_changed_in_flight_is_not_certified_before_its_own_command
     assert sum(certified is True for certified, _ in ticks[400:]) > 200
 
 
-def test_links_that_are_changed_in_flight_are_not_certified_beyond_r_v() -> None:
+def test_changed_links_are_not_certified_beyond_r_v() -> None:
     def change(flight: Flight) -> None:
         if flight.world.tick % 200 == 100:
             flight.degrade(LinkKind.COMMANDS, "uav_0", LinkSettings(delay=0.9, jitter=0.2))

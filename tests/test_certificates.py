@@ -39,7 +39,7 @@ from bus.keys import COMMAND, Role
 from bus.messages.vehicle import UavCommand
 from bus.session import Session
 from processes import free_port
-from staging import client_of, hosted, raw_session
+from staging import client_of, hosted, raw_session, zenoh_of
 from tabular import rows
 
 RUN = "run"
@@ -76,7 +76,7 @@ def refusal(endpoint: str, credential: Credential | None) -> str:
     return str(caught.value)
 
 
-def test_each_party_has_a_name_of_its_own_and_no_file_has_anothers_key(tmp_path: Path) -> None:
+def test_each_party_has_its_own_name_and_key(tmp_path: Path) -> None:
     files = write_credentials(GIVEN, tmp_path / "made", AUTHORITY)
     assert {stat.S_IMODE(path.stat().st_mode) for path in files.values()} == {0o600}
     assert read_credentials(files["router"]) == GIVEN.for_router()
@@ -112,7 +112,7 @@ def mixed(**parts: str) -> Identity:
     ],
     ids=["another's", "expired", "another key", "another authority", "garbage", "garbage key"],
 )
-def test_a_certificate_that_would_be_refused_is_named_before_anything_is_sent(made, told):
+def test_invalid_certificate_is_named_before_connecting(made, told):
     with pytest.raises(AccessDenied, match=told):
         check_identity(made(), "uav_0")
     assert told in refusal("tls/127.0.0.1:1", known_as(made()))
@@ -129,7 +129,7 @@ a router's certificate | says that this certificate is not for a client
 expired | says that this certificate has expired
 """),
 )
-def test_who_is_not_of_the_run_is_refused_by_the_router_and_told_why(
+def test_router_refuses_strangers_with_a_reason(
     endpoint: str, kind: str, told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     foreign = identity(authority=FOREIGN)
@@ -163,7 +163,7 @@ def test_a_client_trusts_nobody_but_its_router(endpoint, monkeypatch):
         assert "is not a router's" in refusal(endpoint, UAV)
 
 
-def test_certificates_and_unencrypted_endpoints_do_not_go_together() -> None:
+def test_certificates_need_encrypted_endpoints() -> None:
     with pytest.raises(AccessDenied, match="must begin with tls/"), hosted("tcp/[::1]:0", GIVEN):
         pass
     assert "must begin with tls/" in refusal("tcp/127.0.0.1:1", UAV)
@@ -185,17 +185,17 @@ def passes(router: Session, client: Session) -> bool:
     return False
 
 
-def test_a_name_that_the_router_does_not_know_gets_nothing_and_is_named(endpoint, caplog):
+def test_unknown_name_receives_nothing_and_is_logged(endpoint, caplog):
     stranger = known_as(identity("nobody"))
     with hosted(endpoint, GIVEN) as router:
-        receives = router._zenoh.declare_subscriber("**", zenoh.handlers.RingChannel(10))
+        receives = zenoh_of(router).declare_subscriber("**", zenoh.handlers.RingChannel(10))
         with raw_session(endpoint, stranger) as opened:
             received = opened.declare_subscriber("outrider/**", zenoh.handlers.RingChannel(10))
             # its own subscriber receives nothing of what it puts
             told, there = threading.Event(), {"allowed_destination": zenoh.Locality.REMOTE}
             for k in range(250):
                 opened.put(f"outrider/{RUN}/uav_0/command", b"{}", **there)
-                router._zenoh.put(f"outrider/{RUN}/uav_0/observation", b"{}", **there)
+                zenoh_of(router).put(f"outrider/{RUN}/uav_0/observation", b"{}", **there)
                 if k >= 20 and caplog.records:
                     break
                 told.wait(0.02)

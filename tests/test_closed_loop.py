@@ -103,7 +103,7 @@ def _compare(scenario: Scenario, alike: Callable[[np.ndarray, np.ndarray], bool]
             }
 
 
-def test_what_is_certified_out_of_sight_is_counted_in_every_world() -> None:
+def test_certified_tick_out_of_sight_counts_in_every_world() -> None:
     """Sight ends at half a metre there, and the filter was told another r_v."""
     scenario, seeds = SCENARIOS["evade"], [5, 11]
     loop = ClosedLoop(scenario, len(seeds), error=True, end_on_sight_lost=False)
@@ -121,7 +121,7 @@ def test_what_is_certified_out_of_sight_is_counted_in_every_world() -> None:
     assert counted.min() > 100
 
 
-def test_a_certificate_that_ends_is_counted_unless_an_assumption_has_failed() -> None:
+def test_ended_certificate_counts_unless_an_assumption_failed() -> None:
     """Blackouts longer than declared end it; where the age is held to be allowed, that is a broken certificate."""
     dark = msgspec.structs.replace(PROFILES["perfect"], blackouts=((4.0, 2.0), (8.0, 3.0)))
     late = msgspec.structs.replace(PROFILES["perfect"], delay=0.2)
@@ -187,7 +187,7 @@ def test_the_first_seconds_of_escort_are_those_of_the_run() -> None:
 
 
 @pytest.mark.parametrize("name", ["evade", "network"])
-def test_a_ugv_that_evades_hears_a_uav_that_is_flown_from_outside(name: str) -> None:
+def test_evading_ugv_hears_an_external_uav(name: str) -> None:
     scenario = msgspec.structs.replace(SCENARIOS[name], law=Law(name="logarithmic"))
     actions = np.random.default_rng(2).uniform(-0.3, 0.3, (scenario.ticks, 2))
     loop = ClosedLoop(scenario, 2, external=["uav_0"], end_on_sight_lost=False)
@@ -235,7 +235,7 @@ def test_worlds_that_wait_for_actions_do_not_fly_by_themselves() -> None:
         ClosedLoop(small("tracking"), 1, external=["uav_0"]).fly()
 
 
-def test_an_episode_ends_by_itself_and_begins_anew_as_if_it_were_the_first() -> None:
+def test_ended_episode_restarts_like_the_first() -> None:
     scenario = small("certified", "evade", links=POOR)
     options: dict[str, Any] = {
         "gradient": True,

@@ -61,7 +61,7 @@ def test_the_ugv_is_told_these_fields_and_no_others() -> None:
     assert told(TO_UGV) == {*words(known)}
 
 
-def test_the_past_that_a_vehicle_is_told_is_its_own_observations_and_nothing_else() -> None:
+def test_briefed_past_is_the_vehicles_own_observations() -> None:
     for told, seen in (
         (UavBriefing, UavObservation),
         (UgvBriefing, UgvObservation),
@@ -79,7 +79,7 @@ def test_no_message_to_the_uav_names_goal_path_input_or_plan(kind: type[Message]
 
 
 @pytest.mark.parametrize("kind", TO_UGV)
-def test_no_message_to_the_ugv_names_the_uavs_velocity_input_or_law(kind):
+def test_ugv_messages_hide_velocity_input_and_law_of_the_uav(kind):
     forbidden = words(
         "law acceleration command estimate detections detector truth seed secret vehicles"
     )
@@ -96,7 +96,7 @@ def test_what_a_uav_can_radio_has_no_velocity_and_no_input() -> None:
     assert fields_within(blocks) == {"column", "row", "tiles"}
 
 
-def test_an_observation_smuggled_with_another_vehicles_velocity_is_refused() -> None:
+def test_observation_with_another_vehicles_velocity_is_refused() -> None:
     smuggled = (
         b'{"tick":1,"time":0.05,"position":[1.0,1.0],"velocity":[0.0,0.0],'
         b'"detections":[{"time":0.05,"relative_position":[1.0,0.0],"velocity":[0.1,0.0]}]}'
@@ -105,7 +105,7 @@ def test_an_observation_smuggled_with_another_vehicles_velocity_is_refused() -> 
         msgspec.json.decode(smuggled, type=UavObservation)
 
 
-def test_the_route_that_a_ugv_plans_goes_to_the_simulator_and_no_vehicle() -> None:
+def test_planned_route_reaches_the_simulator_and_no_vehicle() -> None:
     assert "route" in UgvCommand.__struct_fields__
     carrying = [key for key in KEYS if {"route", "routes"} & fields_within(key.message)]
     assert {role for key in carrying for role in key.readers} == {
@@ -155,7 +155,7 @@ ON_BOARD = {
 """All that a vehicle carries of the simulator."""
 
 
-def test_the_contract_names_every_part_of_the_simulator_that_is_no_model_on_board() -> None:
+def test_import_contract_covers_all_simulator_modules() -> None:
     import tomllib
 
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
@@ -192,7 +192,7 @@ def test_the_import_contracts_hold() -> None:
 
 
 @pytest.mark.usefixtures("_linter")
-def test_the_import_contracts_catch_an_agent_that_reads_the_world(tmp_path: Path) -> None:
+def test_import_contracts_catch_an_agent_reading_the_world(tmp_path: Path) -> None:
     import shutil
 
     for package in ("agents", "sim", "bus", "outrider"):
@@ -234,7 +234,7 @@ OF_MESSAGES = {"sim.scene", "sim.scene.colors", "sim.scene.model"}
     ],
     ids=["by our pilots", "by setpoints of MAVLink", "by a node of ROS 2", "by a unit of FMI"],
 )
-def test_the_process_of_a_vehicle_never_loads_the_world_nor_a_scenario(modules, more):
+def test_vehicle_process_loads_neither_world_nor_scenario(modules, more):
     for module in re.findall(r"outrider_\w+", modules):
         pytest.importorskip(module, reason="the extension is not installed")
     loaded = {name for name in loaded_by(f"agents.process, {modules}") if name.startswith("sim.")}
@@ -254,7 +254,7 @@ def test_no_other_distribution_installs_our_package_names() -> None:
         )
 
 
-def test_every_row_of_the_key_table_has_one_writer_and_readers_that_differ() -> None:
+def test_every_key_has_one_writer_and_other_readers() -> None:
     assert len({(key.topic, key.vehicle) for key in KEYS}) == len(KEYS)
     for key in KEYS:
         assert key.readers

@@ -45,7 +45,7 @@ UNBOUNDED = {"max_speed": math.inf, "max_acceleration": math.inf}
 
 @given(numbers, numbers, st.floats(1e-6, 1e6))
 @settings(PROPERTY)
-def test_the_gradient_counts_unless_it_is_zero_beside_its_integrand(x, y, size):
+def test_gradient_counts_unless_negligible_beside_its_integrand(x, y, size):
     chosen = single_integrator_command(x, y, size, 7.0, 8.0)
     zero = math.hypot(x, y) / size < 1e-9
     assert is_zero_gradient(x, y, size) == zero
@@ -58,7 +58,7 @@ def test_no_integrand_is_a_zero_gradient() -> None:
 
 @given(numbers, numbers, numbers, numbers, st.floats(0.01, 5.0))
 @settings(PROPERTY)
-def test_the_velocity_error_leads_to_the_nominal_speed_along_the_command(x, y, v_x, v_y, v_ref):
+def test_velocity_error_leads_to_nominal_speed_along_the_command(x, y, v_x, v_y, v_ref):
     e_x, e_y = velocity_error(x, y, v_ref, v_x, v_y, True)
     wanted = (e_x + v_x, e_y + v_y)
     assert wanted == pytest.approx(desired_velocity(x, y, v_ref), abs=1e-12)
@@ -127,7 +127,7 @@ def _standing(k_v: float, sensor: str, **limits: float) -> Scenario:
 @pytest.mark.parametrize("limits", [{}, UNBOUNDED], ids=["bounded", "unbounded"])
 @pytest.mark.parametrize("sensor", SENSORS)
 @pytest.mark.parametrize("k_v", [1.0, 10.0])
-def test_coverage_around_a_standing_ugv_ends_with_nothing_uncovered(k_v, sensor, limits):
+def test_coverage_around_a_standing_ugv_completes(k_v, sensor, limits):
     """Proposition 1; and then, (10), the UAV brakes."""
     flight, summary = fly(_standing(k_v, sensor, **limits), 0)
     assert summary.initial_error > 90.0
@@ -165,7 +165,7 @@ def _first_command(law: str, place: tuple[float, float], seed: int) -> tuple[flo
 
 @pytest.mark.parametrize("place", PLACES.values(), ids=PLACES.keys())
 @pytest.mark.parametrize("law", LAWS)
-def test_right_above_the_ugv_the_uav_sets_off_at_full_size_in_a_direction_of_its_keys(law, place):
+def test_uav_above_the_ugv_departs_in_a_keyed_direction(law, place):
     commands = [_first_command(law, place, seed) for seed in range(40)]
     for u_x, u_y in commands:
         assert norm(u_x, u_y) == pytest.approx(U_A, rel=1e-12)

@@ -34,7 +34,7 @@ def _spread(share: float) -> float:
         *((2.0, share) for share in (0.05, 0.5, 1.0)),
     ],
 )
-def test_what_does_not_drop_out_is_found_from_always_at_r_v_to_never_at_r(distance, dropout):
+def test_detection_chance_falls_from_one_at_r_v_to_zero_at_r(distance, dropout):
     """Between them the share of finds falls linearly."""
     share = sum(found for found, _, _ in _looks(distance, dropout)) / LOOKS
     wanted = (1.0 - dropout) * min(max((R - distance) / (R - R_V), 0.0), 1.0)
@@ -43,7 +43,7 @@ def test_what_does_not_drop_out_is_found_from_always_at_r_v_to_never_at_r(distan
 
 @given(st.floats(0.0, 10.0), st.floats(0.0, 1.0))
 @settings(PROPERTY)
-def test_the_chance_is_a_probability_that_never_grows_with_the_distance(distance, dropout):
+def test_detection_probability_never_grows_with_distance(distance, dropout):
     near = detection_chance(distance, R_V, R, dropout)
     far = detection_chance(distance + 0.1, R_V, R, dropout)
     assert 0.0 <= far <= near <= 1.0
@@ -61,7 +61,7 @@ def test_a_look_without_noise_is_the_truth() -> None:
 
 
 @pytest.mark.parametrize("cut", [1.0, 3.0, math.inf])
-def test_the_noise_has_no_bias_the_variance_of_its_cut_and_stays_within_it(cut: float) -> None:
+def test_detection_noise_is_unbiased_and_truncated(cut: float) -> None:
     sigma = 0.2
     noise = np.array(
         [(x - 1.8, y + 2.4) for _, x, y in _looks(3.0, dropout=0.0, sigma=sigma, cut=cut)]
@@ -82,7 +82,7 @@ def test_noise_and_dropouts_are_drawn_apart() -> None:
     assert set(kept) < set(whole)
 
 
-def test_each_key_of_noise_has_noise_of_its_own_whatever_the_key_of_chance() -> None:
+def test_detection_noise_depends_on_its_own_key_alone() -> None:
     looks = {
         detect(1.0, 1.0, R_V, R, 0.0, 0.2, 3.0, a_key(n), a_key(m), 7)
         for n in range(5)

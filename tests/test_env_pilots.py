@@ -50,13 +50,6 @@ def test_pilots_fly_the_same_bits_in_the_environment_as_in_a_run(scenario):
     np.testing.assert_array_equal(states, flight.recorder.states[:-1])
 
 
-@pytest.mark.parametrize("scenario", [NOISY, ABOVE], ids=["noisy", "above"])
-def test_another_seed_flies_another_trajectory(scenario):
-    env = parallel_env(scenario, duration=20.0)
-    hashes = {sha256(record(env, pilots(env), env.reset(seed=seed)[0])) for seed in range(5)}
-    assert len(hashes) > 1  # there are but a few directions to choose from
-
-
 def test_pilots_begin_anew_with_each_episode():
     env = parallel_env(NOISY, duration=20.0)
     policies = pilots(env)
@@ -154,7 +147,7 @@ def test_estimates_are_nearer_to_the_truth_than_detections():
 
 
 @pytest.mark.parametrize("options", [{}, {"dtype": np.float32}, {"coverage_patch": (8, 1.0)}])
-def test_environment_with_estimates_keeps_to_its_spaces_and_to_its_seed(options):
+def test_estimates_stay_in_their_spaces_and_repeat_by_seed(options):
     env, twin = (parallel_env(NOISY, estimate=True, **options) for _ in range(2))
     list(rows_of(twin, 30, seed=9))  # another episode leaves nothing behind
     kept = []
@@ -166,13 +159,6 @@ def test_environment_with_estimates_keeps_to_its_spaces_and_to_its_seed(options)
     assert all(str(now) == str(then) for now, then in kept)
     assert env.observation_space("uav_0") is env.observation_space("uav_0")
     assert env.state().tobytes() == twin.state().tobytes()
-
-
-def test_the_row_stays_as_it_is_until_there_is_a_detection():
-    blind = msgspec.structs.replace(NOISY, detections=Detections(dropout=1.0))
-    env = parallel_env(blind, estimate=True)
-    for rows in rows_of(env, 5):
-        assert rows["uav_0"][5:].tolist() == [0.0, 0.0, 0.0, 100.0]
 
 
 @pytest.mark.parametrize("name", ["escort", "minefield"])

@@ -47,7 +47,7 @@ def test_full_error_is_the_papers_anchor():
     assert full_error(9.75, 2.0) == pytest.approx(710.44, abs=0.005)
 
 
-def test_full_error_is_what_the_world_measures_on_uncovered_ground():
+def test_full_error_is_the_error_of_uncovered_ground():
     env = parallel_env(scenario())
     env.reset(seed=0)
     assert env.metrics()["uav_0"]["uncovered_share"] == pytest.approx(1.0, abs=1e-5)
@@ -113,7 +113,7 @@ def test_losing_sight_early_never_pays():
     assert sum(paid(fled)) < -60.0 < sum(paid(stayed))
 
 
-def test_where_losing_sight_goes_on_it_is_charged_once_and_then_by_the_tick():
+def test_continued_loss_of_sight_is_charged_once_then_by_tick():
     env = parallel_env(scenario(duration=30.0), end_on_sight_lost=False)
     steps = flown(env, uav_0=AWAY)
     rewards, (*_, terminations, truncations, _) = paid(steps), steps[-1]
@@ -127,7 +127,7 @@ def test_where_losing_sight_goes_on_it_is_charged_once_and_then_by_the_tick():
     assert all(-10.0 < reward <= -2.0 * 0.05 for reward in rewards[-lost + 1 :])
 
 
-def test_one_lost_ugv_ends_the_episode_of_all_and_only_its_uav_pays():
+def test_one_lost_ugv_ends_the_episode_and_charges_its_uav():
     _, rewards, terminations, *_ = flown(parallel_env(TWO), uav_1=AWAY)[-1]
     assert set(terminations.values()) == {True}
     assert rewards["uav_1"] < -10.0 < -1.0 < rewards["uav_0"]
@@ -164,7 +164,7 @@ def test_ugv_that_has_arrived_or_has_no_goal_gains_nothing_more():
         assert gains[-1] == 0.0
 
 
-def test_reaching_all_goals_ends_the_episode_where_that_is_wanted():
+def test_reaching_all_goals_ends_the_episode_on_request():
     for wanted in (False, True):
         env = parallel_env(TWO, end_on_goals_reached=wanted, end_on_sight_lost=False, duration=20.0)
         *_, terminations, truncations, infos = flown(env, ugv_0=[0.1, 0.0])[-1]
@@ -173,7 +173,7 @@ def test_reaching_all_goals_ends_the_episode_where_that_is_wanted():
         assert infos["ugv_0"]["goals_reached"] == 1
 
 
-def test_without_any_goal_the_episode_does_not_end_by_reaching_all():
+def test_episode_without_goals_does_not_end_by_reaching_them():
     env = parallel_env(scenario(goals=()), end_on_goals_reached=True, duration=1.0)
     *_, terminations, truncations, _ = flown(env)[-1]
     assert not any(terminations.values())

@@ -13,9 +13,8 @@ from bus.observations import (
     UAV,
     UGV,
     by_name,
-    markdown,
 )
-from outrider.envs.parallel import OutriderEnv, parallel_env
+from outrider.envs.parallel import parallel_env
 from row_messages import uav_observation, ugv_observation
 from sim.scenario.types import Coverage, Detections, Scenario, Uav, Ugv
 from sim.server.flight import Flight
@@ -50,12 +49,6 @@ def drive(env, uav, ugv, ticks):
 # -- the layout
 
 
-def test_the_docstring_has_the_tables_of_both_vehicles() -> None:
-    docstring = "\n".join(line.strip() for line in OutriderEnv.__doc__.splitlines())
-    assert markdown(UAV) in docstring
-    assert markdown(UGV) in docstring
-
-
 @pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)
 def test_every_entry_has_a_meaning_and_a_range_of_known_symbols(table):
     for entry in table:
@@ -80,7 +73,7 @@ def test_rows_hold_what_the_vehicles_perceive_over_the_bus():
     assert seen == {False, True}
 
 
-def test_age_counts_from_the_newest_detection_and_is_the_whole_episode_before_the_first():
+def test_age_counts_from_the_newest_detection():
     env = parallel_env(scenario(rate=4.0))
     ages = [by_name(UAV, rows["uav_0"])["age"] for rows, _ in drive(env, [0.0, 0.0], [0.0, 0.0], 7)]
     np.testing.assert_allclose(ages, [0.0, 0.05, 0.1, 0.15, 0.2, 0.0, 0.05, 0.1], atol=1e-12)
@@ -127,7 +120,7 @@ def test_uav_perceives_nothing_of_the_ugv_but_its_detections():
         assert info["uav_0"] == other["uav_0"] == {}
 
 
-def test_uav_sees_where_a_detected_ugv_is_but_not_how_it_moves_or_where_it_goes():
+def test_uav_sees_the_position_of_a_detected_ugv_alone():
     slow = parallel_env(scenario(noise=0.1)).reset(seed=1)[0]["uav_0"]
     fast = parallel_env(scenario(noise=0.1, velocity=(0.1, 0.1), goals=((1.0, 1.0),))).reset(
         seed=1
@@ -174,7 +167,7 @@ def brute_patch(coverage, x, y, desired, cell, pixels, scale):
 
 
 @pytest.mark.parametrize(("pixels", "scale"), [(1, 1.0), (8, 0.25), (9, 1.7), (32, 0.5)])
-def test_patch_is_the_map_around_the_uav_and_covered_outside_the_area(pixels, scale):
+def test_coverage_patch_is_covered_outside_the_area(pixels, scale):
     env = parallel_env(scenario(uav=(1.0, 2.0), ugv=(2.0, 2.0)), coverage_patch=(pixels, scale))
     env.reset(seed=0)
     for _ in range(40):

@@ -67,7 +67,7 @@ NO_PAIR, NOT_FINITE = (
     ],
     ids=str,
 )
-def test_a_bad_action_is_refused_in_one_line_and_nothing_has_happened(name, action, words):
+def test_bad_action_is_refused_and_changes_nothing(name, action, words):
     env, twin = ACTING[name](SCENARIO), ACTING[name](SCENARIO)
     for one in (env, twin):
         one.reset(seed=5)
@@ -214,7 +214,7 @@ def test_numbers_of_numpy_are_numbers() -> None:
 
 
 @pytest.mark.parametrize("name", MAKERS)
-def test_an_argument_of_another_name_is_refused_and_those_that_there_are_are_named(name):
+def test_unknown_argument_is_refused_with_the_allowed_names(name):
     with refused(TypeError, r"'durations': unknown setting; allowed: .*duration, "):
         MAKERS[name](SCENARIO, durations=2.0)
 

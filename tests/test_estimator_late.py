@@ -93,7 +93,7 @@ flights = st.lists(
     order=st.randoms(use_true_random=False),
 )
 @settings(PROPERTY, max_examples=150)
-def test_whatever_the_network_does_to_detections_the_bits_are_those_of_what_has_arrived_in_order(
+def test_arrival_order_changes_no_bit_of_the_estimate(
     flight, target, max_rejections, enabled, order
 ):
     ticks = np.cumsum([step for step, *_ in flight] + [1] * 12).tolist()
@@ -131,7 +131,7 @@ def test_a_late_detection_counts_at_its_own_time_and_place():
     assert bits(late) == bits(in_order) != before
 
 
-def test_age_is_that_of_the_newest_believed_detection_however_late():
+def test_age_is_that_of_the_newest_accepted_detection():
     estimator = make()
     assert [call(estimator, k) for k in range(30)] == [None] * 30
     assert call(estimator, 30, detection(10, (20.0, 20.0))).age == 20 * DT
@@ -142,7 +142,7 @@ def test_age_is_that_of_the_newest_believed_detection_however_late():
     assert call(estimator, 33, detection(30, (29.0, 20.0))).age == 8 * DT  # refused
 
 
-def test_switched_off_it_holds_the_newest_detection_by_its_own_time():
+def test_disabled_filter_holds_the_detection_taken_last():
     estimator = make(enabled=False)
     call(estimator, 0)
     call(estimator, 1)
@@ -181,7 +181,7 @@ def test_duplicates_are_ignored_and_counted_whenever_they_come():
     assert often.duplicates == 4
 
 
-def test_another_late_detection_of_a_time_that_has_one_is_refused():
+def test_second_late_detection_of_one_time_is_rejected():
     estimator, alone = followed(), followed()
     estimate = call(estimator, 200, detection(150, (20.8, 20.1)))
     assert (estimate.rejected, estimator.duplicates) == (1, 0)
@@ -215,7 +215,7 @@ def test_a_minute_is_kept_by_default():
     assert call(estimator, last, detection(1, (20.0, 20.0))).age == pytest.approx(60.0)
 
 
-def test_where_the_filter_was_not_called_it_does_not_know_its_place_and_refuses():
+def test_detections_of_skipped_ticks_are_rejected():
     estimator = followed()
     call(estimator, 210)
     between = Detection(time=198.5 * DT, relative_position=(0.0, 0.0))
@@ -288,7 +288,7 @@ def fly_through(network, seed, truth, noise, **chosen):
 
 
 @pytest.mark.parametrize("network", NETWORKS)
-def test_is_consistent_on_a_bad_network_when_the_ugv_moves_as_the_model_says(network):
+def test_bad_network_leaves_the_filter_consistent(network):
     flights, count = 60, 400
     nees = []
     for seed in range(flights):
@@ -335,7 +335,7 @@ def test_is_not_too_sure_of_a_real_ugv_on_a_bad_network(network, legs):
     assert refused == 0
 
 
-def test_late_detections_tell_more_than_the_newest_of_them_as_it_is():
+def test_late_detections_improve_on_the_newest_alone():
     ours, theirs = [], []
     for seed in range(20):
         truth, noise = drive(seed, 700, (1.0, 8.0)), cut_noise(seed, 700)
@@ -365,7 +365,7 @@ def test_straying_is_what_a_ugv_does_that_turns_round_at_once():
 
 
 @pytest.mark.parametrize("gap", [2.0, 5.0, 10.0, 30.0, 60.0, 200.0, 1000.0])
-def test_a_ugv_that_turned_round_in_a_gap_is_let_in_again_however_long_the_gap(gap):
+def test_ugv_reversing_in_a_gap_is_accepted_again(gap):
     estimator, ticks = converged(speed=0.2), round(gap / DT)
     x = 20.0 + 0.2 * 399 * DT + 0.2 * gap - straying(elapsed=gap, target=UGV, manoeuvre=1.0, dt=DT)
     look(estimator, 399 + ticks - 1)
@@ -399,9 +399,7 @@ def test_is_not_too_sure_of_a_real_ugv_after_a_long_gap(gap):
     acceleration=st.one_of(st.none(), st.floats(0.01, 10.0)),
 )
 @PROPERTY
-def test_estimate_never_leaves_what_the_ugv_can_have_reached_since_it_was_believed(
-    flight, speed, acceleration
-):
+def test_estimate_stays_within_reach_of_the_ugv(flight, speed, acceleration):
     estimator = make(target=Limits(max_speed=speed, max_acceleration=acceleration))
     call(estimator, 0, detection(0, (20.0, 20.0)))
     tick, last, waiting = 0, None, []

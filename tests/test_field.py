@@ -67,7 +67,7 @@ def places(draw: st.DrawFn) -> Place:
 
 @given(places())
 @settings(PROPERTY, max_examples=300)
-def test_accumulation_is_the_quality_times_the_time_on_every_cell(place: Place) -> None:
+def test_accumulation_is_quality_times_time_in_every_cell(place: Place) -> None:
     sensor, kernel = SensorParameters(place.sensor, 1.7, place.reach), place.coverage.copy()
     accumulate(kernel, place.p_ax, place.p_ay, sensor, place.cell, 0.05)
     wanted = reference.accumulate(place.coverage, place.p_ax, place.p_ay, *sensor, place.cell, 0.05)
@@ -211,7 +211,7 @@ def test_density_is_nothing_from_its_radius_on(rho: float) -> None:
 
 @given(st.floats(-10.0, 10.0))
 @settings(PROPERTY)
-def test_penalty_punishes_lack_alone_and_its_slope_is_its_derivative(lack: float) -> None:
+def test_penalty_counts_lack_alone_and_matches_its_derivative(lack: float) -> None:
     d = 1e-6
     assert penalty(lack) == max(0.0, lack) * max(0.0, lack)  # ** differs from it by a rounding
     slope = (penalty(lack + d) - penalty(lack - d)) / (2 * d)

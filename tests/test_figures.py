@@ -3,7 +3,6 @@
 import itertools
 import math
 import struct
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -14,7 +13,6 @@ from bus.messages.scenario import Law
 from flights import DESIRED, DT, R_S, R_V, R
 from outrider.experiments import paper_figures
 from outrider.experiments.claims import (
-    claim_anchor,
     claim_collapse,
     claims_1,
     claims_2,
@@ -27,7 +25,6 @@ from outrider.experiments.traces import (
     crossings,
     distance,
     error,
-    rise,
     searching,
     stop_row,
     velocity_errors,
@@ -37,7 +34,6 @@ from pages import marked
 from sim.scenario.loading import load_scenario
 from tabular import rows, words
 
-ROOT = Path(__file__).parents[1]
 CELL = 0.25
 WIDTHS = {1: (1400, 760), 2: (1400, 480), 3: (1400, 700), 4: (1400, 1100), 5: (1400, 1100)}
 
@@ -100,7 +96,7 @@ def test_five_pictures_are_made(made):
         assert 30_000 < len(data) < 400_000
 
 
-def test_the_claims_that_the_page_shows_are_those_that_the_figures_make(made):
+def test_shown_claims_are_those_of_the_figures(made):
     _, *table = marked("claims", "docs/explanation/paper.md")
     assert [(row[0], row[1], row[-1]) for row in table] == [
         (c.figure, c.claim, "yes" if c.holds else "**no**") for c in made[1]
@@ -112,19 +108,6 @@ def test_progress_rises_to_the_end(made):
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
     assert len(shares) == 7
-
-
-def test_flying_is_told_flight_by_flight(monkeypatch):
-    planned = dict(list(paper_figures.experiments().items())[:3])
-    monkeypatch.setattr(paper_figures, "experiments", lambda: planned)
-    monkeypatch.setattr(paper_figures, "fly", lambda scenario, seed: (scenario.name, seed))
-    told = []
-    fly_all(lambda what, share: told.append((what, share)))
-    assert told == [(f"flying {one.name}", k / 3) for k, one in enumerate(planned.values())]
-
-
-def test_claims_of_a_run_are_those_of_its_flights(made, claims):
-    assert made[1] == claims
 
 
 def test_every_claim_holds(claims):
@@ -172,7 +155,7 @@ def test_velocity_error_times_k_v_is_what_the_unbounded_uav_flew(flights):
         np.testing.assert_allclose(speeds[~searching(wanted)], 0.0, atol=1e-12)
 
 
-def test_velocity_error_knows_the_ground_that_is_covered_from_the_start():
+def test_velocity_error_includes_ground_covered_initially():
     free = words("law.name=coverage law.parameters.reference_speed=0.6 uav.0.max_speed=inf")
     free += words("uav.0.max_acceleration=inf duration=20.0")
     flight, _ = fly(load_scenario("scenario-2", overrides=free), 0)
@@ -186,10 +169,6 @@ def test_ugv_stands_still_from_its_stop_on(flights):
     assert 140.0 < stop * DT < 150.0
     np.testing.assert_allclose(flight.recorder.states[stop:, g, :2] - [34.0, 20.0], 0.0, atol=0.06)
     assert np.linalg.norm(flight.recorder.states[stop - 1, g, 2:4]) > 0.0
-
-
-def test_rise_adds_up_what_goes_up():
-    assert rise(np.array([3.0, 1.0, 2.0, 2.0, 5.0, 0.0])) == 4.0
 
 
 def test_another_law_in_place_of_the_logarithmic_breaks_figure_3(flights):
@@ -215,15 +194,7 @@ def test_flights_in_the_place_of_others_break_figures_1_and_3(flights, flown, fi
     assert (figure, claim) in failing(claims(*(flights[name] for name in words(flown))))
 
 
-def test_a_ugv_that_never_moves_breaks_figure_1c():
-    still, _ = fly(
-        load_scenario("figure-1-high-gain", overrides=["ugv.0.goals=[]", "duration=20.0"]), 0
-    )
-    assert stop_row(still) == 0
-    assert ("1c", "e(t) can rise while the UGV moves") in failing(claims_1(still, still, still))
-
-
-def test_a_flight_that_ends_before_the_ugv_stops_breaks_figure_1c(flights):
+def test_flight_ending_before_the_ugv_stops_breaks_figure_1c(flights):
     short, _ = fly(load_scenario("figure-1-high-gain", overrides=["duration=100.0"]), 0)
     assert ("1c", "e(t) falls to zero after the UGV has stopped: high k_v") in failing(
         claims_1(flights["low"], short, flights["bounded"])
@@ -237,7 +208,7 @@ def test_a_weighting_without_tracking_breaks_figure_2():
     assert "Proposition 2 asks for alpha = 1" in claim.value
 
 
-def test_circle_and_coverage_in_each_others_place_break_figures_4_and_5(flights):
+def test_swapped_circle_and_coverage_break_figures_4_and_5(flights):
     ours, circle = flights["open"], flights["open, circle"]
     assert {claim for _, claim in failing(claims_4(circle, ours))} == {
         "e(t) is lower for coverage than for the circle, most of the time",
@@ -256,12 +227,6 @@ def test_a_circle_that_can_be_flown_does_not_collapse(flights):
     assert claim_collapse(flights["too fast"]).holds
     assert not claim_collapse(flights["circle"]).holds
     assert distance(flights["circle"]).mean() > 3.0
-
-
-def test_an_anchor_holds_only_within_its_tolerance():
-    assert claim_anchor("x", 10.2, 10.0, " m", 0.25).holds
-    assert not claim_anchor("x", 10.3, 10.0, " m", 0.25).holds
-    assert not claim_anchor("x", math.nan, 10.0, " m", 0.25).holds
 
 
 def test_error_over_bare_ground_is_the_formula_s(claims):

@@ -3,9 +3,11 @@
 import gc
 import os
 import random
+import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -31,7 +33,8 @@ from bus.keys import (
 from bus.messages.vehicle import UavCommand, UgvCommand
 from bus.session import Inbox, Session
 from mutations import REFUSALS, mutated
-from staging import stage
+from processes import free_port
+from staging import GIVEN, client_of, hosted, stage, zenoh_of
 
 STREAM = 20_000
 TICKS, GARBAGE_PER_TICK = 200, 5
@@ -97,7 +100,7 @@ class Wire:
 
 def publisher(session: Session, expression: str) -> zenoh.Publisher:
     """A writer that waits rather than lose one, of any key."""
-    return session._zenoh.declare_publisher(
+    return zenoh_of(session).declare_publisher(
         expression, congestion_control=zenoh.CongestionControl.BLOCK
     )
 
@@ -119,7 +122,7 @@ def wire(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Wire]:
         yield Wire(simulator, client)
 
 
-def test_an_inbox_gives_exactly_what_decodes_and_counts_exactly_what_does_not(wire: Wire) -> None:
+def test_inbox_delivers_valid_messages_and_counts_the_rest(wire: Wire) -> None:
     # the router drops what is larger
     sent = [(name, payload) for name, payload in stream() if 0 < len(payload) <= LARGEST]
     refused = [name for name, payload in sent if refuses(COMMANDS[name], payload)]
@@ -186,7 +189,7 @@ def steadily(command: Any) -> Callable[[Any, int], None]:
     return lambda commands, tick: commands.send(command(tick=tick, acceleration=(0.01, 0.0)))
 
 
-def test_a_flood_of_garbage_is_counted_and_changes_nothing_of_a_flight(tmp_path: Path) -> None:
+def test_flood_of_garbage_is_counted_and_changes_no_flight(tmp_path: Path) -> None:
     """Two honest programs fly, and then one of them floods the bus."""
     (tmp_path / "flooded").mkdir()
     with stage(tmp_path, TICKS, is_open=True) as run:
@@ -217,7 +220,7 @@ def test_a_flood_of_garbage_is_counted_and_changes_nothing_of_a_flight(tmp_path:
     "expression", ["**", "outrider/**", "*/run/ugv_0/*", "outrider/*/ugv_0/command"]
 )
 def test_what_is_put_on_a_pattern_is_nobodys_message(wire: Wire, expression: str) -> None:
-    wire.client._zenoh.put(expression, b'{"tick":1,"acceleration":[0,0]}')
+    zenoh_of(wire.client).put(expression, b'{"tick":1,"acceleration":[0,0]}')
     assert wire.carry(()) == []
 
 
@@ -225,3 +228,16 @@ def test_a_fault_is_one_printable_line(wire: Wire) -> None:
     wire.carry((("ugv_0", b'{"tick":1,"acceleration":[0,0],"a\\n\\u001b[2J":0}'),))
     assert "\\x1b" in wire.inbox.fault["ugv_0"]
     assert wire.inbox.fault["ugv_0"].isprintable()
+
+
+def test_idle_connections_keep_no_client_out() -> None:
+    port = free_port()
+    endpoint = f"tcp/127.0.0.1:{port}"
+    with ExitStack() as stack:
+        stack.enter_context(hosted(endpoint))
+        for number in range(300):
+            opened = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
+            if number % 2:
+                # the beginning of a message that never ends
+                opened.sendall(b"\xff\xff" + b"\xa5" * 300)
+        assert stack.enter_context(client_of(endpoint, GIVEN.of("observer"))).connected

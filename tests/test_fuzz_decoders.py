@@ -56,7 +56,7 @@ class Tally:
 
 
 @EVERY_ROW
-def test_a_mutated_message_decodes_within_its_bounds_or_is_refused(key: Key) -> None:
+def test_mutated_message_decodes_within_bounds_or_is_refused(key: Key) -> None:
     tally, rng = Tally(key), random.Random(11)
     for _ in range(MUTATIONS_PER_ROW):
         tally.offer(mutated(key, rng))
@@ -104,7 +104,7 @@ def garbage(key: Key) -> st.SearchStrategy[bytes]:
 
 
 @EVERY_ROW
-def test_generated_garbage_decodes_within_its_bounds_or_is_refused(key: Key) -> None:
+def test_garbage_decodes_within_bounds_or_is_refused(key: Key) -> None:
     tally = Tally(key)
 
     @settings(PROPERTY, max_examples=EXAMPLES_PER_ROW)

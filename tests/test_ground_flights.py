@@ -33,7 +33,7 @@ def test_a_flight_over_hazards_has_one_trajectory(name: str) -> None:
     assert loop.mission(1) == flight.world.mission
 
 
-def test_a_flight_over_hazards_has_one_trajectory_over_three_processes() -> None:
+def test_hazards_fly_one_trajectory_over_three_processes() -> None:
     arguments = ["minefield", "--duration", "15", "--seed", "4", "--set", "links.radio.loss=0.3"]
     over_the_bus, alone = run_json(*arguments), run_json(*arguments, "--in-process")
     assert over_the_bus["trajectory_sha256"] == alone["trajectory_sha256"]

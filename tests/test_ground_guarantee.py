@@ -36,7 +36,7 @@ def mission(world: World) -> MissionResult:
     return world.mission
 
 
-def test_a_certified_tick_on_unknown_ground_breaks_the_certificate() -> None:
+def test_certified_tick_on_unknown_ground_breaks_the_guarantee() -> None:
     world = World(on_unseen_ground(), 1)
     for _ in range(100):
         world.send(0, world.tick, (0.0, 0.0))
@@ -50,7 +50,7 @@ def test_a_certified_tick_on_unknown_ground_breaks_the_certificate() -> None:
     assert mission(world).ground_certificate_broken == told.certificate_broken
 
 
-def test_a_certificate_that_is_not_kept_is_broken_unless_the_ground_was_told_falsely() -> None:
+def test_false_ground_report_excuses_a_broken_certificate() -> None:
     world = World(on_unseen_ground(), 1)
     for report in (CERTIFIED, NOT, NOT, None, CERTIFIED, NOT, CERTIFIED, None):
         world.record_claim(1, report)

@@ -95,7 +95,7 @@ def one_by_one(fields, routes, key) -> list[tuple[float, ...]]:
 
 @given(st.integers(0, 2**32), places, places, places, places)
 @settings(PROPERTY, max_examples=6)
-def test_the_discs_are_those_that_filling_the_ground_for_each_of_them_would_keep(seed, a, b, c, d):
+def test_discs_match_a_fill_of_the_ground_for_each(seed, a, b, c, d):
     fields, routes = [field(BLOCK, 30)], [[a, b, c], [d, a]]
     hazards, tiles, behind = place(fields, routes, a_key(seed))
     assert [tuple(row) for row in hazards[:behind].tolist()] == one_by_one(
@@ -104,7 +104,7 @@ def test_the_discs_are_those_that_filling_the_ground_for_each_of_them_would_keep
     assert is_open(tiles, routes) or behind == 0
 
 
-def test_of_every_kind_the_discs_are_those_that_one_by_one_are_kept() -> None:
+def test_discs_of_every_kind_are_those_kept_one_by_one() -> None:
     routes = [[(0.6, 0.6), (6.2, 4.4)]]
     fields = [field(BLOCK, 12, clear=0.4), field(FOUND, 5), field(ROUGH, 8), field(BLOCK, 9)]
     hazards, tiles, behind = place(fields, routes, a_key(3))
@@ -121,7 +121,7 @@ def test_of_every_kind_the_discs_are_those_that_one_by_one_are_kept() -> None:
     st.floats(0.0, 1.0),
 )
 @settings(PROPERTY, max_examples=60)
-def test_the_ways_stay_open_however_many_are_wanted_and_clear_is_kept(seed, routes, clear):
+def test_hazard_fields_keep_routes_open_and_clearance(seed, routes, clear):
     hazards, tiles, behind = place([field(BLOCK, 80, clear=clear)], routes, a_key(seed))
     assert is_open(tiles, routes)
     assert (hazards["kind"] == np.where(np.arange(80) < behind, BLOCK, 0)).all()

@@ -28,7 +28,7 @@ def moving(links: LinkTable, **fields: Any) -> Flight:
     return Flight(escort(links=links, ugv=ugv, duration=20.0, **fields), 3)
 
 
-def test_a_link_has_the_settings_of_its_profile_and_what_is_changed_in_it() -> None:
+def test_link_has_its_profile_and_the_changes_to_it() -> None:
     changes = words(
         "links.profile=lte links.commands.profile=wifi links.commands.delay=0.4 links.radio.loss=0.5"
     )
@@ -64,7 +64,7 @@ def test_a_detection_comes_late_and_says_when_it_was_taken() -> None:
         assert look.time == (tick - 10) * 0.05
 
 
-def test_a_command_acts_late_and_is_held_and_then_the_vehicle_brakes() -> None:
+def test_late_command_is_held_and_then_the_vehicle_brakes() -> None:
     late = moving(LinkTable(commands=LinkSettings(delay=0.2)))
     applied = []
     for tick in range(12):

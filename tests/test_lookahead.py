@@ -88,7 +88,7 @@ def test_a_motion_is_worth_what_the_kernels_of_the_world_say(cell, looks, within
         assert value == pytest.approx(_flown(c, ahead, motion, looks), rel=within)
 
 
-def test_what_the_filter_would_not_let_through_and_ground_beyond_the_border_cost() -> None:
+def test_lookahead_penalizes_filtered_and_outside_motion() -> None:
     still = np.zeros((9, 2))
     coverage = np.full_like(empty_coverage(36.0, 36.0, 0.25), DESIRED)
     ahead = _ahead(_uav(0.25), coverage, 0, UGV._replace(v_x=0.0, v_y=0.0), FOREVER)
@@ -104,7 +104,7 @@ def test_what_the_filter_would_not_let_through_and_ground_beyond_the_border_cost
     assert costs(near, margin=18.0) > 10.0
 
 
-def test_a_ugv_that_turns_about_is_expected_nearer_than_one_that_drives_on() -> None:
+def test_reversing_ugv_is_expected_nearer() -> None:
     c, coverage = _uav(1.5), empty_coverage(36.0, 36.0, 1.5)
     ends = [
         _ahead(c, coverage, 0, UGV._replace(v_variance=variance), persistence).track[-1, 0]
@@ -131,7 +131,7 @@ def test_the_true_velocity_of_the_ugv_changes_no_command() -> None:
     assert np.abs(commands[0]).sum() > 0.01
 
 
-def test_it_leaves_less_unseen_than_the_logarithmic_law_and_the_horizon_is_why() -> None:
+def test_lookahead_horizon_beats_the_logarithmic_law() -> None:
     scenario = load_scenario("escort", overrides=["duration=80.0", "area.cell=0.5"])
     means = {}
     for name, law in {

@@ -69,7 +69,7 @@ def test_a_motion_begins_only_if_its_parent_is_flown() -> None:
     assert flown(world, chain, 5) == [0, 1, 1, 3, 3]  # 2 goes on from 0, which is no longer flown
 
 
-def test_a_command_brings_the_motions_that_the_ones_before_it_should_have_brought() -> None:
+def test_command_carries_the_motions_of_lost_ones() -> None:
     world = still()
     assert flown(world, {3: (rest(3), rest(4, 3), rest(5, 4))}, 7) == [None, None, None, 3, 4, 5, 5]
 
@@ -87,7 +87,7 @@ def test_a_motion_is_flown_to_its_end_and_then_the_vehicle_rests() -> None:
 
 
 @pytest.mark.parametrize(("outage", "begun"), [(0.05, True), (1.0, False)])
-def test_a_late_motion_acts_as_an_acceleration_once_the_vehicle_has_waited_too_long(outage, begun):
+def test_late_motion_acts_as_acceleration_after_the_timeout(outage, begun):
     """Before that it is void."""
     world = still(outage, 0.0)
     for tick in range(1, 4):
@@ -102,7 +102,7 @@ def test_a_late_motion_acts_as_an_acceleration_once_the_vehicle_has_waited_too_l
     assert (world.flown(0), world.commands[0].tolist()) == (tick, [0.3, 0.0])
 
 
-def test_a_command_without_a_motion_takes_over_and_one_with_takes_over_again() -> None:
+def test_commands_with_and_without_motions_take_over() -> None:
     world = still()
     world.send(0, 0, (0.0, 0.0), (rest(0),))
     world.advance()
@@ -116,7 +116,7 @@ def test_a_command_without_a_motion_takes_over_and_one_with_takes_over_again() -
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(st.integers(-2, 12), st.integers(-1, 12)), max_size=6))
-def test_whatever_motions_come_the_receiver_flies_one_that_came_or_rests(sent) -> None:
+def test_receiver_flies_a_received_motion_or_rests(sent) -> None:
     motions = [BackupTrajectory(max(0, begins), parent, (0.1, 0.0)) for begins, parent in sent]
     world = still()
     told_flown = flown(
@@ -161,13 +161,13 @@ def test_more_motions_than_a_command_may_carry_are_refused() -> None:
 # -- one trajectory
 
 
-def test_lost_commands_fly_one_trajectory_in_the_environment_and_in_a_run() -> None:
+def test_lost_commands_fly_alike_in_environment_and_run() -> None:
     """Without estimator: the UGV hears of the UAV's, which rounds otherwise in the environment."""
     _, _, summary = flown_in_both(raw(LOST), 3)
     assert summary.certified_share == 1.0
 
 
-def test_lost_commands_and_a_recorded_link_fly_one_trajectory_over_three_processes() -> None:
+def test_lossy_recorded_links_fly_alike_over_three_processes() -> None:
     links = ("links.commands.loss=0.4", "links.commands.jitter=0.1", "links.commands.delay=0.1")
     recorded = (f"links.detections.trace={RECORDED}", "certificate.max_measurement_age=3.0")
     there, here = flown_both_ways(
@@ -177,7 +177,7 @@ def test_lost_commands_and_a_recorded_link_fly_one_trajectory_over_three_process
     assert there["links"]["uav_0/detections"]["lost"]["trace"] > 0
 
 
-def test_motions_beyond_the_vehicles_bound_are_counted_and_told_once(caplog) -> None:
+def test_excessive_motions_are_counted_and_reported_once(caplog) -> None:
     """As a pilot of somebody else's may send them; those of ours never are."""
     flight, _ = fly(LOST, 3)
     assert flight.answers.shortened == {"uav_0": 0, "ugv_0": 0}
@@ -210,7 +210,7 @@ def test_an_outage_costs_radius_and_age() -> None:
     assert not math.isnan(certified(**paper, outage=most - 0.1).handover_radius)
 
 
-def test_a_policy_keeps_sight_through_the_filter_while_its_commands_are_lost() -> None:
+def test_filtered_policy_keeps_sight_while_commands_are_lost() -> None:
     scenario = small(
         "certified",
         links=LinkTable(commands=LOSSY),
@@ -230,7 +230,7 @@ def test_a_policy_keeps_sight_through_the_filter_while_its_commands_are_lost() -
     assert interventions > 0
 
 
-def test_a_silence_that_is_longer_than_declared_is_told_by_its_name() -> None:
+def test_undeclared_silence_is_reported_by_name() -> None:
     scenario = small(
         "certified",
         links=LinkTable(commands=msgspec.structs.replace(LOSSY, blackouts=((5.0, 3.0),))),
@@ -256,7 +256,7 @@ def reasons(
     return found
 
 
-def test_an_outage_is_told_as_soon_as_nothing_that_is_under_way_can_end_it_in_time() -> None:
+def test_unavoidable_outage_is_reported_at_once() -> None:
     """And not as a plan that is missing, when it is too late: the next motion begins tau_c from now, or later."""
     # what begins in tick 14 is lost
     said = reasons(0.4, 0.3, range(20), lambda tick: None if tick < 9 else min(tick - 1, 13))
@@ -264,7 +264,7 @@ def test_an_outage_is_told_as_soon_as_nothing_that_is_under_way_can_end_it_in_ti
     assert set(said[15:]) == {NotCertified.COMMAND_INTERVAL}
 
 
-def test_a_vehicle_that_is_pushed_off_its_motion_is_told_and_certified_again() -> None:
+def test_pushed_vehicle_is_reported_and_certified_again() -> None:
     """A filter that is told another state than it has predicted trusts no plan that was made before."""
     said = reasons(
         *(0.1, 1.0, range(12)),
@@ -283,7 +283,7 @@ def test_what_another_pilot_has_sent_is_not_trusted() -> None:
     assert said[-1] is None
 
 
-def test_what_the_vehicle_tells_that_it_flies_does_not_depend_on_the_ugv() -> None:
+def test_reported_motion_does_not_depend_on_the_ugv() -> None:
     """Its own links and motions lead to it, and nothing else: two UGVs that move differently, one answer."""
     scenario = small(
         "certified",

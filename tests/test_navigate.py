@@ -107,7 +107,7 @@ def _by_library(memory: Any, tile: float, goal: int) -> Any:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_plan_costs_what_a_library_finds_however_few_tiles_a_tick(seed: int) -> None:
+def test_plan_cost_matches_a_library_for_any_tiles_per_tick(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rows, columns = (int(n) for n in rng.integers(2, 25, 2))
     memory, tile = _random_map(rng, rows, columns), float(rng.uniform(0.1, 1.0))
@@ -128,7 +128,7 @@ def test_a_search_settles_no_more_tiles_in_a_tick_than_it_may() -> None:
         assert (memory.place == -2).sum() == 17 * tick
 
 
-def test_a_search_that_ends_early_knows_all_costs_up_to_where_it_ended() -> None:
+def test_early_search_end_has_exact_costs_so_far() -> None:
     rng = np.random.default_rng(5)
     memory = _random_map(rng, 30, 40)
     _plan(memory, 0.5, 615)
@@ -142,7 +142,7 @@ def test_a_search_that_ends_early_knows_all_costs_up_to_where_it_ended() -> None
         assert known.sum() >= (full <= settled).sum()
 
 
-def test_the_cheapest_way_goes_down_to_the_goal_and_cuts_no_blocked_corner() -> None:
+def test_cheapest_path_cuts_no_blocked_corner() -> None:
     memory = occupancy_grid(3, 3)
     memory.tiles[:] = CLEAR
     memory.tiles[0, 1] = memory.tiles[1, 1] = BLOCK
@@ -174,7 +174,7 @@ def test_a_goal_in_a_blocked_tile_is_approached() -> None:
     assert _costs(memory).tolist() == [0.0, 1.5, 2.75]
 
 
-def test_of_ways_that_cost_the_same_the_one_over_the_first_tile_is_planned() -> None:
+def test_equal_costs_choose_the_first_tile() -> None:
     memory = occupancy_grid(9, 9)
     memory.tiles[:] = CLEAR
     memory.tiles[2, 3:7] = ROUGH
@@ -191,7 +191,7 @@ def test_of_ways_that_cost_the_same_the_one_over_the_first_tile_is_planned() -> 
 # the map
 
 
-def test_the_bumper_outweighs_the_radio_and_the_radios_block_its_clear() -> None:
+def test_bumper_precedes_radio_and_blocked_precedes_clear() -> None:
     memory = occupancy_grid(9, 10)
     words = np.full(64, UNSEEN, np.uint8)
     words[:3] = CLEAR, BLOCK, ROUGH
@@ -284,7 +284,7 @@ def _on_tiles(**numbers: float) -> Any:
     return p._replace(**numbers)  # type: ignore[arg-type]
 
 
-def test_the_fastest_safe_speed_is_the_one_from_which_it_just_stops() -> None:
+def test_fastest_safe_speed_just_allows_a_stop() -> None:
     tiles = np.full((8, 8), CLEAR, np.uint8)
     tiles[:, 5:] = UNSEEN
     p, here = _on_tiles(max_speed=3.0), Motion(2.5, 2.5, 1.0, 0.0)
@@ -297,7 +297,7 @@ def test_the_fastest_safe_speed_is_the_one_from_which_it_just_stops() -> None:
     assert fastest * 0.1 + braking_distance(fastest, 1.0, 0.1) == pytest.approx(room, abs=3e-3)
 
 
-def test_braking_is_safe_after_each_safe_command_even_where_the_ground_slows() -> None:
+def test_safe_commands_leave_braking_safe_on_rough_ground() -> None:
     rng = np.random.default_rng(8)
     p, used = _on_tiles(max_acceleration=4.0), 0
     for _ in range(4000):
@@ -328,7 +328,7 @@ def test_late_commands_keep_it_slow_before_rough_ground() -> None:
     assert is_safe(_on_tiles(), True, tiles, open_to(0), slow, 0.0, 0.0)
 
 
-def test_it_leaves_a_blocked_tile_that_it_stands_in_but_enters_none() -> None:
+def test_ugv_leaves_its_blocked_tile_and_enters_none() -> None:
     tiles = np.full((8, 8), CLEAR, np.uint8)
     tiles[2, 2] = tiles[2, 3] = BLOCK
     here = Motion(2.5, 2.5, 0.0, 0.0)
@@ -343,7 +343,7 @@ def test_it_leaves_a_blocked_tile_that_it_stands_in_but_enters_none() -> None:
 # under attack
 
 
-def test_no_adversary_brings_a_cautious_ugv_into_a_tile_that_it_does_not_know(cautious) -> None:
+def test_cautious_ugv_enters_no_unknown_tile_under_attack(cautious) -> None:
     """The long version, 10,000 flights: `python benchmarks/cautious_attacks.py attack`, and `lossy`."""
     flights = [
         cautious.fly(cautious.draw_trial(seed), seed, lossy=seed % 2 == 1) for seed in range(100)
@@ -419,7 +419,7 @@ def test_the_bold_brakes_for_a_tile_that_it_learns_to_be_blocked() -> None:
     assert track[:, 0].max() < 10.0
 
 
-def test_it_stands_still_until_it_knows_the_tile_that_it_stands_in() -> None:
+def test_ugv_waits_until_its_own_tile_is_known() -> None:
     p, memory = _parameters(), occupancy_grid(10, 40)
     memory.tiles[:] = CLEAR
     memory.tiles[5, 2] = UNSEEN
@@ -428,7 +428,7 @@ def test_it_stands_still_until_it_knows_the_tile_that_it_stands_in() -> None:
     assert _drive(p, memory, [[18.0, 2.5]], 20, (1.2, 2.7))[-1, 2] > 0.3
 
 
-def test_in_the_middle_of_blocked_tiles_it_finds_the_nearest_way_out() -> None:
+def test_ugv_among_blocked_tiles_takes_the_nearest_exit() -> None:
     p, memory = _parameters(), occupancy_grid(10, 40)
     memory.tiles[:] = CLEAR
     memory.tiles[2:8, 2:8] = BLOCK
@@ -437,7 +437,7 @@ def test_in_the_middle_of_blocked_tiles_it_finds_the_nearest_way_out() -> None:
     assert track[-1, 0] == pytest.approx(18.0, abs=0.01)
 
 
-def test_it_goes_round_a_wall_from_goal_to_goal_and_stops_at_the_last() -> None:
+def test_ugv_drives_around_a_wall_and_stops_at_its_last_goal() -> None:
     p, memory = _parameters(), occupancy_grid(10, 40)
     memory.tiles[:] = CLEAR
     memory.tiles[0:8, 20] = BLOCK
@@ -480,7 +480,7 @@ def test_news_in_every_tick_keeps_no_search_from_its_end() -> None:
     assert min(speeds[60:150]) > 0.5  # it drives on the plan before meanwhile
 
 
-def test_while_it_searches_for_a_way_to_the_next_goal_it_goes_to_the_one_before() -> None:
+def test_ugv_keeps_its_goal_while_searching_for_the_next() -> None:
     p, memory = _parameters(plan_tiles=40), occupancy_grid(10, 40)
     memory.tiles[:] = CLEAR
     goals = np.array([[6.0, 2.5], [18.0, 2.5]])

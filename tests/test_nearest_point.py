@@ -102,7 +102,7 @@ def test_the_point_is_held_until_it_is_covered() -> None:
     assert search.way() == (True, -1.875, 0.125)
 
 
-def test_the_point_is_held_until_it_leaves_the_support_of_the_density() -> None:
+def test_nearest_point_is_held_within_the_density_support() -> None:
     search = _Search()
     search.uncover(25.125, 20.125)
     search.uncover(12.125, 20.125)
@@ -111,7 +111,7 @@ def test_the_point_is_held_until_it_leaves_the_support_of_the_density() -> None:
     assert search.way(ugv=(25.125 - 1.001 * R_O, 20.125)) == (True, -7.875, 0.125)
 
 
-def test_where_nothing_is_uncovered_there_is_no_way_and_no_point_is_kept() -> None:
+def test_covered_ground_has_no_nearest_point() -> None:
     search = _Search()
     search.uncover(25.125, 20.125)
     search.way()
@@ -128,7 +128,7 @@ def test_ground_outside_the_support_is_no_goal() -> None:
     assert search.way() == (False, 0.0, 0.0)
 
 
-def test_right_over_the_point_any_direction_is_drawn_with_the_key() -> None:
+def test_uav_over_its_point_draws_a_keyed_direction() -> None:
     coverage = empty_coverage(40.0, 40.0, CELL)
     cover(coverage, (0.0, 0.0), (40.0, 40.0), CELL, DESIRED)
     coverage[80, 80] = 0.0

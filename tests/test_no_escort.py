@@ -60,7 +60,7 @@ def positions(scenario: Scenario, seeds: list[int]) -> np.ndarray:
     return found
 
 
-def test_a_ugv_alone_has_one_trajectory_in_run_environment_and_batch(flown) -> None:
+def test_ugv_alone_flies_alike_in_run_environment_and_batch(flown) -> None:
     _, flight, summary = flown
     env = outrider.parallel_env(alone())
     observations, _ = env.reset(seed=4)
@@ -113,7 +113,7 @@ def test_every_view_shows_a_ugv_alone(flown) -> None:
     assert env.render() is not None
 
 
-def test_a_recording_of_a_ugv_alone_is_flown_again_to_the_same_bits(flown) -> None:
+def test_recording_of_a_ugv_alone_replays_to_the_same_bits(flown) -> None:
     path, _, summary = flown
     assert refly(flight_of(path)).trajectory_sha256 == summary.trajectory_sha256
 

@@ -55,7 +55,7 @@ def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:
         (Control(action=Action.DRIVER), "driver"),
     ],
 )
-def test_what_cannot_be_done_is_refused_named_and_changes_nothing(control, told, tmp_path):
+def test_impossible_control_is_refused_and_changes_nothing(control, told, tmp_path):
     with stage(tmp_path, 300) as run:
         run.start_both()
         refused = threading.Event()
@@ -75,7 +75,7 @@ def test_what_cannot_be_done_is_refused_named_and_changes_nothing(control, told,
     assert not run.server.changes
 
 
-def test_observers_are_told_which_assumption_a_changed_link_breaks(tmp_path: Path) -> None:
+def test_changed_link_reports_the_broken_assumption(tmp_path: Path) -> None:
     with stage(tmp_path, 300, warn=assumption_warnings) as run:
         flight = run.server.flight
         assert run.server.status(0.0).warnings == ()
@@ -90,7 +90,7 @@ def test_observers_are_told_which_assumption_a_changed_link_breaks(tmp_path: Pat
         assert run.server.status(0.0).warnings == ()
 
 
-def test_a_reset_begins_a_new_flight_with_its_own_seed_and_new_pilots(tmp_path: Path) -> None:
+def test_reset_starts_a_flight_with_new_seed_and_pilots(tmp_path: Path) -> None:
     with stage(tmp_path, 400) as run:
         vehicles = run.start_both()
         resets = iter((7, 8))
@@ -117,7 +117,7 @@ def test_a_reset_begins_a_new_flight_with_its_own_seed_and_new_pilots(tmp_path: 
     assert flight.recorder.sha256() == fly(flight.scenario, 8)[0].recorder.sha256()
 
 
-def test_the_speed_can_be_changed_while_flying_and_changes_no_bit(tmp_path: Path) -> None:
+def test_changed_speed_changes_no_bit(tmp_path: Path) -> None:
     with stage(tmp_path, 600) as run:
         run.start_both()
         slow: list[float | None] = []
@@ -137,7 +137,7 @@ def test_the_speed_can_be_changed_while_flying_and_changes_no_bit(tmp_path: Path
         assert flight.recorder.sha256() == whole(600).recorder.sha256()
 
 
-def test_an_operator_takes_the_wheel_drives_is_silent_and_hands_back(tmp_path: Path) -> None:
+def test_operator_takes_over_drives_and_hands_back(tmp_path: Path) -> None:
     """Through the bus, the simulator and the UGV's own driver: bounded, braking in silence, without a jump."""
     with stage(tmp_path, 100_000, realtime=4.0) as run:
         run.start_both()
@@ -198,7 +198,7 @@ def change(flight: Any) -> None:
 
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])
-def test_a_vehicle_that_comes_back_knows_what_was_changed_and_said(victim, tmp_path):
+def test_rejoined_vehicle_knows_changes_and_messages(victim, tmp_path):
     expected = fly(load_scenario("escort", overrides=["duration=20.0"]), 7, on_tick=change)[0]
     with stage(tmp_path, 400, respawn=True) as run:
         run.start("uav_0" if victim == "ugv_0" else "ugv_0")

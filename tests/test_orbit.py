@@ -55,7 +55,7 @@ def test_the_path_error_accelerates_as_the_paper_derives(u_x, u_y, g_x, g_y, v_x
 
 @given(*[numbers] * 4)
 @settings(PROPERTY)
-def test_under_the_orbit_law_the_tracking_law_alone_drives_the_path_error(u_x, u_y, v_x, v_y):
+def test_tracking_law_alone_drives_the_path_error(u_x, u_y, v_x, v_y):
     a_x, a_y = _after_a_second(*orbit_control(u_x, u_y, v_x, v_y))
     d_x, d_y = _after_a_second(v_x, v_y)
     assert (a_x - d_x, a_y - d_y) == pytest.approx((u_x, u_y), abs=1e-11)
@@ -64,7 +64,7 @@ def test_under_the_orbit_law_the_tracking_law_alone_drives_the_path_error(u_x, u
 
 @given(st.floats(0.0, 500.0), st.floats(0.1, 10.0), st.floats(-2.0, 2.0))
 @settings(PROPERTY)
-def test_the_circle_has_its_radius_its_rate_and_its_second_derivative(t, r_pv, omega):
+def test_circle_has_its_radius_rate_and_second_derivative(t, r_pv, omega):
     x, y, a_x, a_y = circle(t, r_pv, omega)
     assert (x, y) == pytest.approx(
         (r_pv * math.cos(omega * t), r_pv * math.sin(omega * t)), rel=1e-12, abs=1e-12
@@ -145,7 +145,7 @@ def _own_circle(t: float) -> Point:
     return (c, s), (-0.01 * c, -0.01 * s)
 
 
-def test_a_path_of_ones_own_that_is_the_circle_flies_its_trajectory() -> None:
+def test_user_path_equal_to_the_circle_flies_the_circle() -> None:
     shipped, by_law = fly(
         _round_trip(Law(name="circle", parameters={"circle_rate": 0.1}), duration=60.0), 0
     )
@@ -172,7 +172,7 @@ def test_paths_that_can_be_flown_pass() -> None:
     )
 
 
-def test_a_path_too_fast_for_the_uav_is_warned_of_with_time_and_bound() -> None:
+def test_too_fast_path_warns_with_time_and_bound() -> None:
     def path(t: float) -> Point:
         c, s = R_S * math.cos(0.35 * t), R_S * math.sin(0.35 * t)
         return (c, s), (-(0.35**2) * c, -(0.35**2) * s)

@@ -25,8 +25,8 @@ class Bus:
     """
 
     def __init__(self, *timetable: tuple[float, set[str], set[str]]) -> None:
-        self._timetable = timetable
-        self._started = time.monotonic()
+        self.timetable = timetable
+        self.started = time.monotonic()
         self._briefed = set(NAMES)
         self.commands = self
         self.refuses_to_answer: set[str] = set()
@@ -34,8 +34,8 @@ class Bus:
         self._asked: list[str] = []
 
     def _now(self) -> tuple[float, set[str], set[str]]:
-        elapsed = time.monotonic() - self._started
-        row = next((row for row in self._timetable if elapsed < row[0]), self._timetable[-1])
+        elapsed = time.monotonic() - self.started
+        row = next((row for row in self.timetable if elapsed < row[0]), self.timetable[-1])
         self._briefed -= row[2]
         return row
 
@@ -99,19 +99,19 @@ def test_vehicles_that_went_with_their_router_are_waited_for(timetable: Any) -> 
     assert events[-1] == "router reconnected"
 
 
-def test_one_that_had_answered_before_the_router_died_is_waited_for_at_the_next_tick() -> None:
+def test_vehicle_answered_before_router_death_is_awaited_next() -> None:
     bus = Bus((0.3, {"r"}, set()), (0.5, set(), BOTH), (0.8, {"s"}, {"uav_0"}), (9.0, {"s"}, set()))
     bus.refuses_to_answer = {"ugv_0"}
     pace = lockstep(bus, lambda _line: None)
     pace.publish(SEEN)
     bus.refuses_to_answer = set()
     assert set(pace.collect(0, lambda: False)) == set(NAMES)
-    assert time.monotonic() - bus._started < 0.79  # the UGV was back before the UAV
+    assert time.monotonic() - bus.started < 0.79  # the UGV was back before the UAV
     pace.publish(SEEN)
     assert set(pace.collect(1, lambda: False)) == set(NAMES)
 
 
-def test_tokens_that_go_between_two_ticks_are_no_reason_to_fly_on() -> None:
+def test_tokens_lost_between_ticks_are_awaited() -> None:
     bus = Bus((0.1, {"r"}, set()), (0.2, {"r"}, BOTH), (0.5, set(), BOTH), (9.0, {"s"}, set()))
     pace = lockstep(bus, lambda _line: None)
     pace.publish(SEEN)
@@ -122,13 +122,13 @@ def test_tokens_that_go_between_two_ticks_are_no_reason_to_fly_on() -> None:
 
 
 @pytest.mark.parametrize(("tick", "least", "most"), [(0, 1.9, 4.0), (1, 0.0, 1.5)])
-def test_one_that_dies_while_the_router_lives_is_waited_for_in_the_first_tick_alone(
+def test_dead_vehicle_is_awaited_in_the_first_tick_alone(
     tick: int, least: float, most: float
 ) -> None:
     events: list[str] = []
     bus = Bus((9.0, {"r"}, {"uav_0"}))
     pace = lockstep(bus, events.append)
-    bus._timetable = ((0.1, {"r"}, set()), (9.0, {"r"}, {"uav_0"}))
+    bus.timetable = ((0.1, {"r"}, set()), (9.0, {"r"}, {"uav_0"}))
     bus.refuses_to_answer = {"uav_0"}
     pace.publish(SEEN)
     started = time.monotonic()

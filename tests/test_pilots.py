@@ -73,7 +73,7 @@ def test_the_ugv_drives_straight_to_its_goal_and_stands_there(start, goal, v_max
     assert np.hypot(rows[:, 4], rows[:, 5]).max() <= u_max * (1.0 + 1e-12)
 
 
-def test_the_papers_ugv_drives_at_its_largest_speed_and_stands_on_its_goal() -> None:
+def test_papers_ugv_drives_at_full_speed_and_stops_at_its_goal() -> None:
     rows = _drive(_driver(((7.3, 3.0),)), (0.0, 3.0), 1600)
     assert rows[-1, :2] == pytest.approx((7.3, 3.0), abs=1e-9)
     assert rows[:, 2].max() == pytest.approx(V_G, rel=1e-12)
@@ -110,7 +110,7 @@ def test_a_ugv_without_goals_brakes_and_stays() -> None:
     assert command == pytest.approx((-U_G, 0.0), abs=1e-15)
 
 
-def test_the_ugvs_acceleration_and_speed_stay_within_their_bounds_in_flight() -> None:
+def test_ugv_keeps_its_acceleration_and_speed_bounds() -> None:
     ugv = Ugv(position=HERE, goals=((22.0, 20.0), (20.0, 22.0), (24.0, 24.0)))
     _, track = tracks(fly(escort("tracking", ugv=ugv, duration=80.0), 0)[0])
     assert np.hypot(track[:-1, 4], track[:-1, 5]).max() == pytest.approx(U_G, rel=1e-12)

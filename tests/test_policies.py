@@ -128,7 +128,7 @@ def test_a_function_is_given_the_observation_and_the_briefing() -> None:
     "answer",
     [(0.3, -4.0), np.array([0.3, -4.0]), ((0.3, -4.0), None), (np.array([0.3, -4.0]), (1.0, 2.0))],
 )
-def test_what_was_predicted_is_passed_on_as_it_is_with_or_without_a_state(answer: object) -> None:
+def test_prediction_is_passed_on_with_or_without_state(answer: object) -> None:
     assert _asked(answer, _model) == (0.3, -4.0)
 
 
@@ -169,25 +169,12 @@ def test_a_policy_that_raises_is_named_in_one_line(kind: Any) -> None:
     assert isinstance(caught.value.__cause__, RuntimeError)
 
 
-def test_of_a_long_reason_the_end_is_told_too() -> None:
-    """There a learning library says what was wrong."""
-
-    def broken(seen: UgvObservation, told: object) -> object:
-        raise RuntimeError(
-            "The following operation failed.\n" + "at\n" * 99 + "shapes 1x8 and 12x2"
-        )
-
-    driver = PolicyDriver(told_ugv(), policy=broken, name="mine:broken")
-    with refused(ScenarioError, r"raised RuntimeError: The following .* shapes 1x8 and 12x2"):
-        driver.drive(_seen(3))
-
-
 @pytest.mark.parametrize(
     "scenario",
     [_scenario(), load_scenario("escort", overrides={"duration": 20.0})],
     ids=["fast", "escort"],
 )
-def test_the_pilots_row_is_the_environments_to_the_bit_over_a_flight(scenario: Scenario) -> None:
+def test_pilot_and_environment_have_the_same_observation_bits(scenario: Scenario) -> None:
     env = outrider.parallel_env(scenario, end_on_sight_lost=False)
     policies = pilots(env)
     observations, _ = env.reset(seed=4)
@@ -227,7 +214,7 @@ def test_a_ugv_without_goals_has_a_row_too() -> None:
     assert row == [0.2, 10.0, 10.0, 0.1, -0.1, 0.0, 0.0, 0.0]
 
 
-def test_a_policy_that_is_slower_than_a_tick_is_named_once_and_not_for_its_first_answer(
+def test_slow_policy_is_reported_once_after_its_first_answer(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = iter([0.0, 9.0, 10.0, 10.04, 20.0, 20.3, 30.0, 30.3])
@@ -242,7 +229,7 @@ def test_a_policy_that_is_slower_than_a_tick_is_named_once_and_not_for_its_first
     )
 
 
-def test_an_object_that_predicts_may_be_named_and_a_class_may_not(here: Path) -> None:
+def test_predicting_object_is_accepted_and_a_class_refused(here: Path) -> None:
     (here / "mine_models.py").write_text(
         "class Model:\n    def predict(self, row):\n        return row[3:5]\nmodel = Model()\nnumber = 3\n"
     )
@@ -265,7 +252,7 @@ def refusal(name: str) -> str:
     return line
 
 
-def test_a_module_that_breaks_while_it_is_imported_is_named_in_one_line(here: Path) -> None:
+def test_failing_import_is_named_in_one_line(here: Path) -> None:
     (here / "mine_broken.py").write_text("raise ValueError('no\\nweights')\n")
     assert "cannot be imported: ValueError: no weights" in refusal("mine_broken:policy")
     with pytest.raises(ScenarioError, match=r"^weighting = 'mine_broken:f': cannot be imported"):
@@ -300,7 +287,7 @@ def test_a_function_may_be_named_by_its_file(here: Path, monkeypatch) -> None:
     assert load_scenario(overrides={"custom.weighting": "my_wheels.py:wheel"})
 
 
-def test_a_module_of_the_working_folder_goes_before_a_clone_s_and_behind_a_library_s(
+def test_module_search_order_is_library_folder_clone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A function tried in the clone, as the README has it, is not flown from elsewhere."""

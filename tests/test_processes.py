@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import pytest
@@ -44,7 +43,7 @@ def _same_bits(name: str, seconds: float) -> None:
 
 @pytest.mark.parametrize(
     ("name", "seconds"),
-    [("escort", 50.0), ("circle", 10.0), ("figure-3-switching", 10.0), ("scenario-2", 10.0)],
+    [("escort", 50.0), ("scenario-2", 10.0)],
 )
 def test_three_processes_and_one_fly_the_same_bits(name: str, seconds: float) -> None:
     """Those with hazards: tests/test_ground_flights.py."""
@@ -53,7 +52,7 @@ def test_three_processes_and_one_fly_the_same_bits(name: str, seconds: float) ->
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", scenario_names())
-def test_three_processes_and_one_fly_the_same_bits_in_every_scenario(name: str) -> None:
+def test_every_scenario_flies_alike_over_three_processes(name: str) -> None:
     _same_bits(name, 100.0)
 
 
@@ -85,7 +84,7 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_was_flown(tmp_path: Path) -> N
     assert whole.trajectory_sha256 == summary["trajectory_sha256"]
 
 
-@pytest.mark.parametrize("name", ["a#b", "a?b", "long" * 25, "a b%20$c[d]{e}"])
+@pytest.mark.parametrize("name", ["long" * 25, "a#b?c d%20$e[f]{g}"])
 def test_a_run_flies_whatever_its_paths_are(name: str, tmp_path, monkeypatch) -> None:
     folder = tmp_path / name
     folder.mkdir()
@@ -97,7 +96,7 @@ def test_a_run_flies_whatever_its_paths_are(name: str, tmp_path, monkeypatch) ->
     assert not list(folder.iterdir())
 
 
-@pytest.mark.parametrize("closed", ["1", "0 1", "1 2", "0 1 2"])
+@pytest.mark.parametrize("closed", ["0 1", "0 1 2"])
 def test_a_run_does_not_need_its_standard_files(closed: str, tmp_path: Path) -> None:
     """Their numbers are not those of its sockets and pipes then."""
     closing = " ".join(f"{number}>&-" for number in closed.split())
@@ -114,7 +113,7 @@ def _ending(before: str) -> "subprocess.CompletedProcess[str]":
     return python(f"{code}sys.argv = ['outrider', '--version']\nmain()\n", check=False)
 
 
-def test_a_process_that_is_asked_to_end_while_it_ends_says_nothing() -> None:
+def test_signal_during_exit_is_silent() -> None:
     ended = _ending("atexit.register(os.kill, os.getpid(), signal.SIGTERM)")
     assert ended.stdout.startswith("outrider ")
     assert (ended.stderr, ended.returncode) == ("", 0)
@@ -137,39 +136,36 @@ def policy(*seen):
 """
 
 
-@pytest.mark.parametrize("how", [[], ["--in-process"]])
-def test_a_file_that_a_policy_leaves_open_is_written_out(tmp_path: Path, how: list[str]) -> None:
+def test_a_file_that_a_policy_leaves_open_is_written_out(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(_OPEN)
     changes = words("ugv.0.driver=policy custom.policy=mine:policy")
     options = [word for change in changes for word in ("--set", change)]
-    command = ["run", "escort", "--duration", "1", "--no-files", *how, *options]
+    command = ["run", "escort", "--duration", "1", "--no-files", *options]
     run = outrider(*command, cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     assert (tmp_path / "kept.csv").read_text().count("a row") >= 20
 
 
-@pytest.mark.parametrize("victim", ["uav", "ugv"])
-def test_a_vehicle_that_dies_brakes_and_the_run_ends_with_its_name(victim, tmp_path):
+def test_dead_vehicle_brakes_and_is_named_by_the_run(tmp_path: Path) -> None:
     pytest.importorskip("foxglove", reason="the extra [record] is not installed")
     from outrider.recording.reader import statuses
 
     recorded = tmp_path / "run.mcap"
     told = ["escort", *words("--duration 100 --no-picture --json --out"), str(tmp_path)]
-    told += ["--record", str(recorded)] if victim == "ugv" else []  # once: it takes its time
+    told += ["--record", str(recorded)]
     with flying(*told) as run:
         children = family(run.pid)
-        os.kill(child_of(run, victim), signal.SIGKILL)
+        os.kill(child_of(run, "ugv"), signal.SIGKILL)
         out, err = run.communicate(timeout=60)
         assert run.returncode == 1
-    assert f"{victim}_0 (pid" in err
+    assert "ugv_0 (pid" in err
     assert "killed by signal 9" in err
     summary = json.loads(out)
     assert summary["ticks"] == 2_000
     assert summary["complete"] is True
     assert summary["deterministic"] is False
-    assert summary["faults"][f"{victim}_0"]["lost"] == 1
-    if victim == "ugv":
-        assert [*statuses(recorded)][-1].vehicles["ugv_0"].lost == 1
+    assert summary["faults"]["ugv_0"]["lost"] == 1
+    assert [*statuses(recorded)][-1].vehicles["ugv_0"].lost == 1
     assert (tmp_path / "trajectory.csv").stat().st_size > 0
     assert not any(alive(child) for child in children)
 
@@ -197,11 +193,9 @@ def test_a_killed_run_leaves_no_process_and_no_credentials() -> None:
         wait_until(lambda: not list(folder.iterdir()))
 
 
-@pytest.mark.parametrize("moment", [0.0, 0.3, 1.0])
-def test_a_run_killed_while_it_starts_leaves_no_process(moment: float) -> None:
+def test_a_run_killed_while_it_starts_leaves_no_process() -> None:
     with started("run", "escort", "--duration", "20000", "--no-files") as run:
         wait_until(lambda: len(family(run.pid)) == 3)
-        time.sleep(moment)
         children = family(run.pid)
         run.kill()
         run.wait()
@@ -235,22 +229,6 @@ def test_what_lies_in_the_working_folder_takes_no_modules_place(tmp_path: Path) 
     run = ran([script, *arguments], cwd=tmp_path, timeout=120)
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout)["ticks"] == 20
-
-
-@pytest.mark.parametrize(
-    "words", ["check escort", "run --duration 1", "run --in-process --duration 1"]
-)
-def test_a_policy_that_raises_at_once_is_one_line(here: Path, words: str) -> None:
-    (here / "mine.py").write_text(
-        "def drive(observation, briefing):\n    raise ValueError('boom')\n"
-    )
-    own = ("--driver", "policy", "--set", "custom.policy=mine:drive")
-    ended = outrider(*words.split(), *own, cwd=here)
-    assert ended.returncode == 2
-    assert ended.stdout == ""
-    (line,) = ended.stderr.splitlines()
-    assert "tick 0" in line
-    assert "mine.py:2" in line
 
 
 def test_the_next_start_removes_what_a_killed_run_left(monkeypatch) -> None:

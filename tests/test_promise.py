@@ -65,9 +65,7 @@ A5' | SOMETIMES | links.only=[{vehicle="uav_0",commands={loss=0.1}}] | links.onl
 
 
 @pytest.mark.parametrize(("assumption", "how", "changes", "told"), BROKEN)
-def test_each_cause_is_told_with_its_assumption_its_field_and_how_often(
-    assumption, how, changes, told
-):
+def test_warning_names_assumption_field_and_frequency(assumption, how, changes, told):
     scenario = certified(*changes.split(" & "))
     found = [
         fault
@@ -105,7 +103,7 @@ def test_where_the_assumptions_are_kept_nothing_is_told(changes: list[str]) -> N
     assert assumption_warnings(certified(*changes)) == ()
 
 
-def test_what_an_operator_makes_of_a_link_is_told_against_what_the_uav_was_told() -> None:
+def test_changed_link_is_compared_with_the_briefed_bounds() -> None:
     scenario = certified("links.commands.delay=0.2")
     world = World(scenario, 7)
     world.change_links(LinkKind.COMMANDS, "ugv_0", LinkSettings(loss=0.5))
@@ -173,7 +171,7 @@ links.only=[{vehicle="uav_0",commands={delay=0.8,jitter=0.2}}]
 links.commands.bandwidth=10.0 & links.commands.queue=20 | allowed: 1 s or more
 """),
 )
-def test_commands_that_are_always_too_old_to_act_are_refused_under_every_law(changes, told):
+def test_permanently_late_commands_are_refused(changes, told):
     """The third: hold is two ticks."""
     for law in ("linear", "certified"):
         with refused(ScenarioError, re.escape(told)):
@@ -195,7 +193,7 @@ def test_check_says_that_nothing_can_be_certified(command) -> None:
     assert "links.commands.delay = 0.3: every command takes 0.3 s or longer" in told
 
 
-def test_random_losses_are_warned_of_with_their_share_of_the_ticks() -> None:
+def test_random_losses_warn_with_their_share_of_ticks() -> None:
     (found,) = shortfalls(
         certified("links.detections.loss=0.5", "certificate.max_measurement_age=0.25")
     )

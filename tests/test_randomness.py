@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from properties import PROPERTY
-from seeded import a_key, a_told_key
+from seeded import a_key
 from sim.engine.run_keys import check_secret, derive_key, derive_keys, new_secret
 from sim.models import randomness
 from sim.models.randomness import (
@@ -61,7 +61,7 @@ def test_a_draw_is_the_block_of_its_key_purpose_tick_and_index(key_0, key_1, pur
     assert uniform(key, purpose, tick, index) == to_uniform(np.uint64(wanted[0]))
 
 
-def test_each_purpose_has_a_number_of_its_own_and_those_of_a_run_are_the_first() -> None:
+def test_purposes_have_distinct_numbers() -> None:
     numbers = [number for name, number in PURPOSES.items() if name != "RUN_PURPOSES"]
     assert len(set(numbers)) == len(numbers)
     assert sorted(numbers)[:RUN_PURPOSES] == list(range(RUN_PURPOSES))
@@ -76,7 +76,7 @@ def test_a_word_becomes_a_number_below_one_with_53_bits(word: int) -> None:
 
 
 @pytest.mark.parametrize("cut", [0.5, 1.0, 3.0, math.inf])
-def test_the_norm_of_cut_noise_follows_the_cut_rayleigh_distribution(cut: float) -> None:
+def test_truncated_noise_norm_is_truncated_rayleigh(cut: float) -> None:
     noise = np.array([cut_normal_vector(0.3, cut, a_key(4), 1, k, 0) for k in range(4000)])
     radius, angle = np.hypot(*noise.T) / 0.3, np.arctan2(noise[:, 1], noise[:, 0])
     assert (
@@ -102,7 +102,7 @@ def test_cut_noise_never_goes_beyond_its_cut(sigma, cut, seed, tick):
     )
 
 
-def test_a_key_is_blake2b_of_seed_purpose_and_vehicle_keyed_with_the_secret() -> None:
+def test_key_is_blake2b_of_seed_purpose_vehicle_and_secret() -> None:
     keys = derive_keys((5, 2**53 - 1), 3, SECRET)
     assert keys.shape == (2, RUN_PURPOSES, 3, 2)
     told = (2**53 - 1).to_bytes(8, "little") + (4).to_bytes(4, "little") + (2).to_bytes(4, "little")
@@ -113,16 +113,10 @@ def test_a_key_is_blake2b_of_seed_purpose_and_vehicle_keyed_with_the_secret() ->
     assert key_of(keys[1, :, 2], 4) == words_of(digest) == tuple(keys[1, 4, 2])
 
 
-def test_every_seed_purpose_vehicle_and_secret_has_a_key_of_its_own() -> None:
+def test_seed_purpose_vehicle_and_secret_change_the_key() -> None:
     secrets = ("", SECRET, SECRET[:-1] + "e", SECRET + "00")
     keys = np.concatenate([derive_keys(range(20), 4, secret) for secret in secrets]).reshape(-1, 2)
     assert len({tuple(key) for key in keys.tolist()}) == len(keys) == 4 * 20 * RUN_PURPOSES * 4
-
-
-@given(words, words)
-@settings(PROPERTY)
-def test_a_told_key_is_its_words(first: int, second: int) -> None:
-    assert words_of(a_told_key(first | second << 64)) == a_key(first, second)
 
 
 @pytest.mark.parametrize("bad", ["", "00", "g" * 32, "0" * 31, "0" * 34])

@@ -38,10 +38,6 @@ def test_the_examples_are_shown_as_they_are(example: str, page: str) -> None:
     assert text.split('"""')[2].strip() in [shown.strip() for shown in blocks("python", page)]
 
 
-def test_the_readme_can_be_read_at_one_sitting() -> None:
-    assert len(PAGES["README.md"].splitlines()) <= 150
-
-
 @pytest.mark.parametrize("page", PAGES)
 def test_prose_has_at_most_120_columns(page: str) -> None:
     """But for tables, and blocks of code, whose lines one copies."""

@@ -58,7 +58,7 @@ def test_the_hash_is_the_documented_one(flight: Flight) -> None:
     assert flight.recorder.sha256(ticks=10**9) == flight.recorder.sha256()
 
 
-def test_a_flight_that_is_longer_than_the_first_arrays_is_recorded_the_same(
+def test_long_flight_grows_the_arrays_unchanged(
     flight: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder, "_ROOM", 100)
@@ -67,7 +67,7 @@ def test_a_flight_that_is_longer_than_the_first_arrays_is_recorded_the_same(
     np.testing.assert_array_equal(longer.escorts, flight.recorder.escorts)
 
 
-def test_arrivals_are_the_detections_that_have_come_and_how_wrong_they_were() -> None:
+def test_arrivals_are_detections_with_their_errors() -> None:
     """Late, reordered and twice, held against the true positions when each was taken."""
     late = LinkSettings(delay=0.3, jitter=0.3, duplicates=0.2, loss=0.2)
     flown = Flight(wobbling(links=LinkTable(detections=late)), 6)
@@ -92,7 +92,7 @@ def test_arrivals_are_the_detections_that_have_come_and_how_wrong_they_were() ->
     assert 0.1 < largest <= 0.3
 
 
-def test_vehicles_are_recorded_in_name_order_with_the_command_of_their_tick(flight: Flight) -> None:
+def test_vehicles_are_recorded_in_name_order_with_commands(flight: Flight) -> None:
     assert flight.world.names == ("uav_0", "ugv_0")
     states = flight.recorder.states
     assert states[0, :, :2].tolist() == [[20.0, 20.0], [20.0, 21.0]]

@@ -13,10 +13,9 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
 
-import outrider
 from outrider.envs.vector import OutriderVectorEnv
 from outrider.registration import ESCORT, register
-from processes import loaded_by, python
+from processes import python
 from refusals import refused
 
 
@@ -28,7 +27,7 @@ def test_registering_again_does_nothing() -> None:
     assert [dict(one) for one in registries] == before
 
 
-def test_pettingzoo_has_the_same_name_with_all_vehicles_as_agents() -> None:
+def test_pettingzoo_makes_all_vehicles_agents() -> None:
     code = "import pettingzoo, outrider; print(*(n for n in pettingzoo.parallel_registry if n.startswith('outrider')))"
     run = python(code)
     assert run.stdout.split() == [ESCORT]
@@ -83,7 +82,7 @@ def test_a_limit_of_steps_is_gymnasiums_own() -> None:
         gymnasium.make_vec(ESCORT, num_envs=2, max_episode_steps=3)
 
 
-def test_many_worlds_are_made_in_one_or_one_by_one_with_the_same_bits() -> None:
+def test_vector_modes_make_the_same_bits() -> None:
     env_id = ESCORT
     fast = gymnasium.make_vec(env_id, num_envs=3, duration=1.0)
     slow = gymnasium.make_vec(env_id, num_envs=3, vectorization_mode="sync", duration=1.0)
@@ -107,19 +106,3 @@ def test_settings_go_through() -> None:
     env = gymnasium.make(ESCORT, agent="ugv_0", dtype=np.float32)
     assert env.observation_space.shape == (8,)
     assert env.observation_space.dtype == np.float32
-
-
-def test_names_alone_load_nothing_heavy_and_a_name_with_its_module_in_front_needs_no_import():
-    heavy = {"numba", "sim", "agents", "zenoh", "pettingzoo"}
-    assert heavy.isdisjoint(loaded_by("outrider.registration"))
-    name = f"outrider.registration:{ESCORT}"
-    made = f"import gymnasium; print(gymnasium.make({name!r}).unwrapped.worlds.scenario.name)"
-    assert python(made).stdout == "escort\n"
-
-
-def test_every_name_of_the_front_door_is_the_same_thing_twice() -> None:
-    """A module of the same name would take its place once it is loaded."""
-    for name in outrider.__all__:
-        found = getattr(outrider, name)
-        assert callable(found), name
-        assert getattr(outrider, name) is found, name

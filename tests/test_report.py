@@ -11,17 +11,14 @@ pytest.importorskip("pyarrow", reason="the extra [sweep] is not installed")
 from scipy import stats
 
 from bus.errors import ScenarioError
-from bus.registry import LAWS
 from outrider.experiments.intervals import mean_interval, wilson_interval
 from outrider.experiments.report.document import certified_runs, holds, markdown, page
-from outrider.experiments.report.labels import label_of, number, tick_of, value_of
-from outrider.experiments.report.plots import MOST_PANELS, draw_all, positions
+from outrider.experiments.report.plots import draw_all
 from outrider.experiments.report.results import Material, read_material
 from outrider.experiments.sweep.columns import RESULTS
 from outrider.experiments.sweep.definition import describe_sweep
 from outrider.experiments.sweep.folder import SweepFolder
 from outrider.experiments.sweep.plan import SweepPlan, lay_out
-from outrider.style import law_color, law_mark
 
 
 def test_the_wilson_interval_of_none_of_twenty():
@@ -116,7 +113,7 @@ def test_runs_are_counted_where_they_belong(material):
     assert holds(panel, "circle") == ("-", False)
 
 
-def test_values_without_an_order_are_named_where_the_promise_breaks(tmp_path):
+def test_unordered_values_are_named_where_the_guarantee_breaks(tmp_path):
     plan = plan_of(laws="linear,switching,circle", vary=["links.profile=wifi,lte,jammed"])
     rows = [made_up(plan, run) for run in range(plan.runs)]
     for run, row in enumerate(rows):
@@ -133,7 +130,7 @@ def test_values_without_an_order_are_named_where_the_promise_breaks(tmp_path):
     assert len(draw_all(material, tmp_path)) == 4
 
 
-def test_where_nothing_was_certified_a_lost_run_breaks_no_certificate(tmp_path):
+def test_lost_run_without_certificate_breaks_none(tmp_path):
     plan = plan_of(laws="linear,certified")
     rows = [made_up(plan, run) for run in range(plan.runs)]
     for run, row in enumerate(rows):
@@ -200,12 +197,6 @@ def test_the_page_needs_nothing_beside_itself(material, pictures):
     assert "made up <b>" not in text
 
 
-def test_the_same_material_gives_the_same_pictures(material, pictures, tmp_path):
-    again = draw_all(material, tmp_path)
-    assert again.keys() == pictures.keys()
-    assert all(again[name].read_bytes() == path.read_bytes() for name, path in pictures.items())
-
-
 def test_laws_in_folders_of_their_own_are_one_experiment(tmp_path):
     folders = [
         swept(tmp_path / law, plan_of(laws=law)) for law in ("switching", "linear", "circle")
@@ -215,7 +206,7 @@ def test_laws_in_folders_of_their_own_are_one_experiment(tmp_path):
     assert len(panel.cell("circle", 0.0).flown) == 5
 
 
-def test_a_run_that_two_folders_have_counts_once_and_others_are_told_apart(tmp_path):
+def test_shared_run_of_two_folders_counts_once(tmp_path):
     one = swept(tmp_path / "one", plan_of())
     more = swept(tmp_path / "more", plan_of(seeds=7))
     (panel,) = read_material([one, more]).panels
@@ -226,7 +217,7 @@ def test_a_run_that_two_folders_have_counts_once_and_others_are_told_apart(tmp_p
     assert [panel.title for panel in panels] == titles
 
 
-def test_a_product_has_a_panel_for_each_value_of_the_smaller_field(tmp_path):
+def test_product_has_a_panel_per_value_of_the_smaller_field(tmp_path):
     plan = plan_of(vary=["links.detections.loss=0,0.5", "links.detections.delay=0,0.5,1"], seeds=2)
     panels = read_material([swept(tmp_path / "sweep", plan)]).panels
     titles = [f"loss of the detections {share} %" for share in (0, 50)]
@@ -246,7 +237,7 @@ def test_a_sweep_that_varies_nothing_or_words_can_be_drawn(tmp_path):
     assert "| evade | linear |" in markdown(material)
 
 
-def test_an_unfinished_sweep_is_reported_as_such_and_an_empty_one_refused(tmp_path):
+def test_unfinished_sweep_is_marked_and_an_empty_one_refused(tmp_path):
     plan = plan_of()
     half = swept(tmp_path / "half", plan, range(12))
     material = read_material([half])
@@ -268,34 +259,7 @@ def test_a_sweep_of_nothing_but_failures_can_be_reported(tmp_path):
     assert "No run was flown to its end" in page(material, pictures, "")
 
 
-def test_every_law_has_a_colour_of_its_own_and_one_of_another_version_is_drawn_too():
-    assert len({law_color(law) for law in LAWS}) == len(LAWS)
-    assert law_color("of-old") not in {law.color for law in LAWS.values()}
-    assert law_mark("of-old")
-
-
-def test_values_too_uneven_for_one_axis_stand_side_by_side(material):
-    (panel,) = material.panels
-    assert positions(panel) == ([0.0, 0.5, 1.0, 2.0], 0.5)
-    panel = type(panel)(title="", field="dt", values=[0.01, 0.02, 0.5], laws=[], cells={})
-    assert positions(panel) == ([0.0, 1.0, 2.0], 1.0)
-    assert MOST_PANELS > 7
-
-
-def test_fields_have_words_and_units():
-    assert label_of("links.commands.burst_length") == "burst length of the commands [s]"
-    assert label_of("detections.noise") == "noise of the detections per axis [m]"
-    assert label_of("uav.0.max_speed") == "largest speed, uav.0 [m/s]"
-    assert label_of("law.parameters.a_c") == "law.parameters.a_c"
-    assert (tick_of("links.radio.loss", 0.05), value_of("links.radio.loss", 0.05)) == ("5", "5 %")
-    assert tick_of("links.radio.trace", "examples/networks/lte-road.csv") == "lte-road"
-    ticks = [tick_of("x", value) for value in (None, True, "word")]
-    assert ticks == ["none", "true", "word"]
-    told = [number(value) for value in (0.0, 0.05, 1.0, 12.345, 1234.5, math.inf)]
-    assert told == ["0", "0.05", "1", "12.3", "1234", "inf"]
-
-
-def test_the_command_writes_page_and_pictures_and_prints_one_object(tmp_path, command):
+def test_report_writes_page_and_pictures_and_prints_json(tmp_path, command):
     folder = swept(tmp_path / "delay", plan_of(seeds=2))
     told = command("report", str(folder), "--json")
     assert told.returncode == 0, told.stderr

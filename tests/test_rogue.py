@@ -241,7 +241,7 @@ def test_in_a_run_with_a_secret_the_rogue_finds_no_seed() -> None:
 @pytest.mark.parametrize(
     "secret", ["", SECRET], ids=["without a secret", "with a secret that it knows"]
 )
-def test_else_it_finds_the_seed_and_from_it_where_the_ugv_truly_is(place, way, secret):
+def test_rogue_finds_seed_and_true_position_without_a_secret(place, way, secret):
     told, true = PLACES[place](secret)
     assert _search(told, way, secret, SEED - 50_000, 100_000) == [SEED]
     assert _without_noise(told, SEED, secret) == pytest.approx(true[told.found], abs=1e-12)

@@ -41,7 +41,7 @@ def test_keys_of_its_own_are_granted() -> None:
 
 
 @pytest.mark.parametrize("base", [Role.SIMULATOR, Role.UAV, Role.UGV])
-def test_a_role_with_the_rows_of_a_vehicle_or_the_simulator_is_refused(base: Role) -> None:
+def test_role_with_vehicle_or_simulator_keys_is_refused(base: Role) -> None:
     with refused(ValueError, "allowed: guest, observer, operator"):
         check_roles(Roles(parties={"spy": base}, grants=lambda party: []), set())
 

@@ -95,7 +95,7 @@ def test_a_broken_assumption_is_told_with_its_name(changes: str, reason: str) ->
         (["certificate.max_command_delay=30.0"], "too large for r_v"),
     ],
 )
-def test_what_cannot_be_certified_is_told_before_it_is_flown_and_at_every_tick(changes, reason):
+def test_uncertifiable_scenario_warns_and_reports_each_tick(changes, reason):
     scenario = watched(*changes, duration=5.0)
     assert any(reason in line for line in assumption_warnings(scenario))
     _, summary = fly(scenario, 7)
@@ -116,7 +116,7 @@ def test_what_is_declared_follows_from_the_scenario() -> None:
     assert told(own).safety.max_measurement_error == 0.5
 
 
-def test_a_detection_counts_for_where_the_uav_was_when_it_was_taken() -> None:
+def test_detection_counts_at_the_uavs_position_of_its_time() -> None:
     watch = SafetyFilter(told(watched()))
     for tick in range(10):
         looks = [(0.1, (1.0, 0.0))] if tick == 9 else []
@@ -132,7 +132,7 @@ def outward(env: Any, agent: str) -> Any:
     return np.array([x, y]) / length * 0.3
 
 
-def test_an_environment_with_the_filter_keeps_sight_whatever_the_policy_wants() -> None:
+def test_filtered_environment_keeps_sight_for_any_policy() -> None:
     scenario = watched(driver="waypoints", duration=60.0)
     lost = parallel_env(scenario)
     lost.reset(seed=7)
@@ -181,7 +181,7 @@ def test_a_tick_that_is_not_certified_says_why() -> None:
         assert infos["uav_0"]["uncertified"] == reason
 
 
-def test_the_filter_keeps_sight_whatever_the_observations_are_rounded_to() -> None:
+def test_filter_keeps_sight_with_rounded_observations() -> None:
     env = parallel_env(watched(), safety_filter=True, estimate=True, dtype=np.float32)
     env.reset(seed=7)
     while env.agents:
@@ -189,9 +189,7 @@ def test_the_filter_keeps_sight_whatever_the_observations_are_rounded_to() -> No
         assert infos["uav_0"]["certified"], infos
 
 
-def test_a_uav_that_starts_moving_is_certified_once_a_plan_after_the_first_detection_begins() -> (
-    None
-):
+def test_moving_uav_is_certified_from_its_first_plan_on() -> None:
     """It brakes while it sees nothing, by plans that are not checked."""
     scenario = watched(
         "links.commands.delay=0.5",

@@ -31,13 +31,13 @@ ESCORT = load_scenario("escort")
 # The shipped ones
 
 
-def test_the_shipped_scenarios_are_these_and_the_default_comes_first() -> None:
+def test_shipped_scenarios_begin_with_the_default() -> None:
     assert scenario_names() == SHIPPED
     assert load_scenario() == ESCORT
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_a_shipped_scenario_has_the_paper_s_parameters_and_its_file_s_name(name: str) -> None:
+def test_shipped_scenarios_have_the_papers_parameters(name: str) -> None:
     s = load_scenario(name)
     assert (s.name, s.dt, s.title != "") == (name, 0.05, True)
     assert (s.area.width, s.area.height, s.area.cell) == (40.0, 40.0, 0.25)
@@ -58,7 +58,7 @@ def test_a_shipped_scenario_has_the_paper_s_parameters_and_its_file_s_name(name:
 
 
 @pytest.mark.parametrize("name", STRAIGHT_LINE)
-def test_figures_1_and_3_and_the_circles_fly_the_line_of_the_independent_check(name: str) -> None:
+def test_figures_1_and_3_fly_the_independent_reference_line(name: str) -> None:
     s = load_scenario(name)
     line = (s.uav[0].position, s.ugv[0].position, s.ugv[0].goals)
     assert line == ((6.0, 21.0), (6.0, 20.0), ((34.0, 20.0),))
@@ -69,7 +69,7 @@ def test_figures_1_and_3_and_the_circles_fly_the_line_of_the_independent_check(n
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_a_shipped_ugv_stands_at_its_last_goal_for_the_last_2_seconds(name: str) -> None:
+def test_shipped_ugvs_stand_at_their_goal_for_the_last_2_s(name: str) -> None:
     s = load_scenario(name)
     told = briefing(s, "ugv_0", 0)
     driver = CompiledDriver(told, "waypoints")
@@ -93,7 +93,7 @@ def test_the_escort_is_noisy_and_turns_both_ways() -> None:
     assert set(turns) == {-1.0, 1.0}
 
 
-def test_scenario_2_is_scenario_1_with_ground_covered_along_the_first_40_seconds() -> None:
+def test_scenario_2_is_scenario_1_with_covered_ground() -> None:
     first, second = load_scenario("scenario-1"), load_scenario("scenario-2")
     assert second.ugv == first.ugv
     assert second.uav == first.uav
@@ -106,7 +106,7 @@ def test_scenario_2_is_scenario_1_with_ground_covered_along_the_first_40_seconds
 # Files and overrides
 
 
-def test_a_file_is_named_after_its_stem_and_its_own_name_goes_first(tmp_path: Path) -> None:
+def test_own_name_precedes_the_file_stem(tmp_path: Path) -> None:
     assert load_scenario(written(tmp_path, SMALL.encode())).name == "mine"
     other = written(tmp_path, f"name = 'other'\n{SMALL}".encode("utf-8-sig"))
     assert load_scenario(str(other)).name == "other"
@@ -134,7 +134,7 @@ def test_overrides_are_toml_values_or_plain_text() -> None:
     assert goals[:2] == ((9.0, 9.0), (20.0, 13.0))
 
 
-def test_overrides_may_be_python_values_and_the_caller_s_stay_untouched() -> None:
+def test_overrides_accept_python_values_and_leave_them_unchanged() -> None:
     law = {"name": "circle"}
     changes = {
         "duration": np.float64(30.0),
@@ -202,7 +202,7 @@ def test_the_acceleration_that_the_refusal_names_is_enough() -> None:
 
 @given(*[st.floats(-6.0, 6.0)] * 4)
 @PROPERTY
-def test_the_controller_is_refused_exactly_where_a_root_is_not_in_the_left_half_plane(a, b, c, d):
+def test_controller_with_an_unstable_root_is_refused(a, b, c, d):
     largest = np.roots([1.0, -a, -d, d * a - b * c]).real.max()
     s = msgspec.structs.replace(
         ESCORT, law=Law(parameters={"a_c": a, "b_c": b, "c_c": c, "d_c": d})

@@ -4,9 +4,10 @@ import json
 import re
 import signal
 import stat
+import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import get_type_hints
+from typing import Any, get_type_hints
 
 import msgspec
 import numpy as np
@@ -15,7 +16,7 @@ import pytest
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
 
 from bus.errors import ScenarioError
-from bus.keys import CONTROL, KEYS
+from bus.keys import KEYS
 from bus.messages.control import Action, Control
 from fields import fields_within
 from flights import degraded, record
@@ -26,7 +27,7 @@ from outrider.envs.vector import OutriderVectorEnv
 from outrider.recording.reader import flight_of
 from outrider.recording.refly import refly
 from outrider.running.flying import fly, run
-from processes import command_line, family, flying, outrider, started, wait_until
+from processes import command_line, family, flying, outrider, started
 from refusals import refused
 from sim.engine.briefing import briefing
 from sim.scenario.loading import load_scenario
@@ -66,7 +67,7 @@ def test_a_briefing_with_a_secret_differs_in_its_key_alone() -> None:
 
 
 @pytest.mark.usefixtures("nothing_left_behind")
-def test_a_runs_secret_is_in_no_command_line_and_no_environment_of_its_processes(monkeypatch):
+def test_secret_is_in_no_command_line_or_environment(monkeypatch):
     monkeypatch.setenv(VARIABLE, SECRET)
     words = ("escort", "--set", "duration=100000.0", "--no-files", "--json")
     with flying(*words) as going:
@@ -96,31 +97,27 @@ def test_the_environment_and_many_worlds_fly_the_bits_of_the_run() -> None:
     assert np.array_equal(env.world.detections, flight.world.detections)
 
 
-def test_over_the_bus_with_a_process_that_joins_again_and_after_a_reset_too(tmp_path: Path) -> None:
+def test_secret_flight_survives_rejoin_and_reset_over_the_bus(tmp_path: Path) -> None:
     scenario = degraded(300)
     with stage(tmp_path, 300, scenario=scenario, secret=SECRET, respawn=True) as going:
         going.start("ugv_0")
         going.start("uav_0", until=100, again=True)
-        operator = going.client("operator").outbox(CONTROL)
-        asked = False
 
-        def on_tick() -> None:
-            nonlocal asked
-            if going.server.flight.world.tick == 200 and not asked:
-                asked = True
-                operator.send(Control(action=Action.RESET))
-                controls = going.server._operators._controls
-                wait_until(controls.holds_any)  # else the flight may end before it comes
+        def reset(send: Any, await_status: Any) -> None:
+            await_status(lambda status: status.tick > 110)
+            send(Control(action=Action.RESET))
 
-        flight = going.fly(on_tick)
+        def slowly() -> None:  # else the flight may end before it is reset
+            if going.server.flight.episode == 0:
+                time.sleep(0.02)
+
+        flight = going.fly(slowly, operator=reset)
     assert flight.episode == 1
     alone, plain = (fly(scenario, scenario.seed, secret=secret)[1] for secret in (SECRET, ""))
     assert plain.trajectory_sha256 != flight.recorder.sha256() == alone.trajectory_sha256
 
 
-def test_three_processes_and_one_fly_the_same_bits_and_leave_files_for_the_owner_alone(
-    tmp_path: Path, secret_file: str
-) -> None:
+def test_secret_runs_fly_alike_and_leave_private_files(tmp_path: Path, secret_file: str) -> None:
     written = {}
     for name, more in {"three": (), "one": ("--in-process",)}.items():
         folder, recorded = tmp_path / name, tmp_path / f"{name}.mcap"
@@ -144,7 +141,7 @@ def test_three_processes_and_one_fly_the_same_bits_and_leave_files_for_the_owner
 
 
 @pytest.mark.parametrize("is_private", [True, False])
-def test_a_simulator_with_credentials_makes_one_and_a_run_on_this_machine_none(
+def test_only_a_simulator_with_credentials_makes_a_secret(
     is_private, endpoint, tmp_path, monkeypatch
 ):
     """Its processes are started one by one."""

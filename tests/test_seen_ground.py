@@ -57,7 +57,7 @@ def places(seen: tuple[TileReport, ...]) -> set[tuple[int, int]]:
     return {(tile.row, tile.column) for tile in seen}
 
 
-def test_a_uav_tells_of_a_tile_once_when_it_has_looked_at_its_centre_for_long_enough() -> None:
+def test_uav_reports_a_tile_once_after_seeing_its_center() -> None:
     scenario = on(DISC, MUD)
     world = World(scenario, 1)
     tile, every, dt = scenario.ground.tile, 5, scenario.dt
@@ -84,7 +84,7 @@ def test_a_uav_tells_of_a_tile_once_when_it_has_looked_at_its_centre_for_long_en
     assert len(told) > 50
 
 
-def test_a_bumper_tells_of_the_tiles_that_have_a_point_within_its_range() -> None:
+def test_bumper_reports_tiles_within_its_range() -> None:
     scenario = on(DISC, MUD, sensing_range=0.9, tile=0.4)
     world, told, truth = World(scenario, 1), set[tuple[int, int]](), {}
     tiles = world.ground.tiles[0]
@@ -119,9 +119,7 @@ def test_misses_and_false_alarms_are_the_uavs_alone(chances: dict[str, float], w
     assert all(state == "?.~#*"[tiles[place]] for place, state in of_ugv.items())
 
 
-def test_half_of_the_hazards_are_missed_where_the_chance_is_a_half_and_not_the_same_with_each_seed() -> (
-    None
-):
+def test_miss_chance_of_a_half_misses_half_by_seed() -> None:
     field = Hazard(kind="rough", center=(8.0, 6.0), radius=4.0)
     told = []
     for seed in (1, 2):
@@ -157,7 +155,7 @@ def test_no_fast_ugv_jumps_over_a_thin_wall() -> None:
     assert world.position[1, 0] == pytest.approx(9.0, abs=1e-9)
 
 
-def test_on_rough_ground_a_ugv_keeps_a_share_of_its_speed_and_has_all_of_it_after() -> None:
+def test_rough_ground_slows_the_ugv_and_only_there() -> None:
     world, speeds = World(on(MUD, at=(4.0, 6.0)), 1), list[tuple[float, float]]()
     for _ in range(1300):
         drive(world, 1)
@@ -169,7 +167,7 @@ def test_on_rough_ground_a_ugv_keeps_a_share_of_its_speed_and_has_all_of_it_afte
     assert max(after) == pytest.approx(limit)
 
 
-def test_what_a_vehicle_perceives_depends_on_nothing_that_it_has_not_seen() -> None:
+def test_perception_depends_on_seen_ground_alone() -> None:
     """Another hazard far away changes no bit, until a tile is told of that it touches."""
     far, farther = (Hazard(kind="block", center=(x, 6.0), radius=0.5) for x in (13.0, 14.0))
     flights = [drive(World(on(DISC, hazard), 1), 300, uav=(0.01, 0.0)) for hazard in (far, farther)]
@@ -197,7 +195,7 @@ def blocks_received(flight: Flight) -> dict[int, tuple[MapUpdate, ...]]:
     ],
     ids=["not told", "beyond the area", "nothing known"],
 )
-def test_a_block_that_says_what_the_uavs_sensor_has_not_told_is_not_sent(
+def test_block_beyond_the_uavs_sensor_data_is_not_sent(
     forged: MapUpdate,
 ) -> None:
     scenario = msgspec.structs.replace(on(DISC), duration=5.0)
@@ -230,7 +228,7 @@ def test_no_number_is_smuggled_by_what_a_block_leaves_out() -> None:
     assert len(honest) > 20
 
 
-def test_relative_information_is_of_its_tick_and_comes_five_times_a_second() -> None:
+def test_relative_information_comes_five_times_a_second() -> None:
     scenario = msgspec.structs.replace(on(DISC), duration=10.0)
 
     def talkative(observation: UavObservation) -> dict[str, Any]:
@@ -267,7 +265,7 @@ def test_the_sign_of_a_zero_carries_nothing_either() -> None:
     assert [math.copysign(1.0, one.time) for one in received] == [1.0]
 
 
-def test_the_blocks_that_a_ugv_receives_are_what_the_uav_has_seen_of_the_ground_around_it() -> None:
+def test_ugv_receives_the_ground_the_uav_has_seen() -> None:
     scenario = msgspec.structs.replace(on(DISC, MUD), duration=30.0)
     flight = Flight(scenario, 1)
     flight.fly(InProcess(make_pilots(scenario, 1)))
@@ -300,7 +298,7 @@ def test_the_mission_tells_how_long_before_each_hazard_was_known() -> None:
     assert 0.0 < mission.reported_share < 1.0
 
 
-def test_the_way_seen_ahead_is_that_on_tiles_that_were_told_by_then() -> None:
+def test_distance_seen_ahead_is_on_tiles_known_by_then() -> None:
     world = World(on(FLAG, at=(7.2, 5.7)), 1)
     block, told = MapUpdate(column=2, row=1, tiles="." * 64), False
     side, way, seen = BLOCK_SIDE * world.scenario.ground.tile, 0.0, 0.0
@@ -318,7 +316,7 @@ def test_the_way_seen_ahead_is_that_on_tiles_that_were_told_by_then() -> None:
     assert world.mission.reported_share == pytest.approx(seen / way, rel=1e-9)
 
 
-def test_how_near_a_ugv_came_to_each_hazard_is_the_least_of_all_its_distances() -> None:
+def test_hazard_clearance_is_the_smallest_distance() -> None:
     rng = np.random.default_rng(4)
     discs = [
         Hazard(kind="block", center=(float(x), float(y)), radius=0.3)

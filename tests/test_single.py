@@ -84,7 +84,7 @@ def test_an_episode_is_counted_once() -> None:
     assert info["episode"]["l"] == 10
 
 
-def test_the_first_seed_is_the_scenarios_and_each_later_one_follows_from_the_last_given() -> None:
+def test_seeds_start_at_the_scenarios_and_follow_the_last() -> None:
     one, other = single_env(SCENARIO), single_env(SCENARIO)
     one.reset()
     assert one.episode_seed == SCENARIO.seed

@@ -112,7 +112,7 @@ def test_a_sweep_is_the_product_of_laws_values_and_seeds():
     assert all(plan.points[head["run"] // 4].scenario.detections.rate == 10.0 for head in heads)
 
 
-def test_blocks_vary_one_thing_each_and_the_columns_say_what_the_others_are(tmp_path):
+def test_sweep_blocks_vary_one_field_each(tmp_path):
     (tmp_path / "mine.toml").write_text(
         'scenario = "escort"\nlaws = ["linear"]\nseeds = 2\nfirst_seed = 10\nset.duration = 5.0\n'
         '[[block]]\nname = "noise"\nvary.detections.noise = [0.2, 0.3]\n'
@@ -166,7 +166,7 @@ def test_shipped_sweeps_can_be_flown(name):
     assert {point.law for point in plan.points} >= {"linear", "switching", "logarithmic", "circle"}
 
 
-def test_tasks_are_every_missing_run_once_and_never_of_two_points():
+def test_tasks_are_every_missing_run_once():
     plan = plan_of(laws="linear", vary=["duration=5,500"], seeds=30)
     done = set(range(0, plan.runs, 7))
     tasks = make_tasks(plan, done, workers=1)
@@ -184,7 +184,7 @@ def test_tasks_are_every_missing_run_once_and_never_of_two_points():
 # Rows
 
 
-def test_each_row_is_the_run_that_outrider_run_flies_and_the_rows_do_not_depend_on_jobs(tmp_path):
+def test_sweep_rows_equal_single_runs_for_any_jobs(tmp_path):
     plan = plan_of()
     two = flown(tmp_path / "two", plan, jobs=2)
     assert two["run"] == list(range(12))
@@ -214,7 +214,7 @@ def test_violations_are_told_from_visible_runs():
     assert bad["visibility_violations"] > 0
 
 
-def test_a_sweep_goes_on_where_its_files_stop_and_flies_nothing_twice(tmp_path):
+def test_sweep_resumes_and_flies_nothing_twice(tmp_path):
     plan = plan_of()
     whole = flown(tmp_path / "whole", plan)
     folder = SweepFolder(tmp_path / "cut", plan, command="")
@@ -236,9 +236,7 @@ def test_a_sweep_goes_on_where_its_files_stop_and_flies_nothing_twice(tmp_path):
     assert not list((tmp_path / "cut" / "parts").iterdir())
 
 
-def test_many_small_files_are_merged_and_rows_that_are_there_twice_count_once(
-    tmp_path, monkeypatch
-):
+def test_small_files_are_merged_and_duplicate_rows_dropped(tmp_path, monkeypatch):
     monkeypatch.setattr("outrider.experiments.sweep.folder._MOST_PARTS", 5)
     plan = plan_of()
     results = fly_runs(plan.points[0].scenario, {0: 0})
@@ -260,9 +258,7 @@ def test_many_small_files_are_merged_and_rows_that_are_there_twice_count_once(
     assert set(rows["error"]) == {None}
 
 
-def test_a_sweep_that_is_killed_alone_takes_its_workers_along_and_goes_on_to_the_same_table(
-    tmp_path, undisturbed
-):
+def test_killed_sweep_ends_its_workers_and_resumes(tmp_path, undisturbed):
     command = [*OUTRIDER, *GRID, *LONG, "--jobs", "2", "--out", str(tmp_path / "killed")]
     victim = started(*command)
     wait_for(lambda: parts(tmp_path / "killed") >= 2, victim)
@@ -281,7 +277,7 @@ def test_a_sweep_that_is_killed_alone_takes_its_workers_along_and_goes_on_to_the
     assert rows_of(tmp_path / "killed") == undisturbed
 
 
-def test_ctrl_c_keeps_what_is_done_says_how_to_go_on_and_leaves_no_process(tmp_path):
+def test_ctrl_c_keeps_rows_and_leaves_no_process(tmp_path):
     command = [*OUTRIDER, *GRID, "--seeds", "200", "--out", str(tmp_path / "sweep"), "--jobs", "2"]
     process = started(*command, stdout=subprocess.PIPE)
     wait_for(lambda: parts(tmp_path / "sweep") >= 1, process)
@@ -313,7 +309,7 @@ def _session(number: int) -> list[int]:
     return found
 
 
-def test_a_run_that_raises_is_a_row_with_its_error_and_the_others_go_on(tmp_path):
+def test_failed_run_is_a_row_with_its_error(tmp_path):
     (tmp_path / "mine.py").write_text(
         "def policy(observation, briefing):\n"
         "    if int(briefing.key, 16) % 2 and observation.time > 2.0:\n        raise RuntimeError('the wheel "
@@ -348,9 +344,7 @@ def test_a_run_that_raises_is_a_row_with_its_error_and_the_others_go_on(tmp_path
 # A cluster
 
 
-def test_on_a_cluster_a_worker_may_die_and_the_rows_are_those_of_this_machine(
-    undisturbed, tmp_path
-):
+def test_cluster_survives_a_dead_worker_with_the_same_rows(undisturbed, tmp_path):
     from distributed import Client
 
     info = tmp_path / "scheduler.json"
@@ -456,7 +450,7 @@ def test_a_sweep_that_says_itself_what_is_varied_takes_no_vary():
     assert "--vary" in refusal("network", vary=["dt=0.1"])
 
 
-def test_a_folder_of_another_sweep_or_another_version_is_refused_until_fresh(tmp_path, monkeypatch):
+def test_folder_of_another_sweep_needs_fresh(tmp_path, monkeypatch):
     plan = plan_of()
     folder = SweepFolder(tmp_path / "sweep", plan, command="")
     folder.add(fly_runs(plan.points[0].scenario, {0: 0}))

@@ -148,7 +148,7 @@ def test_a_recording_is_looped_and_begins_where_the_key_says() -> None:
     assert len({ticks[:11].tobytes() for ticks in fates}) == 11
 
 
-def test_planned_blackouts_and_what_is_drawn_stand_beside_a_mahimahi_file() -> None:
+def test_mahimahi_file_combines_with_blackouts_and_losses() -> None:
     traces = (a_trace("1\n"),)
     dark = LinkSettings(trace="trace", blackouts=((1.0, 1.0),), delay=0.02)
     link = OneLink(dark, dt=DT, key=a_key(1), traces=traces)
@@ -201,7 +201,7 @@ def test_links_change_from_and_to_recorded_ones(first: str, then: str) -> None:
 
 
 @pytest.mark.parametrize("number", range(5))
-def test_a_message_that_has_begun_to_leave_begins_anew_in_another_size(number: int) -> None:
+def test_message_restarts_transmission_in_another_size(number: int) -> None:
     """An opportunity for 1,500 bytes every 0.1 s: one has passed after 0.1 s, 4,500 bytes need three more."""
     settings = LinkSettings(trace="trace", message_bytes=3000)
     link = OneLink(settings, dt=DT, key=a_key(number), traces=(a_trace("100\n"),))
@@ -214,7 +214,7 @@ def test_a_message_that_has_begun_to_leave_begins_anew_in_another_size(number: i
     assert conserved(link)
 
 
-def test_a_blackout_that_a_change_ends_takes_no_message_that_leaves_later() -> None:
+def test_ended_blackout_drops_no_later_message() -> None:
     dark = LinkSettings(trace="trace", blackouts=((0.0, 10.0),))
     link = OneLink(dark, dt=DT, key=a_key(1), traces=(a_trace("20\n"),))
     link.send(0, "message", 0)
@@ -223,7 +223,7 @@ def test_a_blackout_that_a_change_ends_takes_no_message_that_leaves_later() -> N
     assert link.arrivals(1) == ["message"]
 
 
-def test_an_operator_gives_a_link_a_recorded_one_that_was_read_and_no_other(tmp_path: Path) -> None:
+def test_operator_may_set_only_recorded_links_already_read(tmp_path: Path) -> None:
     (tmp_path / "wifi.csv").write_text(TABLE)
     scenario = load_scenario(
         "escort", overrides=[f"links.radio.trace={tmp_path}/wifi.csv", "duration=10.0"]
@@ -238,9 +238,7 @@ def test_an_operator_gives_a_link_a_recorded_one_that_was_read_and_no_other(tmp_
 
 
 @pytest.mark.parametrize(("message_bytes", "queue"), [(1500, 2), (1500, 40), (4000, 1)])
-def test_no_message_is_under_way_for_longer_than_batches_have_room_for(
-    message_bytes: int, queue: int
-) -> None:
+def test_message_delay_fits_the_capacity_of_batches(message_bytes: int, queue: int) -> None:
     """Delivery opportunities come in a burst, then one in 0.6 s: what waits in the queue waits for long."""
     gaps = [10] * 50 + [600] * 8
     trace = a_trace("\n".join(map(str, np.cumsum(gaps).tolist())))
@@ -281,9 +279,7 @@ GRANTED = {
 
 
 @pytest.mark.parametrize("how", GRANTED)
-def test_no_recorded_link_that_is_said_to_be_fast_enough_is_too_slow(
-    how: str, tmp_path: Path
-) -> None:
+def test_recorded_link_declared_fast_enough_is(how: str, tmp_path: Path) -> None:
     times, changes = GRANTED[how]
     scenario = a_flight_over(tmp_path, times, *changes)
     assert fly(scenario, 1)[1].uncertified.get(AGED, 0) > 100
@@ -292,7 +288,7 @@ def test_no_recorded_link_that_is_said_to_be_fast_enough_is_too_slow(
 
 
 def test_a_long_recording_is_inspected_alike_everywhere(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Ten minutes, with nothing from 400 s to 408 s."""
     times = [time for time in range(10, 600_001, 10) if not 400_000 < time < 408_000]
@@ -306,7 +302,7 @@ def test_a_long_recording_is_inspected_alike_everywhere(
         "duration=40.0",
         "certificate.max_measurement_age=2.0",
     )
-    checked = outrider("check", "escort", *(word for one in changes for word in ("--set", one)))
+    checked = command("check", "escort", *(word for one in changes for word in ("--set", one)))
     assert warning in " ".join(checked.stderr.split())
     monkeypatch.setattr(link_assumptions, "_MOST_REPLAYED", 1000)
     (warning,) = assumption_warnings(
@@ -315,7 +311,7 @@ def test_a_long_recording_is_inspected_alike_everywhere(
     assert "no detection arrives for 8 s from 400 s on" in warning
 
 
-def test_a_table_that_lasts_for_thirty_years_is_inspected_in_part(tmp_path: Path) -> None:
+def test_thirty_year_table_is_inspected_in_part(tmp_path: Path) -> None:
     (tmp_path / "long.csv").write_text("sent,delay\n0,0.01\n1e9,2.0\n")
     scenario = load_scenario(
         "escort",
@@ -371,7 +367,7 @@ def test_the_secret_shifts_a_recording_too() -> None:
     assert len(ages) == 2
 
 
-def test_three_processes_play_it_and_it_is_flown_again_without_its_file(tmp_path: Path) -> None:
+def test_recorded_link_flies_alike_and_replays_without_its_file(tmp_path: Path) -> None:
     (tmp_path / "recorded").mkdir()
     (tmp_path / "recorded" / "wifi.csv").write_text(TABLE)
     (tmp_path / "mine.toml").write_text(
@@ -486,7 +482,7 @@ def test_content_that_is_not_the_files_is_refused() -> None:
 # --- what may be promised, and what comes nearest
 
 
-def test_it_is_told_how_often_a_recording_breaks_the_declared_assumptions(tmp_path: Path) -> None:
+def test_warning_counts_violations_of_a_recorded_link(tmp_path: Path) -> None:
     rows = [f"{k * DT:.2f},{'lost' if 20 <= k < 50 else 0.05}" for k in range(200)]
     (tmp_path / "t.csv").write_text("sent,delay\n" + "\n".join(rows))
     for kind, share in (("detections", "5.5 %"), ("commands", "15 %")):

@@ -62,7 +62,7 @@ def test_the_error_accelerates_by_the_difference_of_the_commands(
 
 @given(*[numbers] * 8, st.floats(0.0, 5.0))
 @settings(PROPERTY)
-def test_around_a_ugv_of_constant_velocity_the_error_is_a_double_integrator(
+def test_constant_ugv_velocity_gives_a_double_integrator(
     p_ax, p_ay, v_ax, v_ay, u_ax, u_ay, v_gx, v_gy, t
 ) -> None:
     a = step_vehicle(p_ax, p_ay, v_ax, v_ay, u_ax, u_ay, math.inf, math.inf, t)
@@ -94,7 +94,7 @@ def test_the_controllers_step_is_scipys_zero_order_hold(a_c: float, b_c: float, 
     assert (x, y) == pytest.approx(wanted, rel=1e-10, abs=1e-10)
 
 
-def test_a_controller_without_a_pole_is_a_plain_integral_and_the_limit_of_slow_ones() -> None:
+def test_controller_without_a_pole_is_a_plain_integral() -> None:
     plain = (1.0 + B_C * 3.0 * 0.1, -2.0 + B_C * 4.0 * 0.1)
     assert tracking_step(1.0, -2.0, 3.0, 4.0, 0.0, B_C, 0.1) == pytest.approx(
         plain, rel=1e-14, abs=1e-14

@@ -240,7 +240,7 @@ def test_all_worlds_must_be_reset_before_a_part_of_them() -> None:
 
 
 @pytest.mark.parametrize("kind", ["vector", "parallel"])
-def test_in_the_mode_next_step_an_episode_begins_anew_in_the_next_step(kind: str) -> None:
+def test_next_step_mode_restarts_in_the_next_step(kind: str) -> None:
     """The same episodes as in the mode SAME_STEP, with a step more at each end, whose action is ignored."""
     make = outrider.vector_env if kind == "vector" else outrider.parallel_vector_env
     agents = {} if kind == "vector" else {"agents": ["uav_0"]}
@@ -309,7 +309,7 @@ def test_a_mode_of_another_name_is_refused() -> None:
             outrider.vector_env(SCENARIO, num_envs=1, autoreset_mode=mode)
 
 
-def test_what_is_true_of_an_ended_episode_can_be_had_before_the_next_begins() -> None:
+def test_final_info_of_an_episode_is_available() -> None:
     """A filter that lies by half a metre, and a UGV that flees: each end is certified out of sight."""
     env = outrider.parallel_vector_env(
         "escort", num_envs=4, duration=60.0, safety_filter=True, autoreset_mode="NextStep"

@@ -29,7 +29,7 @@ ticks = st.sampled_from((0.001, 0.05, 0.1, 1.0))
 
 @given(*[numbers] * 6, ticks, st.integers(1, 50))
 @settings(PROPERTY)
-def test_constant_acceleration_between_the_bounds_is_the_closed_form(
+def test_constant_acceleration_matches_the_closed_form(
     p_x: float, p_y: float, v_x: float, v_y: float, u_x: float, u_y: float, dt: float, count: int
 ) -> None:
     state = (p_x, p_y, v_x, v_y)
@@ -46,7 +46,7 @@ def test_constant_acceleration_between_the_bounds_is_the_closed_form(
     assert state == pytest.approx(wanted, rel=1e-12, abs=1e-10 * max(1.0, t * t))
 
 
-def test_commands_held_over_the_ticks_are_flown_as_an_ode_solver_flies_them() -> None:
+def test_held_commands_match_an_ode_solver() -> None:
     rng = np.random.default_rng(3)
     dt, commands = 0.2, rng.uniform(-0.2, 0.2, (40, 2))
 
@@ -62,7 +62,7 @@ def test_commands_held_over_the_ticks_are_flown_as_an_ode_solver_flies_them() ->
 
 @given(st.floats(0.05, 2.0), st.floats(0.05, 2.0), ticks)
 @settings(PROPERTY)
-def test_gathering_speed_up_to_the_bound_is_the_closed_form_within_one_tick(v_max, u_max, dt):
+def test_acceleration_to_the_bound_matches_the_closed_form(v_max, u_max, dt):
     state = (0.0, 0.0, 0.0, 0.0)
     for k in range(1, 61):
         *state, _, _ = step_vehicle(*state, u_max, 0.0, v_max, u_max, dt)
@@ -128,7 +128,7 @@ def test_braking_stops_on_a_straight_line_without_turning_back(v_x, v_y, u_max, 
 
 @given(st.floats(0.0, 100.0), st.floats(0.01, 10.0) | st.just(math.inf), ticks)
 @settings(PROPERTY)
-def test_the_speed_to_stop_within_a_distance_leaves_room_for_one_more_tick(distance, u_max, dt):
+def test_stopping_speed_leaves_room_for_one_more_tick(distance, u_max, dt):
     speed = speed_to_stop_within(distance, u_max, dt)
     assert speed >= 0.0
     assert speed * dt + stopping_distance(speed, u_max) == pytest.approx(

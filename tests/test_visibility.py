@@ -50,7 +50,7 @@ def test_the_papers_numbers_give_its_radius() -> None:
 
 @given(st.floats(2.0, 50.0), speeds, speeds, st.floats(0.5, 10.0))
 @settings(PROPERTY)
-def test_from_the_switching_radius_the_worst_case_just_reaches_the_visibility_radius(
+def test_worst_case_from_r_s_just_reaches_r_v(
     r_v: float, v_a: float, v_g: float, u_a: float
 ) -> None:
     r_s = raw_switching_radius(r_v, v_a, v_g, u_a)

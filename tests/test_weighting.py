@@ -61,7 +61,7 @@ def test_switching_weights_are_all_or_nothing(r_s: float, share: float) -> None:
 
 @given(radii, st.floats(1e-9, 0.999999), st.floats(0.1, 50.0))
 @settings(PROPERTY)
-def test_logarithmic_weights_follow_the_logarithm_up_to_their_limit(r_s, share, k_beta):
+def test_logarithmic_weights_follow_the_logarithm_to_their_limit(r_s, share, k_beta):
     alpha, beta = logarithmic_weights(share * r_s, r_s, k_beta, LIMIT)
     assert alpha == 1.0
     assert beta == pytest.approx(
@@ -69,7 +69,7 @@ def test_logarithmic_weights_follow_the_logarithm_up_to_their_limit(r_s, share, 
     )
 
 
-def test_the_logarithmic_weight_stays_at_its_limit_down_to_no_distance() -> None:
+def test_logarithmic_weight_keeps_its_limit_down_to_zero() -> None:
     below = R_S * math.exp(-LIMIT / K_BETA)
     for distance in (0.0, 5e-324, 1e-9, 0.999 * below):
         assert logarithmic_weights(distance, R_S, K_BETA, LIMIT) == (1.0, LIMIT)
@@ -77,7 +77,7 @@ def test_the_logarithmic_weight_stays_at_its_limit_down_to_no_distance() -> None
 
 
 @pytest.mark.parametrize("law", ["linear", "logarithmic"])
-def test_linear_and_logarithmic_weights_are_continuous_at_the_switching_radius(law: str) -> None:
+def test_weights_are_continuous_at_r_s(law: str) -> None:
     c = flown_law(escort(law))
     for gap in (1e-3, 1e-6, 1e-9):
         assert c.weights(R_S - gap) == pytest.approx((1.0, 0.0), abs=10.0 * gap)
@@ -160,7 +160,7 @@ BAD: dict[str, tuple[float, object]] = {
 
 
 @pytest.mark.parametrize(("distance", "bad"), BAD.values(), ids=BAD.keys())
-def test_a_weighting_against_proposition_2_is_refused_at_its_distance(distance, bad):
+def test_weighting_against_proposition_2_is_refused(distance, bad):
     with pytest.raises(ScenarioError, match=r"^weighting at a distance of [\d.]+ m") as refused:
         check_weighting(_from(distance, bad), R_S)
     named = float(str(refused.value).split("distance of ")[1].split(" m")[0])
@@ -180,7 +180,7 @@ def test_the_weighted_law_needs_a_weighting_that_fits() -> None:
         fly(scenario, 0, weighting=lambda d, r_s: (0.0, 1.0))
 
 
-def test_a_linear_weighting_of_ones_own_flies_the_bits_of_the_linear_law() -> None:
+def test_user_linear_weighting_flies_the_linear_laws_bits() -> None:
     ugv = Ugv(position=HERE, goals=((25.0, 20.0), (25.0, 26.0)))
     _, shipped = fly(escort("linear", ugv=ugv, duration=60.0), 0)
     _, own = fly(escort("weighted", ugv=ugv, duration=60.0), 0, weighting=_linear)

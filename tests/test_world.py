@@ -25,7 +25,7 @@ def _noisy(seed_of_file: int = 0, **fields: float) -> Scenario:
     return escort("logarithmic", ugv=ON_THE_WAY, detections=noise, **fields)
 
 
-def test_the_same_seed_flies_the_same_bits_and_another_seed_others() -> None:
+def test_seeds_determine_the_bits_of_a_flight() -> None:
     first, again, other = (fly(_noisy(), seed)[0] for seed in (4, 4, 5))
     assert first.recorder.states[:-1].tobytes() == again.recorder.states[:-1].tobytes()
     assert first.recorder.escorts.tobytes() == again.recorder.escorts.tobytes()
@@ -51,7 +51,7 @@ def test_time_is_the_tick_times_the_length_of_a_tick(dt: float) -> None:
     assert differs  # a sum would have been seen
 
 
-def test_a_vehicle_that_runs_into_a_wall_stops_there_on_that_axis_and_can_leave() -> None:
+def test_vehicle_stops_at_a_wall_and_can_leave() -> None:
     area = Area(width=10.0, height=8.0, cell=0.5)
     uav, ugv = Uav(position=(9.9, 4.0), velocity=(0.5, 0.1)), Ugv(position=(0.1, 7.9))
     world = World(escort(uav=uav, ugv=ugv, area=area), 0)
@@ -113,7 +113,7 @@ def test_noise_and_dropouts_in_flight_are_those_of_the_scenario() -> None:
     )
 
 
-def test_the_ugv_is_seen_at_every_look_within_the_visibility_radius_and_at_none_beyond_the_range():
+def test_ugv_is_detected_always_within_r_v_and_never_beyond_r():
     """Coverage alone drifts away from its UGV."""
     covered = Coverage(covered=(Region(lower=(0.0, 0.0), upper=(40.0, 24.0)),))
     ugv = Ugv(position=HERE, goals=((20.0, 2.0),))
@@ -147,7 +147,7 @@ def test_distance_and_error_are_measured_with_the_true_positions() -> None:
     )
 
 
-def test_ground_covered_from_the_start_is_covered_for_world_and_uav() -> None:
+def test_initially_covered_ground_is_known_to_world_and_uav() -> None:
     region = Region(lower=(0.0, 0.0), upper=(40.0, 40.0))
     _, summary = fly(escort("coverage", coverage=Coverage(covered=(region,)), duration=5.0), 0)
     assert summary.initial_error == 0.0
