@@ -10,7 +10,6 @@ from bus.keys import Role
 from bus.messages.telemetry import Status
 from bus.plugins import needs
 from outrider.cli import options
-from outrider.cli.console import ERR
 from outrider.cli.stopping import Stop, stop_on_signals
 from outrider.cli.waiting import await_status
 
@@ -83,6 +82,7 @@ def _await_run(session: "Session", vehicle: str, stop: Stop) -> Status | None:
 
 def _drive(session: "Session", vehicle: str, first: Status, *, speed: float, back: str) -> int:
     """Drive until the operator quits; return the exit code."""
+    from outrider.cli.console import ERR
     from outrider.view.terminal.terminal import ending, know_colours, quiet_logs
 
     know_colours()

@@ -9,16 +9,7 @@ import typer
 from bus.errors import PeerLost, ScenarioError
 from bus.registry import DRIVERS
 from outrider.cli import options
-from outrider.cli.console import ERR, flight_progress, print_json, print_summary, print_warnings
 from outrider.cli.stopping import Stop, stop_on_signals
-from outrider.running.assumptions import assumption_warnings
-from outrider.running.companions import pace_with, parse_companion
-from outrider.running.launch import Outcome, Watcher, launch
-from outrider.running.parent import Output
-from outrider.running.resolve import resolve
-from outrider.running.user_code import check_code, check_own_functions
-from outrider.view.output import default_folder, making, write_flight, write_summary
-from sim.scenario.checks import scenario_warnings
 
 MOST_PROCESSES = 20
 """Default limit of a run's processes."""
@@ -26,6 +17,8 @@ MOST_PROCESSES = 20
 if TYPE_CHECKING:
     from outrider.cli.console import FlightProgress
     from outrider.running.companions import Beside
+    from outrider.running.launch import Outcome
+    from outrider.running.parent import Output
     from sim.scenario.types import Scenario
 
 
@@ -84,6 +77,15 @@ def command(
 
     Example: outrider run escort --seed 3 --law switching
     """
+    # imported here, so that the help starts without a compiler
+    from outrider.cli.console import print_warnings
+    from outrider.running.companions import pace_with, parse_companion
+    from outrider.running.parent import Output
+    from outrider.running.resolve import resolve
+    from outrider.running.user_code import check_code, check_own_functions
+    from outrider.view.output import default_folder, making
+    from sim.scenario.checks import scenario_warnings
+
     if in_process and (realtime or respawn or companions):
         raise typer.BadParameter(
             "--realtime, --respawn and --with need several processes; leave --in-process out"
@@ -126,6 +128,9 @@ def command(
 
 def _report(outcome: "Outcome", folder: Path | None, *, json: bool) -> None:
     """Write and print the summary, if there is one."""
+    from outrider.cli.console import print_json, print_summary
+    from outrider.view.output import write_summary
+
     if outcome.summary is None:
         return
     if folder is not None:
@@ -142,6 +147,8 @@ def _report(outcome: "Outcome", folder: Path | None, *, json: bool) -> None:
 def _fly_apart(
     flown: "Scenario", secret: str, output: "Output", beside: "tuple[Beside, ...]", stop: Stop
 ) -> "Outcome":
+    from outrider.cli.console import flight_progress, print_warnings
+    from outrider.running.launch import Watcher, launch
 
     with flight_progress(flown, "starting (the first start compiles)") as progress:
         watcher = Watcher(
@@ -177,8 +184,12 @@ def _fly_here(
     record: Path | None,
     stop: Stop,
 ) -> "Outcome":
+    from outrider.cli.console import flight_progress, print_warnings
+    from outrider.running.assumptions import assumption_warnings
     from outrider.running.flying import fly
+    from outrider.running.launch import Outcome
     from outrider.running.warming import warm_up_flight
+    from outrider.view.output import write_flight
     from sim.server.flight import Flight
 
     print_warnings(assumption_warnings(flown))
@@ -221,6 +232,7 @@ def _fly_here(
 
 
 def _end(outcome: "Outcome", stop: Stop) -> None:
+    from outrider.cli.console import ERR
 
     if stop:
         if outcome.summary is None:
