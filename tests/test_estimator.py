@@ -354,10 +354,10 @@ def test_a_detection_after_a_long_gap_is_let_in_again():
 def test_detections_of_another_time_are_refused():
     used, unused = converged(), converged()
     late = Look(390, -22.0, -20.0)
-    estimate = used.update(tick=400, own_position=(0.0, 0.0), looks=(late, late))
+    estimate = used.update(tick=400, own_position=(0.0, 0.0), detections=(late, late))
     assert estimate.rejected == 2
     assert estimate.position == look(unused, 400).position
-    assert make().update(tick=20, own_position=(0.0, 0.0), looks=(late,)) is None
+    assert make().update(tick=20, own_position=(0.0, 0.0), detections=(late,)) is None
 
 
 def test_duplicates_count_once_and_the_same_time_is_predicted_once():
@@ -365,7 +365,7 @@ def test_duplicates_count_once_and_the_same_time_is_predicted_once():
     first, second = Look(400, -22.0, -20.0), Look(400, -22.1, -20.0)
 
     def told(estimator, *looks):
-        return estimator.update(tick=400, own_position=(0.0, 0.0), looks=looks)
+        return estimator.update(tick=400, own_position=(0.0, 0.0), detections=looks)
 
     expected = told(once, first)
     told(twice)
@@ -390,7 +390,7 @@ def test_a_copy_of_a_filter_goes_on_like_the_original_and_by_itself():
 
 def test_time_that_goes_back_is_an_error():
     with pytest.raises(ValueError, match="tick = 398: before the last one; allowed: 399"):
-        converged().update(tick=398, own_position=(0.0, 0.0), looks=())
+        converged().update(tick=398, own_position=(0.0, 0.0), detections=())
     with pytest.raises(ValueError, match="dt"):
         make(dt=math.inf)
 
