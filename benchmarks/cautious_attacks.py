@@ -32,7 +32,7 @@ from agents.drivers.cautious import (
 )
 from agents.drivers.navigate import navigate_control
 from agents.drivers.navigate_parameters import PLAN_TILES, NavigateParameters
-from agents.drivers.pending_stops import PLAIN, note_claim, state_ahead, store_command
+from agents.drivers.pending_stops import PLAIN, state_ahead, store_command, update_claim
 from agents.drivers.planning import continue_search, start_search
 from agents.drivers.tile_map import OccupancyGrid, occupancy_grid, record_block, record_tiles
 from sim.compiling.compile import FloatArray
@@ -305,7 +305,7 @@ def _filtered_by(
     if not (check or is_safe)(parameters, trial.delay > 0, memory.tiles, ground, ahead, *wanted):
         wanted = brake(ahead.v_x, ahead.v_y, parameters.max_acceleration, parameters.dt)
     store_command(memory, tick, parent, *wanted)
-    note_claim(parameters, memory, ahead, *wanted)
+    update_claim(parameters, memory, ahead, *wanted)
     return wanted
 
 

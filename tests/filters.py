@@ -119,7 +119,7 @@ def pilots_filtered(own, at, **chosen) -> Filtered:
     rows = [(unknown[0], unknown, math.nan)] * len(own)
     for k, place in enumerate(np.asarray(own).tolist()):
         looks = tuple(Look(int(taken), x, y) for taken, x, y in at.get(k, ()))
-        estimate = estimator.update(tick=k, own_position=tuple(place), looks=looks)
+        estimate = estimator.update(tick=k, own_position=tuple(place), detections=looks)
         if estimate:
             rejected = estimate.rejected - estimator.misdated
             newest = estimator.innovation_squared if any(one.taken == k for one in looks) else None
@@ -145,7 +145,7 @@ def look(estimator, tick, seen=None, own=(0.0, 0.0), dt=DT) -> Estimate | None:
         detections = (
             Detection(time=tick * dt, relative_position=(own[0] - seen[0], own[1] - seen[1])),
         )
-    return estimator.update(tick=tick, own_position=own, looks=looks_of(detections, dt))
+    return estimator.update(tick=tick, own_position=own, detections=looks_of(detections, dt))
 
 
 def kept(flown):

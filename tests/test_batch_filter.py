@@ -132,7 +132,7 @@ def _fly_beside(name, case):
         looks = np.array([*at[k], (math.nan, 1.0, 1.0)])  # the last row has not arrived
         target = _step(parameters, rows, k, p_x, p_y, looks, len(at[k]))
         estimated = pilots.update(
-            tick=k, own_position=(p_x, p_y), looks=[Look(*one) for one in at[k]]
+            tick=k, own_position=(p_x, p_y), detections=[Look(*one) for one in at[k]]
         )
         now = rows[0, 0, 0]
         assert target.known == (estimated is not None), (name, k)

@@ -116,7 +116,9 @@ def test_rows_hold_the_filters_estimate_and_leave_the_rest():
     for plain, estimated in zip(rows_of(raw, 300), rows_of(wrapped, 300), strict=True):
         seen = uav_observation(plain["uav_0"], dt=told.dt)
         estimate = own.update(
-            tick=seen.tick, own_position=seen.position, looks=looks_of(seen.detections, told.dt)
+            tick=seen.tick,
+            own_position=seen.position,
+            detections=looks_of(seen.detections, told.dt),
         )
         before, after = (rows["uav_0"].tolist() for rows in (plain, estimated))
         silent += not before[5]

@@ -334,10 +334,10 @@ def test_a_detection_after_a_long_gap_is_let_in_again():
 def test_detections_of_another_time_are_refused():
     used, unused = converged(), converged()
     late = Look(390, -22.0, -20.0)
-    estimate = used.update(tick=400, own_position=(0.0, 0.0), looks=(late, late))
+    estimate = used.update(tick=400, own_position=(0.0, 0.0), detections=(late, late))
     assert estimate.rejected == 2
     assert estimate.position == look(unused, 400).position
-    assert make().update(tick=20, own_position=(0.0, 0.0), looks=(late,)) is None
+    assert make().update(tick=20, own_position=(0.0, 0.0), detections=(late,)) is None
 
 
 def test_duplicate_detections_and_predictions_count_once():
@@ -345,7 +345,7 @@ def test_duplicate_detections_and_predictions_count_once():
     first, second = Look(400, -22.0, -20.0), Look(400, -22.1, -20.0)
 
     def told(estimator, *looks):
-        return estimator.update(tick=400, own_position=(0.0, 0.0), looks=looks)
+        return estimator.update(tick=400, own_position=(0.0, 0.0), detections=looks)
 
     expected = told(once, first)
     told(twice)
@@ -370,7 +370,7 @@ def test_filter_copy_continues_alike_and_independently():
 
 def test_time_that_goes_back_is_an_error():
     with pytest.raises(ValueError, match="tick = 398: before the last one; allowed: 399"):
-        converged().update(tick=398, own_position=(0.0, 0.0), looks=())
+        converged().update(tick=398, own_position=(0.0, 0.0), detections=())
     with pytest.raises(ValueError, match="dt"):
         make(dt=math.inf)
 

@@ -49,7 +49,7 @@ def detection(tick, seen):
 
 
 def call(estimator, tick, *detections):
-    return estimator.update(tick=tick, own_position=own(tick), looks=looks_of(detections, DT))
+    return estimator.update(tick=tick, own_position=own(tick), detections=looks_of(detections, DT))
 
 
 def bits(estimator):

@@ -116,7 +116,7 @@ def test_the_filters_are_those_of_the_pilots(scenario: Scenario) -> None:
         keeper.see(received)
         decision = keeper.filter(received, tuple(outward))
         looks = looks_of(received.detections, told.dt)
-        estimate = estimator.update(tick=tick, own_position=tuple(place), looks=looks)
+        estimate = estimator.update(tick=tick, own_position=tuple(place), detections=looks)
         if estimate is not None:
             relative = np.subtract(place, estimate.position)
             row = [1.0, *relative, estimate.age]
