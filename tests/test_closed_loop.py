@@ -163,7 +163,7 @@ def test_a_broken_certificate_is_excused_by_actual_errors_alone(declared, given)
     broken = _flown_with(loop, seeds)["certificate_broken"].tolist()
     for k, seed in enumerate(seeds):
         record = fly(scenario, seed)[0].recorder
-        off = np.hypot(*(record.states[:, 0, :2] - record.told[:, 0, :2]).T)
+        off = np.hypot(*(record.states[:, 0, :2] - record.reference[:, 0, :2]).T)
         measured = record.escorts[:, 0, 2:4] - (record.states[:, 0, :2] - record.states[:, 1, :2])
         times = scenario.dt * np.arange(len(off))
         received = (times < 4.0) | (times >= 6.0) & (times < 8.0) | (times >= 11.0)

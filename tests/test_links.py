@@ -99,7 +99,7 @@ def test_a_command_that_was_overtaken_is_not_flown_any_more() -> None:
 def test_operators_and_radio_come_late() -> None:
     flight = moving(LinkTable(operator=LinkSettings(delay=0.3), radio=LinkSettings(delay=0.2)))
     message = RelativeInformation(time=0.0, relative_position=(1.0, 0.0), coverage_error=1.0)
-    flight.say("ugv_0", Teleoperation(operator="me"))
+    flight.teleoperate("ugv_0", Teleoperation(operator="me"))
     operator, radio = [], []
     for tick in range(12):
         seen = flight.observations()["ugv_0"]

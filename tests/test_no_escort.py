@@ -149,6 +149,6 @@ def test_what_is_declared_for_uavs_is_nothing_without_one() -> None:
     scenario = load_scenario("minefield", overrides=changes)
     windy = msgspec.structs.replace(scenario, wind=Wind(mean=(0.05, 0.0)), links=LinkTable())
     _, summary = fly(check_scenario(windy), 1)
-    assert summary.tracking_error is None
+    assert summary.largest_tracking_error is None
     with pytest.raises(ScenarioError, match=r"ugv = \[\]"):
         check_scenario(msgspec.structs.replace(windy, ugv=()))

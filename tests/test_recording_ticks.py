@@ -126,7 +126,7 @@ def test_operator_messages_and_changes_are_recorded_with_ticks(tmp_path: Path) -
     assert [word.tick for _, word in recording.operator_commands] == [0, 9, 9, 41]
     assert {ugv for ugv, _ in recording.operator_commands} == {"ugv_0"}
     assert [
-        Teleoperation(operator=w.driver, velocity=w.velocity, goal=w.goal)
+        Teleoperation(operator=w.operator, velocity=w.velocity, goal=w.goal)
         for _, w in recording.operator_commands
     ] == words
     radio = {"link": LinkKind.RADIO, "vehicle": "uav_0", "settings": LinkSettings(loss=0.5)}

@@ -121,7 +121,7 @@ def test_detection_counts_at_the_uavs_position_of_its_time() -> None:
     for tick in range(10):
         looks = [(0.1, (1.0, 0.0))] if tick == 9 else []
         watch.see(uav_sees(tick, *looks, position=(5.0 + 0.5 * tick, 5.0)))
-    newest = watch.state.detections[watch.state.detections["taken"] >= 0]
+    newest = watch.memory.discs[watch.memory.discs["tick"] >= 0][["x", "y", "tick"]]
     assert newest.tolist() == [(5.0, 5.0, 2)]  # it was at 6 m at tick 2
 
 

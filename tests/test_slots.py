@@ -68,7 +68,7 @@ def test_a_past_is_what_the_vehicle_has_perceived(scenario: Scenario) -> None:
     pilots = {name: PILOT[name](told) for name, told in _briefings(scenario).items()}
     seen: dict[str, list[Any]] = {name: [] for name in pilots}
     for _ in range(300):
-        flight.say("ugv_0", Teleoperation(operator="me", velocity=(0.1, 0.0)))
+        flight.teleoperate("ugv_0", Teleoperation(operator="me", velocity=(0.1, 0.0)))
         observations = flight.observations()
         flight.recorder.record(flight.answers.reports)
         for name, observation in observations.items():
