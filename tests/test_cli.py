@@ -12,7 +12,6 @@ from bus import plugins
 from bus.locator import Locator
 from bus.plugins import registered
 from outrider.cli.main import COMMANDS
-from processes import outrider
 from tabular import rows, words
 
 GROUPS = {"scenarios", "network", "fmu"}
@@ -237,8 +236,8 @@ def test_too_fast_circle_warns_and_flies(command) -> None:
     assert "0.1086 rad/s" in " ".join(run.stderr.split())
 
 
-def test_a_weighting_of_ones_own_flies_over_the_bus(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(
+def test_a_weighting_of_ones_own_flies_over_the_bus(here: Path, command) -> None:
+    (here / "mine.py").write_text(
         "def careful(distance, r_s):\n    share = min(distance / r_s, 1.0)\n    return share, 1.0 - share\n",
         encoding="utf-8",
     )
@@ -246,7 +245,7 @@ def test_a_weighting_of_ones_own_flies_over_the_bus(tmp_path: Path) -> None:
     hashes = set()
     for arguments in (own, [*own, "--in-process"], ["--law", "linear", "--in-process"]):
         rest = words("--duration 20 --no-files --json")
-        run = outrider("run", "escort", *arguments, *rest, cwd=tmp_path)
+        run = command("run", "escort", *arguments, *rest)
         assert run.returncode == 0, run.stderr
         hashes.add(json.loads(run.stdout)["trajectory_sha256"])
     assert len(hashes) == 1

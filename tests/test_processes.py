@@ -193,15 +193,6 @@ def test_a_killed_run_leaves_no_process_and_no_credentials() -> None:
         wait_until(lambda: not list(folder.iterdir()))
 
 
-def test_a_run_killed_while_it_starts_leaves_no_process() -> None:
-    with started("run", "escort", "--duration", "20000", "--no-files") as run:
-        wait_until(lambda: len(family(run.pid)) == 3)
-        children = family(run.pid)
-        run.kill()
-        run.wait()
-        wait_until(lambda: not any(alive(child) for child in children))
-
-
 def test_a_vehicle_that_never_comes_is_named() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     run = outrider("simulator", "escort", "--listen", endpoint, "--join-timeout", "0.2")

@@ -30,6 +30,7 @@ pytest.importorskip("mcap", reason="the extra [record] is not installed")
 
 from mcap.reader import make_reader
 
+from bus import keys
 from bus.errors import ScenarioError
 from bus.keys import KEYS
 from bus.messages.scenario import Law
@@ -542,7 +543,7 @@ def test_an_observer_records_a_run_in_progress_to_the_same_bits(tmp_path, comman
         observer = threading.Thread(target=observe, daemon=True)
         observer.start()
         run.start_both()
-        truths = run.server_session.outbox(TRUTH)
+        truths = run.server_session.outbox(keys.TRUTH)
         wait_until(lambda: truths.wanted)
         flight = run.fly()
         observer.join(30.0)

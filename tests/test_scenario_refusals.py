@@ -117,7 +117,7 @@ hazards_have_a_shape | hazard=[{kind="block",center=[1,1],radius=1,speed_share=0
 hazards_have_a_shape | hazard=[{kind="block",polygon=[[1,1],[2,1]]}] | hazard.0.polygon = [[1.0, 1.0], [2.0, 1.0]]
 | three or more
 hazards_have_a_shape | hazard=[{kind="block",polygon=[[1,1],[2,1],[1,1]]}]
-| hazard.0.polygon = [[1.0, 1.0], [2.0, 1.0]] | three or more, more than a millimetre apart
+| hazard.0.polygon = [[1.0, 1.0], [2.0, 1.0], [1.0, 1.0]] | three or more, more than a millimetre apart
 hazards_have_a_shape | hazard=[{kind="block",polygon=[[1,1],[2,2],[3,3]]}]
 | hazard.0.polygon = [[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]] | not collinear
 hazards_have_a_shape | hazard=[{kind="rough",polygon=[[1,1],[2,2],[2,1],[1,2]]}]
