@@ -32,9 +32,7 @@ class LinkSettings(Message, frozen=True, kw_only=True):
     jitter_shape: Name = "uniform"
     """Distribution of the jitter, a row of `sim.channel.jitter.SHAPES`; it defines the meaning of the scale."""
     max_jitter: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
-    """Upper bound of the extra delay [s]; its lower bound is -delay. Values outside are redrawn (in effect). 0: five times the
-    jitter.
-    """
+    """Upper bound of the extra delay [s], as if redrawn until in range; lower bound: -delay. 0: 5 x jitter."""
     loss: Share = 0.0
     """Share of messages lost independently."""
     burst_length: Seconds = 0.0
