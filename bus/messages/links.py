@@ -32,7 +32,7 @@ class LinkSettings(Message, frozen=True, kw_only=True):
     jitter_shape: Name = "uniform"
     """Distribution of the extra delay, a row of `sim.channel.jitter.SHAPES`."""
     max_jitter: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
-    """Truncation of the extra delay to [-delay, this] [s]; 0: five times the jitter."""
+    """Upper bound of the extra delay [s], as if redrawn until in range; lower bound: -delay. 0: 5 x jitter."""
     loss: Share = 0.0
     """Share of messages lost, independently."""
     burst_length: Seconds = 0.0

@@ -4,7 +4,6 @@ In each tick call `begin_tick` once, `send` for each message, then `receive` onc
 Ticks in which nothing is sent, queued or in transit may be skipped: the next `begin_tick` catches up.
 
 A packet passes these stages:
-
 1. The sender's queue, if the bandwidth is limited: one packet leaves every 1/bandwidth. A full queue drops the oldest
    queued packet, or the new one. The transmission time is part of the delay.
 2. The channel at the tick at which the packet leaves. A blackout, a burst or independent loss drops it; the first of
@@ -18,8 +17,8 @@ table of delays, the last row before the packet replaces the random numbers of s
 opportunities, packets are queued until their bytes have been granted, 1,500 at each opportunity after sending; they
 pass stages 2 and 3 as at the tick before they leave.
 
-Random numbers are pure functions of (key of the link, purpose, tick, index): for a packet, the tick at which it was
-sent and its number within this tick; for the channel, the tick or the number of the random blackout.
+Random numbers are pure functions of (key of the link, purpose, tick, index). The index is a packet's number within its
+tick; the channel uses the tick, or the number of the random blackout.
 
 Packets are in three lists of the array `packets`, shape (worlds, links, lists, room). `FLYING` is a ring in the order
 in which packets left, `WAITING` the ring of the sender's queue, `ARRIVED` the arrivals of the tick. The caller may
@@ -332,8 +331,7 @@ def begin_tick(link: Link, packets: RecordArray, w: int, traces: IntArray, tick:
 @compiled
 def _wait(link: Link, packets: RecordArray, w: int, packet: Packet) -> None:
     """Add a packet to the sender's queue, which drops one if it is full."""
-    row = link.number
-    partial = 1 if link.granted > 0 else 0  #  the first queued packet is partly sent
+    row, partial = link.number, 1 if link.granted > 0 else 0  # 1: the first is partly sent
     if link.queued - partial >= link.parameters.settings.queue:
         link.lost[QUEUE] += 1
         if not link.parameters.newest:
