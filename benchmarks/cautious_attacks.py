@@ -49,7 +49,7 @@ TELLERS = ("bumper", "nothing for long", "all but some", "at rest only", "any or
 WHEELS = ("plan", "dash", "swerve", "noise")
 
 Ugv = Any
-"""A named tuple of the fields of `NavigateParameters`."""
+"""Named tuple with the fields of `NavigateParameters`."""
 Parameters: Any = namedtuple("Parameters", NavigateParameters.__struct_fields__)  # type: ignore[misc]
 """Parameters of the driver as a named tuple."""
 

@@ -1,6 +1,6 @@
-"""Starting what measures and installs.
+"""Start, supervision and end of processes that measure or install.
 
-Its lines as they come, an end to it in any case, and why it failed in one line.
+Output lines are passed on as they arrive; a failure has its reason in one line.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ from pathlib import Path
 LONGEST_REASON = 160
 _REMARKS = ("warning", "[notice]", "note:", "hint:", "╰", "[end of output]")
 _UNSET = ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP")
-"""Would let a peer's interpreter find what is not its own."""
+"""Variables that would let a peer's interpreter import foreign packages."""
 
 
 class Failed(Exception):
@@ -30,13 +30,13 @@ def run(
     """Run a command to its end.
 
     Args:
-        command: What to run.
-        cwd: Where.
-        deadline: It is ended after so long [s].
-        on_line: Is told each line of its standard output.
+        command: Command with arguments.
+        cwd: Working directory.
+        deadline: Time after which the process is killed [s].
+        on_line: Callback for each line of standard output.
 
     Raises:
-        Failed: If it does not end well, with the last line of its standard error.
+        Failed: If the command fails, with the last line of its standard error.
     """
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as said:
         with _started(command, cwd, said.fileno()) as process:

@@ -11,9 +11,9 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from outrider import style
 
 OURS = "outrider"
-"""The runner that measures ours."""
+"""Runner of our environment."""
 CROWDED = 0.05
-"""From this share of the cores on, other programs spoil a measurement: threads that wait for each other stall."""
+"""Share of the cores used by other programs above which a measurement is invalid: waiting threads stall."""
 GROUPS = {True: "with a field", False: "without a field"}
 
 
@@ -26,7 +26,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     """Measurement of one variant."""
 
     peer: str
-    """Its runner."""
+    """Name of the runner."""
     name: str
     variant: str
     worlds: int
@@ -42,7 +42,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def label(self) -> str:
-        """The measurement's name."""
+        """Return the name of the measurement."""
         return f"{self.name} {self.variant}, {self.agents} agents"
 
 

@@ -1,6 +1,6 @@
 """Whole run behind the variables of a co-simulation unit: world, links and all pilots in one process.
 
-Its outputs are those of an observer. The operator's input crosses the operator's link.
+Outputs equal an observer's data. The operator's input crosses the operator's link.
 """
 
 import msgspec

@@ -20,7 +20,7 @@ _TASKS = Suite((*TASKS, *MISSIONS))
 
 
 @drawing
-def single(*, task: str, **settings: Any) -> "SingleEnv":  # noqa: ANN401 - those of the environment
+def single(*, task: str, **settings: Any) -> "SingleEnv":  # noqa: ANN401 - the environment's settings
     """Create a task's environment for `gymnasium.make`."""
     return _TASKS[task].make_single(**settings)
 

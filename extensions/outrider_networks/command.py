@@ -87,7 +87,7 @@ def chances(
 ) -> None:
     """Print the probabilities that a run exceeds the declared bounds.
 
-    Also print the probability of losing certified visibility, which is at most their sum. The bounds are those of
+    Also print the probability of losing certified visibility, which is at most their sum. The bounds are the fields of
     [certificate], on which the law certified relies.
 
     Example: outrider network chances escort --network jammed --set certificate.max_measurement_age=5

@@ -30,7 +30,7 @@ class Variant:
     field: bool
     """True if the world holds a field over the ground, such as coverage."""
     make: Callable[[], Step]
-    """Makes the environment and its random actions; what it returns is timed."""
+    """Constructor of the environment and its random actions; its result is timed."""
     steps: int = 1
     """Steps of each world in one call of what `make` returns."""
 

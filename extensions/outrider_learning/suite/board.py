@@ -119,7 +119,7 @@ def leaderboard(
     seeds: Sequence[int] = SEEDS,
     secret: str | None = None,
     on_progress: Callable[[str, float], object] | None = None,
-    **settings: Any,  # noqa: ANN401 - those of evaluate
+    **settings: Any,  # noqa: ANN401 - settings of evaluate
 ) -> Leaderboard:
     """Evaluate every entry on every task, laws on all cores; the same secret reproduces the table.
 

@@ -238,7 +238,7 @@ def evaluate(
     name: str = "",
     seeds: Sequence[int] = SEEDS,
     secret: str | None = None,
-    **settings: Any,  # noqa: ANN401 - those of Worlds
+    **settings: Any,  # noqa: ANN401 - settings of Worlds
 ) -> Result:
     r"""Run a task with all seeds at once, and score it.
 

@@ -56,7 +56,7 @@ class Task:
         """Return the task's Gymnasium ID."""
         return f"outrider/Suite-{''.join(part.capitalize() for part in self.name.split('-'))}-v0"
 
-    def make(self, num_envs: int, **settings: Any) -> "OutriderVectorEnv":  # noqa: ANN401 - those of the environment
+    def make(self, num_envs: int, **settings: Any) -> "OutriderVectorEnv":  # noqa: ANN401 - the environment's settings
         """Return the task as `outrider.vector_env` with these settings."""
         from outrider.envs.vector import OutriderVectorEnv  # noqa: PLC0415
 
@@ -75,7 +75,7 @@ class Task:
         name: str = "",
         seeds: Sequence[int] = SEEDS,
         secret: str | None = None,
-        **settings: Any,  # noqa: ANN401 - those of `outrider_learning.suite.scoring.evaluate`
+        **settings: Any,  # noqa: ANN401 - settings of `evaluate`
     ) -> "Result":
         """Run the task with all seeds at once, and score it, see `outrider_learning.suite.scoring.evaluate`."""
         from outrider_learning.suite.scoring import evaluate  # noqa: PLC0415
