@@ -141,8 +141,11 @@ def test_setpoints_are_the_track_from_where_the_autopilot_hovers(along, plain):
 def test_one_that_stays_behind_is_waited_for_and_nothing_is_certified_meanwhile(along, caplog):
     with caplog.at_level(logging.WARNING):
         flight = along.fly(moves=lambda tick: not 40 <= tick < 200)
-    assert "m off, declared are 0.3 m: its UAV stays, and nothing is certified" in caplog.text
-    assert "the autopilot holds what it is told" in caplog.text
+    assert (
+        "m, allowed up to 0.3 m: the UAV holds its position, and nothing is certified"
+        in caplog.text
+    )
+    assert "the autopilot tracks the reference state" in caplog.text
     assert 0 < along.pilot.held_ticks < 200
     held = [one for one in along.reports if one is not None and one.decision is None]
     assert len(held) >= along.pilot.held_ticks - 1
@@ -153,7 +156,7 @@ def test_one_that_stays_behind_is_waited_for_and_nothing_is_certified_meanwhile(
 
 def test_one_that_is_silent_or_not_armed_is_waited_for(along, monkeypatch):
     along.fly()
-    where = along.pilot._link.wanted.position
+    where = along.pilot._link.reference.position
     assert along.link.deviation(where) < 0.1
     monkeypatch.setattr(module, "_SILENCE", -1.0)
     assert along.link.deviation(where) == math.inf
@@ -203,7 +206,7 @@ def test_an_autopilot_that_restarts_is_believed_again(along, monkeypatch):
     assert believed(along)
     late = along.autopilot.report(time_boot_ms=7)
     (why,) = texts(along.autopilot.send(late))
-    assert why == f"refused: telemetry {OLDER}; accepted after 1 s without any other"
+    assert why == f"rejected: telemetry {OLDER}; accepted after 1 s without telemetry"
     monkeypatch.setattr(module, "_SILENCE", -1.0)  # as after a second of silence
     assert believed(along, time_boot_ms=7)
     other = Autopilot(along.link, along.autopilot.to[1])
@@ -264,11 +267,11 @@ def test_the_past_that_a_process_is_told_when_it_joins_again_is_not_told_to_the_
         {"tick": 0, "time": 0.0, "position": [1.0, 1.0], "velocity": [0.0, 0.0]}, UavObservation
     )
     pilot.act(past)
-    assert along.link.wanted is None
+    assert along.link.reference is None
     now = msgspec.structs.replace(past, tick=1, position=(9.0, 8.0))
     pilot.act(now)
     pilot.prepare()
-    assert along.link.wanted.position == (9.0, 8.0)
+    assert along.link.reference.position == (9.0, 8.0)
     assert along.link.deviation((9.0, 8.0)) == 0.0  # it is where its UAV is
 
 

@@ -245,7 +245,9 @@ def test_a_bad_velocity_is_refused_by_its_cause(cause: str) -> None:
 @given(st.binary(max_size=80), st.sampled_from(TWISTS))
 def test_no_bytes_at_all_make_a_velocity_that_cannot_be_driven(raw: bytes, interface: str) -> None:
     try:
-        wish = velocity_command(_key(interface=interface), raw, domain=7, namespace="/fleet", ugvs=UGVS)
+        wish = velocity_command(
+            _key(interface=interface), raw, domain=7, namespace="/fleet", ugvs=UGVS
+        )
     except Refused:
         return
     assert math.hypot(*wish.velocity) <= 0.2 * (1.0 + 1e-6)
