@@ -185,7 +185,7 @@ def opened(client):
     gateway.take(status())
     station.gateway = gateway
     gateway.turn(0.0)  # its first word binds its socket
-    station.to = ("127.0.0.1", network._lines[0].socket.getsockname()[1])
+    station.to = ("127.0.0.1", network._links[0].socket.getsockname()[1])
     station.told()
     yield SimpleNamespace(gateway=gateway, station=station, client=client)
     network.close()
@@ -359,7 +359,7 @@ def test_a_second_ground_station_is_refused_until_the_first_falls_silent(run, mo
     assert any(SECOND_STATION in text for text in texts(second.send(sticks(-900, 0))))
     assert run.client.driven == first
     assert run.gateway.refusals.counts == {SECOND_STATION: 1}
-    monkeypatch.setattr("outrider_mavlink.gateway._RELEASE", 0.0)
+    monkeypatch.setattr("outrider_mavlink.gateway._CONTROL_TIMEOUT", 0.0)
     second.send(sticks(-900, 0))
     assert run.client.driven[-1][1].velocity == pytest.approx((0.0, -0.18))
 
@@ -367,7 +367,7 @@ def test_a_second_ground_station_is_refused_until_the_first_falls_silent(run, mo
 def test_one_ground_station_too_many_is_refused_and_hears_it(run):
     network = Network(listen=[Address("127.0.0.1", 0)])
     shown, run.gateway.network = run.gateway.network, network
-    to = network._lines[0].socket.getsockname()
+    to = network._links[0].socket.getsockname()
     stations = []
     for k in range(MAX_PEERS + 1):
         stations.append(Station(run.gateway, number=100 + k))

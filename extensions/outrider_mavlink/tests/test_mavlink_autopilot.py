@@ -74,7 +74,7 @@ class Along:
         self.scenario = load_scenario("escort", overrides=[*CHANGES, *changes])
         self.network = Network(listen=[Address("127.0.0.1", 0)])
         self.link = AutopilotLink(self.network)
-        port = self.network._lines[0].socket.getsockname()[1]
+        port = self.network._links[0].socket.getsockname()[1]
         self.autopilot = Autopilot(self.link, port)
         self.pilot = AutopilotPilot(self.link)
         self.reports = []
@@ -158,7 +158,7 @@ def test_one_that_is_silent_or_not_armed_is_waited_for(along, monkeypatch):
     along.fly()
     where = along.pilot._link.reference.position
     assert along.link.deviation(where) < 0.1
-    monkeypatch.setattr(module, "_SILENCE", -1.0)
+    monkeypatch.setattr(module, "_TELEMETRY_TIMEOUT", -1.0)
     assert along.link.deviation(where) == math.inf
     monkeypatch.undo()
     along.autopilot.send(along.autopilot.heartbeat(armed=False))
@@ -207,13 +207,13 @@ def test_an_autopilot_that_restarts_is_believed_again(along, monkeypatch):
     late = along.autopilot.report(time_boot_ms=7)
     (why,) = texts(along.autopilot.send(late))
     assert why == f"rejected: telemetry {OLDER}; accepted after 1 s without telemetry"
-    monkeypatch.setattr(module, "_SILENCE", -1.0)  # as after a second of silence
+    monkeypatch.setattr(module, "_TELEMETRY_TIMEOUT", -1.0)  # as after a second of silence
     assert believed(along, time_boot_ms=7)
     other = Autopilot(along.link, along.autopilot.to[1])
     (why,) = texts(other.send(other.heartbeat()))
     assert OTHER_AUTOPILOT in why
     assert why.endswith("accepted after 3 s of its silence")
-    monkeypatch.setattr(module, "_LEFT", -1.0)
+    monkeypatch.setattr(module, "_PEER_TIMEOUT", -1.0)
     told = other.send(other.heartbeat(), other.report())
     assert of(told, "COMMAND_LONG")  # it does not know what it was asked for
     assert along.link.peer.address[1] == other.port
@@ -224,17 +224,17 @@ def test_an_autopilot_that_restarts_is_believed_again(along, monkeypatch):
 def test_a_silent_autopilot_is_asked_again_for_telemetry(along, monkeypatch):
     along.fly()
     along.autopilot.told()
-    monkeypatch.setattr(module, "_BEAT", 0.0)
+    monkeypatch.setattr(module, "_HEARTBEAT", 0.0)
     along.link.refresh()
     assert not of(along.autopilot.told(), "COMMAND_LONG")
-    monkeypatch.setattr(module, "_SILENCE", -1.0)
+    monkeypatch.setattr(module, "_TELEMETRY_TIMEOUT", -1.0)
     along.link.refresh()
     assert of(along.autopilot.told(), "COMMAND_LONG")
 
 
 def test_no_other_system_becomes_the_autopilot(along, monkeypatch):
     along.fly()
-    monkeypatch.setattr(module, "_LEFT", -1.0)
+    monkeypatch.setattr(module, "_PEER_TIMEOUT", -1.0)
     other = Autopilot(along.link, along.autopilot.to[1])
     other.mav.srcSystem = 43
     (why,) = texts(other.send(other.heartbeat()))
@@ -277,7 +277,7 @@ def test_the_past_that_a_process_is_told_when_it_joins_again_is_not_told_to_the_
 
 def test_a_run_that_stands_still_wants_the_autopilot_to_stay(along, monkeypatch):
     along.fly()
-    monkeypatch.setattr(module, "_STANDS", -1.0)
+    monkeypatch.setattr(module, "_PAUSED", -1.0)
     monkeypatch.setattr(module, "_RESEND", 0.0)
     along.autopilot.told()
     along.link.refresh()

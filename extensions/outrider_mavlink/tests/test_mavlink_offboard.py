@@ -101,7 +101,7 @@ class Run:
         system = VehicleSystem("uav_0", 1, flies=True, origin=Origin(), height=10.0)
         self.gateway = self.station.gateway = OffboardGateway(self.pilot, self.network, system)
         self.gateway.say(system, "here")
-        self.station.to = ("127.0.0.1", self.network._lines[0].socket.getsockname()[1])
+        self.station.to = ("127.0.0.1", self.network._links[0].socket.getsockname()[1])
         self.station.told()
 
     def fly(self, each_tick=lambda _tick: None):
